@@ -1,0 +1,41 @@
+# make demo | test | bench | experiments; everything runs in .venv, made on first use with PYTHON.
+PYTHON ?= python3
+VENV := .venv
+BIN := $(VENV)/bin
+STAMP := $(VENV)/.installed
+
+.PHONY: help demo test check unit bench experiments clean
+help:
+	@echo "make demo         built-in docking scenario, start to finish, pictures in demo/"
+	@echo "make test         the whole check: ruff, mypy, import-linter, pytest with doctests"
+	@echo "make bench        benchmarks, tables on stdout"
+	@echo "make experiments  every numbered script in experiments/, results in results/"
+
+$(STAMP): pyproject.toml
+	$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 10) and "optdock needs Python >= 3.10")'
+	$(PYTHON) -m venv $(VENV)
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check -e '.[dev,plot]'
+	touch $(STAMP)
+
+demo: $(STAMP)
+	$(BIN)/optdock demo --out demo
+
+check: $(STAMP)
+	$(BIN)/ruff format --check .
+	$(BIN)/ruff check .
+	$(BIN)/mypy
+	$(BIN)/lint-imports
+
+unit: $(STAMP)
+	$(BIN)/python -m pytest -q
+
+test: check unit
+
+bench: $(STAMP)
+	$(BIN)/python -m benchmarks
+
+experiments: $(STAMP)
+	for script in experiments/[0-9]*.py; do $(BIN)/python $$script || exit 1; done
+
+clean:
+	rm -rf $(VENV) demo results

@@ -1,0 +1,1 @@
+"""Goal checkers: plugins of `optdock.goal_checkers`."""

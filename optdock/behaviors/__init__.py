@@ -1,0 +1,1 @@
+"""Behaviors: timed auxiliary motions with a collision check ahead."""

@@ -1,0 +1,1 @@
+"""Controllers: velocity commands that follow a path or trajectory."""

@@ -1,0 +1,1 @@
+"""Grids of costs: layers, inflation, distance fields, and cells as obstacles."""

@@ -1,0 +1,231 @@
+"""The exception tree: Nav2's nouns, each with Nav2's action error code.
+
+Every exception that leaves this library derives from `OptdockError`, carries a `code` and may carry `where`: the
+data that locates the fault (arc length, pose, obstacle, bound, amount), ready for a plan file.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, ClassVar
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+__all__ = [
+    "BehaviorException",
+    "CertificationFailed",
+    "ControllerException",
+    "ControllerInvalidPath",
+    "ControllerTimedOut",
+    "FailedToMakeProgress",
+    "FailedToSmoothPath",
+    "FailedToTimePath",
+    "GoalOccupied",
+    "GoalOutsideMapBounds",
+    "InvalidController",
+    "InvalidFile",
+    "InvalidPath",
+    "InvalidPlanner",
+    "InvalidSmoother",
+    "InvalidValue",
+    "LifecycleError",
+    "NoValidControl",
+    "NoValidPathCouldBeFound",
+    "OptdockError",
+    "PatienceExceeded",
+    "PlannerCancelled",
+    "PlannerException",
+    "PlannerTimedOut",
+    "PluginError",
+    "SmoothedPathInCollision",
+    "SmootherCancelled",
+    "SmootherException",
+    "SmootherTimedOut",
+    "StartOccupied",
+    "StartOutsideMapBounds",
+]
+
+
+class OptdockError(Exception):
+    """Base of every exception raised by optdock.
+
+    Attributes:
+        code: Nav2's action error code, 0 where Nav2 has none.
+        where: What locates the fault; plain numbers, strings and lists of them.
+    """
+
+    code: ClassVar[int] = 0
+
+    def __init__(self, message: str, *, where: Mapping[str, object] | None = None) -> None:
+        super().__init__(message)
+        self.where: dict[str, object] = dict(where or {})
+
+
+class InvalidValue(OptdockError, ValueError):
+    """A value breaks a rule that its constructor states."""
+
+
+class InvalidFile(OptdockError):
+    """A file cannot be read or breaks its format; the message lists every fault, one per line."""
+
+
+class LifecycleError(OptdockError):
+    """A plugin was asked for a transition its lifecycle state does not allow."""
+
+
+class PluginError(OptdockError):
+    """A plugin is unknown, cannot be imported or does not keep its interface."""
+
+
+class CertificationFailed(OptdockError):
+    """The independent certificate refuses a result that a solver proposed."""
+
+    code = 503
+
+
+class FailedToTimePath(OptdockError):
+    """No time law keeps the motion limits on this path from this start state."""
+
+    code = 600
+
+
+class PlannerException(OptdockError):
+    """Any failure of a global planner."""
+
+    code = 200
+
+
+class InvalidPlanner(PlannerException):
+    """The planner asked for does not exist."""
+
+    code = 201
+
+
+class StartOutsideMapBounds(PlannerException):
+    """The start lies off the map."""
+
+    code = 203
+
+
+class GoalOutsideMapBounds(PlannerException):
+    """The goal lies off the map."""
+
+    code = 204
+
+
+class StartOccupied(PlannerException):
+    """The footprint at the start overlaps an obstacle."""
+
+    code = 205
+
+
+class GoalOccupied(PlannerException):
+    """The footprint at the goal is closer to an obstacle than allowed."""
+
+    code = 206
+
+
+class PlannerTimedOut(PlannerException):
+    """The planner ran out of time."""
+
+    code = 207
+
+
+class NoValidPathCouldBeFound(PlannerException):
+    """There is no path of the kind this planner makes."""
+
+    code = 208
+
+
+class PlannerCancelled(PlannerException):
+    """The cancel checker asked the planner to stop."""
+
+    code = 0
+
+
+class ControllerException(OptdockError):
+    """Any failure of a controller."""
+
+    code = 100
+
+
+class InvalidController(ControllerException):
+    """The controller asked for does not exist."""
+
+    code = 101
+
+
+class ControllerInvalidPath(ControllerException):
+    """The controller was given no path, or one it cannot follow."""
+
+    code = 103
+
+
+class PatienceExceeded(ControllerException):
+    """No valid command was found for longer than the failure tolerance."""
+
+    code = 104
+
+
+class FailedToMakeProgress(ControllerException):
+    """The robot does not move although it is commanded to."""
+
+    code = 105
+
+
+class NoValidControl(ControllerException):
+    """No command is admissible in this cycle."""
+
+    code = 106
+
+
+class ControllerTimedOut(ControllerException):
+    """The controller did not arrive in time."""
+
+    code = 107
+
+
+class SmootherException(OptdockError):
+    """Any failure of a smoother."""
+
+    code = 500
+
+
+class InvalidSmoother(SmootherException):
+    """The smoother asked for does not exist."""
+
+    code = 501
+
+
+class SmootherTimedOut(SmootherException):
+    """The deadline came before any certified path."""
+
+    code = 502
+
+
+class SmoothedPathInCollision(SmootherException):
+    """The smoothed path comes closer to an obstacle than required."""
+
+    code = 503
+
+
+class FailedToSmoothPath(SmootherException):
+    """No path near the input keeps every bound; the message names the bound in the way."""
+
+    code = 504
+
+
+class InvalidPath(SmootherException):
+    """The path is empty, too short or not finite."""
+
+    code = 505
+
+
+class SmootherCancelled(SmootherException):
+    """The cancel checker asked the smoother to stop."""
+
+    code = 0
+
+
+class BehaviorException(OptdockError):
+    """Any failure of a behavior."""

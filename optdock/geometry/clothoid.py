@@ -1,0 +1,134 @@
+"""Clothoid splines: curves whose curvature is piecewise linear in arc length (G2, exact between samples)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from optdock.errors import InvalidValue
+from optdock.geometry.arrays import frozen_array, readonly
+from optdock.geometry.pose import Pose2
+
+if TYPE_CHECKING:
+    from numpy.typing import ArrayLike
+
+    from optdock.geometry.arrays import FloatArray, IntArray
+
+__all__ = ["ClothoidSpline"]
+
+# Five Gauss points integrate cos(theta) over a cell that turns by at most 0.5 rad with an error below 1e-15 of its
+# length: error <= length * turn^10 * (5!)^4 / (11 * (10!)^3), [Abramowitz1964] eq. 25.4.30.
+_NODES, _WEIGHTS = np.polynomial.legendre.leggauss(5)
+_MAX_TURN_PER_CELL = 0.5
+_MAX_CELLS = 100_000
+
+
+def _refined_breaks(knots: FloatArray, curvature: FloatArray) -> FloatArray:
+    """Knots with enough points between them that no cell turns by more than `_MAX_TURN_PER_CELL`."""
+    steps = np.diff(knots)
+    turn = steps * np.maximum(np.abs(curvature[:-1]), np.abs(curvature[1:]))
+    parts = np.maximum(1, np.ceil(turn / _MAX_TURN_PER_CELL)).astype(np.int64)
+    if parts.sum() > _MAX_CELLS:
+        raise InvalidValue(f"clothoid: turns by {turn.sum():.3g} rad in all, more than can be evaluated")
+    owner = np.repeat(np.arange(steps.size), parts)
+    rank = np.arange(parts.sum()) - np.repeat(np.cumsum(parts) - parts, parts)
+    return np.append(knots[owner] + steps[owner] * rank / parts[owner], knots[-1])
+
+
+@dataclass(frozen=True, eq=False)
+class ClothoidSpline:
+    """A drivable curve: `yaw'(s) = curvature(s)`, `(x, y)'(s) = direction * (cos yaw, sin yaw)`.
+
+    `s` is the distance travelled, so a left turn along the travel has positive curvature in both gears. Curvature is
+    linear between knots. Positions are integrated by Gauss quadrature to rounding accuracy.
+
+    Args:
+        start: Pose at s = 0.
+        knots: Shape (n,) [m], n >= 2, first 0, strictly increasing.
+        curvature: Shape (n,) [1/m], curvature at the knots.
+        sign: +1 forward, -1 reverse.
+
+    Raises:
+        InvalidValue: Shapes differ, knots do not increase from 0, a value is not finite, or sign is not +-1.
+    """
+
+    start: Pose2
+    knots: FloatArray
+    curvature: FloatArray
+    sign: int = 1
+    _breaks: FloatArray = field(init=False, repr=False)
+    _break_states: FloatArray = field(init=False, repr=False)  # (cells + 1, 4): x, y, yaw, curvature
+
+    def __post_init__(self) -> None:
+        knots, curvature = (
+            frozen_array(self.knots, "clothoid.knots"),
+            frozen_array(self.curvature, "clothoid.curvature"),
+        )
+        if knots.size < 2 or knots.size != curvature.size:
+            raise InvalidValue(f"clothoid: needs >= 2 knots, each with a curvature, got {knots.size}, {curvature.size}")
+        if knots[0] != 0.0 or not np.all(np.diff(knots) > 0.0):
+            raise InvalidValue("clothoid.knots: must start at 0 and increase strictly")
+        if self.sign not in (1, -1):
+            raise InvalidValue(f"clothoid.sign: must be 1 or -1, got {self.sign}")
+        breaks = _refined_breaks(knots, curvature)
+        for name, value in (("knots", knots), ("curvature", curvature), ("_breaks", readonly(breaks))):
+            object.__setattr__(self, name, value)
+        object.__setattr__(self, "_break_states", readonly(self._integrate_breaks()))
+
+    def _integrate_breaks(self) -> FloatArray:
+        steps = np.diff(self._breaks)
+        kappa = np.interp(self._breaks, self.knots, self.curvature)
+        yaw = self.start.yaw + np.concatenate(([0.0], np.cumsum(0.5 * steps * (kappa[:-1] + kappa[1:]))))
+        rate = np.diff(kappa) / steps
+        moves = _displacements(steps, yaw[:-1], kappa[:-1], rate)
+        x = self.start.x + self.sign * np.concatenate(([0.0], np.cumsum(moves[:, 0])))
+        y = self.start.y + self.sign * np.concatenate(([0.0], np.cumsum(moves[:, 1])))
+        return np.column_stack((x, y, yaw, kappa))
+
+    @property
+    def length(self) -> float:
+        """Arc length [m]."""
+        return float(self.knots[-1])
+
+    def _cells(self, s: FloatArray) -> IntArray:
+        return np.clip(np.searchsorted(self._breaks, s, side="right") - 1, 0, self._breaks.size - 2)
+
+    def poses_at(self, s: ArrayLike) -> FloatArray:
+        """Poses at arc lengths `s`, Shape (n,) [m], clipped to the curve; Shape (n, 3)."""
+        points = np.clip(np.atleast_1d(np.asarray(s, dtype=np.float64)), 0.0, self.length)
+        cell = self._cells(points)
+        base, step = self._break_states[cell], points - self._breaks[cell]
+        rate = self._cell_rates()[cell]
+        move = _displacements(step, base[:, 2], base[:, 3], rate)
+        yaw = base[:, 2] + step * (base[:, 3] + 0.5 * step * rate)
+        return np.column_stack((base[:, 0] + self.sign * move[:, 0], base[:, 1] + self.sign * move[:, 1], yaw))
+
+    def _cell_rates(self) -> FloatArray:
+        rates: FloatArray = np.diff(self._break_states[:, 3]) / np.diff(self._breaks)
+        return rates
+
+    def curvature_at(self, s: ArrayLike) -> FloatArray:
+        """Curvature at arc lengths `s`, Shape (n,) [1/m]."""
+        return np.interp(np.atleast_1d(np.asarray(s, dtype=np.float64)), self.knots, self.curvature)
+
+    def curvature_rate_at(self, s: ArrayLike) -> FloatArray:
+        """D curvature / ds at `s`, Shape (n,) [1/m^2]; at a knot the value to its right, at the end to its left."""
+        points = np.clip(np.atleast_1d(np.asarray(s, dtype=np.float64)), 0.0, self.length)
+        piece = np.clip(np.searchsorted(self.knots, points, side="right") - 1, 0, self.knots.size - 2)
+        rates: FloatArray = (np.diff(self.curvature) / np.diff(self.knots))[piece]
+        return rates
+
+    @property
+    def end(self) -> Pose2:
+        """Pose at s = length."""
+        return Pose2.from_sequence(self._break_states[-1, :3])
+
+
+def _displacements(step: FloatArray, yaw: FloatArray, curvature: FloatArray, rate: FloatArray) -> FloatArray:
+    """Integral of (cos, sin) of the quadratic heading over each step. Shape (n, 2) [m]."""
+    u = 0.5 * step[:, None] * (1.0 + _NODES)
+    theta = yaw[:, None] + u * (curvature[:, None] + 0.5 * u * rate[:, None])
+    half = 0.5 * step
+    return np.column_stack((half * (np.cos(theta) @ _WEIGHTS), half * (np.sin(theta) @ _WEIGHTS)))

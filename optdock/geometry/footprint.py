@@ -1,0 +1,114 @@
+"""The robot's outline, in Nav2's syntax."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from optdock.errors import InvalidValue
+from optdock.geometry.arrays import readonly
+from optdock.geometry.polygon import convex_pieces, edge_normals, simple_polygon
+from optdock.geometry.separation import ConvexBody
+
+if TYPE_CHECKING:
+    from numpy.typing import ArrayLike
+
+    from optdock.geometry.arrays import FloatArray
+
+__all__ = ["Footprint"]
+
+_NUMBER = r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?"
+_POINT = re.compile(rf"\[\s*({_NUMBER})[\s,]+({_NUMBER})\s*\]")
+_RADIUS_SIDES = 16
+
+
+@dataclass(frozen=True, eq=False)
+class Footprint:
+    """A simple polygon around the robot, in its own frame (x forward, y left).
+
+    Args:
+        vertices: Shape (n, 2) [m], either orientation, n >= 3.
+
+    Attributes:
+        bodies: The convex pieces that cover exactly the polygon; one when it is convex.
+
+    Raises:
+        InvalidValue: Fewer than three distinct vertices, no area, crossing edges, NaN.
+    """
+
+    vertices: FloatArray
+    bodies: tuple[ConvexBody, ...] = field(init=False, repr=False)
+
+    def __post_init__(self) -> None:
+        vertices = simple_polygon(self.vertices, "footprint")
+        object.__setattr__(self, "vertices", vertices)
+        object.__setattr__(self, "bodies", tuple(_body(piece) for piece in convex_pieces(vertices)))
+
+    @classmethod
+    def from_radius(cls, radius: float) -> Footprint:
+        """Nav2's circle: a 16-gon with its vertices at `radius` [m].
+
+        Raises:
+            InvalidValue: The radius is not a positive number.
+        """
+        if not (np.isfinite(radius) and radius > 0.0):
+            raise InvalidValue(f"footprint.radius: must be > 0 m, got {radius}")
+        angle = 2.0 * np.pi * np.arange(_RADIUS_SIDES) / _RADIUS_SIDES
+        return cls(radius * np.column_stack((np.cos(angle), np.sin(angle))))
+
+    @classmethod
+    def from_string(cls, text: str) -> Footprint:
+        """Nav2's `"[[x, y], [x, y], ...]"`; commas, spaces and tabs separate.
+
+        Raises:
+            InvalidValue: Anything but a list of at least three pairs of numbers.
+        """
+        stripped = text.strip()
+        points = _POINT.findall(stripped)
+        skeleton = re.sub(r"[\s,]+", "", _POINT.sub("P", stripped))
+        if skeleton != "[" + "P" * len(points) + "]" or not points:
+            raise InvalidValue(f"footprint: must look like [[x, y], [x, y], [x, y], ...], got {text!r}")
+        return cls(np.array(points, dtype=np.float64))
+
+    @classmethod
+    def rectangle(cls, front: float, rear: float, width: float) -> Footprint:
+        """A rectangle from x = -rear to x = front [m], `width` [m] wide and centred in y."""
+        half = 0.5 * width
+        return cls(np.array([[front, half], [-rear, half], [-rear, -half], [front, -half]]))
+
+    def padded(self, padding: float) -> Footprint:
+        """Every vertex moved by sign(x) * padding and sign(y) * padding [m], as Nav2 does."""
+        return Footprint(self.vertices + padding * np.sign(self.vertices))
+
+    @property
+    def length(self) -> float:
+        """Extent along x [m]."""
+        return float(np.ptp(self.vertices[:, 0]))
+
+    @property
+    def width(self) -> float:
+        """Extent along y [m]."""
+        return float(np.ptp(self.vertices[:, 1]))
+
+    @property
+    def circumscribed_radius(self) -> float:
+        """Largest distance of an outline point from the origin [m]."""
+        return float(np.max(np.hypot(self.vertices[:, 0], self.vertices[:, 1])))
+
+    @property
+    def inscribed_radius(self) -> float:
+        """Smallest distance of an outline point from the origin [m]."""
+        start, edge = self.vertices, np.roll(self.vertices, -1, axis=0) - self.vertices
+        along = np.clip(-np.sum(start * edge, axis=1) / np.sum(edge**2, axis=1), 0.0, 1.0)
+        nearest = start + along[:, None] * edge
+        return float(np.min(np.hypot(nearest[:, 0], nearest[:, 1])))
+
+
+def _body(piece: ArrayLike) -> ConvexBody:
+    vertices = np.array(piece, dtype=np.float64)
+    normals = edge_normals(vertices)
+    offsets = np.sum(normals * vertices, axis=1)
+    return ConvexBody(readonly(vertices), readonly(normals), readonly(offsets))

@@ -1,0 +1,139 @@
+"""SE(2): poses, twists and angles.
+
+Conventions: SI units, x forward, y left, yaw counter-clockwise in radians. An array of poses has Shape (n, 3) with
+columns x [m], y [m], yaw [rad].
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from optdock.errors import InvalidValue
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from optdock.geometry.arrays import FloatArray
+
+__all__ = ["Pose2", "Twist2", "normalize_angle", "transform_points", "unwrap_yaw"]
+
+
+def normalize_angle(angle: float) -> float:
+    """The same direction in (-pi, pi].
+
+    >>> normalize_angle(3 * math.pi) == math.pi
+    True
+    """
+    wrapped = math.remainder(angle, 2.0 * math.pi)
+    return math.pi if wrapped == -math.pi else wrapped
+
+
+def unwrap_yaw(yaw: FloatArray) -> FloatArray:
+    """Yaws made continuous: consecutive values differ by at most pi. Shape (n,) [rad]."""
+    return np.unwrap(yaw)
+
+
+def _check_finite(owner: str, **values: float) -> None:
+    for name, value in values.items():
+        if not math.isfinite(value):
+            raise InvalidValue(f"{owner}.{name}: must be finite, got {value}")
+
+
+@dataclass(frozen=True, slots=True)
+class Pose2:
+    """A pose in the plane; `a @ b` is b expressed through a (compose), as with matrices.
+
+    Args:
+        x: Forward [m].
+        y: Left [m].
+        yaw: Counter-clockwise heading [rad]; kept as given, not normalized.
+
+    Raises:
+        InvalidValue: A component is NaN or infinite.
+
+    >>> Pose2(1.0, 0.0, math.pi / 2) @ Pose2(1.0, 0.0, 0.0)
+    Pose2(x=1.0, y=1.0, yaw=1.5707963267948966)
+    """
+
+    x: float
+    y: float
+    yaw: float
+
+    def __post_init__(self) -> None:
+        for name in ("x", "y", "yaw"):
+            object.__setattr__(self, name, float(getattr(self, name)))
+        _check_finite("pose", x=self.x, y=self.y, yaw=self.yaw)
+
+    def __matmul__(self, other: Pose2) -> Pose2:
+        c, s = math.cos(self.yaw), math.sin(self.yaw)
+        return Pose2(self.x + c * other.x - s * other.y, self.y + s * other.x + c * other.y, self.yaw + other.yaw)
+
+    def inverse(self) -> Pose2:
+        """The pose with `pose @ pose.inverse()` the identity."""
+        c, s = math.cos(self.yaw), math.sin(self.yaw)
+        return Pose2(-c * self.x - s * self.y, s * self.x - c * self.y, -self.yaw)
+
+    def distance_to(self, other: Pose2) -> float:
+        """Distance between the two positions [m]; yaw plays no part."""
+        return math.hypot(other.x - self.x, other.y - self.y)
+
+    def in_frame_of(self, reference: Pose2) -> Pose2:
+        """This pose seen from `reference`, yaw in (-pi, pi]: x is along, y is cross, yaw is the heading error."""
+        relative = reference.inverse() @ self
+        return Pose2(relative.x, relative.y, normalize_angle(relative.yaw))
+
+    def as_array(self) -> FloatArray:
+        """Shape (3,): x, y, yaw."""
+        return np.array([self.x, self.y, self.yaw])
+
+    @classmethod
+    def from_sequence(cls, values: Sequence[float] | FloatArray) -> Pose2:
+        """A pose from `[x, y, yaw]`.
+
+        Raises:
+            InvalidValue: Not exactly three finite numbers.
+        """
+        if len(values) != 3:
+            raise InvalidValue(f"pose: must be [x, y, yaw], got {len(values)} values")
+        return cls(float(values[0]), float(values[1]), float(values[2]))
+
+
+@dataclass(frozen=True, slots=True)
+class Twist2:
+    """A body velocity.
+
+    Args:
+        linear: Forward speed [m/s], negative in reverse.
+        angular: Counter-clockwise yaw rate [rad/s].
+        lateral: Leftward speed [m/s].
+
+    Raises:
+        InvalidValue: A component is NaN or infinite.
+    """
+
+    linear: float = 0.0
+    angular: float = 0.0
+    lateral: float = 0.0
+
+    def __post_init__(self) -> None:
+        _check_finite("twist", linear=self.linear, angular=self.angular, lateral=self.lateral)
+
+
+def transform_points(poses: FloatArray, points: FloatArray) -> FloatArray:
+    """Body points moved into the world at every pose.
+
+    Args:
+        poses: Shape (n, 3) [m, m, rad].
+        points: Shape (k, 2) [m], in the body frame.
+
+    Returns:
+        Shape (n, k, 2) [m].
+    """
+    c, s = np.cos(poses[:, 2, None]), np.sin(poses[:, 2, None])
+    x = poses[:, 0, None] + c * points[:, 0] - s * points[:, 1]
+    y = poses[:, 1, None] + s * points[:, 0] + c * points[:, 1]
+    return np.stack((x, y), axis=-1)

@@ -1,0 +1,314 @@
+"""Nav2's plugin interfaces in Python: method names in snake case, results returned instead of written out.
+
+Every interface is abstract and holds no data of its own beyond `Plugin`'s. Exceptions keep Nav2's nouns (`errors`).
+"""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+from dataclasses import dataclass, field
+from enum import IntEnum
+from typing import TYPE_CHECKING, NamedTuple
+
+from optdock.lifecycle import LifecycleState, Plugin, PluginContext
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Mapping, Sequence
+
+    from optdock.costmap.costmap import Costmap
+    from optdock.geometry.pose import Pose2, Twist2
+    from optdock.limits import MotionLimits, SpeedZone
+    from optdock.path import Path
+    from optdock.problem import DockingProblem
+    from optdock.trajectory import Trajectory
+
+__all__ = [
+    "Behavior",
+    "BehaviorResult",
+    "BehaviorStatus",
+    "Bounds",
+    "Controller",
+    "CostmapInfoType",
+    "GlobalPlanner",
+    "GoalChecker",
+    "Layer",
+    "LifecycleState",
+    "Plugin",
+    "PluginContext",
+    "Smoother",
+    "SmoothingResult",
+    "TimeParameterizer",
+    "TimingResult",
+    "TimingStatus",
+    "Tolerances",
+    "never_cancelled",
+]
+
+
+def never_cancelled() -> bool:
+    """The cancel checker of a caller that never cancels."""
+    return False
+
+
+class GlobalPlanner(Plugin):
+    """Makes a path from start to goal."""
+
+    @abstractmethod
+    def create_plan(self, start: Pose2, goal: Pose2, cancel_checker: Callable[[], bool] = never_cancelled) -> Path:
+        """A path from `start` to `goal`, both in the costmap's frame.
+
+        Long work polls `cancel_checker` at least every 5 ms.
+
+        Raises:
+            PlannerException: Or one of its children; an empty path is never returned.
+            PlannerCancelled: `cancel_checker` returned True.
+        """
+
+
+@dataclass(frozen=True, eq=False)
+class SmoothingResult:
+    """What a smoother returns.
+
+    Args:
+        path: The smoothed path; always usable.
+        completed: False when the time limit stopped the work early.
+        report: Numbers about the work, for people and logs: seconds per stage, iterations, cost.
+    """
+
+    path: Path
+    completed: bool = True
+    report: Mapping[str, object] = field(default_factory=dict)
+
+
+class Smoother(Plugin):
+    """Makes a path smoother."""
+
+    @abstractmethod
+    def smooth(
+        self,
+        path: Path,
+        max_time: float,
+        *,
+        problem: DockingProblem | None = None,
+        warm_start: Path | None = None,
+        cancel_checker: Callable[[], bool] = never_cancelled,
+    ) -> SmoothingResult:
+        """A smoother path between the same two poses.
+
+        Args:
+            path: The raw path, from any source.
+            max_time: Wall-clock seconds for the whole call.
+            problem: What must hold. None: from the first pose of `path` to its last, among the obstacles of the
+                configured costmap.
+            warm_start: An earlier result for a problem much like this one.
+            cancel_checker: Polled at least every 5 ms.
+
+        Raises:
+            InvalidPath: The path is too short to smooth.
+            SmootherTimedOut: The time limit came before any usable result.
+            FailedToSmoothPath: No result keeps every bound; the message names the one in the way.
+            SmootherCancelled: `cancel_checker` returned True.
+        """
+
+
+class TimingStatus(IntEnum):
+    """How a time parameterization ended; physics is an outcome, not an exception."""
+
+    OK = 0
+    START_INFEASIBLE = 1
+    CANNOT_STOP = 2
+    BAD_START = 3
+    FAIL = 4
+
+
+@dataclass(frozen=True, eq=False)
+class TimingResult:
+    """What a time parameterizer returns.
+
+    Args:
+        status: How it ended.
+        trajectory: The timed motion. OK: the whole path. START_INFEASIBLE, CANNOT_STOP: the braking motion that
+            violates the limits least, over as much of the path as it needs. None where there is no motion to offer.
+        worst_ratio: Largest quotient of a quantity and its limit; at most 1 when OK.
+        overshoot: Distance that full braking needs beyond the end of the gear segment [m]; 0 unless CANNOT_STOP.
+        report: Numbers about the work.
+    """
+
+    status: TimingStatus
+    trajectory: Trajectory | None
+    worst_ratio: float = 0.0
+    overshoot: float = 0.0
+    report: Mapping[str, object] = field(default_factory=dict)
+
+
+class TimeParameterizer(Plugin):
+    """Gives a path its time law."""
+
+    @abstractmethod
+    def parameterize(
+        self,
+        path: Path,
+        limits: MotionLimits,
+        zone: SpeedZone,
+        *,
+        start_speed: float = 0.0,
+        start_acceleration: float = 0.0,
+    ) -> TimingResult:
+        """The time law of `path` under `limits`, at rest at every cusp and at the end.
+
+        Args:
+            path: Where to drive.
+            limits: What the drive can do.
+            zone: Slow stretch at the end of the path.
+            start_speed: Speed along the travel at the start, >= 0 in either gear [m/s].
+            start_acceleration: Acceleration along the travel at the start [m/s^2].
+        """
+
+
+class Controller(Plugin):
+    """Turns a path or a trajectory into velocity commands."""
+
+    @abstractmethod
+    def set_path(self, path: Path | Trajectory) -> None:
+        """Follow this from now on.
+
+        Raises:
+            ControllerInvalidPath: It cannot be followed.
+        """
+
+    @abstractmethod
+    def compute_velocity_commands(self, pose: Pose2, velocity: Twist2, goal_checker: GoalChecker | None) -> Twist2:
+        """The command of this control cycle.
+
+        Args:
+            pose: Measured pose in the path's frame.
+            velocity: Measured body velocity.
+            goal_checker: May be asked for its tolerances; None when there is none.
+
+        Raises:
+            NoValidControl: No command is admissible in this cycle.
+            ControllerException: Any other failure.
+        """
+
+    @abstractmethod
+    def set_speed_limit(self, limit: float, *, percentage: bool) -> None:
+        """Limit the speed to `limit` percent of the maximum, or to `limit` m/s; 0 removes the limit."""
+
+    def reset(self) -> None:
+        """Forget the task; called when it ends."""
+
+    def cancel(self) -> bool:
+        """Ask for a graceful stop; True when stopped, False to be asked again after more commands."""
+        return True
+
+
+class CostmapInfoType(IntEnum):
+    """Which costmaps a behavior needs."""
+
+    NONE = 0
+    LOCAL = 1
+    GLOBAL = 2
+    BOTH = 3
+
+
+class BehaviorStatus(IntEnum):
+    """How a behavior stands."""
+
+    SUCCEEDED = 1
+    FAILED = 2
+    RUNNING = 3
+
+
+@dataclass(frozen=True)
+class BehaviorResult:
+    """Status, Nav2 error code (0 for none) and message of a behavior's cycle."""
+
+    status: BehaviorStatus
+    error_code: int = 0
+    error_msg: str = ""
+
+
+class Behavior(Plugin):
+    """A timed recovery or auxiliary motion."""
+
+    @property
+    @abstractmethod
+    def resource_info(self) -> CostmapInfoType:
+        """Which costmaps it needs."""
+
+    @abstractmethod
+    def on_run(self, command: Mapping[str, object]) -> BehaviorResult:
+        """Begin; SUCCEEDED lets the cycles start."""
+
+    @abstractmethod
+    def on_cycle_update(self, pose: Pose2, velocity: Twist2) -> tuple[BehaviorResult, Twist2]:
+        """One cycle: how it stands, and the command to send."""
+
+
+class Bounds(NamedTuple):
+    """A box in the costmap's frame [m]."""
+
+    min_x: float
+    min_y: float
+    max_x: float
+    max_y: float
+
+
+class Layer(Plugin):
+    """One source of costs in a layered costmap."""
+
+    @abstractmethod
+    def reset(self) -> None:
+        """Forget everything observed."""
+
+    @abstractmethod
+    def update_bounds(self, robot: Pose2, bounds: Bounds) -> Bounds:
+        """`bounds` grown, never shrunk, to what this layer will write."""
+
+    @abstractmethod
+    def update_costs(self, master: Costmap, min_i: int, min_j: int, max_i: int, max_j: int) -> None:
+        """Write costs into `master`, inside columns [min_i, max_i) and rows [min_j, max_j) only."""
+
+    def is_clearable(self) -> bool:
+        """Whether a clearing behavior may reset it."""
+        return False
+
+    def match_size(self) -> None:
+        """The master grid changed its size."""
+
+    def on_footprint_changed(self) -> None:
+        """The robot's footprint changed."""
+
+
+class Tolerances(NamedTuple):
+    """What a goal checker accepts; None where it does not measure."""
+
+    x: float | None = None
+    y: float | None = None
+    yaw: float | None = None
+    linear_speed: float | None = None
+    angular_speed: float | None = None
+    path_length: float | None = None
+
+
+class GoalChecker(Plugin):
+    """Decides whether the robot has arrived."""
+
+    @abstractmethod
+    def is_goal_reached(self, query_pose: Pose2, goal_pose: Pose2, velocity: Twist2, path: Sequence[Pose2]) -> bool:
+        """Whether the robot at `query_pose` has arrived.
+
+        Args:
+            query_pose: Where the robot is.
+            goal_pose: Where it should be, in the same frame.
+            velocity: Its body velocity.
+            path: The remaining path, any sequence of poses, possibly empty.
+        """
+
+    @property
+    @abstractmethod
+    def tolerances(self) -> Tolerances:
+        """What it accepts."""
+
+    def reset(self) -> None:
+        """A new path begins: forget latches."""

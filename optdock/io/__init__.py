@@ -1,0 +1,1 @@
+"""Readers and writers of files: maps, plans, dock databases, Nav2 parameters."""

@@ -1,0 +1,173 @@
+"""Plugin base: parameters, and Nav2's lifecycle for those who want it.
+
+A plugin is ready to use as soon as it is constructed. Servers that manage plugins may in addition walk it through
+unconfigured -> inactive -> active -> finalized; a transition that its state does not allow is refused.
+"""
+
+from __future__ import annotations
+
+import logging
+import time
+from abc import ABC
+from dataclasses import dataclass, field
+from enum import Enum
+from typing import TYPE_CHECKING, ClassVar
+
+from optdock.errors import LifecycleError
+from optdock.parameters import PluginParameters, parse_parameters
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from optdock.costmap.costmap import Costmap
+    from optdock.geometry.footprint import Footprint
+    from optdock.problem import DockingProblem
+
+__all__ = ["LifecycleState", "Plugin", "PluginContext"]
+
+
+class LifecycleState(str, Enum):
+    """Where a managed plugin stands."""
+
+    UNCONFIGURED = "unconfigured"
+    INACTIVE = "inactive"
+    ACTIVE = "active"
+    FINALIZED = "finalized"
+
+
+@dataclass(frozen=True, eq=False)
+class PluginContext:
+    """What a server hands to a plugin when it configures it.
+
+    Args:
+        name: Name of the plugin instance.
+        costmap: Grid to read, or None.
+        footprint: Robot outline, or None.
+        problem: The docking problem at hand, or None outside a docking pipeline.
+        clock: Monotonic seconds.
+        logger: Where the plugin reports.
+    """
+
+    name: str = ""
+    costmap: Costmap | None = None
+    footprint: Footprint | None = None
+    problem: DockingProblem | None = None
+    clock: Callable[[], float] = time.monotonic
+    logger: logging.Logger = field(default_factory=lambda: logging.getLogger("optdock"))
+
+
+class Plugin(ABC):
+    """Base of all plugins.
+
+    A subclass names its `Parameters` class and overrides the `on_*` hooks it needs.
+
+    Args:
+        **parameters: Values of the fields of `Parameters`.
+
+    Raises:
+        InvalidValue: A parameter is unknown, of the wrong type or out of range.
+    """
+
+    Parameters: ClassVar[type[PluginParameters]] = PluginParameters
+    parameters: PluginParameters
+
+    def __init__(self, **parameters: object) -> None:
+        self.parameters = parse_parameters(self.Parameters, parameters, type(self).__name__)
+        self.context = PluginContext(name=type(self).__name__)
+        self._state = LifecycleState.UNCONFIGURED
+
+    @property
+    def state(self) -> LifecycleState:
+        """Where the plugin stands in its lifecycle."""
+        return self._state
+
+    def configure(self, context: PluginContext) -> None:
+        """Link the plugin to its surroundings: unconfigured -> inactive.
+
+        Raises:
+            LifecycleError: The plugin is not unconfigured.
+        """
+        self._require("configure", LifecycleState.UNCONFIGURED)
+        previous, self.context = self.context, context
+        try:
+            self.on_configure()
+        except BaseException:
+            self.context = previous
+            raise
+        self._state = LifecycleState.INACTIVE
+
+    def activate(self) -> None:
+        """Inactive -> active.
+
+        Raises:
+            LifecycleError: The plugin is not inactive.
+        """
+        self._require("activate", LifecycleState.INACTIVE)
+        self.on_activate()
+        self._state = LifecycleState.ACTIVE
+
+    def deactivate(self) -> None:
+        """Active -> inactive.
+
+        Raises:
+            LifecycleError: The plugin is not active.
+        """
+        self._require("deactivate", LifecycleState.ACTIVE)
+        self.on_deactivate()
+        self._state = LifecycleState.INACTIVE
+
+    def cleanup(self) -> None:
+        """Inactive -> unconfigured, resources released.
+
+        Raises:
+            LifecycleError: The plugin is not inactive.
+        """
+        self._require("cleanup", LifecycleState.INACTIVE)
+        self.on_cleanup()
+        self.context = PluginContext(name=type(self).__name__)
+        self._state = LifecycleState.UNCONFIGURED
+
+    def shutdown(self) -> None:
+        """Any state but finalized -> finalized, resources released.
+
+        Raises:
+            LifecycleError: The plugin is finalized.
+        """
+        alive = (LifecycleState.UNCONFIGURED, LifecycleState.INACTIVE, LifecycleState.ACTIVE)
+        self._require("shutdown", *alive)
+        if self._state is LifecycleState.ACTIVE:
+            self.on_deactivate()
+        if self._state is not LifecycleState.UNCONFIGURED:
+            self.on_cleanup()
+        self._state = LifecycleState.FINALIZED
+
+    def set_parameters(self, **changes: object) -> None:
+        """Change parameters, all of them or none.
+
+        Raises:
+            InvalidValue: A name is unknown or the changed set breaks a rule; nothing has changed then.
+        """
+        merged = {**self.parameters.model_dump(), **changes}
+        checked = parse_parameters(self.Parameters, merged, self.context.name)
+        self.check_change(checked)
+        self.parameters = checked
+
+    def check_change(self, changed: PluginParameters) -> None:  # noqa: B027 - a hook
+        """Hook: refuse a change of parameters by raising InvalidValue."""
+
+    def on_configure(self) -> None:  # noqa: B027 - a hook
+        """Hook: `self.context` has just been set."""
+
+    def on_activate(self) -> None:  # noqa: B027 - a hook
+        """Hook: about to become active."""
+
+    def on_deactivate(self) -> None:  # noqa: B027 - a hook
+        """Hook: about to become inactive."""
+
+    def on_cleanup(self) -> None:  # noqa: B027 - a hook
+        """Hook: about to lose the context."""
+
+    def _require(self, transition: str, *allowed: LifecycleState) -> None:
+        if self._state not in allowed:
+            wanted = " or ".join(state.value for state in allowed)
+            raise LifecycleError(f"{self.context.name}: cannot {transition} when {self._state.value}, only {wanted}")

@@ -1,0 +1,150 @@
+"""Obstacles as convex polygons, held for vectorised queries."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from optdock.errors import InvalidValue
+from optdock.geometry.arrays import readonly
+from optdock.geometry.polygon import convex_pieces, edge_normals, simple_polygon
+from optdock.geometry.pose import transform_points
+from optdock.geometry.separation import ConvexPieces
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Sequence
+
+    from numpy.typing import ArrayLike
+
+    from optdock.geometry.arrays import BoolArray, FloatArray, IntArray
+    from optdock.geometry.footprint import Footprint
+    from optdock.geometry.pose import Pose2
+
+__all__ = ["ObstacleSet"]
+
+
+@dataclass(frozen=True, eq=False)
+class ObstacleSet:
+    """Convex counter-clockwise polygons, padded to one vertex count by repeating the last vertex.
+
+    Build it with `empty`, `from_polygons`, `from_rectangles` or `from_footprint`, and join sets with `+`.
+
+    Args:
+        vertices: Shape (m, k, 2) [m].
+        names: Names of the groups that the pieces belong to, for messages.
+        group: Shape (m,), index of each piece's group in `names`.
+
+    Attributes:
+        lower: Shape (m, 2) [m], lower corner of each bounding box.
+        upper: Shape (m, 2) [m], upper corner.
+    """
+
+    vertices: FloatArray
+    names: tuple[str, ...]
+    group: IntArray
+    normals: FloatArray = field(init=False, repr=False)
+    offsets: FloatArray = field(init=False, repr=False)
+    lower: FloatArray = field(init=False, repr=False)
+    upper: FloatArray = field(init=False, repr=False)
+
+    def __post_init__(self) -> None:
+        normals = edge_normals(self.vertices)
+        derived = {
+            "normals": normals,
+            "offsets": np.sum(normals * self.vertices, axis=2),
+            "lower": self.vertices.min(axis=1, initial=np.inf),
+            "upper": self.vertices.max(axis=1, initial=-np.inf),
+        }
+        for name, value in derived.items():
+            object.__setattr__(self, name, readonly(value))
+
+    def __len__(self) -> int:
+        return int(self.vertices.shape[0])
+
+    @classmethod
+    def empty(cls) -> ObstacleSet:
+        """No obstacle at all."""
+        return cls(np.zeros((0, 3, 2)), (), np.zeros(0, dtype=np.int64))
+
+    @classmethod
+    def from_polygons(cls, polygons: Iterable[ArrayLike], name: str = "obstacles") -> ObstacleSet:
+        """Simple polygons, convex or not, either orientation; polygon i is called `name[i]`.
+
+        Raises:
+            InvalidValue: A polygon has fewer than three vertices, no area, crosses itself, or holds NaN.
+        """
+        pieces: list[FloatArray] = []
+        group: list[int] = []
+        names: list[str] = []
+        for i, polygon in enumerate(polygons):
+            names.append(f"{name}[{i}]")
+            for piece in convex_pieces(simple_polygon(polygon, names[-1])):
+                pieces.append(piece)
+                group.append(i)
+        return cls._padded(pieces, tuple(names), np.array(group, dtype=np.int64))
+
+    @classmethod
+    def from_rectangles(cls, lower: FloatArray, upper: FloatArray, name: str) -> ObstacleSet:
+        """Axis-aligned rectangles from their corners, Shape (m, 2) [m] each, all called `name`.
+
+        Raises:
+            InvalidValue: An upper corner is not above its lower corner.
+        """
+        if not np.all(upper > lower):
+            raise InvalidValue(f"{name}: every rectangle needs upper > lower")
+        x0, y0, x1, y1 = lower[:, 0], lower[:, 1], upper[:, 0], upper[:, 1]
+        corners = (np.column_stack(pair) for pair in ((x0, y0), (x1, y0), (x1, y1), (x0, y1)))
+        return cls(np.stack(tuple(corners), axis=1), (name,), np.zeros(len(lower), dtype=np.int64))
+
+    @classmethod
+    def from_footprint(cls, footprint: Footprint, pose: Pose2, name: str) -> ObstacleSet:
+        """The pieces of a footprint standing at a pose."""
+        pieces = [transform_points(pose.as_array()[None], body.vertices)[0] for body in footprint.bodies]
+        return cls._padded(pieces, (name,), np.zeros(len(pieces), dtype=np.int64))
+
+    @classmethod
+    def _padded(cls, pieces: Sequence[FloatArray], names: tuple[str, ...], group: IntArray) -> ObstacleSet:
+        width = max((len(piece) for piece in pieces), default=3)
+        stack = [_widen(piece, width) for piece in pieces]
+        return cls(np.stack(stack) if stack else np.zeros((0, width, 2)), names, group)
+
+    def __add__(self, other: ObstacleSet) -> ObstacleSet:
+        width = max(self.vertices.shape[1], other.vertices.shape[1])
+        vertices = np.concatenate((_widen(self.vertices, width), _widen(other.vertices, width)))
+        return ObstacleSet(
+            vertices, self.names + other.names, np.concatenate((self.group, other.group + len(self.names)))
+        )
+
+    def subset(self, rows: IntArray | BoolArray) -> ObstacleSet:
+        """The pieces at `rows`, under their old names."""
+        return ObstacleSet(self.vertices[rows], self.names, self.group[rows])
+
+    def in_box(self, lower: FloatArray, upper: FloatArray) -> ObstacleSet:
+        """The pieces whose bounding boxes meet the box from `lower` to `upper`, Shape (2,) [m] each."""
+        meets = np.all((self.lower <= upper) & (self.upper >= lower), axis=1)
+        return self if bool(meets.all()) else self.subset(meets)
+
+    def name_of(self, row: int) -> str:
+        """What to call piece `row` in a message."""
+        return self.names[int(self.group[row])]
+
+    def pieces(self, rows: IntArray) -> ConvexPieces:
+        """The polygons of `rows`, one per row, as `separation` takes them."""
+        return ConvexPieces(self.vertices[rows], self.normals[rows], self.offsets[rows])
+
+    def box_distance(self, points: FloatArray) -> FloatArray:
+        """Distance of every point, Shape (n, 2) [m], to every bounding box. Shape (n, m) [m]."""
+        gap = np.maximum(self.lower - points[:, None], points[:, None] - self.upper)
+        outside = np.maximum(gap, 0.0)
+        distance: FloatArray = np.hypot(outside[..., 0], outside[..., 1])
+        return distance
+
+
+def _widen(vertices: FloatArray, width: int) -> FloatArray:
+    """Repeat the last vertex until there are `width`; Shape (..., n, 2) to (..., width, 2)."""
+    missing = width - vertices.shape[-2]
+    if missing == 0:
+        return vertices
+    return np.concatenate((vertices, np.repeat(vertices[..., -1:, :], missing, axis=-2)), axis=-2)

@@ -1,0 +1,63 @@
+"""Plugin parameters: declared once, checked as a whole, changed all or nothing."""
+
+from __future__ import annotations
+
+import difflib
+from typing import TYPE_CHECKING, TypeVar
+
+from pydantic import BaseModel, ConfigDict, ValidationError
+
+from optdock.errors import InvalidValue
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Mapping
+
+__all__ = ["PluginParameters", "closest", "parse_parameters"]
+
+
+class PluginParameters(BaseModel):
+    """Base of every plugin's parameters: frozen, unknown names and non-finite numbers refused.
+
+    Fields carry Nav2's names and defaults where Nav2 has them; the unit stands in each field's description.
+    """
+
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False, validate_default=True)
+
+
+P = TypeVar("P", bound=PluginParameters)
+
+
+def closest(name: str, known: Iterable[str]) -> str:
+    """`; did you mean ...?` for a misspelt name, or the empty string.
+
+    >>> closest("toleranse", ["tolerance", "step"])
+    '; did you mean tolerance?'
+    """
+    found = difflib.get_close_matches(name, list(known), n=1)
+    return f"; did you mean {found[0]}?" if found else ""
+
+
+def parse_parameters(model: type[P], values: Mapping[str, object], owner: str) -> P:
+    """A model from plain values, every fault reported at once.
+
+    Args:
+        model: The parameters class.
+        values: Names and values as a file or a caller gives them.
+        owner: The plugin's name, for messages.
+
+    Raises:
+        InvalidValue: Unknown names, wrong types, values out of range; one line per fault.
+    """
+    try:
+        return model.model_validate(dict(values))
+    except ValidationError as error:
+        raise InvalidValue("\n".join(_fault(model, owner, item) for item in error.errors())) from error
+
+
+def _fault(model: type[PluginParameters], owner: str, item: Mapping[str, object]) -> str:
+    path = item["loc"]
+    name = ".".join(str(part) for part in path) if isinstance(path, tuple) else str(path)
+    if item["type"] == "extra_forbidden":
+        return f"{owner}.{name}: unknown parameter{closest(name, model.model_fields)}"
+    where = f"{owner}.{name}" if name else owner
+    return f"{where}: {item['msg']} (got {item['input']!r})"

@@ -1,0 +1,372 @@
+"""Paths: gear segments by arc length, joined at cusps.
+
+`s` is the distance travelled, never negative, in either gear. Curvature is d yaw / d s: a left turn along the travel
+is positive. A path has no time; see `trajectory` for that.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from enum import IntEnum
+from typing import TYPE_CHECKING, NamedTuple, Protocol
+
+import numpy as np
+
+from optdock.errors import InvalidPath
+from optdock.geometry.arrays import frozen_array, readonly
+from optdock.geometry.clothoid import ClothoidSpline
+from optdock.geometry.pose import Pose2, unwrap_yaw
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterable, Sequence
+
+    from numpy.typing import ArrayLike
+
+    from optdock.geometry.arrays import FloatArray, IntArray
+
+__all__ = ["ClothoidSegment", "Direction", "Path", "PathSamples", "PolylineSegment", "Segment"]
+
+_SAME_POSITION = 1e-9  # [m]: shorter steps carry no direction
+_SAME_YAW = 1e-9  # [rad]
+
+
+class Direction(IntEnum):
+    """Gear of a segment."""
+
+    FORWARD = 1
+    REVERSE = -1
+
+
+class PathSamples(NamedTuple):
+    """Points of a path, all Shape (n,): s [m], x [m], y [m], yaw [rad], curvature [1/m], direction (1 or -1)."""
+
+    s: FloatArray
+    x: FloatArray
+    y: FloatArray
+    yaw: FloatArray
+    curvature: FloatArray
+    direction: IntArray
+
+    @property
+    def poses(self) -> FloatArray:
+        """Shape (n, 3): x, y, yaw."""
+        return np.column_stack((self.x, self.y, self.yaw))
+
+
+class Segment(Protocol):
+    """One gear's curve by arc length; arguments are clipped to [0, length]."""
+
+    @property
+    def direction(self) -> Direction:
+        """Gear."""
+        ...
+
+    @property
+    def length(self) -> float:
+        """Arc length [m]."""
+        ...
+
+    @property
+    def knots(self) -> FloatArray:
+        """Arc lengths between which the curve is smooth, from 0 to length [m]."""
+        ...
+
+    def poses_at(self, s: ArrayLike) -> FloatArray:
+        """Shape (n, 3)."""
+        ...
+
+    def curvature_at(self, s: ArrayLike) -> FloatArray:
+        """Shape (n,) [1/m]."""
+        ...
+
+    def curvature_rate_at(self, s: ArrayLike) -> FloatArray:
+        """Shape (n,) [1/m^2]."""
+        ...
+
+
+@dataclass(frozen=True, eq=False)
+class ClothoidSegment:
+    """A gear segment that is exactly a clothoid spline: what the smoother returns."""
+
+    spline: ClothoidSpline
+
+    @property
+    def direction(self) -> Direction:
+        """Gear."""
+        return Direction(self.spline.sign)
+
+    @property
+    def length(self) -> float:
+        """Arc length [m]."""
+        return self.spline.length
+
+    @property
+    def knots(self) -> FloatArray:
+        """Arc lengths at which the curvature rate may jump, Shape (n,) [m]."""
+        return self.spline.knots
+
+    def poses_at(self, s: ArrayLike) -> FloatArray:
+        """Shape (n, 3)."""
+        return self.spline.poses_at(s)
+
+    def curvature_at(self, s: ArrayLike) -> FloatArray:
+        """Shape (n,) [1/m]."""
+        return self.spline.curvature_at(s)
+
+    def curvature_rate_at(self, s: ArrayLike) -> FloatArray:
+        """Shape (n,) [1/m^2]."""
+        return self.spline.curvature_rate_at(s)
+
+
+@dataclass(frozen=True, eq=False)
+class PolylineSegment:
+    """A gear segment given by poses: what any planner hands over.
+
+    Between poses position and yaw move linearly. A step is taken for the circular arc with its chord and its turn, so
+    a sampled arc has its exact curvature: arc = chord * (turn / 2) / sin(turn / 2). A step that only turns has no
+    length and infinite curvature.
+
+    Args:
+        poses: Shape (n, 3) [m, m, rad], n >= 2.
+        direction: Gear.
+
+    Raises:
+        InvalidPath: Fewer than two poses, or all of them the same.
+    """
+
+    poses: FloatArray
+    direction: Direction = Direction.FORWARD
+    knots: FloatArray = field(init=False, repr=False)
+    node_curvature: FloatArray = field(init=False, repr=False)  # (n,), mean of the steps that meet there
+
+    def __post_init__(self) -> None:
+        poses = np.array(frozen_array(self.poses, "path", columns=3))
+        if len(poses) < 2:
+            raise InvalidPath(f"path: a segment needs at least 2 poses, got {len(poses)}")
+        poses[:, 2] = unwrap_yaw(poses[:, 2])
+        turn, arc = _step_arcs(poses)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            curvature = np.where(arc > 0.0, turn / arc, np.copysign(np.inf, turn))
+        curvature = np.where((arc <= 0.0) & (turn == 0.0), 0.0, curvature)
+        nodes = _node_means(curvature)
+        object.__setattr__(self, "poses", readonly(poses))
+        object.__setattr__(self, "knots", readonly(np.concatenate(([0.0], np.cumsum(arc)))))
+        object.__setattr__(self, "node_curvature", readonly(nodes))
+
+    @property
+    def length(self) -> float:
+        """Arc length [m]."""
+        return float(self.knots[-1])
+
+    @property
+    def step_curvature(self) -> FloatArray:
+        """Turn over arc length of every step, Shape (n - 1,) [1/m]; infinite where the robot turns in place."""
+        turn, arc = _step_arcs(self.poses)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            ratio: FloatArray = np.where(turn == 0.0, 0.0, turn / arc)
+        return ratio
+
+    def poses_at(self, s: ArrayLike) -> FloatArray:
+        """Linear between the given poses. Shape (n, 3)."""
+        points = np.atleast_1d(np.asarray(s, dtype=np.float64))
+        return np.column_stack([np.interp(points, self.knots, self.poses[:, i]) for i in range(3)])
+
+    def curvature_at(self, s: ArrayLike) -> FloatArray:
+        """Linear between the mean curvatures of the steps at each pose. Shape (n,) [1/m]."""
+        points = np.atleast_1d(np.asarray(s, dtype=np.float64))
+        finite = np.where(np.isfinite(self.node_curvature), self.node_curvature, np.sign(self.node_curvature) * 1e9)
+        return np.interp(points, self.knots, finite)
+
+    def curvature_rate_at(self, s: ArrayLike) -> FloatArray:
+        """Slope of `curvature_at`, Shape (n,) [1/m^2]."""
+        points = np.atleast_1d(np.asarray(s, dtype=np.float64))
+        kept = np.flatnonzero(np.diff(self.knots, prepend=-1.0) > 0.0)
+        if kept.size < 2:
+            return np.zeros(points.size)
+        slope = np.diff(self.curvature_at(self.knots[kept])) / np.diff(self.knots[kept])
+        found = np.searchsorted(self.knots[kept], points, side="right") - 1
+        rates: FloatArray = slope[np.clip(found, 0, slope.size - 1)]
+        return rates
+
+
+def _step_arcs(poses: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Turn [rad] and arc length [m] of every step."""
+    step = np.diff(poses, axis=0)
+    chord, turn = np.hypot(step[:, 0], step[:, 1]), step[:, 2]
+    half = np.clip(0.5 * np.abs(turn), 0.0, 0.5 * np.pi)
+    arc = chord / np.sinc(half / np.pi)
+    turn = np.where(np.abs(turn) > _SAME_YAW, turn, np.where(arc > 0.0, turn, 0.0))
+    return turn, np.where(chord > _SAME_POSITION, arc, 0.0)
+
+
+def _node_means(steps: FloatArray) -> FloatArray:
+    with np.errstate(invalid="ignore"):
+        inner = 0.5 * (steps[:-1] + steps[1:])
+    inner = np.where(np.isnan(inner), np.inf, inner)
+    return np.concatenate((steps[:1], inner, steps[-1:]))
+
+
+@dataclass(frozen=True, eq=False)
+class Path:
+    """Gear segments in driving order; between two of them is a cusp.
+
+    Args:
+        segments: At least one; each begins where the one before it ends.
+
+    Attributes:
+        segment_starts: Arc length at which each segment begins, and the total: Shape (number of segments + 1,) [m].
+
+    Raises:
+        InvalidPath: No segment.
+    """
+
+    segments: tuple[Segment, ...]
+    segment_starts: FloatArray = field(init=False, repr=False)
+
+    def __post_init__(self) -> None:
+        if not self.segments:
+            raise InvalidPath("path: has no segment")
+        object.__setattr__(self, "segments", tuple(self.segments))
+        lengths = [segment.length for segment in self.segments]
+        object.__setattr__(self, "segment_starts", readonly(np.concatenate(([0.0], np.cumsum(lengths)))))
+
+    @classmethod
+    def from_poses(cls, poses: FloatArray | Iterable[Pose2 | Sequence[float]]) -> Path:
+        """A polyline path; the gear of a step is the sign of (motion . heading), a change of it is a cusp.
+
+        Repeated poses are dropped. A step that only turns belongs to the gear before it.
+
+        Args:
+            poses: Shape (n, 3) [m, m, rad] or poses.
+
+        Raises:
+            InvalidPath: Fewer than two distinct poses, or a value that is not finite.
+        """
+        rows = (
+            [p.as_array() if isinstance(p, Pose2) else p for p in poses] if not isinstance(poses, np.ndarray) else poses
+        )
+        try:
+            array = np.array(frozen_array(rows, "path", columns=3))
+        except ValueError as error:
+            raise InvalidPath(str(error)) from error
+        array[:, 2] = unwrap_yaw(array[:, 2])
+        array = array[_distinct(array)]
+        if len(array) < 2:
+            raise InvalidPath(f"path: needs at least 2 distinct poses, got {len(array)}")
+        gears = _step_gears(array)
+        cuts = np.concatenate(([0], np.flatnonzero(np.diff(gears)) + 1, [len(gears)]))
+        return cls(
+            tuple(
+                PolylineSegment(array[a : b + 1], Direction(int(gears[a])))
+                for a, b in zip(cuts[:-1], cuts[1:], strict=True)
+            )
+        )
+
+    @property
+    def length(self) -> float:
+        """Arc length over all gears [m]."""
+        return float(self.segment_starts[-1])
+
+    @property
+    def cusps(self) -> tuple[float, ...]:
+        """Arc lengths at which the gear changes [m]."""
+        return tuple(float(s) for s in self.segment_starts[1:-1])
+
+    @property
+    def start(self) -> Pose2:
+        """Pose at s = 0."""
+        return self.pose_at(0.0)
+
+    @property
+    def end(self) -> Pose2:
+        """Pose at s = length."""
+        last = self.segments[-1]
+        return Pose2.from_sequence(last.poses_at(last.length)[0])
+
+    def pose_at(self, s: float) -> Pose2:
+        """Pose at arc length `s` [m], clipped to the path."""
+        return Pose2.from_sequence(self.poses_at(s)[0])
+
+    def poses_at(self, s: ArrayLike) -> FloatArray:
+        """Poses at arc lengths `s`, Shape (n,) [m]; at a cusp the next gear's. Shape (n, 3)."""
+        return self._evaluate(s, lambda segment, local: segment.poses_at(local), (3,))
+
+    def curvature_at(self, s: ArrayLike) -> FloatArray:
+        """Curvature at `s`; at a cusp the next gear's. Shape (n,) [1/m]."""
+        return self._evaluate(s, lambda segment, local: segment.curvature_at(local), ())
+
+    def curvature_rate_at(self, s: ArrayLike) -> FloatArray:
+        """D curvature / ds at `s`; at a cusp the next gear's. Shape (n,) [1/m^2]."""
+        return self._evaluate(s, lambda segment, local: segment.curvature_rate_at(local), ())
+
+    def direction_at(self, s: ArrayLike) -> IntArray:
+        """1 or -1 at `s`; at a cusp the next gear's. Shape (n,)."""
+        gears = np.array([int(segment.direction) for segment in self.segments])
+        directions: IntArray = gears[self._owners(np.atleast_1d(np.asarray(s, dtype=np.float64)))]
+        return directions
+
+    def _owners(self, s: FloatArray) -> IntArray:
+        found = np.searchsorted(self.segment_starts, s, side="right") - 1
+        return np.clip(found, 0, len(self.segments) - 1)
+
+    def _evaluate(
+        self, s: ArrayLike, of: Callable[[Segment, FloatArray], FloatArray], shape: tuple[int, ...]
+    ) -> FloatArray:
+        points = np.atleast_1d(np.asarray(s, dtype=np.float64))
+        if len(self.segments) == 1:
+            return of(self.segments[0], points)
+        owners, out = self._owners(points), np.empty((points.size, *shape))
+        for i in np.unique(owners):
+            mine = owners == i
+            out[mine] = of(self.segments[i], points[mine] - self.segment_starts[i])
+        return out
+
+    def sample(self, spacing: float) -> PathSamples:
+        """Points at most `spacing` [m] apart, ends and cusps included; a cusp appears once with each gear."""
+        blocks = [_sample_segment(segment, spacing) for segment in self.segments]
+        shifted = (
+            block._replace(s=block.s + start) for block, start in zip(blocks, self.segment_starts[:-1], strict=True)
+        )
+        return _joined(list(shifted))
+
+
+def _sample_segment(segment: Segment, spacing: float) -> PathSamples:
+    count = max(1, int(np.ceil(segment.length / spacing - 1e-9)))
+    s = np.linspace(0.0, segment.length, count + 1)
+    if isinstance(segment, PolylineSegment) and np.any(np.diff(segment.knots) <= 0.0):
+        return _sample_knots(segment)
+    poses = segment.poses_at(s)
+    gear = np.full(s.size, int(segment.direction))
+    return PathSamples(s, poses[:, 0], poses[:, 1], poses[:, 2], segment.curvature_at(s), gear)
+
+
+def _sample_knots(segment: PolylineSegment) -> PathSamples:
+    """The given poses themselves: where the robot turns in place, arc length cannot tell poses apart."""
+    gear = np.full(segment.knots.size, int(segment.direction))
+    x, y, yaw = segment.poses.T
+    return PathSamples(segment.knots, x, y, yaw, segment.curvature_at(segment.knots), gear)
+
+
+def _joined(blocks: Sequence[PathSamples]) -> PathSamples:
+    return PathSamples(*(np.concatenate(columns) for columns in zip(*blocks, strict=True)))
+
+
+def _distinct(poses: FloatArray) -> FloatArray:
+    """Indices of the poses that differ from the kept pose before them."""
+    step = np.diff(poses, axis=0)
+    moved = (np.hypot(step[:, 0], step[:, 1]) > _SAME_POSITION) | (np.abs(step[:, 2]) > _SAME_YAW)
+    return np.concatenate(([0], np.flatnonzero(moved) + 1))
+
+
+def _step_gears(poses: FloatArray) -> IntArray:
+    step = np.diff(poses, axis=0)
+    middle = poses[:-1, 2] + 0.5 * step[:, 2]
+    ahead = step[:, 0] * np.cos(middle) + step[:, 1] * np.sin(middle)
+    moving = np.hypot(step[:, 0], step[:, 1]) > _SAME_POSITION
+    gears = np.where(moving, np.where(ahead < 0.0, -1, 1), 0)
+    if not moving.any():
+        return np.ones(gears.size, dtype=np.int64)
+    known = np.flatnonzero(moving)
+    source = known[np.clip(np.searchsorted(known, np.arange(gears.size), side="right") - 1, 0, None)]
+    owned: IntArray = gears[source]
+    return owned

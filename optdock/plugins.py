@@ -1,0 +1,103 @@
+"""Plugins by name, through entry points; Nav2's class names are aliases of ours."""
+
+from __future__ import annotations
+
+from functools import cache
+from importlib.metadata import EntryPoint, entry_points
+from typing import TYPE_CHECKING, NamedTuple, TypeVar
+
+from optdock.errors import PluginError
+from optdock.interfaces import (
+    Behavior,
+    Controller,
+    GlobalPlanner,
+    GoalChecker,
+    Layer,
+    Plugin,
+    Smoother,
+    TimeParameterizer,
+)
+from optdock.parameters import closest
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+__all__ = ["INTERFACES", "PluginInfo", "available_plugins", "create_plugin", "load_plugin"]
+
+INTERFACES: Mapping[str, type[Plugin]] = {
+    "planners": GlobalPlanner,
+    "smoothers": Smoother,
+    "timing": TimeParameterizer,
+    "controllers": Controller,
+    "goal_checkers": GoalChecker,
+    "behaviors": Behavior,
+    "layers": Layer,
+}
+
+# Nav2 pluginlib names (namespace stripped) that differ from our entry point names.
+_NAV2_ALIASES: Mapping[str, Mapping[str, str]] = {
+    "smoothers": {"ConstrainedSmoother": "CasadiSmoother"},
+}
+
+P = TypeVar("P", bound=Plugin)
+
+
+class PluginInfo(NamedTuple):
+    """One installed plugin: kind, name, and where it comes from (`module:Class`)."""
+
+    kind: str
+    name: str
+    target: str
+
+
+@cache
+def _found(kind: str) -> Mapping[str, EntryPoint]:
+    if kind not in INTERFACES:
+        raise PluginError(f"plugin kind {kind!r}: must be one of {', '.join(INTERFACES)}")
+    found: dict[str, EntryPoint] = {}
+    for point in sorted(entry_points(group=f"optdock.{kind}"), key=lambda p: (p.name, p.value)):
+        known = found.setdefault(point.name, point)
+        if known.value != point.value:
+            raise PluginError(f"{kind}: two plugins are named {point.name}: {known.value} and {point.value}")
+    return found
+
+
+def available_plugins() -> tuple[PluginInfo, ...]:
+    """Every installed plugin, sorted; none is imported."""
+    return tuple(PluginInfo(kind, name, point.value) for kind in INTERFACES for name, point in _found(kind).items())
+
+
+def load_plugin(interface: type[P], name: str) -> type[P]:
+    """The plugin class called `name`.
+
+    Args:
+        interface: One of the interfaces in `INTERFACES`.
+        name: Entry point name, or Nav2's `namespace::Class` (old files: `namespace/Class`).
+
+    Raises:
+        PluginError: Unknown name, failing import, or a class that is not an `interface`.
+    """
+    kind = next((k for k, known in INTERFACES.items() if known is interface), "")
+    found = _found(kind)
+    short = name.replace("/", "::").rsplit("::", 1)[-1]
+    short = _NAV2_ALIASES.get(kind, {}).get(short, short) if short not in found else short
+    if short not in found:
+        raise PluginError(f"{kind}: unknown plugin {name!r}{closest(short, found)}; available: {', '.join(found)}")
+    point = found[short]
+    try:
+        loaded = point.load()
+    except Exception as error:
+        raise PluginError(f"{kind}: plugin {short} ({point.value}) cannot be imported: {error}") from error
+    if not (isinstance(loaded, type) and issubclass(loaded, interface)):
+        raise PluginError(f"{kind}: plugin {short} ({point.value}) is not a {interface.__name__}")
+    return loaded
+
+
+def create_plugin(interface: type[P], name: str, parameters: Mapping[str, object] | None = None) -> P:
+    """A ready-to-use plugin.
+
+    Raises:
+        PluginError: As `load_plugin`.
+        InvalidValue: A parameter is unknown, of the wrong type or out of range.
+    """
+    return load_plugin(interface, name)(**dict(parameters or {}))

@@ -1,0 +1,1 @@
+"""A closed loop in simulation: plant, noise, latency, run."""

@@ -1,0 +1,1 @@
+"""Time parameterizers: the time law of a path, by ruckig."""

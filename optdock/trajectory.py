@@ -1,0 +1,172 @@
+"""Trajectories: a path composed with a time law, `pose(t) = path(s(t))`."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+from optdock.errors import InvalidValue
+from optdock.geometry.arrays import frozen_array, readonly
+from optdock.geometry.pose import Pose2, Twist2
+
+if TYPE_CHECKING:
+    from numpy.typing import ArrayLike
+
+    from optdock.geometry.arrays import FloatArray
+    from optdock.path import Path
+
+__all__ = ["TimeLaw", "Trajectory", "TrajectorySamples", "TrajectoryState"]
+
+
+@dataclass(frozen=True, eq=False)
+class TimeLaw:
+    """Distance travelled over time, in phases of constant jerk.
+
+    Args:
+        durations: Shape (n,) [s], each > 0.
+        jerks: Shape (n,) [m/s^3].
+        start_s: Distance at the start [m].
+        start_speed: Speed at the start, >= 0 in either gear [m/s].
+        start_acceleration: Acceleration at the start [m/s^2].
+
+    Attributes:
+        times: Phase borders, Shape (n + 1,) [s], first 0.
+        states: Distance, speed, acceleration at the borders, Shape (n + 1, 3).
+
+    Raises:
+        InvalidValue: No phase, differing shapes, a duration that is not > 0, a value that is not finite.
+    """
+
+    durations: FloatArray
+    jerks: FloatArray
+    start_s: float = 0.0
+    start_speed: float = 0.0
+    start_acceleration: float = 0.0
+    times: FloatArray = field(init=False, repr=False)
+    states: FloatArray = field(init=False, repr=False)
+
+    def __post_init__(self) -> None:
+        durations, jerks = (
+            frozen_array(self.durations, "time law.durations"),
+            frozen_array(self.jerks, "time law.jerks"),
+        )
+        if durations.size == 0 or durations.size != jerks.size:
+            raise InvalidValue(f"time law: needs >= 1 phase with a jerk each, got {durations.size}, {jerks.size}")
+        if not np.all(durations > 0.0):
+            raise InvalidValue("time law.durations: must be > 0 s")
+        first = np.array([self.start_s, self.start_speed, self.start_acceleration], dtype=np.float64)
+        if not np.all(np.isfinite(first)):
+            raise InvalidValue(f"time law: the start state must be finite, got {first.tolist()}")
+        for name, value in (("durations", durations), ("jerks", jerks)):
+            object.__setattr__(self, name, value)
+        object.__setattr__(self, "times", readonly(np.concatenate(([0.0], np.cumsum(durations)))))
+        object.__setattr__(self, "states", readonly(_border_states(durations, jerks, first)))
+
+    @property
+    def duration(self) -> float:
+        """Total time [s]."""
+        return float(self.times[-1])
+
+    def at(self, t: ArrayLike) -> FloatArray:
+        """Distance, speed, acceleration, jerk at times `t`, Shape (n,) [s], clipped. Shape (n, 4)."""
+        points = np.clip(np.atleast_1d(np.asarray(t, dtype=np.float64)), 0.0, self.duration)
+        phase = np.clip(np.searchsorted(self.times, points, side="right") - 1, 0, self.durations.size - 1)
+        dt, jerk = points - self.times[phase], self.jerks[phase]
+        s, v, a = self.states[phase].T
+        return np.column_stack(
+            (s + dt * (v + dt * (a / 2.0 + dt * jerk / 6.0)), v + dt * (a + dt * jerk / 2.0), a + dt * jerk, jerk)
+        )
+
+
+def _border_states(durations: FloatArray, jerks: FloatArray, first: FloatArray) -> FloatArray:
+    a = first[2] + np.concatenate(([0.0], np.cumsum(jerks * durations)))
+    v = first[1] + np.concatenate(([0.0], np.cumsum(durations * (a[:-1] + jerks * durations / 2.0))))
+    gain = durations * (v[:-1] + durations * (a[:-1] / 2.0 + jerks * durations / 6.0))
+    return np.column_stack((first[0] + np.concatenate(([0.0], np.cumsum(gain))), v, a))
+
+
+class TrajectoryState(NamedTuple):
+    """Where the robot is meant to be at one instant; twist and acceleration are signed, negative in reverse."""
+
+    t: float
+    s: float
+    pose: Pose2
+    twist: Twist2
+    acceleration: float
+    yaw_acceleration: float
+    jerk: float
+
+
+class TrajectorySamples(NamedTuple):
+    """Columns of Shape (n,), SI units; speed, acceleration and jerk are signed: negative speed is reverse."""
+
+    t: FloatArray
+    s: FloatArray
+    x: FloatArray
+    y: FloatArray
+    yaw: FloatArray
+    speed: FloatArray
+    acceleration: FloatArray
+    jerk: FloatArray
+    yaw_rate: FloatArray
+    yaw_acceleration: FloatArray
+
+
+@dataclass(frozen=True, eq=False)
+class Trajectory:
+    """A timed motion: a path, and a time law over its arc length.
+
+    Args:
+        path: Where.
+        time_law: When; its distance runs from 0 to the length of the path.
+    """
+
+    path: Path
+    time_law: TimeLaw
+
+    @property
+    def duration(self) -> float:
+        """Total time [s]."""
+        return self.time_law.duration
+
+    def sample_at(self, t: ArrayLike) -> TrajectorySamples:
+        """Everything at times `t`, Shape (n,) [s], clipped to [0, duration]."""
+        times = np.clip(np.atleast_1d(np.asarray(t, dtype=np.float64)), 0.0, self.duration)
+        s, v, a, j = self.time_law.at(times).T
+        s = np.clip(s, 0.0, self.path.length)
+        poses, gear = self.path.poses_at(s), self.path.direction_at(s).astype(np.float64)
+        curvature, rate = self.path.curvature_at(s), self.path.curvature_rate_at(s)
+        x, y, yaw = poses.T
+        return TrajectorySamples(
+            times, s, x, y, yaw, gear * v, gear * a, gear * j, v * curvature, a * curvature + v * v * rate
+        )
+
+    def sample(self, period: float) -> TrajectorySamples:
+        """Samples at most `period` [s] apart; start, end and the arrival at every cusp are among them."""
+        count = max(1, int(np.ceil(self.duration / period - 1e-9)))
+        grid = np.minimum(np.arange(count + 1) * period, self.duration)
+        return self.sample_at(np.unique(np.concatenate((grid, self.cusp_times))))
+
+    @property
+    def cusp_times(self) -> FloatArray:
+        """Times at which the robot reaches each cusp, Shape (number of cusps,) [s]."""
+        cusps = np.asarray(self.path.cusps)
+        borders = self.time_law.states[:, 0]
+        nearest = np.argmin(np.abs(borders[:, None] - cusps[None, :]), axis=0) if cusps.size else np.zeros(0, np.int64)
+        arrivals: FloatArray = self.time_law.times[nearest]
+        return arrivals
+
+    def at(self, t: float) -> TrajectoryState:
+        """The state at time `t` [s], clipped to [0, duration]."""
+        row = self.sample_at(t)
+        return TrajectoryState(
+            t=float(row.t[0]),
+            s=float(row.s[0]),
+            pose=Pose2(float(row.x[0]), float(row.y[0]), float(row.yaw[0])),
+            twist=Twist2(float(row.speed[0]), float(row.yaw_rate[0])),
+            acceleration=float(row.acceleration[0]),
+            yaw_acceleration=float(row.yaw_acceleration[0]),
+            jerk=float(row.jerk[0]),
+        )
