@@ -1,0 +1,182 @@
+"""The costmap: a grid of costs with its place in the world."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from optdock.costmap.costs import (
+    FREE_SPACE,
+    INSCRIBED,
+    LETHAL,
+    NO_INFORMATION,
+    CostArray,
+    OccupancyArray,
+    OccupancyRule,
+    costs_from_occupancy,
+    occupancy_from_costs,
+)
+from optdock.errors import InvalidValue
+
+if TYPE_CHECKING:
+    from numpy.typing import ArrayLike
+
+    from optdock.geometry.arrays import BoolArray, FloatArray, IntArray
+
+__all__ = ["FREE_SPACE", "INSCRIBED", "LETHAL", "NO_INFORMATION", "Costmap"]
+
+_FAR = 2.0**40  # cells; farther points, and points that are not finite, count as this far off the map
+
+
+@dataclass(frozen=True, eq=False)
+class Costmap:
+    """Square cells with a cost each; cell (i, j) is column i (along x) and row j (along y).
+
+    Args:
+        data: Shape (rows, columns), integers 0..255; row 0 has the lowest y. Copied and made read-only.
+        resolution: Side of a cell [m].
+        origin: Lower left corner of cell (0, 0), x and y [m].
+
+    Raises:
+        InvalidValue: No cell, costs that are not integers in 0..255, resolution not > 0, origin not finite.
+    """
+
+    data: CostArray
+    resolution: float
+    origin: tuple[float, float] = (0.0, 0.0)
+
+    def __post_init__(self) -> None:
+        if not (math.isfinite(self.resolution) and self.resolution > 0.0):
+            raise InvalidValue(f"costmap.resolution: must be finite and > 0 m, got {self.resolution}")
+        if len(self.origin) != 2 or not all(math.isfinite(value) for value in self.origin):
+            raise InvalidValue(f"costmap.origin: must be two finite numbers [m], got {self.origin}")
+        object.__setattr__(self, "resolution", float(self.resolution))
+        object.__setattr__(self, "origin", (float(self.origin[0]), float(self.origin[1])))
+        object.__setattr__(self, "data", _checked_costs(self.data))
+
+    @classmethod
+    def from_occupancy(
+        cls,
+        occupancy: ArrayLike,
+        resolution: float,
+        origin: tuple[float, float] = (0.0, 0.0),
+        rule: OccupancyRule | None = None,
+    ) -> Costmap:
+        """A costmap from occupancies, Shape (rows, columns), -1 (unknown) or 0..100.
+
+        Raises:
+            InvalidValue: As the constructor, or an occupancy outside -1..100.
+        """
+        return cls(costs_from_occupancy(occupancy, rule), resolution, origin)
+
+    @classmethod
+    def writable(
+        cls, shape: tuple[int, int], resolution: float, origin: tuple[float, float], fill: int = FREE_SPACE
+    ) -> Costmap:
+        """A grid for layers to write into; hand out `frozen()` copies of it.
+
+        Args:
+            shape: Rows and columns.
+            resolution: Side of a cell [m].
+            origin: Lower left corner [m].
+            fill: Cost of every cell.
+
+        Raises:
+            InvalidValue: As the constructor.
+        """
+        grid = cls(np.full(shape, fill, dtype=np.uint8), resolution, origin)
+        grid.data.setflags(write=True)
+        return grid
+
+    def frozen(self) -> Costmap:
+        """A read-only copy."""
+        return Costmap(self.data, self.resolution, self.origin)
+
+    def with_data(self, data: ArrayLike) -> Costmap:
+        """The same grid with other costs.
+
+        Raises:
+            InvalidValue: Another shape, or costs that are not integers in 0..255.
+        """
+        costs = _checked_costs(data)
+        if costs.shape != self.data.shape:
+            raise InvalidValue(f"costmap.data: must have shape {self.data.shape}, got {costs.shape}")
+        return Costmap(costs, self.resolution, self.origin)
+
+    @property
+    def rows(self) -> int:
+        """Number of rows, along y."""
+        return int(self.data.shape[0])
+
+    @property
+    def columns(self) -> int:
+        """Number of columns, along x."""
+        return int(self.data.shape[1])
+
+    @property
+    def lower(self) -> tuple[float, float]:
+        """Lower left corner of the map [m]."""
+        return self.origin
+
+    @property
+    def upper(self) -> tuple[float, float]:
+        """Upper right corner of the map [m]."""
+        return (
+            self.origin[0] + self.columns * self.resolution,
+            self.origin[1] + self.rows * self.resolution,
+        )
+
+    def cell_of(self, points: ArrayLike) -> IntArray:
+        """Cells (i, j) of points: floor((point - origin) / resolution), on the map or off it.
+
+        Args:
+            points: Shape (n, 2) [m]; a point that is not finite gets a cell off the map.
+
+        Returns:
+            Shape (n, 2), column i and row j.
+        """
+        scaled = np.floor((np.asarray(points, dtype=np.float64) - np.array(self.origin)) / self.resolution)
+        return np.clip(np.nan_to_num(scaled, nan=-_FAR), -_FAR, _FAR).astype(np.int64)
+
+    def centre_of(self, cells: ArrayLike) -> FloatArray:
+        """Centres of cells (i, j), Shape (n, 2), on the map or off it. Shape (n, 2) [m]."""
+        centres: FloatArray = np.array(self.origin) + (np.asarray(cells, dtype=np.float64) + 0.5) * self.resolution
+        return centres
+
+    def has_cell(self, cells: IntArray) -> BoolArray:
+        """Whether cells (i, j), Shape (n, 2), are on the map. Shape (n,)."""
+        inside: BoolArray = np.all((cells >= 0) & (cells < (self.columns, self.rows)), axis=-1)
+        return inside
+
+    def contains(self, points: ArrayLike) -> BoolArray:
+        """Whether points, Shape (n, 2) [m], are on the map. Shape (n,)."""
+        return self.has_cell(self.cell_of(points))
+
+    def cost_at(self, points: ArrayLike) -> CostArray:
+        """Costs at points, Shape (n, 2) [m]; NO_INFORMATION off the map. Shape (n,)."""
+        cells = self.cell_of(points)
+        inside = self.has_cell(cells)
+        costs = np.full(inside.shape, NO_INFORMATION, dtype=np.uint8)
+        costs[inside] = self.data[cells[inside, 1], cells[inside, 0]]
+        return costs
+
+    def occupancy(self) -> OccupancyArray:
+        """Nav2's published occupancies, Shape (rows, columns), -1 (unknown) or 0..100."""
+        return occupancy_from_costs(self.data)
+
+
+def _checked_costs(data: ArrayLike) -> CostArray:
+    """A read-only copy of costs, Shape (rows, columns)."""
+    values = np.asarray(data)
+    if values.dtype.kind not in "iu":
+        raise InvalidValue(f"costmap.data: must be integers, got {values.dtype}")
+    if values.ndim != 2 or values.size == 0:
+        raise InvalidValue(f"costmap.data: must have shape (rows, columns) with at least one cell, got {values.shape}")
+    if values.dtype != np.uint8 and (values.min() < 0 or values.max() > NO_INFORMATION):
+        raise InvalidValue(f"costmap.data: must be in 0..255, got {values.min()}..{values.max()}")
+    costs: CostArray = np.array(values, dtype=np.uint8, order="C")
+    costs.setflags(write=False)
+    return costs

@@ -1,0 +1,103 @@
+"""Cost values, and their conversion from and to occupancy (Nav2: `cost_values.hpp`, `StaticLayer::interpretValue`)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+from optdock.errors import InvalidValue
+
+if TYPE_CHECKING:
+    from numpy.typing import ArrayLike
+
+__all__ = [
+    "FREE_SPACE",
+    "INSCRIBED",
+    "LETHAL",
+    "MAX_NON_OBSTACLE",
+    "NO_INFORMATION",
+    "OCCUPANCY_UNKNOWN",
+    "CostArray",
+    "OccupancyArray",
+    "OccupancyRule",
+    "costs_from_occupancy",
+    "occupancy_from_costs",
+]
+
+CostArray: TypeAlias = NDArray[np.uint8]
+OccupancyArray: TypeAlias = NDArray[np.int8]
+
+FREE_SPACE = 0
+MAX_NON_OBSTACLE = 252
+INSCRIBED = 253
+LETHAL = 254
+NO_INFORMATION = 255
+
+OCCUPANCY_UNKNOWN = -1
+_OCCUPANCY_INSCRIBED = 99
+
+
+@dataclass(frozen=True)
+class OccupancyRule:
+    """How occupancy becomes cost; the fields are Nav2's costmap parameters.
+
+    `track_unknown_space` is True here (Nav2: False), because a dock planner must not drive into what nobody has seen.
+
+    Args:
+        track_unknown_space: Unknown stays unknown (255); False makes it free.
+        lethal_cost_threshold: Occupancy from which a cell is lethal, 1..100.
+        trinary_costmap: Everything below the threshold is free; False scales it.
+
+    Raises:
+        InvalidValue: The threshold is not in 1..100.
+    """
+
+    track_unknown_space: bool = True
+    lethal_cost_threshold: int = 100
+    trinary_costmap: bool = True
+
+    def __post_init__(self) -> None:
+        if not 1 <= self.lethal_cost_threshold <= 100:
+            raise InvalidValue(f"lethal_cost_threshold: must be in 1..100, got {self.lethal_cost_threshold}")
+
+    def table(self) -> CostArray:
+        """Cost of the occupancies 0..100, then of unknown (index -1). Shape (102,)."""
+        occupancy = np.arange(101)
+        scaled = (occupancy / self.lethal_cost_threshold * LETHAL).astype(np.int64)
+        below = np.zeros(101, dtype=np.int64) if self.trinary_costmap else scaled
+        costs = np.where(occupancy >= self.lethal_cost_threshold, LETHAL, below)
+        costs[_OCCUPANCY_INSCRIBED] = INSCRIBED
+        unknown = NO_INFORMATION if self.track_unknown_space else FREE_SPACE
+        return np.append(costs, unknown).astype(np.uint8)
+
+
+def costs_from_occupancy(occupancy: ArrayLike, rule: OccupancyRule | None = None) -> CostArray:
+    """Costs of occupancies: 100 and more of the threshold 254, 99 253, -1 255 (or 0), others by `rule`.
+
+    Args:
+        occupancy: Integers, -1 (unknown) or 0..100, any shape.
+        rule: The conversion; None for the defaults.
+
+    Raises:
+        InvalidValue: Not integers, or a value outside -1..100.
+    """
+    values = np.asarray(occupancy)
+    if values.dtype.kind not in "iu":
+        raise InvalidValue(f"occupancy: must be integers, got {values.dtype}")
+    bad = values[(values < OCCUPANCY_UNKNOWN) | (values > 100)]
+    if bad.size:
+        raise InvalidValue(f"occupancy: must be -1 (unknown) or 0..100, got {int(bad[0])}")
+    costs: CostArray = (rule or OccupancyRule()).table()[values]
+    return costs
+
+
+def occupancy_from_costs(costs: CostArray) -> OccupancyArray:
+    """Nav2's published occupancies: 0; 1..252 to 1..98; 253 to 99; 254 to 100; 255 to -1. Any shape."""
+    scale = np.arange(256)
+    table = np.where(scale == FREE_SPACE, 0, 1 + (97 * (scale - 1)) // 251)
+    table[[INSCRIBED, LETHAL, NO_INFORMATION]] = (_OCCUPANCY_INSCRIBED, 100, OCCUPANCY_UNKNOWN)
+    occupancy: OccupancyArray = table.astype(np.int8)[costs]
+    return occupancy
