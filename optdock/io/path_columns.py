@@ -1,0 +1,177 @@
+"""Paths as columns of numbers: how plan files hold them.
+
+The samples alone make a polyline. Where the exact curves stand beside them (`segments`), they are the path, and the
+samples must lie on it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Annotated, Literal, TypeAlias
+
+import numpy as np
+from pydantic import BaseModel, ConfigDict, Field
+
+from optdock.errors import InvalidFile
+from optdock.geometry.clothoid import ClothoidSpline
+from optdock.geometry.pose import Pose2
+from optdock.path import ClothoidSegment, Direction, Path, PolylineSegment, Segment
+
+if TYPE_CHECKING:
+    from optdock.geometry.arrays import BoolArray, FloatArray
+
+__all__ = ["PathColumns", "path_columns", "path_from_columns"]
+
+# Samples of an exact path may differ from it by this much [m, rad].
+AGREEMENT = 1e-6
+_STILL = 1e-9  # [m]: shorter steps carry no direction
+
+Gear: TypeAlias = Literal[1, -1]
+Json: TypeAlias = Mapping[str, object]
+
+
+class _Columns(BaseModel):
+    model_config = ConfigDict(frozen=True, extra="ignore", allow_inf_nan=False)
+
+
+class _Clothoid(_Columns):
+    """Curvature linear between knots: start [m, m, rad], knots [m], curvature [1/m]."""
+
+    start: Annotated[list[float], Field(min_length=3, max_length=3)]
+    knots: list[float]
+    curvature: list[float]
+    direction: Gear
+
+
+class _Polyline(_Columns):
+    """Poses [m, m, rad] in driving order."""
+
+    poses: list[Annotated[list[float], Field(min_length=3, max_length=3)]]
+    direction: Gear
+
+
+class PathColumns(_Columns):
+    """A path as a plan file holds it; s [m], curvature [1/m] and direction may be missing in files of others."""
+
+    s: list[float] | None = None
+    x: list[float]
+    y: list[float]
+    yaw: list[float]
+    curvature: list[float] | None = None
+    direction: list[Gear] | None = None
+    segments: list[_Clothoid | _Polyline] | None = None
+
+
+def path_columns(path: Path, spacing: float) -> dict[str, object]:
+    """The samples of `path`, at most `spacing` [m] apart, and its exact curves, as plain JSON values."""
+    samples = path.sample(spacing)
+    columns: dict[str, object] = {name: column.tolist() for name, column in samples._asdict().items()}
+    curves = [_curve(segment) for segment in path.segments]
+    return columns if None in curves else {**columns, "segments": curves}
+
+
+def _curve(segment: Segment) -> Json | None:
+    """The parameters of an exact curve; None for a kind of segment this format has no words for."""
+    if isinstance(segment, ClothoidSegment):
+        spline = segment.spline
+        return {
+            "start": spline.start.as_array().tolist(),
+            "knots": spline.knots.tolist(),
+            "curvature": spline.curvature.tolist(),
+            "direction": spline.sign,
+        }
+    if isinstance(segment, PolylineSegment):
+        return {"poses": segment.poses.tolist(), "direction": int(segment.direction)}
+    return None
+
+
+def path_from_columns(columns: PathColumns, name: str) -> Path:
+    """The exact path where the columns hold its curves, the polyline through the samples otherwise.
+
+    Args:
+        columns: Samples and perhaps curves.
+        name: What the path is called in messages.
+
+    Raises:
+        InvalidFile: Columns of differing length, fewer than two samples, an arc length that is shorter than the way,
+            a direction against the motion, or samples off their curves.
+        InvalidValue: The curves are none.
+    """
+    _check_lengths(columns, name)
+    poses = np.column_stack((columns.x, columns.y, columns.yaw))
+    _check_arc_length(columns, poses, name)
+    if not columns.segments:
+        _check_directions(columns, poses, name)
+        return Path.from_poses(poses)
+    path = Path(tuple(_segment(curve) for curve in columns.segments))
+    _check_agreement(columns, poses, path, name)
+    return path
+
+
+def _segment(curve: _Clothoid | _Polyline) -> Segment:
+    if isinstance(curve, _Polyline):
+        return PolylineSegment(np.array(curve.poses).reshape(-1, 3), Direction(curve.direction))
+    start = Pose2.from_sequence(curve.start)
+    return ClothoidSegment(ClothoidSpline(start, np.array(curve.knots), np.array(curve.curvature), curve.direction))
+
+
+def _check_lengths(columns: PathColumns, name: str) -> None:
+    count = len(columns.x)
+    if count < 2:
+        raise InvalidFile(f"{name}: needs at least 2 samples, got {count}")
+    for key in ("s", "y", "yaw", "curvature", "direction"):
+        column = getattr(columns, key)
+        if column is not None and len(column) != count:
+            raise InvalidFile(f"{name}.{key}: must have as many values as {name}.x = {count}, got {len(column)}")
+
+
+def _check_arc_length(columns: PathColumns, poses: FloatArray, name: str) -> None:
+    if columns.s is None:
+        return
+    if abs(columns.s[0]) > AGREEMENT:
+        raise InvalidFile(f"{name}.s: must start at 0 m, got {columns.s[0]}")
+    chord = np.hypot(np.diff(poses[:, 0]), np.diff(poses[:, 1]))
+    short = np.flatnonzero(np.diff(columns.s) < chord - 2.0 * AGREEMENT)
+    if short.size:
+        i = int(short[0])
+        step = columns.s[i + 1] - columns.s[i]
+        raise InvalidFile(f"{name}.s: grows by {step:.6g} m over {chord[i]:.6g} m from sample {i} to {i + 1}")
+
+
+def _check_directions(columns: PathColumns, poses: FloatArray, name: str) -> None:
+    if columns.direction is None:
+        return
+    step, middle = np.diff(poses[:, :2], axis=0), 0.5 * (poses[1:, 2] + poses[:-1, 2])
+    ahead = step[:, 0] * np.cos(middle) + step[:, 1] * np.sin(middle)
+    given = np.array(columns.direction)
+    against = (np.hypot(step[:, 0], step[:, 1]) > _STILL) & (ahead * given[:-1] < 0.0) & (ahead * given[1:] < 0.0)
+    if against.any():
+        i = int(np.flatnonzero(against)[0])
+        raise InvalidFile(f"{name}.direction: {given[i]} at sample {i}, but the robot moves the other way there")
+
+
+def _check_agreement(columns: PathColumns, poses: FloatArray, path: Path, name: str) -> None:
+    if columns.s is None:
+        raise InvalidFile(f"{name}.s: is needed beside {name}.segments")
+    if abs(columns.s[-1] - path.length) > AGREEMENT:
+        raise InvalidFile(f"{name}: samples end at s = {columns.s[-1]:.9g} m, segments at {path.length:.9g} m")
+    exact = path.poses_at(columns.s)
+    apart = np.hypot(poses[:, 0] - exact[:, 0], poses[:, 1] - exact[:, 1])
+    turned = np.abs(np.remainder(poses[:, 2] - exact[:, 2] + np.pi, 2.0 * np.pi) - np.pi)
+    # Where the robot turns in place many headings share one arc length; positions tell all there.
+    turned[_turning_in_place(np.array(columns.s))] = 0.0
+    worst = int(np.argmax(np.maximum(apart, turned)))
+    if max(apart[worst], turned[worst]) > AGREEMENT:
+        raise InvalidFile(
+            f"{name}: sample {worst} is {apart[worst]:.3g} m and {turned[worst]:.3g} rad off the segments, "
+            f"allowed is {AGREEMENT:g}"
+        )
+    at_cusp = np.min(np.abs(np.subtract.outer(columns.s, path.segment_starts)), axis=1) <= _STILL
+    if columns.direction is not None and np.any((path.direction_at(columns.s) != columns.direction) & ~at_cusp):
+        raise InvalidFile(f"{name}.direction: differs from that of the segments")
+
+
+def _turning_in_place(s: FloatArray) -> BoolArray:
+    still = np.diff(s) <= _STILL
+    marks: BoolArray = np.concatenate((still, [False])) | np.concatenate(([False], still))
+    return marks

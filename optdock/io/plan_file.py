@@ -1,0 +1,274 @@
+"""Plan files, format `optdock-plan/1`: strict JSON, written whole or not at all."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path as FilePath
+from typing import TYPE_CHECKING, Literal, NamedTuple, NoReturn, TypeVar
+
+import numpy as np
+from pydantic import BaseModel, ConfigDict, JsonValue, ValidationError
+
+from optdock.errors import InvalidFile, InvalidPath, InvalidValue
+from optdock.geometry.arrays import frozen_array
+from optdock.io.atomic_file import write_text
+from optdock.io.path_columns import PathColumns, path_columns, path_from_columns
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from optdock.errors import OptdockError
+    from optdock.geometry.arrays import FloatArray
+    from optdock.path import Path
+    from optdock.trajectory import Trajectory
+
+__all__ = ["PLAN_FORMAT", "PlanError", "PlanFile", "TrajectoryColumns", "load_plan", "save_plan", "strict_json"]
+
+PLAN_FORMAT = "optdock-plan/1"
+DEFAULT_SPACING = 0.02
+DEFAULT_PERIOD = 0.02
+CERTIFIED = "certified"
+
+
+T = TypeVar("T")
+
+
+class TrajectoryColumns(NamedTuple):
+    """A timed motion in columns of Shape (n,), SI units; speed, acceleration and jerk are negative in reverse."""
+
+    t: FloatArray
+    x: FloatArray
+    y: FloatArray
+    yaw: FloatArray
+    speed: FloatArray
+    acceleration: FloatArray
+    jerk: FloatArray
+    yaw_rate: FloatArray
+    yaw_acceleration: FloatArray
+
+    @classmethod
+    def from_trajectory(cls, trajectory: Trajectory, period: float) -> TrajectoryColumns:
+        """Samples at most `period` [s] apart, ends and cusps included."""
+        samples = trajectory.sample(period)
+        return cls(**{name: getattr(samples, name) for name in cls._fields})
+
+
+class PlanError(NamedTuple):
+    """Why there is no certified plan: Nav2's action error code, a sentence, and what locates the fault."""
+
+    code: int
+    message: str
+    where: Mapping[str, object]
+
+    @classmethod
+    def from_exception(cls, error: OptdockError) -> PlanError:
+        """What a plan file says about an exception."""
+        return cls(error.code, str(error), error.where)
+
+
+@dataclass(frozen=True, eq=False)
+class PlanFile:
+    """The content of a plan file; what does not exist is None.
+
+    Args:
+        status: `certified`, or the name of the error that ended the planning.
+        completed: False when the deadline cut the work short.
+        frame: Name of the coordinate frame.
+        raw_path: What the planner proposed.
+        path: What the smoother made of it.
+        trajectory: The timed motion.
+        certificate: The proof in numbers, as `Certificate.as_dict` gives it.
+        timing_ms: Milliseconds per stage.
+        error: Why there is no certified plan.
+    """
+
+    status: str = CERTIFIED
+    completed: bool = False
+    frame: str = "map"
+    raw_path: Path | None = None
+    path: Path | None = None
+    trajectory: TrajectoryColumns | None = None
+    certificate: Mapping[str, object] | None = None
+    timing_ms: Mapping[str, float] = field(default_factory=dict)
+    error: PlanError | None = None
+
+    def as_json(self, *, spacing: float = DEFAULT_SPACING) -> str:
+        """The file's text.
+
+        Args:
+            spacing: Largest distance between path samples [m].
+
+        Raises:
+            InvalidValue: A number of a path or trajectory is not finite, or the spacing is not > 0.
+        """
+        if not (math.isfinite(spacing) and spacing > 0.0):
+            raise InvalidValue(f"spacing: must be finite and > 0 m, got {spacing}")
+        head = {"format": PLAN_FORMAT, "status": self.status, "completed": self.completed, "frame": self.frame}
+        paths = {"raw_path": self.raw_path, "path": self.path}
+        body: dict[str, object] = {k: path_columns(p, spacing) for k, p in paths.items() if p is not None}
+        if self.trajectory is not None:
+            body["trajectory"] = {name: column.tolist() for name, column in self.trajectory._asdict().items()}
+        if self.certificate is not None:
+            body["certificate"] = finite_or_null(self.certificate)
+        if self.error is not None:
+            body["error"] = finite_or_null(self.error._asdict())
+        return strict_json({**head, **body, "timing_ms": finite_or_null(self.timing_ms)})
+
+
+def finite_or_null(value: object) -> object:
+    """Plain JSON values; arrays become lists, and a number that is not finite becomes null."""
+    if isinstance(value, float | np.floating):
+        return float(value) if math.isfinite(value) else None
+    if isinstance(value, Mapping):
+        return {str(key): finite_or_null(item) for key, item in value.items()}
+    if isinstance(value, np.ndarray | np.generic):
+        return finite_or_null(value.tolist())
+    if isinstance(value, Sequence) and not isinstance(value, str):
+        return [finite_or_null(item) for item in value]
+    return value if isinstance(value, str | int) or value is None else str(value)
+
+
+def strict_json(document: Mapping[str, object]) -> str:
+    """One key of the top level per line; NaN and infinity, which JSON does not know, are refused.
+
+    Raises:
+        InvalidValue: A number is not finite.
+    """
+    try:
+        lines = [f"{json.dumps(key)}: {json.dumps(value, allow_nan=False)}" for key, value in document.items()]
+    except ValueError as error:
+        raise InvalidValue(f"plan file: every number must be finite: {error}") from error
+    return "{" + ",\n ".join(lines) + "}\n"
+
+
+def save_plan(target: FilePath, plan: PlanFile, *, spacing: float = DEFAULT_SPACING) -> None:
+    """Write a plan file.
+
+    Args:
+        target: Where.
+        plan: What.
+        spacing: Largest distance between path samples [m].
+
+    Raises:
+        InvalidFile: The file cannot be written.
+        InvalidValue: A number is not finite; nothing has been written then.
+    """
+    write_text(FilePath(target), plan.as_json(spacing=spacing))
+
+
+class _Model(BaseModel):
+    model_config = ConfigDict(frozen=True, extra="ignore", allow_inf_nan=False)
+
+
+class _TrajectoryDocument(_Model):
+    t: list[float]
+    x: list[float]
+    y: list[float]
+    yaw: list[float]
+    speed: list[float]
+    acceleration: list[float]
+    jerk: list[float]
+    yaw_rate: list[float]
+    yaw_acceleration: list[float]
+
+
+class _ErrorDocument(_Model):
+    code: int = 0
+    message: str = ""
+    where: dict[str, JsonValue] = {}
+
+
+class _PlanDocument(_Model):
+    format: Literal["optdock-plan/1"]
+    status: str = "unknown"
+    completed: bool = False
+    frame: str = "map"
+    raw_path: PathColumns | None = None
+    path: PathColumns | None = None
+    trajectory: _TrajectoryDocument | None = None
+    certificate: dict[str, JsonValue] | None = None
+    timing_ms: dict[str, float | None] = {}
+    error: _ErrorDocument | None = None
+
+
+def load_plan(source: FilePath) -> PlanFile:
+    """Read a plan file, also one that optdock did not write; keys it does not know are ignored.
+
+    Raises:
+        InvalidFile: The file cannot be read, is not strict JSON, or breaks the format; the message lists every fault.
+    """
+    source = FilePath(source)
+    document = _parsed(source)
+    faults: list[str] = []
+    raw_path = _built(lambda: _path(document.raw_path, "raw_path"), faults)
+    path = _built(lambda: _path(document.path, "path"), faults)
+    trajectory = _built(lambda: _trajectory(document.trajectory), faults)
+    if faults:
+        raise InvalidFile("\n".join(f"{source}: {fault}" for fault in faults))
+    return PlanFile(
+        status=document.status,
+        completed=document.completed,
+        frame=document.frame,
+        raw_path=raw_path,
+        path=path,
+        trajectory=trajectory,
+        certificate=document.certificate,
+        timing_ms={key: value for key, value in document.timing_ms.items() if value is not None},
+        error=None if document.error is None else PlanError(*document.error.model_dump().values()),
+    )
+
+
+def _built(build: Callable[[], T | None], faults: list[str]) -> T | None:
+    """What `build` makes; a fault in the file is noted, so that the next part can be tried."""
+    try:
+        return build()
+    except (InvalidFile, InvalidValue, InvalidPath) as error:
+        faults.append(str(error))
+        return None
+
+
+def _path(columns: PathColumns | None, name: str) -> Path | None:
+    return None if columns is None else path_from_columns(columns, name)
+
+
+def _parsed(source: FilePath) -> _PlanDocument:
+    try:
+        text = source.read_text(encoding="utf-8")
+        return _PlanDocument.model_validate(json.loads(text, parse_constant=_refuse_constant))
+    except OSError as error:
+        raise InvalidFile(f"{source}: cannot be read: {error.strerror or error}") from error
+    except json.JSONDecodeError as error:
+        raise InvalidFile(f"{source}:{error.lineno}: not JSON: {error.msg}") from error
+    except ValidationError as error:
+        raise InvalidFile("\n".join(_fault(source, item) for item in error.errors())) from error
+    except (ValueError, RecursionError) as error:
+        raise InvalidFile(f"{source}: not a plan file: {error}") from error
+
+
+def _refuse_constant(name: str) -> NoReturn:
+    raise ValueError(f"{name} is not JSON; numbers must be finite")
+
+
+def _fault(source: FilePath, item: Mapping[str, object]) -> str:
+    path = item["loc"]
+    place = ".".join(str(part) for part in path) if isinstance(path, tuple) else str(path)
+    got = "" if item["type"] == "missing" else f", got {item['input']!r}"
+    return f"{source}: {place or 'top level'}: {item['msg']}{got if len(got) < 80 else ''}"
+
+
+def _trajectory(document: _TrajectoryDocument | None) -> TrajectoryColumns | None:
+    if document is None:
+        return None
+    values = {key: frozen_array(getattr(document, key), f"trajectory.{key}") for key in TrajectoryColumns._fields}
+    count = values["t"].size
+    for key, column in values.items():
+        if column.size != count:
+            raise InvalidFile(
+                f"trajectory.{key}: must have as many values as trajectory.t = {count}, got {column.size}"
+            )
+    if count < 2 or not np.all(np.diff(values["t"]) > 0.0):
+        raise InvalidFile("trajectory.t: needs at least 2 samples, strictly increasing")
+    return TrajectoryColumns(**values)
