@@ -1,1 +1,18 @@
-"""The independent certificate: proves a path or trajectory, or names what is broken and where."""
+"""The independent certificate: proves a path or trajectory, or names what is broken and where.
+
+Knows nothing of solvers: it reads the finished path and the problem, and nothing else.
+"""
+
+from optdock.verification.certificate import Certificate, TrajectoryCertificate, Violation
+from optdock.verification.certify import certify_path
+from optdock.verification.clearance import pose_clearance
+from optdock.verification.trajectory_rules import certify_trajectory
+
+__all__ = [
+    "Certificate",
+    "TrajectoryCertificate",
+    "Violation",
+    "certify_path",
+    "certify_trajectory",
+    "pose_clearance",
+]

@@ -1,0 +1,139 @@
+"""What a verification says: certified, or every violation with its place and amount."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+__all__ = ["Certificate", "TrajectoryCertificate", "Violation"]
+
+
+@dataclass(frozen=True)
+class Violation:
+    """One broken rule.
+
+    Args:
+        kind: Machine-readable name of the rule: `start`, `goal`, `joint`, `direction`, `slip`, `curvature`,
+            `curvature_rate`, `start_curvature`, `final_straight`, `clearance`, `unproven`; for trajectories the name of
+            the limit, `rest`, `reversal`, `zone`, `coverage` or `start_state`.
+        message: What is wrong, where, by how much.
+        s: Arc length at which it shows [m].
+        amount: How far beyond the rule, in the rule's unit; > 0.
+        where: More data: pose, obstacle.
+    """
+
+    kind: str
+    message: str
+    s: float
+    amount: float
+    where: Mapping[str, object] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class Certificate:
+    """The verdict on a path.
+
+    Args:
+        violations: Every broken rule; empty when certified.
+        min_clearance: Proven: no point of the footprint, anywhere on the path, is closer to an obstacle [m]; inf
+            without obstacles. For a violated path the smallest clearance seen.
+        required_clearance: What was required where `min_clearance` occurs [m].
+        at_s: Where it occurs [m].
+        margin: Proven lower bound of clearance minus required clearance along the whole path [m].
+        nearest: Name of the obstacle there, empty without obstacles.
+        max_curvature: Largest |curvature| [1/m].
+        max_curvature_rate: Largest |d curvature / ds| [1/m^2].
+        length: Arc length of the path [m].
+        poses_checked: How many poses the proof looked at.
+    """
+
+    violations: tuple[Violation, ...]
+    min_clearance: float
+    required_clearance: float
+    at_s: float
+    margin: float
+    nearest: str
+    max_curvature: float
+    max_curvature_rate: float
+    length: float
+    poses_checked: int
+
+    @property
+    def certified(self) -> bool:
+        """Whether every rule was proven."""
+        return not self.violations
+
+    @property
+    def reason(self) -> str:
+        """The first violation's message, or the empty string."""
+        return self.violations[0].message if self.violations else ""
+
+    def as_dict(self) -> dict[str, object]:
+        """Plain values for a plan file; infinities become None."""
+        names = (
+            "min_clearance",
+            "required_clearance",
+            "at_s",
+            "margin",
+            "max_curvature",
+            "max_curvature_rate",
+            "length",
+        )
+        numbers = {name: _plain(getattr(self, name)) for name in names}
+        return {
+            "certified": self.certified,
+            **numbers,
+            "poses_checked": self.poses_checked,
+            "nearest": self.nearest,
+            "violations": _rows(self.violations),
+        }
+
+
+@dataclass(frozen=True)
+class TrajectoryCertificate:
+    """The verdict on a trajectory's motion limits.
+
+    Args:
+        violations: Every broken rule; empty when certified.
+        ratios: Proven upper bound of each quantity over its limit; at most 1 (+ 1e-6) when certified.
+        duration: Total time [s].
+    """
+
+    violations: tuple[Violation, ...]
+    ratios: Mapping[str, float]
+    duration: float
+
+    @property
+    def certified(self) -> bool:
+        """Whether every rule was proven."""
+        return not self.violations
+
+    @property
+    def reason(self) -> str:
+        """The first violation's message, or the empty string."""
+        return self.violations[0].message if self.violations else ""
+
+    def as_dict(self) -> dict[str, object]:
+        """Plain values for a plan file; infinities become None."""
+        ratios = {name: _plain(value) for name, value in self.ratios.items()}
+        return {
+            "certified": self.certified,
+            "duration": self.duration,
+            "ratios": ratios,
+            "violations": _rows(self.violations),
+        }
+
+
+def _plain(value: float) -> float | None:
+    return value if math.isfinite(value) else None
+
+
+def _rows(violations: tuple[Violation, ...]) -> list[dict[str, object]]:
+    return [
+        {"kind": v.kind, "message": v.message, "s": _plain(v.s), "amount": _plain(v.amount), "where": dict(v.where)}
+        for v in violations
+    ]

@@ -1,0 +1,75 @@
+"""`certify_path`: the independent verdict on a path."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from optdock.verification.certificate import Certificate, Violation
+from optdock.verification.clearance import prove_clearance
+from optdock.verification.path_rules import max_curvature, max_curvature_rate, path_violations
+
+if TYPE_CHECKING:
+    from optdock.geometry.arrays import FloatArray
+    from optdock.path import Path
+    from optdock.problem import DockingProblem
+    from optdock.verification.clearance import ClearanceProof
+
+__all__ = ["certify_path"]
+
+
+def certify_path(path: Path, problem: DockingProblem) -> Certificate:
+    """Prove that `path` solves `problem`, or name what is broken and where.
+
+    Proven for every point of the continuous path: footprint clearance (second-order conservative advancement, see
+    `clearance`). Checked exactly: start and goal pose (1e-6 m, rad), joints, gears, curvature, curvature rate, start
+    curvature, final straight. A polyline is judged as linear motion between its poses, with the curvature of the arcs
+    through them.
+
+    It does NOT look at time: see `certify_trajectory`.
+
+    Args:
+        path: The path to judge, from any source.
+        problem: What must hold.
+
+    Returns:
+        The certificate; `certified` is True only if everything was proven.
+    """
+    proof = prove_clearance(path, problem)
+    violations = (*path_violations(path, problem), *_clearance_violations(proof, problem, path))
+    return Certificate(
+        violations=violations,
+        min_clearance=proof.proven,
+        required_clearance=proof.required,
+        at_s=proof.at_s,
+        margin=proof.margin,
+        nearest=problem.all_obstacles.name_of(proof.row) if proof.row >= 0 else "",
+        max_curvature=max_curvature(path),
+        max_curvature_rate=max_curvature_rate(path),
+        length=path.length,
+        poses_checked=proof.poses,
+    )
+
+
+def _clearance_violations(proof: ClearanceProof, problem: DockingProblem, path: Path) -> tuple[Violation, ...]:
+    """The worst violating pose, and the worst cell given up."""
+    found = []
+    if len(proof.violations):
+        found.append(
+            _too_close(proof.violations[(proof.violations[:, 1] - proof.violations[:, 2]).argmin()], problem, path)
+        )
+    elif len(proof.unproven):
+        s, short = proof.unproven[proof.unproven[:, 1].argmin()]
+        message = f"clearance near s = {s:.4f} m cannot be proven; the bound is {-short:.3g} m short"
+        found.append(Violation("unproven", message, float(s), float(-short)))
+    return tuple(found)
+
+
+def _too_close(row: FloatArray, problem: DockingProblem, path: Path) -> Violation:
+    s, clearance, required = (float(value) for value in row[:3])
+    obstacle = problem.all_obstacles.name_of(int(row[3]))
+    what = "overlaps" if clearance < 0.0 else "comes too close to"
+    message = (
+        f"the footprint {what} {obstacle} at s = {s:.3f} m: clearance {clearance:.4f} m, required {required:.4f} m"
+    )
+    where = {"pose": path.poses_at(s)[0].tolist(), "obstacle": obstacle, "clearance": clearance, "required": required}
+    return Violation("clearance", message, s, required - clearance, where)

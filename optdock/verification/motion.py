@@ -1,0 +1,155 @@
+"""A path as cells of smooth motion, with bounds on how far any footprint point strays within a cell.
+
+Within a cell the body moves as `pose(u)`, u from u0 to u1. A body point b has the world position p(u) + R(yaw(u)) b, so
+
+    velocity      p' + yaw' R90 R b
+    acceleration  at most |p''| + |b| (|yaw''| + yaw'^2)
+
+and both bounds are exact in the limit of small cells. For a clothoid u is arc length: |p'| = 1, |p''| = |curvature|,
+yaw' = curvature, yaw'' = curvature rate. For a polyline u counts poses: p'' = yaw'' = 0.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+from optdock.path import ClothoidSegment, PolylineSegment
+
+if TYPE_CHECKING:
+    from optdock.geometry.arrays import FloatArray, IntArray
+    from optdock.path import Path, Segment
+
+__all__ = ["CellMotion", "Cells", "Nodes", "PathMotion"]
+
+
+class Cells(NamedTuple):
+    """Stretches of motion: segment index, parameter at the start and at the end, each Shape (n,)."""
+
+    segment: IntArray
+    first: FloatArray
+    last: FloatArray
+
+    def halves(self) -> Cells:
+        """Every cell cut in two."""
+        middle = 0.5 * (self.first + self.last)
+        return Cells(
+            np.concatenate((self.segment, self.segment)),
+            np.concatenate((self.first, middle)),
+            np.concatenate((middle, self.last)),
+        )
+
+    def rows(self, keep: FloatArray | IntArray) -> Cells:
+        """The cells at `keep`."""
+        return Cells(self.segment[keep], self.first[keep], self.last[keep])
+
+
+class Nodes(NamedTuple):
+    """Poses of motion: Shape (n, 3), and their arc length on the whole path, Shape (n,) [m]."""
+
+    poses: FloatArray
+    s: FloatArray
+
+
+class CellMotion(NamedTuple):
+    """Bounds of the motion within each cell, Shape (n,) unless said.
+
+    `velocity_first`, `velocity_last`: d(x, y, yaw)/du at the two ends, Shape (n, 3). `width`: u1 - u0. `speed`: bound
+    of |p'|. `turn`: bound of |yaw'|. `bend`: bound of |p''|. `twist`: bound of |yaw''| + yaw'^2.
+    """
+
+    velocity_first: FloatArray
+    velocity_last: FloatArray
+    width: FloatArray
+    speed: FloatArray
+    turn: FloatArray
+    bend: FloatArray
+    twist: FloatArray
+
+
+@dataclass(frozen=True, eq=False)
+class PathMotion:
+    """The motion of a whole path."""
+
+    path: Path
+
+    def cells(self, max_step: float) -> Cells:
+        """Cells at most `max_step` [m] long that cover the path; none contains a knot in its interior."""
+        parts = [_segment_breaks(segment, max_step) for segment in self.path.segments]
+        owner = np.concatenate([np.full(part.size - 1, i) for i, part in enumerate(parts)])
+        return Cells(owner, np.concatenate([part[:-1] for part in parts]), np.concatenate([part[1:] for part in parts]))
+
+    def nodes(self, segment: IntArray, u: FloatArray) -> Nodes:
+        """Poses at parameters `u` of segments `segment`, Shape (n,) each."""
+        poses, s = np.empty((u.size, 3)), np.empty(u.size)
+        for i, one in enumerate(self.path.segments):
+            mine = segment == i if len(self.path.segments) > 1 else np.ones(u.size, dtype=bool)
+            poses[mine], local = _segment_poses(one, u[mine])
+            s[mine] = local + self.path.segment_starts[i]
+        return Nodes(poses, s)
+
+    def bounds(self, cells: Cells, first: Nodes, last: Nodes) -> CellMotion:
+        """Bounds of the motion in `cells`, whose end nodes are `first` and `last`."""
+        n = cells.first.size
+        columns = [np.empty((n, 3)), np.empty((n, 3)), *(np.empty(n) for _ in range(5))]
+        for i, one in enumerate(self.path.segments):
+            mine = np.flatnonzero(cells.segment == i)
+            part = _segment_bounds(one, cells.rows(mine), first.poses[mine], last.poses[mine])
+            for column, value in zip(columns, part, strict=True):
+                column[mine] = value
+        return CellMotion(*columns)
+
+
+def _segment_breaks(segment: Segment, max_step: float) -> FloatArray:
+    if isinstance(segment, PolylineSegment):
+        return np.arange(segment.knots.size, dtype=np.float64)
+    knots = segment.knots
+    steps = np.diff(knots)
+    parts = np.maximum(1, np.ceil(steps / max_step)).astype(np.int64)
+    owner = np.repeat(np.arange(steps.size), parts)
+    rank = np.arange(parts.sum()) - np.repeat(np.cumsum(parts) - parts, parts)
+    return np.append(knots[owner] + steps[owner] * rank / parts[owner], knots[-1])
+
+
+def _segment_poses(segment: Segment, u: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Poses and local arc lengths."""
+    if isinstance(segment, PolylineSegment):
+        index = np.arange(segment.knots.size, dtype=np.float64)
+        columns = [np.interp(u, index, segment.poses[:, i]) for i in range(3)]
+        return np.column_stack(columns), np.interp(u, index, segment.knots)
+    return segment.poses_at(u), u
+
+
+def _segment_bounds(segment: Segment, cells: Cells, first: FloatArray, last: FloatArray) -> CellMotion:
+    if isinstance(segment, PolylineSegment):
+        return _polyline_bounds(segment, cells)
+    if isinstance(segment, ClothoidSegment):
+        return _clothoid_bounds(segment, cells, first, last)
+    raise TypeError(f"cannot verify a segment of type {type(segment).__name__}")
+
+
+def _polyline_bounds(segment: PolylineSegment, cells: Cells) -> CellMotion:
+    step = np.diff(segment.poses, axis=0)[np.floor(cells.first + 1e-9).astype(np.int64)]
+    speed, turn = np.hypot(step[:, 0], step[:, 1]), np.abs(step[:, 2])
+    return CellMotion(step, step, cells.last - cells.first, speed, turn, np.zeros(len(step)), turn**2)
+
+
+def _clothoid_bounds(segment: ClothoidSegment, cells: Cells, first: FloatArray, last: FloatArray) -> CellMotion:
+    width = cells.last - cells.first
+    piece = np.searchsorted(segment.knots, 0.5 * (cells.first + cells.last)) - 1
+    rate = (np.diff(segment.spline.curvature) / np.diff(segment.knots))[piece]
+    at_first = segment.spline.curvature[piece] + rate * (cells.first - segment.knots[piece])
+    at_last = at_first + rate * width
+    turn = np.maximum(np.abs(at_first), np.abs(at_last))
+    sign = float(segment.direction)
+    return CellMotion(
+        np.column_stack((sign * np.cos(first[:, 2]), sign * np.sin(first[:, 2]), at_first)),
+        np.column_stack((sign * np.cos(last[:, 2]), sign * np.sin(last[:, 2]), at_last)),
+        width,
+        np.ones(width.size),
+        turn,
+        turn,
+        np.abs(rate) + turn**2,
+    )

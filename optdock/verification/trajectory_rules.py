@@ -1,0 +1,164 @@
+"""`certify_trajectory`: the independent verdict on a motion's limits."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from optdock.path import Direction
+from optdock.verification.certificate import TrajectoryCertificate, Violation
+from optdock.verification.trajectory_cells import RTOL, curved_limits, times_at
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from optdock.geometry.arrays import FloatArray
+    from optdock.limits import MotionLimits, SpeedZone
+    from optdock.trajectory import TimeLaw, Trajectory
+
+__all__ = ["certify_trajectory"]
+
+REST_TOLERANCE = 1e-6  # [m], [m/s], [m/s^2] at cusps and at the end
+
+
+def certify_trajectory(
+    trajectory: Trajectory,
+    limits: MotionLimits,
+    zone: SpeedZone,
+    *,
+    start_speed: float | None = None,
+    start_acceleration: float | None = None,
+) -> TrajectoryCertificate:
+    """Prove that a trajectory keeps every motion limit, or name what is broken, when and by how much.
+
+    It does NOT look at clearance or at the path's own curvature bounds: see `certify_path`.
+
+    Args:
+        trajectory: The motion to judge.
+        limits: What the drive can do.
+        zone: Slow stretch at the end of the path.
+        start_speed: Speed along the travel that the motion must begin with [m/s]; None: not checked.
+        start_acceleration: Likewise [m/s^2].
+
+    Returns:
+        The certificate; `certified` is True only if everything was proven.
+    """
+    law = trajectory.time_law
+    structure = (*_coverage(trajectory), *_rest(trajectory), *_start(law, start_speed, start_acceleration))
+    if any(v.kind == "coverage" for v in structure):
+        return TrajectoryCertificate(structure, {}, law.duration)
+    bounded = [*_speed(trajectory, limits, zone), *_rates(law, limits)]
+    ratios, curved = curved_limits(trajectory, limits)
+    plain = {violation.kind: violation for violation in bounded}
+    ratios = {**_plain_ratios(trajectory, limits, zone), **ratios}
+    return TrajectoryCertificate((*structure, *plain.values(), *curved), ratios, law.duration)
+
+
+def _coverage(trajectory: Trajectory) -> Iterator[Violation]:
+    law, length = trajectory.time_law, trajectory.path.length
+    for name, found, wanted in (("begins", law.states[0, 0], 0.0), ("ends", law.states[-1, 0], length)):
+        if not abs(found - wanted) <= REST_TOLERANCE:
+            message = f"the motion {name} at s = {found:.6g} m, not at {wanted:.6g} m"
+            yield Violation("coverage", message, float(found), float(abs(found - wanted)))
+    slowest, at = _lowest_speed(law)
+    if slowest < -REST_TOLERANCE:
+        yield Violation("coverage", f"the motion runs backwards at {-slowest:.3g} m/s, t = {at:.3f} s", 0.0, -slowest)
+
+
+def _speed_candidates(law: TimeLaw) -> tuple[FloatArray, FloatArray]:
+    """Times and speeds among which every phase's extreme speeds are: borders and interior stationary points."""
+    _, v, a = law.states[:-1].T
+    with np.errstate(divide="ignore", invalid="ignore"):
+        dt = np.where(law.jerks != 0.0, -a / law.jerks, 0.0)
+    dt = np.clip(dt, 0.0, law.durations)
+    peak = v + dt * (a + dt * law.jerks / 2.0)
+    return np.concatenate((law.times, law.times[:-1] + dt)), np.concatenate((law.states[:, 1], peak))
+
+
+def _lowest_speed(law: TimeLaw) -> tuple[float, float]:
+    times, speeds = _speed_candidates(law)
+    k = int(np.argmin(speeds))
+    return float(speeds[k]), float(times[k])
+
+
+def _rest(trajectory: Trajectory) -> Iterator[Violation]:
+    law = trajectory.time_law
+    for name, s in (*(("cusp", s) for s in trajectory.path.cusps), ("end", trajectory.path.length)):
+        k = int(np.argmin(np.abs(law.states[:, 0] - s)))
+        miss = float(np.max(np.abs(law.states[k] - [s, 0.0, 0.0])))
+        if not miss <= REST_TOLERANCE:
+            at, v, a = law.states[k]
+            message = (
+                f"no rest at the {name} s = {s:.4f} m: nearest phase border s = {at:.4f} m, v = {v:.3g}, a = {a:.3g}"
+            )
+            yield Violation("rest", message, s, miss)
+
+
+def _start(law: TimeLaw, speed: float | None, acceleration: float | None) -> Iterator[Violation]:
+    for name, found, wanted in (
+        ("speed", float(law.states[0, 1]), speed),
+        ("acceleration", float(law.states[0, 2]), acceleration),
+    ):
+        if wanted is not None and not abs(found - wanted) <= REST_TOLERANCE:
+            message = f"the motion begins with {name} {found:.4g}, the robot has {wanted:.4g}"
+            yield Violation("start_state", message, 0.0, abs(found - wanted))
+
+
+def _segment_limits(trajectory: Trajectory, limits: MotionLimits, zone: SpeedZone) -> FloatArray:
+    """Stretches with one speed limit: begin, end, limit. Shape (n, 3) [m, m, m/s]."""
+    path = trajectory.path
+    top = {Direction.FORWARD: limits.max_speed, Direction.REVERSE: limits.max_reverse_speed}
+    rows = [
+        (a, b, top[segment.direction])
+        for segment, a, b in zip(path.segments, path.segment_starts[:-1], path.segment_starts[1:], strict=True)
+    ]
+    if zone.distance > 0.0:
+        rows.append((max(0.0, path.length - zone.distance), path.length, zone.speed))
+    return np.array(rows)
+
+
+def _stretch_peaks(
+    trajectory: Trajectory, limits: MotionLimits, zone: SpeedZone
+) -> Iterator[tuple[float, float, float]]:
+    """Largest speed within each stretch: (limit, speed, time)."""
+    law = trajectory.time_law
+    times, speeds = _speed_candidates(law)
+    s = law.at(times)[:, 0]
+    for begin, end, limit in _segment_limits(trajectory, limits, zone):
+        entry = times_at(law, np.array([begin, end]))
+        inside = (s >= begin) & (s <= end)
+        t = np.concatenate((times[inside], entry))
+        v = np.concatenate((speeds[inside], law.at(entry)[:, 1]))
+        k = int(np.argmax(v))
+        yield float(limit), float(v[k]), float(t[k])
+
+
+def _speed(trajectory: Trajectory, limits: MotionLimits, zone: SpeedZone) -> Iterator[Violation]:
+    for limit, speed, t in _stretch_peaks(trajectory, limits, zone):
+        if not speed <= limit * (1.0 + RTOL):
+            s = float(trajectory.time_law.at(t)[0, 0])
+            message = f"speed {speed:.4g} m/s at t = {t:.3f} s, s = {s:.3f} m exceeds {limit:.4g} m/s"
+            yield Violation("speed", message, s, speed - limit)
+
+
+def _rates(law: TimeLaw, limits: MotionLimits) -> Iterator[Violation]:
+    for kind, value, limit, row in (
+        ("acceleration", law.states[:, 2], limits.max_acceleration, law.states[:, 0]),
+        ("deceleration", -law.states[:, 2], limits.max_deceleration, law.states[:, 0]),
+        ("jerk", np.abs(law.jerks), limits.max_jerk, law.states[:-1, 0]),
+    ):
+        k = int(np.argmax(value))
+        if not value[k] <= limit * (1.0 + RTOL):
+            message = f"{kind} {value[k]:.4g} at t = {law.times[k]:.3f} s, s = {row[k]:.3f} m exceeds {limit:.4g}"
+            yield Violation(kind, message, float(row[k]), float(value[k] - limit))
+
+
+def _plain_ratios(trajectory: Trajectory, limits: MotionLimits, zone: SpeedZone) -> dict[str, float]:
+    law = trajectory.time_law
+    return {
+        "speed": max(speed / limit for limit, speed, _ in _stretch_peaks(trajectory, limits, zone)),
+        "acceleration": float(np.max(law.states[:, 2])) / limits.max_acceleration,
+        "deceleration": float(np.max(-law.states[:, 2])) / limits.max_deceleration,
+        "jerk": float(np.max(np.abs(law.jerks))) / limits.max_jerk,
+    }
