@@ -139,7 +139,8 @@ class Costmap:
             Shape (n, 2), column i and row j.
         """
         scaled = np.floor((np.asarray(points, dtype=np.float64) - np.array(self.origin)) / self.resolution)
-        return np.clip(np.nan_to_num(scaled, nan=-_FAR), -_FAR, _FAR).astype(np.int64)
+        cells: IntArray = np.clip(np.nan_to_num(scaled, nan=-_FAR), -_FAR, _FAR).astype(np.int64)
+        return cells
 
     def centre_of(self, cells: ArrayLike) -> FloatArray:
         """Centres of cells (i, j), Shape (n, 2), on the map or off it. Shape (n, 2) [m]."""

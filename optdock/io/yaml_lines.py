@@ -1,0 +1,174 @@
+"""YAML with line numbers, so that a message can name the line that a value came from."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, TypeAlias
+
+import yaml
+
+from optdock.errors import InvalidFile
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Mapping
+
+__all__ = ["Document", "Keys", "load_yaml"]
+
+Keys: TypeAlias = "tuple[str | int, ...]"
+
+_MAX_DEPTH = 100
+_MAX_REPEATS = 100_000  # aliases can make a small file expand without end
+
+
+class _Loader(getattr(yaml, "CSafeLoader", yaml.SafeLoader)):  # type: ignore[misc] # the C loader is optional
+    """PyYAML's safe loader that reads 1e-3 and 1.5e3 as numbers, as YAML 1.2 and Nav2's parser do."""
+
+
+_Loader.add_implicit_resolver(
+    "tag:yaml.org,2002:float",
+    re.compile(r"^[-+]?(?:[0-9][0-9_]*\.?[0-9_]*|\.[0-9][0-9_]*)[eE][-+]?[0-9]+$"),
+    list("-+0123456789."),
+)
+
+
+@dataclass(frozen=True, eq=False)
+class Document:
+    """A YAML file: its value and where everything in it stands.
+
+    Args:
+        path: The file, as the caller named it.
+        value: Mappings, lists, strings, numbers, booleans, None.
+        lines: Line of every key and list entry, counted from 1.
+    """
+
+    path: Path
+    value: object
+    lines: Mapping[Keys, int] = field(repr=False)
+
+    def line_of(self, keys: Keys) -> int:
+        """Line of `("robot", "limits", "max_speed")`, or of the nearest enclosing entry that exists; the file is 1.
+
+        >>> Document(Path("a.yaml"), {"a": {}}, {("a",): 3}).line_of(("a", "missing"))
+        3
+        """
+        return next((self.lines[keys[:n]] for n in range(len(keys), 0, -1) if keys[:n] in self.lines), 1)
+
+    def fault(self, keys: Keys, message: str) -> str:
+        """One line of an error message: `file:line: dotted.key: message`.
+
+        >>> Document(Path("a.yaml"), {"v": -1}, {("v",): 7}).fault(("v",), "must be > 0, got -1")
+        'a.yaml:7: v: must be > 0, got -1'
+        """
+        name = ".".join(str(key) for key in keys)
+        return f"{self.path}:{self.line_of(keys)}: {name}: {message}" if name else f"{self.path}: {message}"
+
+
+def load_yaml(path: str | Path) -> Document:
+    """Read one YAML document.
+
+    Raises:
+        InvalidFile: Unreadable, not UTF-8, not YAML, empty, more than one document, repeated keys, keys that are
+            neither text nor whole numbers, or entries that contain themselves; every repeated key is listed.
+    """
+    path = Path(path)
+    loader = _open(path)
+    try:
+        root = loader.get_single_node()
+        if root is None:
+            raise InvalidFile(f"{path}: is empty")
+        survey = _Survey(path, loader)
+        survey.visit(root, ())
+        if survey.faults:
+            raise InvalidFile("\n".join(survey.faults))
+        return Document(path, loader.construct_document(root), survey.lines)
+    except yaml.YAMLError as error:
+        raise InvalidFile(_yaml_fault(path, error)) from error
+    except RecursionError as error:
+        raise InvalidFile(f"{path}: is nested too deeply") from error
+    except ValueError as error:  # a key such as 0x_
+        raise InvalidFile(f"{path}: holds a key that cannot be read: {error}") from error
+    finally:
+        loader.dispose()
+
+
+def _open(path: Path) -> _Loader:
+    try:
+        text = path.read_bytes().decode("utf-8-sig")
+    except OSError as error:
+        raise InvalidFile(f"{path}: cannot be read: {error.strerror or error}") from error
+    except ValueError as error:  # not UTF-8, or a path with a zero byte
+        raise InvalidFile(f"{path}: cannot be read as UTF-8 text: {error}") from error
+    try:
+        return _Loader(text)
+    except yaml.YAMLError as error:  # control characters
+        raise InvalidFile(_yaml_fault(path, error)) from error
+
+
+def _yaml_fault(path: Path, error: yaml.YAMLError) -> str:
+    mark = getattr(error, "problem_mark", None)
+    where = f"{path}:{mark.line + 1}" if mark is not None else str(path)
+    reason = getattr(error, "problem", None) or getattr(error, "reason", None) or str(error)
+    return f"{where}: is not valid YAML: {reason}"
+
+
+class _Survey:
+    """Walks the nodes: notes lines, finds repeated keys, refuses what cannot be a plain value."""
+
+    def __init__(self, path: Path, loader: _Loader) -> None:
+        self.path = path
+        self.loader = loader
+        self.lines: dict[Keys, int] = {}
+        self.faults: list[str] = []
+        self._seen: set[int] = set()
+        self._repeats = 0
+
+    def visit(self, node: yaml.Node, keys: Keys) -> None:
+        is_first_visit = id(node) not in self._seen
+        self._seen.add(id(node))
+        self._repeats += not is_first_visit
+        if len(keys) > _MAX_DEPTH or self._repeats > _MAX_REPEATS:
+            raise InvalidFile(
+                f"{self._place(node)}: is nested too deeply, contains itself, or repeats too many aliases"
+            )
+        for key, marked, entry in self._entries(node, is_first_visit=is_first_visit):
+            self.lines[keys + (key,)] = marked.start_mark.line + 1  # noqa: RUF005 - Python 3.10 cannot star an index
+            self.visit(entry, keys + (key,))  # noqa: RUF005 - as above
+
+    def _place(self, node: yaml.Node) -> str:
+        return f"{self.path}:{node.start_mark.line + 1}"
+
+    def _entries(self, node: yaml.Node, *, is_first_visit: bool) -> Iterator[tuple[str | int, yaml.Node, yaml.Node]]:
+        if isinstance(node, yaml.SequenceNode):
+            yield from ((i, entry, entry) for i, entry in enumerate(node.value))
+        elif isinstance(node, yaml.MappingNode):
+            if is_first_visit:
+                self._check_keys(node)
+                self.loader.flatten_mapping(node)  # replaces `<<` by what it merges
+            yield from ((self._key_of(key), key, value) for key, value in node.value)
+        elif is_first_visit:
+            self._check_scalar(node)
+
+    def _check_scalar(self, node: yaml.Node) -> None:
+        try:
+            self.loader.construct_object(node)
+        except (ValueError, OverflowError) as error:  # such as the date 2026-13-45
+            self.faults.append(f"{self._place(node)}: {node.value!r} cannot be read: {error}")
+
+    def _key_of(self, node: yaml.Node) -> str | int:
+        key = self.loader.construct_object(node) if isinstance(node, yaml.ScalarNode) else None
+        if isinstance(key, (str, int)) and not isinstance(key, bool):
+            return key
+        text = repr(node.value) if isinstance(node, yaml.ScalarNode) else f"a {node.id}"
+        raise InvalidFile(f"{self._place(node)}: a key must be text or a whole number, got {text}")
+
+    def _check_keys(self, node: yaml.MappingNode) -> None:
+        first: dict[str | int, int] = {}
+        for key_node, _ in node.value:
+            if key_node.tag == "tag:yaml.org,2002:merge":
+                continue
+            key = self._key_of(key_node)
+            if key in first:
+                self.faults.append(f"{self._place(key_node)}: {key}: stands here again; first in line {first[key]}")
+            first.setdefault(key, key_node.start_mark.line + 1)
