@@ -1,0 +1,100 @@
+"""The dense check that decides: every limit along a motion, whatever proposed it."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from optdock.geometry.arrays import FloatArray
+    from optdock.timing.course import Course
+    from optdock.timing.motion import Motion
+
+__all__ = ["PERIOD", "Worst", "limiting_name", "motion_ratios", "worst_ratio"]
+
+PERIOD = 0.008  # [s]
+
+
+class Worst(NamedTuple):
+    """The largest quotient of a quantity and its limit, and the distance where it occurs [m]."""
+
+    ratio: float
+    s: float
+
+
+class Ratios(NamedTuple):
+    """Quotients of quantities and limits at distances `s`, Shape (n,) each; squared quantities as their root."""
+
+    s: FloatArray
+    speed: FloatArray
+    yaw: FloatArray
+    drive: FloatArray
+
+    @property
+    def largest(self) -> FloatArray:
+        """Shape (n,)."""
+        return np.maximum(np.maximum(self.speed, self.yaw), self.drive)
+
+
+def motion_ratios(course: Course, motion: Motion, period: float = PERIOD) -> Ratios:
+    """All limits at time samples, at phase borders, and at every node of the course with the rates on both its sides.
+
+    Between nodes curvature and its rate are linear and the motion is smooth, so the maxima sit at the nodes up to the
+    time sampling; time samples alone would miss narrow features. Jerk is the caller's: it is the phases themselves.
+    """
+    t = np.union1d(motion.times, np.arange(0.0, motion.duration, period))
+    s, v, a = motion.at(t)
+    inner = course.s[1:-1]
+    first, last = np.searchsorted(inner, (motion.states[0, 0], motion.states[0, -1]))
+    nodes = inner[first:last]
+    _s, node_v, node_a = motion.at(motion.crossing_times(nodes)) if nodes.size else np.zeros((3, 0))
+    points = course.points_at(np.clip(s, 0.0, course.length))
+    speed = np.concatenate((v * points.slowness, node_v * _node_slowness(course, first, last)))
+    yaw = _yaw_ratio(course, points.curvature, points.rate, v, a)
+    curvature = course.curvature[1:-1][first:last]
+    left = _yaw_ratio(course, curvature, course.rate_right[:-1][first:last], node_v, node_a)
+    right = _yaw_ratio(course, curvature, course.rate_left[1:][first:last], node_v, node_a)
+    drive = np.concatenate((_drive_ratio(course, a), _drive_ratio(course, node_a)))
+    return Ratios(np.concatenate((s, nodes)), speed, np.concatenate((yaw, np.maximum(left, right))), drive)
+
+
+def _node_slowness(course: Course, first: int, last: int) -> FloatArray:
+    slowness = course.slowness[1:-1][first:last]
+    if not course.has_zone:
+        return slowness
+    slow = course.s[1:-1][first:last] >= course.zone_start
+    return np.where(slow, np.maximum(slowness, 1.0 / course.zone_speed), slowness)
+
+
+def _yaw_ratio(course: Course, curvature: FloatArray, rate: FloatArray, v: FloatArray, a: FloatArray) -> FloatArray:
+    """|a k + v^2 k'| over its limit."""
+    ratio: FloatArray = np.abs(a * curvature + v * v * rate) * (1.0 / course.limits.max_yaw_acceleration)
+    return ratio
+
+
+def _drive_ratio(course: Course, a: FloatArray) -> FloatArray:
+    return np.maximum(a * (1.0 / course.limits.max_acceleration), a * (-1.0 / course.limits.max_deceleration))
+
+
+def worst_ratio(course: Course, motion: Motion, period: float = PERIOD) -> Worst:
+    """The worst of all limits along a motion, jerk included."""
+    ratios = motion_ratios(course, motion, period)
+    largest = ratios.largest
+    worst = int(np.argmax(largest))
+    jerk = float(np.max(np.abs(motion.jerks), initial=0.0)) / course.limits.max_jerk
+    if jerk > largest[worst] * (1.0 + 1e-9):
+        return Worst(jerk, float(motion.states[0, int(np.argmax(np.abs(motion.jerks)))]))
+    return Worst(float(largest[worst]), float(ratios.s[worst]))
+
+
+def limiting_name(course: Course, motion: Motion) -> str:
+    """Which limit comes closest to being broken: speed caps, yaw acceleration, acceleration or jerk."""
+    ratios = motion_ratios(course, motion)
+    peaks = {
+        "speed": float(ratios.speed.max()),
+        "yaw acceleration": float(ratios.yaw.max()),
+        "acceleration": float(ratios.drive.max()),
+        "jerk": float(np.max(np.abs(motion.jerks), initial=0.0)) / course.limits.max_jerk,
+    }
+    return max(peaks, key=lambda name: peaks[name])

@@ -1,0 +1,99 @@
+"""Motions: phases of constant jerk, light enough for inner loops."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, NamedTuple, TypeAlias
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable
+
+    from optdock.geometry.arrays import FloatArray
+
+__all__ = ["Motion", "Phases", "State", "braking_slack", "state_after"]
+
+Phases: TypeAlias = "tuple[tuple[float, float], ...]"
+"""Duration [s] and jerk [m/s^3] of every phase, in order."""
+
+
+class State(NamedTuple):
+    """Distance [m], speed [m/s], acceleration [m/s^2] along the travel."""
+
+    s: float = 0.0
+    v: float = 0.0
+    a: float = 0.0
+
+
+def state_after(state: State, duration: float, jerk: float) -> State:
+    """The state after one phase."""
+    s, v, a = state
+    return State(
+        s + duration * (v + duration * (a / 2.0 + duration * jerk / 6.0)),
+        v + duration * (a + duration * jerk / 2.0),
+        a + duration * jerk,
+    )
+
+
+def braking_slack(state: State, jerk: float) -> float:
+    """Speed left when the acceleration has been led back to 0 from below; < 0: it will roll backwards [m/s]."""
+    return state.v - 0.5 * state.a * state.a / jerk if state.a < 0.0 else state.v
+
+
+class Motion(NamedTuple):
+    """A start state and phases, with the states at all phase borders.
+
+    Attributes:
+        durations: Shape (n,) [s].
+        jerks: Shape (n,) [m/s^3].
+        times: Borders, Shape (n + 1,) [s].
+        states: Distance, speed, acceleration at the borders, Shape (3, n + 1).
+    """
+
+    durations: FloatArray
+    jerks: FloatArray
+    times: FloatArray
+    states: FloatArray
+
+    @classmethod
+    def of(cls, start: State, phases: Iterable[tuple[float, float]]) -> Motion:
+        """From a start state and phases; phases of no duration are left out."""
+        table = np.array([phase for phase in phases if phase[0] > 0.0], dtype=np.float64).reshape(-1, 2)
+        durations, jerks = table[:, 0], table[:, 1]
+        times = np.concatenate(([0.0], np.cumsum(durations)))
+        a = start.a + np.concatenate(([0.0], np.cumsum(jerks * durations)))
+        v = start.v + np.concatenate(([0.0], np.cumsum(durations * (a[:-1] + jerks * durations / 2.0))))
+        gain = durations * (v[:-1] + durations * (a[:-1] / 2.0 + jerks * durations / 6.0))
+        s = start.s + np.concatenate(([0.0], np.cumsum(gain)))
+        return cls(durations, jerks, times, np.stack((s, v, a)))
+
+    @property
+    def duration(self) -> float:
+        """Total time [s]."""
+        return float(self.times[-1])
+
+    @property
+    def end(self) -> State:
+        """The state at the end."""
+        return State(*(float(value) for value in self.states[:, -1]))
+
+    def at(self, t: FloatArray) -> FloatArray:
+        """Distance, speed, acceleration at times `t`, Shape (n,) [s], in [0, duration]. Shape (3, n)."""
+        phase = np.minimum(np.searchsorted(self.times, t, side="right") - 1, self.durations.size - 1)
+        dt, jerk = t - self.times[phase], self.jerks[phase]
+        s, v, a = self.states[:, phase]
+        half = 0.5 * dt * jerk
+        return np.stack((s + dt * (v + dt * (0.5 * a + half / 3.0)), v + dt * (a + half), a + dt * jerk))
+
+    def crossing_times(self, s: FloatArray) -> FloatArray:
+        """When each distance `s`, Shape (n,) [m], is reached first; speeds must not be negative. Shape (n,) [s].
+
+        Linear interpolation on a 10 ms grid, then two Newton steps.
+        """
+        grid = np.union1d(self.times, np.arange(0.0, self.duration, 0.01))
+        t = np.interp(s, np.maximum.accumulate(self.at(grid)[0]), grid)
+        for _ in range(2):
+            distance, speed, _a = self.at(t)
+            step = (distance - s) / np.maximum(speed, 1e-3)
+            t = np.clip(t - np.clip(step, -0.01, 0.01), 0.0, self.duration)
+        return t

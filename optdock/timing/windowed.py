@@ -1,0 +1,183 @@
+"""The windowed method: constant limits in windows of little variation, one ruckig motion per window.
+
+Simple and never in violation: within a window every limit is taken at its worst, at every window border the
+acceleration is zero, and the border speeds are those that the windows on both sides can reach.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+from pydantic import Field
+
+from optdock.interfaces import TimeParameterizer, TimingStatus
+from optdock.parameters import PluginParameters
+from optdock.timing.gears import time_path
+from optdock.timing.motion import Phases, State, state_after
+from optdock.timing.moves import Box, move
+from optdock.timing.start import GearPlan, checked_plan
+
+if TYPE_CHECKING:
+    from optdock.geometry.arrays import FloatArray
+    from optdock.interfaces import TimingResult
+    from optdock.limits import MotionLimits, SpeedZone
+    from optdock.path import Path
+    from optdock.timing.course import Course
+
+__all__ = ["Windowed", "plan_windows"]
+
+_MARGIN = 1e-3  # of the speed caps: curvature between the nodes of a curve that is no clothoid
+_REACH_STEPS = 50  # bisections for a reachable speed
+
+
+class WindowedParameters(PluginParameters):
+    """Parameters of `Windowed`."""
+
+    max_window: float = Field(default=0.5, gt=0.0, description="longest window [m]")
+    cap_ratio: float = Field(default=1.1, gt=1.0, description="largest quotient of two speed caps in a window")
+    yaw_share: float = Field(
+        default=0.7, gt=0.0, lt=1.0, description="share of the yaw acceleration for speed^2 * rate"
+    )
+
+
+class Window(NamedTuple):
+    """A stretch [m] and the constant limits that keep all others within it."""
+
+    left: float
+    right: float
+    box: Box
+
+
+class Windowed(TimeParameterizer):
+    """Time laws from constant limits in windows: robust, and 5 % (easy paths) to 25 % slower than need be."""
+
+    Parameters = WindowedParameters
+    parameters: WindowedParameters
+
+    def parameterize(
+        self,
+        path: Path,
+        limits: MotionLimits,
+        zone: SpeedZone,
+        *,
+        start_speed: float = 0.0,
+        start_acceleration: float = 0.0,
+    ) -> TimingResult:
+        """See `TimeParameterizer.parameterize`.
+
+        Raises:
+            InvalidValue: The start state is not finite.
+            PluginError: The package ruckig is not installed.
+        """
+        return time_path(path, limits, zone, (start_speed, start_acceleration), self._plan)
+
+    def _plan(self, course: Course, start: State) -> GearPlan:
+        return plan_windows(course, start, self.parameters)
+
+
+_DEFAULTS = WindowedParameters()
+
+
+def plan_windows(course: Course, start: State, parameters: WindowedParameters = _DEFAULTS) -> GearPlan:
+    """Windows over one gear; FAIL where they cannot be reached from the start state with the acceleration led to 0."""
+    jerk = course.limits.max_jerk
+    head: Phases = ((abs(start.a) / jerk, -math.copysign(jerk, start.a)),) if start.a else ()
+    level = state_after(start, *head[0]) if head else start
+    if level.s >= course.length:
+        return GearPlan(TimingStatus.FAIL, how="windowed", reason="no room to end the start acceleration")
+    windows = _windows(course.after(level.s), parameters)
+    speeds = _border_speeds(windows, level.v)
+    if speeds[0] < level.v:
+        reason = f"the windows allow {speeds[0]:.6g} m/s at the start, not {level.v:.6g} m/s"
+        return GearPlan(TimingStatus.FAIL, how="windowed", reason=reason)
+    phases = head + _driven(windows, speeds)
+    return checked_plan(course, start, phases, "windowed")
+
+
+def _driven(windows: list[Window], speeds: list[float]) -> Phases:
+    """The motions of all windows; they end early at one that cannot be driven."""
+    phases: list[tuple[float, float]] = []
+    for window, v0, v1 in zip(windows, speeds[:-1], speeds[1:], strict=True):
+        found = move(State(0.0, v0), State(window.right - window.left, v1), window.box)
+        if found is None:
+            break
+        phases.extend(found)
+    return tuple(phases)
+
+
+def _windows(course: Course, parameters: WindowedParameters) -> list[Window]:
+    bend = np.maximum(np.abs(course.curvature[:-1]), np.abs(course.curvature[1:]))
+    rate = np.maximum(np.abs(course.rate_left), np.abs(course.rate_right))
+    slowness = np.maximum(course.slowness[:-1], course.slowness[1:])
+    if course.has_zone:
+        slowness = np.where(
+            course.s[1:] > course.zone_start + 1e-12, np.maximum(slowness, 1.0 / course.zone_speed), slowness
+        )
+    yaw_share = parameters.yaw_share * course.limits.max_yaw_acceleration
+    slowness = np.maximum(slowness, np.sqrt(rate * (1.0 / yaw_share)))
+    cuts = _cuts(course, slowness, parameters)
+    peaks = (np.maximum.reduceat(column, cuts[:-1]) for column in (slowness, bend, rate))
+    rows = zip(course.s[cuts[:-1]], course.s[cuts[1:]], *peaks, strict=True)
+    return [_window(course, *(float(value) for value in row)) for row in rows]
+
+
+def _cuts(course: Course, slowness: FloatArray, parameters: WindowedParameters) -> list[int]:
+    """Indices of the nodes between windows: where the cap leaves its band, the length runs out, the zone begins."""
+    zone = int(np.searchsorted(course.s, course.zone_start - 1e-12)) if course.has_zone else -1
+    cuts, low, high, begin = [0], math.inf, 0.0, 0.0
+    for i, (value, s) in enumerate(zip(slowness.tolist(), course.s[1:].tolist(), strict=True)):
+        low, high = min(low, value), max(high, value)
+        if i > cuts[-1] and (high > parameters.cap_ratio * low or s - begin > parameters.max_window or i == zone):
+            cuts.append(i)
+            low = high = value
+            begin = float(course.s[i])
+    return [*cuts, course.s.size - 1]
+
+
+def _window(course: Course, left: float, right: float, slowness: float, bend: float, rate: float) -> Window:
+    limits = course.limits
+    speed = (1.0 - _MARGIN) / slowness
+    spare = (limits.max_yaw_acceleration - speed * speed * rate) * (1.0 - _MARGIN)
+    ceiling = spare / bend if bend > 0.0 else math.inf
+    acceleration, deceleration = min(limits.max_acceleration, ceiling), min(limits.max_deceleration, ceiling)
+    return Window(left, right, Box(speed, acceleration, deceleration, limits.max_jerk))
+
+
+def _border_speeds(windows: list[Window], start_speed: float) -> list[float]:
+    """Speeds at the window borders, zero acceleration: backward from rest, then forward from `start_speed`."""
+    caps = [window.box.speed for window in windows]
+    speeds = [caps[0], *map(min, caps[:-1], caps[1:]), 0.0]
+    for i in range(len(windows) - 1, -1, -1):
+        box = windows[i].box
+        speeds[i] = min(speeds[i], _reachable(windows[i], speeds[i + 1], box.deceleration, speeds[i]))
+    if speeds[0] < start_speed:
+        return speeds
+    speeds[0] = start_speed
+    for i, window in enumerate(windows):
+        speeds[i + 1] = _reachable(window, speeds[i], window.box.acceleration, speeds[i + 1])
+    return speeds
+
+
+def _reachable(window: Window, slow: float, acceleration: float, wanted: float) -> float:
+    """The largest speed <= `wanted` that an S-curve from `slow` reaches within the window."""
+    length, jerk = (window.right - window.left) * (1.0 - 1e-9), window.box.jerk
+    if wanted <= slow or _ramp_length(slow, wanted, acceleration, jerk) <= length:
+        return wanted
+    low, high = slow, wanted
+    for _ in range(_REACH_STEPS):
+        middle = 0.5 * (low + high)
+        if _ramp_length(slow, middle, acceleration, jerk) <= length:
+            low = middle
+        else:
+            high = middle
+    return low
+
+
+def _ramp_length(slow: float, fast: float, acceleration: float, jerk: float) -> float:
+    """Length of the S-curve between two speeds with zero acceleration at both ends: mean speed * time."""
+    gain = fast - slow
+    full = acceleration * acceleration / jerk
+    time = gain / acceleration + acceleration / jerk if gain >= full else 2.0 * math.sqrt(gain / jerk)
+    return 0.5 * (slow + fast) * time

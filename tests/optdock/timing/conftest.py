@@ -1,0 +1,90 @@
+from __future__ import annotations
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from optdock.geometry.clothoid import ClothoidSpline
+from optdock.geometry.pose import Pose2
+from optdock.limits import MotionLimits
+from optdock.path import ClothoidSegment, Path
+
+
+def _dense_ratios(trajectory, limits, zone) -> dict[str, float]:
+    """Largest quotient of every quantity and its limit on a 1 ms grid plus all phase ends; nothing shared with the
+    library's own check but the values it is about."""
+    law = trajectory.time_law
+    t = np.union1d(np.arange(0.0, law.duration, 1e-3), law.times)
+    row = trajectory.sample_at(t)
+    _s, v, a, _j = law.at(t).T
+    k, rate = trajectory.path.curvature_at(row.s), trajectory.path.curvature_rate_at(row.s)
+    top = np.where(trajectory.path.direction_at(row.s) > 0, limits.max_speed, limits.max_reverse_speed)
+    slow = row.s >= trajectory.path.length - zone.distance
+    wheel = np.maximum(np.abs(v + 0.5 * limits.track_width * v * k), np.abs(v - 0.5 * limits.track_width * v * k))
+    ratios = {
+        "speed": v / top,
+        "zone": np.where(slow & (zone.distance > 0.0), v / zone.speed, 0.0),
+        "backwards": np.where(v < -1e-12, np.inf, 0.0),
+        "yaw rate": np.abs(v * k) / limits.max_yaw_rate,
+        "lateral": v * v * np.abs(k) / limits.max_lateral_acceleration,
+        "wheel": wheel / limits.max_wheel_speed,
+        "yaw acceleration": np.abs(a * k + v * v * rate) / limits.max_yaw_acceleration,
+        "acceleration": a / limits.max_acceleration,
+        "deceleration": -a / limits.max_deceleration,
+        "jerk": np.abs(law.jerks) / limits.max_jerk,
+    }
+    return {name: float(np.max(values)) for name, values in ratios.items()}
+
+
+def _rests(trajectory) -> bool:
+    """At rest, to rounding, at every cusp and at the end, which is the end of the path."""
+    borders = trajectory.time_law.states
+    stops = [*trajectory.path.cusps, trajectory.path.length]
+    found = [np.min(np.abs(borders - [s, 0.0, 0.0]).max(axis=1)) for s in stops]
+    return max(found) < 1e-9 and abs(borders[-1, 0] - trajectory.path.length) < 1e-9
+
+
+def _spline(lengths, curvature, sign=1, start=None) -> ClothoidSegment:
+    knots = np.concatenate(([0.0], np.cumsum(lengths)))
+    return ClothoidSegment(ClothoidSpline(start or Pose2(0.0, 0.0, 0.0), knots, np.asarray(curvature, float), sign))
+
+
+def _random_path(rng, gears=1, length=None, cell=0.1) -> Path:
+    """Clothoid splines with a random walk of curvature: rate jumps at every knot, curvature jumps at cusps."""
+    segments, pose = [], Pose2(0.0, 0.0, 0.0)
+    sign = int(rng.choice((-1, 1)))
+    for _ in range(gears):
+        total = length or float(rng.uniform(0.5, 5.0))
+        count = max(2, int(total / cell))
+        steps = rng.uniform(0.5, 1.5, count)
+        curvature = 2.0 * np.tanh(np.cumsum(rng.normal(0.0, 0.25, count + 1)) + rng.normal(0.0, 0.5))
+        segments.append(_spline(steps * total / steps.sum(), curvature, sign, pose))
+        sign, pose = -sign, Pose2.from_sequence(segments[-1].poses_at(total)[0])
+    return Path(tuple(segments))
+
+
+@pytest.fixture(scope="session")
+def dense() -> SimpleNamespace:
+    return SimpleNamespace(ratios=_dense_ratios, rests=_rests)
+
+
+@pytest.fixture(scope="session")
+def make() -> SimpleNamespace:
+    return SimpleNamespace(spline=_spline, random_path=_random_path)
+
+
+@pytest.fixture(scope="session")
+def all_limits() -> MotionLimits:
+    return MotionLimits(
+        max_speed=0.6,
+        max_reverse_speed=0.35,
+        max_acceleration=0.4,
+        max_deceleration=0.5,
+        max_jerk=1.2,
+        max_yaw_rate=0.7,
+        max_yaw_acceleration=1.2,
+        max_lateral_acceleration=0.3,
+        max_wheel_speed=0.65,
+        track_width=0.4,
+    )
