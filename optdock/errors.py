@@ -52,9 +52,11 @@ class OptdockError(Exception):
     Attributes:
         code: Nav2's action error code, 0 where Nav2 has none.
         where: What locates the fault; plain numbers, strings and lists of them.
+        partial: What a pipeline had finished when it failed, or None.
     """
 
     code: ClassVar[int] = 0
+    partial: object | None = None
 
     def __init__(self, message: str, *, where: Mapping[str, object] | None = None) -> None:
         super().__init__(message)

@@ -1,0 +1,276 @@
+"""`plan_dock`: a docking problem in, a certified trajectory out, or a typed error that says why not."""
+
+from __future__ import annotations
+
+import logging
+import math
+import time
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, TypeVar
+
+from optdock.errors import (
+    CertificationFailed,
+    FailedToTimePath,
+    GoalOccupied,
+    GoalOutsideMapBounds,
+    InvalidValue,
+    OptdockError,
+    PlannerTimedOut,
+    SmootherTimedOut,
+    StartOccupied,
+    StartOutsideMapBounds,
+)
+from optdock.interfaces import GlobalPlanner, PluginContext, Smoother, TimeParameterizer, TimingStatus, never_cancelled
+from optdock.plugins import create_plugin
+from optdock.verification import certify_path, certify_trajectory, pose_clearance
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Mapping
+
+    from optdock.interfaces import SmoothingResult
+    from optdock.lifecycle import Plugin
+    from optdock.path import Path
+    from optdock.problem import DockingProblem
+    from optdock.trajectory import Trajectory
+    from optdock.verification import Certificate, TrajectoryCertificate
+
+__all__ = ["DockPlan", "PartialPlan", "PluginChoice", "PluginChoices", "plan_dock"]
+
+logger = logging.getLogger(__name__)
+
+DEFAULT_TIME_BUDGET = 0.1  # [s]
+# Share of the budget, and its most, kept back from the smoother for timing the path and proving the result.
+_RESERVED_SHARE, _RESERVED_MOST = 0.3, 0.03
+_CONTACT_TOLERANCE = 1e-6  # [m]
+
+P = TypeVar("P", bound="Plugin")
+_T = TypeVar("_T")
+
+
+@dataclass(frozen=True)
+class PluginChoice:
+    """Which plugin fills a role, and its parameters."""
+
+    name: str
+    parameters: Mapping[str, object] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class PluginChoices:
+    """The three plugins of the pipeline."""
+
+    planner: PluginChoice = PluginChoice("DockPlanner")
+    smoother: PluginChoice = PluginChoice("CasadiSmoother")
+    timing: PluginChoice = PluginChoice("NearOptimal")
+
+
+@dataclass(frozen=True, eq=False)
+class DockPlan:
+    """A certified plan.
+
+    Args:
+        raw_path: What the planner made; not certified, kept for comparison.
+        path: The certified path.
+        trajectory: The certified motion along it.
+        certificate: The proof of the path.
+        trajectory_certificate: The proof of the motion limits.
+        completed: False when the deadline stopped the smoothing early; the result is certified all the same.
+        timing_ms: Wall-clock milliseconds per stage: plan, smooth, certify, time, total.
+        smoothing_report: What the smoother says about its work.
+        timing_report: What the time parameterizer says about its work.
+    """
+
+    raw_path: Path
+    path: Path
+    trajectory: Trajectory
+    certificate: Certificate
+    trajectory_certificate: TrajectoryCertificate
+    completed: bool
+    timing_ms: Mapping[str, float]
+    smoothing_report: Mapping[str, object] = field(default_factory=dict)
+    timing_report: Mapping[str, object] = field(default_factory=dict)
+
+
+@dataclass(eq=False)
+class PartialPlan:
+    """Whatever exists of a plan so far; hangs as `partial` on the error that ended it.
+
+    Args:
+        raw_path: The planner's path, or None.
+        path: The smoothed path, or None; not necessarily certified.
+        certificate: The verdict on `path`, or None.
+        timing_ms: Wall-clock milliseconds of the stages that ran.
+    """
+
+    raw_path: Path | None = None
+    path: Path | None = None
+    certificate: Certificate | None = None
+    timing_ms: dict[str, float] = field(default_factory=dict)
+
+
+def plan_dock(
+    problem: DockingProblem,
+    *,
+    time_budget: float = DEFAULT_TIME_BUDGET,
+    plugins: PluginChoices | None = None,
+    cancel_checker: Callable[[], bool] = never_cancelled,
+) -> DockPlan:
+    """Plan, smooth, prove and time a docking motion.
+
+    Args:
+        problem: From where, to where, with what, among what.
+        time_budget: Wall-clock seconds for the whole call. Plugins built for the first time in a process load their
+            libraries first; see `CasadiSmoother.warm_up`.
+        plugins: Which planner, smoother and time parameterizer to use.
+        cancel_checker: Polled at least every 5 ms by the stages that take long.
+
+    Returns:
+        The certified plan.
+
+    Raises:
+        InvalidValue: The budget is not a finite number > 0.
+        StartOccupied: Also GoalOccupied, StartOutsideMapBounds, GoalOutsideMapBounds: an end pose is impossible.
+        NoValidPathCouldBeFound: The planner finds no raw path.
+        FailedToSmoothPath: No path near the raw one keeps every bound.
+        SmootherTimedOut: The deadline came before the first certified path.
+        FailedToTimePath: No time law keeps the motion limits.
+        CertificationFailed: A plugin returned something that cannot be proven.
+
+    Every error carries `partial`, a `PartialPlan`.
+    """
+    if not (math.isfinite(time_budget) and time_budget > 0.0):
+        raise InvalidValue(f"time_budget: must be finite and > 0 s, got {time_budget}")
+    choices = plugins or PluginChoices()
+    run = _Run(problem, _Clock(time_budget), cancel_checker)
+    try:
+        return run.plan(choices)
+    except OptdockError as error:
+        run.so_far.timing_ms["total"] = run.clock.elapsed_ms()
+        error.partial = run.so_far
+        logger.info("no plan after %.1f ms: %s", run.clock.elapsed_ms(), error)
+        raise
+
+
+class _Clock:
+    """Monotonic time since the call began, against its budget."""
+
+    def __init__(self, budget: float) -> None:
+        self.began, self.budget = time.monotonic(), budget
+
+    def elapsed_ms(self) -> float:
+        return 1e3 * (time.monotonic() - self.began)
+
+    def left(self) -> float:
+        return self.budget - (time.monotonic() - self.began)
+
+
+@dataclass(eq=False)
+class _Run:
+    """One call of `plan_dock`."""
+
+    problem: DockingProblem
+    clock: _Clock
+    cancel_checker: Callable[[], bool]
+    so_far: PartialPlan = field(default_factory=PartialPlan)
+
+    def plan(self, choices: PluginChoices) -> DockPlan:
+        _check_ends(self.problem)
+        raw = self._timed("plan", lambda: self._raw_path(choices.planner))
+        self.so_far.raw_path = raw
+        result = self._timed("smooth", lambda: self._smooth(choices.smoother, raw))
+        self.so_far.path = path = result.path
+        certificate = self._timed("certify", lambda: certify_path(path, self.problem))
+        self.so_far.certificate = certificate
+        if not certificate.certified:
+            raise CertificationFailed(
+                f"the smoothed path is not certified: {certificate.reason}", where=_where(certificate)
+            )
+        trajectory, timing_report = self._timed("time", lambda: self._time(choices.timing, path))
+        proof = self._timed("certify", lambda: self._prove(trajectory))
+        completed = result.completed and self.clock.left() >= 0.0
+        timing = {**self.so_far.timing_ms, "total": self.clock.elapsed_ms()}
+        logger.info("certified plan: %.2f m, %.2f s, after %.1f ms", path.length, trajectory.duration, timing["total"])
+        return DockPlan(raw, path, trajectory, certificate, proof, completed, timing, result.report, timing_report)
+
+    def _timed(self, stage: str, work: Callable[[], _T]) -> _T:
+        began = self.clock.elapsed_ms()
+        try:
+            return work()
+        finally:
+            spent = self.so_far.timing_ms.get(stage, 0.0)
+            self.so_far.timing_ms[stage] = spent + self.clock.elapsed_ms() - began
+
+    def _configured(self, interface: type[P], choice: PluginChoice) -> P:
+        plugin = create_plugin(interface, choice.name, choice.parameters)
+        plugin.configure(
+            PluginContext(
+                name=choice.name,
+                costmap=self.problem.costmap,
+                footprint=self.problem.robot.footprint,
+                problem=self.problem,
+            )
+        )
+        return plugin
+
+    def _raw_path(self, choice: PluginChoice) -> Path:
+        planner = self._configured(GlobalPlanner, choice)
+        path = planner.create_plan(self.problem.start, self.problem.goal, self.cancel_checker)
+        if self.clock.left() <= 0.0:
+            raise PlannerTimedOut(f"the planner used up the time budget of {self.clock.budget:.3g} s")
+        return path
+
+    def _smooth(self, choice: PluginChoice, raw: Path) -> SmoothingResult:
+        smoother = self._configured(Smoother, choice)
+        allowance = self.clock.left() - min(_RESERVED_SHARE * self.clock.budget, _RESERVED_MOST)
+        if allowance <= 0.0:
+            raise SmootherTimedOut(f"nothing is left of the time budget of {self.clock.budget:.3g} s for smoothing")
+        return smoother.smooth(raw, allowance, problem=self.problem, cancel_checker=self.cancel_checker)
+
+    def _time(self, choice: PluginChoice, path: Path) -> tuple[Trajectory, Mapping[str, object]]:
+        parameterizer = self._configured(TimeParameterizer, choice)
+        result = parameterizer.parameterize(
+            path, self.problem.robot.limits, self.problem.dock.approach, start_speed=abs(self.problem.start_speed)
+        )
+        if result.status is not TimingStatus.OK or result.trajectory is None:
+            raise FailedToTimePath(
+                f"the path cannot be timed: {result.status.name}, worst ratio {result.worst_ratio:.4g}, "
+                f"overshoot {result.overshoot:.4g} m",
+                where={"status": result.status.name, "worst_ratio": result.worst_ratio, "overshoot": result.overshoot},
+            )
+        return result.trajectory, result.report
+
+    def _prove(self, trajectory: Trajectory) -> TrajectoryCertificate:
+        proof = certify_trajectory(
+            trajectory,
+            self.problem.robot.limits,
+            self.problem.dock.approach,
+            start_speed=abs(self.problem.start_speed),
+        )
+        if not proof.certified:
+            raise CertificationFailed(f"the trajectory is not certified: {proof.reason}", where=_where(proof))
+        return proof
+
+
+def _where(certificate: Certificate | TrajectoryCertificate) -> Mapping[str, object]:
+    first = certificate.violations[0]
+    return {"kind": first.kind, "s": first.s, "amount": first.amount, **first.where}
+
+
+def _check_ends(problem: DockingProblem) -> None:
+    """Refuse end poses that no path can have."""
+    for name, pose, off_map, occupied in (
+        ("start", problem.start, StartOutsideMapBounds, StartOccupied),
+        ("goal", problem.goal, GoalOutsideMapBounds, GoalOccupied),
+    ):
+        if problem.costmap is not None and not bool(problem.costmap.contains(pose.as_array()[None, :2])[0]):
+            raise off_map(f"the {name} ({pose.x:.3f}, {pose.y:.3f}) lies off the map", where={"pose": [pose.x, pose.y]})
+        clearance, row = pose_clearance(pose, problem.robot.footprint, problem.all_obstacles)
+        required = problem.clearance.at_dock if name == "goal" else 0.0
+        if clearance < required - _CONTACT_TOLERANCE:
+            obstacle = problem.all_obstacles.name_of(row)
+            what = (
+                f"overlaps {obstacle} by {-clearance:.4f} m"
+                if clearance < 0.0
+                else (f"is {clearance:.4f} m from {obstacle}, required {required:.4f} m")
+            )
+            raise occupied(f"the footprint at the {name} {what}", where={"obstacle": obstacle, "clearance": clearance})
