@@ -160,7 +160,7 @@ class _Survey:
         key = self.loader.construct_object(node) if isinstance(node, yaml.ScalarNode) else None
         if isinstance(key, (str, int)) and not isinstance(key, bool):
             return key
-        text = repr(node.value) if isinstance(node, yaml.ScalarNode) else f"a {node.id}"
+        text = repr(node.value) if isinstance(node, yaml.ScalarNode) else "a collection"
         raise InvalidFile(f"{self._place(node)}: a key must be text or a whole number, got {text}")
 
     def _check_keys(self, node: yaml.MappingNode) -> None:

@@ -1,0 +1,124 @@
+"""Occupied cells as obstacles: each cell is a square, and squares are merged into few exact rectangles."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, TypeAlias
+
+import numpy as np
+
+from optdock.costmap.costs import LETHAL, NO_INFORMATION
+from optdock.errors import InvalidValue
+from optdock.geometry.arrays import frozen_array
+from optdock.obstacles import ObstacleSet
+
+if TYPE_CHECKING:
+    from numpy.typing import ArrayLike
+
+    from optdock.costmap.costmap import Costmap
+    from optdock.geometry.arrays import BoolArray, FloatArray, IntArray
+
+__all__ = ["Region", "cell_rectangles", "obstacles_from_costmap"]
+
+Region: TypeAlias = "tuple[ArrayLike, ArrayLike]"
+
+_BORDER_WIDTH = 1000.0  # [m]; wide enough that the nearest way out of the border leads back onto the map
+
+
+def obstacles_from_costmap(
+    costmap: Costmap,
+    *,
+    unknown_is_obstacle: bool = True,
+    threshold: int = LETHAL,
+    region: Region | None = None,
+    border: bool = True,
+) -> ObstacleSet:
+    """The occupied cells as exact, disjoint, axis-aligned rectangles.
+
+    Occupied cells are called `map`, unknown ones `unknown`, the outside of the map `map border`. The border is an
+    obstacle by default: nobody has seen what lies beyond it, and Nav2's collision checkers refuse poses off the map.
+
+    Args:
+        costmap: The grid.
+        unknown_is_obstacle: Whether NO_INFORMATION cells are obstacles.
+        threshold: Costs from here up to LETHAL are obstacles; use 254 unless the costs are not inflated.
+        region: Lower and upper corner [m] of the box of interest; cells that do not meet it are left out, and the
+            cost of the call follows its size. None: the whole map.
+        border: Whether the outside of the map is an obstacle.
+
+    Raises:
+        InvalidValue: threshold is not in 1..254, or the region's corners are not finite or not in order.
+    """
+    if not 1 <= threshold <= LETHAL:
+        raise InvalidValue(f"threshold: must be in 1..{LETHAL}, got {threshold}")
+    box = None if region is None else _checked_region(region)
+    first, stop = _cell_window(costmap, box)
+    window = costmap.data[first[1] : stop[1], first[0] : stop[0]]
+    occupied = (window >= threshold) & (window != NO_INFORMATION)
+    obstacles = _rectangles(costmap, cell_rectangles(occupied) + np.tile(first, 2), "map")
+    if unknown_is_obstacle:
+        unknown = cell_rectangles(window == NO_INFORMATION) + np.tile(first, 2)
+        obstacles = obstacles + _rectangles(costmap, unknown, "unknown")
+    if border:
+        outside = _border(costmap)
+        obstacles = obstacles + (outside if box is None else outside.in_box(box[0], box[1]))
+    return obstacles
+
+
+def cell_rectangles(occupied: BoolArray) -> IntArray:
+    """Disjoint rectangles that cover exactly the true cells; the fewer of merged row runs and merged column runs.
+
+    Args:
+        occupied: Shape (rows, columns).
+
+    Returns:
+        Shape (m, 4): first column, first row, and the column and row after the last.
+    """
+    by_rows = _merged_runs(occupied)
+    by_columns = _merged_runs(occupied.T)
+    return by_rows if len(by_rows) <= len(by_columns) else by_columns[:, [1, 0, 3, 2]]
+
+
+def _merged_runs(occupied: BoolArray) -> IntArray:
+    """Runs of true cells in every row; equal runs in consecutive rows become one rectangle. Shape (m, 4)."""
+    steps = np.diff(occupied.astype(np.int8), axis=1, prepend=0, append=0)
+    row, start = np.nonzero(steps == 1)
+    _, stop = np.nonzero(steps == -1)
+    order = np.lexsort((row, stop, start))
+    row, start, stop = row[order], start[order], stop[order]
+    is_new = np.ones(row.size, dtype=np.bool_)
+    is_new[1:] = (np.diff(row) != 1) | (np.diff(start) != 0) | (np.diff(stop) != 0)
+    first = np.nonzero(is_new)[0]
+    last = np.append(first[1:], row.size)[: first.size] - 1
+    return np.column_stack((start[first], row[first], stop[first], row[last] + 1))
+
+
+def _rectangles(costmap: Costmap, cells: IntArray, name: str) -> ObstacleSet:
+    if not len(cells):
+        return ObstacleSet.empty()
+    corners = np.tile(np.array(costmap.origin), 2) + costmap.resolution * cells
+    return ObstacleSet.from_rectangles(corners[:, :2], corners[:, 2:], name)
+
+
+def _checked_region(region: Region) -> tuple[FloatArray, FloatArray]:
+    lower, upper = (frozen_array(corner, f"region.{name}") for corner, name in zip(region, ("lower", "upper")))
+    if lower.shape != (2,) or upper.shape != (2,) or not np.all(lower <= upper):
+        raise InvalidValue(f"region: needs lower = [x, y] <= upper = [x, y], got {lower.tolist()}, {upper.tolist()}")
+    return lower, upper
+
+
+def _cell_window(costmap: Costmap, box: tuple[FloatArray, FloatArray] | None) -> tuple[IntArray, IntArray]:
+    """First cell (i, j) and the one after the last of those that meet the box; both empty off the map."""
+    size = np.array([costmap.columns, costmap.rows])
+    if box is None:
+        return np.zeros(2, dtype=np.int64), size
+    first, last = costmap.cell_of(np.stack(box))
+    stop = np.clip(last + 1, 0, size)
+    return np.clip(first, 0, stop), stop
+
+
+def _border(costmap: Costmap) -> ObstacleSet:
+    """Four disjoint rectangles around the map."""
+    (x0, y0), (x1, y1), w = costmap.lower, costmap.upper, _BORDER_WIDTH
+    lower = np.array([[x0 - w, y0 - w], [x0 - w, y1], [x0 - w, y0], [x1, y0]])
+    upper = np.array([[x1 + w, y0], [x1 + w, y1 + w], [x0, y1], [x1 + w, y1]])
+    return ObstacleSet.from_rectangles(lower, upper, "map border")
