@@ -1,0 +1,1 @@
+"""What tests and benchmarks share: docking problems drawn from families, and an independent dense checker."""

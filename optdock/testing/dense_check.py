@@ -1,0 +1,260 @@
+"""The independent oracle: a path checked point by point, by means that share nothing with `verification`.
+
+Poses every 2 mm, outlines and distances by shapely, required clearance by its own formula, curvature by finite
+differences of yaw. It proves nothing between samples; it is here to catch a certificate that is wrong.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from shapely import STRtree
+
+    from optdock.geometry.arrays import FloatArray
+    from optdock.geometry.pose import Pose2
+    from optdock.obstacles import ObstacleSet
+    from optdock.path import Path, Segment
+    from optdock.problem import DockingProblem
+
+__all__ = ["DenseReport", "Fault", "clearance_at", "dense_check"]
+
+_POSE_TOLERANCE = 1e-5  # start and goal [m, rad]
+_STRAIGHT_TOLERANCE = 1e-5  # sideways [m] and in yaw [rad]
+_CLEARANCE_TOLERANCE = 1e-6  # [m]: above the rounding of positions
+_CURVATURE_TOLERANCE = 1e-6  # relative; differences of yaw are exact where curvature is linear, but for rounding
+_RATE_TOLERANCE = 1e-6  # relative
+_SLIP_PER_SQUARED_STEP = 2.0  # sideways motion over distance; a clothoid shows up to its rate / 12 * step^2 [1/m^2]
+_JOINT_TOLERANCE = 1e-6  # from the end of a gear to the start of the next [m, rad]
+
+
+class Fault(NamedTuple):
+    """One broken bound: which, where along the path [m], the value and the bound it breaks."""
+
+    bound: str
+    s: float
+    value: float
+    limit: float
+
+
+@dataclass(frozen=True)
+class DenseReport:
+    """What the samples show.
+
+    Args:
+        faults: The worst violation of every bound that is broken.
+        min_clearance: Smallest distance of the outline to an obstacle, negative where they overlap [m].
+        worst_margin: Smallest clearance minus required clearance [m].
+        worst_s: Where that is [m].
+        max_curvature: Largest |curvature| [1/m].
+        max_curvature_rate: Largest |d curvature / ds| [1/m^2].
+        length: Length of the path [m].
+    """
+
+    faults: tuple[Fault, ...]
+    min_clearance: float
+    worst_margin: float
+    worst_s: float
+    max_curvature: float
+    max_curvature_rate: float
+    length: float
+
+    @property
+    def ok(self) -> bool:
+        """No bound is broken at any sample."""
+        return not self.faults
+
+    @property
+    def broken(self) -> tuple[str, ...]:
+        """Names of the broken bounds."""
+        return tuple(fault.bound for fault in self.faults)
+
+
+class _Samples(NamedTuple):
+    """One gear, evenly sampled: s (n,) along the whole path, poses (n, 3), step [m], gear (1 or -1)."""
+
+    s: FloatArray
+    poses: FloatArray
+    step: float
+    sign: int
+
+
+def dense_check(path: Path, problem: DockingProblem, step: float = 0.002) -> DenseReport:
+    """Check every bound of `problem` at samples of `path` at most `step` [m] apart.
+
+    Bounds: start and goal pose, joints of gears, curvature, curvature rate inside a gear, motion along the heading,
+    the final straight, clearance.
+
+    Args:
+        path: Any path, clothoid or polyline.
+        problem: What must hold.
+        step: Largest distance between samples [m].
+    """
+    gears = _gears(path, step)
+    s, poses = np.concatenate([g.s for g in gears]), np.vstack([g.poses for g in gears])
+    clearance = _clearances(poses, problem)
+    margin = clearance - _required(poses, float(clearance[0]), problem)
+    curvature = [_curvature(g) for g in gears]
+    rates = [np.abs(np.diff(k)) / g.step for k, g in zip(curvature, gears, strict=True)]
+    worst = int(np.argmin(margin))
+    found = (
+        *_end_faults(path, problem),
+        *_motion_faults(gears, curvature, rates, problem),
+        *_straight_faults(path, problem, step),
+        *_above("clearance", s, -margin, _CLEARANCE_TOLERANCE),
+    )
+    return DenseReport(
+        faults=found,
+        min_clearance=float(clearance.min()),
+        worst_margin=float(margin[worst]),
+        worst_s=float(s[worst]),
+        max_curvature=max((float(np.abs(k).max()) for k in curvature if k.size), default=0.0),
+        max_curvature_rate=max((float(r.max()) for r in rates if r.size), default=0.0),
+        length=path.length,
+    )
+
+
+def clearance_at(pose: Pose2, problem: DockingProblem) -> float:
+    """Distance of the outline at one pose to the nearest obstacle [m]; negative where they overlap."""
+    return float(_clearances(pose.as_array()[None], problem)[0])
+
+
+def _gears(path: Path, step: float) -> list[_Samples]:
+    return [
+        _gear(segment, float(start), step) for segment, start in zip(path.segments, path.segment_starts, strict=False)
+    ]
+
+
+def _gear(segment: Segment, start: float, step: float) -> _Samples:
+    count = max(2, math.ceil(segment.length / step))
+    s = np.linspace(0.0, segment.length, count + 1)
+    return _Samples(start + s, segment.poses_at(s), segment.length / count, int(segment.direction))
+
+
+def _curvature(gear: _Samples) -> FloatArray:
+    """Change of yaw over distance, between neighbouring samples. Shape (n - 1,) [1/m]."""
+    curvature: FloatArray = np.diff(np.unwrap(gear.poses[:, 2])) / gear.step
+    return curvature
+
+
+def _slip(gear: _Samples) -> FloatArray:
+    """Sideways part of every step over its length; the chord of an arc has the heading of its middle."""
+    move = np.diff(gear.poses[:, :2], axis=0)
+    yaw = np.unwrap(gear.poses[:, 2])
+    middle = 0.5 * (yaw[1:] + yaw[:-1])
+    slip: FloatArray = np.abs(move[:, 1] * np.cos(middle) - move[:, 0] * np.sin(middle)) / gear.step
+    return slip
+
+
+def _backwards(gear: _Samples) -> FloatArray:
+    """How much of every step runs against the gear, over its length."""
+    move = np.diff(gear.poses[:, :2], axis=0)
+    yaw = gear.poses[:-1, 2]
+    against: FloatArray = -gear.sign * (move[:, 0] * np.cos(yaw) + move[:, 1] * np.sin(yaw)) / gear.step
+    return against
+
+
+def _above(bound: str, s: FloatArray, value: FloatArray, limit: float) -> tuple[Fault, ...]:
+    """The worst excess of `value` over `limit`; NaN counts as an excess."""
+    if value.size == 0 or bool(np.all(value <= limit)):
+        return ()
+    worst = int(np.argmax(np.where(np.isnan(value), np.inf, value)))
+    return (Fault(bound, float(s[worst]), float(value[worst]), limit),)
+
+
+def _motion_faults(
+    gears: list[_Samples], curvature: list[FloatArray], rates: list[FloatArray], problem: DockingProblem
+) -> tuple[Fault, ...]:
+    limits = problem.robot.limits
+    found: list[Fault] = []
+    for gear, kappa, rate in zip(gears, curvature, rates, strict=True):
+        at = gear.s[:-1]
+        found += _above("curvature", at, np.abs(kappa), limits.max_curvature * (1.0 + _CURVATURE_TOLERANCE))
+        found += _above("curvature rate", at[1:], rate, limits.max_curvature_rate * (1.0 + _RATE_TOLERANCE))
+        found += _above("slip", at, _slip(gear), _SLIP_PER_SQUARED_STEP * gear.step**2)
+        found += _above("direction", at, _backwards(gear), 0.0)
+    return tuple(found)
+
+
+def _pose_gap(first: FloatArray, second: FloatArray) -> float:
+    turn = math.remainder(float(first[2] - second[2]), 2.0 * math.pi)
+    return max(math.hypot(*(first[:2] - second[:2])), abs(turn))
+
+
+def _end_faults(path: Path, problem: DockingProblem) -> tuple[Fault, ...]:
+    ends = [segment.poses_at([0.0, segment.length]) for segment in path.segments]
+    joints = [
+        ("joint", float(s), _pose_gap(before[-1], after[0]), _JOINT_TOLERANCE)
+        for s, before, after in zip(path.segment_starts[1:], ends, ends[1:], strict=False)
+    ]
+    checks = (
+        ("start", 0.0, _pose_gap(ends[0][0], problem.start.as_array()), _POSE_TOLERANCE),
+        ("goal", path.length, _pose_gap(ends[-1][-1], problem.dock.pose.as_array()), _POSE_TOLERANCE),
+        *joints,
+    )
+    return tuple(Fault(*check) for check in checks if not check[2] <= check[3])
+
+
+def _straight_faults(path: Path, problem: DockingProblem, step: float) -> tuple[Fault, ...]:
+    """The last `final_straight` metres against the line through the goal along its heading."""
+    length, goal, last = problem.dock.final_straight, problem.dock.pose, path.segments[-1]
+    if length <= 0.0:
+        return ()
+    if last.length < length - _STRAIGHT_TOLERANCE:
+        return (Fault("final straight", path.length, last.length, length),)
+    s = np.linspace(last.length - length, last.length, max(2, math.ceil(length / step)) + 1)
+    poses = last.poses_at(s)
+    sideways = np.abs((poses[:, 1] - goal.y) * math.cos(goal.yaw) - (poses[:, 0] - goal.x) * math.sin(goal.yaw))
+    turned = np.abs(np.mod(poses[:, 2] - goal.yaw + math.pi, 2.0 * math.pi) - math.pi)
+    at = path.length - last.length + s
+    return _above("final straight", at, np.maximum(sideways, turned), _STRAIGHT_TOLERANCE)
+
+
+def _required(poses: FloatArray, start_clearance: float, problem: DockingProblem) -> FloatArray:
+    """`at_dock + (required - at_dock) min(1, d / taper)`, relieved near a start that is itself too close."""
+    rule, goal, start = problem.clearance, problem.dock.pose, problem.start
+    from_goal = np.hypot(poses[:, 0] - goal.x, poses[:, 1] - goal.y)
+    from_start = np.hypot(poses[:, 0] - start.x, poses[:, 1] - start.y)
+    grown = from_goal / rule.taper if rule.taper > 0.0 else np.where(from_goal > 0.0, 1.0, 0.0)
+    wanted = rule.at_dock + (rule.required - rule.at_dock) * np.clip(grown, 0.0, 1.0)
+    required: FloatArray = np.minimum(wanted, max(start_clearance, 0.0) + 0.5 * from_start)
+    return required
+
+
+def _clearances(poses: FloatArray, problem: DockingProblem) -> FloatArray:
+    """Distance of the outline to the nearest obstacle at every pose; minus a depth where they overlap. Shape (n,)."""
+    import shapely
+
+    if len(problem.all_obstacles) == 0:
+        return np.full(len(poses), np.inf)
+    tree = _tree(problem.all_obstacles)
+    c, s = np.cos(poses[:, 2, None]), np.sin(poses[:, 2, None])
+    outline = problem.robot.footprint.vertices
+    x = poses[:, 0, None] + c * outline[:, 0] - s * outline[:, 1]
+    y = poses[:, 1, None] + s * outline[:, 0] + c * outline[:, 1]
+    bodies = shapely.polygons(np.stack((x, y), axis=-1))
+    (rows, _), distance = tree.query_nearest(bodies, return_distance=True, all_matches=False)
+    clearance = np.empty(len(poses))
+    clearance[rows] = distance
+    for row in np.flatnonzero(clearance <= 0.0):
+        clearance[row] = -_overlap_depth(bodies[row], tree)
+    return clearance
+
+
+def _tree(obstacles: ObstacleSet) -> STRtree:
+    import shapely
+
+    return shapely.STRtree(shapely.polygons(obstacles.vertices))
+
+
+def _overlap_depth(body: object, tree: STRtree) -> float:
+    """How deep a body lies in obstacles, roughly: the mean width of the overlap, area over half its perimeter [m]."""
+    import shapely
+
+    hits = tree.geometries[tree.query(body, predicate="intersects")]
+    overlap = shapely.intersection(body, shapely.union_all(hits))
+    return 2.0 * float(shapely.area(overlap)) / max(float(shapely.length(overlap)), 1e-12)
