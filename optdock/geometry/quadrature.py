@@ -1,0 +1,54 @@
+"""Numerical integration of functions with kinks."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from optdock.geometry.arrays import FloatArray
+
+__all__ = ["adaptive_integral"]
+
+_NODES, _WEIGHTS = np.polynomial.legendre.leggauss(16)
+_MAX_HALVINGS = 40
+
+
+def adaptive_integral(function: Callable[[FloatArray], FloatArray], breaks: FloatArray, rtol: float = 1e-13) -> float:
+    """Integral from the first to the last of `breaks`.
+
+    16-point Gauss quadrature of every panel is compared with that of its halves; panels that differ are halved again,
+    all of one level in one call. A kink inside a panel thus costs one more call per halving.
+
+    Args:
+        function: Values at points, Shape (n,) to Shape (n,).
+        breaks: Shape (m,), increasing; the function is smooth between most of them.
+        rtol: Accepted difference, relative to the integral of |function|.
+    """
+    low, high = breaks[:-1], breaks[1:]
+    coarse = _panels(function, low, high)
+    scale, total = float(np.sum(np.abs(coarse))), 0.0
+    for _ in range(_MAX_HALVINGS):
+        middle = 0.5 * (low + high)
+        low, high = np.concatenate((low, middle)), np.concatenate((middle, high))
+        fine = _panels(function, low, high)
+        pairs = fine.reshape(2, -1).sum(axis=0)
+        open_panels = np.abs(pairs - coarse) > rtol * scale
+        total += float(np.sum(pairs[~open_panels]))
+        keep = np.tile(open_panels, 2)
+        low, high, coarse = low[keep], high[keep], fine[keep]
+        if low.size == 0:
+            break
+    return total + float(np.sum(coarse))
+
+
+def _panels(function: Callable[[FloatArray], FloatArray], low: FloatArray, high: FloatArray) -> FloatArray:
+    """Gauss quadrature of every panel. Shape (m,)."""
+    half = 0.5 * (high - low)
+    points = (0.5 * (low + high))[:, None] + half[:, None] * _NODES
+    values = function(points.ravel()).reshape(points.shape)
+    integrals: FloatArray = half * (values @ _WEIGHTS)
+    return integrals

@@ -1,0 +1,127 @@
+"""The dock planner as a plugin."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, ClassVar
+
+from optdock.dock import DockDirection
+from optdock.errors import InvalidValue, LifecycleError
+from optdock.interfaces import GlobalPlanner, LifecycleState, PluginContext, never_cancelled
+from optdock.planners.approach_axis import DockGeometry
+from optdock.planners.dock_parameters import DockPlannerParameters
+from optdock.planners.two_segment import TwoSegmentPlan, plan_two_segment
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from optdock.costmap.costmap import Costmap
+    from optdock.geometry.footprint import Footprint
+    from optdock.geometry.pose import Pose2
+    from optdock.parameters import PluginParameters
+    from optdock.path import Path
+
+__all__ = ["DockPlanner", "DockPlannerParameters"]
+
+
+class DockPlanner(GlobalPlanner):
+    """Plans a two-segment NURBS path into a dock.
+
+    It needs the robot's footprint, so it must be configured before it plans: the footprint and the costmap come from
+    the context, or from the context's problem. What the parameters `footprint_dock` (null) and `direction` (auto)
+    leave open is taken from the dock of the context's problem, where there is one. A dock without an outline counts
+    as one of length 0.
+
+    Args:
+        **parameters: See `DockPlannerParameters`.
+
+    Raises:
+        InvalidValue: A parameter is unknown, of the wrong type or out of range.
+    """
+
+    Parameters: ClassVar[type[PluginParameters]] = DockPlannerParameters
+    parameters: DockPlannerParameters
+
+    def configure(self, context: PluginContext) -> None:
+        """Link the planner to its surroundings; doing so again with the same ones is a no-op that succeeds.
+
+        Raises:
+            LifecycleError: It is configured with other surroundings (clean up first), or finalized.
+            InvalidValue: The context holds no robot footprint.
+        """
+        if self.state in (LifecycleState.INACTIVE, LifecycleState.ACTIVE) and _same(self.context, context):
+            return
+        super().configure(context)
+
+    def on_configure(self) -> None:
+        """Check the surroundings, and load SciPy's splines now: that takes longer than a hundred plans."""
+        import scipy.interpolate  # noqa: F401 - loaded for its side effect on the first plan's duration
+
+        if self._robot_footprint() is None:
+            raise InvalidValue(
+                f"{self.context.name}: needs the robot's footprint; configure it with "
+                "PluginContext(footprint=...) or PluginContext(problem=...)"
+            )
+
+    def create_plan(self, start: Pose2, goal: Pose2, cancel_checker: Callable[[], bool] = never_cancelled) -> Path:
+        """The raw docking path: polylines, one per gear, in the frame of `start` and `goal`.
+
+        It starts exactly at `start` and ends exactly at `goal`. Whether the robot fits there is not asked here.
+
+        Raises:
+            LifecycleError: The planner is not configured. That is the caller's mistake: no other goal, retry or
+                recovery can help, so it is not a PlannerException.
+            NoValidPathCouldBeFound: A rule of the method is broken; the message says in which step and by how much.
+            PlannerCancelled: `cancel_checker` returned True.
+        """
+        plan = self.plan(start, goal, cancel_checker)
+        self.context.logger.debug(
+            "%s: dir %d, %s, %.3f m", self.context.name, plan.dir, plan.direction.name, plan.path.length
+        )
+        return plan.path
+
+    def plan(self, start: Pose2, goal: Pose2, cancel_checker: Callable[[], bool] = never_cancelled) -> TwoSegmentPlan:
+        """As `create_plan`, with everything that led to the path.
+
+        Raises:
+            LifecycleError: As `create_plan`.
+            NoValidPathCouldBeFound: As `create_plan`.
+            PlannerCancelled: As `create_plan`.
+        """
+        robot = self._robot_footprint()
+        if self.state not in (LifecycleState.INACTIVE, LifecycleState.ACTIVE) or robot is None:
+            raise LifecycleError(
+                f"{self.context.name}: cannot plan when {self.state.value}; call configure(PluginContext(...)) first"
+            )
+        geometry = DockGeometry.from_footprints(robot, self._dock_footprint())
+        return plan_two_segment(start, goal, geometry, self._effective(), self._costmap(), cancel_checker)
+
+    def _robot_footprint(self) -> Footprint | None:
+        if self.context.footprint is not None or self.context.problem is None:
+            return self.context.footprint
+        return self.context.problem.robot.footprint
+
+    def _dock_footprint(self) -> Footprint | None:
+        given = self.parameters.dock_outline
+        if given is not None or self.context.problem is None:
+            return given
+        return self.context.problem.dock.footprint
+
+    def _costmap(self) -> Costmap | None:
+        if self.context.costmap is not None or self.context.problem is None:
+            return self.context.costmap
+        return self.context.problem.costmap
+
+    def _effective(self) -> DockPlannerParameters:
+        problem = self.context.problem
+        if problem is None or self.parameters.direction is not DockDirection.AUTO:
+            return self.parameters
+        return self.parameters.model_copy(update={"direction": problem.dock.direction})
+
+
+def _same(known: PluginContext, offered: PluginContext) -> bool:
+    pairs = (
+        (known.costmap, offered.costmap),
+        (known.footprint, offered.footprint),
+        (known.problem, offered.problem),
+    )
+    return all(mine is theirs for mine, theirs in pairs)
