@@ -13,19 +13,21 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from optdock.costmap.cell_obstacles import obstacles_from_costmap
 from optdock.errors import InvalidValue
 from optdock.geometry.pose import Pose2, transform_points
 from optdock.obstacles import ObstacleSet
 from optdock.parameters import closest
-from optdock.path import Path
 from optdock.problem import ClearanceRule, DockingProblem
 from optdock.testing import families_infeasible, families_open, families_tight
-from optdock.testing.families_grid import occupied_rectangles
+from optdock.testing.families_grid import drawn_costmap
 from optdock.testing.families_motion import motion_to, raw_beside
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
 
+    from optdock.costmap.costmap import Costmap
+    from optdock.path import Path
     from optdock.testing.families_scene import Scene
 
 __all__ = ["FAMILIES", "FEASIBLE_FAMILIES", "INFEASIBLE_FAMILIES", "Instance", "instance"]
@@ -104,12 +106,14 @@ def instance(family: str, seed: int) -> Instance:
 
 def _placed(family: str, seed: int, scene: Scene, goal: Pose2) -> Instance:
     motion = motion_to(goal, scene.gears)
+    obstacles, costmap = _obstacles(scene, motion, goal)
     problem = DockingProblem(
         start=motion.start,
         dock=scene.dock_at(goal),
         robot=scene.robot,
-        obstacles=_obstacles(scene, motion, goal),
+        obstacles=obstacles,
         clearance=CLEARANCE,
+        costmap=costmap,
     )
     return Instance(
         family=family,
@@ -122,9 +126,9 @@ def _placed(family: str, seed: int, scene: Scene, goal: Pose2) -> Instance:
     )
 
 
-def _obstacles(scene: Scene, motion: Path, goal: Pose2) -> ObstacleSet:
+def _obstacles(scene: Scene, motion: Path, goal: Pose2) -> tuple[ObstacleSet, Costmap | None]:
     polygons = [transform_points(goal.as_array()[None], polygon)[0] for polygon in scene.obstacles]
     if scene.cell is None:
-        return ObstacleSet.from_polygons(polygons)
-    lower, upper = occupied_rectangles(polygons, scene.robot, motion, scene.cell)
-    return ObstacleSet.from_rectangles(lower, upper, "grid")
+        return ObstacleSet.from_polygons(polygons), None
+    costmap = drawn_costmap(polygons, scene.robot, motion, scene.cell)
+    return obstacles_from_costmap(costmap), costmap

@@ -1,4 +1,4 @@
-"""Polygons drawn into an occupancy grid, and its occupied cells merged into rectangles."""
+"""Polygons drawn into an occupancy grid."""
 
 from __future__ import annotations
 
@@ -6,58 +6,42 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from optdock.costmap.costmap import FREE_SPACE, LETHAL, Costmap
 from optdock.testing.families_scene import swept_area
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from optdock.geometry.arrays import BoolArray, FloatArray
+    from optdock.geometry.arrays import FloatArray
     from optdock.path import Path
     from optdock.robot import Robot
 
-__all__ = ["merged_rectangles", "occupied_rectangles"]
+__all__ = ["drawn_costmap"]
+
+_BORDER = 1.5  # free cells around the motion and the polygons [m]
 
 
-def occupied_rectangles(
-    polygons: Sequence[FloatArray], robot: Robot, motion: Path, cell: float
-) -> tuple[FloatArray, FloatArray]:
-    """Cells that touch a polygon and keep away from what the motion sweeps, as rectangles.
+def drawn_costmap(polygons: Sequence[FloatArray], robot: Robot, motion: Path, cell: float) -> Costmap:
+    """A map, with room around the motion, on which the cells that touch a polygon are occupied.
 
-    Returns:
-        Lower and upper corners, Shape (m, 2) [m] each.
+    Cells near what the robot sweeps along the motion stay free.
+
+    Args:
+        polygons: Shape (n, 2) [m] each.
+        robot: What drives.
+        motion: What must stay possible.
+        cell: Side of a cell [m].
     """
     import shapely
 
-    points = np.vstack(polygons)
-    first = np.floor(points.min(axis=0) / cell).astype(np.int64)
-    count = np.ceil(points.max(axis=0) / cell).astype(np.int64) - first
-    x, y = ((first[axis] + np.arange(count[axis])) * cell for axis in (0, 1))
-    columns, rows = np.meshgrid(x, y)
-    cells = shapely.box(columns, rows, columns + cell, rows + cell)
+    points = np.vstack((*polygons, motion.sample(0.1).poses[:, :2]))
+    first = np.floor((points.min(axis=0) - _BORDER) / cell).astype(np.int64)
+    size = np.ceil((points.max(axis=0) + _BORDER) / cell).astype(np.int64) - first
+    x, y = ((first[axis] + np.arange(size[axis])) * cell for axis in (0, 1))
+    left, low = np.meshgrid(x, y)
+    cells = shapely.box(left, low, left + cell, low + cell)
     solid = shapely.union_all([shapely.Polygon(polygon) for polygon in polygons])
     shapely.prepare(solid)
     occupied = shapely.intersects(solid, cells) & ~shapely.intersects(swept_area(robot, motion), cells)
-    low, high = merged_rectangles(occupied)
-    return (first + low) * cell, (first + high) * cell
-
-
-def merged_rectangles(occupied: BoolArray) -> tuple[FloatArray, FloatArray]:
-    """Rectangles that cover exactly the occupied cells: runs in rows, merged with equal runs in the rows above.
-
-    Args:
-        occupied: Shape (rows, columns).
-
-    Returns:
-        Lower and upper corners in cells, Shape (m, 2) each, columns first.
-    """
-    padded = np.pad(occupied.astype(np.int8), ((0, 1), (1, 1)))
-    open_runs: dict[tuple[int, int], int] = {}
-    found: list[tuple[int, int, int, int]] = []
-    for row, edges in enumerate(np.diff(padded, axis=1)):
-        runs = list(zip(np.flatnonzero(edges == 1).tolist(), np.flatnonzero(edges == -1).tolist(), strict=True))
-        ended = [run for run in open_runs if run not in runs]
-        found += [(run[0], open_runs.pop(run), run[1], row) for run in ended]
-        for run in runs:
-            open_runs.setdefault(run, row)
-    corners = np.array(found, dtype=np.float64).reshape(-1, 4)
-    return corners[:, :2], corners[:, 2:]
+    costs = np.where(occupied, LETHAL, FREE_SPACE).astype(np.uint8)
+    return Costmap(costs, cell, (float(first[0] * cell), float(first[1] * cell)))

@@ -122,28 +122,26 @@ def collision(rng: np.random.Generator) -> Scene:
         straight(rng.uniform(0.7, 1.0)),
     )
     motion = Scene((gear,), AMR_FRONT, ()).motion
-    # The swerve is symmetric: its top is where the heading is that of the goal again, half way through the turns.
+    # The swerve is symmetric: half way through it the heading is the goal's.
     before, after = gear.pieces[0].length, gear.pieces[-1].length
     top = motion.pose_at(before + 0.5 * (motion.length - before - after))
     radius = rng.uniform(0.12, 0.16)
     centre = top @ Pose2(rng.uniform(-0.05, 0.05), -(0.3 + radius + rng.uniform(0.09, 0.13)), 0.0)
-    middle = motion.pose_at(0.5 * motion.length)
     (kink,) = random_kinks(rng)
-    down = -(middle.in_frame_of(Pose2(0.0, 0.0, 0.0)).y - rng.uniform(0.02, 0.06)) / max(0.5, math.cos(middle.yaw))
-    return Scene((gear,), AMR_FRONT, (Kink(kink.angle, down),), (_post_at(centre, radius, rng),))
+    middle = motion.pose_at(0.5 * motion.length)
+    back_to_the_line = Kink(kink.angle, -(middle.y - rng.uniform(0.02, 0.06)) / max(0.5, math.cos(middle.yaw)))
+    return Scene((gear,), AMR_FRONT, (back_to_the_line,), (_post_at(centre, radius, rng),))
 
 
 HEXAGON = np.array([[0.5, 0.0], [0.25, 0.33], [-0.25, 0.33], [-0.5, 0.0], [-0.25, -0.33], [0.25, -0.33]])
 
 
 def angled_hexagon(rng: np.random.Generator) -> Scene:
-    """A six-sided robot whose nose fits into a wedge, between two slanted jaws."""
-    normal = np.array([0.33, 0.25]) / math.hypot(0.33, 0.25)
-    nose, cheek = np.array([0.5, 0.0]) + GAP * 1.5 * np.array([1.0, 0.0]), np.array([0.25, 0.33]) + GAP * normal
-    back = box(0.75, 0.0, 0.76, cheek[1])[:2]
-    upper = np.array([nose, [back[0, 0], 0.0], [0.75, cheek[1]], cheek])
-    lower = upper * np.array([1.0, -1.0])
-    wedge = np.array([nose, lower[3], lower[2], [0.75, cheek[1]], cheek])
+    """A six-sided robot whose nose fits into a wedge, between two slanted jaws; a wall stands beside the approach."""
+    jaw = HEXAGON[:2] + GAP * np.array([[1.5, 0.0], [0.8, 0.6]])  # its nose and cheek, moved away from the robot
+    end = np.array([[0.75, jaw[1, 1]]])
+    upper = np.vstack((jaw, end))
+    wedge = np.vstack((upper, (upper * [1.0, -1.0])[:0:-1]))
     scene = Scene((s_curve(rng, 0.4, 0.8),), wedge, random_kinks(rng), robot=Robot(Footprint(HEXAGON), AMR.limits))
     wall = _beside(scene.motion, rng.uniform(0.35, 0.5), 0.33 + rng.uniform(0.27, 0.32))
     return Scene(scene.gears, wedge, scene.kinks, (box(-0.4, 0.0, 0.4, 0.1, wall),), scene.robot)
