@@ -100,7 +100,9 @@ def _rectangles(costmap: Costmap, cells: IntArray, name: str) -> ObstacleSet:
 
 
 def _checked_region(region: Region) -> tuple[FloatArray, FloatArray]:
-    lower, upper = (frozen_array(corner, f"region.{name}") for corner, name in zip(region, ("lower", "upper")))
+    lower, upper = (
+        frozen_array(corner, f"region.{name}") for corner, name in zip(region, ("lower", "upper"), strict=True)
+    )
     if lower.shape != (2,) or upper.shape != (2,) or not np.all(lower <= upper):
         raise InvalidValue(f"region: needs lower = [x, y] <= upper = [x, y], got {lower.tolist()}, {upper.tolist()}")
     return lower, upper

@@ -8,7 +8,6 @@ import numpy as np
 
 from optdock.costmap.costmap import Costmap
 from optdock.costmap.costs import OccupancyArray, OccupancyRule, costs_from_occupancy
-from optdock.errors import InvalidValue
 
 __all__ = ["OccupancyGrid"]
 
