@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from enum import Enum
 from typing import TYPE_CHECKING
+
+from optdock.geometry.pose import Twist2
 
 if TYPE_CHECKING:
     from optdock.geometry.footprint import Footprint
     from optdock.limits import MotionLimits
 
-__all__ = ["Drive", "Robot"]
+__all__ = ["Drive", "Robot", "admissible"]
 
 
 class Drive(str, Enum):
@@ -33,3 +36,28 @@ class Robot:
     footprint: Footprint
     limits: MotionLimits
     drive: Drive = Drive.DIFFERENTIAL
+
+
+def admissible(command: Twist2, limits: MotionLimits, drive: Drive = Drive.DIFFERENTIAL) -> Twist2:
+    """The command that the drive can follow: slowed down as a whole, so that its curvature stays.
+
+    Speed, yaw rate, wheel speed and lateral acceleration are brought within the limits; an Ackermann drive first
+    gives up the part of the turn that its smallest radius forbids. Sideways speed is dropped.
+    """
+    v, w = command.linear, command.angular
+    if drive is Drive.ACKERMANN:
+        most = limits.max_curvature * abs(v) if v != 0.0 else 0.0
+        w = min(max(w, -most), most)
+    top = limits.max_speed if v >= 0.0 else limits.max_reverse_speed
+    scale = min(
+        _share(top, abs(v)),
+        _share(limits.max_yaw_rate, abs(w)),
+        _share(limits.max_wheel_speed, abs(v) + 0.5 * limits.track_width * abs(w)),
+        math.sqrt(_share(limits.max_lateral_acceleration, abs(v * w))),
+    )
+    return Twist2(v * scale, w * scale)
+
+
+def _share(limit: float, value: float) -> float:
+    """How much of `value` the limit allows, at most 1."""
+    return 1.0 if value <= limit else limit / value

@@ -1,0 +1,222 @@
+"""TrackingController: drives a trajectory by feed-forward and pose feedback, and finishes it."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from typing import TYPE_CHECKING
+
+from pydantic import Field
+
+from optdock.controllers._law import Gains, tracking_command
+from optdock.controllers._limiter import rate_limited
+from optdock.controllers._reference import Reference
+from optdock.errors import ControllerInvalidPath, InvalidValue, NoValidControl
+from optdock.geometry.pose import Pose2, Twist2
+from optdock.interfaces import Controller, TimeParameterizer
+from optdock.limits import MotionLimits, SpeedZone
+from optdock.parameters import PluginParameters
+from optdock.robot import Drive, admissible
+from optdock.trajectory import Trajectory
+
+if TYPE_CHECKING:
+    from optdock.interfaces import GoalChecker
+    from optdock.path import Path
+
+__all__ = ["TrackingController", "TrackingControllerParameters"]
+
+_PEAK_MARGIN = 1.2  # without a configured robot: headroom for feedback above the trajectory's own peaks
+
+
+class TrackingControllerParameters(PluginParameters):
+    """Gains, time base and finish of the TrackingController."""
+
+    period: float = Field(default=0.02, gt=0.0, description="time between two calls [s]")
+    along_gain: float = Field(default=2.0, gt=0.0, description="speed per error along the travel [1/s]")
+    convergence_distance: float = Field(
+        default=0.25, gt=0.0, description="distance over which lateral errors decay [m]"
+    )
+    damping: float = Field(default=1.0, gt=0.0, description="damping ratio of the lateral error")
+    turn_gain: float = Field(default=1.0, gt=0.0, description="least yaw rate per heading error [1/s]")
+    preview: float = Field(default=0.0, ge=0.0, description="the drive's latency plus lag, compensated [s]")
+    slow_down_lag: float = Field(default=0.05, ge=0.0, description="lag at which the reference begins to wait [m]")
+    stop_lag: float = Field(default=0.2, gt=0.0, description="lag at which the reference stands still [m]")
+    max_error: float = Field(default=0.5, gt=0.0, description="distance from the reference that ends the task [m]")
+    min_speed: float = Field(default=0.0, ge=0.0, description="smallest speed the drive executes, for the finish [m/s]")
+    min_yaw_rate: float = Field(default=0.0, ge=0.0, description="smallest yaw rate it executes [rad/s]")
+    finish_tolerance: float = Field(default=0.002, gt=0.0, description="the smallest speed is used beyond this [m]")
+    finish_yaw_tolerance: float = Field(default=0.005, gt=0.0, description="as finish_tolerance, for yaw [rad]")
+    time_parameterizer: str = Field(default="Windowed", description="plugin that times a path handed over untimed")
+
+
+class TrackingController(Controller):
+    """Follows a trajectory in time, in both gears, and corrects what is left at its end.
+
+    **Time.** There is no clock: every call lets the reference advance by `period`, times a rate in [0, 1]. The rate
+    is 1 normally, lower under a speed limit, and falls smoothly to 0 while the robot lags behind by `slow_down_lag`
+    to `stop_lag`, so a blocked robot finds its reference waiting. A robot further than `max_error` from the
+    reference has left what was certified: NoValidControl, and a new plan is needed. The first call after `set_path`
+    starts at the trajectory's nearest point when the robot is not at its beginning, no faster than the robot is. At
+    cusps the reference rests as its time law does.
+
+    **Law.** See `_law`; the feed-forward is that of the middle of the coming period, `preview` ahead.
+
+    **Finish.** At the trajectory's end the same law holds the last pose: errors along and in yaw decay exponentially
+    to zero, without a dead band of its own. A drive that ignores small commands is given at least `min_speed`
+    (`min_yaw_rate`) until within `finish_tolerance`. An error across cannot be removed by a wheeled robot in place.
+
+    **Limits.** Those of the context's robot. Without one: the defaults of `MotionLimits`, widened to 1.2 times the
+    peaks of the trajectory. Commands are admissible for the drive and change no faster than it can accelerate.
+
+    Args:
+        **parameters: Fields of `TrackingControllerParameters`.
+
+    Raises:
+        InvalidValue: A parameter is unknown, of the wrong type or out of range.
+    """
+
+    Parameters = TrackingControllerParameters
+    parameters: TrackingControllerParameters
+
+    def __init__(self, **parameters: object) -> None:
+        super().__init__(**parameters)
+        self._speed_limit: tuple[float, bool] | None = None
+        self.reset()
+
+    def set_path(self, path: Path | Trajectory) -> None:
+        """Follow a trajectory, or a path after timing it, from the next call on.
+
+        Raises:
+            ControllerInvalidPath: The path cannot be timed under the robot's limits.
+            PluginError: The time parameterizer does not exist.
+        """
+        trajectory = path if isinstance(path, Trajectory) else self._timed(path)
+        self._reference = Reference(trajectory)
+        self._anchored = self._cancelled = False
+        self._limits = self._limits_for(self._reference)
+
+    def compute_velocity_commands(self, pose: Pose2, velocity: Twist2, goal_checker: GoalChecker | None) -> Twist2:
+        """The command for the coming period; see the class.
+
+        Args:
+            pose: Measured pose.
+            velocity: Measured body velocity; limits the first command only.
+            goal_checker: Its position tolerance may widen `finish_tolerance`.
+
+        Raises:
+            ControllerInvalidPath: There is no path.
+            NoValidControl: The robot is further than `max_error` from the reference.
+        """
+        if self._reference is None:
+            raise ControllerInvalidPath("TrackingController: has no path; call set_path first")
+        if not self._anchored:
+            self._anchor(self._reference, pose, velocity)
+        error = self._reference.pose.in_frame_of(pose)
+        self._check_error(error)
+        wanted = self._wanted(self._reference, error, goal_checker)
+        command = rate_limited(self._last, wanted, self._limits, self.parameters.period)
+        self._last = admissible(command, self._limits, self._drive)
+        self._reference.advance(
+            self.parameters.period, self._target_rate(self._reference, error), self._limits, urgent=self._cancelled
+        )
+        return self._last
+
+    def set_speed_limit(self, limit: float, *, percentage: bool) -> None:
+        """Slow the whole reference down, to `limit` percent or to a peak speed of `limit` m/s; 0 removes the limit.
+
+        Raises:
+            InvalidValue: The limit is negative or not finite.
+        """
+        if not (math.isfinite(limit) and limit >= 0.0):
+            raise InvalidValue(f"TrackingController: the speed limit must be finite and >= 0, got {limit}")
+        self._speed_limit = (limit, percentage) if limit > 0.0 else None
+
+    def cancel(self) -> bool:
+        """Brake along the path within the limits; True once the commands are zero."""
+        self._cancelled = True
+        return self._reference is None or not self._anchored or (self._reference.rate == 0.0 and self._last == Twist2())
+
+    def reset(self) -> None:
+        """Forget the path; the speed limit stays."""
+        self._reference: Reference | None = None
+        self._limits = MotionLimits()
+        self._last = Twist2()
+        self._anchored = self._cancelled = False
+
+    @property
+    def _drive(self) -> Drive:
+        return self.context.problem.robot.drive if self.context.problem else Drive.DIFFERENTIAL
+
+    def _timed(self, path: Path) -> Trajectory:
+        from optdock.plugins import create_plugin
+
+        problem = self.context.problem
+        limits, zone = (problem.robot.limits, problem.dock.approach) if problem else (MotionLimits(), SpeedZone())
+        result = create_plugin(TimeParameterizer, self.parameters.time_parameterizer).parameterize(path, limits, zone)
+        if result.trajectory is None or result.status != 0:
+            raise ControllerInvalidPath(f"TrackingController: the path cannot be timed: {result.status.name}")
+        return result.trajectory
+
+    def _limits_for(self, reference: Reference) -> MotionLimits:
+        if self.context.problem:
+            return self.context.problem.robot.limits
+        limits, peak = MotionLimits(), _PEAK_MARGIN * reference.peak_speed
+        acceleration = _PEAK_MARGIN * reference.peak_acceleration
+        return dataclasses.replace(
+            limits,
+            max_speed=max(limits.max_speed, peak),
+            max_reverse_speed=max(limits.max_reverse_speed, peak),
+            max_acceleration=max(limits.max_acceleration, acceleration),
+            max_deceleration=max(limits.max_deceleration, acceleration),
+        )
+
+    def _anchor(self, reference: Reference, pose: Pose2, velocity: Twist2) -> None:
+        if pose.distance_to(reference.pose) > self.parameters.slow_down_lag:
+            reference.jump_to_nearest(pose)
+        reference.match_speed(velocity.linear)
+        self._last = Twist2(velocity.linear, velocity.angular)
+        self._anchored = True
+
+    def _check_error(self, error: Pose2) -> None:
+        distance = math.hypot(error.x, error.y)
+        if distance > self.parameters.max_error:
+            raise NoValidControl(
+                f"TrackingController: {distance:.3f} m from the reference, more than max_error = "
+                f"{self.parameters.max_error} m; plan again from here",
+                where={"along": error.x, "cross": error.y, "yaw": error.yaw},
+            )
+
+    def _wanted(self, reference: Reference, error: Pose2, goal_checker: GoalChecker | None) -> Twist2:
+        if self._cancelled and reference.rate == 0.0:
+            return Twist2()
+        p = self.parameters
+        gains = Gains(p.along_gain, p.convergence_distance, p.damping, p.turn_gain)
+        wanted = tracking_command(error, reference.velocity(p.preview + 0.5 * p.period), gains)
+        return self._above_dead_band(wanted, error, goal_checker) if reference.finished else wanted
+
+    def _above_dead_band(self, wanted: Twist2, error: Pose2, goal_checker: GoalChecker | None) -> Twist2:
+        p = self.parameters
+        accepted = goal_checker.tolerances if goal_checker else None
+        near = max(p.finish_tolerance, 0.5 * (accepted.x or 0.0) if accepted else 0.0)
+        aligned = max(p.finish_yaw_tolerance, 0.5 * (accepted.yaw or 0.0) if accepted else 0.0)
+        linear = _at_least(wanted.linear, p.min_speed) if abs(error.x) > near else wanted.linear
+        angular = _at_least(wanted.angular, p.min_yaw_rate) if abs(error.yaw) > aligned else wanted.angular
+        return Twist2(linear, angular)
+
+    def _target_rate(self, reference: Reference, error: Pose2) -> float:
+        if self._cancelled:
+            return 0.0
+        p = self.parameters
+        lag = error.x * reference.gear
+        waiting = min(1.0, max(0.0, (p.stop_lag - lag) / max(1e-9, p.stop_lag - p.slow_down_lag)))
+        return waiting * self._allowed_rate(reference.peak_speed)
+
+    def _allowed_rate(self, peak_speed: float) -> float:
+        if self._speed_limit is None:
+            return 1.0
+        limit, percentage = self._speed_limit
+        return min(1.0, limit / 100.0 if percentage else limit / peak_speed)
+
+
+def _at_least(value: float, least: float) -> float:
+    return math.copysign(max(abs(value), least), value) if value != 0.0 else 0.0

@@ -1,0 +1,160 @@
+"""The closed loop: plant, noise, controller and goal checker, one control period after the other."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from optdock.errors import ControllerException, InvalidValue
+from optdock.geometry.pose import Pose2, Twist2
+from optdock.simulation.clearance import executed_clearance
+from optdock.simulation.plant import Actuation, DifferentialDrive, PlantState
+from optdock.simulation.remainder import RemainingPath
+from optdock.simulation.run import Run
+
+if TYPE_CHECKING:
+    from optdock.interfaces import Controller, GoalChecker
+    from optdock.obstacles import ObstacleSet
+    from optdock.robot import Robot
+    from optdock.trajectory import Trajectory
+
+__all__ = ["SimulationSettings", "run_closed_loop"]
+
+
+@dataclass(frozen=True, eq=False)
+class SimulationSettings:
+    """The world of a run; the default is perfect.
+
+    Args:
+        period: Control period [s].
+        timeout: Simulated time after which the run is given up [s]; None: 1.5 times the trajectory plus 10 s.
+        actuation: Lags, latency and dead band of the drive.
+        position_noise: Standard deviation of the measured x and y [m], white.
+        yaw_noise: Standard deviation of the measured yaw [rad], white.
+        seed: Of the noise; equal seeds give equal runs.
+        start: True pose at the beginning; None: the trajectory's start.
+        obstacles: For the clearance of the driven poses; None leaves it out.
+
+    Raises:
+        InvalidValue: The period is not > 0, or a standard deviation or the timeout is negative or not finite.
+    """
+
+    period: float = 0.02
+    timeout: float | None = None
+    actuation: Actuation = field(default_factory=Actuation)
+    position_noise: float = 0.0
+    yaw_noise: float = 0.0
+    seed: int = 0
+    start: Pose2 | None = None
+    obstacles: ObstacleSet | None = None
+
+    def __post_init__(self) -> None:
+        if not (math.isfinite(self.period) and self.period > 0.0):
+            raise InvalidValue(f"simulation.period: must be finite and > 0 s, got {self.period}")
+        for name in ("timeout", "position_noise", "yaw_noise"):
+            value = getattr(self, name)
+            if value is not None and not (math.isfinite(value) and value >= 0.0):
+                raise InvalidValue(f"simulation.{name}: must be finite and >= 0, got {value}")
+
+
+def run_closed_loop(
+    trajectory: Trajectory,
+    robot: Robot,
+    goal: Pose2,
+    controller: Controller,
+    goal_checker: GoalChecker,
+    settings: SimulationSettings | None = None,
+) -> Run:
+    """Drive `trajectory` in simulation until the goal checker says docked, the controller gives up, or time is out.
+
+    The controller and the checker are reset first; in each period the checker is asked before the controller, as
+    Nav2's server does.
+
+    Args:
+        trajectory: What to drive; the controller gets it through `set_path`.
+        robot: Its drive limits bound the plant; its footprint is used for the clearance.
+        goal: Pose handed to the goal checker.
+        controller: Ready to use; its own period must be that of the settings.
+        goal_checker: Decides.
+        settings: The world; perfect by default.
+    """
+    settings = settings or SimulationSettings()
+    controller.reset()
+    goal_checker.reset()
+    controller.set_path(trajectory)
+    loop = _Loop(trajectory, robot, goal, controller, goal_checker, settings)
+    docked, reason = loop.run()
+    return loop.result(docked=docked, reason=reason)
+
+
+class _Loop:
+    """The state of one run."""
+
+    def __init__(  # noqa: PLR0913 - the arguments of `run_closed_loop`, plus self
+        self,
+        trajectory: Trajectory,
+        robot: Robot,
+        goal: Pose2,
+        controller: Controller,
+        goal_checker: GoalChecker,
+        settings: SimulationSettings,
+    ) -> None:
+        self.trajectory, self.robot, self.goal = trajectory, robot, goal
+        self.controller, self.goal_checker, self.settings = controller, goal_checker, settings
+        self.plant = DifferentialDrive(robot, settings.actuation, settings.period)
+        self.remaining = RemainingPath(trajectory.path)
+        self.noise = np.random.default_rng(settings.seed)
+        self.rows: list[tuple[Pose2, Pose2, Twist2, Twist2]] = []
+
+    def run(self) -> tuple[bool, str]:
+        """Whether docked, and why not."""
+        state = self.plant.at_rest(self.settings.start or self.trajectory.at(0.0).pose)
+        timeout = self.settings.timeout
+        timeout = 1.5 * self.trajectory.duration + 10.0 if timeout is None else timeout
+        for _ in range(math.ceil(timeout / self.settings.period) + 1):
+            measured = self._measured(state.pose)
+            if self._reached(measured, state.twist):
+                return self._end(state, measured, docked=True, reason="")
+            try:
+                command = self.controller.compute_velocity_commands(measured, state.twist, self.goal_checker)
+            except ControllerException as error:
+                return self._end(state, measured, docked=False, reason=f"{type(error).__name__}: {error}")
+            self.rows.append((state.pose, measured, command, state.twist))
+            state = self.plant.step(state, command)
+        return False, f"timeout: not docked within {timeout:g} s"
+
+    def _measured(self, pose: Pose2) -> Pose2:
+        x, y, yaw = self.noise.standard_normal(3)
+        position, turn = self.settings.position_noise, self.settings.yaw_noise
+        return Pose2(pose.x + position * float(x), pose.y + position * float(y), pose.yaw + turn * float(yaw))
+
+    def _reached(self, measured: Pose2, twist: Twist2) -> bool:
+        path = self.remaining.from_pose(measured)
+        return self.goal_checker.is_goal_reached(measured, self.goal, twist, path)
+
+    def _end(self, state: PlantState, measured: Pose2, *, docked: bool, reason: str) -> tuple[bool, str]:
+        self.rows.append((state.pose, measured, Twist2(), state.twist))
+        return docked, reason
+
+    def result(self, *, docked: bool, reason: str) -> Run:
+        """The run's record."""
+        true, measured, commands, twists = zip(*self.rows, strict=True)
+        times = self.settings.period * np.arange(len(self.rows))
+        reference = self.trajectory.sample_at(times)
+        poses = np.array([pose.as_array() for pose in true])
+        obstacles = self.settings.obstacles
+        return Run(
+            times=times,
+            poses=poses,
+            measured=np.array([pose.as_array() for pose in measured]),
+            commands=np.array([(c.linear, c.angular) for c in commands]),
+            twists=np.array([(t.linear, t.angular) for t in twists]),
+            references=np.column_stack((reference.x, reference.y, reference.yaw)),
+            goal=self.goal,
+            docked=docked,
+            reason=reason,
+            min_clearance=executed_clearance(self.robot.footprint, poses, obstacles) if obstacles else None,
+        )
