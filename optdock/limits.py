@@ -74,7 +74,8 @@ def _rule(name: str, value: float) -> tuple[str, bool]:
     if name == "track_width":
         return "finite and >= 0 m", math.isfinite(value) and value >= 0.0
     if name in _FINITE:
-        return f"finite and > 0 {_UNITS[name]}", math.isfinite(value) and value > 0.0
+        finite = math.isfinite(value)
+        return f"{'' if finite else 'finite and '}> 0 {_UNITS[name]}", finite and value > 0.0
     return f"> 0 {_UNITS[name]}", value > 0.0
 
 

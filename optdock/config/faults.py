@@ -1,0 +1,99 @@
+"""Faults of a file in one language: `file:line: key: rule, got value`."""
+
+from __future__ import annotations
+
+import re
+from typing import TYPE_CHECKING, NamedTuple
+
+from optdock.parameters import closest
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterable, Mapping
+
+    from pydantic import ValidationError
+
+    from optdock.io.yaml_lines import Document, Keys
+
+__all__ = ["Fault", "faults_of", "report"]
+
+# What a value must be, by pydantic's name of the fault; each is followed by ", got VALUE".
+_RULES = {
+    "float_type": "must be a number",
+    "float_parsing": "must be a number",
+    "finite_number": "must be finite",
+    "int_type": "must be a whole number",
+    "int_parsing": "must be a whole number",
+    "int_from_float": "must be a whole number",
+    "bool_type": "must be true or false",
+    "bool_parsing": "must be true or false",
+    "string_type": "must be text",
+    "list_type": "must be a list",
+    "dict_type": "must be a mapping",
+    "model_type": "must be a mapping",
+    "model_attributes_type": "must be a mapping",
+}
+_BOUNDS = {"greater_than": (">", "gt"), "greater_than_equal": (">=", "ge")}
+_BOUNDS |= {"less_than": ("<", "lt"), "less_than_equal": ("<=", "le")}
+_OWNER = re.compile(r"^([a-z_]+(?:\.[a-z_]+|\[\d+\])*): ")
+_LONGEST_VALUE = 80
+
+
+class Fault(NamedTuple):
+    """One broken rule: the key it concerns and a sentence."""
+
+    key: Keys
+    message: str
+
+
+def faults_of(error: ValidationError, known: Callable[[Keys], Iterable[str]], base: Keys = ()) -> list[Fault]:
+    """What a validation found, in our words.
+
+    Args:
+        error: What pydantic raised.
+        known: The keys that a mapping at a key accepts, to name the one nearest to a misspelt key.
+        base: Keys of the validated part inside its file.
+    """
+    return [_fault(item, known, base) for item in error.errors()]
+
+
+def _fault(item: Mapping[str, object], known: Callable[[Keys], Iterable[str]], base: Keys) -> Fault:
+    location = item["loc"]
+    key = location if isinstance(location, tuple) else ()
+    kind, context = str(item["type"]), item.get("ctx")
+    details = context if isinstance(context, dict) else {}
+    if kind == "missing":
+        return Fault(base + key, "is required")
+    if kind == "extra_forbidden":
+        return Fault(base + key, f"unknown key{closest(str(key[-1]), known(key[:-1]))}")
+    if kind == "value_error":
+        return _value_fault(base + key, str(details.get("error")))
+    return Fault(base + key, f"{_rule(kind, details, str(item['msg']))}, got {_shown(item['input'])}")
+
+
+def _value_fault(key: Keys, message: str) -> Fault:
+    """A constructor's message names what it calls the value; the file's key says that better, but for a part of it."""
+    found = _OWNER.match(message)
+    if found is None:
+        return Fault(key, message)
+    owner, dot, part = found[1].partition(".")
+    return Fault((*key, part) if dot and key[-1:] == (owner,) else key, message[found.end() :])
+
+
+def _rule(kind: str, details: Mapping[str, object], message: str) -> str:
+    if kind in ("literal_error", "enum"):
+        return f"must be {str(details['expected']).replace(chr(39), '')}"
+    if kind in _BOUNDS:
+        sign, name = _BOUNDS[kind]
+        return f"must be {sign} {details[name]}"
+    return _RULES.get(kind, message)
+
+
+def _shown(value: object) -> str:
+    text = repr(value)
+    return text if len(text) <= _LONGEST_VALUE else f"{text[:_LONGEST_VALUE]}..."
+
+
+def report(faults: Iterable[Fault], document: Document) -> str:
+    """Every fault on a line of its own, in the order of the file."""
+    ordered = sorted(faults, key=lambda fault: document.line_of(fault.key))
+    return "\n".join(document.fault(*fault) for fault in ordered)

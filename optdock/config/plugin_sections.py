@@ -1,0 +1,64 @@
+"""The plugin sections of a scenario: `{plugin: NAME, parameter: value, ...}`."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import TYPE_CHECKING
+
+from pydantic import ValidationError
+
+from optdock.config.faults import Fault, faults_of
+from optdock.errors import PluginError
+from optdock.pipeline import PluginChoice, PluginChoices
+from optdock.plugins import INTERFACES, load_plugin
+
+if TYPE_CHECKING:
+    from optdock.lifecycle import Plugin
+
+__all__ = ["PLUGIN_DEFAULTS", "plugin_choice"]
+
+# The plugin of a section that names none.
+PLUGIN_DEFAULTS: Mapping[str, str] = {
+    "planner": PluginChoices().planner.name,
+    "smoother": PluginChoices().smoother.name,
+    "timing": PluginChoices().timing.name,
+    "controller": "TrackingController",
+    "goal_checker": "AxisGoalChecker",
+}
+
+
+def plugin_choice(kind: str, section: object, faults: list[Fault]) -> PluginChoice:
+    """The plugin and parameters that a section asks for.
+
+    Args:
+        kind: Key of the section.
+        section: Its value; a value that is no mapping is left to the structure's check.
+        faults: Where an unknown plugin and every wrong parameter are noted.
+    """
+    name = PLUGIN_DEFAULTS[kind]
+    if not isinstance(section, Mapping):
+        return PluginChoice(name, {})
+    asked = section.get("plugin", name)
+    parameters = {str(key): value for key, value in section.items() if key != "plugin"}
+    if not section:
+        return PluginChoice(name, {})
+    try:
+        plugin = load_plugin(INTERFACES[_plural(kind)], str(asked))
+    except PluginError as error:
+        faults.append(Fault((kind, "plugin"), str(error)))
+        return PluginChoice(name, {})
+    faults.extend(parameter_faults(plugin, parameters, (kind,)))
+    return PluginChoice(str(asked), parameters)
+
+
+def parameter_faults(plugin: type[Plugin], parameters: Mapping[str, object], base: tuple[str, ...]) -> list[Fault]:
+    """What a plugin's parameter model finds wrong with `parameters`."""
+    try:
+        plugin.Parameters.model_validate(dict(parameters))
+    except ValidationError as error:
+        return faults_of(error, lambda key: plugin.Parameters.model_fields if not key else (), base)
+    return []
+
+
+def _plural(kind: str) -> str:
+    return kind if kind == "timing" else f"{kind}s"

@@ -1,0 +1,110 @@
+"""Scenario files: one docking problem with the plugins and the time to solve it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from pydantic import ValidationError
+
+from optdock.config.document import SECTIONS, ScenarioDocument, known_keys
+from optdock.config.faults import Fault, faults_of, report
+from optdock.config.plugin_sections import plugin_choice
+from optdock.costmap import obstacles_from_costmap
+from optdock.errors import InvalidFile, OptdockError
+from optdock.io.maps import load_map
+from optdock.io.yaml_lines import load_yaml
+from optdock.obstacles import ObstacleSet
+from optdock.pipeline import PluginChoice, PluginChoices
+from optdock.problem import DockingProblem
+
+if TYPE_CHECKING:
+    from optdock.costmap.costmap import Costmap
+
+__all__ = ["Scenario", "load_scenario"]
+
+
+@dataclass(frozen=True, eq=False)
+class Scenario:
+    """What a scenario file says.
+
+    Args:
+        problem: The docking problem.
+        time_budget: Wall-clock seconds for planning it.
+        plugins: Planner, smoother and time parameterizer.
+        controller: What drives the result in `optdock simulate`.
+        goal_checker: What decides there that the robot has arrived.
+        source: The file.
+    """
+
+    problem: DockingProblem
+    time_budget: float
+    plugins: PluginChoices
+    controller: PluginChoice
+    goal_checker: PluginChoice
+    source: Path
+
+
+def load_scenario(source: str | Path) -> Scenario:
+    """Read a scenario file, format `optdock-scenario/1`.
+
+    Raises:
+        InvalidFile: The file cannot be read or breaks the format; the message lists every fault, one per line, with
+            file, line, key, value and rule.
+    """
+    source = Path(source)
+    located = load_yaml(source)
+    if not isinstance(located.value, Mapping):
+        raise InvalidFile(f"{source}: must be a mapping with the key format: optdock-scenario/1")
+    faults: list[Fault] = []
+    document = _document(located.value, faults)
+    choices = {kind: plugin_choice(kind, located.value.get(kind, {}), faults) for kind in SECTIONS}
+    costmap = _costmap(source, located.value.get("map"), faults)
+    if faults or document is None:
+        raise InvalidFile(report(faults, located))
+    return Scenario(
+        problem=_problem(document, costmap),
+        time_budget=document.time_budget,
+        plugins=PluginChoices(choices["planner"], choices["smoother"], choices["timing"]),
+        controller=choices["controller"],
+        goal_checker=choices["goal_checker"],
+        source=source,
+    )
+
+
+def _document(value: Mapping[str, object], faults: list[Fault]) -> ScenarioDocument | None:
+    try:
+        return ScenarioDocument.model_validate(value)
+    except ValidationError as error:
+        faults.extend(faults_of(error, known_keys))
+        return None
+
+
+def _costmap(source: Path, name: object, faults: list[Fault]) -> Costmap | None:
+    """The map, found relative to the scenario."""
+    if not isinstance(name, str):
+        return None
+    try:
+        return load_map(source.parent / name).costmap
+    except OptdockError as error:
+        faults.extend(Fault(("map",), line) for line in str(error).splitlines())
+        return None
+
+
+def _problem(document: ScenarioDocument, costmap: Costmap | None) -> DockingProblem:
+    obstacles = ObstacleSet.from_polygons(document.obstacles)
+    if costmap is not None:
+        obstacles = obstacles + obstacles_from_costmap(costmap)
+    return DockingProblem(
+        start=document.start.pose,
+        dock=document.dock.value(),
+        robot=document.robot.value(),
+        obstacles=obstacles,
+        clearance=document.clearance.value(),
+        start_speed=document.start.speed,
+        start_curvature=document.start.known_curvature,
+        costmap=costmap,
+        frame=document.frame,
+    )
