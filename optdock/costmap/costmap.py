@@ -56,6 +56,8 @@ class Costmap:
         object.__setattr__(self, "resolution", float(self.resolution))
         object.__setattr__(self, "origin", (float(self.origin[0]), float(self.origin[1])))
         object.__setattr__(self, "data", _checked_costs(self.data))
+        if not all(math.isfinite(value) for value in self.upper):
+            raise InvalidValue(f"costmap: its upper corner must be finite, got {self.upper}; check the resolution")
 
     @classmethod
     def from_occupancy(
@@ -105,6 +107,19 @@ class Costmap:
         if costs.shape != self.data.shape:
             raise InvalidValue(f"costmap.data: must have shape {self.data.shape}, got {costs.shape}")
         return Costmap(costs, self.resolution, self.origin)
+
+    def cropped(self, lower: ArrayLike, upper: ArrayLike) -> Costmap:
+        """The cells that meet the box from `lower` to `upper`, Shape (2,) [m] each; the grid stays aligned.
+
+        Raises:
+            InvalidValue: No cell of the map meets the box.
+        """
+        first, last = self.cell_of(np.stack((np.asarray(lower), np.asarray(upper))))
+        first, stop = np.maximum(first, 0), np.minimum(last + 1, (self.columns, self.rows))
+        if np.any(first >= stop):
+            raise InvalidValue(f"costmap: the map {self.lower}..{self.upper} m has no cell in {lower!r}..{upper!r}")
+        origin = (self.origin[0] + first[0] * self.resolution, self.origin[1] + first[1] * self.resolution)
+        return Costmap(self.data[first[1] : stop[1], first[0] : stop[0]], self.resolution, origin)
 
     @property
     def rows(self) -> int:
