@@ -32,7 +32,8 @@ unit: $(STAMP)
 test: check unit
 
 bench: $(STAMP)
-	$(BIN)/python -m benchmarks
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check -e '.[bench]'
+	$(BIN)/python -m experiments.benchmarks
 
 experiments: $(STAMP)
 	for script in experiments/[0-9]*.py; do $(BIN)/python $$script || exit 1; done

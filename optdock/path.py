@@ -6,6 +6,7 @@ is positive. A path has no time; see `trajectory` for that.
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import dataclass, field
 from enum import IntEnum
 from typing import TYPE_CHECKING, NamedTuple, Protocol
@@ -242,11 +243,10 @@ class Path:
         Raises:
             InvalidPath: Fewer than two distinct poses, or a value that is not finite.
         """
-        rows = (
-            [p.as_array() if isinstance(p, Pose2) else p for p in poses] if not isinstance(poses, np.ndarray) else poses
-        )
+        if not isinstance(poses, np.ndarray):
+            poses = np.array([pose.as_array() if isinstance(pose, Pose2) else pose for pose in poses])
         try:
-            array = np.array(frozen_array(rows, "path", columns=3))
+            array = np.array(frozen_array(poses, "path", columns=3))
         except ValueError as error:
             raise InvalidPath(str(error)) from error
         array[:, 2] = unwrap_yaw(array[:, 2])
@@ -256,10 +256,7 @@ class Path:
         gears = _step_gears(array)
         cuts = np.concatenate(([0], np.flatnonzero(np.diff(gears)) + 1, [len(gears)]))
         return cls(
-            tuple(
-                PolylineSegment(array[a : b + 1], Direction(int(gears[a])))
-                for a, b in zip(cuts[:-1], cuts[1:], strict=True)
-            )
+            tuple(PolylineSegment(array[a : b + 1], Direction(int(gears[a]))) for a, b in itertools.pairwise(cuts))
         )
 
     @property

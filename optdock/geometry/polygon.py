@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -116,15 +117,12 @@ def _oriented(points: FloatArray) -> FloatArray:
 
 
 def _merge_convex(pieces: list[FloatArray]) -> list[FloatArray]:
-    merged = True
-    while merged:
-        merged = False
-        for i, j in ((i, j) for i in range(len(pieces)) for j in range(i + 1, len(pieces))):
-            union = _union_over_shared_edge(pieces[i], pieces[j])
-            if union is not None and is_convex(union):
-                pieces = [piece for k, piece in enumerate(pieces) if k not in (i, j)] + [union]
-                merged = True
-                break
+    """Join pieces pairwise until no union is convex."""
+    for i, j in itertools.combinations(range(len(pieces)), 2):
+        union = _union_over_shared_edge(pieces[i], pieces[j])
+        if union is not None and is_convex(union):
+            rest = [piece for k, piece in enumerate(pieces) if k not in (i, j)]
+            return _merge_convex([*rest, union])
     return pieces
 
 

@@ -20,7 +20,7 @@ __all__ = ["ConvexBody", "ConvexPieces", "Separation", "separation"]
 
 
 class ConvexBody(NamedTuple):
-    """A convex polygon in its own frame: counter-clockwise vertices (n, 2) [m], outward normals (n, 2), offsets (n,)."""
+    """A convex polygon in its own frame: vertices (n, 2) [m], outward normals (n, 2), offsets (n,) [m]."""
 
     vertices: FloatArray
     normals: FloatArray
@@ -89,7 +89,7 @@ def _along_body_normals(body: ConvexBody, poses: FloatArray, pieces: ConvexPiece
 def _along_nearest_vertices(vertices: FloatArray, corners: FloatArray) -> Separation:
     dx = vertices[:, :, None, 0] - corners[:, None, :, 0]
     dy = vertices[:, :, None, 1] - corners[:, None, :, 1]  # (m, v, k)
-    squared = (dx * dx + dy * dy).reshape(dx.shape[0], -1)
+    squared = (dx * dx + dy * dy).reshape(dx.shape[0], dx.shape[1] * dx.shape[2])
     rows, best = np.arange(squared.shape[0]), np.argmin(squared, axis=1)
     axis = np.column_stack((dx.reshape(squared.shape)[rows, best], dy.reshape(squared.shape)[rows, best]))
     length = np.sqrt(squared[rows, best])

@@ -34,6 +34,7 @@ if TYPE_CHECKING:
 __all__ = ["ClearanceProof", "pose_clearance", "prove_clearance"]
 
 TOLERANCE = 1e-6  # [m], accepted shortfall; covers rounding where contact is allowed
+SHARPNESS = 1e-3  # [m]: the reported minimum is at most this far below a clearance that occurs
 _MAX_STEP = 0.08  # [m], first cells
 _MAX_LEVELS = 24
 _MAX_POSES = 60_000
@@ -60,17 +61,20 @@ class ClearanceProof(NamedTuple):
 
 
 class _Round(NamedTuple):
-    """One round over a set of cells: lower bound, requirement, obstacle and place per cell, and violating poses."""
+    """One round over a set of cells: lower bound, requirement, obstacle and place per cell; over all of them the
+    violating poses and the smallest clearance that a pose has.
+    """
 
     bound: FloatArray
     required: FloatArray
     row: IntArray
     s: FloatArray
     violations: FloatArray
+    attained: float
 
     def rows(self, keep: BoolArray) -> _Round:
         """The cells at `keep`, with all violations."""
-        return _Round(self.bound[keep], self.required[keep], self.row[keep], self.s[keep], self.violations)
+        return self._replace(bound=self.bound[keep], required=self.required[keep], row=self.row[keep], s=self.s[keep])
 
 
 def pose_clearance(pose: Pose2, footprint: Footprint, obstacles: ObstacleSet) -> tuple[float, int]:
@@ -121,6 +125,7 @@ class _Prover:
         self.obstacles = problem.all_obstacles
         end_clearance, _ = pose_clearance(motion.path.end, problem.robot.footprint, self.obstacles)
         self.end_clearance = min(start_clearance, end_clearance)
+        self.attained = np.inf
         self.poses = 0
 
     def run(self) -> ClearanceProof:
@@ -132,7 +137,9 @@ class _Prover:
         given_up = np.zeros((0, 2))
         for level in range(_MAX_LEVELS + 1):
             result = self._round(cells)
-            proven = result.bound >= result.required - TOLERANCE
+            self.attained = min(self.attained, result.attained)
+            sharp = result.bound >= self.attained - SHARPNESS
+            proven = (result.bound >= result.required - TOLERANCE) & (sharp | (level == _MAX_LEVELS))
             violations.append(result.violations)
             rounds.append(result.rows(proven))
             open_cells = np.flatnonzero(~(proven | self._touches_violation(cells, result)))
@@ -158,7 +165,7 @@ class _Prover:
         low = self.motion.nodes(cells.segment, cells.first).s
         high = self.motion.nodes(cells.segment, cells.last).s
         s = result.violations[:, 0]
-        touched: BoolArray = ((s >= low[:, None] - 1e-9) & (s <= high[:, None] + 1e-9)).any(axis=1)
+        touched: BoolArray = np.any((s >= low[:, None] - 1e-9) & (s <= high[:, None] + 1e-9), axis=1)
         return touched
 
     def _round(self, cells: Cells) -> _Round:
@@ -174,7 +181,7 @@ class _Prover:
         row = np.where(earlier, per_side[0].row, per_side[1].row)
         s = np.where(earlier, first.s, last.s)
         violations = np.concatenate([side.violations for side in per_side])
-        return _Round(bound, required, row, s, violations)
+        return _Round(bound, required, row, s, violations, min(side.attained for side in per_side))
 
     def _required_in_cells(self, first: Nodes, last: Nodes, bounds: CellMotion) -> FloatArray:
         """Largest requirement within each cell: distance to a fixed point is convex along the chord."""
@@ -195,7 +202,7 @@ class _Prover:
     def _side(self, side: _Side, bounds: CellMotion, required: FloatArray) -> _SideBound:
         """Lower bounds over the half cell next to each node, over all bodies and obstacles."""
         half = 0.5 * bounds.width
-        total = _SideBound(np.full(half.size, np.inf), np.full(half.size, -1, dtype=np.int64), np.zeros((0, 4)))
+        total = _SideBound(np.full(half.size, np.inf), np.full(half.size, -1, dtype=np.int64), np.zeros((0, 4)), np.inf)
         for body in self.bodies:
             total = total.merged(self._body_side(body, side, bounds, half, required))
         return total
@@ -215,7 +222,9 @@ class _Prover:
         bound = np.minimum(exact.distance, exact.distance + stray - bend)
         apart[i, o] = bound
         row = np.argmin(apart, axis=1)
-        return _SideBound(apart[np.arange(half.size), row], row, self._violations(side, i, o, exact.distance))
+        violations = self._violations(side, i, o, exact.distance)
+        attained = float(np.min(exact.distance, initial=np.inf))
+        return _SideBound(apart[np.arange(half.size), row], row, violations, attained)
 
     def _violations(self, side: _Side, i: IntArray, o: IntArray, distance: FloatArray) -> FloatArray:
         """Poses, not bounds, that are too close: (s, clearance, required, row)."""
@@ -243,8 +252,7 @@ class _Prover:
         """Row in the problem's obstacles of a row of the cropped ones."""
         if row < 0 or self.rows is self.obstacles:
             return row
-        same = np.all(self.obstacles.vertices == self.rows.vertices[row], axis=(1, 2))
-        return int(np.argmax(same))
+        return int(np.argmax(np.all(self.obstacles.vertices == self.rows.vertices[row], axis=(1, 2))))
 
     def _named(self, violations: FloatArray) -> FloatArray:
         named = violations.copy()
@@ -263,11 +271,12 @@ class _Side(NamedTuple):
 
 
 class _SideBound(NamedTuple):
-    """Lower bound and obstacle row per half cell, and violating poses."""
+    """Lower bound and obstacle row per half cell; violating poses; smallest clearance of a pose."""
 
     bound: FloatArray
     row: IntArray
     violations: FloatArray
+    attained: float
 
     def merged(self, other: _SideBound) -> _SideBound:
         """The smaller bound of the two, and both lists of violations."""
@@ -276,6 +285,7 @@ class _SideBound(NamedTuple):
             np.where(mine, self.bound, other.bound),
             np.where(mine, self.row, other.row),
             np.concatenate((self.violations, other.violations)),
+            min(self.attained, other.attained),
         )
 
 

@@ -178,12 +178,13 @@ def _final_straight(path: Path, problem: DockingProblem) -> Iterator[Violation]:
         return
     begin = max(0.0, last.length - wanted)
     inside = last.knots[(last.knots > begin + POSE_TOLERANCE) & (last.knots < last.length)]
-    s = np.concatenate(([begin], inside, [last.length]))
+    # A nanometre in, so that rounding of the knot where the straight begins does not count as a curve.
+    s = np.concatenate(([begin + 1e-9], inside, [last.length]))
     if isinstance(last, PolylineSegment):
         error = _straight_error(last.poses_at(s), problem.goal)
         allowed = STRAIGHT_TOLERANCE
     else:
-        error, allowed = np.abs(last.curvature_at(s[s > begin])), POSE_TOLERANCE
+        error, allowed = np.abs(last.curvature_at(s)), POSE_TOLERANCE
     worst = float(np.max(error))
     if not worst <= allowed:
         at = path.length - wanted

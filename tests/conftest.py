@@ -1,0 +1,23 @@
+"""Hypothesis profiles, and where the real inputs live."""
+
+import os
+from pathlib import Path
+
+import pytest
+from hypothesis import HealthCheck, settings
+
+# Lazily imported libraries make a first example slow; a deadline would blame the code for it.
+settings.register_profile("dev", deadline=None, suppress_health_check=[HealthCheck.too_slow])
+settings.register_profile("ci", deadline=None, derandomize=True, suppress_health_check=[HealthCheck.too_slow])
+settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "ci"))
+
+ROOT = Path(__file__).resolve().parents[1]
+REAL_DATA = Path(os.environ.get("OPTDOCK_DATA", ROOT.parent / "shared" / "data"))
+
+
+@pytest.fixture(scope="session")
+def real_data() -> Path:
+    """Folder of real inputs that are not part of the project; tests that need them skip without it."""
+    if not REAL_DATA.is_dir():
+        pytest.skip(f"real inputs are not at {REAL_DATA} (set OPTDOCK_DATA)")
+    return REAL_DATA

@@ -1,0 +1,258 @@
+"""The proof of clearance, attacked: thin posts, corners, cusps, in-place turns, long steps, tangency."""
+
+import itertools
+
+import numpy as np
+import pytest
+import shapely
+from hypothesis import given
+from hypothesis import strategies as st
+
+from optdock.dock import Dock
+from optdock.geometry.clothoid import ClothoidSpline
+from optdock.geometry.footprint import Footprint
+from optdock.geometry.pose import Pose2, transform_points
+from optdock.limits import MotionLimits
+from optdock.obstacles import ObstacleSet
+from optdock.path import ClothoidSegment, Direction, Path, PolylineSegment
+from optdock.problem import ClearanceRule, DockingProblem
+from optdock.robot import Robot
+from optdock.verification import certify_path, pose_clearance
+
+ROBOT = Robot(Footprint.rectangle(0.45, 0.45, 0.6), MotionLimits())
+REQUIRED = 0.05
+
+
+def problem_for(path, obstacles, robot=ROBOT, clearance=None):
+    rule = clearance or ClearanceRule(REQUIRED, REQUIRED, 0.0)
+    return DockingProblem(path.start, Dock(path.end), robot, obstacles, rule)
+
+
+def clothoid(knots, curvature, start=None, sign=1):
+    return Path((ClothoidSegment(ClothoidSpline(start or Pose2(0.0, 0.0, 0.0), knots, curvature, sign)),))
+
+
+def square(x, y, half=0.001):
+    return [[x - half, y - half], [x + half, y - half], [x + half, y + half], [x - half, y + half]]
+
+
+def dense_clearance(path, obstacles, footprint, step=0.001):
+    """Smallest clearance at poses `step` apart, by another library."""
+    world = shapely.union_all(shapely.polygons(obstacles.vertices))
+    s = np.linspace(0.0, path.length, int(path.length / step) + 2)
+    outlines = shapely.polygons(transform_points(path.poses_at(s), footprint.vertices))
+    return float(np.min(shapely.distance(outlines, world)))
+
+
+def kinds(certificate):
+    return {violation.kind for violation in certificate.violations}
+
+
+@pytest.mark.parametrize("x", np.linspace(0.2, 2.8, 14))
+@pytest.mark.parametrize("side", [1.0, -1.0])
+def test_a_thin_post_beside_a_straight_run_is_found_2_mm_inside_and_passed_2_mm_outside(x, side):
+    path = clothoid([0.0, 3.0], [0.0, 0.0])
+    for shift, certified in ((-0.002, False), (0.002, True)):
+        y = side * (0.3 + REQUIRED + shift + 0.001)
+        certificate = certify_path(path, problem_for(path, ObstacleSet.from_polygons([square(x, y)])))
+        assert certificate.certified is certified
+        assert certificate.min_clearance == pytest.approx(REQUIRED + shift, abs=1e-3)
+
+
+def curved_path():
+    return clothoid([0.0, 1.0, 2.5, 4.0], [0.0, 1.2, -1.4, 0.3])
+
+
+def beside(path, s, gap, side, footprint=ROBOT.footprint):
+    """A post whose distance to the swept area, near s on one side, is `gap`: found by bisection on a dense sweep."""
+    x, y, yaw = path.poses_at([s])[0]
+    normal = side * np.array([-np.sin(yaw), np.cos(yaw)])
+    low, high = 0.0, 1.2
+    for _ in range(25):
+        middle = 0.5 * (low + high)
+        post = ObstacleSet.from_polygons([square(*(np.array([x, y]) + middle * normal))])
+        if dense_clearance(path, post, footprint, 0.002) < gap:
+            low = middle
+        else:
+            high = middle
+    return ObstacleSet.from_polygons([square(*(np.array([x, y]) + high * normal))])
+
+
+@pytest.mark.parametrize(("s", "side"), list(itertools.product([0.8, 1.7, 2.6, 3.3], [1, -1])))
+def test_a_thin_post_beside_a_curve_is_found_2_mm_inside_and_passed_2_mm_outside(s, side):
+    path = curved_path()
+    near = certify_path(path, problem_for(path, beside(path, s, REQUIRED - 0.002, side)))
+    far = certify_path(path, problem_for(path, beside(path, s, REQUIRED + 0.002, side)))
+    assert kinds(near) == {"clearance"}
+    assert far.certified
+    assert far.min_clearance == pytest.approx(REQUIRED + 0.002, abs=1.2e-3)
+
+
+def test_the_violation_names_a_pose_that_shows_it():
+    path = curved_path()
+    obstacles = beside(path, 1.7, REQUIRED - 0.01, 1)
+    problem = problem_for(path, obstacles)
+    violation = certify_path(path, problem).violations[0]
+    clearance, _ = pose_clearance(Pose2.from_sequence(violation.where["pose"]), ROBOT.footprint, obstacles)
+    assert clearance == pytest.approx(violation.where["clearance"], abs=1e-12)
+    assert clearance < REQUIRED
+    assert violation.where["obstacle"] == "obstacles[0]"
+
+
+@given(st.integers(0, 10_000))
+def test_proven_clearance_never_exceeds_the_dense_truth(seed):
+    rng = np.random.default_rng(seed)
+    knots = np.concatenate(([0.0], np.cumsum(rng.uniform(0.2, 0.8, 4))))
+    path = clothoid(knots, rng.uniform(-2.0, 2.0, 5), sign=int(rng.choice([-1, 1])))
+    polygons = [rng.normal(size=2) * 1.2 + 0.3 * _convex(rng) for _ in range(4)]
+    obstacles = ObstacleSet.from_polygons(polygons)
+    truth = dense_clearance(path, obstacles, ROBOT.footprint, 0.004)
+    certificate = certify_path(path, problem_for(path, obstacles, clearance=ClearanceRule(0.02, 0.02, 0.0)))
+    if truth <= 0.0:
+        assert not certificate.certified
+    elif certificate.certified:
+        assert certificate.min_clearance <= truth + 1e-9
+        assert certificate.min_clearance >= truth - 0.0015
+
+
+def _convex(rng):
+    angles = np.sort(rng.uniform(0.0, 2.0 * np.pi, 6))
+    return np.column_stack((np.cos(angles), np.sin(angles)))
+
+
+def test_driving_along_a_wall_at_exactly_the_required_distance_is_proven():
+    path = clothoid([0.0, 5.0], [0.0, 0.0])
+    wall = ObstacleSet.from_polygons([[[-2.0, 0.3 + REQUIRED], [9.0, 0.3 + REQUIRED], [9.0, 1.0], [-2.0, 1.0]]])
+    certificate = certify_path(path, problem_for(path, wall))
+    assert certificate.certified
+    assert certificate.min_clearance == pytest.approx(REQUIRED, abs=1e-9)
+    assert certificate.poses_checked < 100
+
+
+def test_a_wall_one_micron_and_a_bit_too_close_is_refused():
+    path = clothoid([0.0, 5.0], [0.0, 0.0])
+    edge = 0.3 + REQUIRED - 2.0e-6
+    wall = ObstacleSet.from_polygons([[[-2.0, edge], [9.0, edge], [9.0, 1.0], [-2.0, 1.0]]])
+    assert kinds(certify_path(path, problem_for(path, wall))) == {"clearance"}
+
+
+def test_a_long_step_of_a_polyline_hides_no_post():
+    path = Path.from_poses(np.array([[0.0, 0.0, 0.0], [5.0, 0.0, 0.0]]))
+    for y, certified in ((0.349, False), (0.3521, True)):
+        certificate = certify_path(path, problem_for(path, ObstacleSet.from_polygons([square(2.345, y)])))
+        assert certificate.certified is certified
+
+
+def test_a_post_swept_only_by_the_corner_in_an_in_place_turn_is_found():
+    path = Path.from_poses(np.array([[0.0, 0.0, 0.0], [0.0, 0.0, np.pi / 2]]))
+    corner = np.hypot(0.45, 0.3)
+    direction = np.array([np.cos(1.0), np.sin(1.0)])
+    for radius, certified in ((corner + REQUIRED - 0.002, False), (corner + REQUIRED + 0.005, True)):
+        obstacles = ObstacleSet.from_polygons([square(*(radius * direction))])
+        assert ("clearance" in kinds(certify_path(path, problem_for(path, obstacles)))) is not certified
+
+
+def test_a_post_swept_by_the_tail_between_two_gears_is_found():
+    first = ClothoidSpline(Pose2(0.0, 0.0, 0.0), [0.0, 1.5], [1.0, 1.0])
+    second = ClothoidSpline(first.end, [0.0, 1.0], [-1.0, -1.0], -1)
+    path = Path((ClothoidSegment(first), ClothoidSegment(second)))
+    for gap, certified in ((REQUIRED - 0.002, False), (REQUIRED + 0.002, True)):
+        obstacles = beside(path, 1.9, gap, -1)
+        assert certify_path(path, problem_for(path, obstacles)).certified is certified
+
+
+def test_contact_is_allowed_only_where_zero_is_required():
+    path = clothoid([0.0, 2.0], [0.0, 0.0])
+    dock = Footprint(np.array([[0.45, -0.4], [0.6, -0.4], [0.6, 0.4], [0.45, 0.4]]))
+    for at_dock, certified in ((0.0, True), (0.001, False)):
+        problem = DockingProblem(
+            path.start, Dock(path.end, dock), ROBOT, clearance=ClearanceRule(REQUIRED, at_dock, 0.5)
+        )
+        certificate = certify_path(path, problem)
+        assert certificate.certified is certified
+        assert certificate.nearest == "dock"
+
+
+def test_driving_one_millimetre_into_the_dock_is_refused():
+    path = clothoid([0.0, 2.0], [0.0, 0.0])
+    dock = Footprint(np.array([[0.449, -0.4], [0.6, -0.4], [0.6, 0.4], [0.449, 0.4]]))
+    problem = DockingProblem(path.start, Dock(path.end, dock), ROBOT, clearance=ClearanceRule(REQUIRED, 0.0, 0.5))
+    assert kinds(certify_path(path, problem)) == {"clearance"}
+
+
+def test_a_start_beside_a_wall_may_leave_it_at_the_stated_slope_but_not_slower():
+    wall = ObstacleSet.from_polygons([[[-2.0, 0.31], [9.0, 0.31], [9.0, 1.0], [-2.0, 1.0]]])
+    along = clothoid([0.0, 2.0], [0.0, 0.0])
+    assert kinds(certify_path(along, problem_for(along, wall))) == {"clearance"}
+    behind = ObstacleSet.from_polygons([[[-2.0, -1.0], [-0.46, -1.0], [-0.46, 1.0], [-2.0, 1.0]]])
+    assert certify_path(along, problem_for(along, behind)).certified
+
+
+def test_an_obstacle_wholly_inside_the_footprint_is_a_collision():
+    path = clothoid([0.0, 1.0], [0.0, 0.0])
+    certificate = certify_path(path, problem_for(path, ObstacleSet.from_polygons([square(0.9, 0.0)])))
+    assert kinds(certificate) == {"clearance"}
+    assert certificate.min_clearance < -0.2
+
+
+def test_a_footprint_wholly_inside_an_obstacle_is_a_collision():
+    path = clothoid([0.0, 1.0], [0.0, 0.0])
+    obstacles = ObstacleSet.from_polygons([square(0.5, 0.0, 50.0)])
+    assert kinds(certify_path(path, problem_for(path, obstacles))) == {"clearance"}
+
+
+def test_a_non_convex_footprint_may_straddle_a_post_that_its_hull_would_hit():
+    fork = Footprint(
+        np.array(
+            [[0.4, 0.3], [-0.4, 0.3], [-0.4, -0.3], [0.4, -0.3], [0.4, -0.2], [-0.2, -0.2], [-0.2, 0.2], [0.4, 0.2]]
+        )
+    )
+    path = clothoid([0.0, 0.3], [0.0, 0.0])
+    robot = Robot(fork, MotionLimits())
+    post = ObstacleSet.from_polygons([square(0.5, 0.0)])
+    certificate = certify_path(path, problem_for(path, post, robot))
+    assert certificate.certified
+    assert certificate.min_clearance == pytest.approx(0.199, abs=1e-3)
+    hull = Robot(Footprint.rectangle(0.4, 0.4, 0.6), MotionLimits())
+    assert kinds(certify_path(path, problem_for(path, post, hull))) == {"clearance"}
+
+
+def test_without_obstacles_the_clearance_is_infinite():
+    path = clothoid([0.0, 1.0], [0.0, 0.0])
+    certificate = certify_path(path, problem_for(path, ObstacleSet.empty()))
+    assert certificate.certified
+    assert certificate.min_clearance == np.inf
+
+
+def test_far_obstacles_are_reported_with_their_true_distance():
+    path = clothoid([0.0, 1.0], [0.0, 0.0])
+    certificate = certify_path(path, problem_for(path, ObstacleSet.from_polygons([square(30.0, 0.0, 0.5)])))
+    assert certificate.min_clearance == pytest.approx(30.0 - 0.5 - 1.0 - 0.45, abs=1e-9)
+
+
+@given(st.floats(-50.0, 50.0), st.floats(-50.0, 50.0), st.floats(-3.0, 3.0), st.sampled_from([-0.002, 0.002]))
+def test_the_verdict_does_not_depend_on_the_frame(x, y, yaw, shift):
+    frame = Pose2(x, y, yaw)
+    knots, curvature = [0.0, 1.0, 2.0], [0.0, 1.0, 0.0]
+    plain = clothoid(knots, curvature)
+    top = plain.poses_at([1.0])[0]
+    post = top[:2] + (0.3 + REQUIRED + shift + 0.02) * np.array([np.sin(top[2]), -np.cos(top[2])])
+    moved_post = (frame @ Pose2(*post, 0.0)).as_array()[:2]
+    moved = clothoid(knots, curvature, frame)
+    polygons = [square(*post, 0.01)]
+    rotated = [[(frame @ Pose2(*corner, 0.0)).as_array()[:2] for corner in polygons[0]]]
+    first = certify_path(plain, problem_for(plain, ObstacleSet.from_polygons(polygons)))
+    second = certify_path(moved, problem_for(moved, ObstacleSet.from_polygons(rotated)))
+    assert np.allclose(np.mean(rotated[0], axis=0), moved_post)
+    assert first.certified is second.certified
+    assert first.min_clearance == pytest.approx(second.min_clearance, abs=1e-9)
+
+
+def test_a_polyline_and_the_clothoid_it_samples_agree():
+    path = curved_path()
+    samples = path.sample(0.005)
+    polyline = Path((PolylineSegment(samples.poses, Direction.FORWARD),))
+    obstacles = beside(path, 1.7, 0.1, 1)
+    exact = certify_path(path, problem_for(path, obstacles)).min_clearance
+    sampled = certify_path(polyline, problem_for(polyline, obstacles)).min_clearance
+    assert sampled == pytest.approx(exact, abs=1.5e-3)

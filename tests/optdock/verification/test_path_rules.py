@@ -1,0 +1,157 @@
+"""Every rule of a path but clearance: kept with, broken without, and named."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from optdock.dock import Dock, DockDirection
+from optdock.geometry.clothoid import ClothoidSpline
+from optdock.geometry.footprint import Footprint
+from optdock.geometry.pose import Pose2
+from optdock.limits import MotionLimits
+from optdock.path import ClothoidSegment, Direction, Path, PolylineSegment
+from optdock.problem import DockingProblem
+from optdock.robot import Robot
+from optdock.verification import certify_path
+
+LIMITS = MotionLimits(max_curvature=1.0, max_curvature_rate=2.0)
+
+
+def spline(knots=(0.0, 1.0, 2.0, 2.5), curvature=(0.0, 1.0, 0.0, 0.0), start=None, sign=1):
+    return ClothoidSpline(start or Pose2(0.0, 0.0, 0.3), list(knots), list(curvature), sign)
+
+
+def path_of(*splines):
+    return Path(tuple(ClothoidSegment(one) for one in splines))
+
+
+def problem(path, limits=LIMITS, **changes):
+    dock = {"final_straight": 0.5, "direction": DockDirection.AUTO}
+    dock.update({key: changes.pop(key) for key in tuple(changes) if key in dock})
+    goal = changes.pop("goal", path.end)
+    start = changes.pop("start", path.start)
+    return DockingProblem(start, Dock(goal, **dock), Robot(Footprint.from_radius(0.3), limits), **changes)
+
+
+def kinds(path, wanted):
+    return [violation.kind for violation in certify_path(path, wanted).violations]
+
+
+def test_a_path_that_keeps_every_rule_is_certified():
+    path = path_of(spline())
+    certificate = certify_path(path, problem(path, start_curvature=0.0, direction=DockDirection.FORWARD))
+    assert certificate.certified
+    assert certificate.reason == ""
+    assert certificate.max_curvature == 1.0
+    assert certificate.max_curvature_rate == 1.0
+
+
+@pytest.mark.parametrize("shift", [Pose2(2e-6, 0, 0), Pose2(0, -2e-6, 0), Pose2(0, 0, 2e-6), Pose2(1, 0, 0)])
+def test_a_missed_end_pose_is_named(shift):
+    path = path_of(spline())
+    assert kinds(path, problem(path, goal=path.end @ shift)) == ["goal"]
+    assert kinds(path, problem(path, start=path.start @ shift)) == ["start"]
+
+
+def test_full_turns_of_yaw_do_not_matter():
+    path = path_of(spline())
+    turned = dataclasses.replace(path.end, yaw=path.end.yaw + 4.0 * np.pi)
+    assert kinds(path, problem(path, goal=turned)) == []
+
+
+@pytest.mark.parametrize(
+    ("limits", "kind"), [({"max_curvature": 0.999}, "curvature"), ({"max_curvature_rate": 0.999}, "curvature_rate")]
+)
+def test_a_bound_just_below_the_path_is_broken(limits, kind):
+    path = path_of(spline())
+    tight = dataclasses.replace(LIMITS, **limits)
+    violation = certify_path(path, problem(path, tight)).violations[0]
+    assert violation.kind == kind
+    assert violation.amount == pytest.approx(0.001)
+
+
+def test_curvature_that_peaks_between_samples_but_on_a_knot_is_seen():
+    path = path_of(spline((0.0, 0.0101, 0.0102, 0.0103, 1.0), (0.0, 0.0, 5.0, 0.0, 0.0)))
+    wanted = problem(path, MotionLimits(max_curvature=4.9))
+    assert kinds(path, wanted) == ["curvature"]
+
+
+def test_the_start_curvature_binds_when_it_is_given():
+    path = path_of(spline())
+    assert kinds(path, problem(path, start_curvature=None)) == []
+    assert kinds(path, problem(path, start_curvature=0.1)) == ["start_curvature"]
+
+
+def test_a_curved_end_breaks_the_final_straight():
+    path = path_of(spline())
+    assert kinds(path, problem(path, final_straight=0.5)) == []
+    assert kinds(path, problem(path, final_straight=0.52)) == ["final_straight"]
+    assert kinds(path, problem(path, final_straight=3.0)) == ["final_straight"]
+
+
+def test_a_kink_of_curvature_inside_the_final_straight_is_seen():
+    path = path_of(spline((0.0, 2.0, 2.2, 2.21, 2.22, 2.5), (0.0, 0.0, 0.0, 0.01, 0.0, 0.0)))
+    assert kinds(path, problem(path, final_straight=0.5)) == ["final_straight"]
+
+
+def test_the_gear_into_the_dock_is_the_one_asked_for():
+    backward = path_of(spline(sign=-1))
+    assert kinds(backward, problem(backward, direction=DockDirection.BACKWARD)) == []
+    assert kinds(backward, problem(backward, direction=DockDirection.FORWARD)) == ["direction"]
+
+
+def test_a_moving_robot_keeps_its_gear():
+    path = path_of(spline())
+    assert kinds(path, problem(path, start_speed=0.2)) == []
+    assert kinds(path, problem(path, start_speed=-0.2)) == ["direction"]
+
+
+def test_gears_that_do_not_meet_are_a_joint_violation():
+    first = spline()
+    whole = path_of(first, spline((0.0, 1.0), (0.0, 0.0), first.end, -1))
+    assert kinds(whole, problem(whole)) == []
+    gap = path_of(first, spline((0.0, 1.0), (0.0, 0.0), first.end @ Pose2(0.0, 1e-5, 0.0), -1))
+    assert kinds(gap, problem(gap)) == ["joint"]
+
+
+def test_curvature_may_jump_at_a_cusp():
+    first = spline((0.0, 1.0), (1.0, 1.0))
+    path = path_of(first, spline((0.0, 1.0), (-1.0, 0.0), first.end, -1))
+    assert kinds(path, problem(path, final_straight=0.0)) == []
+
+
+def test_a_polyline_that_samples_a_legal_clothoid_passes():
+    samples = path_of(spline()).sample(0.01)
+    path = Path((PolylineSegment(samples.poses, Direction.FORWARD),))
+    assert kinds(path, problem(path, start_curvature=0.0)) == []
+
+
+def test_a_polyline_corner_breaks_curvature_and_slips():
+    poses = np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [1.0, 0.5, np.pi / 2], [1.0, 2.0, np.pi / 2]])
+    path = Path.from_poses(poses)
+    found = kinds(path, problem(path))
+    assert "curvature" in found
+    assert "slip" in found
+
+
+def test_turning_in_place_breaks_any_finite_curvature_bound():
+    path = Path.from_poses(np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [1.0, 0.0, 0.4]]))
+    certificate = certify_path(path, problem(path, MotionLimits(max_curvature=1e6), final_straight=0.0))
+    assert [violation.kind for violation in certificate.violations] == ["curvature"]
+    assert certificate.max_curvature == np.inf
+    free = certify_path(path, problem(path, MotionLimits(), final_straight=0.0))
+    assert free.certified
+
+
+def test_sliding_sideways_is_a_slip():
+    path = Path.from_poses(np.array([[0.0, 0.0, 0.0], [0.5, 0.5, 0.0], [1.0, 1.0, 0.0]]))
+    assert kinds(path, problem(path, final_straight=0.0)) == ["slip"]
+
+
+def test_a_certificate_is_plain_data():
+    path = path_of(spline())
+    data = certify_path(path, problem(path, final_straight=0.52)).as_dict()
+    assert data["certified"] is False
+    assert data["min_clearance"] is None
+    assert data["violations"][0]["kind"] == "final_straight"

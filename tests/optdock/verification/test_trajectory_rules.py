@@ -1,0 +1,164 @@
+"""The proof of motion limits: each broken without, kept with; never looser than a dense check."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+import ruckig
+from hypothesis import given
+from hypothesis import strategies as st
+
+from optdock.geometry.clothoid import ClothoidSpline
+from optdock.geometry.pose import Pose2
+from optdock.limits import MotionLimits, SpeedZone
+from optdock.path import ClothoidSegment, Path
+from optdock.trajectory import TimeLaw, Trajectory
+from optdock.verification import certify_trajectory
+
+OPEN = MotionLimits(1.0, 1.0, 1.0, 1.0, 4.0, track_width=0.5)
+QUANTITIES = {
+    "max_yaw_rate": lambda r: np.abs(r.yaw_rate),
+    "max_yaw_acceleration": lambda r: np.abs(r.yaw_acceleration),
+    "max_lateral_acceleration": lambda r: np.abs(r.yaw_rate * r.speed),
+    "max_wheel_speed": lambda r: np.abs(r.speed) + 0.25 * np.abs(r.yaw_rate),
+    "max_speed": lambda r: np.abs(r.speed),
+    "max_acceleration": lambda r: r.acceleration,
+    "max_deceleration": lambda r: -r.acceleration,
+    "max_jerk": lambda r: np.abs(r.jerk),
+}
+
+
+def move(length, speed=0.5, acceleration=0.4, jerk=1.5, start_speed=0.0):
+    """Phases of a rest-to-rest (or moving start) straight move."""
+    one = ruckig.InputParameter(1)
+    one.current_velocity, one.target_position = [start_speed], [length]
+    one.max_velocity, one.max_acceleration, one.max_jerk = [speed], [acceleration], [jerk]
+    found = ruckig.Trajectory(1)
+    ruckig.Ruckig(1).calculate(one, found)
+    profile = found.profiles[0][0]
+    t, j = np.array(profile.t), np.array(profile.j)
+    return t[t > 0.0], j[t > 0.0]
+
+
+def path(curvature=(0.0, 1.5, -1.0, 0.5, 0.0)):
+    knots = np.linspace(0.0, 3.0, len(curvature))
+    return Path((ClothoidSegment(ClothoidSpline(Pose2(0.0, 0.0, 0.0), knots, list(curvature))),))
+
+
+def trajectory(**kwargs):
+    t, j = move(3.0, **kwargs)
+    return Trajectory(path(), TimeLaw(t, j, start_speed=kwargs.get("start_speed", 0.0)))
+
+
+def kinds(motion, limits, zone=None, **start):
+    return [violation.kind for violation in certify_trajectory(motion, limits, zone or SpeedZone(), **start).violations]
+
+
+def test_a_legal_motion_is_certified():
+    certificate = certify_trajectory(trajectory(), OPEN, SpeedZone(), start_speed=0.0, start_acceleration=0.0)
+    assert certificate.certified
+    assert certificate.ratios["speed"] == pytest.approx(0.5)
+
+
+@pytest.mark.parametrize("name", sorted(QUANTITIES))
+def test_each_limit_is_broken_just_below_the_motion_and_kept_just_above(name):
+    motion = trajectory()
+    peak = float(np.max(QUANTITIES[name](motion.sample(1e-4))))
+    assert kinds(motion, dataclasses.replace(OPEN, **{name: 0.998 * peak})) == [name.removeprefix("max_")]
+    assert kinds(motion, dataclasses.replace(OPEN, **{name: 1.002 * peak})) == []
+
+
+@given(st.integers(0, 10_000))
+def test_a_proven_ratio_is_never_below_the_dense_truth(seed):
+    rng = np.random.default_rng(seed)
+    t, j = move(3.0, *rng.uniform(0.2, 1.0, 2), rng.uniform(0.5, 3.0))
+    motion = Trajectory(path(np.append(rng.uniform(-2.0, 2.0, 8), 0.0)), TimeLaw(t, j))
+    limits = dataclasses.replace(
+        OPEN, max_yaw_rate=0.6, max_yaw_acceleration=1.0, max_lateral_acceleration=0.4, max_wheel_speed=0.7
+    )
+    certificate = certify_trajectory(motion, limits, SpeedZone())
+    dense = motion.sample(2e-3)
+    for name in ("max_yaw_rate", "max_yaw_acceleration", "max_lateral_acceleration", "max_wheel_speed"):
+        truth = float(np.max(QUANTITIES[name](dense))) / getattr(limits, name)
+        kind = name.removeprefix("max_")
+        assert certificate.ratios[kind] >= min(truth, 1.0) - 1e-9
+        if truth > 1.0 + 1e-5:
+            assert kind in [violation.kind for violation in certificate.violations]
+
+
+def test_the_reverse_gear_has_its_own_speed_limit():
+    t, j = move(3.0)
+    back = Path((ClothoidSegment(ClothoidSpline(Pose2(0.0, 0.0, 0.0), [0.0, 3.0], [0.0, 0.0], -1)),))
+    motion = Trajectory(back, TimeLaw(t, j))
+    assert kinds(motion, dataclasses.replace(OPEN, max_speed=0.1)) == []
+    assert kinds(motion, dataclasses.replace(OPEN, max_reverse_speed=0.49)) == ["speed"]
+
+
+def test_the_speed_zone_binds_from_its_first_millimetre():
+    motion = trajectory()
+    speed_at = {
+        d: float(
+            np.interp(
+                3.0 - d,
+                motion.time_law.at(np.linspace(0, motion.duration, 20000))[:, 0],
+                motion.time_law.at(np.linspace(0, motion.duration, 20000))[:, 1],
+            )
+        )
+        for d in (0.1,)
+    }
+    assert kinds(motion, OPEN, SpeedZone(speed_at[0.1] * 1.001, 0.1)) == []
+    assert kinds(motion, OPEN, SpeedZone(speed_at[0.1] * 0.99, 0.1)) == ["speed"]
+    assert kinds(motion, OPEN, SpeedZone(0.4, 100.0)) == ["speed"]
+
+
+def two_gears():
+    first = ClothoidSpline(Pose2(0.0, 0.0, 0.0), [0.0, 1.0], [0.5, 1.0])
+    second = ClothoidSpline(first.end, [0.0, 2.0], [-1.0, 0.0], -1)
+    return Path((ClothoidSegment(first), ClothoidSegment(second)))
+
+
+def test_rest_at_a_cusp_is_required():
+    through = Trajectory(two_gears(), TimeLaw(*move(3.0)))
+    assert "rest" in kinds(through, OPEN)
+    (t1, j1), (t2, j2) = move(1.0), move(2.0)
+    stopping = Trajectory(two_gears(), TimeLaw(np.append(t1, t2), np.append(j1, j2)))
+    assert kinds(stopping, OPEN) == []
+
+
+def test_a_motion_that_ends_early_late_or_moving_is_refused():
+    t, j = move(2.9)
+    assert kinds(Trajectory(path(), TimeLaw(t, j)), OPEN) == ["coverage", "rest"]
+    t, j = move(3.0)
+    assert "rest" in kinds(Trajectory(path(), TimeLaw(t[:-1], j[:-1])), OPEN)
+
+
+def test_a_motion_that_backs_up_inside_a_phase_is_refused():
+    # v(t) = 0.1 - 0.4 t + t^2 / 2 * 1.0 dips below zero between two positive borders.
+    law = TimeLaw([0.8], [1.0], start_speed=0.07, start_acceleration=-0.4)
+    flat = Path((ClothoidSegment(ClothoidSpline(Pose2(0, 0, 0), [0.0, float(law.states[-1, 0])], [0.0, 0.0])),))
+    assert law.states[-1, 1] > 0.0
+    assert "coverage" in kinds(Trajectory(flat, law), OPEN)
+
+
+def test_the_start_state_must_be_the_robots():
+    t, j = move(3.0, start_speed=0.2)
+    motion = Trajectory(path(), TimeLaw(t, j, start_speed=0.2))
+    assert kinds(motion, OPEN, start_speed=0.2) == []
+    assert kinds(motion, OPEN, start_speed=0.0) == ["start_state"]
+    assert kinds(motion, OPEN, start_acceleration=0.3) == ["start_state"]
+
+
+def test_riding_a_limit_exactly_is_proven():
+    circle = Path((ClothoidSegment(ClothoidSpline(Pose2(0, 0, 0), [0.0, 3.0], [1.0, 1.0])),))
+    motion = Trajectory(circle, TimeLaw(*move(3.0, speed=0.5)))
+    assert kinds(motion, dataclasses.replace(OPEN, max_yaw_rate=0.5, max_lateral_acceleration=0.25)) == []
+
+
+def test_a_curvature_jump_between_gears_does_not_leak_into_the_gear_before():
+    first = ClothoidSpline(Pose2(0.0, 0.0, 0.0), [0.0, 1.0], [0.0, 0.0])
+    second = ClothoidSpline(first.end, [0.0, 2.0], [2.0, 2.0], -1)
+    gears = Path((ClothoidSegment(first), ClothoidSegment(second)))
+    (t1, j1), (t2, j2) = move(1.0, speed=0.5), move(2.0, speed=0.2)
+    motion = Trajectory(gears, TimeLaw(np.append(t1, t2), np.append(j1, j2)))
+    assert kinds(motion, dataclasses.replace(OPEN, max_yaw_rate=0.41)) == []
+    assert kinds(motion, dataclasses.replace(OPEN, max_yaw_rate=0.39)) == ["yaw_rate"]
