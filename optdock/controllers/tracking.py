@@ -81,7 +81,10 @@ class TrackingController(Controller):
     def __init__(self, **parameters: object) -> None:
         super().__init__(**parameters)
         self._speed_limit: tuple[float, bool] | None = None
-        self.reset()
+        self._reference: Reference | None = None
+        self._limits = MotionLimits()
+        self._last = Twist2()
+        self._anchored = self._cancelled = False
 
     def set_path(self, path: Path | Trajectory) -> None:
         """Follow a trajectory, or a path after timing it, from the next call on.
@@ -138,8 +141,7 @@ class TrackingController(Controller):
 
     def reset(self) -> None:
         """Forget the path; the speed limit stays."""
-        self._reference: Reference | None = None
-        self._limits = MotionLimits()
+        self._reference = None
         self._last = Twist2()
         self._anchored = self._cancelled = False
 

@@ -93,7 +93,7 @@ def run_closed_loop(
 class _Loop:
     """The state of one run."""
 
-    def __init__(  # noqa: PLR0913 - the arguments of `run_closed_loop`, plus self
+    def __init__(
         self,
         trajectory: Trajectory,
         robot: Robot,
@@ -142,7 +142,7 @@ class _Loop:
     def result(self, *, docked: bool, reason: str) -> Run:
         """The run's record."""
         true, measured, commands, twists = zip(*self.rows, strict=True)
-        times = self.settings.period * np.arange(len(self.rows))
+        times = self.settings.period * np.arange(len(self.rows), dtype=np.float64)
         reference = self.trajectory.sample_at(times)
         poses = np.array([pose.as_array() for pose in true])
         obstacles = self.settings.obstacles

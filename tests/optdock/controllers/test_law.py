@@ -1,0 +1,84 @@
+"""The tracking law: its Lyapunov function, its symmetries, and the line it drives."""
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from optdock.controllers._law import Gains, tracking_command
+from optdock.geometry.pose import Pose2, Twist2
+
+GAINS = Gains(along=2.0, convergence_distance=0.25, damping=1.0, turn=1.0)
+errors = st.builds(Pose2, st.floats(-0.5, 0.5), st.floats(-0.5, 0.5), st.floats(-3.0, 3.0))
+references = st.builds(Twist2, st.floats(-0.5, 0.5), st.floats(-1.0, 1.0))
+
+
+def error_rates(error, reference, command):
+    """Kinematics of the reference seen from the moving robot."""
+    v, w = command.linear, command.angular
+    return (
+        w * error.y - v + reference.linear * math.cos(error.yaw),
+        -w * error.x + reference.linear * math.sin(error.yaw),
+        reference.angular - w,
+    )
+
+
+@given(errors, references)
+def test_the_lyapunov_function_never_grows_in_either_gear(error, reference):
+    command = tracking_command(error, reference, GAINS)
+    dx, dy, dyaw = error_rates(error, reference, command)
+    lateral = 1.0 / GAINS.convergence_distance**2
+    rate = lateral * (error.x * dx + error.y * dy) + error.yaw * dyaw
+    heading = max(GAINS.turn, 2.0 * abs(reference.linear) / GAINS.convergence_distance)
+    assert rate == pytest.approx(-lateral * GAINS.along * error.x**2 - heading * error.yaw**2, abs=1e-9)
+
+
+@given(errors, references)
+def test_mirroring_the_error_mirrors_the_command(error, reference):
+    there = tracking_command(error, reference, GAINS)
+    mirrored = Pose2(error.x, -error.y, -error.yaw), Twist2(reference.linear, -reference.angular)
+    back = tracking_command(*mirrored, GAINS)
+    assert (back.linear, back.angular) == pytest.approx((there.linear, -there.angular))
+
+
+@given(errors, references)
+def test_reverse_is_forward_seen_from_behind(error, reference):
+    there = tracking_command(error, reference, GAINS)
+    turned = Pose2(-error.x, -error.y, error.yaw), Twist2(-reference.linear, reference.angular)
+    back = tracking_command(*turned, GAINS)
+    assert (back.linear, back.angular) == pytest.approx((-there.linear, there.angular))
+
+
+@given(references)
+def test_without_an_error_the_command_is_the_feed_forward(reference):
+    assert tracking_command(Pose2(0.0, 0.0, 0.0), reference, GAINS) == reference
+
+
+def lateral_profile(speed):
+    """Lateral error at every centimetre of a straight line driven at `speed`, from 5 cm beside it."""
+    gains = GAINS._replace(turn=1e-6)
+    step = 0.001 / abs(speed)
+    y, yaw, found = 0.05, 0.0, []
+    for k in range(1500):
+        if k % 10 == 0:
+            found.append(y)
+        error = Pose2(0.0, y, yaw)
+        command = tracking_command(error, Twist2(speed), gains)
+        _, dy, dyaw = error_rates(error, Twist2(speed), command)
+        y, yaw = y + step * dy, yaw + step * dyaw
+    return np.array(found)
+
+
+@pytest.mark.parametrize("speed", [0.1, 0.5, -0.1, -0.5])
+def test_the_lateral_error_decays_over_a_distance_whatever_the_speed(speed):
+    profile = lateral_profile(speed)
+    distance = 0.01 * np.arange(profile.size) / GAINS.convergence_distance
+    critically_damped = 0.05 * (1.0 + distance) * np.exp(-distance)
+    assert np.allclose(profile, critically_damped, atol=5e-4)
+
+
+def test_the_law_is_smooth_where_the_sine_quotient_changes_form():
+    near, far = (tracking_command(Pose2(0.0, 0.1, angle), Twist2(0.5), GAINS).angular for angle in (0.999e-6, 1.001e-6))
+    assert near == pytest.approx(far, abs=1e-7)

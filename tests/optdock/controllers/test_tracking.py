@@ -1,0 +1,263 @@
+"""TrackingController: time base, limits, speed limit, cancel, finish."""
+
+import math
+
+import numpy as np
+import pytest
+
+from checkers.axis import AxisGoalChecker
+from optdock.controllers.tracking import TrackingController
+from optdock.dock import Dock
+from optdock.errors import ControllerInvalidPath, InvalidValue, NoValidControl
+from optdock.geometry.footprint import Footprint
+from optdock.geometry.pose import Pose2, Twist2
+from optdock.interfaces import Controller, PluginContext
+from optdock.limits import MotionLimits
+from optdock.path import Direction
+from optdock.plugins import create_plugin
+from optdock.problem import DockingProblem
+from optdock.robot import Drive, Robot
+from optdock.simulation import Actuation, DifferentialDrive, SimulationSettings, run_closed_loop
+from optdock.testing.drives import cusp_drive, s_curve_drive, straight_drive
+
+START = Pose2(0.0, 0.0, 0.3)
+LIMITS = MotionLimits(max_acceleration=0.5, max_deceleration=0.6)
+ROBOT = Robot(Footprint.rectangle(0.4, 0.3, 0.5), LIMITS)
+PERIOD = 0.02
+
+
+def context(robot=ROBOT, goal=START):
+    return PluginContext(problem=DockingProblem(START, Dock(goal), robot))
+
+
+def drive(controller, trajectory, cycles, on_cycle=None, state=None, robot=ROBOT):
+    """Commands and poses of `cycles` periods of perfect actuation."""
+    plant = DifferentialDrive(robot, period=PERIOD)
+    state = state or plant.at_rest(trajectory.path.start)
+    commands, states = [], [state]
+    for k in range(cycles):
+        if on_cycle:
+            on_cycle(k)
+        command = controller.compute_velocity_commands(state.pose, state.twist, None)
+        state = plant.step(state, command)
+        commands.append(command)
+        states.append(state)
+    return commands, states
+
+
+def ready(trajectory, robot=ROBOT, **parameters):
+    controller = TrackingController(**parameters)
+    controller.configure(context(robot))
+    controller.set_path(trajectory)
+    return controller
+
+
+def accelerations(commands):
+    return np.diff([c.linear for c in commands], prepend=0.0) / PERIOD
+
+
+def test_without_a_path_it_says_so():
+    with pytest.raises(ControllerInvalidPath, match="call set_path first"):
+        TrackingController().compute_velocity_commands(START, Twist2(), None)
+    controller = ready(straight_drive(START))
+    controller.reset()
+    with pytest.raises(ControllerInvalidPath, match="no path"):
+        controller.compute_velocity_commands(START, Twist2(), None)
+
+
+def test_it_advances_by_its_period_per_call():
+    trajectory = straight_drive(START)
+    for period in (0.02, 0.05):
+        plant = DifferentialDrive(ROBOT, period=period)
+        controller, state = ready(trajectory, period=period), plant.at_rest(START)
+        for _ in range(round(2.0 / period)):
+            state = plant.step(state, controller.compute_velocity_commands(state.pose, state.twist, None))
+        assert state.pose.distance_to(trajectory.at(2.0).pose) < 2e-4
+
+
+@pytest.mark.parametrize("direction", Direction)
+def test_commands_keep_the_acceleration_limits_from_a_bad_start_and_with_noise(direction):
+    trajectory = s_curve_drive(START, direction)
+    checker = AxisGoalChecker(along_path_tolerance=0.003, cross_track_tolerance=0.03)
+    world = SimulationSettings(position_noise=0.005, yaw_noise=0.01, start=START @ Pose2(0.04, -0.05, 0.2))
+    controller = ready(trajectory)
+    found = run_closed_loop(trajectory, ROBOT, trajectory.path.end, controller, checker, world)
+    assert found.docked, found.reason
+    v = np.append(0.0, found.commands[:-1, 0])
+    gained = np.diff(np.abs(v)) / PERIOD
+    assert gained.max() <= 0.5 + 1e-9
+    assert gained.min() >= -0.6 - 1e-9
+    assert np.abs(v).max() <= (0.5 if direction is Direction.FORWARD else 0.3) + 1e-12
+
+
+def test_an_ackermann_robot_gets_no_command_tighter_than_its_smallest_radius():
+    robot = Robot(ROBOT.footprint, MotionLimits(max_curvature=1.3), Drive.ACKERMANN)
+    trajectory = s_curve_drive(START)
+    commands, _ = drive(
+        ready(trajectory, robot), trajectory, 350, state=DifferentialDrive(robot).at_rest(START @ Pose2(0, 0.04, 0))
+    )
+    assert all(abs(c.angular) <= 1.3 * abs(c.linear) + 1e-12 for c in commands)
+
+
+class TestSpeedLimit:
+    def test_as_a_percentage_scales_the_whole_drive(self):
+        trajectory = s_curve_drive(START)
+        controller = ready(trajectory)
+        controller.set_speed_limit(50.0, percentage=True)
+        commands, states = drive(controller, trajectory, math.ceil(2.0 * trajectory.duration / PERIOD) + 3)
+        assert max(c.linear for c in commands) == pytest.approx(0.2, abs=1e-3)
+        assert states[-1].pose.distance_to(trajectory.path.end) < 1e-4
+
+    def test_in_metres_per_second_bounds_the_peak_in_either_gear(self):
+        trajectory = s_curve_drive(START, Direction.REVERSE)
+        controller = ready(trajectory, Robot(ROBOT.footprint, MotionLimits(max_reverse_speed=0.5)))
+        controller.set_speed_limit(0.1, percentage=False)
+        commands, _ = drive(controller, trajectory, 600)
+        assert min(c.linear for c in commands) == pytest.approx(-0.1, abs=1e-3)
+
+    def test_set_and_lifted_on_the_way_keeps_the_acceleration_limits_and_the_path(self):
+        trajectory = s_curve_drive(START)
+        controller = ready(trajectory)
+
+        def change(k):
+            if k == 120:
+                controller.set_speed_limit(0.15, percentage=False)
+            if k == 260:
+                controller.set_speed_limit(0.0, percentage=False)
+
+        commands, states = drive(controller, trajectory, 480, change)
+        assert commands[240].linear == pytest.approx(0.15, abs=2e-3)
+        gained = accelerations(commands)
+        assert gained.max() <= 0.5 + 1e-9
+        assert gained.min() >= -0.6 - 1e-9
+        assert states[-1].pose.distance_to(trajectory.path.end) < 1e-4
+        path = trajectory.path.sample(0.001)
+        off = [np.hypot(path.x - q.pose.x, path.y - q.pose.y).min() for q in states]
+        assert max(off) < 0.002
+
+    def test_above_the_trajectory_changes_nothing(self):
+        trajectory = straight_drive(START)
+        limited, free = ready(trajectory), ready(trajectory)
+        limited.set_speed_limit(5.0, percentage=False)
+        assert drive(limited, trajectory, 200)[0] == drive(free, trajectory, 200)[0]
+
+    def test_negative_is_refused(self):
+        with pytest.raises(InvalidValue, match="speed limit"):
+            TrackingController().set_speed_limit(-0.1, percentage=False)
+
+
+class TestCancel:
+    @pytest.mark.parametrize("make", [s_curve_drive, lambda p: s_curve_drive(p, Direction.REVERSE), cusp_drive])
+    @pytest.mark.parametrize("cycle", [10, 60, 150, 230, 320])
+    def test_brakes_along_the_path_within_the_limits_and_says_when_it_stands(self, make, cycle):
+        trajectory, robot = make(START), Robot(ROBOT.footprint, MotionLimits(max_reverse_speed=0.5))
+        controller = ready(trajectory, robot)
+        stopped = []
+
+        def cancelling(k):
+            if k >= cycle:
+                stopped.append(controller.cancel())
+
+        commands, states = drive(controller, trajectory, cycle + 80, cancelling, robot=robot)
+        assert not stopped[0]
+        assert stopped[-1]
+        first = stopped.index(True)
+        assert all(c == Twist2() for c in commands[cycle + first :])
+        assert commands[cycle + first - 2] != Twist2()
+        assert first * PERIOD <= 0.4 / 0.6 + 0.1
+        gained = np.diff(np.abs([c.linear for c in commands])) / PERIOD
+        assert gained.min() >= -0.6 - 1e-9
+        path = trajectory.path.sample(0.001)
+        assert np.hypot(path.x - states[-1].pose.x, path.y - states[-1].pose.y).min() < 0.001
+
+    def test_before_the_first_command_there_is_nothing_to_stop(self):
+        assert TrackingController().cancel()
+        assert ready(straight_drive(START)).cancel()
+
+
+def test_the_reference_waits_for_a_blocked_robot():
+    trajectory = straight_drive(START)
+    controller = ready(trajectory)
+    for _ in range(1500):
+        command = controller.compute_velocity_commands(START, Twist2(), None)
+    assert 0.0 < command.linear <= 0.5
+    _, states = drive(controller, trajectory, 500)
+    assert states[-1].pose.distance_to(trajectory.path.end) < 1e-4
+
+
+def test_far_from_the_reference_it_refuses_and_says_where():
+    controller = ready(straight_drive(START), max_error=0.3)
+    with pytest.raises(NoValidControl, match=r"0\.400 m from the reference, more than max_error = 0\.3") as caught:
+        controller.compute_velocity_commands(START @ Pose2(0.0, 0.4, 0.0), Twist2(), None)
+    assert caught.value.where["cross"] == pytest.approx(-0.4)
+
+
+def test_a_robot_in_the_middle_joins_the_trajectory_there_and_starts_from_its_own_speed():
+    trajectory = s_curve_drive(START)
+    middle = trajectory.at(3.0).pose
+    controller = ready(trajectory)
+    commands, states = drive(controller, trajectory, 350, state=DifferentialDrive(ROBOT).at_rest(middle))
+    assert accelerations(commands).max() <= 0.5 + 1e-9
+    assert states[-1].pose.distance_to(trajectory.path.end) < 1e-4
+
+
+class TestTheFinish:
+    dead = SimulationSettings(actuation=Actuation(linear_dead_band=0.08, angular_dead_band=0.05), timeout=20.0)
+
+    def run(self, checker, settings, **parameters):
+        trajectory = straight_drive(START)
+        controller = ready(trajectory, **parameters)
+        return run_closed_loop(trajectory, ROBOT, trajectory.path.end, controller, checker, settings)
+
+    def test_a_dead_band_traps_the_law_and_the_smallest_speed_frees_it(self):
+        checker = AxisGoalChecker(along_path_tolerance=0.004, cross_track_tolerance=0.05)
+        trapped = self.run(checker, self.dead)
+        assert not trapped.docked
+        assert 0.004 < abs(trapped.final_error.x) < 0.04
+        freed = self.run(checker, self.dead, min_speed=0.08, min_yaw_rate=0.05)
+        assert freed.docked, freed.reason
+
+    def test_what_is_left_at_the_end_decays_to_nothing(self):
+        trajectory = straight_drive(START)
+        controller = ready(trajectory)
+        late = DifferentialDrive(ROBOT).at_rest(trajectory.path.end @ Pose2(-0.04, 0.0, 0.1))
+        _, states = drive(controller, trajectory, 500, state=late)
+        left = trajectory.path.end.in_frame_of(states[-1].pose)
+        assert abs(left.x) < 1e-4
+        assert abs(left.yaw) < 1e-4
+
+    def test_the_smallest_speed_rests_within_half_the_checkers_tolerance(self):
+        trajectory = straight_drive(START)
+        checker = AxisGoalChecker(along_path_tolerance=0.02, cross_track_tolerance=0.02)
+        controller = ready(trajectory, min_speed=0.03)
+        near = trajectory.path.end @ Pose2(-0.009, 0.0, 0.0)
+        assert abs(finishing(controller, trajectory, near, checker).linear) < 0.03
+        off = trajectory.path.end @ Pose2(-0.011, 0.0, 0.0)
+        assert finishing(controller, trajectory, off, checker).linear == pytest.approx(0.03)
+
+
+def finishing(controller, trajectory, pose, checker):
+    """The settled command after the trajectory's end, with the robot held at `pose`."""
+    controller.set_path(trajectory)
+    for _ in range(400):
+        command = controller.compute_velocity_commands(pose, Twist2(), checker)
+    return command
+
+
+def test_a_path_is_timed_before_it_is_followed():
+    path = s_curve_drive(START).path
+    controller = TrackingController()
+    controller.configure(context(goal=path.end))
+    controller.set_path(path)
+    checker = AxisGoalChecker(along_path_tolerance=0.003, cross_track_tolerance=0.02)
+    plant = DifferentialDrive(ROBOT)
+    state = plant.at_rest(START)
+    for _ in range(800):
+        if checker.is_goal_reached(state.pose, path.end, state.twist, [path.pose_at(path.length - 0.1), path.end]):
+            break
+        state = plant.step(state, controller.compute_velocity_commands(state.pose, state.twist, checker))
+    assert state.pose.distance_to(path.end) < 0.004
+
+
+def test_it_is_found_by_name():
+    assert isinstance(create_plugin(Controller, "TrackingController", {"preview": 0.1}), TrackingController)

@@ -1,0 +1,124 @@
+"""The closed loop: what is reached, in which worlds, and how a run that fails says so."""
+
+import math
+
+import numpy as np
+import pytest
+
+from checkers.axis import AxisGoalChecker
+from optdock.controllers.tracking import TrackingController
+from optdock.errors import InvalidValue
+from optdock.geometry.footprint import Footprint
+from optdock.geometry.pose import Pose2
+from optdock.limits import MotionLimits
+from optdock.obstacles import ObstacleSet
+from optdock.path import Direction
+from optdock.robot import Robot
+from optdock.simulation import Actuation, SimulationSettings, run_closed_loop
+from optdock.testing.drives import cusp_drive, s_curve_drive, straight_drive
+
+START = Pose2(0.4, -0.2, 0.3)
+ROBOT = Robot(Footprint.rectangle(0.4, 0.3, 0.5), MotionLimits(max_speed=0.5, max_reverse_speed=0.5))
+DRIVES = {
+    "straight": straight_drive(START),
+    "s curve": s_curve_drive(START),
+    "reverse s curve": s_curve_drive(START, Direction.REVERSE),
+    "cusp": cusp_drive(START),
+}
+SLUGGISH = Actuation(linear_lag=0.1, angular_lag=0.1, latency=0.05)
+
+
+def run(trajectory, settings=None, **parameters):
+    checker = AxisGoalChecker(along_path_tolerance=0.003, cross_track_tolerance=0.02)
+    return run_closed_loop(trajectory, ROBOT, trajectory.path.end, TrackingController(**parameters), checker, settings)
+
+
+@pytest.mark.parametrize("name", DRIVES)
+class TestEveryDrive:
+    def test_is_tracked_to_a_tenth_of_a_millimetre_in_a_perfect_world(self, name):
+        found = run(DRIVES[name])
+        assert found.docked, found.reason
+        assert np.all(np.abs(found.errors) < 1e-4)
+        assert np.hypot(found.final_error.x, found.final_error.y) < 0.003
+
+    def test_is_tracked_to_millimetres_with_lag_and_noise_once_the_delay_is_compensated(self, name):
+        world = SimulationSettings(actuation=SLUGGISH, position_noise=0.002, yaw_noise=0.003, seed=4)
+        found = run(DRIVES[name], world, preview=0.15)
+        assert found.docked, found.reason
+        assert np.max(np.abs(found.errors[:, 0])) < 0.006
+        assert np.max(np.abs(found.errors[:, 1])) < 0.003
+        assert abs(found.final_error.y) < 0.002
+        assert abs(found.final_error.yaw) < math.radians(0.4)
+
+    def test_recovers_from_an_offset_at_the_start(self, name):
+        found = run(DRIVES[name], SimulationSettings(start=START @ Pose2(-0.03, 0.04, 0.1)))
+        assert found.docked, found.reason
+        assert abs(found.final_error.y) < 0.001
+        assert abs(found.final_error.yaw) < math.radians(0.1)
+
+
+def test_preview_is_what_removes_the_delay():
+    world = SimulationSettings(actuation=SLUGGISH)
+    without, with_preview = (np.abs(run(DRIVES["s curve"], world, preview=p).errors).max(axis=0) for p in (0.0, 0.15))
+    assert np.all(with_preview < 0.2 * without)
+
+
+def test_mirrored_worlds_give_mirrored_runs():
+    there = run(s_curve_drive(Pose2(0.0, 0.0, 0.0)), SimulationSettings(start=Pose2(0.0, 0.03, 0.1)))
+    back = run(
+        s_curve_drive(Pose2(0.0, 0.0, math.pi), Direction.REVERSE), SimulationSettings(start=Pose2(0.0, 0.03, 3.2416))
+    )
+    assert there.docked
+    assert back.docked
+    n = min(len(there.times), len(back.times))
+    assert np.allclose(there.poses[:n, :2], back.poses[:n, :2], atol=1e-4)
+
+
+def test_equal_seeds_give_equal_runs_and_others_differ():
+    def commands(seed):
+        return run(DRIVES["straight"], SimulationSettings(position_noise=0.002, yaw_noise=0.002, seed=seed)).commands
+
+    assert np.array_equal(commands(7), commands(7))
+    assert not np.array_equal(commands(7)[:50], commands(8)[:50])
+
+
+def test_the_record_fits_together():
+    found = run(DRIVES["straight"], SimulationSettings(position_noise=0.001, seed=1))
+    n = len(found.times)
+    assert np.allclose(np.diff(found.times), 0.02)
+    assert found.poses.shape == found.measured.shape == found.references.shape == found.errors.shape == (n, 3)
+    assert found.commands.shape == found.twists.shape == (n, 2)
+    assert np.all(found.commands[-1] == 0.0)
+    assert 0.0 < np.std(found.measured[:, 0] - found.poses[:, 0]) < 0.002
+    assert found.min_clearance is None
+
+
+def test_the_clearance_is_that_of_the_true_poses():
+    wall = ObstacleSet.from_polygons([[[-1.0, 0.4], [4.0, 0.4], [4.0, 0.6], [-1.0, 0.6]]])
+    drive = straight_drive(Pose2(0.0, 0.0, 0.0))
+    found = run(drive, SimulationSettings(obstacles=wall, position_noise=0.003, seed=2))
+    corners = found.poses[:, 1] + 0.4 * np.sin(found.poses[:, 2]) + 0.25 * np.cos(found.poses[:, 2])
+    rear = found.poses[:, 1] - 0.3 * np.sin(found.poses[:, 2]) + 0.25 * np.cos(found.poses[:, 2])
+    assert found.min_clearance == pytest.approx(0.4 - max(corners.max(), rear.max()), abs=1e-12)
+
+
+def test_a_run_that_cannot_arrive_says_timeout():
+    unreachable = SimulationSettings(timeout=2.0)
+    found = run(DRIVES["straight"], unreachable)
+    assert not found.docked
+    assert found.reason == "timeout: not docked within 2 s"
+    assert found.duration == pytest.approx(2.0)
+
+
+def test_a_controller_that_gives_up_is_quoted():
+    found = run(DRIVES["straight"], SimulationSettings(start=START @ Pose2(0.0, 0.8, 0.0)))
+    assert not found.docked
+    assert found.reason.startswith("NoValidControl: TrackingController: 0.800 m from the reference")
+    assert len(found.times) == 1
+
+
+def test_bad_settings_are_refused():
+    with pytest.raises(InvalidValue, match="period"):
+        SimulationSettings(period=0.0)
+    with pytest.raises(InvalidValue, match="yaw_noise"):
+        SimulationSettings(yaw_noise=-1.0)
