@@ -5,7 +5,7 @@ Knows nothing of solvers: it reads the finished path and the problem, and nothin
 
 from optdock.verification.certificate import Certificate, TrajectoryCertificate, Violation
 from optdock.verification.certify import certify_path
-from optdock.verification.clearance import pose_clearance
+from optdock.verification.half_cells import pose_clearance
 from optdock.verification.trajectory_rules import certify_trajectory
 
 __all__ = [

@@ -90,13 +90,15 @@ class PathMotion:
             s[mine] = local + self.path.segment_starts[i]
         return Nodes(poses, s)
 
-    def bounds(self, cells: Cells, first: Nodes, last: Nodes) -> CellMotion:
-        """Bounds of the motion in `cells`, whose end nodes are `first` and `last`."""
+    def bounds(self, cells: Cells, first: FloatArray, last: FloatArray) -> CellMotion:
+        """Bounds of the motion in `cells`, whose end poses are `first` and `last`, Shape (n, 3) each."""
+        if len(self.path.segments) == 1:
+            return _segment_bounds(self.path.segments[0], cells, first, last)
         n = cells.first.size
         columns = [np.empty((n, 3)), np.empty((n, 3)), *(np.empty(n) for _ in range(5))]
         for i, one in enumerate(self.path.segments):
             mine = np.flatnonzero(cells.segment == i)
-            part = _segment_bounds(one, cells.rows(mine), first.poses[mine], last.poses[mine])
+            part = _segment_bounds(one, cells.rows(mine), first[mine], last[mine])
             for column, value in zip(columns, part, strict=True):
                 column[mine] = value
         return CellMotion(*columns)

@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 __all__ = ["RTOL", "curved_limits", "times_at"]
 
 RTOL = 1e-6  # accepted excess over a limit, relative
-_MAX_WIDTH = 0.01  # [s], first cells
+_MAX_WIDTH = 0.05  # [s], first cells
 _MAX_LEVELS = 22
 
 

@@ -1,0 +1,140 @@
+"""Lower bounds of the clearance over half cells: second-order conservative advancement.
+
+Let n be the axis that attains the exact distance d of the footprint at u0 to an obstacle. A fixed axis is a valid
+lower bound at every other u as well, and along n every footprint vertex v moves by at least
+`n.v'(u0) du - M du^2 / 2`, M a bound of its acceleration. So at u0 + du the distance is at least
+
+    d + min_v (n.v + n.v' du) - min_v n.v - M du^2 / 2                                    (*)
+
+which is concave in du: over a stretch it is smallest at one of the two ends. Motion along a wall costs nothing, as
+n.v' = 0 there; first-order advancement, which knows no direction, would have to creep.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+from optdock.geometry.pose import transform_points
+from optdock.geometry.separation import separation
+
+if TYPE_CHECKING:
+    from optdock.geometry.arrays import FloatArray, IntArray
+    from optdock.geometry.footprint import Footprint
+    from optdock.geometry.pose import Pose2
+    from optdock.geometry.separation import ConvexBody
+    from optdock.obstacles import ObstacleSet
+
+__all__ = ["HalfBounds", "HalfCells", "half_cell_bounds", "pose_clearance"]
+
+
+class HalfCells(NamedTuple):
+    """Stretches that begin at a known pose; n of them.
+
+    `poses`: Shape (n, 3). `velocity`: d pose / du at that pose, into the stretch, Shape (n, 3). The others Shape (n,):
+    `width` in u; bounds within the cell of |p'| `speed`, |yaw'| `turn`, |p''| `bend`, |yaw''| + yaw'^2 `twist`.
+    """
+
+    poses: FloatArray
+    velocity: FloatArray
+    width: FloatArray
+    speed: FloatArray
+    turn: FloatArray
+    bend: FloatArray
+    twist: FloatArray
+
+
+class HalfBounds(NamedTuple):
+    """Lower bound [m] and nearest obstacle row of every stretch, Shape (n,), and what was looked at exactly.
+
+    `stretch`, `obstacle`, `distance`: stretch index, obstacle row, signed distance [m] of a pose, Shape (m,) each.
+    """
+
+    bound: FloatArray
+    row: IntArray
+    stretch: IntArray
+    obstacle: IntArray
+    distance: FloatArray
+
+    def merged(self, other: HalfBounds) -> HalfBounds:
+        """The smaller bound of the two, and both lists of poses."""
+        mine = self.bound <= other.bound
+        return HalfBounds(
+            np.where(mine, self.bound, other.bound),
+            np.where(mine, self.row, other.row),
+            np.concatenate((self.stretch, other.stretch)),
+            np.concatenate((self.obstacle, other.obstacle)),
+            np.concatenate((self.distance, other.distance)),
+        )
+
+
+def half_cell_bounds(
+    footprint: Footprint, stretches: HalfCells, obstacles: ObstacleSet, care: FloatArray
+) -> HalfBounds:
+    """Bounds over all pieces of the footprint and all obstacles.
+
+    Args:
+        footprint: The moving outline.
+        stretches: Where it moves.
+        obstacles: At least one.
+        care: Shape (n,) [m]: whatever may come closer than this is looked at exactly; the rest by box and circle.
+    """
+    parts = [_body_bounds(body, stretches, obstacles, care) for body in footprint.bodies]
+    total = parts[0]
+    for part in parts[1:]:
+        total = total.merged(part)
+    return total
+
+
+def _body_bounds(body: ConvexBody, stretches: HalfCells, obstacles: ObstacleSet, care: FloatArray) -> HalfBounds:
+    poses, width = stretches.poses, stretches.width
+    reach = float(np.max(np.hypot(*body.vertices.T)))
+    travel = width * (stretches.speed + reach * stretches.turn)
+    bounds = _box_gaps(body, poses, obstacles) - travel[:, None]
+    i, o = np.nonzero(bounds < care[:, None])
+    exact = separation(body, poses[i], obstacles.pieces(o))
+    drift = _directional(body, poses[i], stretches.velocity[i], exact.axis, width[i])
+    stray = 0.5 * (stretches.bend + reach * stretches.twist)[i] * width[i] ** 2
+    bounds[i, o] = np.minimum(exact.distance, exact.distance + drift - stray)
+    row = np.argmin(bounds, axis=1)
+    return HalfBounds(bounds[np.arange(width.size), row], row, i, o, exact.distance)
+
+
+def _directional(
+    body: ConvexBody, poses: FloatArray, velocity: FloatArray, axis: FloatArray, width: FloatArray
+) -> FloatArray:
+    """First-order part of (*): min_v (n.v + n.v' du) - min_v n.v at du = width. Shape (m,) [m]."""
+    offset = transform_points(poses, body.vertices) - poses[:, None, :2]  # (m, v, 2)
+    height = axis[:, 0, None] * offset[..., 0] + axis[:, 1, None] * offset[..., 1]
+    linear = axis[:, 0] * velocity[:, 0] + axis[:, 1] * velocity[:, 1]
+    swing = velocity[:, 2, None] * (axis[:, 1, None] * offset[..., 0] - axis[:, 0, None] * offset[..., 1])
+    moved = height + width[:, None] * (linear[:, None] + swing)
+    change: FloatArray = moved.min(axis=1) - height.min(axis=1)
+    return change
+
+
+def _box_gaps(body: ConvexBody, poses: FloatArray, obstacles: ObstacleSet) -> FloatArray:
+    """Lower bound of the distance from every pose's body to every obstacle, by circle and box. Shape (n, m) [m]."""
+    centre = 0.5 * (body.vertices.min(axis=0) + body.vertices.max(axis=0))
+    radius = float(np.max(np.hypot(*(body.vertices - centre).T)))
+    gaps: FloatArray = obstacles.box_distance(transform_points(poses, centre[None])[:, 0]) - radius
+    return gaps
+
+
+def pose_clearance(pose: Pose2, footprint: Footprint, obstacles: ObstacleSet) -> tuple[float, int]:
+    """Signed clearance of one pose [m] and the row of the nearest obstacle; (inf, -1) without obstacles."""
+    poses = pose.as_array()[None]
+    best, row = np.inf, -1
+    for body in footprint.bodies:
+        apart = _box_gaps(body, poses, obstacles)[0]
+        order = np.argsort(apart)
+        for chunk in (order[:8], order[8:]):
+            rows = chunk[apart[chunk] < best]
+            if rows.size == 0:
+                continue
+            distance = separation(body, np.repeat(poses, rows.size, axis=0), obstacles.pieces(rows)).distance
+            k = int(np.argmin(distance))
+            if distance[k] < best:
+                best, row = float(distance[k]), int(rows[k])
+    return best, row
