@@ -1,0 +1,1 @@
+"""The parts of `CasadiSmoother`: sequential convex steps on clothoid splines."""

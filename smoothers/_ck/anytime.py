@@ -1,0 +1,153 @@
+"""The search under a deadline: the best candidate so far is certified in time, or nothing is returned."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING, NamedTuple
+
+from optdock.errors import SmootherCancelled
+from optdock.verification.certify import certify_path
+from smoothers._ck.scp import search
+from smoothers._ck.spline import exact_path
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from optdock.path import Path
+    from optdock.problem import DockingProblem
+    from optdock.verification.certificate import Certificate
+    from smoothers._ck.budget import Budget
+    from smoothers._ck.qp import ProgramPool
+    from smoothers._ck.scp import Iterate
+    from smoothers._ck.task import Task
+
+__all__ = ["Incumbent", "Outcome", "Runner"]
+
+_CERTIFY_GUESS = 0.003  # [s], until one was measured
+_ITERATION_GUESS = 0.002
+_NEARLY = 5e-3  # [m]: a shortfall that may be due to the cautious bound between nodes
+_REPAIRS = 2
+
+
+class Incumbent(NamedTuple):
+    """A certified path, its certificate and its cost."""
+
+    path: Path
+    certificate: Certificate
+    cost: float
+
+
+@dataclass
+class Outcome:
+    """What a run found.
+
+    Attributes:
+        incumbent: The best certified path, or None.
+        last: The last iterate.
+        converged: Whether the search ended by itself.
+        iterations: Steps tried.
+        refused: The last certificate that refused a candidate, or None.
+        first_certified: Seconds from the start of the call to the first certificate, or None.
+        certify_time: Seconds spent on certificates.
+    """
+
+    incumbent: Incumbent | None = None
+    last: Iterate | None = None
+    converged: bool = False
+    iterations: int = 0
+    refused: Certificate | None = None
+    first_certified: float | None = None
+    certify_time: float = 0.0
+
+
+@dataclass
+class Runner:
+    """Runs searches for one problem within one budget.
+
+    Args:
+        problem: What must hold.
+        pool: Convex programs.
+        budget: Seconds left.
+        cancelled: Polled every iteration.
+        max_iterations: Of every search.
+        first_only: Stop at the first certified path.
+    """
+
+    problem: DockingProblem
+    pool: ProgramPool
+    budget: Budget
+    cancelled: Callable[[], bool]
+    max_iterations: int = 60
+    first_only: bool = False
+    outcome: Outcome = field(default_factory=Outcome)
+    _candidate: Iterate | None = None
+    _longest: float = _ITERATION_GUESS
+    _certify: float = _CERTIFY_GUESS
+
+    def run(self, task: Task) -> Outcome:
+        """Search, and search again a little further from the obstacles where the certificate refuses the result."""
+        for _ in range(_REPAIRS + 1):
+            self._search(task)
+            rejected = self._settle(task)
+            if rejected is None or not self.outcome.converged:
+                break
+            task = replace(task, initial=rejected.variables, buffer=3.0 * task.buffer)
+        return self.outcome
+
+    def _search(self, task: Task) -> None:
+        self.outcome.converged = False
+        before = self.budget.elapsed
+        for progress in search(task, self.pool, self.max_iterations):
+            if self.cancelled():
+                raise SmootherCancelled("the smoother was cancelled")
+            self.outcome.last, self.outcome.converged = progress.iterate, progress.finished
+            self.outcome.iterations += progress.iterations > 0
+            self._consider(progress.iterate)
+            self._longest = max(0.8 * self._longest, self.budget.elapsed - before)
+            if self._enough(task):
+                return
+            before = self.budget.elapsed
+
+    def _consider(self, iterate: Iterate) -> None:
+        best = self._candidate.cost if self._candidate is not None else float("inf")
+        held = self.outcome.incumbent.cost if self.outcome.incumbent is not None else float("inf")
+        if iterate.feasible and iterate.cost < min(best, held):
+            self._candidate = iterate
+
+    def _enough(self, task: Task) -> bool:
+        """Whether to stop; certifies the candidate when time becomes short."""
+        step = 1.1 * self._longest
+        reserve = 1.2 * self._certify if self._candidate is not None else 0.0
+        short = not self.budget.fits(step + reserve)
+        if self._candidate is not None and (self.first_only or (short and self.outcome.incumbent is None)):
+            self._settle(task)
+            short = not self.budget.fits(step)
+        return short or (self.first_only and self.outcome.incumbent is not None)
+
+    def _settle(self, task: Task) -> Iterate | None:
+        """Certify the candidate; returns it when it was refused."""
+        candidate, self._candidate = self._candidate, None
+        if candidate is None and self.outcome.incumbent is None and self._nearly_feasible():
+            candidate = self.outcome.last
+        if candidate is None:
+            return None
+        if self.outcome.incumbent is not None and not self.budget.fits(1.1 * self._certify):
+            return None
+        began = self.budget.elapsed
+        path, _ = exact_path(task, candidate.variables, self.problem.dock.final_straight)
+        certificate = certify_path(path, self.problem)
+        self._certify = self.budget.elapsed - began
+        self.outcome.certify_time += self._certify
+        if not certificate.certified:
+            self.outcome.refused = certificate
+            return candidate
+        self.outcome.incumbent = Incumbent(path, certificate, candidate.cost)
+        if self.outcome.first_certified is None:
+            self.outcome.first_certified = self.budget.elapsed
+        return None
+
+    def _nearly_feasible(self) -> bool:
+        last = self.outcome.last
+        if last is None or not self.outcome.converged:
+            return False
+        return last.on_goal and last.shortfall < _NEARLY and last.rate_excess <= 1e-9

@@ -1,0 +1,136 @@
+"""Why there is no smooth path: faults that are certain before any search, and what a failed search ran into."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+from optdock.dock import DockDirection
+from optdock.errors import FailedToSmoothPath
+from optdock.geometry.separation import separation
+from optdock.path import Direction
+
+if TYPE_CHECKING:
+    from optdock.geometry.arrays import FloatArray
+    from optdock.path import Path
+    from optdock.problem import DockingProblem
+    from smoothers._ck.scp import Iterate
+    from smoothers._ck.task import Task
+
+__all__ = ["Refusal", "refuse_approach", "refuse_search", "refuse_start"]
+
+_TOLERANCE = 1e-6  # [m], as the certificate's
+_STRAIGHT_SAMPLES = 25
+
+
+class Refusal(NamedTuple):
+    """One bound in the way: its name, where along the path, by how much, at which obstacle, and a sentence."""
+
+    reason: str
+    s: float
+    amount: float
+    obstacle: str
+    message: str
+
+    def error(self, **more: object) -> FailedToSmoothPath:
+        """The exception that says so."""
+        where = {"reason": self.reason, "s": self.s, "amount": self.amount, "obstacle": self.obstacle, **more}
+        return FailedToSmoothPath(f"{self.reason}: {self.message}", where=where)
+
+
+def refuse_start(path: Path, problem: DockingProblem, start_clearance: float, nearest: int) -> Refusal | None:
+    """What makes any path with these gears impossible from the start on, or None."""
+    if start_clearance < -_TOLERANCE:
+        name = problem.all_obstacles.name_of(nearest)
+        message = f"the footprint overlaps {name} by {-start_clearance:.3f} m where the robot stands"
+        return Refusal("start_in_collision", 0.0, -start_clearance, name, message)
+    limit, steered = problem.robot.limits.max_curvature, problem.start_curvature
+    if steered is not None and abs(steered) > limit:
+        message = f"the robot steers {steered:.4g} 1/m at the start, the limit is {limit:.4g} 1/m"
+        return Refusal("start_curvature", 0.0, abs(steered) - limit, "", message)
+    first, last = path.segments[0].direction, path.segments[-1].direction
+    wanted = {DockDirection.FORWARD: Direction.FORWARD, DockDirection.BACKWARD: Direction.REVERSE}
+    if wanted.get(problem.dock.direction, last) is not last:
+        message = (
+            f"the input enters the dock in {last.name.lower()} gear, the dock asks for {problem.dock.direction.value}"
+        )
+        return Refusal("direction", path.length, 1.0, "", message)
+    if problem.start_speed * first < 0.0:
+        message = f"the robot moves at {problem.start_speed:.3g} m/s, the input begins in {first.name.lower()} gear"
+        return Refusal("direction", 0.0, abs(problem.start_speed), "", message)
+    return None
+
+
+def refuse_approach(path: Path, problem: DockingProblem, start_clearance: float) -> Refusal | None:
+    """A pose of the final straight, the goal included, that is closer to an obstacle than allowed; or None.
+
+    Every answer must drive these poses, so one that breaks the clearance rule is a proof.
+    """
+    goal, straight = problem.goal, problem.dock.final_straight
+    back = float(path.segments[-1].direction) * np.linspace(straight, 0.0, _STRAIGHT_SAMPLES if straight > 0.0 else 1)
+    poses = np.column_stack(
+        (goal.x - back * math.cos(goal.yaw), goal.y - back * math.sin(goal.yaw), np.full(back.size, goal.yaw))
+    )
+    from_start = np.hypot(poses[:, 0] - problem.start.x, poses[:, 1] - problem.start.y)
+    required = problem.clearance.required_at(np.abs(back), from_start, start_clearance)
+    distance, rows = _distances(problem, poses)
+    short = required - distance
+    k = int(np.argmax(short))
+    if not short[k] > _TOLERANCE:
+        return None
+    name = problem.all_obstacles.name_of(int(rows[k]))
+    s = path.length - abs(float(back[k]))
+    what = "the goal" if back[k] == 0.0 else f"the final straight {abs(back[k]):.3f} m before the goal"
+    message = f"{what} leaves {distance[k]:.4f} m to {name}, {required[k]:.4f} m are required"
+    return Refusal("approach_blocked", s, float(short[k]), name, message)
+
+
+def _distances(problem: DockingProblem, poses: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Clearance of every pose and the row of its nearest obstacle, (inf, -1) where none is near."""
+    obstacles, footprint = problem.all_obstacles, problem.robot.footprint
+    reach = footprint.circumscribed_radius + problem.clearance.required + 0.01
+    low, high = poses[:, :2].min(axis=0) - reach, poses[:, :2].max(axis=0) + reach
+    near = np.flatnonzero(np.all((obstacles.lower <= high) & (obstacles.upper >= low), axis=1))
+    best, rows = np.full(len(poses), np.inf), np.full(len(poses), -1)
+    if near.size == 0:
+        return best, rows
+    pose = np.repeat(poses, near.size, axis=0)
+    rock = np.tile(near, len(poses))
+    for body in footprint.bodies:
+        found = separation(body, pose, obstacles.pieces(rock)).distance.reshape(len(poses), near.size)
+        k = np.argmin(found, axis=1)
+        smallest = found[np.arange(len(poses)), k]
+        rows = np.where(smallest < best, near[k], rows)
+        best = np.minimum(best, smallest)
+    return best, rows
+
+
+def refuse_search(task: Task, last: Iterate) -> Refusal:
+    """Which bound the search could not satisfy: the goal (through curvature and rate) or clearance."""
+    missed = float(np.hypot(*last.end_error[:2]))
+    turned = abs(float(last.end_error[2]))
+    length = float(last.variables.lengths.sum())
+    if max(missed, turned) > 1e-3:
+        return _unreachable(task, last, missed, turned, length)
+    if last.clearance.margin.size and last.shortfall > 0.0:
+        k = int(np.argmin(last.clearance.margin))
+        name = task.world.obstacles.name_of(int(last.clearance.pairs.obstacle[k]))
+        s = float(last.rollout.steps[: int(last.clearance.pairs.interval[k])].sum())
+        message = f"{last.shortfall:.4f} m are missing to the required clearance from {name} at s = {s:.3f} m"
+        return Refusal("clearance", s, last.shortfall, name, message)
+    k = int(np.argmax(np.abs(last.rollout.rate)))
+    s, excess = float(last.rollout.steps[:k].sum()), last.rate_excess * task.bounds.rate
+    message = f"the curvature rate exceeds its limit by {excess:.3g} 1/m^2 at s = {s:.3f} m"
+    return Refusal("curvature_rate", s, excess, "", message)
+
+
+def _unreachable(task: Task, last: Iterate, missed: float, turned: float, length: float) -> Refusal:
+    bound = float(task.bounds.upper[: task.layout.num_knots].max())
+    used = float(np.abs(last.variables.curvature).max()) / bound
+    kept = "curvature" if used > 0.98 else "curvature rate or clearance"
+    message = (
+        f"a path with these gears misses the goal by {missed:.3f} m and {turned:.3f} rad; its {kept} is at the limit"
+    )
+    return Refusal("goal_unreachable", length, missed, "", message)

@@ -1,0 +1,200 @@
+"""The search: sequential convex steps on exactly driven paths.
+
+A step minimizes a convex quadratic model of the cost within a trust region, under linear bounds on curvature and rate
+and linearized goal and clearance constraints with L1 penalties. Every iterate is driven exactly and, where possible,
+closed onto the goal, so every iterate is drivable and nearly every one is a candidate for the result.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+from smoothers._ck.closing import clipped, close_goal
+from smoothers._ck.planes import clearance
+from smoothers._ck.rollout import Variables, roll_out, sensitivity
+from smoothers._ck.steps import ZONES, Penalties, StepProblem, solve_step, zone_of
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from optdock.geometry.arrays import FloatArray
+    from smoothers._ck.planes import Clearance
+    from smoothers._ck.qp import ProgramPool
+    from smoothers._ck.rollout import Rollout
+    from smoothers._ck.task import Task
+
+__all__ = ["Iterate", "Progress", "evaluate", "search"]
+
+_REACH = 0.35  # [m] beyond the required clearance, first iteration
+_GOAL_TOLERANCE = 1e-5
+_CLEARANCE_TOLERANCE = 4e-4
+_RATE_PENALTY = 30.0
+_SMALL_STEP = 3e-4
+_SMALL_GAIN = 1e-3
+_MAX_REJECTIONS = 7
+_MAX_PENALTY = 300.0 * 36.0
+
+
+class Iterate(NamedTuple):
+    """A driven path and how it does.
+
+    Attributes:
+        variables: Knot curvatures and gear lengths.
+        rollout: The driven path.
+        cost: Its cost.
+        clearance: Its near pairs.
+        zones: Shape (ZONES,) [m], worst shortfall of clearance in each zone, >= 0.
+        end_error: Shape (3,) [m, m, rad].
+        rate_excess: Excess of the curvature rate, relative to its limit, >= 0.
+    """
+
+    variables: Variables
+    rollout: Rollout
+    cost: float
+    clearance: Clearance
+    zones: FloatArray
+    end_error: FloatArray
+    rate_excess: float
+
+    @property
+    def shortfall(self) -> float:
+        """Worst shortfall of clearance [m]."""
+        return float(self.zones.max())
+
+    @property
+    def on_goal(self) -> bool:
+        """Whether it ends at the target."""
+        return float(np.abs(self.end_error).max()) <= _GOAL_TOLERANCE
+
+    @property
+    def feasible(self) -> bool:
+        """Whether it may be certified."""
+        return self.on_goal and self.shortfall <= _CLEARANCE_TOLERANCE and self.rate_excess <= 1e-9
+
+
+class Progress(NamedTuple):
+    """The state after an iteration: the current iterate, and whether the search has ended and converged."""
+
+    iterate: Iterate
+    iterations: int
+    finished: bool
+    accepted: bool
+
+
+@dataclass
+class _Controls:
+    """What adapts during the search."""
+
+    trust: float = 0.45
+    prox: float = 1.0
+    penalties: Penalties = Penalties()
+    reach: float = _REACH
+    rejections: int = 0
+    idle: int = 0
+
+    def accept(self, step: float) -> None:
+        self.trust = min(2.0 * self.trust, 0.9)
+        self.prox = max(0.3 * self.prox, 1e-3)
+        self.reach = min(_REACH, 1.5 * step + 0.12)
+        self.rejections = 0
+
+    def reject(self, step: float) -> None:
+        self.trust = 0.3 * min(self.trust, max(step, 1e-6))
+        self.prox *= 3.0
+        self.rejections += 1
+
+
+def evaluate(task: Task, variables: Variables, rollout: Rollout, reach: float) -> Iterate:
+    """Judge a driven path."""
+    found = clearance(task.world, task.layout, rollout, task.ends.signs, reach + task.world.rule.required)
+    zones = np.zeros(ZONES)
+    if found.margin.size:
+        node = task.layout.left[found.pairs.interval]
+        np.maximum.at(zones, zone_of(task.layout, node), -found.margin)
+    rate = float(np.abs(rollout.rate).max())
+    excess = max(0.0, rate / task.bounds.rate - 1.0)
+    return Iterate(
+        variables, rollout, task.cost.value(variables, rollout), found, zones, task.ends.error(rollout), excess
+    )
+
+
+def merit(iterate: Iterate, penalties: Penalties) -> float:
+    """Cost plus penalties."""
+    missed = float(np.abs(iterate.end_error).sum())
+    short = float(iterate.zones.sum())
+    return iterate.cost + penalties.clearance * short + penalties.goal * missed + _RATE_PENALTY * iterate.rate_excess
+
+
+def search(task: Task, pool: ProgramPool, max_iterations: int = 60) -> Iterator[Progress]:
+    """Yield after every iteration, the initial iterate first; the last one is `finished`."""
+    controls = _Controls()
+    variables, rollout = _closed(task, task.initial, None)
+    current = evaluate(task, variables, rollout, controls.reach)
+    yield Progress(current, 0, finished=False, accepted=True)
+    problem = _linearized(task, current)
+    for iteration in range(1, max_iterations + 1):
+        step = solve_step(task, problem, pool, controls.trust, controls.prox, controls.penalties)
+        trial, moved = _trial(task, current, step, controls)
+        accepted = trial is not None and merit(trial, controls.penalties) < merit(current, controls.penalties)
+        finished = False
+        if trial is not None and accepted:
+            gain = merit(current, controls.penalties) - merit(trial, controls.penalties)
+            current = trial
+            controls.accept(moved)
+            finished = _settled(current, controls, moved, gain)
+            if not finished:
+                problem = _linearized(task, current)
+        else:
+            controls.reject(moved)
+            finished = moved < _SMALL_STEP or controls.rejections > _MAX_REJECTIONS
+            finished = finished and not _raised(current, controls)
+        yield Progress(current, iteration, finished=finished or iteration == max_iterations, accepted=accepted)
+        if finished:
+            return
+
+
+def _settled(current: Iterate, controls: _Controls, moved: float, gain: float) -> bool:
+    """Whether nothing more is to be gained; raises the penalties while clearance or goal are still short."""
+    if current.feasible:
+        return moved < _SMALL_STEP or gain < _SMALL_GAIN
+    stalled = moved < _SMALL_STEP or gain < max(_SMALL_GAIN, 0.02 * controls.penalties.clearance * current.shortfall)
+    controls.idle = controls.idle + 1 if stalled else 0
+    return controls.idle >= 2 and not _raised(current, controls)
+
+
+def _raised(current: Iterate, controls: _Controls) -> bool:
+    """Raise the penalties of an iterate that is not feasible; False when that is exhausted or pointless."""
+    if current.feasible or controls.penalties.clearance >= _MAX_PENALTY:
+        return False
+    controls.penalties = controls.penalties.raised()
+    controls.trust, controls.prox = max(controls.trust, 0.1), min(controls.prox, 1.0)
+    controls.rejections = controls.idle = 0
+    return True
+
+
+def _linearized(task: Task, current: Iterate) -> StepProblem:
+    by = sensitivity(task.layout, current.variables, current.rollout)
+    quadratic = task.cost.quadratic(current.variables, current.rollout, by)
+    return StepProblem.around(task, current.variables, current.rollout, current.clearance, by, quadratic)
+
+
+def _closed(task: Task, variables: Variables, rollout: Rollout | None) -> tuple[Variables, Rollout]:
+    driven = roll_out(task.layout, variables, task.ends.start, task.ends.signs) if rollout is None else rollout
+    if float(np.abs(task.ends.error(driven)).max()) > task.closing_reach:
+        return variables, driven
+    return close_goal(task.layout, variables, task.ends, task.bounds, driven)
+
+
+def _trial(task: Task, current: Iterate, step: FloatArray | None, controls: _Controls) -> tuple[Iterate | None, float]:
+    """The iterate after a step, and how far it turned or stretched at most."""
+    if step is None:
+        return None, controls.trust
+    knots = task.layout.num_knots
+    wanted = Variables(current.variables.curvature + step[:knots], current.variables.lengths + step[knots:])
+    variables, rollout = _closed(task, clipped(wanted, task.bounds), None)
+    turned = float(np.abs(rollout.poses[:, 2] - current.rollout.poses[:, 2]).max())
+    moved = max(turned, float(np.abs(variables.lengths - current.variables.lengths).max()))
+    return evaluate(task, variables, rollout, min(_REACH, max(controls.reach, 1.5 * moved + 0.12))), moved

@@ -1,0 +1,43 @@
+"""A docking problem for a caller that gives only a path: ends from the path, obstacles from the costmap."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from optdock.dock import Dock
+from optdock.errors import InvalidValue
+from optdock.limits import MotionLimits
+from optdock.obstacles import ObstacleSet
+from optdock.problem import ClearanceRule, DockingProblem
+from optdock.robot import Robot
+
+if TYPE_CHECKING:
+    from optdock.lifecycle import PluginContext
+    from optdock.path import Path
+
+__all__ = ["problem_between_ends"]
+
+_MARGIN = 1.5  # [m]: how far around the path the costmap is read, beyond the footprint
+
+
+def problem_between_ends(
+    path: Path, context: PluginContext, limits: MotionLimits, clearance: float, final_straight: float
+) -> DockingProblem:
+    """From the first pose of `path` to its last, among the occupied cells of the context's costmap.
+
+    Raises:
+        InvalidValue: The context has no footprint.
+    """
+    if context.footprint is None:
+        raise InvalidValue(f"{context.name}: configure it with a footprint, or pass a problem to smooth()")
+    costmap, obstacles = context.costmap, ObstacleSet.empty()
+    if costmap is not None:
+        from optdock.costmap.cell_obstacles import obstacles_from_costmap
+
+        points = path.sample(0.2).poses[:, :2]
+        reach = context.footprint.circumscribed_radius + clearance + _MARGIN
+        obstacles = obstacles_from_costmap(costmap, region=(points.min(axis=0) - reach, points.max(axis=0) + reach))
+    rule = ClearanceRule(required=clearance, at_dock=0.0, taper=0.5 if clearance > 0.0 else 0.0)
+    dock = Dock(path.end, final_straight=final_straight)
+    robot = Robot(context.footprint, limits)
+    return DockingProblem(path.start, dock, robot, obstacles, rule, costmap=costmap)

@@ -1,0 +1,103 @@
+"""The cost and its derivatives.
+
+J = sum over gears of [w_L L + w_k / k_ref^2 * L * K'MK + w_r / r_ref^2 / L * K'SK]
+    + w_t * (total length / intervals) * sum over nodes of (n_ref . (p - p_ref))^2
+
+with M and S the layout's mass and stiffness: length, integral of curvature^2, integral of curvature rate^2, and the
+squared lateral distance to the input path.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from optdock.geometry.arrays import FloatArray
+    from smoothers._ck.layout import Layout
+    from smoothers._ck.rollout import Rollout, Sensitivity, Variables
+
+__all__ = ["CostModel", "Quadratic", "Reference", "Weights"]
+
+
+class Weights(NamedTuple):
+    """Weights of length [1/m], curvature and curvature rate (relative to their references), and tracking [1/m^3]."""
+
+    length: float = 1.0
+    curvature: float = 0.4
+    rate: float = 0.15
+    tracking: float = 0.3
+
+
+class Reference(NamedTuple):
+    """The input path at the nodes: positions (n, 2) [m] and unit normals (n, 2)."""
+
+    positions: FloatArray
+    normals: FloatArray
+
+
+class Quadratic(NamedTuple):
+    """A convex quadratic model `gradient . step + step' hessian step / 2`; Shape (size,), (size, size)."""
+
+    gradient: FloatArray
+    hessian: FloatArray
+
+
+@dataclass(frozen=True, eq=False)
+class CostModel:
+    """The cost of one problem.
+
+    Args:
+        layout: Shape of the path.
+        weights: What matters how much.
+        scales: Reference curvature [1/m] and reference curvature rate [1/m^2].
+        reference: The input path.
+    """
+
+    layout: Layout
+    weights: Weights
+    scales: tuple[float, float]
+    reference: Reference
+
+    @property
+    def _factors(self) -> tuple[float, float]:
+        return self.weights.curvature / self.scales[0] ** 2, self.weights.rate / self.scales[1] ** 2
+
+    def _lateral(self, rollout: Rollout) -> FloatArray:
+        away = rollout.poses[:, :2] - self.reference.positions
+        return away[:, 0] * self.reference.normals[:, 0] + away[:, 1] * self.reference.normals[:, 1]
+
+    def value(self, variables: Variables, rollout: Rollout) -> float:
+        """J."""
+        curvature, lengths = variables
+        bend, jerk = self._factors
+        per_knot = self.layout.per_knot(lengths)
+        squares = per_knot * curvature * (self.layout.mass @ curvature)
+        slopes = curvature * (self.layout.stiffness @ curvature) / per_knot
+        lateral, total = self._lateral(rollout), float(lengths.sum())
+        tracking = self.weights.tracking * total / self.layout.num_intervals * float(lateral @ lateral)
+        return float(self.weights.length * total + bend * squares.sum() + jerk * slopes.sum() + tracking)
+
+    def quadratic(self, variables: Variables, rollout: Rollout, by: Sensitivity) -> Quadratic:
+        """Exact gradient; Hessian exact in the curvatures, Gauss-Newton for tracking."""
+        layout, (curvature, lengths) = self.layout, variables
+        bend, jerk = self._factors
+        per_knot, knots = layout.per_knot(lengths), layout.num_knots
+        of_mass, of_slope = layout.mass @ curvature, layout.stiffness @ curvature
+        gradient, hessian = np.empty(layout.size), np.zeros((layout.size, layout.size))
+        gradient[:knots] = 2.0 * (bend * per_knot * of_mass + jerk / per_knot * of_slope)
+        squares, slopes = (curvature * of_mass) @ layout.members, (curvature * of_slope) @ layout.members
+        gradient[knots:] = self.weights.length + bend * squares - jerk * slopes / lengths**2
+        hessian[:knots, :knots] = 2.0 * (bend * per_knot * layout.mass + (jerk / per_knot) * layout.stiffness)
+        index = np.arange(knots, layout.size)
+        hessian[index, index] = 2.0 * jerk * slopes / lengths**3
+        share = self.weights.tracking / layout.num_intervals
+        lateral, scale = self._lateral(rollout), share * float(lengths.sum())
+        normals = self.reference.normals
+        moved = normals[:, :1] * by.x + normals[:, 1:] * by.y
+        gradient += 2.0 * scale * (lateral @ moved)
+        gradient[knots:] += share * float(lateral @ lateral)
+        hessian += 2.0 * scale * (moved.T @ moved)
+        return Quadratic(gradient, hessian)

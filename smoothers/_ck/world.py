@@ -1,0 +1,99 @@
+"""What surrounds the path: convex obstacles, the body's convex parts, and the clearance required at a pose."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+from optdock.problem import START_RELIEF_SLOPE
+
+if TYPE_CHECKING:
+    from optdock.geometry.arrays import FloatArray, IntArray
+    from optdock.geometry.footprint import Footprint
+    from optdock.obstacles import ObstacleSet
+    from optdock.problem import ClearanceRule, DockingProblem
+
+__all__ = ["Body", "Requirement", "World", "world_around"]
+
+_CROP = 1.0  # [m]: how far beyond the input path obstacles are looked at
+
+
+class Body(NamedTuple):
+    """The footprint's convex parts padded to one vertex count: vertices and normals (parts, v, 2), radius [m]."""
+
+    vertices: FloatArray
+    normals: FloatArray
+    radius: float
+    width: float
+
+
+class Requirement(NamedTuple):
+    """Required clearance (n,) [m], its gradient by position (n, 2), and which rule decides (n,): 0 dock, 1 full, 2 start."""
+
+    value: FloatArray
+    gradient: FloatArray
+    rule: IntArray
+
+
+@dataclass(frozen=True, eq=False)
+class World:
+    """Obstacles near the path, the body, and the clearance rule.
+
+    Args:
+        obstacles: Near the input path.
+        body: What moves.
+        rule: Clearance rule.
+        start: Start position, Shape (2,) [m].
+        goal: Goal position, Shape (2,) [m].
+        start_clearance: Clearance of the start pose [m].
+    """
+
+    obstacles: ObstacleSet
+    body: Body
+    rule: ClearanceRule
+    start: FloatArray
+    goal: FloatArray
+    start_clearance: float
+
+    def required(self, positions: FloatArray) -> Requirement:
+        """What is required at robot positions, Shape (n, 2) [m]."""
+        to_goal, to_start = positions - self.goal, positions - self.start
+        from_goal = np.hypot(to_goal[:, 0], to_goal[:, 1])
+        slope = (self.rule.required - self.rule.at_dock) / self.rule.taper if self.rule.taper > 0.0 else 0.0
+        near = from_goal < self.rule.taper
+        value = np.where(near, self.rule.at_dock + slope * from_goal, self.rule.required)
+        gradient = np.where(near, slope / np.maximum(from_goal, 1e-9), 0.0)[:, None] * to_goal
+        rule = np.where(near, 0, 1)
+        if self.start_clearance < self.rule.required:
+            from_start = np.hypot(to_start[:, 0], to_start[:, 1])
+            relieved = max(0.0, self.start_clearance) + START_RELIEF_SLOPE * from_start
+            eased = relieved < value
+            value = np.where(eased, relieved, value)
+            away = START_RELIEF_SLOPE * to_start / np.maximum(from_start, 1e-9)[:, None]
+            gradient, rule = np.where(eased[:, None], away, gradient), np.where(eased, 2, rule)
+        return Requirement(value, gradient, rule)
+
+
+def body_of(footprint: Footprint) -> Body:
+    """The padded parts of a footprint."""
+    width = max(len(part.vertices) for part in footprint.bodies)
+    vertices = np.stack([_padded(part.vertices, width) for part in footprint.bodies])
+    normals = np.stack([_padded(part.normals, width) for part in footprint.bodies])
+    thickness = 2.0 * max(footprint.inscribed_radius, 0.25 * min(footprint.width, footprint.length))
+    return Body(vertices, normals, footprint.circumscribed_radius, thickness)
+
+
+def _padded(rows: FloatArray, count: int) -> FloatArray:
+    return np.concatenate((rows, np.repeat(rows[-1:], count - len(rows), axis=0)))
+
+
+def world_around(problem: DockingProblem, positions: FloatArray, start_clearance: float) -> World:
+    """The world within reach of a path through `positions`, Shape (n, 2) [m]."""
+    body = body_of(problem.robot.footprint)
+    reach = body.radius + problem.clearance.required + _CROP
+    near = problem.all_obstacles.in_box(positions.min(axis=0) - reach, positions.max(axis=0) + reach)
+    start = np.array([problem.start.x, problem.start.y])
+    goal = np.array([problem.goal.x, problem.goal.y])
+    return World(near, body, problem.clearance, start, goal, start_clearance)
