@@ -145,7 +145,7 @@ class Nurbs:
 
     @cached_property
     def length(self) -> float:
-        """Arc length [m], by adaptive Gauss quadrature of |dC/du| between the knots."""
+        """Arc length [m], by adaptive Gauss-Lobatto quadrature of |dC/du| between the knots."""
         low, high = self.domain
         inner = self.knots[(self.knots > low) & (self.knots < high)]
         breaks = np.unique(np.concatenate(([low], inner, [high])))

@@ -77,7 +77,7 @@ class CurveSampler:
         return found
 
     def _count(self, curve: Nurbs, name: str) -> int:
-        steps = max(curve.speed_bound / self.resolution, 1.0 / self.step)
+        steps = max(curve.speed_bound / self.resolution, (1.0 - 1e-6) / self.step)
         if not steps <= MAX_SAMPLES:
             raise NoValidPathCouldBeFound(
                 f"dock planner: {name} would take {steps:.3g} samples, at most {MAX_SAMPLES}: its control points span "
@@ -85,7 +85,7 @@ class CurveSampler:
                 "nearer or raise the resolution",
                 where={"step": name, "samples": steps, "resolution": self.resolution},
             )
-        return max(1, math.ceil(steps - 1e-9))
+        return math.ceil(steps * (1.0 + 1e-9))  # rounding must not lift a spacing above the resolution
 
     def _chunk(self, curve: Nurbs, u: FloatArray, direction: Direction, name: str) -> FloatArray:
         if self.cancel_checker():
