@@ -1,0 +1,65 @@
+"""What Nav2's geometric smoothers share: a path as poses, cut where the robot reverses or turns in place."""
+
+from __future__ import annotations
+
+import itertools
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from optdock.path import Path, PolylineSegment
+
+if TYPE_CHECKING:
+    from optdock.geometry.arrays import FloatArray
+
+__all__ = ["directional_pieces", "poses_of", "with_travel_yaw"]
+
+_SAME_PLACE = 1e-4  # [m], along each axis
+_TURNED = 1e-4  # [rad]
+_CURVE_SPACING = 0.05  # of the poses taken from a curve [m]
+
+
+def poses_of(path: Path) -> FloatArray:
+    """The poses that a path was made of, each once; of a curve, samples 5 cm apart. Shape (n, 3)."""
+    blocks = [
+        np.array(segment.poses)
+        if isinstance(segment, PolylineSegment)
+        else Path((segment,)).sample(_CURVE_SPACING).poses
+        for segment in path.segments
+    ]
+    return np.vstack([blocks[0], *(block[1:] for block in blocks[1:])])
+
+
+def directional_pieces(poses: FloatArray) -> list[tuple[int, int]]:
+    """First and last index of every piece between cusps and turns in place; neighbours share an index.
+
+    A cusp is where consecutive steps point against each other; a turn in place is a step without motion but with a
+    change of yaw.
+
+    Args:
+        poses: Shape (n, 3).
+    """
+    step = np.diff(poses[:, :2], axis=0)
+    reverses = np.sum(step[:-1] * step[1:], axis=1) < 0.0
+    turn = np.abs(np.mod(np.diff(poses[1:, 2]) + np.pi, 2.0 * np.pi) - np.pi)
+    rotates = np.all(np.abs(step[1:]) < _SAME_PLACE, axis=1) & (turn > _TURNED)
+    cuts = [0, *(np.flatnonzero(reverses | rotates) + 1).tolist(), len(poses) - 1]
+    return list(itertools.pairwise(cuts))
+
+
+def with_travel_yaw(poses: FloatArray) -> FloatArray:
+    """Every yaw along the step that follows it, or against it in reverse; the last yaw stays.
+
+    The piece runs in reverse if the second pose looks more than 90 degrees away from the step that follows it. A pose
+    without a step of at least 0.1 mm keeps its yaw.
+
+    Args:
+        poses: Shape (n, 3), n >= 3.
+    """
+    step = np.diff(poses[:, :2], axis=0)
+    travel = np.arctan2(step[:, 1], step[:, 0])
+    is_reverse = np.cos(poses[1, 2] - travel[1]) < 0.0
+    moves = np.any(np.abs(step) >= _SAME_PLACE, axis=1)
+    out: FloatArray = poses.copy()
+    out[:-1, 2] = np.where(moves, travel + (np.pi if is_reverse else 0.0), out[:-1, 2])
+    return out

@@ -1,0 +1,180 @@
+"""Nav2's SimpleSmoother: every point is pulled towards its neighbours' middle and back to where it was.
+
+It knows no curvature, no footprint and no heading at the ends; it is here as a baseline and for old parameter files.
+"""
+
+from __future__ import annotations
+
+import logging
+import time
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from pydantic import Field
+
+from optdock.costmap.costs import MAX_NON_OBSTACLE, NO_INFORMATION
+from optdock.errors import SmootherCancelled, SmootherTimedOut
+from optdock.interfaces import Smoother, SmoothingResult, never_cancelled
+from optdock.parameters import PluginParameters
+from optdock.path import Path
+from smoothers._nav2_poses import directional_pieces, poses_of, with_travel_yaw
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from optdock.costmap.costmap import Costmap
+    from optdock.geometry.arrays import FloatArray
+    from optdock.problem import DockingProblem
+
+__all__ = ["SimpleParameters", "SimpleSmoother"]
+
+logger = logging.getLogger(__name__)
+
+_UNTOUCHED_POSES = 4  # pieces of so few poses are left alone
+
+
+class SimpleParameters(PluginParameters):
+    """Nav2's names and defaults."""
+
+    tolerance: float = Field(1e-10, gt=0.0, description="summed |change| of a sweep that ends the sweeps [m]")
+    max_its: int = Field(1000, ge=1, description="sweeps")
+    w_data: float = Field(0.2, ge=0.0, description="pull towards the original point, per sweep")
+    w_smooth: float = Field(0.3, ge=0.0, description="pull towards the neighbours, per sweep")
+    do_refinement: bool = Field(default=True, description="smooth the smoothed path again")
+    refinement_num: int = Field(2, ge=0, description="how often")
+    enforce_path_inversion: bool = Field(default=True, description="keep cusps and turns in place where they are")
+
+
+class _Sweep:
+    """One Gauss-Seidel sweep over all points at once.
+
+    The new point i obeys `new_i - w_smooth new_(i-1) = w_data original_i + (1 - w_data - 2 w_smooth) old_i +
+    w_smooth old_(i+1)`: a bidiagonal system, solved by forward substitution, which visits the points in the same
+    order as the loop and differs from it by rounding only.
+    """
+
+    def __init__(self, original: FloatArray, w_data: float, w_smooth: float) -> None:
+        self._pull = w_data * original[1:-1]
+        self._keep, self._w_smooth = 1.0 - w_data - 2.0 * w_smooth, w_smooth
+        self._band = np.vstack((np.ones(len(original) - 2), np.full(len(original) - 2, -w_smooth)))
+
+    def __call__(self, points: FloatArray) -> FloatArray:
+        from scipy.linalg.blas import dtbsv
+
+        right = self._pull + self._keep * points[1:-1] + self._w_smooth * points[2:]
+        right[0] += self._w_smooth * points[0]
+        moved: FloatArray = points.copy()
+        for axis in (0, 1):
+            moved[1:-1, axis] = dtbsv(1, self._band, right[:, axis], lower=1, diag=1)
+        return moved
+
+
+@dataclass
+class _Run:
+    """One call of `smooth`: when it ends, what it must not enter, who may stop it, and the sweeps done so far."""
+
+    deadline: float
+    max_time: float
+    costmap: Costmap | None
+    cancel_checker: Callable[[], bool]
+    sweeps: int = 0
+
+    def check(self) -> None:
+        if self.cancel_checker():
+            raise SmootherCancelled("smoothing was cancelled")
+        if time.monotonic() >= self.deadline:
+            raise SmootherTimedOut(f"smoothing took longer than the allowed {self.max_time} s; allow more max_time")
+
+
+class SimpleSmoother(Smoother):
+    """Gauss-Seidel sweeps over the points of a path, as `nav2_smoother::SimpleSmoother` does them.
+
+    A sweep moves each inner point, in order, by `w_data (original - current) + w_smooth (next + previous - 2 current)`
+    until a sweep changes less than `tolerance` in sum. A sweep that puts a point into an occupied cell is undone and
+    ends the work. Each piece between cusps is smoothed by itself, its end points stay; its yaws become the directions
+    of travel, so that the goal's heading may end in a kink.
+
+    `completed` is False where a piece was stopped by an obstacle or by `max_its`.
+
+    Args:
+        **parameters: Fields of `SimpleParameters`.
+
+    Raises:
+        InvalidValue: A parameter is unknown, of the wrong type or out of range.
+    """
+
+    Parameters = SimpleParameters
+    parameters: SimpleParameters
+
+    def smooth(
+        self,
+        path: Path,
+        max_time: float,
+        *,
+        problem: DockingProblem | None = None,
+        warm_start: Path | None = None,  # noqa: ARG002 - the interface's; sweeps always begin at the input
+        cancel_checker: Callable[[], bool] = never_cancelled,
+    ) -> SmoothingResult:
+        """A smoother polyline between the same two poses.
+
+        Args:
+            path: The raw path, from any source.
+            max_time: Wall-clock seconds for the whole call, looked at before every sweep.
+            problem: Only its costmap is read; None: the configured one. Without a costmap nothing stops a point.
+            warm_start: Not used.
+            cancel_checker: Polled before every sweep.
+
+        Raises:
+            InvalidPath: Smoothing left fewer than two distinct poses.
+            SmootherTimedOut: The time is over; as in Nav2 the partial result is lost.
+            SmootherCancelled: `cancel_checker` returned True.
+        """
+        began = time.monotonic()
+        costmap = self.context.costmap if problem is None else problem.costmap
+        run = _Run(began + max_time, max_time, costmap, cancel_checker)
+        poses, completed = poses_of(path), True
+        whole = [(0, len(poses) - 1)]
+        for first, last in directional_pieces(poses) if self.parameters.enforce_path_inversion else whole:
+            if last - first + 1 > _UNTOUCHED_POSES:
+                piece, finished = self._smooth_piece(poses[first : last + 1], run)
+                poses[first : last + 1] = piece
+                completed = completed and finished
+        report = {"sweeps": run.sweeps, "seconds": time.monotonic() - began}
+        return SmoothingResult(Path.from_poses(poses), completed, report)
+
+    def _smooth_piece(self, poses: FloatArray, run: _Run) -> tuple[FloatArray, bool]:
+        """One piece, Shape (n, 3), with its refinements; only the first pass decides whether it was finished."""
+        points, finished = self._sweep_until_still(poses[:, :2], run)
+        rounds = self.parameters.refinement_num if self.parameters.do_refinement and finished else 0
+        for _ in range(rounds):
+            points, refined = self._sweep_until_still(points, run)
+            if not refined:
+                break
+        return with_travel_yaw(np.column_stack((points, poses[:, 2]))), finished
+
+    def _sweep_until_still(self, original: FloatArray, run: _Run) -> tuple[FloatArray, bool]:
+        """Points, Shape (n, 2) [m], and False where an obstacle or the number of sweeps ended the work."""
+        sweep = _Sweep(original, self.parameters.w_data, self.parameters.w_smooth)
+        points = original
+        for _ in range(1, self.parameters.max_its):
+            run.check()
+            moved = sweep(points)
+            if _hits(moved[1:-1], run.costmap):
+                logger.debug("%s: a sweep would enter an obstacle; keeping the one before", self.context.name)
+                return points, False
+            change = float(np.abs(moved - points).sum())
+            points = moved
+            run.sweeps += 1
+            if change < self.parameters.tolerance:
+                return points, True
+        logger.warning("%s: still moving after %d sweeps", self.context.name, self.parameters.max_its)
+        return points, False
+
+
+def _hits(points: FloatArray, costmap: Costmap | None) -> bool:
+    """Whether a point lies in a cell with a cost above 252 that is known; off the map nothing is."""
+    if costmap is None:
+        return False
+    costs = costmap.cost_at(points)
+    return bool(np.any((costs > MAX_NON_OBSTACLE) & (costs != NO_INFORMATION)))
