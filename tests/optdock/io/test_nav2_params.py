@@ -1,5 +1,4 @@
 import math
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -10,13 +9,10 @@ from optdock.geometry.pose import Pose2
 from optdock.io.nav2_docking import DockType
 from optdock.io.nav2_params import load_nav2_params
 
-REAL = Path(__file__).parents[4] / "shared" / "data" / "nav2" / "params"
 
-
-def real(name):
-    if not REAL.is_dir():
-        pytest.skip("needs the parameter files in ../shared/data/nav2/params, which are not part of the project")
-    return load_nav2_params(REAL / name)
+@pytest.fixture
+def real(real_data):
+    return lambda name: load_nav2_params(real_data / "nav2" / "params" / name)
 
 
 def loaded(tmp_path, text):
@@ -30,7 +26,7 @@ def faults(tmp_path, text):
     return str(caught.value).replace(str(tmp_path) + "/", "").splitlines()
 
 
-def test_the_bringup_file_is_read_completely():
+def test_the_bringup_file_is_read_completely(real):
     params = real("nav2_params.yaml")
     found = {}
     for plugin in params.plugins:
@@ -55,7 +51,7 @@ def test_the_bringup_file_is_read_completely():
     assert len(params.nodes) == 20
 
 
-def test_a_plugin_carries_its_class_parameters_and_line():
+def test_a_plugin_carries_its_class_parameters_and_line(real):
     (checker,) = (p for p in real("nav2_params.yaml").plugins if p.kind == "goal_checker")
     assert checker.nav2_class == "nav2_controller::SimpleGoalChecker"
     assert checker.parameters == {
@@ -67,7 +63,7 @@ def test_a_plugin_carries_its_class_parameters_and_line():
     assert checker.line == 120
 
 
-def test_the_costmaps_nested_twice_are_read():
+def test_the_costmaps_nested_twice_are_read(real):
     costmaps = real("nav2_params.yaml").costmaps
     assert {name: c.global_frame for name, c in costmaps.items()} == {"local_costmap": "odom", "global_costmap": "map"}
     costmap = costmaps["global_costmap"]
@@ -78,14 +74,14 @@ def test_the_costmaps_nested_twice_are_read():
     assert costmap.outline.circumscribed_radius == pytest.approx(0.2341, abs=1e-4)
 
 
-def test_a_bare_costmap_file_is_one_costmap():
+def test_a_bare_costmap_file_is_one_costmap(real):
     (costmap,) = real("costmap_params.yaml").costmaps.values()
     assert costmap.name == "costmap_params"
     assert len(costmap.footprint.vertices) == 5
     assert costmap.outline.length == pytest.approx(0.325 + 0.46 + 0.02)
 
 
-def test_dock_types_and_docks_of_a_server_file_are_read():
+def test_dock_types_and_docks_of_a_server_file_are_read(real):
     params = real("docking_params.yaml")
     assert params.docks["test_dock"].pose == Pose2(10.0, 0.0, 0.0)
     assert params.docks["test_dock"].unknown == ("tolerance",)
