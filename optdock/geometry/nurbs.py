@@ -49,8 +49,8 @@ class Nurbs:
         InvalidValue: A shape, weight or knot breaks these rules, or a knot inside the domain is repeated more than
             `degree` times (the curve would tear).
 
-    >>> Nurbs([[0.0, 0.0], [1.0, 0.0], [2.0, 0.0]]).length
-    2.0
+    >>> Nurbs([[0.0, 0.0], [1.0, 0.0], [2.0, 0.0]]).points_at(0.25).tolist()
+    [[0.5, 0.0]]
     """
 
     control_points: FloatArray

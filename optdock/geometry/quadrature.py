@@ -31,7 +31,8 @@ def adaptive_integral(function: Callable[[FloatArray], FloatArray], breaks: Floa
     """Integral from the first to the last of `breaks`.
 
     16-point Gauss-Lobatto quadrature of every panel is compared with that of its halves; panels that differ are halved
-    again, all of one level in one call. A kink inside a panel thus costs one more call per halving.
+    again, all of one level in one call. A kink inside a panel thus costs one more call per halving. Agreement is no
+    proof: with a kink the relative error stays mostly below 1e-12, but up to 1e-9 has been seen.
 
     Args:
         function: Values at points, Shape (n,) to Shape (n,).
