@@ -250,7 +250,7 @@ class Path:
         except ValueError as error:
             raise InvalidPath(str(error)) from error
         array[:, 2] = unwrap_yaw(array[:, 2])
-        array = array[_distinct(array)]
+        array = array[_distinct(array)] if len(array) else array
         if len(array) < 2:
             raise InvalidPath(f"path: needs at least 2 distinct poses, got {len(array)}")
         gears = _step_gears(array)

@@ -1,0 +1,61 @@
+"""Footprints in Nav2's syntax, and their measures."""
+
+import numpy as np
+import pytest
+
+from optdock.errors import InvalidValue
+from optdock.geometry.footprint import Footprint
+
+
+def test_nav2_strings_are_read_with_any_separator():
+    for text in (
+        "[[0.4, 0.3], [-0.4, 0.3], [-0.4, -0.3], [0.4, -0.3]]",
+        "[[0.4 0.3],[-0.4 0.3],\t[-0.4 -0.3] [0.4 -0.3]]",
+        " [ [ .4 , .3 ] , [-4e-1, 0.3], [-0.4, -0.3], [0.4, -0.3], ] ",
+    ):
+        footprint = Footprint.from_string(text)
+        assert len(footprint.vertices) == 4
+        assert footprint.length == pytest.approx(0.8)
+        assert footprint.width == pytest.approx(0.6)
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        *("", "[]", "hello", "[[1, 2], [3, 4]]", "[[1, 2], [3, 4], [5]]", "[[0,0],[1,0],[0,x]]", "[[0,0],[1,0],[0,1]"),
+        *("[[1, 2, 3], [4, 5, 6], [7, 8, 9]]", "[[[0,0],[1,0],[0,1]]]", "[[0,0],[1,0],[0,1]] [[2,2]]"),
+        "[[0,0],[1,0],[nan,1]]",
+    ],
+)
+def test_anything_else_is_refused(text):
+    with pytest.raises(InvalidValue, match="footprint"):
+        Footprint.from_string(text)
+
+
+def test_a_radius_is_nav2s_16_gon_and_padding_moves_by_sign():
+    padded = Footprint.from_radius(0.22).padded(0.01)
+    assert len(padded.vertices) == 16
+    assert padded.inscribed_radius == pytest.approx(0.2255, abs=5e-5)
+    assert padded.circumscribed_radius == pytest.approx(0.2341, abs=5e-5)
+
+
+@pytest.mark.parametrize("radius", [0.0, -1.0, np.nan, np.inf])
+def test_a_radius_is_a_positive_number(radius):
+    with pytest.raises(InvalidValue, match="footprint.radius: must be > 0 m"):
+        Footprint.from_radius(radius)
+
+
+def test_radii_of_a_rectangle():
+    footprint = Footprint.rectangle(0.5, 0.2, 0.6)
+    assert footprint.inscribed_radius == pytest.approx(0.2)
+    assert footprint.circumscribed_radius == pytest.approx(np.hypot(0.5, 0.3))
+
+
+def test_a_non_convex_footprint_has_several_bodies():
+    arrow = Footprint(np.array([[0.5, 0.0], [-0.5, 0.4], [-0.2, 0.0], [-0.5, -0.4]]))
+    assert len(arrow.bodies) == 2
+
+
+def test_a_self_crossing_footprint_is_refused():
+    with pytest.raises(InvalidValue, match="footprint: must not cross"):
+        Footprint(np.array([[0.4, 0.3], [-0.4, -0.3], [-0.4, 0.3], [0.4, -0.3]]))

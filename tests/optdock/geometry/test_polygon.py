@@ -1,0 +1,87 @@
+"""Polygons: checks, convexity, decomposition; shapely is the other opinion."""
+
+import numpy as np
+import pytest
+import shapely
+from hypothesis import given
+from hypothesis import strategies as st
+
+from optdock.errors import InvalidValue
+from optdock.geometry.polygon import convex_pieces, edge_normals, is_convex, signed_area, simple_polygon
+
+L_SHAPE = np.array([[0.0, 0.0], [2.0, 0.0], [2.0, 1.0], [1.0, 1.0], [1.0, 2.0], [0.0, 2.0]])
+
+
+def star(seed, n=9):
+    rng = np.random.default_rng(seed)
+    angle = np.sort(rng.uniform(0.0, 2.0 * np.pi, n))
+    return rng.uniform(0.3, 1.0, n)[:, None] * np.column_stack((np.cos(angle), np.sin(angle)))
+
+
+@given(st.integers(0, 3000))
+def test_pieces_are_convex_and_cover_exactly_the_polygon(seed):
+    points = star(seed)
+    if not shapely.Polygon(points).is_valid:
+        with pytest.raises(InvalidValue):
+            simple_polygon(points, "p")
+        return
+    polygon = simple_polygon(points, "p")
+    pieces = convex_pieces(polygon)
+    shapes = [shapely.Polygon(piece) for piece in pieces]
+    assert all(is_convex(piece) for piece in pieces)
+    assert sum(s.area for s in shapes) == pytest.approx(shapely.Polygon(points).area, rel=1e-9)
+    assert shapely.union_all(shapes).symmetric_difference(shapely.Polygon(points)).area < 1e-9
+
+
+def test_an_l_is_two_pieces_in_both_orientations():
+    assert len(convex_pieces(simple_polygon(L_SHAPE, "L"))) == 2
+    assert len(convex_pieces(simple_polygon(L_SHAPE[::-1], "L"))) == 2
+
+
+def test_a_convex_polygon_is_one_piece():
+    square = [[0.0, 0.0], [2.0, 0.0], [2.0, 2.0], [0.0, 2.0]]
+    assert len(convex_pieces(simple_polygon(square, "s"))) == 1
+
+
+@pytest.mark.parametrize(
+    ("points", "message"),
+    [
+        ([[0, 0], [1, 1]], "at least 3 distinct"),
+        ([[0, 0], [0, 0], [1, 1], [1, 1]], "at least 3 distinct"),
+        ([[0, 0], [1, 0], [2, 0]], "no area|cross or touch"),
+        ([[0, 0], [1, 1], [1, 0], [0, 1]], "cross or touch"),
+        ([[0, 0], [1, np.nan], [1, 0]], "must be finite"),
+        ([0, 1, 2], "must have shape"),
+        ([["a", "b"]], "must be numbers"),
+        ([], "must have shape|at least 3"),
+    ],
+)
+def test_what_is_not_a_polygon_is_refused_by_name(points, message):
+    with pytest.raises(InvalidValue, match=f"thing.*({message})"):
+        simple_polygon(points, "thing")
+
+
+def test_a_pentagram_turns_twice_and_is_refused():
+    angle = np.arange(5) * 4.0 * np.pi / 5.0
+    points = np.column_stack((np.cos(angle), np.sin(angle)))
+    assert not is_convex(points)
+    with pytest.raises(InvalidValue, match="cross or touch"):
+        simple_polygon(points, "pentagram")
+
+
+def test_a_closed_ring_loses_its_repeated_vertex():
+    ring = [[0, 0], [1, 0], [1, 1], [0, 1], [0, 0]]
+    assert len(simple_polygon(ring, "ring")) == 4
+
+
+def test_orientation_is_made_counter_clockwise():
+    assert signed_area(simple_polygon(L_SHAPE[::-1], "L")) == pytest.approx(3.0)
+
+
+def test_normals_point_outward_and_padding_repeats_the_last_real_one():
+    padded = np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0], [0.0, 1.0]])
+    normals = edge_normals(padded)
+    assert np.allclose(normals[0], [0.0, -1.0])
+    assert np.allclose(normals[1], np.sqrt([0.5, 0.5]))
+    assert np.allclose(normals[2], normals[1])
+    assert np.allclose(normals[3], [-1.0, 0.0])

@@ -1,0 +1,63 @@
+"""SE(2) laws."""
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from optdock.errors import InvalidValue
+from optdock.geometry.pose import Pose2, Twist2, normalize_angle, transform_points
+
+coordinate = st.floats(-1e3, 1e3)
+poses = st.builds(Pose2, coordinate, coordinate, st.floats(-10.0, 10.0))
+
+
+def close(a, b):
+    return np.allclose([a.x, a.y], [b.x, b.y], atol=1e-9) and abs(normalize_angle(a.yaw - b.yaw)) < 1e-9
+
+
+@given(poses, poses, poses)
+def test_composition_is_associative(a, b, c):
+    assert close((a @ b) @ c, a @ (b @ c))
+
+
+@given(poses)
+def test_the_inverse_undoes_from_both_sides(a):
+    identity = Pose2(0.0, 0.0, 0.0)
+    assert close(a @ a.inverse(), identity)
+    assert close(a.inverse() @ a, identity)
+
+
+@given(poses, poses)
+def test_in_frame_of_undoes_composition(a, b):
+    assert close((a @ b).in_frame_of(a), Pose2(b.x, b.y, normalize_angle(b.yaw)))
+
+
+@given(st.floats(-1e4, 1e4))
+def test_a_normalized_angle_is_the_same_direction_in_the_half_open_interval(angle):
+    wrapped = normalize_angle(angle)
+    assert -math.pi < wrapped <= math.pi
+    assert math.cos(wrapped - angle) == pytest.approx(1.0)
+
+
+@given(poses, coordinate, coordinate)
+def test_transforming_a_point_agrees_with_composition(a, x, y):
+    moved = transform_points(a.as_array()[None], np.array([[x, y]]))[0, 0]
+    composed = a @ Pose2(x, y, 0.0)
+    assert np.allclose(moved, [composed.x, composed.y], atol=1e-9)
+
+
+@pytest.mark.parametrize("bad", [math.nan, math.inf, -math.inf])
+def test_values_that_are_not_finite_are_refused_by_name(bad):
+    with pytest.raises(InvalidValue, match="pose.yaw: must be finite"):
+        Pose2(0.0, 0.0, bad)
+    with pytest.raises(InvalidValue, match="twist.angular: must be finite"):
+        Twist2(0.0, bad)
+
+
+@pytest.mark.parametrize("values", [[1.0, 2.0], [1.0, 2.0, 3.0, 4.0], []])
+def test_a_pose_is_made_of_three_numbers(values):
+    with pytest.raises(InvalidValue, match=r"must be \[x, y, yaw\]"):
+        Pose2.from_sequence(values)
