@@ -111,7 +111,8 @@ def make_task(
     )
     cost = CostModel(layout, weights, reference_scales(limits), reference_of(traced, layout))
     initial = clipped(fitted_variables(layout, traced, lengths, start[2]), inner)
-    return Task(layout, ends, bounds, inner, cost, world, initial, 0.5 / min(curvature_bound(limits), 2.0))
+    radius = 1.0 / min(curvature_bound(limits), 2.0)
+    return Task(layout, ends, bounds, inner, cost, world, initial, 0.5 * radius, radius)
 
 
 def _signs(path: Path) -> FloatArray:

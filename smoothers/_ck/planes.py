@@ -26,6 +26,9 @@ if TYPE_CHECKING:
 
 __all__ = ["Clearance", "Pairs", "clearance", "swept_pairs"]
 
+_MANY = 200  # pairs: below, none is dropped
+_PER_INTERVAL = 6
+
 
 class Pairs(NamedTuple):
     """Interval, body part and obstacle of every near pair, Shape (p,) each."""
@@ -57,17 +60,62 @@ class Clearance(NamedTuple):
     required: Requirement
 
 
-def swept_pairs(world: World, layout: Layout, corners: FloatArray, reach: float) -> Pairs:
-    """Pairs whose bounding boxes are within `reach` [m]; `corners` has Shape (nodes, parts, v, 2)."""
+def swept_pairs(world: World, layout: Layout, rollout: Rollout, corners: FloatArray, reach: float) -> Pairs:
+    """Pairs within `reach` [m] by their boxes, in the world's frame and in the body's; of each interval the nearest few.
+
+    World boxes alone keep most obstacles around a body that stands askew.
+
+    Args:
+        world: Obstacles and body.
+        layout: Shape of the path.
+        rollout: The driven path.
+        corners: Shape (nodes, parts, v, 2) [m], of the body at the nodes.
+        reach: Pairs further apart are left out [m].
+    """
     low, high = corners.min(axis=2), corners.max(axis=2)
     left = layout.left
     low = np.minimum(low[left], low[left + 1])[:, :, None]  # (intervals, parts, 1, 2)
     high = np.maximum(high[left], high[left + 1])[:, :, None]
-    obstacles = world.obstacles
-    gap = np.maximum(low - obstacles.upper, obstacles.lower - high)
-    np.maximum(gap, 0.0, out=gap)
-    near = gap[..., 0] ** 2 + gap[..., 1] ** 2 < reach * reach
-    return Pairs(*np.nonzero(near))
+    gap = np.maximum(low - world.obstacles.upper, world.obstacles.lower - high)
+    near = (gap[..., 0] < reach) & (gap[..., 1] < reach)
+    interval, part, obstacle = np.nonzero(near)
+    pairs = Pairs(interval, part, obstacle)
+    apart = np.maximum(_box_separation(gap[near]), _in_body_frame(world, layout, rollout, pairs))
+    kept = np.flatnonzero(apart < reach)
+    if kept.size > _MANY:
+        kept = _nearest(interval[kept], apart[kept], kept)
+    return Pairs(interval[kept], part[kept], obstacle[kept])
+
+
+def _box_separation(gap: FloatArray) -> FloatArray:
+    """Lower bound of the signed distance from the gaps of boxes along x and y. Shape (p,)."""
+    outside = np.maximum(gap, 0.0)
+    distance: FloatArray = np.where((gap > 0.0).any(axis=1), np.hypot(outside[:, 0], outside[:, 1]), gap.max(axis=1))
+    return distance
+
+
+def _in_body_frame(world: World, layout: Layout, rollout: Rollout, pairs: Pairs) -> FloatArray:
+    """The same in the frame of the body at the left node, its box grown by the motion within the interval."""
+    left = layout.left[pairs.interval]
+    pose = rollout.poses[left]
+    outline = world.obstacles.vertices[pairs.obstacle]
+    x, y = outline[..., 0] - pose[:, :1], outline[..., 1] - pose[:, 1:2]
+    c, s = np.cos(pose[:, 2:]), np.sin(pose[:, 2:])
+    local = np.stack((c * x + s * y, c * y - s * x), axis=-1)
+    turn = np.maximum(np.abs(rollout.curvature[left]), np.abs(rollout.curvature[left + 1]))
+    grown = (rollout.steps[pairs.interval] * (1.0 + world.body.radius * turn))[:, None]
+    body = world.body.vertices
+    low, high = body.min(axis=1)[pairs.part], body.max(axis=1)[pairs.part]
+    return _box_separation(np.maximum(local.min(axis=1) - high, low - local.max(axis=1)) - grown)
+
+
+def _nearest(interval: IntArray, apart: FloatArray, kept: IntArray) -> IntArray:
+    """Of every interval the `_PER_INTERVAL` pairs with the smallest separation."""
+    order = np.lexsort((apart, interval))
+    owner = interval[order]
+    first = np.searchsorted(owner, owner)
+    chosen: IntArray = kept[order[np.arange(owner.size) - first < _PER_INTERVAL]]
+    return chosen
 
 
 def corners_at(world: World, poses: FloatArray) -> FloatArray:
@@ -92,7 +140,7 @@ def clearance(world: World, layout: Layout, rollout: Rollout, signs: FloatArray,
     """
     required = world.required(rollout.poses[:, :2])
     corners = corners_at(world, rollout.poses)
-    pairs = swept_pairs(world, layout, corners, reach)
+    pairs = swept_pairs(world, layout, rollout, corners, reach)
     left = layout.left[pairs.interval]
     hull = np.concatenate((corners[left, pairs.part], corners[left + 1, pairs.part]), axis=1)
     axis = best_axes(world, rollout.poses[:, 2], left, pairs, hull)

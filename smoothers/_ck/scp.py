@@ -7,7 +7,7 @@ closed onto the goal, so every iterate is drivable and nearly every one is a can
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -15,7 +15,7 @@ import numpy as np
 from smoothers._ck.closing import clipped, close_goal
 from smoothers._ck.planes import clearance
 from smoothers._ck.rollout import Variables, roll_out, sensitivity
-from smoothers._ck.steps import ZONES, Penalties, StepProblem, solve_step, zone_of
+from smoothers._ck.steps import ZONES, Penalties, Step, StepProblem, solve_step, zone_of
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -33,8 +33,10 @@ _GOAL_TOLERANCE = 1e-5
 _CLEARANCE_TOLERANCE = 4e-4
 _RATE_PENALTY = 30.0
 _SMALL_STEP = 3e-4
-_SMALL_GAIN = 1e-3
+_SMALL_SHARE = 3e-4  # of the cost: a predicted gain not worth a step
 _MAX_REJECTIONS = 7
+_PATIENCE = 5  # iterations within which an infeasible iterate must lose
+_SHRINKING = 0.93  # of its shortfall
 _MAX_PENALTY = 300.0 * 36.0
 
 
@@ -65,6 +67,11 @@ class Iterate(NamedTuple):
         return float(self.zones.max())
 
     @property
+    def missing(self) -> float:
+        """Shortfall of clearance over all zones and error at the goal [m, rad]."""
+        return float(self.zones.sum() + np.abs(self.end_error).sum())
+
+    @property
     def on_goal(self) -> bool:
         """Whether it ends at the target."""
         return float(np.abs(self.end_error).max()) <= _GOAL_TOLERANCE
@@ -93,7 +100,7 @@ class _Controls:
     penalties: Penalties = Penalties()
     reach: float = _REACH
     rejections: int = 0
-    idle: int = 0
+    shortfalls: list[float] = field(default_factory=list)
 
     def accept(self, step: float) -> None:
         self.trust = min(2.0 * self.trust, 0.9)
@@ -137,42 +144,55 @@ def search(task: Task, pool: ProgramPool, max_iterations: int = 60) -> Iterator[
     problem = _linearized(task, current)
     for iteration in range(1, max_iterations + 1):
         step = solve_step(task, problem, pool, controls.trust, controls.prox, controls.penalties)
-        trial, moved = _trial(task, current, step, controls)
-        accepted = trial is not None and merit(trial, controls.penalties) < merit(current, controls.penalties)
-        finished = False
-        if trial is not None and accepted:
-            gain = merit(current, controls.penalties) - merit(trial, controls.penalties)
-            current = trial
-            controls.accept(moved)
-            finished = _settled(current, controls, moved, gain)
-            if not finished:
-                problem = _linearized(task, current)
-        else:
-            controls.reject(moved)
-            finished = moved < _SMALL_STEP or controls.rejections > _MAX_REJECTIONS
-            finished = finished and not _raised(current, controls)
-        yield Progress(current, iteration, finished=finished or iteration == max_iterations, accepted=accepted)
+        finished = current.feasible and step is not None and step.gain < _SMALL_SHARE * current.cost
+        better = None if finished else _improved(task, current, step, controls)
+        if better is not None:
+            finished = _settled(current, better, controls)
+            current = better
+            problem = problem if finished else _linearized(task, current)
+        finished = finished or _hopeless(current, controls) or iteration == max_iterations
+        yield Progress(current, iteration, finished=finished, accepted=better is not None)
         if finished:
             return
 
 
-def _settled(current: Iterate, controls: _Controls, moved: float, gain: float) -> bool:
-    """Whether nothing more is to be gained; raises the penalties while clearance or goal are still short."""
+def _improved(task: Task, current: Iterate, step: Step | None, controls: _Controls) -> Iterate | None:
+    """The iterate after a step if its merit is lower; adapts the controls."""
+    if step is None:
+        controls.reject(controls.trust)
+        return None
+    trial, moved = _trial(task, current, step, controls)
+    if merit(trial, controls.penalties) < merit(current, controls.penalties):
+        controls.accept(moved)
+        return trial
+    controls.reject(moved)
+    return None
+
+
+def _settled(before: Iterate, after: Iterate, controls: _Controls) -> bool:
+    """Whether a feasible iterate has stopped to improve."""
+    gain = merit(before, controls.penalties) - merit(after, controls.penalties)
+    return after.feasible and gain < _SMALL_SHARE * after.cost
+
+
+def _hopeless(current: Iterate, controls: _Controls) -> bool:
+    """Whether to give up: a feasible iterate that no step improves, or a shortfall that no longer shrinks.
+
+    Where the shortfall costs less than the path itself, its weight is raised first.
+    """
     if current.feasible:
-        return moved < _SMALL_STEP or gain < _SMALL_GAIN
-    stalled = moved < _SMALL_STEP or gain < max(_SMALL_GAIN, 0.02 * controls.penalties.clearance * current.shortfall)
-    controls.idle = controls.idle + 1 if stalled else 0
-    return controls.idle >= 2 and not _raised(current, controls)
-
-
-def _raised(current: Iterate, controls: _Controls) -> bool:
-    """Raise the penalties of an iterate that is not feasible; False when that is exhausted or pointless."""
-    if current.feasible or controls.penalties.clearance >= _MAX_PENALTY:
+        return controls.rejections > _MAX_REJECTIONS or controls.trust < _SMALL_STEP
+    controls.shortfalls.append(current.missing)
+    recent = controls.shortfalls[-_PATIENCE:]
+    if len(recent) < _PATIENCE or recent[-1] < _SHRINKING * recent[0]:
         return False
+    if controls.penalties.clearance >= _MAX_PENALTY or controls.penalties.clearance * current.missing > current.cost:
+        return True
     controls.penalties = controls.penalties.raised()
     controls.trust, controls.prox = max(controls.trust, 0.1), min(controls.prox, 1.0)
-    controls.rejections = controls.idle = 0
-    return True
+    controls.rejections = 0
+    controls.shortfalls.clear()
+    return False
 
 
 def _linearized(task: Task, current: Iterate) -> StepProblem:
@@ -188,12 +208,10 @@ def _closed(task: Task, variables: Variables, rollout: Rollout | None) -> tuple[
     return close_goal(task.layout, variables, task.ends, task.bounds, driven)
 
 
-def _trial(task: Task, current: Iterate, step: FloatArray | None, controls: _Controls) -> tuple[Iterate | None, float]:
+def _trial(task: Task, current: Iterate, step: Step, controls: _Controls) -> tuple[Iterate, float]:
     """The iterate after a step, and how far it turned or stretched at most."""
-    if step is None:
-        return None, controls.trust
-    knots = task.layout.num_knots
-    wanted = Variables(current.variables.curvature + step[:knots], current.variables.lengths + step[knots:])
+    knots, change = task.layout.num_knots, step.change
+    wanted = Variables(current.variables.curvature + change[:knots], current.variables.lengths + change[knots:])
     variables, rollout = _closed(task, clipped(wanted, task.bounds), None)
     turned = float(np.abs(rollout.poses[:, 2] - current.rollout.poses[:, 2]).max())
     moved = max(turned, float(np.abs(variables.lengths - current.variables.lengths).max()))

@@ -44,6 +44,13 @@ class Penalties(NamedTuple):
         return Penalties(clearance, max(self.goal, 3.0 * clearance))
 
 
+class Step(NamedTuple):
+    """Change of the variables, Shape (size,), and how much the model says the cost falls."""
+
+    change: FloatArray
+    gain: float
+
+
 def zone_of(layout: Layout, node: IntArray) -> IntArray:
     """Zone of the path in which nodes lie."""
     return np.minimum(ZONES - 1, node * ZONES // layout.num_nodes)
@@ -123,8 +130,8 @@ def _buffer(task: Task, rollout: Rollout) -> FloatArray:
 
 def solve_step(
     task: Task, problem: StepProblem, pool: ProgramPool, trust: float, prox: float, penalties: Penalties
-) -> FloatArray | None:
-    """The best step of the variables within the trust region, or None. Shape (size,)."""
+) -> Step | None:
+    """The best step within the trust region, or None."""
     layout = task.layout
     spans = layout.span_gear.size if np.isfinite(task.inner.rate) else 0
     bucket = next(b for b in _BUCKETS if b >= problem.rows.gap.size)
@@ -137,7 +144,12 @@ def solve_step(
     _fill_path_rows(program, task, problem, trust, spans)
     _fill_clearance(program, layout, problem.rows, 3 + _TRUST_NODES + 2 * spans)
     solution = program.solve()
-    return None if solution is None else solution[: layout.size]
+    if solution is None:
+        return None
+    change = solution[: layout.size]
+    model = problem.quadratic
+    gain = -float(model.gradient @ change + 0.5 * change @ model.hessian @ change)
+    return Step(change, gain)
 
 
 def _fill_cost(program: DenseProgram, problem: StepProblem, prox: float, penalties: Penalties) -> None:
@@ -157,8 +169,9 @@ def _fill_box(program: DenseProgram, task: Task, variables: Variables, trust: fl
     size, knots = task.layout.size, task.layout.num_knots
     flat = np.concatenate(variables)
     lower, upper = task.inner.lower - flat, task.inner.upper - flat
-    lower[knots:] = np.maximum(lower[knots:], -0.7 * trust)
-    upper[knots:] = np.minimum(upper[knots:], 0.7 * trust)
+    stretch = trust * task.stretch
+    lower[knots:] = np.maximum(lower[knots:], -stretch)
+    upper[knots:] = np.minimum(upper[knots:], stretch)
     program.lbx[:size] = np.minimum(lower, upper)
     program.ubx[:size] = np.maximum(lower, upper)
     program.lbx[size:], program.ubx[size:] = 0.0, UNBOUNDED

@@ -42,6 +42,7 @@ class Task:
         world: What must be kept clear of.
         initial: First variables.
         closing_reach: Goal error up to which the goal is closed by Newton steps [m].
+        stretch: Largest change of a gear length per radian of the trust region [m].
         buffer: Clearance aimed at above the requirement [m].
     """
 
@@ -53,6 +54,7 @@ class Task:
     world: World
     initial: Variables
     closing_reach: float
+    stretch: float
     buffer: float = 8e-4
 
 
