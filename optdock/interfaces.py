@@ -273,6 +273,14 @@ class Layer(Plugin):
         """Whether a clearing behavior may reset it."""
         return False
 
+    def is_current(self) -> bool:
+        """Whether what it writes is up to date; servers wait while it is not."""
+        return True
+
+    def is_enabled(self) -> bool:
+        """Whether it takes part."""
+        return True
+
     def match_size(self) -> None:
         """The master grid changed its size."""
 

@@ -50,28 +50,35 @@ class OccupancyRule:
         track_unknown_space: Unknown stays unknown (255); False makes it free.
         lethal_cost_threshold: Occupancy from which a cell is lethal, 1..100.
         trinary_costmap: Everything below the threshold is free; False scales it.
+        unknown_cost_value: The occupancy that means unknown, as an unsigned byte: 255 is -1.
+        inscribed_obstacle_cost_value: The occupancy that means inscribed (253).
 
     Raises:
-        InvalidValue: The threshold is not in 1..100.
+        InvalidValue: The threshold is not in 1..100, another value not in 0..255.
     """
 
     track_unknown_space: bool = True
     lethal_cost_threshold: int = 100
     trinary_costmap: bool = True
+    unknown_cost_value: int = 255
+    inscribed_obstacle_cost_value: int = 99
 
     def __post_init__(self) -> None:
         if not 1 <= self.lethal_cost_threshold <= 100:
             raise InvalidValue(f"lethal_cost_threshold: must be in 1..100, got {self.lethal_cost_threshold}")
+        for name in ("unknown_cost_value", "inscribed_obstacle_cost_value"):
+            if not 0 <= getattr(self, name) <= 255:
+                raise InvalidValue(f"{name}: must be in 0..255, got {getattr(self, name)}")
 
     def table(self) -> CostArray:
-        """Cost of the occupancies 0..100, then of unknown (index -1). Shape (102,)."""
-        occupancy = np.arange(101)
+        """Cost of the occupancies 0..100, then of -1. Shape (102,)."""
+        occupancy = np.append(np.arange(101), 255)
         scaled = (occupancy / self.lethal_cost_threshold * LETHAL).astype(np.int64)
-        below = np.zeros(101, dtype=np.int64) if self.trinary_costmap else scaled
+        below = np.zeros_like(scaled) if self.trinary_costmap else scaled
         costs = np.where(occupancy >= self.lethal_cost_threshold, LETHAL, below)
-        costs[_OCCUPANCY_INSCRIBED] = INSCRIBED
-        unknown = NO_INFORMATION if self.track_unknown_space else FREE_SPACE
-        return np.append(costs, unknown).astype(np.uint8)
+        costs[occupancy == self.inscribed_obstacle_cost_value] = INSCRIBED
+        costs[occupancy == self.unknown_cost_value] = NO_INFORMATION if self.track_unknown_space else FREE_SPACE
+        return costs.astype(np.uint8)
 
 
 def costs_from_occupancy(occupancy: ArrayLike, rule: OccupancyRule | None = None) -> CostArray:

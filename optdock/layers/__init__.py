@@ -1,0 +1,1 @@
+"""Layered costmap and its layers: plugins that write costs into one master grid, in order."""

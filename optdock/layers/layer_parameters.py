@@ -1,0 +1,31 @@
+"""What the parameters of all layers share."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import ClassVar
+
+from pydantic import Field, model_validator
+
+from optdock.parameters import PluginParameters
+
+__all__ = ["LayerParameters"]
+
+
+class LayerParameters(PluginParameters):
+    """Base of the layers' parameters.
+
+    Nav2's names that mean something on a ROS graph only (topics, transforms, threads) are accepted and dropped, so
+    that a block of a Nav2 parameter file can be passed as it is.
+    """
+
+    enabled: bool = Field(default=True, description="whether the layer takes part")
+
+    graph_names: ClassVar[frozenset[str]] = frozenset()
+
+    @model_validator(mode="before")
+    @classmethod
+    def _drop_graph_names(cls, values: object) -> object:
+        if not isinstance(values, Mapping):
+            return values
+        return {name: value for name, value in values.items() if name not in cls.graph_names}
