@@ -1,0 +1,95 @@
+"""DockGoalChecker: along, across and heading in the dock's frame, at rest if wanted."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING
+
+from pydantic import Field
+
+from checkers._errors import is_stopped, yaw_error
+from checkers._plan import longer_than
+from optdock.interfaces import GoalChecker, Tolerances
+from optdock.parameters import PluginParameters
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from optdock.geometry.pose import Pose2, Twist2
+
+__all__ = ["DockGoalChecker", "DockGoalCheckerParameters"]
+
+
+class DockGoalCheckerParameters(PluginParameters):
+    """Tolerances of a dock; the first three defaults are those of `DockTolerances`."""
+
+    along_tolerance: float = Field(default=0.02, ge=0.0, description="accepted error along the goal heading [m]")
+    cross_tolerance: float = Field(default=0.02, ge=0.0, description="accepted error across it [m]")
+    yaw_goal_tolerance: float = Field(default=0.05, ge=0.0, description="accepted heading error [rad]")
+    path_length_tolerance: float = Field(default=1.0, ge=0.0, description="longer remaining paths are not judged [m]")
+    stopped: bool = Field(default=True, description="the robot must also stand still")
+    trans_stopped_velocity: float = Field(default=0.01, ge=0.0, description="largest speed at rest [m/s]")
+    rot_stopped_velocity: float = Field(default=0.02, ge=0.0, description="largest yaw rate at rest [rad/s]")
+    stateful: bool = Field(default=True, description="once reached stays reached until reset")
+
+
+class DockGoalChecker(GoalChecker):
+    """Reached when the robot stands in the dock: what no checker of Nav2's asks for all at once.
+
+    The axis is the goal's own heading, not the end of a path, so neither a short remaining path nor a skewed one can
+    turn it. Along, across, heading and (if `stopped`) rest must hold in the same call, inclusively. When stateful,
+    that verdict stays until `reset`, so that noise in the measured pose does not take it back.
+
+    Args:
+        **parameters: Fields of `DockGoalCheckerParameters`.
+
+    Raises:
+        InvalidValue: A parameter is unknown, of the wrong type or negative.
+
+    >>> from optdock.geometry.pose import Pose2, Twist2
+    >>> checker = DockGoalChecker(along_tolerance=0.01)
+    >>> checker.is_goal_reached(Pose2(0.01, 0.02, 0.05), Pose2(0.0, 0.0, 0.0), Twist2(), [])
+    True
+    """
+
+    Parameters = DockGoalCheckerParameters
+    parameters: DockGoalCheckerParameters
+
+    def __init__(self, **parameters: object) -> None:
+        super().__init__(**parameters)
+        self._reached = False
+
+    def is_goal_reached(self, query_pose: Pose2, goal_pose: Pose2, velocity: Twist2, path: Sequence[Pose2]) -> bool:
+        """Whether the robot is docked; a remaining path that is too long is not judged."""
+        p = self.parameters
+        if self._reached and p.stateful:
+            return True
+        if longer_than(path, p.path_length_tolerance):
+            return False
+        at_rest = not p.stopped or is_stopped(velocity, p.trans_stopped_velocity, p.rot_stopped_velocity)
+        self._reached = at_rest and self._in_place(query_pose, goal_pose)
+        return self._reached
+
+    @property
+    def tolerances(self) -> Tolerances:
+        """Along in x, across in y, heading, and the speeds that count as rest."""
+        p = self.parameters
+        return Tolerances(
+            x=p.along_tolerance,
+            y=p.cross_tolerance,
+            yaw=p.yaw_goal_tolerance,
+            linear_speed=p.trans_stopped_velocity if p.stopped else None,
+            angular_speed=p.rot_stopped_velocity if p.stopped else None,
+            path_length=p.path_length_tolerance,
+        )
+
+    def reset(self) -> None:
+        """A new attempt begins: forget the verdict."""
+        self._reached = False
+
+    def _in_place(self, query_pose: Pose2, goal_pose: Pose2) -> bool:
+        p = self.parameters
+        dx, dy = query_pose.x - goal_pose.x, query_pose.y - goal_pose.y
+        c, s = math.cos(goal_pose.yaw), math.sin(goal_pose.yaw)
+        near = abs(c * dx + s * dy) <= p.along_tolerance and abs(c * dy - s * dx) <= p.cross_tolerance
+        return near and yaw_error(query_pose, goal_pose) <= p.yaw_goal_tolerance
