@@ -30,7 +30,7 @@ __all__ = ["Iterate", "Progress", "evaluate", "search"]
 
 _REACH = 0.35  # [m] beyond the required clearance, first iteration
 _GOAL_TOLERANCE = 1e-5
-_CLEARANCE_TOLERANCE = 4e-4
+_CLEARANCE_TOLERANCE = 1e-6
 _RATE_PENALTY = 30.0
 _SMALL_STEP = 3e-4
 _SMALL_SHARE = 3e-4  # of the cost: a predicted gain not worth a step
