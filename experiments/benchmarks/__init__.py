@@ -1,0 +1,1 @@
+"""Benchmarks: `python -m experiments.benchmarks [NAME ...]` measures and prints tables; see `__main__`."""

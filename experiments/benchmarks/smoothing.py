@@ -1,0 +1,118 @@
+"""The smoothing benchmark: CasadiSmoother on random instances of every family, and Nav2's smoothers beside it.
+
+python -m experiments.benchmarks smoothing --seeds 30
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import platform
+from pathlib import Path as FilePath
+from typing import TYPE_CHECKING
+
+from experiments.benchmarks.smoothing_calls import Call, judged
+from experiments.benchmarks.smoothing_tables import (
+    Run,
+    baseline_table,
+    budget_table,
+    family_table,
+    reasons_table,
+    solved,
+    warm_table,
+)
+from experiments.benchmarks.tables import Table, yardstick
+from optdock.interfaces import Smoother
+from optdock.plugins import create_plugin
+from optdock.testing.families import FAMILIES, FEASIBLE_FAMILIES, INFEASIBLE_FAMILIES, instance
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Sequence
+
+__all__ = ["main"]
+
+SECTIONS = ("families", "infeasible", "warm", "budgets", "baselines")
+
+
+def main(arguments: list[str]) -> None:
+    """Measure and print; `--help` lists the options."""
+    asked = _parser().parse_args(arguments)
+    unit = yardstick()
+    print(f"\n# Smoothing benchmark: {asked.seeds} seeds per family, one thread, yardstick {1e3 * unit:.2f} ms CPU")
+    tables: list[Table] = []
+    for table in _tables(asked, unit):
+        print(table, flush=True)
+        tables.append(table)
+    after = yardstick()
+    print(f"\nyardstick at the end: {1e3 * after:.2f} ms CPU")
+    if asked.out is not None:
+        machine = {"python": platform.python_version(), "machine": platform.machine(), "yardstick_s": [unit, after]}
+        asked.out.write_text(json.dumps({**machine, "tables": [table.as_dict() for table in tables]}, indent=1))
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(prog="python -m experiments.benchmarks smoothing")
+    parser.add_argument("--seeds", type=int, default=30, help="instances per family")
+    parser.add_argument("--families", type=_families, default=list(FAMILIES), help="comma-separated names")
+    parser.add_argument("--sections", type=_sections, default=list(SECTIONS), help=f"of {','.join(SECTIONS)}")
+    parser.add_argument("--repeats", type=int, default=3, help="calls per instance; the fastest counts")
+    parser.add_argument("--calls", type=int, default=2000, help="calls with a time budget, over all budgets")
+    parser.add_argument("--budgets", type=_milliseconds, default=[5.0, 10.0, 20.0, 50.0], help="milliseconds")
+    parser.add_argument("--smoother", default="CasadiSmoother", help="plugin to measure")
+    parser.add_argument("--out", type=FilePath, default=None, help="JSON file to write")
+    return parser
+
+
+def _choice(text: str, known: Sequence[str]) -> list[str]:
+    names = text.split(",")
+    unknown = [name for name in names if name not in known]
+    if unknown:
+        raise argparse.ArgumentTypeError(f"unknown {', '.join(unknown)}; known: {', '.join(known)}")
+    return names
+
+
+def _families(text: str) -> list[str]:
+    return _choice(text, list(FAMILIES))
+
+
+def _sections(text: str) -> list[str]:
+    return _choice(text, SECTIONS)
+
+
+def _milliseconds(text: str) -> list[float]:
+    return [float(value) for value in text.split(",")]
+
+
+def _tables(asked: argparse.Namespace, unit: float) -> Iterator[Table]:
+    smoother = create_plugin(Smoother, asked.smoother)
+    feasible = [name for name in asked.families if name in FEASIBLE_FAMILIES]
+    infeasible = [name for name in asked.families if name in INFEASIBLE_FAMILIES]
+    runs = solved(smoother, feasible, asked.seeds, asked.repeats)
+    if "families" in asked.sections and feasible:
+        yield family_table(runs, unit)
+    if "infeasible" in asked.sections and infeasible:
+        yield reasons_table(solved(smoother, infeasible, asked.seeds, asked.repeats))
+    if "warm" in asked.sections and feasible:
+        yield warm_table(smoother, runs, asked.repeats)
+    if "budgets" in asked.sections and feasible:
+        yield budget_table(smoother, runs, [1e-3 * budget for budget in asked.budgets], asked.calls)
+    if "baselines" in asked.sections and feasible:
+        yield baseline_table(_baselines(asked.smoother, runs, feasible, asked), unit)
+
+
+def _baselines(
+    name: str, runs: Sequence[Run], feasible: Sequence[str], asked: argparse.Namespace
+) -> dict[str, Sequence[Run]]:
+    others = ("SimpleSmoother", "SavitzkyGolaySmoother")
+    measured = {other: solved(create_plugin(Smoother, other), feasible, asked.seeds, asked.repeats) for other in others}
+    return {
+        "raw": [_untouched(family, seed) for family in feasible for seed in range(asked.seeds)],
+        **measured,
+        name: runs,
+    }
+
+
+def _untouched(family: str, seed: int) -> Run:
+    drawn = instance(family, seed)
+    call = Call(0.0, 0.0, drawn.raw_path, completed=True, reason="", report={})
+    return Run(drawn, call, judged(drawn.raw_path, drawn.problem))

@@ -1,0 +1,94 @@
+"""Tables of numbers on standard output, and the yardstick that makes runs on different machines comparable."""
+
+from __future__ import annotations
+
+import math
+import time
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+__all__ = ["Table", "Timer", "percentile", "yardstick"]
+
+
+@dataclass(frozen=True)
+class Table:
+    """A titled table; `note` says how it was measured."""
+
+    title: str
+    header: tuple[str, ...]
+    rows: tuple[tuple[object, ...], ...]
+    note: str = ""
+
+    def __str__(self) -> str:
+        cells = [[_text(value) for value in row] for row in self.rows]
+        widths = [max(map(len, column)) for column in zip(self.header, *cells, strict=True)]
+        lines = [
+            "  ".join(_aligned(i, text, width) for i, (text, width) in enumerate(zip(row, widths, strict=True)))
+            for row in (self.header, *cells)
+        ]
+        rule = "-" * len(lines[0])
+        return "\n".join((f"\n## {self.title}", *((self.note,) if self.note else ()), lines[0], rule, *lines[1:]))
+
+    def as_dict(self) -> dict[str, object]:
+        """Plain values for a JSON file."""
+        rows = [dict(zip(self.header, map(_plain, row), strict=True)) for row in self.rows]
+        return {"title": self.title, "note": self.note, "rows": rows}
+
+
+def _aligned(column: int, text: str, width: int) -> str:
+    return text.ljust(width) if column == 0 else text.rjust(width)
+
+
+def _text(value: object) -> str:
+    if not isinstance(value, float):
+        return str(value)
+    if not math.isfinite(value):
+        return "-"
+    return f"{value:.0f}" if abs(value) >= 1000.0 else f"{value:.3g}"
+
+
+def _plain(value: object) -> object:
+    return None if isinstance(value, float) and not math.isfinite(value) else value
+
+
+def percentile(values: Sequence[float], share: float) -> float:
+    """The smallest value that at least `share` percent of the finite values do not exceed; NaN without values."""
+    finite = [value for value in values if math.isfinite(value)]
+    return float(np.percentile(finite, share, method="inverted_cdf")) if finite else math.nan
+
+
+class Timer:
+    """Wall and CPU seconds since its construction."""
+
+    def __init__(self) -> None:
+        self._wall, self._cpu = time.perf_counter(), time.process_time()
+
+    @property
+    def wall(self) -> float:
+        """Wall-clock seconds."""
+        return time.perf_counter() - self._wall
+
+    @property
+    def cpu(self) -> float:
+        """CPU seconds of this process."""
+        return time.process_time() - self._cpu
+
+
+def yardstick(repeats: int = 15) -> float:
+    """CPU seconds of a fixed piece of work, small arrays and a small factorization; the median of `repeats`."""
+    return float(np.median([_fixed_work() for _ in range(repeats)]))
+
+
+def _fixed_work() -> float:
+    points = np.linspace(0.0, 1.0, 160)
+    matrix = np.eye(40) + 0.01 * np.cos(np.outer(np.arange(40), np.arange(40)))
+    timer = Timer()
+    for _ in range(100):
+        points = np.cumsum(np.cos(points)) / 160.0
+        matrix = 0.5 * (matrix + np.linalg.inv(matrix))
+    return timer.cpu
