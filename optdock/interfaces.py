@@ -6,11 +6,19 @@ Every interface is abstract and holds no data of its own beyond `Plugin`'s. Exce
 from __future__ import annotations
 
 from abc import abstractmethod
-from dataclasses import dataclass, field
-from enum import IntEnum
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING
 
 from optdock.lifecycle import LifecycleState, Plugin, PluginContext
+from optdock.outcomes import (
+    BehaviorResult,
+    BehaviorStatus,
+    Bounds,
+    CostmapInfoType,
+    SmoothingResult,
+    TimingResult,
+    TimingStatus,
+    Tolerances,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
@@ -65,21 +73,6 @@ class GlobalPlanner(Plugin):
         """
 
 
-@dataclass(frozen=True, eq=False)
-class SmoothingResult:
-    """What a smoother returns.
-
-    Args:
-        path: The smoothed path; always usable.
-        completed: False when the time limit stopped the work early.
-        report: Numbers about the work, for people and logs: seconds per stage, iterations, cost.
-    """
-
-    path: Path
-    completed: bool = True
-    report: Mapping[str, object] = field(default_factory=dict)
-
-
 class Smoother(Plugin):
     """Makes a path smoother."""
 
@@ -109,36 +102,6 @@ class Smoother(Plugin):
             FailedToSmoothPath: No result keeps every bound; the message names the one in the way.
             SmootherCancelled: `cancel_checker` returned True.
         """
-
-
-class TimingStatus(IntEnum):
-    """How a time parameterization ended; physics is an outcome, not an exception."""
-
-    OK = 0
-    START_INFEASIBLE = 1
-    CANNOT_STOP = 2
-    BAD_START = 3
-    FAIL = 4
-
-
-@dataclass(frozen=True, eq=False)
-class TimingResult:
-    """What a time parameterizer returns.
-
-    Args:
-        status: How it ended.
-        trajectory: The timed motion. OK: the whole path. START_INFEASIBLE, CANNOT_STOP: the braking motion that
-            violates the limits least, over as much of the path as it needs. None where there is no motion to offer.
-        worst_ratio: Largest quotient of a quantity and its limit; at most 1 when OK.
-        overshoot: Distance that full braking needs beyond the end of the gear segment [m]; 0 unless CANNOT_STOP.
-        report: Numbers about the work.
-    """
-
-    status: TimingStatus
-    trajectory: Trajectory | None
-    worst_ratio: float = 0.0
-    overshoot: float = 0.0
-    report: Mapping[str, object] = field(default_factory=dict)
 
 
 class TimeParameterizer(Plugin):
@@ -202,32 +165,6 @@ class Controller(Plugin):
         return True
 
 
-class CostmapInfoType(IntEnum):
-    """Which costmaps a behavior needs."""
-
-    NONE = 0
-    LOCAL = 1
-    GLOBAL = 2
-    BOTH = 3
-
-
-class BehaviorStatus(IntEnum):
-    """How a behavior stands."""
-
-    SUCCEEDED = 1
-    FAILED = 2
-    RUNNING = 3
-
-
-@dataclass(frozen=True)
-class BehaviorResult:
-    """Status, Nav2 error code (0 for none) and message of a behavior's cycle."""
-
-    status: BehaviorStatus
-    error_code: int = 0
-    error_msg: str = ""
-
-
 class Behavior(Plugin):
     """A timed recovery or auxiliary motion."""
 
@@ -243,15 +180,6 @@ class Behavior(Plugin):
     @abstractmethod
     def on_cycle_update(self, pose: Pose2, velocity: Twist2) -> tuple[BehaviorResult, Twist2]:
         """One cycle: how it stands, and the command to send."""
-
-
-class Bounds(NamedTuple):
-    """A box in the costmap's frame [m]."""
-
-    min_x: float
-    min_y: float
-    max_x: float
-    max_y: float
 
 
 class Layer(Plugin):
@@ -286,17 +214,6 @@ class Layer(Plugin):
 
     def on_footprint_changed(self) -> None:
         """The robot's footprint changed."""
-
-
-class Tolerances(NamedTuple):
-    """What a goal checker accepts; None where it does not measure."""
-
-    x: float | None = None
-    y: float | None = None
-    yaw: float | None = None
-    linear_speed: float | None = None
-    angular_speed: float | None = None
-    path_length: float | None = None
 
 
 class GoalChecker(Plugin):

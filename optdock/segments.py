@@ -1,0 +1,200 @@
+"""Gear segments: one curve by arc length each, exact (clothoid spline) or sampled (polyline)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from enum import IntEnum
+from typing import TYPE_CHECKING, NamedTuple, Protocol
+
+import numpy as np
+
+from optdock.errors import InvalidPath
+from optdock.geometry.arrays import frozen_array, readonly
+from optdock.geometry.pose import unwrap_yaw
+
+if TYPE_CHECKING:
+    from numpy.typing import ArrayLike
+
+    from optdock.geometry.arrays import FloatArray, IntArray
+    from optdock.geometry.clothoid import ClothoidSpline
+
+__all__ = ["SAME_POSITION", "SAME_YAW", "ClothoidSegment", "Direction", "PathSamples", "PolylineSegment", "Segment"]
+
+SAME_POSITION = 1e-9  # [m]: shorter steps carry no direction
+SAME_YAW = 1e-9  # [rad]
+
+
+class Direction(IntEnum):
+    """Gear of a segment."""
+
+    FORWARD = 1
+    REVERSE = -1
+
+
+class PathSamples(NamedTuple):
+    """Points of a path, all Shape (n,): s [m], x [m], y [m], yaw [rad], curvature [1/m], direction (1 or -1)."""
+
+    s: FloatArray
+    x: FloatArray
+    y: FloatArray
+    yaw: FloatArray
+    curvature: FloatArray
+    direction: IntArray
+
+    @property
+    def poses(self) -> FloatArray:
+        """Shape (n, 3): x, y, yaw."""
+        return np.column_stack((self.x, self.y, self.yaw))
+
+
+class Segment(Protocol):
+    """One gear's curve by arc length; arguments are clipped to [0, length]."""
+
+    @property
+    def direction(self) -> Direction:
+        """Gear."""
+        ...
+
+    @property
+    def length(self) -> float:
+        """Arc length [m]."""
+        ...
+
+    @property
+    def knots(self) -> FloatArray:
+        """Arc lengths between which the curve is smooth, from 0 to length [m]."""
+        ...
+
+    def poses_at(self, s: ArrayLike) -> FloatArray:
+        """Shape (n, 3)."""
+        ...
+
+    def curvature_at(self, s: ArrayLike) -> FloatArray:
+        """Shape (n,) [1/m]."""
+        ...
+
+    def curvature_rate_at(self, s: ArrayLike) -> FloatArray:
+        """Shape (n,) [1/m^2]."""
+        ...
+
+
+@dataclass(frozen=True, eq=False)
+class ClothoidSegment:
+    """A gear segment that is exactly a clothoid spline: what the smoother returns."""
+
+    spline: ClothoidSpline
+
+    @property
+    def direction(self) -> Direction:
+        """Gear."""
+        return Direction(self.spline.sign)
+
+    @property
+    def length(self) -> float:
+        """Arc length [m]."""
+        return self.spline.length
+
+    @property
+    def knots(self) -> FloatArray:
+        """Arc lengths at which the curvature rate may jump, Shape (n,) [m]."""
+        return self.spline.knots
+
+    def poses_at(self, s: ArrayLike) -> FloatArray:
+        """Shape (n, 3)."""
+        return self.spline.poses_at(s)
+
+    def curvature_at(self, s: ArrayLike) -> FloatArray:
+        """Shape (n,) [1/m]."""
+        return self.spline.curvature_at(s)
+
+    def curvature_rate_at(self, s: ArrayLike) -> FloatArray:
+        """Shape (n,) [1/m^2]."""
+        return self.spline.curvature_rate_at(s)
+
+
+@dataclass(frozen=True, eq=False)
+class PolylineSegment:
+    """A gear segment given by poses: what any planner hands over.
+
+    Between poses position and yaw move linearly. A step is taken for the circular arc with its chord and its turn, so
+    a sampled arc has its exact curvature: arc = chord * (turn / 2) / sin(turn / 2). A step that only turns has no
+    length and infinite curvature.
+
+    Args:
+        poses: Shape (n, 3) [m, m, rad], n >= 2.
+        direction: Gear.
+
+    Raises:
+        InvalidPath: Fewer than two poses, or all of them the same.
+    """
+
+    poses: FloatArray
+    direction: Direction = Direction.FORWARD
+    knots: FloatArray = field(init=False, repr=False)
+    node_curvature: FloatArray = field(init=False, repr=False)  # (n,), mean of the steps that meet there
+
+    def __post_init__(self) -> None:
+        poses = np.array(frozen_array(self.poses, "path", columns=3))
+        if len(poses) < 2:
+            raise InvalidPath(f"path: a segment needs at least 2 poses, got {len(poses)}")
+        poses[:, 2] = unwrap_yaw(poses[:, 2])
+        turn, arc = _step_arcs(poses)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            curvature = np.where(arc > 0.0, turn / arc, np.copysign(np.inf, turn))
+        curvature = np.where((arc <= 0.0) & (turn == 0.0), 0.0, curvature)
+        nodes = _node_means(curvature)
+        object.__setattr__(self, "poses", readonly(poses))
+        object.__setattr__(self, "knots", readonly(np.concatenate(([0.0], np.cumsum(arc)))))
+        object.__setattr__(self, "node_curvature", readonly(nodes))
+
+    @property
+    def length(self) -> float:
+        """Arc length [m]."""
+        return float(self.knots[-1])
+
+    @property
+    def step_curvature(self) -> FloatArray:
+        """Turn over arc length of every step, Shape (n - 1,) [1/m]; infinite where the robot turns in place."""
+        turn, arc = _step_arcs(self.poses)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            ratio: FloatArray = np.where(turn == 0.0, 0.0, turn / arc)
+        return ratio
+
+    def poses_at(self, s: ArrayLike) -> FloatArray:
+        """Linear between the given poses. Shape (n, 3)."""
+        points = np.atleast_1d(np.asarray(s, dtype=np.float64))
+        return np.column_stack([np.interp(points, self.knots, self.poses[:, i]) for i in range(3)])
+
+    def curvature_at(self, s: ArrayLike) -> FloatArray:
+        """Linear between the mean curvatures of the steps at each pose. Shape (n,) [1/m]."""
+        points = np.atleast_1d(np.asarray(s, dtype=np.float64))
+        finite = np.where(np.isfinite(self.node_curvature), self.node_curvature, np.sign(self.node_curvature) * 1e9)
+        return np.interp(points, self.knots, finite)
+
+    def curvature_rate_at(self, s: ArrayLike) -> FloatArray:
+        """Slope of `curvature_at`, Shape (n,) [1/m^2]."""
+        points = np.atleast_1d(np.asarray(s, dtype=np.float64))
+        kept = np.flatnonzero(np.diff(self.knots, prepend=-1.0) > 0.0)
+        if kept.size < 2:
+            return np.zeros(points.size)
+        slope = np.diff(self.curvature_at(self.knots[kept])) / np.diff(self.knots[kept])
+        found = np.searchsorted(self.knots[kept], points, side="right") - 1
+        rates: FloatArray = slope[np.clip(found, 0, slope.size - 1)]
+        return rates
+
+
+def _step_arcs(poses: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Turn [rad] and arc length [m] of every step."""
+    step = np.diff(poses, axis=0)
+    chord, turn = np.hypot(step[:, 0], step[:, 1]), step[:, 2]
+    half = np.clip(0.5 * np.abs(turn), 0.0, 0.5 * np.pi)
+    arc = chord / np.sinc(half / np.pi)
+    turn = np.where(np.abs(turn) > SAME_YAW, turn, np.where(arc > 0.0, turn, 0.0))
+    return turn, np.where(chord > SAME_POSITION, arc, 0.0)
+
+
+def _node_means(steps: FloatArray) -> FloatArray:
+    with np.errstate(invalid="ignore"):
+        inner = 0.5 * (steps[:-1] + steps[1:])
+    inner = np.where(np.isnan(inner), np.inf, inner)
+    return np.concatenate((steps[:1], inner, steps[-1:]))
