@@ -86,7 +86,7 @@ def load_plugin(interface: type[P], name: str) -> type[P]:
     point = found[short]
     try:
         loaded = point.load()
-    except Exception as error:
+    except Exception as error:  # foreign code may raise anything while it is imported
         raise PluginError(f"{kind}: plugin {short} ({point.value}) cannot be imported: {error}") from error
     if not (isinstance(loaded, type) and issubclass(loaded, interface)):
         raise PluginError(f"{kind}: plugin {short} ({point.value}) is not a {interface.__name__}")

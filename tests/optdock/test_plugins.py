@@ -1,0 +1,226 @@
+"""Plugins: parameters, lifecycle, lookup by entry point, also from a foreign distribution."""
+
+import subprocess
+import sys
+import textwrap
+
+import pytest
+from pydantic import Field
+
+from optdock.errors import InvalidValue, LifecycleError, PluginError
+from optdock.interfaces import GoalChecker, LifecycleState, Smoother, Tolerances
+from optdock.lifecycle import Plugin, PluginContext
+from optdock.parameters import PluginParameters
+from optdock.plugins import INTERFACES, available_plugins, create_plugin, load_plugin
+
+
+class NearParameters(PluginParameters):
+    tolerance: float = Field(0.1, gt=0.0)
+    cycles: int = 3
+
+
+class Near(GoalChecker):
+    Parameters = NearParameters
+    parameters: NearParameters
+
+    def is_goal_reached(self, query_pose, goal_pose, velocity, path):
+        return query_pose.distance_to(goal_pose) < self.parameters.tolerance
+
+    @property
+    def tolerances(self):
+        return Tolerances(x=self.parameters.tolerance, y=self.parameters.tolerance)
+
+    def check_change(self, changed):
+        if changed.cycles == 13:
+            raise InvalidValue("cycles: 13 is refused while running")
+
+    def on_configure(self):
+        if self.context.name == "broken":
+            raise InvalidValue("cannot be configured")
+
+
+def test_parameters_have_defaults_and_are_checked_all_at_once():
+    assert Near().parameters == NearParameters(tolerance=0.1, cycles=3)
+    with pytest.raises(InvalidValue) as error:
+        Near(tolerance=-1.0, cycles="many", tolerancce=2)
+    text = str(error.value)
+    assert "Near.tolerance" in text
+    assert "Near.cycles" in text
+    assert "Near.tolerancce: unknown parameter; did you mean tolerance?" in text
+
+
+@pytest.mark.parametrize("bad", [float("nan"), float("inf"), None, "wide"])
+def test_a_number_is_a_finite_number(bad):
+    with pytest.raises(InvalidValue, match="Near.tolerance"):
+        Near(tolerance=bad)
+
+
+def test_parameters_change_all_or_nothing():
+    checker = Near()
+    checker.set_parameters(tolerance=0.3, cycles=4)
+    assert checker.parameters == NearParameters(tolerance=0.3, cycles=4)
+    for changes in ({"tolerance": 0.5, "cycles": "x"}, {"tolerance": 0.5, "cycles": 13}, {"nonsense": 1}):
+        with pytest.raises(InvalidValue):
+            checker.set_parameters(**changes)
+        assert checker.parameters == NearParameters(tolerance=0.3, cycles=4)
+
+
+ALLOWED = {
+    LifecycleState.UNCONFIGURED: {"configure": LifecycleState.INACTIVE, "shutdown": LifecycleState.FINALIZED},
+    LifecycleState.INACTIVE: {
+        "activate": LifecycleState.ACTIVE,
+        "cleanup": LifecycleState.UNCONFIGURED,
+        "shutdown": LifecycleState.FINALIZED,
+    },
+    LifecycleState.ACTIVE: {"deactivate": LifecycleState.INACTIVE, "shutdown": LifecycleState.FINALIZED},
+    LifecycleState.FINALIZED: {},
+}
+ROUTES = {
+    LifecycleState.UNCONFIGURED: (),
+    LifecycleState.INACTIVE: ("configure",),
+    LifecycleState.ACTIVE: ("configure", "activate"),
+    LifecycleState.FINALIZED: ("shutdown",),
+}
+
+
+def call(plugin, transition):
+    if transition == "configure":
+        plugin.configure(PluginContext(name="near"))
+    else:
+        getattr(plugin, transition)()
+
+
+@pytest.mark.parametrize("state", list(LifecycleState))
+@pytest.mark.parametrize("transition", ["configure", "activate", "deactivate", "cleanup", "shutdown"])
+def test_every_transition_is_allowed_or_refused_as_in_the_table(state, transition):
+    plugin = Near()
+    for step in ROUTES[state]:
+        call(plugin, step)
+    assert plugin.state is state
+    if transition in ALLOWED[state]:
+        call(plugin, transition)
+        assert plugin.state is ALLOWED[state][transition]
+    else:
+        with pytest.raises(LifecycleError, match=f"cannot {transition} when {state.value}"):
+            call(plugin, transition)
+        assert plugin.state is state
+
+
+def test_a_failed_configuration_leaves_the_plugin_as_it_was():
+    plugin = Near()
+    before = plugin.context
+    with pytest.raises(InvalidValue):
+        plugin.configure(PluginContext(name="broken"))
+    assert plugin.state is LifecycleState.UNCONFIGURED
+    assert plugin.context is before
+
+
+def test_every_listed_plugin_is_what_its_kind_says():
+    listed = available_plugins()
+    assert {info.kind for info in listed} <= set(INTERFACES)
+    for info in listed:
+        assert issubclass(load_plugin(INTERFACES[info.kind], info.name), INTERFACES[info.kind])
+
+
+@pytest.mark.parametrize(
+    "name", ["AxisGoalChecker", "nav2_controller::AxisGoalChecker", "nav2_controller/AxisGoalChecker"]
+)
+def test_nav2_names_find_our_plugins(name):
+    assert load_plugin(GoalChecker, name).__name__ == "AxisGoalChecker"
+
+
+def test_an_unknown_plugin_is_refused_with_the_nearest_name():
+    with pytest.raises(
+        PluginError, match="goal_checkers: unknown plugin 'AxisGoalCheker'; did you mean AxisGoalChecker"
+    ):
+        load_plugin(GoalChecker, "AxisGoalCheker")
+    with pytest.raises(PluginError, match="unknown plugin 'AxisGoalChecker'"):
+        load_plugin(Smoother, "AxisGoalChecker")
+
+
+def test_what_is_not_an_interface_is_refused():
+    with pytest.raises(PluginError, match="must be one of"):
+        load_plugin(Plugin, "x")
+
+
+def test_parameters_reach_the_plugin():
+    with pytest.raises(InvalidValue, match="unknown parameter; did you mean along_path_tolerance"):
+        create_plugin(GoalChecker, "AxisGoalChecker", {"along_path_tolerence": 0.2})
+    assert create_plugin(GoalChecker, "AxisGoalChecker", {"along_path_tolerance": 0.2}).tolerances.x == 0.2
+
+
+def foreign_distribution(folder):
+    """An installed distribution as the import system sees one: a module and its metadata."""
+    (folder / "foreign.py").write_text(
+        textwrap.dedent(
+            """
+            from optdock.interfaces import GoalChecker, Tolerances
+
+            class Always(GoalChecker):
+                tolerances = Tolerances()
+                def is_goal_reached(self, query_pose, goal_pose, velocity, path):
+                    return True
+
+            class NotAChecker:
+                pass
+            """
+        )
+    )
+    (folder / "broken_foreign.py").write_text("import a_module_that_does_not_exist\n")
+    info = folder / "foreign-1.0.dist-info"
+    info.mkdir()
+    (info / "METADATA").write_text("Metadata-Version: 2.1\nName: foreign\nVersion: 1.0\n")
+    (info / "entry_points.txt").write_text(
+        "[optdock.goal_checkers]\nAlways = foreign:Always\nNot = foreign:NotAChecker\nBroken = broken_foreign:X\n"
+        "Gone = foreign:Missing\n"
+    )
+
+
+def run(folder, code):
+    script = f"import sys; sys.path.insert(0, {str(folder)!r})\n" + textwrap.dedent(code)
+    return subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=False)
+
+
+def test_a_plugin_of_another_distribution_is_found_loaded_and_named_in_errors(tmp_path):
+    foreign_distribution(tmp_path)
+    done = run(
+        tmp_path,
+        """
+        from optdock.errors import PluginError
+        from optdock.geometry.pose import Pose2, Twist2
+        from optdock.interfaces import GoalChecker
+        from optdock.plugins import available_plugins, create_plugin
+        print([info.target for info in available_plugins() if info.name == "Always"])
+        checker = create_plugin(GoalChecker, "Always")
+        print(checker.is_goal_reached(Pose2(0, 0, 0), Pose2(1, 0, 0), Twist2(), []))
+        for name in ("Not", "Broken", "Gone"):
+            try:
+                create_plugin(GoalChecker, name)
+            except PluginError as error:
+                print(error)
+        """,
+    )
+    assert done.returncode == 0, done.stderr
+    lines = done.stdout.splitlines()
+    assert lines[0] == "['foreign:Always']"
+    assert lines[1] == "True"
+    assert lines[2] == "goal_checkers: plugin Not (foreign:NotAChecker) is not a GoalChecker"
+    assert lines[3].startswith("goal_checkers: plugin Broken (broken_foreign:X) cannot be imported: No module named")
+    assert lines[4].startswith("goal_checkers: plugin Gone (foreign:Missing) cannot be imported")
+
+
+def test_two_plugins_of_one_name_are_refused(tmp_path):
+    foreign_distribution(tmp_path)
+    other = tmp_path / "other-1.0.dist-info"
+    other.mkdir()
+    (other / "METADATA").write_text("Metadata-Version: 2.1\nName: other\nVersion: 1.0\n")
+    (other / "entry_points.txt").write_text("[optdock.goal_checkers]\nAlways = elsewhere:Always\n")
+    done = run(
+        tmp_path,
+        """
+        from optdock.interfaces import GoalChecker
+        from optdock.plugins import load_plugin
+        load_plugin(GoalChecker, "AxisGoalChecker")
+        """,
+    )
+    assert "two plugins are named Always" in done.stderr
