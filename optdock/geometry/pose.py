@@ -86,6 +86,20 @@ class Pose2:
         relative = reference.inverse() @ self
         return Pose2(relative.x, relative.y, normalize_angle(relative.yaw))
 
+    def moved(self, twist: Twist2, duration: float) -> Pose2:
+        """The pose after `duration` [s] at a constant body velocity: an exact arc, straight lines included.
+
+        >>> end = Pose2(0.0, 0.0, 0.0).moved(Twist2(math.pi, math.pi), 0.5)
+        >>> round(end.x, 12), round(end.y, 12)
+        (1.0, 1.0)
+        """
+        turn = twist.angular * duration
+        half = 0.5 * turn
+        shrink = duration * (math.sin(half) / half if abs(half) > 1e-9 else 1.0)
+        chord, side, heading = shrink * twist.linear, shrink * twist.lateral, self.yaw + half
+        c, s = math.cos(heading), math.sin(heading)
+        return Pose2(self.x + chord * c - side * s, self.y + chord * s + side * c, self.yaw + turn)
+
     def as_array(self) -> FloatArray:
         """Shape (3,): x, y, yaw."""
         return np.array([self.x, self.y, self.yaw])

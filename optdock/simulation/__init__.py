@@ -2,7 +2,7 @@
 
 from optdock.simulation.clearance import executed_clearance
 from optdock.simulation.closed_loop import SimulationSettings, run_closed_loop
-from optdock.simulation.plant import Actuation, DifferentialDrive, PlantState, moved_along_arc
+from optdock.simulation.plant import Actuation, DifferentialDrive, PlantState
 from optdock.simulation.remainder import RemainingPath
 from optdock.simulation.run import Run, pose_errors
 
@@ -14,7 +14,6 @@ __all__ = [
     "Run",
     "SimulationSettings",
     "executed_clearance",
-    "moved_along_arc",
     "pose_errors",
     "run_closed_loop",
 ]

@@ -7,13 +7,14 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, NamedTuple
 
 from optdock.errors import InvalidValue
-from optdock.geometry.pose import Pose2, Twist2
+from optdock.geometry.pose import Twist2
 from optdock.robot import admissible
 
 if TYPE_CHECKING:
+    from optdock.geometry.pose import Pose2
     from optdock.robot import Robot
 
-__all__ = ["Actuation", "DifferentialDrive", "PlantState", "moved_along_arc"]
+__all__ = ["Actuation", "DifferentialDrive", "PlantState"]
 
 
 @dataclass(frozen=True)
@@ -100,7 +101,7 @@ class DifferentialDrive:
         queue = state.pending + (wanted,) * self.actuation.substeps
         for target in queue[: self.actuation.substeps]:
             mean, twist = self._follow(twist, target)
-            pose = moved_along_arc(pose, mean, self._step)
+            pose = pose.moved(mean, self._step)
         return PlantState(pose, twist, queue[self.actuation.substeps :])
 
     def _effective(self, command: Twist2) -> Twist2:
@@ -122,17 +123,3 @@ def _first_order(value: float, target: float, lag: float, step: float) -> tuple[
     decay = math.exp(-step / lag)
     gap = value - target
     return target + gap * (1.0 - decay) * lag / step, target + gap * decay
-
-
-def moved_along_arc(pose: Pose2, twist: Twist2, duration: float) -> Pose2:
-    """The pose after `duration` [s] at a constant body velocity: exact, straight lines included.
-
-    >>> end = moved_along_arc(Pose2(0.0, 0.0, 0.0), Twist2(math.pi, math.pi), 0.5)
-    >>> round(end.x, 12), round(end.y, 12)
-    (1.0, 1.0)
-    """
-    turn = twist.angular * duration
-    half = 0.5 * turn
-    chord = twist.linear * duration * (math.sin(half) / half if abs(half) > 1e-9 else 1.0)
-    heading = pose.yaw + half
-    return Pose2(pose.x + chord * math.cos(heading), pose.y + chord * math.sin(heading), pose.yaw + turn)

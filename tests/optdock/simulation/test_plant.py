@@ -12,7 +12,7 @@ from optdock.geometry.footprint import Footprint
 from optdock.geometry.pose import Pose2, Twist2
 from optdock.limits import MotionLimits
 from optdock.robot import Drive, Robot
-from optdock.simulation import Actuation, DifferentialDrive, moved_along_arc
+from optdock.simulation import Actuation, DifferentialDrive
 
 ORIGIN = Pose2(0.0, 0.0, 0.0)
 FAST = MotionLimits(max_speed=5.0, max_reverse_speed=5.0)
@@ -39,7 +39,7 @@ def test_a_constant_command_drives_the_exact_arc(v, w, substeps):
 
 @given(st.floats(-2.0, 2.0), st.floats(-1e-6, 1e-6))
 def test_an_arc_is_continuous_where_it_becomes_straight(v, w):
-    bent, straight = moved_along_arc(ORIGIN, Twist2(v, w), 1.0), moved_along_arc(ORIGIN, Twist2(v, 0.0), 1.0)
+    bent, straight = ORIGIN.moved(Twist2(v, w), 1.0), ORIGIN.moved(Twist2(v, 0.0), 1.0)
     assert bent.distance_to(straight) < 2e-6
 
 
