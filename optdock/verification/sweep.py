@@ -92,7 +92,8 @@ def _safe_steps(body: ConvexBody, scene: ObstacleSet, pose: Pose2, twist: Twist2
     bend = abs(twist.angular) * float(np.max(np.hypot(velocity[:, 0], velocity[:, 1])))
     height, rise = found.axis @ points.T, found.axis @ velocity.T  # (m, k)
     spare = height - height.min(axis=1, keepdims=True) + np.maximum(found.distance - required + _SLACK, 0.0)[:, None]
-    return _time_until_spent(spare, rise, bend).min(axis=1)
+    steps: FloatArray = _time_until_spent(spare, rise, bend).min(axis=1)
+    return steps
 
 
 def _time_until_spent(spare: FloatArray, rise: FloatArray, bend: float) -> FloatArray:

@@ -32,6 +32,7 @@ __all__ = ["RTOL", "curved_limits", "times_at"]
 RTOL = 1e-6  # accepted excess over a limit, relative
 _MAX_WIDTH = 0.05  # [s], first cells
 _MAX_LEVELS = 22
+_BISECTIONS = 50  # leave 1e-15 of a phase
 
 
 class _Cells(NamedTuple):
@@ -68,12 +69,15 @@ class _Cells(NamedTuple):
 def times_at(law: TimeLaw, s: FloatArray) -> FloatArray:
     """First times at which the distance reaches `s`, Shape (n,) [s]; bisection, as s(t) never decreases."""
     phase = np.clip(np.searchsorted(law.states[:, 0], s, side="left") - 1, 0, law.durations.size - 1)
-    low, high = law.times[phase], law.times[phase + 1]
-    for _ in range(60):
+    base, v, a = law.states[phase].T
+    half_a, sixth_j, wanted = a / 2.0, law.jerks[phase] / 6.0, s - base
+    low, high = np.zeros(s.size), law.durations[phase]
+    for _ in range(_BISECTIONS):
         middle = 0.5 * (low + high)
-        ahead = law.at(middle)[:, 0] >= s
+        ahead = middle * (v + middle * (half_a + middle * sixth_j)) >= wanted
         low, high = np.where(ahead, low, middle), np.where(ahead, middle, high)
-    return 0.5 * (low + high)
+    times: FloatArray = law.times[phase] + 0.5 * (low + high)
+    return times
 
 
 def _initial_cells(trajectory: Trajectory) -> _Cells:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -11,7 +11,7 @@ from optdock.verification.certificate import TrajectoryCertificate, Violation
 from optdock.verification.trajectory_cells import RTOL, curved_limits, times_at
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Iterator, Sequence
 
     from optdock.geometry.arrays import FloatArray
     from optdock.limits import MotionLimits, SpeedZone
@@ -48,10 +48,11 @@ def certify_trajectory(
     structure = (*_coverage(trajectory), *_rest(trajectory), *_start(law, start_speed, start_acceleration))
     if any(v.kind == "coverage" for v in structure):
         return TrajectoryCertificate(structure, {}, law.duration)
-    bounded = [*_speed(trajectory, limits, zone), *_rates(law, limits)]
+    peaks = tuple(_stretch_peaks(trajectory, limits, zone))
+    bounded = [*_speed(law, peaks), *_rates(law, limits)]
     ratios, curved = curved_limits(trajectory, limits)
     plain = {violation.kind: violation for violation in bounded}
-    ratios = {**_plain_ratios(trajectory, limits, zone), **ratios}
+    ratios = {**_plain_ratios(law, limits, peaks), **ratios}
     return TrajectoryCertificate((*structure, *plain.values(), *curved), ratios, law.duration)
 
 
@@ -118,10 +119,15 @@ def _segment_limits(trajectory: Trajectory, limits: MotionLimits, zone: SpeedZon
     return np.array(rows)
 
 
-def _stretch_peaks(
-    trajectory: Trajectory, limits: MotionLimits, zone: SpeedZone
-) -> Iterator[tuple[float, float, float]]:
-    """Largest speed within each stretch: (limit, speed, time)."""
+class _Peak(NamedTuple):
+    """Largest speed within a stretch of one limit [m/s], and when [s]."""
+
+    limit: float
+    speed: float
+    t: float
+
+
+def _stretch_peaks(trajectory: Trajectory, limits: MotionLimits, zone: SpeedZone) -> Iterator[_Peak]:
     law = trajectory.time_law
     times, speeds = _speed_candidates(law)
     s = law.at(times)[:, 0]
@@ -131,13 +137,13 @@ def _stretch_peaks(
         t = np.concatenate((times[inside], entry))
         v = np.concatenate((speeds[inside], law.at(entry)[:, 1]))
         k = int(np.argmax(v))
-        yield float(limit), float(v[k]), float(t[k])
+        yield _Peak(float(limit), float(v[k]), float(t[k]))
 
 
-def _speed(trajectory: Trajectory, limits: MotionLimits, zone: SpeedZone) -> Iterator[Violation]:
-    for limit, speed, t in _stretch_peaks(trajectory, limits, zone):
+def _speed(law: TimeLaw, peaks: Sequence[_Peak]) -> Iterator[Violation]:
+    for limit, speed, t in peaks:
         if not speed <= limit * (1.0 + RTOL):
-            s = float(trajectory.time_law.at(t)[0, 0])
+            s = float(law.at(t)[0, 0])
             message = f"speed {speed:.4g} m/s at t = {t:.3f} s, s = {s:.3f} m exceeds {limit:.4g} m/s"
             yield Violation("speed", message, s, speed - limit)
 
@@ -154,10 +160,9 @@ def _rates(law: TimeLaw, limits: MotionLimits) -> Iterator[Violation]:
             yield Violation(kind, message, float(row[k]), float(value[k] - limit))
 
 
-def _plain_ratios(trajectory: Trajectory, limits: MotionLimits, zone: SpeedZone) -> dict[str, float]:
-    law = trajectory.time_law
+def _plain_ratios(law: TimeLaw, limits: MotionLimits, peaks: Sequence[_Peak]) -> dict[str, float]:
     return {
-        "speed": max(speed / limit for limit, speed, _ in _stretch_peaks(trajectory, limits, zone)),
+        "speed": max(peak.speed / peak.limit for peak in peaks),
         "acceleration": float(np.max(law.states[:, 2])) / limits.max_acceleration,
         "deceleration": float(np.max(-law.states[:, 2])) / limits.max_deceleration,
         "jerk": float(np.max(np.abs(law.jerks))) / limits.max_jerk,

@@ -1,0 +1,134 @@
+"""Docking scenarios on maps of real places: against walls, racks, pallets and under a table.
+
+The maps (`depot`, `warehouse`, map_server format) come with Nav2 and are not part of this project; they are looked for
+in `$OPTDOCK_DATA/nav2/maps`, by default in `../shared/data/nav2/maps` beside the project.
+"""
+
+from __future__ import annotations
+
+import functools
+import math
+import os
+from pathlib import Path
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+from optdock.costmap.cell_obstacles import obstacles_from_costmap
+from optdock.dock import Dock, DockDirection
+from optdock.geometry.footprint import Footprint
+from optdock.geometry.pose import Pose2
+from optdock.io.maps import load_map
+from optdock.limits import MotionLimits, SpeedZone
+from optdock.problem import ClearanceRule, DockingProblem
+from optdock.robot import Robot
+
+if TYPE_CHECKING:
+    from optdock.costmap.costmap import Costmap
+
+__all__ = ["SCENARIOS", "MapScenario", "maps_folder", "problem_of"]
+
+_MARGIN = 3.0  # [m] of map around start and goal that counts
+
+ROBOT = Robot(
+    Footprint.rectangle(0.45, 0.45, 0.6),
+    MotionLimits(
+        max_speed=0.5,
+        max_reverse_speed=0.3,
+        max_acceleration=0.5,
+        max_deceleration=0.6,
+        max_jerk=2.0,
+        max_yaw_rate=1.0,
+        max_yaw_acceleration=2.0,
+        max_lateral_acceleration=0.5,
+        max_curvature=1.5,
+        max_curvature_rate=6.0,
+    ),
+)
+# A charger 14 cm deep and 50 cm wide, 5 mm before the robot's bumper when docked.
+FRONT_CHARGER = Footprint(np.array([[0.455, -0.25], [0.595, -0.25], [0.595, 0.25], [0.455, 0.25]]))
+REAR_CHARGER = Footprint(FRONT_CHARGER.vertices * [-1.0, 1.0])
+
+
+class MapScenario(NamedTuple):
+    """One docking task. `start`: pose in the dock's frame [m, m, degrees]; the robot docks at its origin."""
+
+    name: str
+    map_name: str
+    goal: tuple[float, float, float]  # [m, m, degrees]
+    start: tuple[float, float, float]
+    backward: bool = False
+    charger: bool = True
+
+
+# Forward: the start lies behind the dock pose (x < 0); backward: before it (x > 0), the robot reverses in.
+SCENARIOS = (
+    MapScenario("depot south wall, aligned", "depot", (4.0, 0.98, -90), (-3.0, 0.0, 0)),
+    MapScenario("depot south wall, 0.8 m aside", "depot", (5.5, 0.98, -90), (-3.5, 0.8, 0)),
+    MapScenario("depot south wall, 60 degrees off", "depot", (11.0, 0.98, -90), (-3.5, -1.0, 60)),
+    MapScenario("depot south wall, -60 degrees off", "depot", (12.5, 0.98, -90), (-3.5, 1.0, -60)),
+    MapScenario("depot west wall, 45 degrees off", "depot", (1.0, 7.5, 180), (-3.0, 0.6, -45)),
+    MapScenario("depot west wall, wrong way 30 degrees", "depot", (1.0, 3.0, 180), (-4.0, 0.8, 30)),
+    MapScenario("depot north wall, beside the pillar", "depot", (8.6, 14.4, 90), (-3.5, -0.5, 20)),
+    MapScenario("depot east wall, far", "depot", (29.3, 9.0, 0), (-6.0, 1.5, -30)),
+    MapScenario("depot pallet face", "depot", (15.4, 6.92, -90), (-3.5, 0.6, -20), charger=False),
+    MapScenario("depot aisle between pallets", "depot", (17.0, 3.4, 90), (-2.6, 0.25, 25), charger=False),
+    MapScenario("depot under the table", "depot", (17.25, 11.6, -90), (-3.0, 0.4, 15), charger=False),
+    MapScenario("depot under the middle table, kinked", "depot", (21.1, 9.2, -90), (-3.2, -0.35, -10), charger=False),
+    MapScenario("depot south wall, backward", "depot", (9.0, 1.2, 90), (3.5, 0.6, 0), True),
+    MapScenario("depot west wall, backward, 40 degrees off", "depot", (1.2, 11.5, 0), (3.5, -0.9, -40), True),
+    MapScenario("depot north wall, backward", "depot", (20.0, 14.2, -90), (3.0, 0.3, 30), True),
+    MapScenario("depot under the table, backward", "depot", (24.85, 11.6, 90), (2.9, -0.4, -10), True, charger=False),
+    MapScenario("warehouse west rack, aisle", "warehouse", (-7.15, -12.0, 180), (-2.6, 0.4, -20)),
+    MapScenario("warehouse west rack, from along the aisle", "warehouse", (-7.15, -18.0, 180), (-2.8, 1.0, -60)),
+    MapScenario("warehouse middle rack, east side", "warehouse", (-0.15, -10.0, 180), (-4.0, -0.8, 35)),
+    MapScenario("warehouse east rack, west side", "warehouse", (4.15, -16.0, 0), (-4.0, 0.9, -50)),
+    MapScenario("warehouse north rack", "warehouse", (2.0, 10.95, -90), (-3.5, 0.7, 10)),
+    MapScenario("warehouse north rack, 55 degrees off", "warehouse", (9.0, 10.95, -90), (-3.5, -0.6, 55)),
+    MapScenario("warehouse rack from below", "warehouse", (-2.0, 7.2, 90), (-3.5, -1.0, 30)),
+    MapScenario("warehouse conveyor end", "warehouse", (-3.85, 16.2, 90), (-2.5, 0.3, 15)),
+    MapScenario("warehouse west wall, backward", "warehouse", (-13.9, -9.0, 0), (3.2, 0.5, 20), True),
+    MapScenario("warehouse east rack, backward", "warehouse", (7.95, -12.0, 0), (3.4, -0.6, -30), True),
+    MapScenario("warehouse middle rack, backward, kinked", "warehouse", (-3.9, -11.0, 180), (2.8, 0.6, 0), True),
+    MapScenario("warehouse between conveyors", "warehouse", (-8.4, 20.6, -90), (-3.5, 0.2, -10), charger=False),
+)
+
+
+def maps_folder() -> Path:
+    """Where the maps are looked for."""
+    default = Path(__file__).resolve().parents[2] / "shared" / "data"
+    return Path(os.environ.get("OPTDOCK_DATA", default)) / "nav2" / "maps"
+
+
+@functools.cache
+def _costmap(name: str) -> Costmap:
+    return load_map(maps_folder() / f"{name}.yaml").costmap
+
+
+def problem_of(scenario: MapScenario) -> DockingProblem:
+    """The docking problem of a scenario, with the part of its map that matters.
+
+    Raises:
+        InvalidFile: The map is missing or broken.
+    """
+    costmap = _costmap(scenario.map_name)
+    x, y, degrees = scenario.goal
+    goal = Pose2(x, y, math.radians(degrees))
+    start = goal @ Pose2(scenario.start[0], scenario.start[1], math.radians(scenario.start[2]))
+    ends = np.array([[goal.x, goal.y], [start.x, start.y]])
+    outline = (REAR_CHARGER if scenario.backward else FRONT_CHARGER) if scenario.charger else None
+    dock = Dock(
+        goal,
+        outline,
+        DockDirection.BACKWARD if scenario.backward else DockDirection.FORWARD,
+        final_straight=0.3,
+        approach=SpeedZone(0.1, 0.3),
+    )
+    return DockingProblem(
+        start=start,
+        dock=dock,
+        robot=ROBOT,
+        obstacles=obstacles_from_costmap(costmap, region=(ends.min(axis=0) - _MARGIN, ends.max(axis=0) + _MARGIN)),
+        clearance=ClearanceRule(required=0.05, at_dock=0.0, taper=0.5),
+        costmap=costmap,
+    )
