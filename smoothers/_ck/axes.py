@@ -1,104 +1,137 @@
-"""Choice of the axis that separates a swept footprint from an obstacle best."""
+"""Choice of the axis that separates a swept footprint from an obstacle best.
+
+Arrays hold one pair per column, so that every reduction runs over contiguous memory.
+"""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
 if TYPE_CHECKING:
-    from optdock.geometry.arrays import FloatArray, IntArray
-    from smoothers._ck.planes import Pairs
-    from smoothers._ck.world import World
+    from optdock.geometry.arrays import BoolArray, FloatArray, IntArray
 
-__all__ = ["best_axes", "lowest_points"]
+__all__ = ["Points", "best_axes", "lowest_points", "turned_normals"]
 
 _MAX_LOWEST = 8  # vertices that can carry the lower side of a hull
 
 
-def best_axes(world: World, yaw: FloatArray, left: IntArray, pairs: Pairs, hull: FloatArray) -> FloatArray:
-    """Unit axes, obstacle to robot, with the largest separation among the usual candidates. Shape (p, 2).
+class Points(NamedTuple):
+    """Points or directions, one column per pair: x and y, Shape (k, p) each."""
+
+    x: FloatArray
+    y: FloatArray
+
+    def columns(self, chosen: IntArray | BoolArray) -> Points:
+        """The chosen pairs."""
+        return Points(self.x[:, chosen], self.y[:, chosen])
+
+    def along(self, axis: Points) -> FloatArray:
+        """Heights along one axis per pair, Shape (1, p). Shape (k, p)."""
+        heights: FloatArray = axis.x * self.x + axis.y * self.y
+        return heights
+
+    def across(self, axis: Points) -> FloatArray:
+        """Coordinates along the axis turned left by 90 degrees. Shape (k, p)."""
+        coordinates: FloatArray = axis.x * self.y - axis.y * self.x
+        return coordinates
+
+    def at(self, row: IntArray) -> Points:
+        """One point per pair. Shape (1, p)."""
+        columns = np.arange(row.size)
+        return Points(self.x[row, columns][None], self.y[row, columns][None])
+
+
+def best_axes(hull: Points, outline: Points, normals: Points, inward: Points) -> Points:
+    """Unit axes, obstacle to robot, with the largest separation among the usual candidates. Shape (1, p).
 
     Candidates: obstacle edge normals, body edge normals at both nodes, the direction between the closest vertices, the
     normals of the closest vertex' chord, and then the normal of the hull's edge over the obstacle's support point.
     Without that last one the predicted and the found separation differ to first order.
+
+    Args:
+        hull: Swept vertices, those of the left node first, Shape (2v, p).
+        outline: Obstacle vertices, Shape (k, p).
+        normals: Outward obstacle edge normals, Shape (k, p).
+        inward: Inward body edge normals at both nodes, Shape (2v, p).
     """
-    outline = world.obstacles.vertices[pairs.obstacle]
-    normals = world.obstacles.normals[pairs.obstacle]
     closest, chord = _vertex_axes(hull, outline, normals)
-    body = world.body.normals[pairs.part]
-    axes = np.concatenate((normals, _turned(body, yaw[left]), _turned(body, yaw[left + 1]), closest, chord), axis=1)
-    low = axes[..., 0, None] * hull[:, None, :, 0] + axes[..., 1, None] * hull[:, None, :, 1]
-    top = axes[..., 0, None] * outline[:, None, :, 0] + axes[..., 1, None] * outline[:, None, :, 1]
-    gaps = low.min(axis=2) - top.max(axis=2)
-    rows, best = np.arange(len(gaps)), np.argmax(gaps, axis=1)
-    return _refined(axes[rows, best], gaps[rows, best], hull, outline)
+    axes = Points(
+        np.concatenate((normals.x, inward.x, closest.x, chord.x, -chord.x)),
+        np.concatenate((normals.y, inward.y, closest.y, chord.y, -chord.y)),
+    )
+    gaps = _gaps(axes, hull, outline)
+    best = np.argmax(gaps, axis=0)
+    return _refined(axes.at(best), gaps[best, np.arange(best.size)], hull, outline)
 
 
-def _turned(normals: FloatArray, yaw: FloatArray) -> FloatArray:
-    """Inward body normals in the world. Shape (p, v, 2)."""
-    c, s = np.cos(yaw)[:, None], np.sin(yaw)[:, None]
-    x, y = normals[..., 0], normals[..., 1]
-    return np.stack((s * y - c * x, -s * x - c * y), axis=-1)
+def turned_normals(body: Points, yaw: FloatArray) -> Points:
+    """Inward body normals in the world; `body` holds outward ones. Shape (v, p)."""
+    c, s = np.cos(yaw), np.sin(yaw)
+    return Points(s * body.y - c * body.x, -s * body.x - c * body.y)
 
 
-def _vertex_axes(hull: FloatArray, outline: FloatArray, fallback: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Direction between the closest vertices, (p, 1, 2), and both normals of the closest vertex' chord, (p, 2, 2)."""
-    dx = hull[:, :, None, 0] - outline[:, None, :, 0]
-    dy = hull[:, :, None, 1] - outline[:, None, :, 1]
-    squared = (dx * dx + dy * dy).reshape(len(hull), hull.shape[1] * outline.shape[1])
-    rows, best = np.arange(len(hull)), np.argmin(squared, axis=1)
-    vertex = best // outline.shape[1]
-    direct = np.column_stack((dx.reshape(squared.shape)[rows, best], dy.reshape(squared.shape)[rows, best]))
-    other = (vertex + hull.shape[1] // 2) % hull.shape[1]
-    along = hull[rows, other] - hull[rows, vertex]
-    across = np.column_stack((-along[:, 1], along[:, 0]))
-    direct, across = _unit(direct, fallback[:, 0]), _unit(across, fallback[:, 0])
-    return direct[:, None], np.stack((across, -across), axis=1)
+def _gaps(axes: Points, hull: Points, outline: Points) -> FloatArray:
+    """Separation along every axis. Shape (a, p)."""
+    low = (axes.x * hull.x[:, None] + axes.y * hull.y[:, None]).min(axis=0)
+    top = (axes.x * outline.x[:, None] + axes.y * outline.y[:, None]).max(axis=0)
+    gaps: FloatArray = low - top
+    return gaps
 
 
-def _unit(vectors: FloatArray, fallback: FloatArray) -> FloatArray:
+def _vertex_axes(hull: Points, outline: Points, fallback: Points) -> tuple[Points, Points]:
+    """Direction between the closest vertices, and a normal of the closest vertex' chord. Shape (1, p)."""
+    dx = (hull.x[:, None] - outline.x).reshape(hull.x.shape[0] * outline.x.shape[0], hull.x.shape[1])
+    dy = (hull.y[:, None] - outline.y).reshape(dx.shape)
+    best = np.argmin(dx * dx + dy * dy, axis=0)
+    count = hull.x.shape[0]
+    vertex = best // outline.x.shape[0]
+    here, there = hull.at(vertex), hull.at((vertex + count // 2) % count)
+    safe = Points(fallback.x[:1], fallback.y[:1])
+    return _unit(Points(dx, dy).at(best), safe), _unit(Points(here.y - there.y, there.x - here.x), safe)
+
+
+def _unit(vectors: Points, fallback: Points) -> Points:
     """Vectors scaled to length 1; the fallback where they are too short to point anywhere."""
-    length = np.hypot(vectors[:, 0], vectors[:, 1])
+    length = np.hypot(vectors.x, vectors.y)
     short = length < 1e-9
-    return np.where(short[:, None], fallback, vectors / np.where(short, 1.0, length)[:, None])
+    if not short.any():
+        return Points(vectors.x / length, vectors.y / length)
+    length = np.where(short, 1.0, length)
+    return Points(np.where(short, fallback.x, vectors.x / length), np.where(short, fallback.y, vectors.y / length))
 
 
-def lowest_points(along: FloatArray, height: FloatArray) -> IntArray:
-    """Indices of the vertices that can carry the lower side of every hull, Shape (p, at most 8)."""
-    count = along.shape[1]
-    if count <= _MAX_LOWEST:
-        return np.broadcast_to(np.arange(count), along.shape)
-    rows, lowest = np.arange(len(along)), np.argmin(height, axis=1)
-    tilted = height - 0.35 * np.abs(along - along[rows, lowest][:, None])
-    chosen: IntArray = np.argpartition(tilted, _MAX_LOWEST, axis=1)[:, :_MAX_LOWEST]
+def lowest_points(along: FloatArray, height: FloatArray) -> IntArray | None:
+    """Indices of the vertices that can carry the lower side of every hull, Shape (8, p); None for all."""
+    if along.shape[0] <= _MAX_LOWEST:
+        return None
+    lowest = np.argmin(height, axis=0)
+    tilted = height - 0.35 * np.abs(along - along[lowest, np.arange(lowest.size)])
+    chosen: IntArray = np.argpartition(tilted, _MAX_LOWEST, axis=0)[:_MAX_LOWEST]
     return chosen
 
 
-def _refined(axis: FloatArray, gap: FloatArray, hull: FloatArray, outline: FloatArray) -> FloatArray:
+def _refined(axis: Points, gap: FloatArray, hull: Points, outline: Points) -> Points:
     """The normal of the hull's lower edge over the obstacle's support point, where that separates better."""
-    rows = np.arange(len(hull))
-    tops = axis[:, :1] * outline[..., 0] + axis[:, 1:] * outline[..., 1]
-    support = outline[rows, np.argmax(tops, axis=1)]
-    place = -axis[:, 1] * support[:, 0] + axis[:, 0] * support[:, 1]
-    along = -axis[:, 1:] * hull[..., 0] + axis[:, :1] * hull[..., 1]
-    height = axis[:, :1] * hull[..., 0] + axis[:, 1:] * hull[..., 1]
+    support = outline.at(np.argmax(outline.along(axis), axis=0))
+    place = support.across(axis)
+    along, height = hull.across(axis), hull.along(axis)
     kept = lowest_points(along, height)
-    along, height = along[rows[:, None], kept], height[rows[:, None], kept]
-    run = along[:, None, :] - along[:, :, None]  # from a to b
-    share = (place[:, None] - along)[:, :, None] / np.where(run > 1e-12, run, 1.0)
-    spans = (run > 1e-12) & (share >= 0.0) & (share <= 1.0)
-    rise = height[:, None, :] - height[:, :, None]
-    level = np.where(spans, height[:, :, None] + share * rise, np.inf).reshape(len(hull), along.shape[1] ** 2)
-    best = np.argmin(level, axis=1)
-    found = np.isfinite(level[rows, best])
-    run, rise = run.reshape(level.shape)[rows, best], rise.reshape(level.shape)[rows, best]
+    if kept is not None:
+        along, height = np.take_along_axis(along, kept, axis=0), np.take_along_axis(height, kept, axis=0)
+    run, rise = along - along[:, None], height - height[:, None]  # from first to second index
+    usable = run > 1e-12
+    share = (place - along)[:, None] / np.where(usable, run, 1.0)
+    spans = usable & (share >= 0.0) & (share <= 1.0)
+    level = np.where(spans, height[:, None] + share * rise, np.inf).reshape(len(along) ** 2, gap.size)
+    best = np.argmin(level, axis=0)
+    columns = np.arange(best.size)
+    edge_run, edge_rise = run.reshape(level.shape)[best, columns], rise.reshape(level.shape)[best, columns]
+    found = np.isfinite(level[best, columns])
+    length = np.where(found, np.hypot(edge_run, edge_rise), 1.0)
     # In the frame (tangent, axis) the edge runs along (run, rise): its upward normal is (-rise, run).
-    length = np.hypot(run, rise)
-    safe = np.where(length > 0.0, length, 1.0)
-    tangent = np.column_stack((-axis[:, 1], axis[:, 0]))
-    edge = ((-rise / safe)[:, None] * tangent) + (run / safe)[:, None] * axis
-    low = (edge[:, :1] * hull[..., 0] + edge[:, 1:] * hull[..., 1]).min(axis=1)
-    top = (edge[:, :1] * outline[..., 0] + edge[:, 1:] * outline[..., 1]).max(axis=1)
-    better = found & (low - top > gap)
-    return np.where(better[:, None], edge, axis)
+    a, b = edge_run / length, edge_rise / length
+    edge = Points(a * axis.x + b * axis.y, a * axis.y - b * axis.x)
+    better = found & (_gaps(edge, hull, outline)[0] > gap)
+    return Points(np.where(better, edge.x, axis.x), np.where(better, edge.y, axis.y))

@@ -3,21 +3,23 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from smoothers._ck.rollout import Rollout, Variables, end_sensitivity, roll_out
+from smoothers._ck.rollout import Variables, end_pose, end_sensitivity, roll_out
 
 if TYPE_CHECKING:
     from optdock.geometry.arrays import FloatArray
     from smoothers._ck.layout import Layout
+    from smoothers._ck.rollout import Rollout
 
-__all__ = ["Bounds", "Ends", "clipped", "close_goal"]
+__all__ = ["Bounds", "Ends", "clipped", "close_goal", "least_norm_step"]
 
-_MAX_STEPS = 4
+_MAX_STEPS = 5
 _TOLERANCE = 1e-7
 _CONTRACTION = 0.7
+_RENEW = 1e-3  # error from which the old derivatives do for the remaining steps
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,47 +61,64 @@ def clipped(variables: Variables, bounds: Bounds) -> Variables:
 
 
 def close_goal(
-    layout: Layout, variables: Variables, ends: Ends, bounds: Bounds, start: Rollout | None = None
+    layout: Layout, variables: Variables, ends: Ends, bounds: Bounds, start: Rollout
 ) -> tuple[Variables, Rollout]:
-    """Up to four Newton steps of least norm; a step that does not contract the error is not taken.
+    """Up to five Newton steps of least norm; a step that does not contract the error is not taken.
 
     Args:
         layout: Shape of the path.
         variables: Where to begin.
         ends: Start and target.
-        bounds: Variables stay inside; those at a bound move away from it only.
-        start: The roll-out of `variables`, when known.
+        bounds: Variables stay inside.
+        start: The roll-out of `variables`.
     """
-    rollout = roll_out(layout, variables, ends.start, ends.signs) if start is None else start
-    error = ends.error(rollout)
-    size = float(np.abs(error).max())
-    knots = layout.num_knots
+    error, driven = ends.error(start), start.moves
+    size = _largest(error)
+    if size < _TOLERANCE:
+        return variables, start
+    flat, knots = np.concatenate(variables), layout.num_knots
+    solver: _LeastNorm | None = None
     for _ in range(_MAX_STEPS):
+        if solver is None or size > _RENEW:
+            solver = _LeastNorm.of(end_sensitivity(layout, variables, driven), error, flat, bounds)
+        moved = np.clip(flat - solver.operator @ error, bounds.lower, bounds.upper)
+        trial = Variables(moved[:knots], moved[knots:])
+        pose, moves = end_pose(layout, trial, ends.start, ends.signs)
+        found = pose - ends.target
+        if _largest(found) > _CONTRACTION * size:
+            break
+        flat, variables, driven, error, size = moved, trial, moves, found, _largest(found)
         if size < _TOLERANCE:
             break
-        flat = np.concatenate(variables)
-        step = _least_norm(end_sensitivity(layout, variables, rollout), error, flat, bounds)
-        moved = np.clip(flat + step, bounds.lower, bounds.upper)
-        trial = Variables(moved[:knots], moved[knots:])
-        driven = roll_out(layout, trial, ends.start, ends.signs)
-        found = ends.error(driven)
-        found_size = float(np.abs(found).max())
-        if found_size > _CONTRACTION * size:
-            break
-        variables, rollout, error, size = trial, driven, found, found_size
-    return variables, rollout
+    return variables, roll_out(layout, variables, ends.start, ends.signs)
 
 
-def _least_norm(jacobian: FloatArray, error: FloatArray, flat: FloatArray, bounds: Bounds) -> FloatArray:
-    """Step of least norm with `jacobian step = -error`; variables that would leave their bounds are frozen once."""
-    free = bounds.upper > bounds.lower
-    step = np.zeros(flat.size)
-    for _ in range(2):
-        part = jacobian * free
-        normal = part @ part.T + 1e-12 * np.eye(3)
-        step = part.T @ np.linalg.solve(normal, -error)
-        outside = (flat + step < bounds.lower) | (flat + step > bounds.upper)
-        if not np.any(outside & free):
-            break
-        free = free & ~outside
-    return step
+def _largest(error: FloatArray) -> float:
+    return float(max(abs(error[0]), abs(error[1]), abs(error[2])))
+
+
+class _LeastNorm(NamedTuple):
+    """`operator @ error` is the smallest change of the variables that makes up for an error. Shape (size, 3)."""
+
+    operator: FloatArray
+
+    @classmethod
+    def of(cls, jacobian: FloatArray, error: FloatArray, flat: FloatArray, bounds: Bounds) -> _LeastNorm:
+        """Variables that would leave their bounds on the way are frozen, once."""
+        free = bounds.upper > bounds.lower
+        operator = _pseudo_inverse(jacobian * free)
+        moved = flat - operator @ error
+        outside = free & ((moved < bounds.lower) | (moved > bounds.upper))
+        return cls(_pseudo_inverse(jacobian * (free & ~outside)) if outside.any() else operator)
+
+
+def _pseudo_inverse(jacobian: FloatArray) -> FloatArray:
+    normal = jacobian @ jacobian.T
+    normal[np.arange(3), np.arange(3)] += 1e-12
+    inverse: FloatArray = np.linalg.solve(normal, jacobian).T
+    return inverse
+
+
+def least_norm_step(jacobian: FloatArray, error: FloatArray, flat: FloatArray, bounds: Bounds) -> FloatArray:
+    """The smallest step with `jacobian step = -error` that leaves bounds alone. Shape (size,)."""
+    return -_LeastNorm.of(jacobian, error, flat, bounds).operator @ error

@@ -41,6 +41,8 @@ class Layout:
         position_of: Interval boundary (0 to num_intervals) of each node.
         fraction: Share of its gear's length at which each node lies.
         gauss_rows: Shape (2 num_intervals, num_knots), heading at the two Gauss points of each interval.
+        gauss_shares: Shape (2 num_intervals, num_gears), share of its gear's length that each Gauss point stands for.
+        gauss_members: Shape (2 num_intervals, num_gears), 1 where the Gauss point belongs to the gear.
         node_rows: Shape (num_nodes, num_knots), heading at the nodes.
         node_hats: Shape (num_nodes, num_knots), curvature at the nodes.
         slope_rows: Shape (num_intervals, num_knots), curvature rate times gear length in each interval.
@@ -67,6 +69,8 @@ class Layout:
     position_of: IntArray = field(init=False)
     fraction: FloatArray = field(init=False)
     gauss_rows: FloatArray = field(init=False)
+    gauss_shares: FloatArray = field(init=False)
+    gauss_members: FloatArray = field(init=False)
     node_rows: FloatArray = field(init=False)
     node_hats: FloatArray = field(init=False)
     slope_rows: FloatArray = field(init=False)
@@ -84,6 +88,8 @@ class Layout:
         nodes = [np.arange(n + 1) / n for n in cells]
         middles = [(np.arange(n) + 0.5) / n for n in cells]
         values["gauss_rows"] = _heading_rows(spans, gauss)
+        values["gauss_shares"] = _blocks([np.full((2 * n, 1), 0.5 / n) for n in cells])
+        values["gauss_members"] = _blocks([np.ones((2 * n, 1)) for n in cells])
         values["node_rows"] = _heading_rows(spans, nodes)
         values["node_hats"] = _blocks([_hats(q, u) for q, u in zip(spans, nodes, strict=True)])
         values["span_rows"] = _blocks([q * np.diff(np.eye(q + 1), axis=0) for q in spans])

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from smoothers._ck.axes import best_axes
+from smoothers._ck.axes import Points, best_axes, turned_normals
 
 if TYPE_CHECKING:
     from optdock.geometry.arrays import FloatArray, IntArray
@@ -39,93 +39,35 @@ class Pairs(NamedTuple):
 
 
 class Clearance(NamedTuple):
-    """Near pairs and how far each is above the requirement.
+    """Near pairs and how far each is above the requirement; one column per pair.
 
     Attributes:
         pairs: Which interval, part, obstacle.
-        hull: Shape (p, 2v, 2) [m], swept vertices, those of the left node first.
-        axis: Shape (p, 2), unit, obstacle to robot.
-        heights: Shape (p, 2v) [m], n.v less requirement and sag.
+        hull: Swept vertices, those of the left node first, Shape (2v, p) [m].
+        axis: Unit, obstacle to robot, Shape (1, p).
+        heights: Shape (2v, p) [m], n.v less requirement and sag.
+        outline: Obstacle vertices, Shape (k, p) [m].
         top: Shape (p,) [m], largest n.q of the obstacle.
         margin: Shape (p,) [m], proven lower bound of clearance - required.
         required: At every node.
     """
 
     pairs: Pairs
-    hull: FloatArray
-    axis: FloatArray
+    hull: Points
+    axis: Points
     heights: FloatArray
+    outline: Points
     top: FloatArray
     margin: FloatArray
     required: Requirement
 
 
-def swept_pairs(world: World, layout: Layout, rollout: Rollout, corners: FloatArray, reach: float) -> Pairs:
-    """Pairs within `reach` [m] by their boxes, in the world's frame and in the body's; of each interval the nearest few.
+class _Motion(NamedTuple):
+    """Motion at the two ends of every pair's interval: nodes, Shape (p,)."""
 
-    World boxes alone keep most obstacles around a body that stands askew.
-
-    Args:
-        world: Obstacles and body.
-        layout: Shape of the path.
-        rollout: The driven path.
-        corners: Shape (nodes, parts, v, 2) [m], of the body at the nodes.
-        reach: Pairs further apart are left out [m].
-    """
-    low, high = corners.min(axis=2), corners.max(axis=2)
-    left = layout.left
-    low = np.minimum(low[left], low[left + 1])[:, :, None]  # (intervals, parts, 1, 2)
-    high = np.maximum(high[left], high[left + 1])[:, :, None]
-    gap = np.maximum(low - world.obstacles.upper, world.obstacles.lower - high)
-    near = (gap[..., 0] < reach) & (gap[..., 1] < reach)
-    interval, part, obstacle = np.nonzero(near)
-    pairs = Pairs(interval, part, obstacle)
-    apart = np.maximum(_box_separation(gap[near]), _in_body_frame(world, layout, rollout, pairs))
-    kept = np.flatnonzero(apart < reach)
-    if kept.size > _MANY:
-        kept = _nearest(interval[kept], apart[kept], kept)
-    return Pairs(interval[kept], part[kept], obstacle[kept])
-
-
-def _box_separation(gap: FloatArray) -> FloatArray:
-    """Lower bound of the signed distance from the gaps of boxes along x and y. Shape (p,)."""
-    outside = np.maximum(gap, 0.0)
-    distance: FloatArray = np.where((gap > 0.0).any(axis=1), np.hypot(outside[:, 0], outside[:, 1]), gap.max(axis=1))
-    return distance
-
-
-def _in_body_frame(world: World, layout: Layout, rollout: Rollout, pairs: Pairs) -> FloatArray:
-    """The same in the frame of the body at the left node, its box grown by the motion within the interval."""
-    left = layout.left[pairs.interval]
-    pose = rollout.poses[left]
-    outline = world.obstacles.vertices[pairs.obstacle]
-    x, y = outline[..., 0] - pose[:, :1], outline[..., 1] - pose[:, 1:2]
-    c, s = np.cos(pose[:, 2:]), np.sin(pose[:, 2:])
-    local = np.stack((c * x + s * y, c * y - s * x), axis=-1)
-    turn = np.maximum(np.abs(rollout.curvature[left]), np.abs(rollout.curvature[left + 1]))
-    grown = (rollout.steps[pairs.interval] * (1.0 + world.body.radius * turn))[:, None]
-    body = world.body.vertices
-    low, high = body.min(axis=1)[pairs.part], body.max(axis=1)[pairs.part]
-    return _box_separation(np.maximum(local.min(axis=1) - high, low - local.max(axis=1)) - grown)
-
-
-def _nearest(interval: IntArray, apart: FloatArray, kept: IntArray) -> IntArray:
-    """Of every interval the `_PER_INTERVAL` pairs with the smallest separation."""
-    order = np.lexsort((apart, interval))
-    owner = interval[order]
-    first = np.searchsorted(owner, owner)
-    chosen: IntArray = kept[order[np.arange(owner.size) - first < _PER_INTERVAL]]
-    return chosen
-
-
-def corners_at(world: World, poses: FloatArray) -> FloatArray:
-    """World positions of all body vertices at all poses. Shape (nodes, parts, v, 2) [m]."""
-    body = world.body.vertices
-    c, s = np.cos(poses[:, 2])[:, None, None], np.sin(poses[:, 2])[:, None, None]
-    out = np.empty((len(poses), *body.shape))
-    out[..., 0] = poses[:, 0, None, None] + c * body[..., 0] - s * body[..., 1]
-    out[..., 1] = poses[:, 1, None, None] + s * body[..., 0] + c * body[..., 1]
-    return out
+    left: IntArray
+    right: IntArray
+    interval: IntArray
 
 
 def clearance(world: World, layout: Layout, rollout: Rollout, signs: FloatArray, reach: float) -> Clearance:
@@ -142,14 +84,103 @@ def clearance(world: World, layout: Layout, rollout: Rollout, signs: FloatArray,
     corners = corners_at(world, rollout.poses)
     pairs = swept_pairs(world, layout, rollout, corners, reach)
     left = layout.left[pairs.interval]
-    hull = np.concatenate((corners[left, pairs.part], corners[left + 1, pairs.part]), axis=1)
-    axis = best_axes(world, rollout.poses[:, 2], left, pairs, hull)
-    heights = axis[:, :1] * hull[..., 0] + axis[:, 1:] * hull[..., 1]
-    heights -= _node_requirements(required, left, hull.shape[1] // 2)
-    heights -= _sag(layout, rollout, signs, pairs, hull, axis)
-    outline = world.obstacles.vertices[pairs.obstacle]
-    top = (axis[:, :1] * outline[..., 0] + axis[:, 1:] * outline[..., 1]).max(axis=1)
-    return Clearance(pairs, hull, axis, heights, top, heights.min(axis=1) - top, required)
+    motion = _Motion(left, left + 1, pairs.interval)
+    hull = _swept_hulls(corners, pairs.part, left, layout.num_nodes)
+    outline, normals = world.outline.columns(pairs.obstacle), world.edge_normals.columns(pairs.obstacle)
+    axis = best_axes(hull, outline, normals, _inward_normals(world, rollout, pairs.part, left))
+    heights = hull.along(axis)
+    heights -= _node_requirements(required, left, hull.x.shape[0] // 2)
+    dip = _sag(layout, rollout, signs, motion, hull, axis)
+    heights[: len(dip)] -= dip
+    heights[len(dip) :] -= dip
+    top = outline.along(axis).max(axis=0)
+    return Clearance(pairs, hull, axis, heights, outline, top, heights.min(axis=0) - top, required)
+
+
+def corners_at(world: World, poses: FloatArray) -> Points:
+    """World positions of all body vertices at all poses, one column per part and pose. Shape (v, parts * nodes) [m]."""
+    c, s = np.cos(poses[:, 2]), np.sin(poses[:, 2])
+    body = world.body.vertices
+    x, y = body[..., 0].T[..., None], body[..., 1].T[..., None]  # (v, parts, 1)
+    shape = (body.shape[1], -1)
+    return Points((poses[:, 0] + c * x - s * y).reshape(shape), (poses[:, 1] + s * x + c * y).reshape(shape))
+
+
+def _swept_hulls(corners: Points, part: IntArray, left: IntArray, nodes: int) -> Points:
+    column = part * nodes + left
+    return Points(
+        np.concatenate((corners.x[:, column], corners.x[:, column + 1])),
+        np.concatenate((corners.y[:, column], corners.y[:, column + 1])),
+    )
+
+
+def _inward_normals(world: World, rollout: Rollout, part: IntArray, left: IntArray) -> Points:
+    body = Points(world.body.normals[part, :, 0].T, world.body.normals[part, :, 1].T)
+    first, last = (turned_normals(body, rollout.poses[node, 2]) for node in (left, left + 1))
+    return Points(np.concatenate((first.x, last.x)), np.concatenate((first.y, last.y)))
+
+
+def swept_pairs(world: World, layout: Layout, rollout: Rollout, corners: Points, reach: float) -> Pairs:
+    """Pairs within `reach` [m] by their boxes, in the world's frame and in the body's; of each interval the nearest few.
+
+    World boxes alone keep most obstacles around a body that stands askew.
+
+    Args:
+        world: Obstacles and body.
+        layout: Shape of the path.
+        rollout: The driven path.
+        corners: Of the body at the nodes, as `corners_at` gives them.
+        reach: Pairs further apart are left out [m].
+    """
+    left, shape = layout.left, (-1, layout.num_nodes)
+    gaps = []
+    for values, lower, upper in (
+        (corners.x, world.obstacles.lower[:, 0], world.obstacles.upper[:, 0]),
+        (corners.y, world.obstacles.lower[:, 1], world.obstacles.upper[:, 1]),
+    ):
+        low, high = values.min(axis=0).reshape(shape), values.max(axis=0).reshape(shape)
+        low, high = np.minimum(low[:, left], low[:, left + 1]), np.maximum(high[:, left], high[:, left + 1])
+        gaps.append(np.maximum(low[..., None] - upper, lower - high[..., None]))
+    near = (gaps[0] < reach) & (gaps[1] < reach)  # (parts, intervals, obstacles)
+    part, interval, obstacle = np.nonzero(near)
+    apart = _box_separation(gaps[0][near], gaps[1][near])
+    apart = np.maximum(apart, _in_body_frame(world, layout, rollout, Pairs(interval, part, obstacle)))
+    kept = np.flatnonzero(apart < reach)
+    if kept.size > _MANY:
+        kept = _nearest(interval[kept], apart[kept], kept)
+    return Pairs(interval[kept], part[kept], obstacle[kept])
+
+
+def _box_separation(x: FloatArray, y: FloatArray) -> FloatArray:
+    """Lower bound of the signed distance from the gaps of boxes along x and y. Shape (p,)."""
+    outside = np.hypot(np.maximum(x, 0.0), np.maximum(y, 0.0))
+    distance: FloatArray = np.where(outside > 0.0, outside, np.maximum(x, y))
+    return distance
+
+
+def _in_body_frame(world: World, layout: Layout, rollout: Rollout, pairs: Pairs) -> FloatArray:
+    """The same in the frame of the body at the left node, its box grown by the motion within the interval."""
+    left = layout.left[pairs.interval]
+    pose = rollout.poses[left].T
+    outline = world.outline.columns(pairs.obstacle)
+    x, y = outline.x - pose[0], outline.y - pose[1]
+    c, s = np.cos(pose[2]), np.sin(pose[2])
+    turn = np.maximum(np.abs(rollout.curvature[left]), np.abs(rollout.curvature[left + 1]))
+    grown = rollout.steps[pairs.interval] * (1.0 + world.body.radius * turn)
+    low, high = world.body.lower[pairs.part].T, world.body.upper[pairs.part].T
+    gaps = []
+    for i, local in enumerate((c * x + s * y, c * y - s * x)):
+        gaps.append(np.maximum(local.min(axis=0) - high[i], low[i] - local.max(axis=0)) - grown)
+    return _box_separation(gaps[0], gaps[1])
+
+
+def _nearest(interval: IntArray, apart: FloatArray, kept: IntArray) -> IntArray:
+    """Of every interval the `_PER_INTERVAL` pairs with the smallest separation."""
+    order = np.lexsort((apart, interval))
+    owner = interval[order]
+    first = np.searchsorted(owner, owner)
+    chosen: IntArray = kept[order[np.arange(owner.size) - first < _PER_INTERVAL]]
+    return chosen
 
 
 def _node_requirements(required: Requirement, left: IntArray, count: int) -> FloatArray:
@@ -157,28 +188,26 @@ def _node_requirements(required: Requirement, left: IntArray, count: int) -> Flo
     first, last = required.value[left], required.value[left + 1]
     changes = required.rule[left] != required.rule[left + 1]
     larger = np.maximum(first, last)
-    both = np.stack((np.where(changes, larger, first), np.where(changes, larger, last)), axis=1)
-    return np.repeat(both, count, axis=1)
+    both = np.stack((np.where(changes, larger, first), np.where(changes, larger, last)))
+    return np.repeat(both, count, axis=0)
 
 
 def _sag(
-    layout: Layout, rollout: Rollout, signs: FloatArray, pairs: Pairs, hull: FloatArray, axis: FloatArray
+    layout: Layout, rollout: Rollout, signs: FloatArray, motion: _Motion, hull: Points, axis: Points
 ) -> FloatArray:
-    """How far every vertex may dip below its chord along the axis; the same for its two positions. Shape (p, 2v)."""
-    left, count = layout.left[pairs.interval], hull.shape[1] // 2
-    step, rate = rollout.steps[pairs.interval], rollout.rate[pairs.interval]
-    sign = signs[layout.interval_gear[pairs.interval]]
-    bends = []
-    for node, points in ((left, hull[:, :count]), (left + 1, hull[:, count:])):
-        pose, kappa = rollout.poses[node], rollout.curvature[node]
-        arm = points - pose[:, None, :2]
-        along = axis[:, :1] * arm[..., 0] + axis[:, 1:] * arm[..., 1]
-        across = axis[:, 1:] * arm[..., 0] - axis[:, :1] * arm[..., 1]
-        lateral = sign * kappa * (axis[:, 1] * np.cos(pose[:, 2]) - axis[:, 0] * np.sin(pose[:, 2]))
-        bends.append(lateral[:, None] + rate[:, None] * across - (kappa * kappa)[:, None] * along)
-    kappa = np.maximum(np.abs(rollout.curvature[left]), np.abs(rollout.curvature[left + 1]))[:, None]
-    reach = np.hypot(arm[..., 0], arm[..., 1])
-    third = np.abs(rate)[:, None] * (1.0 + 3.0 * kappa * reach) + kappa**2 * (1.0 + kappa * reach)
-    bend = np.maximum(bends[0], bends[1]) + 0.5 * step[:, None] * third
-    dip = 0.125 * step[:, None] ** 2 * np.maximum(bend, 0.0)
-    return np.concatenate((dip, dip), axis=1)
+    """How far every vertex may dip below its chord along the axis. Shape (v, p)."""
+    count, step, rate = hull.x.shape[0] // 2, rollout.steps[motion.interval], rollout.rate[motion.interval]
+    sign = signs[layout.interval_gear[motion.interval]]
+    bends, reach = [], np.zeros(0)
+    for node, rows in ((motion.left, slice(0, count)), (motion.right, slice(count, None))):
+        pose, kappa = rollout.poses[node].T, rollout.curvature[node]
+        arm = Points(hull.x[rows] - pose[0], hull.y[rows] - pose[1])
+        lateral = sign * kappa * (axis.y * np.cos(pose[2]) - axis.x * np.sin(pose[2]))
+        # n . R90 arm is minus the arm's coordinate across n.
+        bends.append(lateral - rate * arm.across(axis) - kappa * kappa * arm.along(axis))
+        reach = np.hypot(arm.x, arm.y)
+    kappa = np.maximum(np.abs(rollout.curvature[motion.left]), np.abs(rollout.curvature[motion.right]))
+    third = np.abs(rate) * (1.0 + 3.0 * kappa * reach) + kappa**2 * (1.0 + kappa * reach)
+    bend = np.maximum(bends[0], bends[1]) + 0.5 * step * third
+    dip: FloatArray = 0.125 * step**2 * np.maximum(bend, 0.0)
+    return dip

@@ -10,7 +10,7 @@ if TYPE_CHECKING:
     from optdock.geometry.arrays import FloatArray
     from smoothers._ck.layout import Layout
 
-__all__ = ["Rollout", "Sensitivity", "Variables", "end_sensitivity", "roll_out", "sensitivity"]
+__all__ = ["Rollout", "Sensitivity", "Variables", "end_pose", "end_sensitivity", "roll_out", "sensitivity"]
 
 
 class Variables(NamedTuple):
@@ -72,6 +72,23 @@ def roll_out(layout: Layout, variables: Variables, start: FloatArray, signs: Flo
     return Rollout(poses, layout.node_hats @ curvature, rate, steps, moves)
 
 
+def end_pose(
+    layout: Layout, variables: Variables, start: FloatArray, signs: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """The last pose, Shape (3,), and the moves, Shape (2 num_intervals, 2), much cheaper than all poses."""
+    curvature, lengths = variables
+    turned = layout.per_knot(lengths) * curvature
+    yaw = start[2] + layout.gauss_rows @ turned
+    weight = layout.gauss_shares @ (lengths * signs)
+    moves = np.empty((yaw.size, 2))
+    np.multiply(weight, np.cos(yaw), out=moves[:, 0])
+    np.multiply(weight, np.sin(yaw), out=moves[:, 1])
+    pose = np.array(start)
+    pose[:2] += moves.sum(axis=0)
+    pose[2] += layout.node_rows[-1] @ turned
+    return pose, moves
+
+
 def _turn_rows(rows: FloatArray, layout: Layout, variables: Variables) -> FloatArray:
     """Derivatives of headings by the variables, from heading rows. Shape (len(rows), size)."""
     out = np.empty((rows.shape[0], layout.size))
@@ -96,19 +113,23 @@ def sensitivity(layout: Layout, variables: Variables, rollout: Rollout) -> Sensi
     return Sensitivity(columns[0], columns[1], _turn_rows(layout.node_rows, layout, variables))
 
 
-def end_sensitivity(layout: Layout, variables: Variables, rollout: Rollout) -> FloatArray:
-    """Derivatives of the last pose alone, much cheaper. Shape (3, size)."""
-    moves, lengths = rollout.moves, layout.per_knot(variables.lengths)
+def end_sensitivity(layout: Layout, variables: Variables, moves: FloatArray) -> FloatArray:
+    """Derivatives of the last pose alone, much cheaper. Shape (3, size).
+
+    Args:
+        layout: Shape of the path.
+        variables: Where it is.
+        moves: Of the roll-out, Shape (2 num_intervals, 2) [m].
+    """
+    knots, lengths = layout.num_knots, layout.per_knot(variables.lengths)
     masked = layout.members * variables.curvature[:, None]
-    weighted = np.stack((-moves[:, 1], moves[:, 0])) @ layout.gauss_rows  # (2, num_knots)
+    weighted = moves.T @ layout.gauss_rows  # (2, num_knots)
     out = np.empty((3, layout.size))
-    out[:2, : layout.num_knots] = weighted * lengths
-    out[:2, layout.num_knots :] = weighted @ masked
+    np.multiply(-weighted[1], lengths, out=out[0, :knots])
+    np.multiply(weighted[0], lengths, out=out[1, :knots])
+    out[0, knots:], out[1, knots:] = -weighted[1] @ masked, weighted[0] @ masked
     last = layout.node_rows[-1]
-    out[2, : layout.num_knots] = last * lengths
-    out[2, layout.num_knots :] = last @ masked
-    gears = np.repeat(layout.interval_gear, 2)
-    for axis in (0, 1):
-        own = np.bincount(gears, weights=moves[:, axis], minlength=layout.num_gears)
-        out[axis, layout.num_knots :] += own / variables.lengths
+    out[2, :knots] = last * lengths
+    out[2, knots:] = last @ masked
+    out[:2, knots:] += (moves.T @ layout.gauss_members) / variables.lengths
     return out

@@ -17,7 +17,6 @@ if TYPE_CHECKING:
     from smoothers._ck.layout import Layout
     from smoothers._ck.planes import Clearance
     from smoothers._ck.rollout import Rollout, Sensitivity
-    from smoothers._ck.world import World
 
 __all__ = ["Rows", "empty_rows", "joined", "witness_rows"]
 
@@ -34,7 +33,7 @@ class Rows(NamedTuple):
 
 
 class _Witness(NamedTuple):
-    """Hull points: two hull vertices, the share of the second, and the gap there; (p, t) each, and which count."""
+    """Hull points: two hull vertices, the share of the second, the gap there, and which count; Shape (t, p) each."""
 
     first: IntArray
     second: IntArray
@@ -53,43 +52,39 @@ def joined(first: Rows, second: Rows) -> Rows:
     return Rows(*(np.concatenate(pair) for pair in zip(first, second, strict=True)))
 
 
-def witness_rows(
-    world: World, layout: Layout, rollout: Rollout, by: Sensitivity, found: Clearance, chosen: IntArray
-) -> Rows:
+def witness_rows(layout: Layout, rollout: Rollout, by: Sensitivity, found: Clearance, chosen: IntArray) -> Rows:
     """Up to three rows for every chosen pair of `found`."""
-    count = found.hull.shape[1] // 2
-    picked = _witnesses(world, found, chosen)
-    pair, place = np.nonzero(picked.used)
-    left = layout.left[found.pairs.interval[chosen[pair]]]
-    axis, hull = found.axis[chosen[pair]], found.hull[chosen[pair]]
-    first, second, share = picked.first[pair, place], picked.second[pair, place], picked.share[pair, place]
-    gradient = np.zeros((pair.size, layout.size))
-    rows = np.arange(pair.size)
-    for vertex, weight in ((first, 1.0 - share), (second, share)):
-        node = left + (vertex >= count)
-        arm = hull[rows, vertex] - rollout.poses[node, :2]
-        slope = found.required.gradient[node]
-        gradient += (weight * (axis[:, 0] - slope[:, 0]))[:, None] * by.x[node]
-        gradient += (weight * (axis[:, 1] - slope[:, 1]))[:, None] * by.y[node]
-        gradient += (weight * (axis[:, 1] * arm[:, 0] - axis[:, 0] * arm[:, 1]))[:, None] * by.yaw[node]
-    return Rows(gradient, picked.gap[pair, place], left)
+    picked = _witnesses(found, chosen)
+    place, pair = np.nonzero(picked.used)
+    columns = chosen[pair]
+    left = layout.left[found.pairs.interval[columns]]
+    axis_x, axis_y = found.axis.x[0, columns], found.axis.y[0, columns]
+    vertex = np.concatenate((picked.first[place, pair], picked.second[place, pair]))
+    share = picked.share[place, pair]
+    weight, both = np.concatenate((1.0 - share, share)), np.concatenate((columns, columns))
+    node = np.concatenate((left, left)) + (vertex >= found.hull.x.shape[0] // 2)
+    arm_x = found.hull.x[vertex, both] - rollout.poses[node, 0]
+    arm_y = found.hull.y[vertex, both] - rollout.poses[node, 1]
+    axis_x, axis_y = np.concatenate((axis_x, axis_x)), np.concatenate((axis_y, axis_y))
+    slope = found.required.gradient[node]
+    gradient = (weight * (axis_x - slope[:, 0]))[:, None] * by.x[node]
+    gradient += (weight * (axis_y - slope[:, 1]))[:, None] * by.y[node]
+    gradient += (weight * (axis_y * arm_x - axis_x * arm_y))[:, None] * by.yaw[node]
+    half = len(left)
+    return Rows(gradient[:half] + gradient[half:], picked.gap[place, pair], left)
 
 
-def _witnesses(world: World, found: Clearance, chosen: IntArray) -> _Witness:
-    axis, hull, height = found.axis[chosen], found.hull[chosen], found.heights[chosen]
-    outline = world.obstacles.vertices[found.pairs.obstacle[chosen]]
-    along = -axis[:, 1:] * hull[..., 0] + axis[:, :1] * hull[..., 1]
-    tops = axis[:, :1] * outline[..., 0] + axis[:, 1:] * outline[..., 1]
-    beside = -axis[:, 1:] * outline[..., 0] + axis[:, :1] * outline[..., 1]
+def _witnesses(found: Clearance, chosen: IntArray) -> _Witness:
+    axis, hull, outline = (points.columns(chosen) for points in (found.axis, found.hull, found.outline))
+    along, height = hull.across(axis), found.heights[:, chosen]
+    beside, tops = outline.across(axis), outline.along(axis)
     low, high, meets = _shared_support(along, height, beside, tops)
-    rows = np.arange(len(chosen))
-    bottom = along[rows, np.argmin(height, axis=1)]
-    place = np.column_stack((np.clip(bottom, low, high), low, high))
-    place = np.where(meets[:, None], place, bottom[:, None])
-    ceiling = np.where(meets[:, None], _upper_side(beside, tops, place), found.top[chosen][:, None])
+    bottom = along[np.argmin(height, axis=0), np.arange(chosen.size)]
+    place = np.where(meets, np.stack((np.clip(bottom, low, high), low, high)), bottom)
+    ceiling = np.where(meets, _upper_side(beside, tops, place), found.top[chosen])
     first, second, share, level = _lower_side(along, height, place)
-    apart = np.abs(place - place[:, :1]) > _SAME_WITNESS
-    used = np.column_stack((np.ones(len(chosen), dtype=bool), apart[:, 1:]))
+    used = np.abs(place - place[0]) > _SAME_WITNESS
+    used[0] = True
     return _Witness(first, second, share, level - ceiling, used)
 
 
@@ -97,38 +92,39 @@ def _shared_support(
     along: FloatArray, height: FloatArray, beside: FloatArray, tops: FloatArray
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Tangent range over which both sides are nearly flat, and whether it is not empty. Shape (p,) each."""
-    rows = np.arange(len(along))
-    i, j = np.argmin(height, axis=1), np.argmax(tops, axis=1)
-    of_hull = height <= (height[rows, i][:, None] + _SUPPORT_SLOPE * np.abs(along - along[rows, i][:, None]) + 1e-9)
-    of_rock = tops >= (tops[rows, j][:, None] - _SUPPORT_SLOPE * np.abs(beside - beside[rows, j][:, None]) - 1e-9)
-    low = np.maximum(np.where(of_hull, along, np.inf).min(axis=1), np.where(of_rock, beside, np.inf).min(axis=1))
-    high = np.minimum(np.where(of_hull, along, -np.inf).max(axis=1), np.where(of_rock, beside, -np.inf).max(axis=1))
+    columns = np.arange(along.shape[1])
+    i, j = np.argmin(height, axis=0), np.argmax(tops, axis=0)
+    of_hull = height <= height[i, columns] + _SUPPORT_SLOPE * np.abs(along - along[i, columns]) + 1e-9
+    of_rock = tops >= tops[j, columns] - _SUPPORT_SLOPE * np.abs(beside - beside[j, columns]) - 1e-9
+    low = np.maximum(np.where(of_hull, along, np.inf).min(axis=0), np.where(of_rock, beside, np.inf).min(axis=0))
+    high = np.minimum(np.where(of_hull, along, -np.inf).max(axis=0), np.where(of_rock, beside, -np.inf).max(axis=0))
     return low, high, high >= low
 
 
 def _upper_side(beside: FloatArray, tops: FloatArray, place: FloatArray) -> FloatArray:
-    """Height of the obstacle's upper side at tangent coordinates `place`. Shape (p, t)."""
-    level, _ = _chord_levels(beside, tops, place)
-    highest: FloatArray = np.where(np.isnan(level), -np.inf, level).max(axis=2)
-    return np.where(np.isfinite(highest), highest, tops.max(axis=1)[:, None])
+    """Height of the obstacle's upper side at tangent coordinates `place`. Shape (t, p)."""
+    level, _ = _chord_levels(beside, tops, place, -np.inf)
+    highest: FloatArray = level.max(axis=1)
+    return np.where(np.isfinite(highest), highest, tops.max(axis=0))
 
 
 def _lower_side(
     along: FloatArray, height: FloatArray, place: FloatArray
 ) -> tuple[IntArray, IntArray, FloatArray, FloatArray]:
-    """Vertices, share of the second, and height of the hull's lower side at `place`. Shape (p, t) each."""
-    rows = np.arange(len(along))[:, None]
-    kept = lowest_points(along, height)
-    along, height = along[rows, kept], height[rows, kept]
-    level, share = _chord_levels(along, height, place)
-    level = np.where(np.isnan(level), np.inf, level)
-    best = np.argmin(level, axis=2)
-    picked = np.take_along_axis(level, best[..., None], axis=2)[..., 0]
-    part = np.take_along_axis(share, best[..., None], axis=2)[..., 0]
-    first, second = kept[rows, best // kept.shape[1]], kept[rows, best % kept.shape[1]]
-    bottom = kept[rows[:, 0], np.argmin(height, axis=1)][:, None]
+    """Vertices, share of the second, and height of the hull's lower side at `place`. Shape (t, p) each."""
+    kept, columns = lowest_points(along, height), np.arange(along.shape[1])
+    bottom = np.argmin(height, axis=0)
+    floor = height[bottom, columns]
+    if kept is not None:
+        along, height = np.take_along_axis(along, kept, axis=0), np.take_along_axis(height, kept, axis=0)
+    level, share = _chord_levels(along, height, place, np.inf)
+    best = np.argmin(level, axis=1)
+    times = np.arange(len(place))[:, None]
+    picked, part = level[times, best, columns], share[times, best, columns]
+    first, second = best // len(along), best % len(along)
+    if kept is not None:
+        first, second = kept[first, columns], kept[second, columns]
     lost = ~np.isfinite(picked)
-    floor = height.min(axis=1)[:, None]
     return (
         np.where(lost, bottom, first),
         np.where(lost, bottom, second),
@@ -137,17 +133,17 @@ def _lower_side(
     )
 
 
-def _chord_levels(along: FloatArray, height: FloatArray, place: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Height at `place` of the chord between every two points, NaN where it does not span; and the share of the second.
+def _chord_levels(
+    along: FloatArray, height: FloatArray, place: FloatArray, missing: float
+) -> tuple[FloatArray, FloatArray]:
+    """Height at `place` of the chord between every two points, `missing` where it does not span, and the second's share.
 
-    Shape (p, t, k * k) each.
+    Shape (t, k * k, p) each.
     """
-    run = along[:, None, :] - along[:, :, None]
-    rise = height[:, None, :] - height[:, :, None]
+    run, rise = along - along[:, None], height - height[:, None]  # from first to second index
     usable = run > 1e-12
-    inverse = 1.0 / np.where(usable, run, 1.0)
-    share = (place[:, :, None, None] - along[:, None, :, None]) * inverse[:, None]
-    spans = usable[:, None] & (share >= -1e-9) & (share <= 1.0 + 1e-9)
-    level = np.where(spans, height[:, None, :, None] + share * rise[:, None], np.nan)
-    flat = (len(along), place.shape[1], -1)
+    share = (place[:, None, None] - along[:, None]) * (1.0 / np.where(usable, run, 1.0))
+    spans = usable & (share >= -1e-9) & (share <= 1.0 + 1e-9)
+    level = np.where(spans, height[:, None] + share * rise, missing)
+    flat = (len(place), len(along) ** 2, along.shape[1])
     return level.reshape(flat), np.clip(share, 0.0, 1.0).reshape(flat)

@@ -28,12 +28,12 @@ if TYPE_CHECKING:
 
 __all__ = ["Iterate", "Progress", "evaluate", "search"]
 
-_REACH = 0.35  # [m] beyond the required clearance, first iteration
+_REACH = 0.25  # [m] beyond the required clearance, first iteration
 _GOAL_TOLERANCE = 1e-5
 _CLEARANCE_TOLERANCE = 1e-6
 _RATE_PENALTY = 30.0
 _SMALL_STEP = 3e-4
-_SMALL_SHARE = 3e-4  # of the cost: a predicted gain not worth a step
+_SMALL_SHARE = 1e-3  # of the cost: a predicted gain not worth a step
 _MAX_REJECTIONS = 7
 _PATIENCE = 5  # iterations within which an infeasible iterate must lose
 _SHRINKING = 0.93  # of its shortfall

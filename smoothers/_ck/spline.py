@@ -9,7 +9,7 @@ import numpy as np
 from optdock.geometry.clothoid import ClothoidSpline
 from optdock.geometry.pose import Pose2
 from optdock.path import ClothoidSegment, Path
-from smoothers._ck.closing import _least_norm
+from smoothers._ck.closing import least_norm_step
 from smoothers._ck.rollout import Variables, end_sensitivity, roll_out
 
 if TYPE_CHECKING:
@@ -33,7 +33,7 @@ def exact_path(task: Task, variables: Variables, final_straight: float) -> tuple
             break
         rollout = roll_out(layout, variables, task.ends.start, task.ends.signs)
         flat = np.concatenate(variables)
-        step = _least_norm(end_sensitivity(layout, variables, rollout), error, flat, task.bounds)
+        step = least_norm_step(end_sensitivity(layout, variables, rollout.moves), error, flat, task.bounds)
         moved = np.clip(flat + step, task.bounds.lower, task.bounds.upper)
         variables = Variables(moved[:knots], moved[knots:])
         splines = _chained(layout, variables, task.ends.start, task.ends.signs)

@@ -89,7 +89,7 @@ class StepProblem:
         """Linearize at a driven path."""
         share = float(variables.lengths.sum()) / task.layout.num_intervals
         prox = share * (by.x.T @ by.x + by.y.T @ by.y + 0.3 * (by.yaw.T @ by.yaw))
-        end = end_sensitivity(task.layout, variables, rollout), task.ends.error(rollout)
+        end = end_sensitivity(task.layout, variables, rollout.moves), task.ends.error(rollout)
         nodes = np.linspace(1, task.layout.num_nodes - 1, _TRUST_NODES).astype(np.int64)
         rows = _clearance_rows(task, rollout, found, by)
         return cls(variables, quadratic, prox, end, by.yaw[nodes], rows)
@@ -109,7 +109,7 @@ def _clearance_rows(task: Task, rollout: Rollout, found: Clearance, by: Sensitiv
     limit = _BUCKETS[-1] // 3
     if planes.size > limit:
         planes = planes[np.argpartition(found.margin[planes], limit)[:limit]]
-    rows = witness_rows(world, layout, rollout, by, found, planes)
+    rows = witness_rows(layout, rollout, by, found, planes)
     if deep.any():
         rows = joined(rows, disc_rows(world, layout, rollout, by, found, np.flatnonzero(deep)))
     fixed = rows.node <= 0

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
 from optdock.problem import START_RELIEF_SLOPE
+from smoothers._ck.axes import Points
 
 if TYPE_CHECKING:
     from optdock.geometry.arrays import FloatArray, IntArray
@@ -21,16 +22,18 @@ _CROP = 1.0  # [m]: how far beyond the input path obstacles are looked at
 
 
 class Body(NamedTuple):
-    """The footprint's convex parts padded to one vertex count: vertices and normals (parts, v, 2), radius [m]."""
+    """The footprint's convex parts padded to one vertex count: vertices and normals (parts, v, 2); boxes (parts, 2)."""
 
     vertices: FloatArray
     normals: FloatArray
+    lower: FloatArray
+    upper: FloatArray
     radius: float
     width: float
 
 
 class Requirement(NamedTuple):
-    """Required clearance (n,) [m], its gradient by position (n, 2), and which rule decides (n,): 0 dock, 1 full, 2 start."""
+    """Required clearance (n,) [m], its gradient by position (n, 2), and the rule (n,): 0 dock, 1 full, 2 start."""
 
     value: FloatArray
     gradient: FloatArray
@@ -48,6 +51,10 @@ class World:
         start: Start position, Shape (2,) [m].
         goal: Goal position, Shape (2,) [m].
         start_clearance: Clearance of the start pose [m].
+
+    Attributes:
+        outline: Obstacle vertices, one column per obstacle, Shape (k, m) [m].
+        edge_normals: Their outward edge normals.
     """
 
     obstacles: ObstacleSet
@@ -56,6 +63,13 @@ class World:
     start: FloatArray
     goal: FloatArray
     start_clearance: float
+    outline: Points = field(init=False, repr=False)
+    edge_normals: Points = field(init=False, repr=False)
+
+    def __post_init__(self) -> None:
+        for name, values in (("outline", self.obstacles.vertices), ("edge_normals", self.obstacles.normals)):
+            x, y = (np.ascontiguousarray(values[..., i].T) for i in (0, 1))
+            object.__setattr__(self, name, Points(x, y))
 
     def required(self, positions: FloatArray) -> Requirement:
         """What is required at robot positions, Shape (n, 2) [m]."""
@@ -82,7 +96,9 @@ def body_of(footprint: Footprint) -> Body:
     vertices = np.stack([_padded(part.vertices, width) for part in footprint.bodies])
     normals = np.stack([_padded(part.normals, width) for part in footprint.bodies])
     thickness = 2.0 * max(footprint.inscribed_radius, 0.25 * min(footprint.width, footprint.length))
-    return Body(vertices, normals, footprint.circumscribed_radius, thickness)
+    return Body(
+        vertices, normals, vertices.min(axis=1), vertices.max(axis=1), footprint.circumscribed_radius, thickness
+    )
 
 
 def _padded(rows: FloatArray, count: int) -> FloatArray:
