@@ -147,7 +147,7 @@ class Plugin(ABC):
         Raises:
             InvalidValue: A name is unknown or the changed set breaks a rule; nothing has changed then.
         """
-        merged = {**self.parameters.model_dump(), **changes}
+        merged = {**self.parameters.model_dump(by_alias=True), **changes}
         checked = parse_parameters(self.Parameters, merged, self.context.name)
         self.check_change(checked)
         self.parameters = checked

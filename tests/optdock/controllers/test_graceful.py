@@ -1,0 +1,181 @@
+"""The graceful law against Nav2's unit-test numbers and published simulation, and the follower around it."""
+
+import math
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from checkers.simple import SimpleGoalChecker
+from optdock.controllers.graceful import GracefulController
+from optdock.controllers.graceful_law import GracefulLaw, egocentric
+from optdock.dock import Dock
+from optdock.errors import ControllerInvalidPath, InvalidValue, NoValidControl
+from optdock.geometry.footprint import Footprint
+from optdock.geometry.pose import Pose2, Twist2
+from optdock.interfaces import Controller, PluginContext
+from optdock.limits import MotionLimits
+from optdock.obstacles import ObstacleSet
+from optdock.path import Direction, Path
+from optdock.plugins import create_plugin
+from optdock.problem import DockingProblem
+from optdock.robot import Robot
+from optdock.simulation import run_closed_loop
+from optdock.testing.drives import s_curve_drive, straight_drive
+
+ORIGIN = Pose2(0.0, 0.0, 0.0)
+NAV2_TEST = GracefulLaw(1.0, 10.0, 0.2, 2.0, 0.1, 2.5, 0.0, 1.0, 1.0)
+DOCKING = GracefulLaw(3.0, 2.0, 0.4, 2.0, 0.25, 2.5, 0.1, 0.25, 0.75)
+ROBOT = Robot(Footprint.rectangle(0.4, 0.3, 0.5), MotionLimits(max_speed=1.0))
+poses = st.builds(Pose2, st.floats(-3.0, 3.0), st.floats(-3.0, 3.0), st.floats(-3.0, 3.0))
+
+
+@pytest.mark.parametrize(
+    ("target", "curvature", "linear", "angular"),
+    [((0.0, 5.0, 0.0), 5.407042, 0.1460446, 0.7896695), ((4.5, -2.17, -0.785), -0.416228, 0.966512, -0.4022844)],
+)
+def test_the_law_gives_nav2s_numbers(target, curvature, linear, angular):
+    target = Pose2(*target)
+    assert NAV2_TEST.curvature(egocentric(target, ORIGIN)) == pytest.approx(curvature, abs=1e-5)
+    command = NAV2_TEST.command(target, ORIGIN)
+    assert (command.linear, command.angular) == pytest.approx((linear, angular), abs=1e-5)
+
+
+@pytest.mark.parametrize(
+    ("target", "robot", "gear", "expected"),
+    [
+        ((3.0, 4.0, 0.8), (1.0, 1.0, -0.2), 1, (3.60555, -0.182794, -1.182794)),
+        ((3.0, 3.0, math.pi), (0.0, 0.0, 0.0), 1, (4.24264, 2.35619, -0.785398)),
+        ((-3.0, -4.0, 0.8), (1.0, 1.0, -0.2), -1, (6.40312, -0.0960555, -1.0960555)),
+    ],
+)
+def test_egocentric_coordinates_are_nav2s(target, robot, gear, expected):
+    found = egocentric(Pose2(*target), Pose2(*robot), Direction(gear))
+    assert tuple(found) == pytest.approx(expected, abs=1e-5)
+
+
+@pytest.mark.parametrize(
+    ("lateral", "staging", "final_mm", "final_deg", "peak"),
+    [
+        (0.05, 0.7, 4.5, 2.4, 0.7),
+        (0.10, 0.7, 9.0, 4.8, 1.3),
+        (0.20, 0.7, 17.0, 9.3, 2.2),
+        (0.30, 0.7, 23.0, 13.1, 2.9),
+        (0.20, 1.2, 5.3, 3.0, 1.1),
+    ],
+)
+def test_a_simulated_docking_leaves_the_errors_published_for_the_law(lateral, staging, final_mm, final_deg, peak):
+    pose, target, curvatures = Pose2(-staging, lateral, 0.0), Pose2(0.25, 0.0, 0.0), []
+    while pose.distance_to(ORIGIN) > 0.05:
+        curvatures.append(abs(DOCKING.curvature(egocentric(target, pose))))
+        pose = pose.moved(DOCKING.command(target, pose), 0.02)
+    assert 1e3 * pose.y == pytest.approx(final_mm, abs=0.6)
+    assert math.degrees(-pose.yaw) == pytest.approx(final_deg, abs=0.2)
+    assert max(curvatures) == pytest.approx(peak, abs=0.06)
+
+
+@given(poses, poses)
+def test_mirrored_targets_give_mirrored_commands(target, robot):
+    flip = [Pose2(p.x, -p.y, -p.yaw) for p in (target, robot)]
+    there, back = DOCKING.command(target, robot), DOCKING.command(*flip)
+    if abs(abs(egocentric(target, robot).phi) - math.pi) > 1e-6:
+        assert (back.linear, back.angular) == pytest.approx((there.linear, -there.angular), rel=1e-6, abs=1e-9)
+
+
+@given(poses, poses)
+def test_reverse_is_forward_with_front_and_rear_exchanged(target, robot):
+    flip = [Pose2(p.x, p.y, p.yaw + math.pi) for p in (target, robot)]
+    there, back = DOCKING.command(*flip), DOCKING.command(target, robot, Direction.REVERSE)
+    if min(abs(abs(angle) - math.pi) for angle in egocentric(target, robot)[1:]) > 1e-6:
+        assert (back.linear, back.angular) == pytest.approx((-there.linear, there.angular), rel=1e-6, abs=1e-9)
+
+
+def test_at_the_target_the_curvature_is_zero():
+    assert DOCKING.curvature(egocentric(ORIGIN, ORIGIN)) == 0.0
+
+
+def follow(drive, start=None, **parameters):
+    controller = GracefulController(**parameters)
+    checker = SimpleGoalChecker(xy_goal_tolerance=0.05, yaw_goal_tolerance=0.05)
+    return run_closed_loop(drive, ROBOT, drive.path.end, controller, checker)
+
+
+def test_it_follows_a_path_to_the_goal_checkers_tolerance():
+    found = follow(s_curve_drive(ORIGIN))
+    assert found.docked, found.reason
+    assert math.hypot(found.final_error.x, found.final_error.y) <= 0.05
+
+
+def test_a_reverse_gear_needs_allow_backward():
+    drive = s_curve_drive(ORIGIN, Direction.REVERSE)
+    with pytest.raises(ControllerInvalidPath, match="set allow_backward"):
+        follow(drive)
+    found = follow(drive, allow_backward=True, initial_rotation=False)
+    assert found.docked, found.reason
+    assert found.commands[:, 0].min() < -0.1
+
+
+def ready(obstacles=None, **parameters):
+    drive = straight_drive(ORIGIN)
+    controller = GracefulController(**parameters)
+    if obstacles is not None:
+        controller.configure(PluginContext(problem=DockingProblem(ORIGIN, Dock(drive.path.end), ROBOT, obstacles)))
+    controller.set_path(drive)
+    return controller
+
+
+def test_it_turns_towards_the_path_first():
+    controller = ready()
+    command = controller.compute_velocity_commands(Pose2(0.0, 0.0, -1.5), Twist2(), None)
+    assert command == Twist2(0.0, 0.75)
+    assert controller.compute_velocity_commands(Pose2(0.0, 0.0, -0.7), Twist2(), None).linear > 0.0
+
+
+def test_at_the_goal_it_only_turns_to_the_final_heading():
+    controller = ready()
+    command = controller.compute_velocity_commands(Pose2(1.9, 0.0, 0.2), Twist2(), None)
+    assert command == Twist2(0.0, -0.25)
+
+
+def test_a_blocked_path_leaves_no_valid_control():
+    wall = ObstacleSet.from_polygons([[[0.6, -1.0], [0.7, -1.0], [0.7, 1.0], [0.6, 1.0]]])
+    with pytest.raises(NoValidControl, match="collision"):
+        ready(wall, min_lookahead=0.25).compute_velocity_commands(Pose2(0.15, 0.0, 0.0), Twist2(), None)
+    blind = ready(wall, use_collision_detection=False)
+    assert blind.compute_velocity_commands(Pose2(0.15, 0.0, 0.0), Twist2(), None).linear > 0.0
+    assert ready(ObstacleSet.empty()).compute_velocity_commands(ORIGIN, Twist2(), None).linear > 0.0
+
+
+def test_a_speed_limit_scales_both_speeds_down_to_v_linear_min():
+    controller = ready()
+    controller.set_speed_limit(50.0, percentage=True)
+    assert (controller.law.v_linear_max, controller.law.v_angular_max) == (0.25, 0.5)
+    controller.set_speed_limit(0.05, percentage=False)
+    assert (controller.law.v_linear_max, controller.law.v_angular_max) == (0.1, 0.1)
+    controller.set_speed_limit(0.0, percentage=False)
+    assert (controller.law.v_linear_max, controller.law.v_angular_max) == (0.5, 1.0)
+
+
+def test_parameters_carry_nav2s_names_and_rules():
+    assert GracefulController(**{"lambda": 3.0}).law.lambda_ == 3.0
+    controller = GracefulController()
+    controller.set_parameters(beta=0.7)
+    assert controller.law.beta == 0.7
+    controller.set_parameters(**{"lambda": 1.5})
+    assert controller.law.lambda_ == 1.5
+    with pytest.raises(InvalidValue, match="min_lookahead"):
+        controller.set_parameters(max_lookahead=0.1)
+    with pytest.raises(InvalidValue, match="min_lookahead: must be <= max_lookahead = 1.0 m, got 2.0"):
+        GracefulController(min_lookahead=2.0)
+    with pytest.raises(InvalidValue, match="needs initial_rotation: false"):
+        GracefulController(allow_backward=True)
+
+
+def test_without_a_path_it_says_so():
+    controller = create_plugin(Controller, "nav2_graceful_controller::GracefulController")
+    with pytest.raises(ControllerInvalidPath, match="set_path first"):
+        controller.compute_velocity_commands(ORIGIN, Twist2(), None)
+    controller.set_path(Path.from_poses([ORIGIN, Pose2(1.0, 0.0, 0.0)]))
+    controller.reset()
+    with pytest.raises(ControllerInvalidPath):
+        controller.compute_velocity_commands(ORIGIN, Twist2(), None)
