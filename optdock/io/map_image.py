@@ -124,10 +124,10 @@ def _read_by_pillow(path: Path, stream: BinaryIO) -> GreyImage:
 
     try:
         with warnings.catch_warnings():
-            warnings.simplefilter("ignore", Image.DecompressionBombWarning)  # `_check_size` is the limit
+            warnings.simplefilter("ignore")  # `_check_size` is the limit; damage is an error or does not matter
             image = Image.open(stream)
-        _check_size(path, image.width, image.height)
-        return _grey_of(path, image)
+            _check_size(path, image.width, image.height)
+            return _grey_of(path, image)
     except UnidentifiedImageError as error:
         raise InvalidFile(f"{path}: is not an image that can be read (PGM, PNG, BMP, ...)") from error
     except Image.DecompressionBombError as error:

@@ -18,6 +18,8 @@ __all__ = ["Document", "Keys", "load_yaml"]
 
 Keys: TypeAlias = "tuple[str | int, ...]"
 
+# What PyYAML's constructors let through on the date 2026-13-45, the number 0x_, an empty !!int or a wrong !!timestamp.
+_SCALAR_ERRORS = (ValueError, OverflowError, IndexError, AttributeError)
 _MAX_DEPTH = 100
 _MAX_REPEATS = 100_000  # aliases can make a small file expand without end
 
@@ -87,8 +89,6 @@ def load_yaml(path: str | Path) -> Document:
         raise InvalidFile(_yaml_fault(path, error)) from error
     except RecursionError as error:
         raise InvalidFile(f"{path}: is nested too deeply") from error
-    except ValueError as error:  # a key such as 0x_
-        raise InvalidFile(f"{path}: holds a key that cannot be read: {error}") from error
     finally:
         loader.dispose()
 
@@ -153,11 +153,14 @@ class _Survey:
     def _check_scalar(self, node: yaml.Node) -> None:
         try:
             self.loader.construct_object(node)
-        except (ValueError, OverflowError) as error:  # such as the date 2026-13-45
+        except _SCALAR_ERRORS as error:
             self.faults.append(f"{self._place(node)}: {node.value!r} cannot be read: {error}")
 
     def _key_of(self, node: yaml.Node) -> str | int:
-        key = self.loader.construct_object(node) if isinstance(node, yaml.ScalarNode) else None
+        try:
+            key = self.loader.construct_object(node) if isinstance(node, yaml.ScalarNode) else None
+        except _SCALAR_ERRORS as error:
+            raise InvalidFile(f"{self._place(node)}: key {node.value!r} cannot be read: {error}") from error
         if isinstance(key, (str, int)) and not isinstance(key, bool):
             return key
         text = repr(node.value) if isinstance(node, yaml.ScalarNode) else "a collection"
