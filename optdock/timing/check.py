@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -11,30 +12,39 @@ if TYPE_CHECKING:
     from optdock.timing.course import Course
     from optdock.timing.motion import Motion
 
-__all__ = ["PERIOD", "Worst", "limiting_name", "motion_ratios", "worst_ratio"]
+__all__ = ["PERIOD", "Worst", "motion_ratios", "worst_ratio"]
 
 PERIOD = 0.008  # [s]
 
 
 class Worst(NamedTuple):
-    """The largest quotient of a quantity and its limit, and the distance where it occurs [m]."""
+    """The largest quotient of a quantity and its limit, and where it occurs [m]; and in terms of time:
+
+    Args:
+        ratio: Largest quotient.
+        s: Where.
+        path: Factor on time that keeps speeds and yaw acceleration, whose limits depend on the path.
+        drive: Factor on time that keeps acceleration and jerk.
+    """
 
     ratio: float
     s: float
+    path: float
+    drive: float
+
+    @property
+    def stretch(self) -> float:
+        """Factor on time that keeps every limit: speeds fall with its first power, accelerations with its second."""
+        return max(self.path, self.drive)
 
 
 class Ratios(NamedTuple):
-    """Quotients of quantities and limits at distances `s`, Shape (n,) each; squared quantities as their root."""
+    """Quotients of quantities and limits at distances `s`, Shape (n,) each; lateral acceleration as its root."""
 
     s: FloatArray
     speed: FloatArray
     yaw: FloatArray
     drive: FloatArray
-
-    @property
-    def largest(self) -> FloatArray:
-        """Shape (n,)."""
-        return np.maximum(np.maximum(self.speed, self.yaw), self.drive)
 
 
 def motion_ratios(course: Course, motion: Motion, period: float = PERIOD) -> Ratios:
@@ -80,21 +90,12 @@ def _drive_ratio(course: Course, a: FloatArray) -> FloatArray:
 def worst_ratio(course: Course, motion: Motion, period: float = PERIOD) -> Worst:
     """The worst of all limits along a motion, jerk included."""
     ratios = motion_ratios(course, motion, period)
-    largest = ratios.largest
+    largest = np.maximum(np.maximum(ratios.speed, ratios.yaw), ratios.drive)
     worst = int(np.argmax(largest))
-    jerk = float(np.max(np.abs(motion.jerks), initial=0.0)) / course.limits.max_jerk
+    steepest = int(np.argmax(np.abs(motion.jerks)))
+    jerk = abs(float(motion.jerks[steepest])) / course.limits.max_jerk
+    path = max(float(ratios.speed.max()), math.sqrt(float(ratios.yaw.max())))
+    drive = max(math.sqrt(max(0.0, float(ratios.drive.max()))), jerk ** (1.0 / 3.0))
     if jerk > largest[worst] * (1.0 + 1e-9):
-        return Worst(jerk, float(motion.states[0, int(np.argmax(np.abs(motion.jerks)))]))
-    return Worst(float(largest[worst]), float(ratios.s[worst]))
-
-
-def limiting_name(course: Course, motion: Motion) -> str:
-    """Which limit comes closest to being broken: speed caps, yaw acceleration, acceleration or jerk."""
-    ratios = motion_ratios(course, motion)
-    peaks = {
-        "speed": float(ratios.speed.max()),
-        "yaw acceleration": float(ratios.yaw.max()),
-        "acceleration": float(ratios.drive.max()),
-        "jerk": float(np.max(np.abs(motion.jerks), initial=0.0)) / course.limits.max_jerk,
-    }
-    return max(peaks, key=lambda name: peaks[name])
+        return Worst(jerk, float(motion.states[0, steepest]), path, drive)
+    return Worst(float(largest[worst]), float(ratios.s[worst]), path, drive)

@@ -11,7 +11,7 @@ if TYPE_CHECKING:
 
     from optdock.geometry.arrays import FloatArray
 
-__all__ = ["Motion", "Phases", "State", "braking_slack", "state_after"]
+__all__ = ["Motion", "Phases", "State", "braking_slack", "state_after", "stretched"]
 
 Phases: TypeAlias = "tuple[tuple[float, float], ...]"
 """Duration [s] and jerk [m/s^3] of every phase, in order."""
@@ -33,6 +33,11 @@ def state_after(state: State, duration: float, jerk: float) -> State:
         v + duration * (a + duration * jerk / 2.0),
         a + duration * jerk,
     )
+
+
+def stretched(phases: Phases, factor: float) -> Phases:
+    """The same motion from rest, slower in time by `factor`: every limit that held still holds."""
+    return tuple((duration * factor, jerk / factor**3) for duration, jerk in phases)
 
 
 def braking_slack(state: State, jerk: float) -> float:
@@ -66,6 +71,16 @@ class Motion(NamedTuple):
         gain = durations * (v[:-1] + durations * (a[:-1] / 2.0 + jerks * durations / 6.0))
         s = start.s + np.concatenate(([0.0], np.cumsum(gain)))
         return cls(durations, jerks, times, np.stack((s, v, a)))
+
+    @property
+    def start(self) -> State:
+        """The state at the start."""
+        return State(*(float(value) for value in self.states[:, 0]))
+
+    @property
+    def phases(self) -> Phases:
+        """Durations and jerks."""
+        return tuple(zip(self.durations.tolist(), self.jerks.tolist(), strict=True))
 
     @property
     def duration(self) -> float:

@@ -21,9 +21,10 @@ if TYPE_CHECKING:
     from optdock.geometry.arrays import FloatArray
     from optdock.timing.course import Course
 
-__all__ = ["GearPlan", "GearPlanner", "checked_plan", "plan_from", "stop_box"]
+__all__ = ["GearPlan", "GearPlanner", "checked_plan", "judged_plan", "plan_from", "relief_length", "stop_box"]
 
 _KEPT = 1.0 + 1e-9
+_TIGHT_YAW = 0.95  # of the yaw acceleration: a start beyond it is planned without margins until it is below
 _REACHED = 1e-9  # [m, m/s, m/s^2]
 _CLOSE = 1e-9  # [m]: nothing is left to plan
 
@@ -56,15 +57,19 @@ if TYPE_CHECKING:
 def checked_plan(course: Course, start: State, phases: Phases, how: str) -> GearPlan:
     """A motion over one gear as a plan: OK only if the dense check finds every limit kept and the end reached."""
     motion = Motion.of(start, phases)
-    worst = worst_ratio(course, motion) if phases else Worst(0.0, 0.0)
+    return judged_plan(course, motion, worst_ratio(course, motion) if phases else Worst(0.0, 0.0, 0.0, 0.0), how)
+
+
+def judged_plan(course: Course, motion: Motion, worst: Worst, how: str) -> GearPlan:
+    """As `checked_plan`, with what the dense check found."""
     missing = max(abs(motion.end.s - course.length), abs(motion.end.v), abs(motion.end.a))
     if missing > _REACHED:
         reason = f"ends at {motion.end}, not at rest at s = {course.length:.6g} m"
-        return GearPlan(TimingStatus.FAIL, phases, worst.ratio, 0.0, how, reason)
+        return GearPlan(TimingStatus.FAIL, motion.phases, worst.ratio, 0.0, how, reason)
     if worst.ratio > _KEPT:
         reason = f"{worst.ratio:.6g} times a limit at s = {worst.s:.4f} m"
-        return GearPlan(TimingStatus.FAIL, phases, worst.ratio, 0.0, how, reason)
-    return GearPlan(TimingStatus.OK, phases, worst.ratio, 0.0, how)
+        return GearPlan(TimingStatus.FAIL, motion.phases, worst.ratio, 0.0, how, reason)
+    return GearPlan(TimingStatus.OK, motion.phases, worst.ratio, 0.0, how)
 
 
 def stop_box(course: Course) -> Box:
@@ -91,9 +96,7 @@ def plan_from(course: Course, start: State, plan: GearPlanner) -> GearPlan:
     overshoot = brake.end.s - course.length
     if overshoot > 1e-9:
         reason = f"full braking needs {brake.end.s:.6g} m, {course.length:.6g} m are left"
-        return GearPlan(
-            TimingStatus.CANNOT_STOP, _phases(brake), worst_ratio(course, brake).ratio, overshoot, "", reason
-        )
+        return GearPlan(TimingStatus.CANNOT_STOP, brake.phases, worst_ratio(course, brake).ratio, overshoot, "", reason)
     ratios = _necessary_ratios(course, brake)
     if ratios.max(initial=0.0) > _KEPT:
         return _least_violation(course, brake, ratios, plan)
@@ -125,6 +128,19 @@ def _brake_times(course: Course, brake: Motion) -> FloatArray:
     return np.union1d(grid, brake.crossing_times(nodes)) if nodes.size else grid
 
 
+def relief_length(course: Course, start: State, slack: float) -> float:
+    """How far from a moving start full braking comes within `slack`, relative, of the limits [m]."""
+    brake = Motion.of(start, full_stop(start, stop_box(course)))
+    times = _brake_times(course, brake)
+    s, v, a = brake.at(times)
+    points = course.points_at(np.clip(s, 0.0, course.length))
+    tight = np.flatnonzero(_necessary_ratios(course, brake) > 1.0 - slack)
+    yaw = np.abs(a * points.curvature + v * v * points.rate) > _TIGHT_YAW * course.limits.max_yaw_acceleration
+    turning = int(np.argmin(yaw)) if yaw[0] and not yaw.all() else 0
+    last = max(int(tight[-1]) if tight.size else 0, turning)
+    return float(s[min(last + 1, s.size - 1)]) if last or tight.size else 0.0
+
+
 def _least_violation(course: Course, brake: Motion, ratios: FloatArray, plan: GearPlanner) -> GearPlan:
     """Full braking until past the last broken limit, then a plan; the whole braking where that plan fails."""
     times = _brake_times(course, brake)
@@ -136,8 +152,8 @@ def _least_violation(course: Course, brake: Motion, ratios: FloatArray, plan: Ge
     after = times[min(int(np.flatnonzero(ratios > _KEPT)[-1]) + 1, times.size - 1)]
     head, state = _cut(brake, float(after))
     rest = _resumed(course, state, plan)
-    phases = head + rest if rest else _phases(brake) + _resumed(course, State(brake.end.s), plan)
-    worst = max(ratio, worst_ratio(course, Motion.of(brake_start(brake), phases)).ratio)
+    phases = head + rest if rest else brake.phases + _resumed(course, State(brake.end.s), plan)
+    worst = max(ratio, worst_ratio(course, Motion.of(brake.start, phases)).ratio)
     return GearPlan(TimingStatus.START_INFEASIBLE, phases, worst, 0.0, "brake", reason)
 
 
@@ -150,8 +166,8 @@ def _resumed(course: Course, state: State, plan: GearPlanner) -> Phases:
 
 def _stop_and_go(course: Course, brake: Motion, plan: GearPlanner) -> GearPlan:
     """Braking to rest, then a plan from rest: always drivable, a violation only where braking itself has one."""
-    phases = _phases(brake) + _resumed(course, State(brake.end.s), plan)
-    motion = Motion.of(brake_start(brake), phases)
+    phases = brake.phases + _resumed(course, State(brake.end.s), plan)
+    motion = Motion.of(brake.start, phases)
     worst = worst_ratio(course, motion)
     if motion.end.s < course.length - _CLOSE:
         return GearPlan(TimingStatus.FAIL, phases, worst.ratio, 0.0, "stop", "no plan from rest after full braking")
@@ -161,20 +177,11 @@ def _stop_and_go(course: Course, brake: Motion, plan: GearPlanner) -> GearPlan:
     return GearPlan(TimingStatus.START_INFEASIBLE, phases, worst.ratio, 0.0, "stop and go", reason)
 
 
-def brake_start(motion: Motion) -> State:
-    """The state a motion begins with."""
-    return State(*(float(value) for value in motion.states[:, 0]))
-
-
-def _phases(motion: Motion) -> Phases:
-    return tuple(zip(motion.durations.tolist(), motion.jerks.tolist(), strict=True))
-
-
 def _cut(motion: Motion, t: float) -> tuple[Phases, State]:
     """The phases before time `t`, and the state then."""
     kept: list[tuple[float, float]] = []
-    state, left = brake_start(motion), t
-    for duration, jerk in _phases(motion):
+    state, left = motion.start, t
+    for duration, jerk in motion.phases:
         part = min(duration, left)
         if part <= 0.0:
             break

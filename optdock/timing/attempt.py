@@ -1,0 +1,68 @@
+"""One attempt at a gear: the reference under some bounds, and the motion made of it."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, NamedTuple
+
+from optdock.timing.arcs import launch_arc, stop_arc
+from optdock.timing.grid import acceleration_profile, grid_of
+from optdock.timing.guess import initial_guess
+from optdock.timing.motion import Phases, State
+from optdock.timing.reference import solve_reference
+from optdock.timing.smooth import smooth_phases
+from optdock.timing.split import nodes_of, split_into_moves
+
+if TYPE_CHECKING:
+    from optdock.timing.bounds import Bounds
+
+__all__ = ["Attempt", "Settings", "attempt"]
+
+
+class Settings(NamedTuple):
+    """How references are made.
+
+    Args:
+        step: Knot spacing [s].
+        smooth: Whether the reference itself is the motion.
+    """
+
+    step: float = 0.08
+    smooth: bool = False
+
+
+class Attempt(NamedTuple):
+    """A motion over a gear.
+
+    Args:
+        phases: Empty where there is none.
+        bad: Stretches [m] whose moves break a limit, with the stretch of time that would cure it.
+        moves: Number of moves.
+        iterations: Of the interior-point method.
+    """
+
+    phases: Phases
+    bad: tuple[tuple[float, float, float], ...]
+    moves: int
+    iterations: int
+
+
+def attempt(bounds: Bounds, start: State, settings: Settings) -> Attempt | None:
+    """The motion under `bounds` from `start`; None where launch and stop leave no room for a reference."""
+    profile = acceleration_profile(bounds, start)
+    launch, stop = launch_arc(bounds, start), stop_arc(bounds)
+    if stop.state.s - launch.state.s < 0.1 * bounds.course.length:
+        return None
+    grid = grid_of(bounds, profile, launch.state, stop.state, settings.step)
+    guess = initial_guess(grid, bounds, profile, launch.state, stop.state)
+    reference = solve_reference(grid, bounds, guess, launch.state, stop.state)
+    if settings.smooth:
+        return Attempt(launch.phases + smooth_phases(reference) + stop.phases, (), 0, reference.iterations)
+    arcs = (sum(time for time, _jerk in launch.phases), sum(time for time, _jerk in stop.phases))
+    nodes = nodes_of(reference, start, State(bounds.course.length), arcs, grid.zone)
+    split = split_into_moves(nodes, bounds)
+    bad = tuple(
+        (nodes.states[piece.first].s, nodes.states[piece.last].s, piece.excess)
+        for piece in split.pieces
+        if piece.excess > 1.0
+    )
+    return Attempt(split.phases if split.complete else (), bad, len(split.pieces), reference.iterations)

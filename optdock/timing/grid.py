@@ -1,0 +1,131 @@
+"""The knots of the reference: uniform in pseudo time, on every place where the limits jump."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from optdock.geometry.arrays import FloatArray
+    from optdock.timing.bounds import Bounds
+    from optdock.timing.motion import State
+
+__all__ = ["Grid", "Profile", "acceleration_profile", "grid_of"]
+
+_JUMP_SHARE = 0.02  # of the yaw acceleration: smaller jumps of v^2 * rate are left to the margins
+_MIN_STEP_SHARE = 0.4  # of the step: jumps closer together share a knot's cell
+_MIN_CELLS = 8
+_SLOWEST = 1e-4  # [m/s]: pseudo time counts no speed below this
+
+
+class Profile(NamedTuple):
+    """The acceleration-limited speed profile on the nodes of the course: v^2 [m^2/s^2] and time [s], Shape (n,)."""
+
+    speed_squared: FloatArray
+    time: FloatArray
+
+
+class Grid(NamedTuple):
+    """Knots of the reference and the limits there.
+
+    Attributes:
+        knots: Shape (M + 1,) [m].
+        steps: Shape (M,) [m].
+        bound: Largest v^2 at the knots, the least of both half cells around, Shape (M + 1,) [m^2/s^2].
+        curvature: At the knots, Shape (M + 1,) [1/m].
+        rate: Largest and least of the rates on both sides of the knots, Shape (2, M + 1) [1/m^2].
+        yaw: Yaw acceleration for the reference, at the knots, Shape (M + 1,) [rad/s^2].
+        centre_curvature: At the cell centres, Shape (M,) [1/m].
+        centre_rate: Shape (M,) [1/m^2].
+        zone: Index of the knot at the zone start; 0 without one inside.
+        time: Pseudo time of the knots, Shape (M + 1,) [s].
+    """
+
+    knots: FloatArray
+    steps: FloatArray
+    bound: FloatArray
+    curvature: FloatArray
+    rate: FloatArray
+    yaw: FloatArray
+    centre_curvature: FloatArray
+    centre_rate: FloatArray
+    zone: int
+    time: FloatArray
+
+
+def acceleration_profile(bounds: Bounds, start: State) -> Profile:
+    """The fastest v^2 under caps, acceleration and deceleration alone, yaw acceleration as a cap at a = 0."""
+    course, limits = bounds.course, bounds.course.limits
+    rate = np.maximum(np.abs(course.rate_left), np.abs(course.rate_right))
+    cell = np.minimum(bounds.speed_squared, bounds.yaw / np.maximum(rate, 1e-9))
+    x = np.minimum(np.append(cell, 0.0), np.insert(cell, 0, start.v * start.v))
+    rise, fall = 2.0 * limits.max_acceleration * course.s, 2.0 * limits.max_deceleration * course.s
+    x = np.minimum.accumulate(x - rise) + rise
+    x = (np.minimum.accumulate((x + fall)[::-1]))[::-1] - fall
+    x = np.maximum(x, 0.0)
+    v = np.sqrt(x)
+    gain = 2.0 * np.diff(course.s) / np.maximum(v[:-1] + v[1:], _SLOWEST)
+    return Profile(x, np.concatenate(([0.0], np.cumsum(gain))))
+
+
+def grid_of(bounds: Bounds, profile: Profile, first: State, last: State, step: float) -> Grid:
+    """Knots from `first` to `last`, about `step` [s] of pseudo time apart."""
+    course = bounds.course
+    breaks = _breaks(bounds, profile, first, last, step)
+    times = np.interp(breaks, course.s, profile.time)
+    parts = np.maximum(1, np.rint(np.diff(times) / step)).astype(np.int64)
+    parts[np.argmax(np.diff(times))] += max(0, _MIN_CELLS - int(parts.sum()))
+    owner = np.repeat(np.arange(parts.size), parts)
+    rank = np.arange(owner.size) - np.repeat(np.cumsum(parts) - parts, parts)
+    inner = np.interp(times[owner] + np.diff(times)[owner] * rank / parts[owner], profile.time, course.s)
+    knots = np.append(np.where(rank == 0, breaks[owner], inner), breaks[-1])
+    zone = int(np.searchsorted(knots, course.zone_start - 1e-12)) if course.has_zone else 0
+    return _limits_on(bounds, profile, knots, 0 if zone >= knots.size - 1 else zone)
+
+
+def _breaks(bounds: Bounds, profile: Profile, first: State, last: State, step: float) -> FloatArray:
+    """Where a knot must be: both ends, the zone start, jumps of the curvature rate that matter."""
+    course = bounds.course
+    begin, end = first.s, last.s
+    if first.a < 0.0:  # the first coefficient, v^2 + a h, must stay positive
+        begin_next = first.s - 0.4 * first.v * first.v / first.a
+    jump = np.abs(course.rate_left[1:] - course.rate_right[:-1]) * profile.speed_squared[1:-1]
+    found = np.flatnonzero(jump > _JUMP_SHARE * bounds.course.limits.max_yaw_acceleration) + 1
+    fixed = [course.zone_start] if course.has_zone and begin + 1e-9 < course.zone_start < end - 1e-9 else []
+    gap = _MIN_STEP_SHARE * step
+    order = found[np.argsort(-jump[found - 1], kind="stable")] if 0 < found.size <= 400 else found[:0]
+    taken = [float(np.interp(s, course.s, profile.time)) for s in (begin, end, *fixed)]
+    kept = [begin, end, *fixed]
+    for i in order.tolist():
+        time = float(profile.time[i])
+        if begin < course.s[i] < end and min(abs(time - other) for other in taken) > gap:
+            taken.append(time)
+            kept.append(float(course.s[i]))
+    if first.a < 0.0:
+        nearest = min(s for s in kept if s > begin)
+        if begin_next < nearest:
+            kept.append(begin_next)
+    return np.array(sorted(kept))
+
+
+def _limits_on(bounds: Bounds, profile: Profile, knots: FloatArray, zone: int) -> Grid:
+    course = bounds.course
+    centres = 0.5 * (knots[:-1] + knots[1:])
+    cells = course.cells_at(np.concatenate((knots[:1], centres)))
+    ends = np.append(cells[1:], course.s.size - 2)
+    bound = _least_between(bounds.speed_squared, cells, ends)
+    yaw = _least_between(bounds.yaw, cells, ends)
+    curvature, right, _slow = bounds.curve_at(knots)
+    _k, left, _slow = bounds.curve_at(knots - 1e-9)
+    centre_curvature, centre_rate, _slow = bounds.curve_at(centres)
+    time = np.interp(knots, course.s, profile.time)
+    rate = np.stack((np.maximum(left, right), np.minimum(left, right)))
+    return Grid(knots, np.diff(knots), bound, curvature, rate, yaw, centre_curvature, centre_rate, zone, time)
+
+
+def _least_between(values: FloatArray, first: FloatArray, last: FloatArray) -> FloatArray:
+    """Minimum of `values[first[i] : last[i] + 1]` for every i; overlapping by one."""
+    pairs = np.stack((first, last + 1), axis=1).ravel()
+    least: FloatArray = np.minimum.reduceat(np.append(values, np.inf), pairs)[::2]
+    return least
