@@ -65,10 +65,10 @@ def open_s(rng: np.random.Generator) -> Scene:
 
 
 def reverse_cusp(rng: np.random.Generator) -> Scene:
-    """Forward past the dock, then back into it: one cusp."""
+    """Forward across the front of the dock, then back into it: one cusp."""
     gears = (
-        forward(straight(rng.uniform(0.4, 0.7)), amr_turn(rng.uniform(0.3, 0.6)), straight(rng.uniform(0.2, 0.4))),
-        reverse(straight(rng.uniform(0.1, 0.3)), amr_turn(-rng.uniform(0.6, 0.9)), straight(rng.uniform(1.0, 1.3))),
+        forward(straight(rng.uniform(0.5, 0.9)), amr_turn(-rng.uniform(0.2, 0.8)), straight(rng.uniform(0.2, 0.4))),
+        reverse(straight(rng.uniform(0.1, 0.3)), amr_turn(-rng.uniform(0.7, 1.1)), straight(rng.uniform(1.0, 1.3))),
     )
     return Scene(gears, AMR_BACK, random_kinks(rng, 2, 0.04))
 
