@@ -65,10 +65,11 @@ class MapScenario(NamedTuple):
 SCENARIOS = (
     MapScenario("depot south wall, aligned", "depot", (4.0, 0.98, -90), (-3.0, 0.0, 0)),
     MapScenario("depot south wall, 0.8 m aside", "depot", (5.5, 0.98, -90), (-3.5, 0.8, 0)),
-    MapScenario("depot south wall, 60 degrees off", "depot", (11.0, 0.98, -90), (-3.5, -1.0, 60)),
-    MapScenario("depot south wall, -60 degrees off", "depot", (12.5, 0.98, -90), (-3.5, 1.0, -60)),
+    MapScenario("depot south wall, 60 degrees off to the left", "depot", (11.0, 0.98, -90), (-3.5, -1.0, 60)),
+    MapScenario("depot south wall, 60 degrees off to the right", "depot", (12.5, 0.98, -90), (-3.5, 1.0, -60)),
     MapScenario("depot west wall, 45 degrees off", "depot", (1.0, 7.5, 180), (-3.0, 0.6, -45)),
     MapScenario("depot west wall, wrong way 30 degrees", "depot", (1.0, 3.0, 180), (-4.0, 0.8, 30)),
+    MapScenario("depot south wall, 60 degrees the wrong way", "depot", (10.0, 0.98, -90), (-5.0, -0.6, -60)),
     MapScenario("depot north wall, beside the pillar", "depot", (8.6, 14.4, 90), (-3.5, -0.5, 20)),
     MapScenario("depot east wall, far", "depot", (29.3, 9.0, 0), (-6.0, 1.5, -30)),
     MapScenario("depot pallet face", "depot", (15.4, 6.92, -90), (-3.5, 0.6, -20), charger=False),

@@ -61,7 +61,7 @@ class PluginChoices:
 
     planner: PluginChoice = PluginChoice("DockPlanner")
     smoother: PluginChoice = PluginChoice("CasadiSmoother")
-    timing: PluginChoice = PluginChoice("NearOptimal")
+    timing: PluginChoice = PluginChoice("Windowed")
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,0 +1,149 @@
+"""Experiment 1: dock against walls, racks and pallets of real maps, from plan to closed loop.
+
+For every scenario of `real_maps`: plan, prove, time, drive with lag, latency and noise; a table of raw against smoothed
+paths, one picture of the plan and one of the run each. Writes to results/01_docking_on_real_maps/.
+
+    python experiments/01_docking_on_real_maps.py [--only TEXT] [--no-pictures]
+"""
+
+from __future__ import annotations
+
+import argparse
+import re
+import statistics
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, NamedTuple
+
+from optdock.comparison import PathFigures, comparison_csv, comparison_table, figures_of
+from optdock.config import Scenario
+from optdock.errors import OptdockError
+from optdock.interfaces import Controller, GoalChecker
+from optdock.io.atomic_file import write_text
+from optdock.pipeline import PluginChoice, PluginChoices, plan_dock
+from optdock.plugins import create_plugin
+from optdock.report import table
+from optdock.simulation import Actuation, SimulationSettings, run_closed_loop
+
+sys.path.insert(0, str(Path(__file__).parent))
+from real_maps import SCENARIOS, MapScenario, maps_folder, problem_of
+
+if TYPE_CHECKING:
+    from optdock.pipeline import DockPlan
+    from optdock.simulation import Run
+
+OUT = Path("results") / Path(__file__).stem
+TIME_BUDGET = 0.1  # [s]
+# A drive with 60 ms lag and 40 ms latency, a localization with 2 mm and 0.1 degree of white noise.
+WORLD = {"position_noise": 0.002, "yaw_noise": 0.0017}
+ACTUATION = Actuation(linear_lag=0.06, angular_lag=0.06, latency=0.04)
+CONTROLLER = PluginChoice("TrackingController", {"preview": 0.1})
+CHECKER = PluginChoice("DockGoalChecker", {})
+
+
+class Result(NamedTuple):
+    """What became of one scenario."""
+
+    scenario: Scenario
+    plan: DockPlan | None
+    run: Run | None
+    error: str
+
+
+def scenario_of(task: MapScenario) -> Scenario:
+    """The task as a scenario, as if read from a file."""
+    name = re.sub(r"[^a-z0-9]+", "_", task.name.lower())
+    return Scenario(problem_of(task), TIME_BUDGET, PluginChoices(), CONTROLLER, CHECKER, Path(f"{name}.yaml"))
+
+
+def solve(scenario: Scenario) -> Result:
+    """Plan and drive one scenario."""
+    problem = scenario.problem
+    try:
+        plan = plan_dock(problem, time_budget=scenario.time_budget, plugins=scenario.plugins)
+    except OptdockError as error:
+        return Result(scenario, None, None, f"{type(error).__name__}: {error}")
+    settings = SimulationSettings(actuation=ACTUATION, obstacles=problem.all_obstacles, seed=1, **WORLD)
+    controller = create_plugin(Controller, CONTROLLER.name, CONTROLLER.parameters)
+    checker = create_plugin(GoalChecker, CHECKER.name, CHECKER.parameters)
+    run = run_closed_loop(plan.trajectory, problem.robot, problem.goal, controller, checker, settings)
+    return Result(scenario, plan, run, "" if run.docked else f"not docked: {run.reason}")
+
+
+def figures(result: Result) -> list[PathFigures]:
+    """The raw and the smoothed row of the comparison."""
+    if result.plan is None:
+        return [PathFigures(result.scenario.source.stem, "smoothed", result.error.split(":")[0])]
+    plan = result.plan
+    raw = figures_of(result.scenario, "raw", plan.raw_path)
+    return [raw, figures_of(result.scenario, "smoothed", plan.path, plan.trajectory.duration)]
+
+
+def run_row(result: Result) -> tuple[str, ...]:
+    """One line of the table of runs."""
+    name = result.scenario.source.stem
+    if result.plan is None or result.run is None:
+        return (name, "-", "-", "-", "-", "-", result.error)
+    error, total = result.run.final_error, result.plan.timing_ms["total"]
+    numbers = (f"{1e3 * error.x:+.1f}", f"{1e3 * error.y:+.1f}", f"{1e3 * error.yaw:+.1f}")
+    clearance = "-" if result.run.min_clearance is None else f"{result.run.min_clearance:.4f}"
+    return (name, f"{total:.1f}", *numbers, clearance, "docked" if result.run.docked else result.error)
+
+
+def draw(result: Result) -> None:
+    """The pictures of one scenario."""
+    from optdock.plotting import save_plan_picture, save_run_picture
+
+    plan, problem, name = result.plan, result.scenario.problem, result.scenario.source.stem
+    if plan is None or result.run is None:
+        save_plan_picture(OUT / f"{name}.png", problem, title=f"{name}: {result.error}")
+        return
+    title = f"{name}: certified, {plan.path.length:.2f} m, {plan.trajectory.duration:.1f} s"
+    save_plan_picture(
+        OUT / f"{name}.png",
+        problem,
+        raw_path=plan.raw_path,
+        path=plan.path,
+        certificate=plan.certificate,
+        title=title,
+    )
+    save_run_picture(OUT / f"{name}_run.png", problem, result.run, title=f"{name}: driven with lag, latency and noise")
+
+
+def main() -> int:
+    """Run the experiment; 0 when every scenario is certified and docks."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--only", default="", help="scenarios whose name holds this text")
+    parser.add_argument("--no-pictures", action="store_true")
+    arguments = parser.parse_args()
+    if not maps_folder().is_dir():
+        print(f"no maps at {maps_folder()}; set OPTDOCK_DATA", file=sys.stderr)
+        return 2
+    tasks = [task for task in SCENARIOS if arguments.only in task.name]
+    solve(scenario_of(tasks[0]))  # warm up: libraries are loaded and caches filled outside the time budget
+    results = [solve(scenario_of(task)) for task in tasks]
+    rows = [row for result in results for row in figures(result)]
+    heads = ("scenario", "plan ms", "along mm", "cross mm", "yaw mrad", "driven clearance m", "closed loop")
+    text = "\n\n".join(
+        (comparison_table(rows), table([heads, *(run_row(result) for result in results)]), summary(results))
+    )
+    print(text)
+    write_text(OUT / "tables.txt", text + "\n")
+    write_text(OUT / "comparison.csv", comparison_csv(rows))
+    if not arguments.no_pictures:
+        for result in results:
+            draw(result)
+    return 0 if all(not result.error for result in results) else 1
+
+
+def summary(results: list[Result]) -> str:
+    """Counts and medians over all scenarios."""
+    plans = [result.plan for result in results if result.plan is not None]
+    docked = sum(1 for result in results if result.run is not None and result.run.docked)
+    total = [plan.timing_ms["total"] for plan in plans]
+    middle = f"median {statistics.median(total):.1f} ms, worst {max(total):.1f} ms" if total else "-"
+    return f"{len(plans)} of {len(results)} certified, {docked} docked; request to certified trajectory: {middle}"
+
+
+if __name__ == "__main__":
+    sys.exit(main())
