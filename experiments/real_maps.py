@@ -76,10 +76,12 @@ SCENARIOS = (
     MapScenario("depot aisle between pallets", "depot", (17.0, 3.4, 90), (-2.6, 0.25, 25), charger=False),
     MapScenario("depot under the table", "depot", (17.25, 11.6, -90), (-3.0, 0.4, 15), charger=False),
     MapScenario("depot under the middle table, kinked", "depot", (21.1, 9.2, -90), (-3.2, -0.35, -10), charger=False),
-    MapScenario("depot south wall, backward", "depot", (9.0, 1.2, 90), (3.5, 0.6, 0), True),
-    MapScenario("depot west wall, backward, 40 degrees off", "depot", (1.2, 11.5, 0), (3.5, -0.9, -40), True),
-    MapScenario("depot north wall, backward", "depot", (20.0, 14.2, -90), (3.0, 0.3, 30), True),
-    MapScenario("depot under the table, backward", "depot", (24.85, 11.6, 90), (2.9, -0.4, -10), True, charger=False),
+    MapScenario("depot south wall, backward", "depot", (9.0, 1.2, 90), (3.5, 0.6, 0), backward=True),
+    MapScenario("depot west wall, backward, 40 degrees off", "depot", (1.2, 11.5, 0), (3.5, -0.9, -40), backward=True),
+    MapScenario("depot north wall, backward", "depot", (20.0, 14.2, -90), (3.0, 0.3, 30), backward=True),
+    MapScenario(
+        "depot under the table, backward", "depot", (24.85, 11.6, 90), (2.9, -0.4, -10), backward=True, charger=False
+    ),
     MapScenario("warehouse west rack, aisle", "warehouse", (-7.15, -12.0, 180), (-2.6, 0.4, -20)),
     MapScenario("warehouse west rack, from along the aisle", "warehouse", (-7.15, -18.0, 180), (-2.8, 1.0, -60)),
     MapScenario("warehouse middle rack, east side", "warehouse", (-0.15, -10.0, 180), (-4.0, -0.8, 35)),
@@ -88,9 +90,11 @@ SCENARIOS = (
     MapScenario("warehouse north rack, 55 degrees off", "warehouse", (9.0, 10.95, -90), (-3.5, -0.6, 55)),
     MapScenario("warehouse rack from below", "warehouse", (-2.0, 7.2, 90), (-3.5, -1.0, 30)),
     MapScenario("warehouse conveyor end", "warehouse", (-3.85, 16.2, 90), (-2.5, 0.3, 15)),
-    MapScenario("warehouse west wall, backward", "warehouse", (-13.9, -9.0, 0), (3.2, 0.5, 20), True),
-    MapScenario("warehouse east rack, backward", "warehouse", (7.95, -12.0, 0), (3.4, -0.6, -30), True),
-    MapScenario("warehouse middle rack, backward, kinked", "warehouse", (-3.9, -11.0, 180), (2.8, 0.6, 0), True),
+    MapScenario("warehouse west wall, backward", "warehouse", (-13.9, -9.0, 0), (3.2, 0.5, 20), backward=True),
+    MapScenario("warehouse east rack, backward", "warehouse", (7.95, -12.0, 0), (3.4, -0.6, -30), backward=True),
+    MapScenario(
+        "warehouse middle rack, backward, kinked", "warehouse", (-3.9, -11.0, 180), (2.8, 0.6, 0), backward=True
+    ),
     MapScenario("warehouse between conveyors", "warehouse", (-8.4, 20.6, -90), (-3.5, 0.2, -10), charger=False),
 )
 
