@@ -62,7 +62,8 @@ class CostModel:
     reference: Reference
 
     @property
-    def _factors(self) -> tuple[float, float]:
+    def factors(self) -> tuple[float, float]:
+        """Weights of the integrals of curvature^2 and of curvature rate^2."""
         return self.weights.curvature / self.scales[0] ** 2, self.weights.rate / self.scales[1] ** 2
 
     def _lateral(self, rollout: Rollout) -> FloatArray:
@@ -72,7 +73,7 @@ class CostModel:
     def value(self, variables: Variables, rollout: Rollout) -> float:
         """J."""
         curvature, lengths = variables
-        bend, jerk = self._factors
+        bend, jerk = self.factors
         per_knot = self.layout.per_knot(lengths)
         squares = per_knot * curvature * (self.layout.mass @ curvature)
         slopes = curvature * (self.layout.stiffness @ curvature) / per_knot
@@ -83,7 +84,7 @@ class CostModel:
     def quadratic(self, variables: Variables, rollout: Rollout, by: Sensitivity) -> Quadratic:
         """Exact gradient; Hessian exact in the curvatures, Gauss-Newton for tracking."""
         layout, (curvature, lengths) = self.layout, variables
-        bend, jerk = self._factors
+        bend, jerk = self.factors
         per_knot, knots = layout.per_knot(lengths), layout.num_knots
         of_mass, of_slope = layout.mass @ curvature, layout.stiffness @ curvature
         gradient, hessian = np.empty(layout.size), np.zeros((layout.size, layout.size))

@@ -1,0 +1,146 @@
+"""The reference: the whole problem as one nonlinear program for ipopt, with free separating lines.
+
+Every near pair of interval and obstacle gets a line of its own (an angle and an offset) that must have the swept
+vertices on one side and the obstacle on the other. Unlike the sequential steps, nothing is linearized and no line is
+fixed, so a local optimum of the program is a local optimum of the problem. Slow: for comparison only.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, NamedTuple
+
+import casadi
+import numpy as np
+
+from smoothers._ck.closing import clipped, close_goal
+from smoothers._ck.planes import clearance
+from smoothers._ck.rollout import Variables, roll_out
+from smoothers._ck.scp import evaluate
+from smoothers._ck.symbolic import cost_expression, model_for
+
+if TYPE_CHECKING:
+    from optdock.geometry.arrays import FloatArray, IntArray
+    from smoothers._ck.planes import Clearance
+    from smoothers._ck.scp import Iterate
+    from smoothers._ck.symbolic import SymbolicModel
+    from smoothers._ck.task import Task
+
+__all__ = ["solve_reference"]
+
+_ROUNDS = 5  # the set of near pairs and the dips between nodes are renewed after each
+_REACH = 0.12  # [m]
+_SETTLED = 1e-4
+_BUFFER = 2e-5  # [m]
+
+
+class _Program(NamedTuple):
+    """Symbols and constraints `lower <= value <= upper`."""
+
+    value: casadi.SX
+    lower: FloatArray
+    upper: FloatArray
+
+
+def solve_reference(task: Task, max_time: float) -> tuple[Iterate, bool]:
+    """The best iterate ipopt finds, and whether the rounds settled.
+
+    Args:
+        task: The problem.
+        max_time: Wall-clock seconds per round.
+    """
+    layout, ends = task.layout, task.ends
+    variables = clipped(task.initial, task.bounds)
+    rollout = roll_out(layout, variables, ends.start, ends.signs)
+    variables, rollout = close_goal(layout, variables, ends, task.bounds, rollout)
+    current = evaluate(task, variables, rollout, _REACH)
+    settled = False
+    for _ in range(_ROUNDS):
+        found = clearance(task.world, layout, current.rollout, ends.signs, _REACH + task.world.rule.required)
+        solved, success = _round(task, current, found, max_time)
+        settled = success and solved.feasible and abs(solved.cost - current.cost) < _SETTLED * current.cost
+        current = solved
+        if settled:
+            break
+    return current, settled
+
+
+def _round(task: Task, current: Iterate, found: Clearance, max_time: float) -> tuple[Iterate, bool]:
+    layout, model = task.layout, model_for(task.layout.shape)
+    count = found.margin.size
+    angles, offsets = casadi.SX.sym("angle", count), casadi.SX.sym("offset", count)
+    parts = [_path_constraints(task, model)]
+    if count:
+        parts.append(_line_constraints(task, current, found, (angles, offsets)))
+    value, cost = casadi.vertcat(*(p.value for p in parts)), cost_expression(model, task.cost)
+    fixed = casadi.vertcat(model.start, model.signs)
+    z = casadi.vertcat(model.variables, angles, offsets)
+    options = {
+        "print_time": False,
+        "error_on_fail": False,
+        "ipopt": {"print_level": 0, "sb": "yes", "tol": 1e-7, "max_iter": 400, "max_wall_time": max_time},
+    }
+    solver = casadi.nlpsol("reference", "ipopt", {"x": z, "p": fixed, "f": cost, "g": value}, options)
+    guess = np.concatenate((*current.variables, np.arctan2(found.axis.y[0], found.axis.x[0]), found.top))
+    free = np.full(2 * count, np.inf)
+    result = solver(
+        x0=guess,
+        p=np.concatenate((task.ends.start, task.ends.signs)),
+        lbx=np.concatenate((task.bounds.lower, -free)),
+        ubx=np.concatenate((task.bounds.upper, free)),
+        lbg=np.concatenate([p.lower for p in parts]),
+        ubg=np.concatenate([p.upper for p in parts]),
+    )
+    success = bool(solver.stats()["success"])
+    flat = np.array(result["x"]).ravel()[: layout.size]
+    if not np.all(np.isfinite(flat)):
+        return current, False
+    variables = clipped(Variables(flat[: layout.num_knots], flat[layout.num_knots :]), task.bounds)
+    rollout = roll_out(layout, variables, task.ends.start, task.ends.signs)
+    return evaluate(task, variables, rollout, _REACH), success
+
+
+def _path_constraints(task: Task, model: SymbolicModel) -> _Program:
+    """Goal pose and curvature rate."""
+    layout = task.layout
+    goal = model.poses[-1, :].T
+    if not np.isfinite(task.bounds.rate):
+        return _Program(goal, task.ends.target, task.ends.target)
+    lengths = model.variables[layout.num_knots :]
+    allowed = task.bounds.rate * lengths[layout.span_gear.tolist(), :]
+    value = casadi.vertcat(goal, model.slopes - allowed, -model.slopes - allowed)
+    count = 2 * layout.span_gear.size
+    lower = np.concatenate((task.ends.target, np.full(count, -np.inf)))
+    return _Program(value, lower, np.concatenate((task.ends.target, np.zeros(count))))
+
+
+def _line_constraints(
+    task: Task, current: Iterate, found: Clearance, lines: tuple[casadi.SX, casadi.SX]
+) -> _Program:
+    """Swept vertices above their line by the requirement and the dip, obstacle vertices below it."""
+    model, (angles, offsets) = model_for(task.layout.shape), lines
+    count = found.hull.x.shape[0] // 2
+    left = task.layout.left[found.pairs.interval]
+    x, y = casadi.cos(angles), casadi.sin(angles)
+    dips = found.hull.along(found.axis) - found.heights  # requirement and dip, Shape (2v, p)
+    values = []
+    for side, node in enumerate((left, left + 1)):
+        required = found.required.value[node]
+        pose = model.poses[node.tolist(), :]
+        c, s = casadi.cos(pose[:, 2]), casadi.sin(pose[:, 2])
+        moving = _required_expression(current, found, node, pose)
+        for v in range(count):
+            arm = task.world.body.vertices[found.pairs.part, v]
+            px = pose[:, 0] + c * arm[:, 0] - s * arm[:, 1]
+            py = pose[:, 1] + s * arm[:, 0] + c * arm[:, 1]
+            fixed = casadi.DM(dips[side * count + v] - required + _BUFFER)
+            values.append(x * px + y * py - offsets - moving - fixed)
+    for k in range(found.outline.x.shape[0]):
+        values.append(offsets - x * casadi.DM(found.outline.x[k]) - y * casadi.DM(found.outline.y[k]))
+    total = casadi.vertcat(*values)
+    return _Program(total, np.zeros(total.shape[0]), np.full(total.shape[0], np.inf))
+
+
+def _required_expression(current: Iterate, found: Clearance, node: IntArray, pose: casadi.SX) -> casadi.SX:
+    """Required clearance at nodes, first order in their positions around the last round's."""
+    value, gradient = casadi.DM(found.required.value[node]), casadi.DM(found.required.gradient[node])
+    return value + casadi.sum2(gradient * (pose[:, :2] - casadi.DM(current.rollout.poses[node, :2])))
