@@ -29,6 +29,7 @@ __all__ = [
     "InvalidSmoother",
     "InvalidValue",
     "LifecycleError",
+    "MissingExtra",
     "NoValidControl",
     "NoValidPathCouldBeFound",
     "OptdockError",
@@ -73,6 +74,10 @@ class InvalidFile(OptdockError):
 
 class LifecycleError(OptdockError):
     """A plugin was asked for a transition its lifecycle state does not allow."""
+
+
+class MissingExtra(OptdockError):
+    """An optional dependency is not installed; the message names the extra that brings it."""
 
 
 class PluginError(OptdockError):

@@ -137,9 +137,7 @@ class RobotDocument(_Part):
 
     def value(self) -> Robot:
         """The robot."""
-        outline = self.footprint if self.radius is None else Footprint.from_radius(self.radius)
-        if outline is None:
-            raise InvalidValue("needs either footprint or radius")
+        outline = self.footprint if self.footprint is not None else Footprint.from_radius(self.radius or math.nan)
         return Robot(outline, self.limits.value(), self.drive)
 
 

@@ -23,7 +23,7 @@ PLUGIN_DEFAULTS: Mapping[str, str] = {
     "smoother": PluginChoices().smoother.name,
     "timing": PluginChoices().timing.name,
     "controller": "TrackingController",
-    "goal_checker": "AxisGoalChecker",
+    "goal_checker": "DockGoalChecker",
 }
 
 

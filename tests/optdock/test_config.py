@@ -93,7 +93,7 @@ def test_defaults_hold_where_the_file_is_silent(tmp_path):
     assert loaded.problem.robot.footprint.circumscribed_radius == pytest.approx(0.3)
     assert loaded.problem.dock.direction is DockDirection.AUTO
     names = [choice.name for choice in (loaded.plugins.planner, loaded.plugins.smoother, loaded.goal_checker)]
-    assert names == ["DockPlanner", "CasadiSmoother", "AxisGoalChecker"]
+    assert names == ["DockPlanner", "CasadiSmoother", "DockGoalChecker"]
 
 
 @pytest.mark.parametrize(

@@ -1,0 +1,50 @@
+"""`optdock certify`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from optdock.cli.exits import NOT_CERTIFIED, reported
+from optdock.cli.options import ScenarioArgument
+
+if TYPE_CHECKING:
+    from optdock.io.plan_file import PlanFile
+    from optdock.problem import DockingProblem
+
+__all__ = ["certify"]
+
+
+def certify(
+    plan: Annotated[Path, typer.Argument(help="Plan file (JSON), by whomever.", show_default=False)],
+    scenario: ScenarioArgument,
+) -> None:
+    """Judge a plan file, also one that optdock did not make: prove it, or name every rule it breaks."""
+    with reported():
+        from optdock.config import load_scenario
+        from optdock.io.plan_file import load_plan
+
+        problem = load_scenario(scenario).problem
+        faults = _judged(load_plan(plan), problem)
+    if faults:
+        typer.echo(f"not certified: {faults[0]}", err=True)
+        raise typer.Exit(NOT_CERTIFIED)
+
+
+def _judged(plan: PlanFile, problem: DockingProblem) -> list[str]:
+    """Every broken rule, printed with what was proven."""
+    from optdock.cli.motion_samples import motion_faults
+    from optdock.report import certificate_rows, table
+    from optdock.verification import certify_path
+
+    if plan.path is None:
+        return [f"the file holds no path, its status is {plan.status}"]
+    certificate = certify_path(plan.path, problem)
+    faults = [violation.message for violation in certificate.violations]
+    if plan.trajectory is not None:
+        faults += motion_faults(plan.trajectory, plan.path, problem)
+    rows = [("verdict", "not certified" if faults else "certified"), *certificate_rows(certificate)]
+    typer.echo(table([*rows, *(("violation", fault) for fault in faults)]))
+    return faults

@@ -1,0 +1,68 @@
+"""`optdock demo`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from optdock.cli.exits import NOT_CERTIFIED, reported
+from optdock.cli.progress import working
+
+if TYPE_CHECKING:
+    from optdock.config import Scenario
+    from optdock.pipeline import DockPlan
+    from optdock.simulation import Run
+
+__all__ = ["demo"]
+
+
+def demo(
+    out: Annotated[Path, typer.Option(help="Folder for the plan, the run and the pictures.")] = Path("demo"),
+) -> None:
+    """Run the built-in scenario from start to finish: plan, prove, time, drive, draw."""
+    with reported():
+        from optdock.cli.simulate import POSITION_NOISE, YAW_NOISE, driven
+        from optdock.cli.solving import solved_or_saved
+        from optdock.config import load_scenario
+        from optdock.builtin import demo_scenario
+        from optdock.io.atomic_file import write_text
+        from optdock.io.plan_file import save_plan
+        from optdock.report import plan_file, plan_rows, run_json, run_rows, table
+
+        scenario = load_scenario(demo_scenario())
+        plan = solved_or_saved(scenario, out / "plan.json", None, 0.02)
+        save_plan(out / "plan.json", plan_file(plan, scenario.problem.frame, 0.02))
+        run = driven(scenario, plan, 0, (POSITION_NOISE, YAW_NOISE))
+        write_text(out / "run.json", run_json(run, 0))
+        typer.echo(table([*plan_rows(plan), *run_rows(run)]))
+        _draw(scenario, plan, run, out)
+        typer.echo(f"pictures and files are in {out}")
+    if not run.docked:
+        typer.echo(f"not docked: {run.reason}", err=True)
+        raise typer.Exit(NOT_CERTIFIED)
+
+
+def _draw(scenario: Scenario, plan: DockPlan, run: Run, out: Path) -> None:
+    from optdock.plotting import save_animation, save_plan_picture, save_profile_picture, save_run_picture
+
+    problem = scenario.problem
+    title = f"built-in scenario: certified, {plan.trajectory.duration:.1f} s"
+    with working("drawing", 4) as advance:
+        save_plan_picture(
+            out / "plan.png",
+            problem,
+            raw_path=plan.raw_path,
+            path=plan.path,
+            certificate=plan.certificate,
+            title=title,
+        )
+        advance("plan.png")
+        zone = problem.dock.approach
+        save_profile_picture(out / "profile.png", plan.trajectory, problem.robot.limits, zone, title=title)
+        advance("profile.png")
+        save_run_picture(out / "run.png", problem, run, title="built-in scenario: driven in closed loop with noise")
+        advance("run.png")
+        save_animation(out / "run.gif", problem, run.times, run.poses)
+        advance("run.gif")

@@ -1,0 +1,146 @@
+"""A docking problem from Nav2's own files: parameters, map and dock database."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from optdock.config.faults import Fault
+from optdock.config.plugin_sections import plugin_choice
+from optdock.config.scenario import Scenario
+from optdock.costmap import obstacles_from_costmap
+from optdock.dock import Dock
+from optdock.errors import InvalidFile, InvalidValue
+from optdock.geometry.pose import Pose2
+from optdock.io.dock_database import DockEntry, load_dock_database
+from optdock.io.maps import load_map
+from optdock.io.nav2_docking import DockType
+from optdock.io.nav2_params import Nav2Params, load_nav2_params
+from optdock.limits import MotionLimits, SpeedZone
+from optdock.parameters import closest
+from optdock.pipeline import DEFAULT_TIME_BUDGET, PluginChoices
+from optdock.problem import DockingProblem
+from optdock.robot import Robot
+
+if TYPE_CHECKING:
+    from optdock.io.nav2_costmap import CostmapParams
+
+__all__ = ["nav2_limits", "nav2_scenario"]
+
+
+def nav2_scenario(
+    params_source: str | Path,
+    map_source: str | Path,
+    start: str,
+    *,
+    docks_source: str | Path | None = None,
+    dock_name: str | None = None,
+) -> Scenario:
+    """The problem of driving into a dock that Nav2's files describe.
+
+    The footprint, padded, is the global costmap's; speeds and accelerations are the velocity smoother's; approach
+    speed and gear are the docking server's and the dock type's. Nav2 knows no curvature limit, no outline of the dock
+    and no clearance in metres: there are none, but for `ClearanceRule`'s default.
+
+    Args:
+        params_source: Parameter file.
+        map_source: Map (map_server YAML).
+        start: `x,y,yaw` in the map's frame [m, m, rad].
+        docks_source: Dock database; None: the docks in the parameter file.
+        dock_name: Which dock; may be None where there is exactly one.
+
+    Raises:
+        InvalidFile: A file breaks its format, names no costmap, or the dock stands in another frame than the map.
+        InvalidValue: The start is no pose, or there is no dock of that name.
+    """
+    params = load_nav2_params(params_source)
+    docks = params.docks if docks_source is None else load_dock_database(docks_source)
+    dock = _chosen(docks, dock_name, str(docks_source or params_source))
+    costmap_params = _global_costmap(params)
+    _check_frame(dock, costmap_params, str(docks_source or params_source))
+    costmap = load_map(map_source).costmap
+    dock_type = params.dock_types.get(dock.type, DockType(dock.type))
+    problem = DockingProblem(
+        start=_start(start),
+        dock=Dock(dock.pose, direction=dock_type.dock_direction, approach=_approach(params, dock_type)),
+        robot=Robot(costmap_params.outline, nav2_limits(params)),
+        obstacles=obstacles_from_costmap(costmap),
+        costmap=costmap,
+        frame=dock.frame,
+    )
+    faults: list[Fault] = []
+    controller, checker = (plugin_choice(kind, {}, faults) for kind in ("controller", "goal_checker"))
+    return Scenario(problem, DEFAULT_TIME_BUDGET, PluginChoices(), controller, checker, Path(params_source))
+
+
+def _chosen(docks: Mapping[str, DockEntry], name: str | None, source: str) -> DockEntry:
+    if name is None and len(docks) == 1:
+        return next(iter(docks.values()))
+    if name in docks:
+        return docks[str(name)]
+    listed = ", ".join(docks) or "none"
+    wanted = "--dock: is required" if name is None else f"--dock: {source} has no dock {name!r}{closest(name, docks)}"
+    raise InvalidValue(f"{wanted}; its docks: {listed}")
+
+
+def _global_costmap(params: Nav2Params) -> CostmapParams:
+    found = params.costmaps.get("global_costmap") or next(iter(params.costmaps.values()), None)
+    if found is None:
+        raise InvalidFile(f"{params.source}: names no costmap, so the robot has no footprint")
+    return found
+
+
+def _check_frame(dock: DockEntry, costmap: CostmapParams, source: str) -> None:
+    if dock.frame != costmap.global_frame:
+        raise InvalidFile(
+            f"{source}: {dock.name}.frame: must be the frame of {costmap.name}, {costmap.global_frame!r}, "
+            f"got {dock.frame!r}; transform the pose into it"
+        )
+
+
+def _start(text: str) -> Pose2:
+    try:
+        return Pose2.from_sequence([float(part) for part in text.split(",")])
+    except ValueError as error:
+        raise InvalidValue(f"--start: must be x,y,yaw in m, m, rad, got {text!r}") from error
+
+
+def nav2_limits(params: Nav2Params) -> MotionLimits:
+    """Motion limits as the velocity smoother has them; those of `MotionLimits` where it is silent.
+
+    Raises:
+        InvalidFile: A limit is none, such as a largest velocity that is not > 0.
+    """
+    smoother = params.node("velocity_smoother")
+    default = MotionLimits()
+    try:
+        return MotionLimits(
+            max_speed=_entry(smoother, "max_velocity", 0, default.max_speed),
+            max_reverse_speed=-_entry(smoother, "min_velocity", 0, -default.max_reverse_speed),
+            max_acceleration=_entry(smoother, "max_accel", 0, default.max_acceleration),
+            max_deceleration=-_entry(smoother, "max_decel", 0, -default.max_deceleration),
+            max_yaw_rate=_entry(smoother, "max_velocity", 2, default.max_yaw_rate),
+            max_yaw_acceleration=_entry(smoother, "max_accel", 2, default.max_yaw_acceleration),
+        )
+    except InvalidValue as error:
+        raise InvalidFile(f"{params.source}: velocity_smoother: {error}") from error
+
+
+def _entry(values: Mapping[str, object], name: str, i: int, default: float) -> float:
+    """Component i of a vector [x, y, yaw]."""
+    vector = values.get(name)
+    if vector is None:
+        return default
+    if isinstance(vector, list) and len(vector) == 3 and all(isinstance(v, int | float) for v in vector):
+        return float(vector[i])
+    raise InvalidValue(f"{name}: must be [x, y, yaw], three numbers, got {vector!r}")
+
+
+def _approach(params: Nav2Params, dock_type: DockType) -> SpeedZone:
+    """The docking controller's speed, from the staging pose on."""
+    controller = params.node("docking_server").get("controller")
+    speed = controller.get("v_linear_max", 0.25) if isinstance(controller, Mapping) else 0.25
+    if isinstance(speed, bool) or not isinstance(speed, int | float) or not speed > 0.0:
+        raise InvalidFile(f"{params.source}: docking_server.controller.v_linear_max: must be > 0 m/s, got {speed!r}")
+    return SpeedZone(float(speed), abs(dock_type.staging_x_offset))

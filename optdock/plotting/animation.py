@@ -1,0 +1,105 @@
+"""The robot driving, as an animated GIF."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from optdock.geometry.pose import transform_points
+from optdock.io.atomic_file import replacing
+from optdock.plotting.canvas import COLOURS, canvas_of, new_figure
+from optdock.plotting.scene import draw_scene, view_of
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+    from pathlib import Path
+
+    from PIL.Image import Image
+
+    from optdock.geometry.arrays import FloatArray
+    from optdock.problem import DockingProblem
+
+__all__ = ["save_animation"]
+
+_FRAME_TIME = 0.1  # [s]
+_MOST_FRAMES = 150
+_HOLD = 1500  # [ms] on the last frame
+
+
+def save_animation(
+    target: Path,
+    problem: DockingProblem,
+    times: FloatArray,
+    poses: FloatArray,
+    on_frame: Callable[[int, int], None] | None = None,
+) -> None:
+    """Draw the footprint driving through the scene, ten frames a second, faster where the drive is long.
+
+    Args:
+        target: Where; a GIF.
+        problem: What was planned.
+        times: Shape (n,) [s].
+        poses: Shape (n, 3), at those times.
+        on_frame: Called with the number of frames done and to do.
+
+    Raises:
+        MissingExtra: Matplotlib is not installed.
+        InvalidFile: The file cannot be written.
+    """
+    stage = _Stage(problem, poses)
+    count = int(np.clip(np.ceil(times[-1] / _FRAME_TIME), 2, _MOST_FRAMES))
+    frames: list[Image] = []
+    for i, time in enumerate(np.linspace(times[0], times[-1], count)):
+        pose = np.array([[np.interp(time, times, poses[:, k]) for k in range(3)]])
+        frames.append(stage.frame(pose, f"{time:.1f} s"))
+        if on_frame is not None:
+            on_frame(i + 1, count)
+    _write(target, frames, 1e3 * times[-1] / count)
+
+
+class _Stage:
+    """The scene, drawn once, and the robot, drawn anew on it for every frame."""
+
+    def __init__(self, problem: DockingProblem, poses: FloatArray) -> None:
+        view = view_of(problem, [poses])
+        figure = new_figure(*view.figure_size(width=7.0, tallest=7.0))
+        self._axes = figure.add_subplot()
+        draw_scene(self._axes, problem, view)
+        self._axes.plot(poses[:, 0], poses[:, 1], color=COLOURS["path"], linewidth=1.0, alpha=0.5)
+        self._vertices = problem.robot.footprint.vertices
+        self._nose = np.array([[0.0, 0.0], [float(np.max(self._vertices[:, 0])), 0.0]])
+        self._canvas = canvas_of(figure)
+        self._canvas.draw()
+        self._background = self._canvas.copy_from_bbox(figure.bbox)
+        (self._outline,) = self._axes.fill(
+            [0.0, 0.0, 1.0], [0.0, 1.0, 0.0], facecolor=COLOURS["robot"], edgecolor="black", alpha=0.85
+        )
+        (self._arrow,) = self._axes.plot([], [], color="black", linewidth=2.0)
+        self._clock = self._axes.text(0.02, 0.96, "", transform=self._axes.transAxes, va="top", fontsize=11)
+
+    def frame(self, pose: FloatArray, clock: str) -> Image:
+        """The picture with the robot at a pose, Shape (1, 3)."""
+        from PIL import Image as Images
+
+        self._outline.set_xy(transform_points(pose, self._vertices)[0])
+        self._arrow.set_data(*transform_points(pose, self._nose)[0].T)
+        self._clock.set_text(clock)
+        self._canvas.restore_region(self._background)
+        for artist in (self._outline, self._arrow, self._clock):
+            self._axes.draw_artist(artist)
+        return Images.fromarray(np.asarray(self._canvas.buffer_rgba())[..., :3].copy()).quantize(colors=64)
+
+
+def _write(target: Path, frames: list[Image], milliseconds: float) -> None:
+    step = int(min(milliseconds, 1e3 * _FRAME_TIME))
+    with replacing(target) as temporary:
+        frames[0].save(
+            temporary,
+            format="GIF",
+            save_all=True,
+            append_images=frames[1:],
+            duration=[step] * (len(frames) - 1) + [_HOLD],
+            loop=0,
+            disposal=1,
+        )

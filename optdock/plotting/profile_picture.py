@@ -1,0 +1,123 @@
+"""The picture of a motion over time, every quantity against its limit."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+from optdock.plotting.canvas import COLOURS, new_figure, save_figure
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from matplotlib.axes import Axes
+
+    from optdock.geometry.arrays import BoolArray, FloatArray
+    from optdock.limits import MotionLimits, SpeedZone
+    from optdock.trajectory import Trajectory
+
+__all__ = ["save_profile_picture"]
+
+_POINTS = 1500
+
+
+class _Panel(NamedTuple):
+    """One quantity: its values over time, its bounds (inf: none) and its axis label."""
+
+    label: str
+    values: FloatArray
+    lower: FloatArray
+    upper: FloatArray
+
+
+def save_profile_picture(
+    target: Path, trajectory: Trajectory, limits: MotionLimits, zone: SpeedZone, *, title: str = ""
+) -> None:
+    """Draw speed, acceleration, jerk, curvature, yaw rate and yaw acceleration over time, each with its limits.
+
+    The limit of the speed is the lowest of all that the path sets: the drive's, the approach zone's, and what yaw
+    rate, lateral acceleration and wheel speed leave at the curvature there.
+
+    Args:
+        target: Where; the suffix chooses the format.
+        trajectory: The timed motion.
+        limits: What it must keep.
+        zone: Slow stretch at the end of the path.
+        title: Above the picture.
+
+    Raises:
+        MissingExtra: Matplotlib is not installed.
+        InvalidFile: The file cannot be written.
+    """
+    times = np.linspace(0.0, trajectory.duration, _POINTS)
+    figure = new_figure(10.0, 7.5)
+    grid = figure.subplots(3, 2, sharex=True)
+    for axes, panel in zip(grid.T.ravel(), _panels(trajectory, limits, zone, times), strict=True):
+        _draw_panel(axes, times, panel, trajectory.cusp_times)
+    for axes in grid[-1]:
+        axes.set_xlabel("time [s]")
+        axes.set_xlim(0.0, trajectory.duration)
+    handles, labels = grid[0, 0].get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside lower center", ncols=3, fontsize=8, frameon=False)
+    figure.suptitle(title, fontsize=10)
+    save_figure(figure, target)
+
+
+def _panels(trajectory: Trajectory, limits: MotionLimits, zone: SpeedZone, times: FloatArray) -> list[_Panel]:
+    samples = trajectory.sample_at(times)
+    curvature, gear = trajectory.path.curvature_at(samples.s), trajectory.path.direction_at(samples.s)
+    forward = gear > 0
+    up, down = limits.max_acceleration, limits.max_deceleration
+    speed = _speed_bound(limits, np.abs(curvature), forward)
+    speed = np.where(samples.s > trajectory.path.length - zone.distance, np.minimum(speed, zone.speed), speed)
+    accelerations = np.where(forward, -down, -up), np.where(forward, up, down)
+    return [
+        _Panel("speed [m/s]", samples.speed, np.where(forward, 0.0, -speed), np.where(forward, speed, 0.0)),
+        _Panel("acceleration [m/s²]", samples.acceleration, *accelerations),
+        _symmetric("jerk [m/s³]", samples.jerk, limits.max_jerk),
+        _symmetric("curvature [1/m]", curvature, limits.max_curvature),
+        _symmetric("yaw rate [rad/s]", samples.yaw_rate, limits.max_yaw_rate),
+        _symmetric("yaw acceleration [rad/s²]", samples.yaw_acceleration, limits.max_yaw_acceleration),
+    ]
+
+
+def _symmetric(label: str, values: FloatArray, bound: float) -> _Panel:
+    return _Panel(label, values, np.full(values.size, -bound), np.full(values.size, bound))
+
+
+def _speed_bound(limits: MotionLimits, curvature: FloatArray, forward: BoolArray) -> FloatArray:
+    """Largest speed at every |curvature|."""
+    bent = np.maximum(curvature, 1e-12)
+    bound = np.where(forward, limits.max_speed, limits.max_reverse_speed)
+    bound = np.minimum(bound, limits.max_yaw_rate / bent)
+    bound = np.minimum(bound, np.sqrt(limits.max_lateral_acceleration / bent))
+    lowest: FloatArray = np.minimum(bound, limits.max_wheel_speed / (1.0 + 0.5 * limits.track_width * curvature))
+    return lowest
+
+
+def _draw_panel(axes: Axes, times: FloatArray, panel: _Panel, cusps: FloatArray) -> None:
+    axes.plot(times, panel.values, color=COLOURS["path"], linewidth=1.5, label="trajectory", zorder=3)
+    reach = 1.15 * max(float(np.max(np.abs(panel.values))), 1e-6)
+    for bound in (panel.lower, panel.upper):
+        shown = np.where(np.isfinite(bound), bound, math.nan)
+        axes.plot(
+            times, shown, "--", color=COLOURS["goal"], linewidth=1.1, label="limit" if bound is panel.upper else None
+        )
+        reach = max(reach, _worth_showing(bound, reach))
+    for i, time in enumerate(cusps):
+        axes.axvline(time, color="black", linewidth=0.8, linestyle=":", label="cusp" if i == 0 else None)
+    goes_below = bool(np.min(panel.values) < -1e-9 or np.min(panel.lower) < 0.0)
+    goes_above = bool(np.max(panel.values) > 1e-9 or np.max(panel.upper) > 0.0)
+    axes.set_ylim(-reach if goes_below else -0.05 * reach, reach if goes_above else 0.05 * reach)
+    axes.set_ylabel(panel.label)
+    axes.axhline(0.0, color="#888888", linewidth=0.6, zorder=1)
+    axes.grid(visible=True, color="#e5e5e5", linewidth=0.5)
+
+
+def _worth_showing(bound: FloatArray, reach: float) -> float:
+    """How far the axis must reach to show a bound, unless it is so far off that it would flatten the curve."""
+    finite = np.abs(bound[np.isfinite(bound)])
+    largest = 1.1 * float(finite.max()) if finite.size else 0.0
+    return largest if largest < 12.0 * reach else 0.0

@@ -1,0 +1,87 @@
+"""The picture of a simulated run: where the robot really drove, and how far off it was."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from optdock.plotting.canvas import COLOURS, new_figure, save_figure
+from optdock.plotting.scene import OutlineStyle, draw_arrow, draw_footprints, draw_scene, view_of
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from matplotlib.axes import Axes
+
+    from optdock.plotting.scene import View
+    from optdock.problem import DockingProblem
+    from optdock.simulation import Run
+
+__all__ = ["save_run_picture"]
+
+_FOOTPRINTS = 16
+
+
+def save_run_picture(target: Path, problem: DockingProblem, run: Run, *, title: str = "") -> None:
+    """Draw the driven poses over the planned ones, and the tracking errors and speeds over time.
+
+    Args:
+        target: Where; the suffix chooses the format.
+        problem: What was planned.
+        run: What happened.
+        title: Above the picture.
+
+    Raises:
+        MissingExtra: Matplotlib is not installed.
+        InvalidFile: The file cannot be written.
+    """
+    view = view_of(problem, [run.poses])
+    wide = view.right - view.left > 1.3 * (view.top - view.bottom)
+    figure = new_figure(11.0, 8.5) if wide else new_figure(12.0, 7.0)
+    grid = figure.add_gridspec(2, 3, height_ratios=(1.7, 1.0)) if wide else figure.add_gridspec(3, 2)
+    _draw_drive(figure.add_subplot(grid[0, :] if wide else grid[:, 0]), problem, run, view)
+    for i, draw in enumerate((_draw_errors, _draw_yaw_error, _draw_speeds)):
+        draw(figure.add_subplot(grid[1, i] if wide else grid[i, 1]), run)
+    figure.suptitle(title, fontsize=10)
+    save_figure(figure, target)
+
+
+def _draw_drive(axes: Axes, problem: DockingProblem, run: Run, view: View) -> None:
+    draw_scene(axes, problem, view)
+    rows = np.linspace(0, len(run.poses) - 1, min(_FOOTPRINTS, len(run.poses))).astype(int)
+    footprint = problem.robot.footprint
+    draw_footprints(axes, footprint, run.poses[rows], OutlineStyle(edge=COLOURS["robot"], width=0.6))
+    draw_footprints(axes, footprint, run.poses[-1:], OutlineStyle(edge="black", width=1.2, order=4.0))
+    axes.plot(run.references[:, 0], run.references[:, 1], "--", color=COLOURS["raw"], label="planned", zorder=5)
+    axes.plot(run.poses[:, 0], run.poses[:, 1], color=COLOURS["path"], linewidth=1.8, label="driven", zorder=4.5)
+    size = 0.6 * footprint.circumscribed_radius
+    draw_arrow(axes, problem.start, size, COLOURS["start"], "start")
+    draw_arrow(axes, problem.goal, size, COLOURS["goal"], "goal")
+    axes.legend(loc="best", fontsize=8)
+
+
+def _draw_errors(axes: Axes, run: Run) -> None:
+    axes.plot(run.times, 1e3 * run.errors[:, 0], color=COLOURS["path"], label="along")
+    axes.plot(run.times, 1e3 * run.errors[:, 1], color=COLOURS["goal"], label="cross")
+    _finish(axes, run, "tracking error [mm]")
+
+
+def _draw_yaw_error(axes: Axes, run: Run) -> None:
+    axes.plot(run.times, np.degrees(run.errors[:, 2]), color=COLOURS["start"], label="yaw")
+    _finish(axes, run, "yaw error [deg]")
+
+
+def _draw_speeds(axes: Axes, run: Run) -> None:
+    axes.plot(run.times, run.commands[:, 0], color=COLOURS["path"], label="speed [m/s]")
+    axes.plot(run.times, run.commands[:, 1], color=COLOURS["goal"], label="yaw rate [rad/s]")
+    _finish(axes, run, "command")
+
+
+def _finish(axes: Axes, run: Run, label: str) -> None:
+    axes.set_ylabel(label)
+    axes.set_xlabel("time [s]")
+    axes.set_xlim(0.0, max(run.duration, 1e-9))
+    axes.axhline(0.0, color="#888888", linewidth=0.6, zorder=1)
+    axes.grid(visible=True, color="#e5e5e5", linewidth=0.5)
+    axes.legend(loc="best", fontsize=8)

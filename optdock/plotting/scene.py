@@ -1,0 +1,140 @@
+"""What stands around the robot: map, obstacles, dock; and the robot itself."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+from optdock.geometry.pose import transform_points
+from optdock.plotting.canvas import COLOURS
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from matplotlib.axes import Axes
+
+    from optdock.costmap.costmap import Costmap
+    from optdock.geometry.arrays import FloatArray
+    from optdock.geometry.footprint import Footprint
+    from optdock.geometry.pose import Pose2
+    from optdock.problem import DockingProblem
+
+__all__ = ["OutlineStyle", "View", "draw_arrow", "draw_footprints", "draw_scene", "view_of"]
+
+# Obstacles that the map's picture shows already.
+_DRAWN_BY_THE_MAP = ("map", "unknown", "map border")
+_GREYS = {"free": 255, "unknown": 225, "occupied": 70}
+_MARGIN = 0.6  # [m] around everything of interest
+
+
+class View(NamedTuple):
+    """What a picture shows [m]."""
+
+    left: float
+    right: float
+    bottom: float
+    top: float
+
+    def figure_size(self, width: float = 9.0, tallest: float = 9.0) -> tuple[float, float]:
+        """Inches that show the view with equal axes and room for labels."""
+        ratio = (self.top - self.bottom) / (self.right - self.left)
+        height = width * ratio
+        return (width, max(3.2, height + 0.9)) if height <= tallest else (max(3.6, tallest / ratio + 0.9), tallest)
+
+
+def view_of(problem: DockingProblem, paths: Sequence[FloatArray]) -> View:
+    """A view that holds the robot's outline along every path, Shape (n, 3) each, the dock, and obstacles close by."""
+    outline = problem.robot.footprint.vertices
+    ends = np.array([problem.start.as_array(), problem.goal.as_array()])
+    points = [transform_points(poses, outline).reshape(-1, 2) for poses in (*paths, ends)]
+    if problem.dock.footprint is not None:
+        points.append(transform_points(ends[1:], problem.dock.footprint.vertices)[0])
+    everything = np.vstack(points)
+    (left, bottom), (right, top) = everything.min(axis=0) - _MARGIN, everything.max(axis=0) + _MARGIN
+    return View(float(left), float(right), float(bottom), float(top))
+
+
+def draw_scene(axes: Axes, problem: DockingProblem, view: View) -> None:
+    """Map, obstacles and dock, axes in metres with equal scales."""
+    if problem.costmap is not None:
+        _draw_map(axes, problem.costmap)
+    _draw_obstacles(axes, problem, view)
+    axes.set_aspect("equal")
+    axes.set_xlim(view.left, view.right)
+    axes.set_ylim(view.bottom, view.top)
+    axes.set_xlabel("x [m]")
+    axes.set_ylabel("y [m]")
+    axes.grid(visible=True, color="#dddddd", linewidth=0.5, zorder=0.5)
+    axes.set_axisbelow(True)
+
+
+def _draw_map(axes: Axes, costmap: Costmap) -> None:
+    grey = np.full(costmap.data.shape, _GREYS["free"], dtype=np.uint8)
+    grey[costmap.data == 255] = _GREYS["unknown"]
+    grey[(costmap.data >= 254) & (costmap.data < 255)] = _GREYS["occupied"]
+    (x0, y0), (x1, y1) = costmap.lower, costmap.upper
+    axes.imshow(
+        grey, cmap="gray", vmin=0, vmax=255, origin="lower", extent=(x0, x1, y0, y1), interpolation="nearest", zorder=0
+    )
+
+
+def _draw_obstacles(axes: Axes, problem: DockingProblem, view: View) -> None:
+    from matplotlib.collections import PolyCollection
+
+    lower, upper = np.array([view.left, view.bottom]), np.array([view.right, view.top])
+    obstacles = problem.all_obstacles.in_box(lower, upper)
+    hidden = _DRAWN_BY_THE_MAP if problem.costmap is not None else ()
+    for colour, label, wanted in (("obstacle", "obstacle", False), ("dock", "dock", True)):
+        rows = [
+            row
+            for row in range(len(obstacles))
+            if obstacles.name_of(row) not in hidden and (obstacles.name_of(row) == "dock") is wanted
+        ]
+        if rows:
+            shapes = [obstacles.vertices[row] for row in rows]
+            axes.add_collection(
+                PolyCollection(shapes, facecolor=COLOURS[colour], edgecolor=COLOURS[colour], label=label, zorder=1)
+            )
+
+
+class OutlineStyle(NamedTuple):
+    """How the robot's outline is drawn."""
+
+    edge: str = "none"
+    face: str = "none"
+    width: float = 1.0
+    alpha: float = 1.0
+    line: str = "-"
+    order: float = 2.0
+    label: str = ""
+
+
+def draw_footprints(axes: Axes, footprint: Footprint, poses: FloatArray, style: OutlineStyle) -> None:
+    """The robot's outline at every pose, Shape (n, 3)."""
+    from matplotlib.collections import PolyCollection
+
+    outlines = PolyCollection(
+        list(transform_points(poses, footprint.vertices)),
+        facecolor=style.face,
+        edgecolor=style.edge,
+        linewidth=style.width,
+        linestyle=style.line,
+        alpha=style.alpha,
+        zorder=style.order,
+        label=style.label or None,
+    )
+    axes.add_collection(outlines)
+
+
+def draw_arrow(axes: Axes, pose: Pose2, length: float, colour: str, label: str) -> None:
+    """Where the robot stands and which way its nose points."""
+    tip = (pose.x + length * np.cos(pose.yaw), pose.y + length * np.sin(pose.yaw))
+    axes.annotate(
+        "",
+        xy=tip,
+        xytext=(pose.x, pose.y),
+        arrowprops={"arrowstyle": "-|>", "color": colour, "linewidth": 2.2, "mutation_scale": 16},
+        zorder=6,
+    )
+    axes.plot([pose.x], [pose.y], "o", color=colour, markersize=6, label=label, zorder=6)

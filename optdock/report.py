@@ -1,0 +1,139 @@
+"""Plans and runs as files, tables and sentences."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+from optdock.io.plan_file import CERTIFIED, PlanError, PlanFile, TrajectoryColumns, finite_or_null, strict_json
+from optdock.pipeline import PartialPlan
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from optdock.errors import OptdockError
+    from optdock.geometry.arrays import FloatArray
+    from optdock.pipeline import DockPlan
+    from optdock.simulation import Run
+    from optdock.verification import Certificate
+
+__all__ = [
+    "RUN_FORMAT",
+    "certificate_rows",
+    "failed_plan_file",
+    "plan_file",
+    "plan_rows",
+    "run_json",
+    "run_rows",
+    "table",
+]
+
+RUN_FORMAT = "optdock-run/1"
+
+
+class Row(NamedTuple):
+    """One line of a summary."""
+
+    name: str
+    value: str
+
+
+def plan_file(plan: DockPlan, frame: str, period: float) -> PlanFile:
+    """A certified plan as a file's content, its trajectory sampled every `period` [s]."""
+    certificate = {**plan.certificate.as_dict(), "trajectory": plan.trajectory_certificate.as_dict()}
+    return PlanFile(
+        status=CERTIFIED,
+        completed=plan.completed,
+        frame=frame,
+        raw_path=plan.raw_path,
+        path=plan.path,
+        trajectory=TrajectoryColumns.from_trajectory(plan.trajectory, period),
+        certificate=certificate,
+        timing_ms=plan.timing_ms,
+    )
+
+
+def failed_plan_file(error: OptdockError, frame: str) -> PlanFile:
+    """A failure as a file's content: its name, its reason, and whatever exists so far."""
+    partial = getattr(error, "partial", None)
+    so_far = partial if isinstance(partial, PartialPlan) else PartialPlan()
+    return PlanFile(
+        status=type(error).__name__,
+        frame=frame,
+        raw_path=so_far.raw_path,
+        path=so_far.path,
+        certificate=so_far.certificate.as_dict() if so_far.certificate is not None else None,
+        timing_ms=so_far.timing_ms,
+        error=PlanError.from_exception(error),
+    )
+
+
+def plan_rows(plan: DockPlan) -> list[Row]:
+    """A certified plan in a few lines."""
+    gears = " ".join("forward" if int(segment.direction) > 0 else "reverse" for segment in plan.path.segments)
+    status = CERTIFIED if plan.completed else f"{CERTIFIED}, stopped early by the time budget"
+    times = ", ".join(f"{stage} {ms:.1f}" for stage, ms in plan.timing_ms.items())
+    return [
+        Row("status", status),
+        Row("gears", gears),
+        Row("duration", f"{plan.trajectory.duration:.3f} s"),
+        *certificate_rows(plan.certificate),
+        Row("time [ms]", times),
+    ]
+
+
+def certificate_rows(certificate: Certificate) -> list[Row]:
+    """What a certificate proves."""
+    rows = [Row("length", f"{certificate.length:.3f} m"), Row("max curvature", f"{certificate.max_curvature:.3f} 1/m")]
+    if math.isfinite(certificate.min_clearance):
+        where = f"to {certificate.nearest} at s = {certificate.at_s:.3f} m"
+        rows.append(Row("min clearance", f"{certificate.min_clearance:.4f} m {where}"))
+        rows.append(Row("margin", f"{certificate.margin:.4f} m over the required clearance"))
+    return rows
+
+
+def run_rows(run: Run) -> list[Row]:
+    """A simulated run in a few lines."""
+    error = run.final_error
+    rows = [
+        Row("docked", "yes" if run.docked else f"no: {run.reason}"),
+        Row("final error", f"along {1e3 * error.x:+.2f} mm, cross {1e3 * error.y:+.2f} mm, yaw {error.yaw:+.5f} rad"),
+        Row("largest error", _largest_error(run.errors)),
+        Row("driving time", f"{run.duration:.2f} s"),
+    ]
+    if run.min_clearance is not None:
+        rows.append(Row("min clearance driven", f"{run.min_clearance:.4f} m"))
+    return rows
+
+
+def _largest_error(errors: FloatArray) -> str:
+    along, cross, yaw = np.max(np.abs(errors), axis=0)
+    return f"along {1e3 * along:.2f} mm, cross {1e3 * cross:.2f} mm, yaw {yaw:.5f} rad"
+
+
+def run_json(run: Run, seed: int) -> str:
+    """A simulated run as strict JSON, format `optdock-run/1`; columns in SI units."""
+    error = run.final_error
+    columns: dict[str, object] = {"t": run.times}
+    for name, table_, parts in (
+        ("", run.poses, ("x", "y", "yaw")),
+        ("measured_", run.measured, ("x", "y", "yaw")),
+        ("planned_", run.references, ("x", "y", "yaw")),
+        ("error_", run.errors, ("along", "cross", "yaw")),
+        ("command_", run.commands, ("speed", "yaw_rate")),
+        ("", run.twists, ("speed", "yaw_rate")),
+    ):
+        columns.update({f"{name}{part}": table_[:, i] for i, part in enumerate(parts)})
+    head = {"format": RUN_FORMAT, "docked": run.docked, "reason": run.reason, "seed": seed, "duration": run.duration}
+    final = {"along": error.x, "cross": error.y, "yaw": error.yaw}
+    body = {"final_error": final, "min_clearance": run.min_clearance, "columns": columns}
+    return strict_json({key: finite_or_null(value) for key, value in {**head, **body}.items()})
+
+
+def table(rows: Sequence[Sequence[str]]) -> str:
+    """Columns of text, aligned."""
+    widths = [max(len(row[i]) for row in rows) for i in range(len(rows[0]))]
+    lines = ["  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip() for row in rows]
+    return "\n".join(lines)
