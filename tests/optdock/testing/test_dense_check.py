@@ -14,6 +14,8 @@ from optdock.path import ClothoidSegment, Path
 from optdock.problem import ClearanceRule, DockingProblem
 from optdock.robot import Robot
 from optdock.testing.dense_check import clearance_at, dense_check
+from optdock.testing.families import instance
+from optdock.verification import certify_path
 
 START, GOAL = Pose2(0.0, 0.0, 0.0), Pose2(4.0, 0.0, 0.0)
 ROBOT = Robot(Footprint.rectangle(0.5, 0.5, 0.6), MotionLimits(max_curvature=1.0, max_curvature_rate=4.0))
@@ -158,13 +160,33 @@ def test_clearance_at_a_pose_is_negative_inside():
     assert clearance_at(START, problem_with()) == math.inf
 
 
-def test_what_the_certificate_accepts_the_samples_accept():
-    from optdock.testing.families import instance
-    from optdock.verification import certify_path
+FAMILIES = ("alcove", "parallel", "clutter", "corridor", "angled_hexagon", "car_bay")
 
-    for family in ("alcove", "parallel", "clutter"):
-        drawn = instance(family, 5)
-        certificate = certify_path(drawn.witness, drawn.problem)
-        report = dense_check(drawn.witness, drawn.problem)
-        assert report.ok
-        assert certificate.min_clearance <= report.min_clearance + 1e-9
+
+def held_requirement(drawn, step):
+    """The largest required clearance that the dense check finds held along the witness, within 1e-9 m."""
+    low, high = 0.0, 1.0
+    while high - low > 1e-9:
+        middle = 0.5 * (low + high)
+        problem = dataclasses.replace(drawn.problem, clearance=ClearanceRule(middle, 0.0, 0.5))
+        low, high = (middle, high) if dense_check(drawn.witness, problem, step).worst_margin > 0.0 else (low, middle)
+    return low
+
+
+@pytest.mark.parametrize("family", FAMILIES)
+def test_the_certificate_refuses_what_the_samples_refute_and_little_else(family):
+    drawn = instance(family, 5)
+    held = held_requirement(drawn, 0.01)
+    too_much = dataclasses.replace(drawn.problem, clearance=ClearanceRule(held + 1e-4, 0.0, 0.5))
+    a_little_less = dataclasses.replace(drawn.problem, clearance=ClearanceRule(held - 2e-3, 0.0, 0.5))
+    assert not certify_path(drawn.witness, too_much).certified
+    assert certify_path(drawn.witness, a_little_less).certified
+
+
+@pytest.mark.parametrize("family", FAMILIES)
+def test_the_proven_clearance_is_never_more_than_the_measured(family):
+    drawn = instance(family, 5)
+    certificate, report = certify_path(drawn.witness, drawn.problem), dense_check(drawn.witness, drawn.problem)
+    assert certificate.min_clearance <= report.min_clearance + 1e-9
+    assert certificate.margin <= report.worst_margin + 1e-9
+    assert certificate.max_curvature == pytest.approx(report.max_curvature, abs=0.02)

@@ -1,0 +1,59 @@
+import json
+import math
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[2]
+
+
+def run(*arguments):
+    command = [sys.executable, "-m", "experiments.benchmarks", *arguments]
+    return subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
+
+
+def test_the_smoothing_benchmark_counts_what_it_should(tmp_path):
+    out = tmp_path / "smoothing.json"
+    small = ("--seeds", "1", "--repeats", "1", "--calls", "2", "--budgets", "50,100")
+    done = run("smoothing", *small, "--families", "open_s,start_collision", "--out", str(out))
+    assert done.returncode == 0, done.stderr
+    tables = {table["title"]: table["rows"] for table in json.loads(out.read_text())["tables"]}
+    (verdict,) = tables["Smoothing, infeasible families: verdicts"]
+    assert (verdict["right"], verdict["of"]) == (1, 1)
+    (solved,) = tables["Smoothing, feasible families"]
+    assert (solved["certified"], solved["of"], solved["false"]) == (1, 1, 0)
+    (again,) = tables["Warm re-smooth"]
+    assert again["warm certified"] == 1
+    assert [row["calls"] for row in tables["Hard time budgets"]] == [1, 1]
+    compared = {row["smoother"]: row for row in tables["Smoothers compared on the same raw paths"]}
+    assert compared["raw"]["over curvature"] == 1
+    assert compared["raw"]["certified"] == 0
+    assert compared["CasadiSmoother"]["certified"] == 1
+    assert "Hard time budgets" in done.stdout
+
+
+@pytest.mark.parametrize("wrong", [("nosuch",), ("smoothing", "timing", "--seeds", "1")])
+def test_wrong_names_are_answered_with_the_known_ones(wrong):
+    done = run(*wrong)
+    assert done.returncode == 2
+    assert "smoothing" in done.stderr
+
+
+def test_wrong_families_are_answered_with_the_known_ones():
+    done = run("smoothing", "--families", "alcove,nosuch")
+    assert done.returncode == 2
+    assert "unknown nosuch; known: open_s" in done.stderr
+
+
+def test_percentiles_are_values_that_occurred(monkeypatch):
+    monkeypatch.syspath_prepend(str(ROOT))
+    from experiments.benchmarks.tables import Table, percentile
+
+    values = [3.0, 1.0, math.nan, 2.0, 4.0]
+    assert [percentile(values, share) for share in (0, 50, 51, 100)] == [1.0, 2.0, 3.0, 4.0]
+    assert math.isnan(percentile([math.nan], 50))
+    lines = str(Table("A title", ("name", "n"), (("first", 1.23456), ("second", math.nan)), "note")).splitlines()
+    assert lines[1:3] == ["## A title", "note"]
+    assert [line.split()[-1] for line in lines[-2:]] == ["1.23", "-"]
