@@ -3,32 +3,42 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, ClassVar
+from typing import TYPE_CHECKING, ClassVar, Literal
 
 import numpy as np
 from pydantic import Field
 
+from optdock.dock import Dock
 from optdock.errors import SmootherTimedOut
+from optdock.geometry.footprint import Footprint
+from optdock.geometry.pose import Pose2
 from optdock.interfaces import Smoother, SmoothingResult, never_cancelled
 from optdock.limits import MotionLimits
+from optdock.obstacles import ObstacleSet
 from optdock.parameters import PluginParameters
-from optdock.verification.clearance import pose_clearance
-from smoothers._ck.anytime import Runner
+from optdock.path import Path
+from optdock.problem import DockingProblem
+from optdock.robot import Robot
+from optdock.verification import certify_path, pose_clearance
+from smoothers._ck.anytime import Incumbent, Outcome, Runner
 from smoothers._ck.budget import Budget
-from smoothers._ck.initial import Resolution, make_task
+from smoothers._ck.initial import Resolution, Tuning, make_task
+from smoothers._ck.kept import input_cost, may_be_kept
 from smoothers._ck.qp import ProgramPool
 from smoothers._ck.refusals import refuse_approach, refuse_search, refuse_start
+from smoothers._ck.spline import exact_path
+from smoothers._ck.steps import prepare_programs
 from smoothers._ck.surroundings import problem_between_ends
 from smoothers._ck.terms import Weights
+from smoothers._ck.warm import remaining
 from smoothers._ck.world import world_around
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from optdock.path import Path
-    from optdock.problem import DockingProblem
-    from smoothers._ck.anytime import Outcome
+    from optdock.errors import SmootherException
     from smoothers._ck.task import Task
+    from smoothers._ck.world import World
 
 __all__ = ["CasadiSmoother", "CasadiSmootherParameters"]
 
@@ -47,6 +57,7 @@ class CasadiSmootherParameters(PluginParameters):
     spans: int = Field(24, ge=8, le=80, description="pieces of linear curvature over the whole path")
     interval: float = Field(0.0625, gt=0, description="distance of collision nodes for a robot of 1 m [m]")
     max_iterations: int = Field(60, ge=1, description="convex steps")
+    backend: Literal["scp", "ipopt"] = Field("scp", description="ipopt: slow reference, not for production")
     stop_at_first: bool = Field(default=False, description="return the first certified path")
 
 
@@ -85,24 +96,37 @@ class CasadiSmoother(Smoother):
 
         Raises:
             FailedToSmoothPath: `where["reason"]` names the bound in the way: `start_in_collision`, `start_curvature`,
-                `direction`, `approach_blocked`, `goal_unreachable`, `clearance`, `curvature_rate`; `s` [m], `amount` and
-                `obstacle` say where and by how much.
+                `direction`, `approach_blocked`, `goal_unreachable`, `clearance`, `curvature_rate`; `s` [m], `amount`
+                and `obstacle` say where and by how much.
             SmootherTimedOut: No certified path within `max_time`.
             SmootherCancelled: `cancel_checker` returned True.
         """
         budget = Budget(max_time, self.context.clock)
+        built = self._pool.build_time
         wanted = problem if problem is not None else self._problem_of(path)
-        task = self._prepared(path, wanted)
-        setup = budget.elapsed
-        runner = Runner(
-            wanted, self._pool, budget, cancel_checker, self.parameters.max_iterations, self.parameters.stop_at_first
-        )
+        task = self._prepared(path, wanted, warm_start)
+        setup, chosen = budget.elapsed, self.parameters
+        if chosen.backend == "ipopt":
+            return self._reference(task, wanted, budget)
+        runner = Runner(wanted, self._pool, budget, cancel_checker, chosen.max_iterations, chosen.stop_at_first)
+        if may_be_kept(path, wanted):
+            runner.offer(path, input_cost(path, task.cost, wanted.dock.final_straight))
         outcome = runner.run(task)
         if outcome.incumbent is None:
-            _raise_failure(task, outcome, max_time)
-        return _result(outcome, setup, budget)
+            raise _failure(task, outcome, max_time)
+        return _result(outcome, budget, setup, self._pool.build_time - built)
 
-    def _prepared(self, path: Path, problem: DockingProblem) -> Task:
+    def warm_up(self) -> None:
+        """Build what the first call would build, and load the solvers."""
+        start, goal = Pose2(0.0, 0.0, 0.0), Pose2(3.0, 0.3, 0.0)
+        wall = ObstacleSet.from_polygons([[[0.0, 0.6], [4.0, 0.6], [4.0, 0.9], [0.0, 0.9]]])
+        limits = MotionLimits(max_curvature=1.5, max_curvature_rate=6.0)
+        robot = Robot(Footprint.rectangle(0.4, 0.4, 0.5), limits)
+        problem = DockingProblem(start, Dock(goal, final_straight=0.2), robot, wall)
+        self.smooth(Path.from_poses([start, Pose2(1.5, 0.0, 0.1), goal]), 10.0, problem=problem)
+        prepare_programs(self._pool)
+
+    def _prepared(self, path: Path, problem: DockingProblem, earlier: Path | None) -> Task:
         start_clearance, nearest = pose_clearance(problem.start, problem.robot.footprint, problem.all_obstacles)
         refusal = refuse_start(path, problem, start_clearance, nearest)
         if refusal is None:
@@ -112,38 +136,55 @@ class CasadiSmoother(Smoother):
         shares = np.linspace(0.0, 1.0, 40)
         positions = np.concatenate([segment.poses_at(shares * segment.length)[:, :2] for segment in path.segments])
         world = world_around(problem, positions, start_clearance)
+        return make_task(path, problem, world, self._tuning(world), remaining(earlier, path, problem))
+
+    def _tuning(self, world: World) -> Tuning:
         chosen = self.parameters
         # Longer robots are larger in everything: their obstacles too can be watched at larger distances.
         interval = chosen.interval * max(1.0, world.body.radius / 0.55)
         weights = Weights(
             chosen.length_weight, chosen.curvature_weight, chosen.curvature_rate_weight, chosen.tracking_weight
         )
-        return make_task(path, problem, world, Resolution(chosen.spans, interval), weights)
+        return Tuning(Resolution(chosen.spans, interval), weights)
 
     def _problem_of(self, path: Path) -> DockingProblem:
         chosen = self.parameters
         limits = MotionLimits(max_curvature=chosen.max_curvature, max_curvature_rate=chosen.max_curvature_rate)
         return problem_between_ends(path, self.context, limits, chosen.clearance, chosen.final_straight)
 
+    def _reference(self, task: Task, problem: DockingProblem, budget: Budget) -> SmoothingResult:
+        from smoothers._ck.ipopt_backend import solve_reference
 
-def _raise_failure(task: Task, outcome: Outcome, max_time: float) -> None:
+        iterate, settled = solve_reference(task, max(0.1, budget.remaining))
+        path, _ = exact_path(task, iterate.variables, problem.dock.final_straight)
+        certificate = certify_path(path, problem)
+        if not certificate.certified:
+            raise refuse_search(task, iterate).error(certificate=certificate.reason)
+        outcome = Outcome(Incumbent(path, certificate, iterate.cost), iterate, converged=settled)
+        return _result(outcome, budget, 0.0, 0.0)
+
+
+def _failure(task: Task, outcome: Outcome, max_time: float) -> SmootherException:
     if not outcome.converged or outcome.last is None:
-        raise SmootherTimedOut(
-            f"no certified path within {1e3 * max_time:.1f} ms", where={"iterations": outcome.iterations}
-        )
-    raise refuse_search(task, outcome.last).error()
+        message = f"no certified path within {1e3 * max_time:.1f} ms"
+        return SmootherTimedOut(message, where={"iterations": outcome.iterations})
+    return refuse_search(task, outcome.last).error()
 
 
-def _result(outcome: Outcome, setup: float, budget: Budget) -> SmoothingResult:
-    assert outcome.incumbent is not None  # the caller has raised otherwise
+def _result(outcome: Outcome, budget: Budget, setup: float, build: float) -> SmoothingResult:
+    best = outcome.incumbent
+    assert best is not None  # the caller has raised otherwise
+    first = outcome.first_certified
+    status = "input_kept" if best.is_input else "converged" if outcome.converged else "budget"
     report = {
-        "status": "converged" if outcome.converged else "budget",
-        "cost": outcome.incumbent.cost,
+        "status": status,
+        "cost": best.cost,
         "iterations": outcome.iterations,
-        "setup_s": setup,
+        "setup_s": setup - build,
+        "build_s": build,
         "certify_s": outcome.certify_time,
-        "first_certified_s": outcome.first_certified if outcome.first_certified is not None else math.nan,
+        "first_certified_s": first if first is not None else math.nan,
         "total_s": budget.elapsed,
-        "certificate": outcome.incumbent.certificate,
+        "certificate": best.certificate,
     }
-    return SmoothingResult(outcome.incumbent.path, outcome.converged, report)
+    return SmoothingResult(best.path, outcome.converged, report)

@@ -6,7 +6,7 @@ from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, NamedTuple
 
 from optdock.errors import SmootherCancelled
-from optdock.verification.certify import certify_path
+from optdock.verification import certify_path
 from smoothers._ck.scp import search
 from smoothers._ck.spline import exact_path
 
@@ -30,11 +30,12 @@ _REPAIRS = 2
 
 
 class Incumbent(NamedTuple):
-    """A certified path, its certificate and its cost."""
+    """A certified path, its certificate, its cost, and whether it is the input."""
 
     path: Path
     certificate: Certificate
     cost: float
+    is_input: bool = False
 
 
 @dataclass
@@ -94,6 +95,19 @@ class Runner:
             task = replace(task, initial=rejected.variables, buffer=3.0 * task.buffer)
         return self.outcome
 
+    def offer(self, path: Path, cost: float) -> None:
+        """The input as a first result, if it is certified."""
+        began = self.budget.elapsed
+        certificate = certify_path(path, self.problem)
+        self._note_certificate(began)
+        if certificate.certified:
+            self.outcome.incumbent = Incumbent(path, certificate, cost, is_input=True)
+            self.outcome.first_certified = self.budget.elapsed
+
+    def _note_certificate(self, began: float) -> None:
+        self._certify = self.budget.elapsed - began
+        self.outcome.certify_time += self._certify
+
     def _search(self, task: Task) -> None:
         self.outcome.converged = False
         before = self.budget.elapsed
@@ -136,8 +150,7 @@ class Runner:
         began = self.budget.elapsed
         path, _ = exact_path(task, candidate.variables, self.problem.dock.final_straight)
         certificate = certify_path(path, self.problem)
-        self._certify = self.budget.elapsed - began
-        self.outcome.certify_time += self._certify
+        self._note_certificate(began)
         if not certificate.certified:
             self.outcome.refused = certificate
             return candidate

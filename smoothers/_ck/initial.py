@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -12,16 +13,21 @@ from smoothers._ck.closing import Ends, clipped
 from smoothers._ck.layout import layout_for
 from smoothers._ck.rollout import Variables
 from smoothers._ck.task import Task, curvature_bound, reference_scales, variable_bounds
-from smoothers._ck.terms import CostModel, Reference, Weights
+from smoothers._ck.terms import CostModel, Reference
 
 if TYPE_CHECKING:
     from optdock.geometry.arrays import FloatArray
     from optdock.path import Path
     from optdock.problem import DockingProblem
     from smoothers._ck.layout import Layout, Shape
+    from smoothers._ck.terms import Weights
+    from smoothers._ck.warm import Remaining
     from smoothers._ck.world import World
 
-__all__ = ["Resolution", "Traced", "fitted_variables", "make_task", "shape_for", "trace"]
+__all__ = ["Resolution", "Traced", "Tuning", "fitted_variables", "make_task", "shape_for", "trace"]
+
+
+_WARM_TRUST, _WARM_PROX = 0.2, 0.1  # an earlier result is near the new one
 
 
 class Resolution(NamedTuple):
@@ -29,6 +35,13 @@ class Resolution(NamedTuple):
 
     spans: int
     interval: float
+
+
+class Tuning(NamedTuple):
+    """How finely to solve, and what to prefer."""
+
+    resolution: Resolution
+    weights: Weights
 
 
 class Traced(NamedTuple):
@@ -49,7 +62,8 @@ def free_lengths(path: Path, final_straight: float) -> FloatArray:
     """Gear lengths of the input without its final straight. Shape (num_gears,) [m]."""
     lengths = np.array([segment.length for segment in path.segments])
     lengths[-1] = max(lengths[-1] - final_straight, 0.25 * lengths[-1], 0.01)
-    return np.maximum(lengths, 0.01)
+    kept: FloatArray = np.maximum(lengths, 0.01)
+    return kept
 
 
 def shape_for(lengths: FloatArray, resolution: Resolution) -> Shape:
@@ -95,24 +109,24 @@ def fitted_variables(layout: Layout, traced: Traced, lengths: FloatArray, start_
     return Variables(turned / layout.per_knot(lengths), lengths.copy())
 
 
-def make_task(
-    path: Path, problem: DockingProblem, world: World, resolution: Resolution, weights: Weights = Weights()
-) -> Task:
-    """The task of smoothing `path` for `problem`."""
+def make_task(path: Path, problem: DockingProblem, world: World, tuning: Tuning, left: Remaining | None) -> Task:
+    """The task of smoothing `path` for `problem`, from what is `left` of an earlier result if there is any."""
     limits, straight = problem.robot.limits, problem.dock.final_straight
-    lengths = free_lengths(path, straight)
-    layout = layout_for(shape_for(lengths, resolution))
+    traced_lengths = free_lengths(path, straight)
+    lengths = traced_lengths if left is None else left.lengths
+    layout = layout_for(shape_for(lengths, tuning.resolution))
     start = problem.start.as_array()
     start[2] += 2.0 * np.pi * round((path.start.yaw - start[2]) / (2.0 * np.pi))
-    traced = trace(path, layout, lengths, start[2])
+    traced = trace(path, layout, traced_lengths, start[2])
     ends = Ends(start, _target(problem, path, traced.end_yaw), _signs(path))
     bounds, inner = variable_bounds(
         layout, limits, lengths, start_curvature=problem.start_curvature, straight_end=straight > 0.0
     )
-    cost = CostModel(layout, weights, reference_scales(limits), reference_of(traced, layout))
-    initial = clipped(fitted_variables(layout, traced, lengths, start[2]), inner)
+    cost = CostModel(layout, tuning.weights, reference_scales(limits), reference_of(traced, layout))
+    first = fitted_variables(layout, traced, lengths, start[2]) if left is None else left.variables(layout)
     radius = 1.0 / min(curvature_bound(limits), 2.0)
-    return Task(layout, ends, bounds, inner, cost, world, initial, 0.5 * radius, radius)
+    task = Task(layout, ends, bounds, inner, cost, world, clipped(first, inner), 0.5 * radius, radius)
+    return task if left is None else replace(task, trust=_WARM_TRUST, prox=_WARM_PROX)
 
 
 def _signs(path: Path) -> FloatArray:

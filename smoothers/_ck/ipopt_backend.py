@@ -7,7 +7,7 @@ fixed, so a local optimum of the program is a local optimum of the problem. Slow
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple, TypeAlias
 
 import casadi
 import numpy as np
@@ -19,6 +19,8 @@ from smoothers._ck.scp import evaluate
 from smoothers._ck.symbolic import cost_expression, model_for
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping
+
     from optdock.geometry.arrays import FloatArray, IntArray
     from smoothers._ck.planes import Clearance
     from smoothers._ck.scp import Iterate
@@ -31,6 +33,9 @@ _ROUNDS = 5  # the set of near pairs and the dips between nodes are renewed afte
 _REACH = 0.12  # [m]
 _SETTLED = 1e-4
 _BUFFER = 2e-5  # [m]
+
+
+_Option: TypeAlias = "bool | float | str | Mapping[str, float | str]"
 
 
 class _Program(NamedTuple):
@@ -74,7 +79,7 @@ def _round(task: Task, current: Iterate, found: Clearance, max_time: float) -> t
     value, cost = casadi.vertcat(*(p.value for p in parts)), cost_expression(model, task.cost)
     fixed = casadi.vertcat(model.start, model.signs)
     z = casadi.vertcat(model.variables, angles, offsets)
-    options = {
+    options: dict[str, _Option] = {
         "print_time": False,
         "error_on_fail": False,
         "ipopt": {"print_level": 0, "sb": "yes", "tol": 1e-7, "max_iter": 400, "max_wall_time": max_time},
@@ -113,9 +118,7 @@ def _path_constraints(task: Task, model: SymbolicModel) -> _Program:
     return _Program(value, lower, np.concatenate((task.ends.target, np.zeros(count))))
 
 
-def _line_constraints(
-    task: Task, current: Iterate, found: Clearance, lines: tuple[casadi.SX, casadi.SX]
-) -> _Program:
+def _line_constraints(task: Task, current: Iterate, found: Clearance, lines: tuple[casadi.SX, casadi.SX]) -> _Program:
     """Swept vertices above their line by the requirement and the dip, obstacle vertices below it."""
     model, (angles, offsets) = model_for(task.layout.shape), lines
     count = found.hull.x.shape[0] // 2
@@ -134,8 +137,8 @@ def _line_constraints(
             py = pose[:, 1] + s * arm[:, 0] + c * arm[:, 1]
             fixed = casadi.DM(dips[side * count + v] - required + _BUFFER)
             values.append(x * px + y * py - offsets - moving - fixed)
-    for k in range(found.outline.x.shape[0]):
-        values.append(offsets - x * casadi.DM(found.outline.x[k]) - y * casadi.DM(found.outline.y[k]))
+    rocks = zip(found.outline.x, found.outline.y, strict=True)
+    values.extend(offsets - x * casadi.DM(rock_x) - y * casadi.DM(rock_y) for rock_x, rock_y in rocks)
     total = casadi.vertcat(*values)
     return _Program(total, np.zeros(total.shape[0]), np.full(total.shape[0], np.inf))
 

@@ -92,13 +92,15 @@ class Layout:
         values["gauss_members"] = _blocks([np.ones((2 * n, 1)) for n in cells])
         values["node_rows"] = _heading_rows(spans, nodes)
         values["node_hats"] = _blocks([_hats(q, u) for q, u in zip(spans, nodes, strict=True)])
-        values["span_rows"] = _blocks([q * np.diff(np.eye(q + 1), axis=0) for q in spans])
+        slopes = [q * np.diff(np.eye(q + 1), axis=0) for q in spans]
+        values["span_rows"] = _blocks(slopes)
         repeats = np.repeat(np.array([r for _, r in self.shape]), spans)
-        values["slope_rows"] = np.repeat(values["span_rows"], repeats, axis=0)
+        values["slope_rows"] = np.repeat(_blocks(slopes), repeats, axis=0)
         values["mass"] = _blocks([_mass(q) for q in spans])
-        values["stiffness"] = _blocks([_stiffness(q) for q in spans])
+        stiffness = _blocks([_stiffness(q) for q in spans])
+        values["stiffness"] = stiffness
         rows = _heading_rows(spans, middles)
-        normal = rows.T @ rows + _FIT_SMOOTHING * values["stiffness"] + 1e-9 * np.eye(rows.shape[1])
+        normal = rows.T @ rows + _FIT_SMOOTHING * stiffness + 1e-9 * np.eye(rows.shape[1])
         values["fit"] = np.linalg.solve(normal, rows.T)
         for name, value in values.items():
             if isinstance(value, np.ndarray):

@@ -121,7 +121,7 @@ def _inward_normals(world: World, rollout: Rollout, part: IntArray, left: IntArr
 
 
 def swept_pairs(world: World, layout: Layout, rollout: Rollout, corners: Points, reach: float) -> Pairs:
-    """Pairs within `reach` [m] by their boxes, in the world's frame and in the body's; of each interval the nearest few.
+    """Pairs within `reach` [m] by their boxes, in the world's frame and the body's; of each interval the nearest few.
 
     World boxes alone keep most obstacles around a body that stands askew.
 

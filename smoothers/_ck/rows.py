@@ -13,7 +13,7 @@ import numpy as np
 from smoothers._ck.axes import lowest_points
 
 if TYPE_CHECKING:
-    from optdock.geometry.arrays import FloatArray, IntArray
+    from optdock.geometry.arrays import BoolArray, FloatArray, IntArray
     from smoothers._ck.layout import Layout
     from smoothers._ck.planes import Clearance
     from smoothers._ck.rollout import Rollout, Sensitivity
@@ -30,6 +30,10 @@ class Rows(NamedTuple):
     gradient: FloatArray
     gap: FloatArray
     node: IntArray
+
+    def subset(self, keep: IntArray | BoolArray) -> Rows:
+        """The rows at `keep`."""
+        return Rows(self.gradient[keep], self.gap[keep], self.node[keep])
 
 
 class _Witness(NamedTuple):
@@ -49,7 +53,11 @@ def empty_rows(size: int) -> Rows:
 
 def joined(first: Rows, second: Rows) -> Rows:
     """Both sets."""
-    return Rows(*(np.concatenate(pair) for pair in zip(first, second, strict=True)))
+    return Rows(
+        np.concatenate((first.gradient, second.gradient)),
+        np.concatenate((first.gap, second.gap)),
+        np.concatenate((first.node, second.node)),
+    )
 
 
 def witness_rows(layout: Layout, rollout: Rollout, by: Sensitivity, found: Clearance, chosen: IntArray) -> Rows:
@@ -136,7 +144,7 @@ def _lower_side(
 def _chord_levels(
     along: FloatArray, height: FloatArray, place: FloatArray, missing: float
 ) -> tuple[FloatArray, FloatArray]:
-    """Height at `place` of the chord between every two points, `missing` where it does not span, and the second's share.
+    """Height at `place` of the chord between every two points, `missing` off the chord, and the second's share.
 
     Shape (t, k * k, p) each.
     """

@@ -95,9 +95,9 @@ class Progress(NamedTuple):
 class _Controls:
     """What adapts during the search."""
 
-    trust: float = 0.45
-    prox: float = 1.0
-    penalties: Penalties = Penalties()
+    trust: float
+    prox: float
+    penalties: Penalties = field(default_factory=Penalties)
     reach: float = _REACH
     rejections: int = 0
     shortfalls: list[float] = field(default_factory=list)
@@ -137,7 +137,7 @@ def merit(iterate: Iterate, penalties: Penalties) -> float:
 
 def search(task: Task, pool: ProgramPool, max_iterations: int = 60) -> Iterator[Progress]:
     """Yield after every iteration, the initial iterate first; the last one is `finished`."""
-    controls = _Controls()
+    controls = _Controls(task.trust, task.prox)
     variables, rollout = _closed(task, task.initial, None)
     current = evaluate(task, variables, rollout, controls.reach)
     yield Progress(current, 0, finished=False, accepted=True)

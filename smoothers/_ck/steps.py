@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from smoothers._ck.discs import disc_rows
+from smoothers._ck.layout import Shape, layout_for
 from smoothers._ck.qp import UNBOUNDED
 from smoothers._ck.rollout import end_sensitivity
 from smoothers._ck.rows import Rows, empty_rows, joined, witness_rows
@@ -21,10 +22,11 @@ if TYPE_CHECKING:
     from smoothers._ck.task import Task
     from smoothers._ck.terms import Quadratic
 
-__all__ = ["ZONES", "Penalties", "StepProblem", "solve_step", "zone_of"]
+__all__ = ["ZONES", "Penalties", "Step", "StepProblem", "prepare_programs", "solve_step", "zone_of"]
 
 ZONES = 6
 _TRUST_NODES = 12
+_USUAL_SHAPES: tuple[Shape, ...] = (((24, 2),), ((24, 3),), ((24, 4),), ((12, 3), (12, 3)), ((8, 3), (8, 3), (8, 3)))
 _BUCKETS = (48, 96, 160, 256, 400)
 _BUFFER_TAPER = 0.1  # [m]: less near the fixed ends
 _DEEP = 0.06  # of the body's width: overlap from which planes no longer tell the side
@@ -114,10 +116,10 @@ def _clearance_rows(task: Task, rollout: Rollout, found: Clearance, by: Sensitiv
         rows = joined(rows, disc_rows(world, layout, rollout, by, found, np.flatnonzero(deep)))
     fixed = rows.node <= 0
     still = np.abs(rows.gradient).max(axis=1, initial=0.0) < 1e-9
-    rows = Rows(*(part[~(fixed & still)] for part in rows))
+    rows = rows.subset(~(fixed & still))
     if rows.gap.size > _BUCKETS[-1]:
         keep = np.argpartition(rows.gap, _BUCKETS[-1])[: _BUCKETS[-1]]
-        rows = Rows(*(part[keep] for part in rows))
+        rows = rows.subset(keep)
     return rows._replace(gap=rows.gap - _buffer(task, rollout)[rows.node])
 
 
@@ -135,8 +137,7 @@ def solve_step(
     layout = task.layout
     spans = layout.span_gear.size if np.isfinite(task.inner.rate) else 0
     bucket = next(b for b in _BUCKETS if b >= problem.rows.gap.size)
-    rows = 3 + _TRUST_NODES + 2 * spans + bucket
-    program = pool.program(layout.size + 6 + ZONES, rows)
+    program = pool.program(layout.size + 6 + ZONES, 3 + _TRUST_NODES + 2 * spans + bucket)
     _fill_cost(program, problem, prox, penalties)
     _fill_box(program, task, problem.variables, trust)
     program.a[:] = 0.0
@@ -204,3 +205,12 @@ def _fill_clearance(program: DenseProgram, layout: Layout, rows: Rows, first: in
     program.a[block, : layout.size] = rows.gradient
     program.a[np.arange(first, first + count), layout.size + 6 + zone_of(layout, rows.node)] = 1.0
     program.lba[block] = -rows.gap
+
+
+def prepare_programs(pool: ProgramPool) -> None:
+    """Build the usual programs and layouts, for one to three gears, and load the solvers."""
+    for shape in _USUAL_SHAPES:
+        layout = layout_for(shape)
+        for bucket in _BUCKETS[:3]:
+            pool.program(layout.size + 6 + ZONES, 3 + _TRUST_NODES + 2 * layout.span_gear.size + bucket)
+    pool.load_fallback()

@@ -48,7 +48,7 @@ def model_for(shape: Shape) -> SymbolicModel:
     turned = _spread(layout.members) @ lengths * curvature
     yaw = start[2] + _spread(layout.gauss_rows) @ turned
     weight = _spread(layout.gauss_shares) @ (lengths * signs)
-    pairs = _spread(np.kron(np.eye(layout.num_intervals), np.ones((1, 2))))
+    pairs = _spread(np.repeat(np.eye(layout.num_intervals), 2, axis=1))
     columns = []
     for i, move in enumerate((weight * casadi.cos(yaw), weight * casadi.sin(yaw))):
         path = casadi.vertcat(start[i], start[i] + casadi.cumsum(pairs @ move))

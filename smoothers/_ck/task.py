@@ -44,6 +44,8 @@ class Task:
         closing_reach: Goal error up to which the goal is closed by Newton steps [m].
         stretch: Largest change of a gear length per radian of the trust region [m].
         buffer: Clearance aimed at above the requirement [m].
+        trust: First bound of the heading changes of a step [rad].
+        prox: First weight of the squared motion of a step.
     """
 
     layout: Layout
@@ -56,6 +58,8 @@ class Task:
     closing_reach: float
     stretch: float
     buffer: float = 8e-4
+    trust: float = 0.45
+    prox: float = 1.0
 
 
 def curvature_bound(limits: MotionLimits) -> float:

@@ -1,0 +1,41 @@
+"""The input as a candidate: a certified clothoid path is never exchanged for a costlier one."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from optdock.path import ClothoidSegment
+
+if TYPE_CHECKING:
+    from optdock.path import Path
+    from optdock.problem import DockingProblem
+    from smoothers._ck.terms import CostModel
+
+__all__ = ["input_cost", "may_be_kept"]
+
+
+def may_be_kept(path: Path, problem: DockingProblem) -> bool:
+    """Whether the input is a clothoid path within the curvature limits; the certificate decides the rest."""
+    limits = problem.robot.limits
+    for segment in path.segments:
+        if not isinstance(segment, ClothoidSegment):
+            return False
+        curvature, knots = segment.spline.curvature, segment.knots
+        rate = np.abs(np.diff(curvature) / np.diff(knots)).max()
+        if np.abs(curvature).max() > limits.max_curvature or rate > limits.max_curvature_rate:
+            return False
+    return True
+
+
+def input_cost(path: Path, cost: CostModel, final_straight: float) -> float:
+    """The cost of a clothoid path that is its own reference, without its final straight."""
+    bend, jerk = cost.factors
+    value = cost.weights.length * (path.length - final_straight)
+    for segment in path.segments:
+        knots, curvature = segment.knots, segment.curvature_at(segment.knots)
+        step, a, b = np.diff(knots), curvature[:-1], curvature[1:]
+        value += bend * float(np.sum(step * (a * a + a * b + b * b)) / 3.0)
+        value += jerk * float(np.sum((b - a) ** 2 / step))
+    return float(value)
