@@ -24,7 +24,7 @@ from experiments.benchmarks.smoothing_tables import (
 )
 from experiments.benchmarks.tables import Table, yardstick
 from optdock.interfaces import Smoother
-from optdock.plugins import create_plugin
+from optdock.plugins import create_plugin, load_plugin
 from optdock.testing.families import FAMILIES, FEASIBLE_FAMILIES, INFEASIBLE_FAMILIES, instance
 
 if TYPE_CHECKING:
@@ -91,7 +91,7 @@ def _tables(asked: argparse.Namespace, unit: float) -> Iterator[Table]:
     smoother = create_plugin(Smoother, asked.smoother)
     feasible = [name for name in asked.families if name in FEASIBLE_FAMILIES]
     infeasible = [name for name in asked.families if name in INFEASIBLE_FAMILIES]
-    runs = solved(smoother, feasible, asked.seeds, asked.repeats)
+    runs = solved(smoother, feasible, asked.seeds, asked.repeats, _hasty(asked))
     if "families" in asked.sections and feasible:
         yield family_table(runs, unit)
     if "infeasible" in asked.sections and infeasible:
@@ -105,6 +105,13 @@ def _tables(asked: argparse.Namespace, unit: float) -> Iterator[Table]:
     if asked.reference > 0:
         few = [name for name in feasible if name in REFERENCE_FAMILIES]
         yield reference_table(create_plugin(Smoother, asked.smoother, {"tracking_weight": 0.0}), few, asked.reference)
+
+
+def _hasty(asked: argparse.Namespace) -> Smoother | None:
+    """The smoother that stops at the first certified path, where it can and is asked for."""
+    able = "stop_at_first" in load_plugin(Smoother, asked.smoother).Parameters.model_fields
+    wanted = able and "families" in asked.sections
+    return create_plugin(Smoother, asked.smoother, {"stop_at_first": True}) if wanted else None
 
 
 def _baselines(
