@@ -80,9 +80,12 @@ def cell_rectangles(occupied: BoolArray) -> IntArray:
 
 def _merged_runs(occupied: BoolArray) -> IntArray:
     """Runs of true cells in every row; equal runs in consecutive rows become one rectangle. Shape (m, 4)."""
-    steps = np.diff(occupied.astype(np.int8), axis=1, prepend=0, append=0)
-    row, start = np.nonzero(steps == 1)
-    _, stop = np.nonzero(steps == -1)
+    padded = np.zeros((occupied.shape[0], occupied.shape[1] + 2), dtype=np.bool_)
+    padded[:, 1:-1] = occupied
+    # Every row changes an even number of times, so the flat list alternates between starts and stops of runs.
+    changes = np.flatnonzero(padded[:, 1:] != padded[:, :-1])
+    row, start = np.divmod(changes[::2], occupied.shape[1] + 1)
+    stop = changes[1::2] % (occupied.shape[1] + 1)
     order = np.lexsort((row, stop, start))
     row, start, stop = row[order], start[order], stop[order]
     is_new = np.ones(row.size, dtype=np.bool_)

@@ -80,9 +80,9 @@ def test_the_border_surrounds_the_map_without_covering_it():
     assert len(obstacles_from_costmap(costmap, border=False)) == 0
 
 
-@given(cost_grids, hnp.arrays(float, (2, 2), elements=st.floats(-0.5, 1.5)))
-def test_a_region_gives_the_same_obstacles_inside_it(data, corners):
-    lower, upper = np.sort(corners, axis=0)
+@given(cost_grids, hnp.arrays(int, (2, 2), elements=st.integers(-500, 1500)))
+def test_a_region_gives_the_same_obstacles_inside_it(data, millimetres):
+    lower, upper = np.sort(millimetres, axis=0) / 1000.0
     costmap = Costmap(data, 0.1)
     box = shapely.box(*lower, *upper)
     part, whole = (
