@@ -61,6 +61,8 @@ def save_plan_picture(
         _draw_raw(axes, raw_path)
     if path is not None:
         _draw_smoothed(axes, path)
+    ends = np.array([problem.start.as_array(), problem.goal.as_array()])
+    draw_footprints(axes, problem.robot.footprint, ends, OutlineStyle(edge="black", width=1.2, order=4.0))
     size = 0.6 * problem.robot.footprint.circumscribed_radius
     draw_arrow(axes, problem.start, size, COLOURS["start"], "start")
     draw_arrow(axes, problem.goal, size, COLOURS["goal"], "goal")
@@ -79,7 +81,6 @@ def _draw_sweep(axes: Axes, problem: DockingProblem, path: Path) -> None:
     blue = COLOURS["robot"]
     draw_footprints(axes, footprint, poses, OutlineStyle(face=blue, alpha=0.12))
     draw_footprints(axes, footprint, poses, OutlineStyle(edge=blue, width=0.6, order=2.1))
-    draw_footprints(axes, footprint, poses[[0, -1]], OutlineStyle(edge="black", width=1.2, order=4.0))
 
 
 def _draw_raw(axes: Axes, path: Path) -> None:

@@ -1,0 +1,364 @@
+import csv
+import json
+import pathlib
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from optdock.cli import app
+from optdock.config import load_scenario
+from optdock.geometry.clothoid import ClothoidSpline
+from optdock.geometry.pose import Pose2
+from optdock.io.plan_file import PlanFile, load_plan, save_plan
+from optdock.path import ClothoidSegment, Path
+
+SCENARIO = """\
+format: optdock-scenario/1
+obstacles:
+  - [[1.0, 1.4], [2.0, 1.4], [2.0, 2.4], [1.0, 2.4]]
+robot:
+  footprint: [[0.4, 0.3], [-0.4, 0.3], [-0.4, -0.3], [0.4, -0.3]]
+  limits: {max_speed: 0.5, max_curvature: 2.0, max_curvature_rate: 8.0}
+dock:
+  pose: [4.0, 1.0, 0.0]
+  footprint: [[0.42, -0.4], [0.6, -0.4], [0.6, 0.4], [0.42, 0.4]]
+  final_straight: 0.3
+  approach_speed: 0.1
+  approach_distance: 0.3
+start: {pose: [1.0, 0.2, 0.4]}
+clearance: {required: 0.05, at_dock: 0.0, taper: 0.5}
+time_budget: 5.0
+"""
+
+
+@pytest.fixture(autouse=True)
+def in_empty_folder(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+
+
+def write(text=SCENARIO, old="", new="", name="bay.yaml"):
+    assert not old or text.count(old) == 1, old
+    pathlib.Path(name).write_text(text.replace(old, new) if old else text)
+    return name
+
+
+def run(*arguments):
+    return CliRunner().invoke(app, [str(argument) for argument in arguments])
+
+
+@pytest.fixture(scope="module")
+def planned(tmp_path_factory):
+    """The plan file and the output of one successful call."""
+    folder = tmp_path_factory.mktemp("planned")
+    (folder / "bay.yaml").write_text(SCENARIO)
+    result = run("plan", folder / "bay.yaml", "--out", folder / "plan.json", "--spacing", "0.05", "--period", "0.1")
+    assert result.exit_code == 0, result.output
+    return folder, result.stdout
+
+
+def test_help_loads_no_heavy_library():
+    code = """
+import sys
+from optdock.cli import app
+try:
+    app(["--help"])
+except SystemExit as stop:
+    assert stop.code == 0
+heavy = {"scipy", "casadi", "matplotlib", "shapely", "ruckig", "PIL", "numpy", "pydantic"}
+print("loaded:", sorted(heavy & set(sys.modules)))
+"""
+    result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert result.stdout.splitlines()[-1] == "loaded: []"
+    for command in ("plan", "simulate", "certify", "compare", "demo", "plugins"):
+        assert command in result.stdout
+
+
+def test_plan_writes_a_certified_plan_and_says_so(planned):
+    folder, stdout = planned
+    document = json.loads((folder / "plan.json").read_text())
+    assert (document["format"], document["status"], document["completed"]) == ("optdock-plan/1", "certified", True)
+    assert document["certificate"]["certified"] is True
+    assert document["certificate"]["trajectory"]["certified"] is True
+    assert max(np.diff(document["path"]["s"])) <= 0.05 + 1e-12
+    assert max(np.diff(document["trajectory"]["t"])) <= 0.1 + 1e-12
+    assert document["trajectory"]["speed"][-1] == pytest.approx(0.0, abs=1e-9)
+    assert set(document["timing_ms"]) == {"plan", "smooth", "certify", "time", "total"}
+    assert stdout.splitlines()[0].split() == ["status", "certified"]
+
+
+def test_certify_accepts_what_plan_wrote(planned):
+    folder, _ = planned
+    result = run("certify", folder / "plan.json", folder / "bay.yaml")
+    assert (result.exit_code, result.stderr) == (0, "")
+    assert result.stdout.splitlines()[0].split() == ["verdict", "certified"]
+
+
+def test_certify_judges_a_path_that_optdock_did_not_make(planned):
+    folder, _ = planned
+    straight = {"x": [1.0, 4.0], "y": [0.2, 1.0], "yaw": [0.26, 0.26]}
+    pathlib.Path("foreign.json").write_text(json.dumps({"format": "optdock-plan/1", "path": straight}))
+    result = run("certify", "foreign.json", folder / "bay.yaml")
+    assert result.exit_code == 3
+    assert result.stderr.startswith("not certified: ")
+    assert result.stderr.count("\n") == 1
+
+
+def test_certify_notices_a_path_through_an_obstacle(planned):
+    folder, _ = planned
+    problem = load_scenario(folder / "bay.yaml").problem
+    plan = load_plan(folder / "plan.json")
+    moved = write(SCENARIO, "[[1.0, 1.4], [2.0, 1.4], [2.0, 2.4], [1.0, 2.4]]", "[[2, 0], [2.2, 0], [2.2, 1], [2, 1]]")
+    result = run("certify", folder / "plan.json", moved)
+    assert result.exit_code == 3
+    assert "obstacles[0]" in result.stderr
+    assert plan.path.end.distance_to(problem.goal) < 1e-6
+
+
+@pytest.mark.parametrize(
+    ("column", "change", "fault"),
+    [
+        ("speed", lambda v: [2.0 * x for x in v], "speed [m/s]: "),
+        ("acceleration", lambda v: [x + 1.0 for x in v], "acceleration [m/s^2]: "),
+        ("jerk", lambda v: [3.0 for x in v], "jerk [m/s^3]: 3 at t = 0.000 s, limit 2"),
+        ("x", lambda v: [*v[:9], v[9] + 0.01, *v[10:]], "pose at t = 0.900 s is 0.01 m"),
+        ("speed", lambda v: [*v[:-1], 0.05], "end: 0.05 m/s"),
+        ("speed", lambda v: [0.05, *v[1:]], "start speed: 0.05 m/s, the robot drives 0 m/s"),
+    ],
+)
+def test_certify_notices_a_motion_that_breaks_its_limits(planned, column, change, fault):
+    folder, _ = planned
+    document = json.loads((folder / "plan.json").read_text())
+    document["trajectory"][column] = change(document["trajectory"][column])
+    pathlib.Path("changed.json").write_text(json.dumps(document))
+    result = run("certify", "changed.json", folder / "bay.yaml")
+    assert result.exit_code == 3
+    assert fault in result.stdout
+
+
+def test_certify_refuses_a_file_without_a_path(planned):
+    folder, _ = planned
+    save_plan("empty.json", PlanFile(status="GoalOccupied"))
+    result = run("certify", "empty.json", folder / "bay.yaml")
+    assert (result.exit_code, result.stderr) == (
+        3,
+        "not certified: the file holds no path, its status is GoalOccupied\n",
+    )
+
+
+def test_certify_refuses_a_broken_plan_file(planned):
+    folder, _ = planned
+    pathlib.Path("broken.json").write_text('{"format": "optdock-plan/1", "path": {"x": [1]}}')
+    result = run("certify", "broken.json", folder / "bay.yaml")
+    assert result.exit_code == 2
+    assert result.stderr == "broken.json: path.y: Field required\nbroken.json: path.yaw: Field required\n"
+
+
+FAILURES = {
+    "start in collision": (
+        "pose: [1.0, 0.2, 0.4]",
+        "pose: [1.5, 1.5, 0.0]",
+        "StartOccupied: the footprint at the start overlaps obstacles[0] by 0.4000 m\n",
+        205,
+    ),
+    "goal in collision": (
+        "[[0.42, -0.4], [0.6, -0.4], [0.6, 0.4], [0.42, 0.4]]",
+        "[[0.35, -0.4], [0.6, -0.4], [0.6, 0.4], [0.35, 0.4]]",
+        "GoalOccupied: the footprint at the goal overlaps dock by 0.0500 m\n",
+        206,
+    ),
+    "start too close": ("pose: [1.0, 0.2, 0.4]", "pose: [3.9, 1.0, 0.0]", "NoValidPathCouldBeFound: ", 208),
+}
+
+
+@pytest.mark.parametrize("name", FAILURES)
+def test_a_hopeless_problem_ends_with_status_3_a_line_and_a_file(name):
+    old, new, message, code = FAILURES[name]
+    result = run("plan", write(SCENARIO, old, new), "--out", "out.json")
+    assert (result.exit_code, result.stdout) == (3, "")
+    assert result.stderr.startswith(message)
+    assert result.stderr.count("\n") == 1
+    document = json.loads(pathlib.Path("out.json").read_text())
+    assert document["status"] == message.split(":")[0]
+    assert document["error"]["code"] == code
+    assert document["error"]["message"] == result.stderr.partition(": ")[2].strip()
+    assert "path" not in document
+    assert "total" in document["timing_ms"]
+
+
+def test_no_time_at_all_is_a_named_failure_with_what_exists():
+    result = run("plan", write(), "--out", "out.json", "--time-budget", "1e-6")
+    assert result.exit_code == 3
+    assert result.stderr == "PlannerTimedOut: the planner used up the time budget of 1e-06 s\n"
+    assert load_plan("out.json").status == "PlannerTimedOut"
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ("time_budget: 5.0", "time_budget: [", "bay.yaml:16: is not valid YAML: "),
+        ("at_dock: 0.0", "at_dock: 0.1", "bay.yaml:14: clearance.at_dock: must be <= required = 0.05 m, got 0.1\n"),
+        ("robot:", "map: no.yaml\nrobot:", "bay.yaml:4: map: no.yaml: cannot be read: No such file or directory\n"),
+        (
+            "[[0.4, 0.3], [-0.4, 0.3], [-0.4, -0.3], [0.4, -0.3]]",
+            "[[0.4, 0.3], [-0.4, 0.3]]",
+            "bay.yaml:5: robot.footprint: a polygon needs at least 3 distinct vertices, got 2\n",
+        ),
+        (
+            "[[0.4, 0.3], [-0.4, 0.3], [-0.4, -0.3], [0.4, -0.3]]",
+            "[[0, 0], [1, 1], [1, 0], [0, 1]]",
+            "bay.yaml:5: robot.footprint: must not cross or touch itself: Self-intersection[0.5 0.5]\n",
+        ),
+        ("[4.0, 1.0, 0.0]", "[.nan, 1.0, 0.0]", "bay.yaml:8: dock.pose.x: must be finite, got nan\n"),
+        (
+            "max_curvature: 2.0",
+            "max_curvature: -2",
+            "bay.yaml:6: robot.limits.max_curvature: must be > 0 1/m, got -2.0\n",
+        ),
+        ("time_budget: 5.0", "time_budget: 0", "bay.yaml:15: time_budget: must be finite and > 0 s, got 0.0\n"),
+        ("time_budget: 5.0", "time_budget: -1", "bay.yaml:15: time_budget: must be finite and > 0 s, got -1.0\n"),
+    ],
+)
+def test_bad_input_ends_with_status_2_and_no_file(old, new, message, tmp_path):
+    result = run("plan", write(SCENARIO, old, new), "--out", "out.json")
+    assert (result.exit_code, result.stdout) == (2, "")
+    assert result.stderr.startswith(message)
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["bay.yaml"]
+
+
+def test_a_huge_image_header_ends_with_status_2():
+    pathlib.Path("m.pgm").write_bytes(b"P5\n2000000000 2000000000\n255\n0000")
+    write("image: m.pgm\nresolution: 0.1\norigin: [0, 0, 0]\nnegate: 0\noccupied_thresh: 0.65\nfree_thresh: 0.2\n", name="m.yaml")  # fmt: skip  # noqa: E501
+    result = run("plan", write(SCENARIO, "robot:", "map: m.yaml\nrobot:"))
+    assert result.exit_code == 2
+    assert result.stderr.startswith("bay.yaml:4: map: m.yaml:1: image: m.pgm: ")
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        (["--time-budget", "0"], "--time-budget: must be finite and > 0 s, got 0.0\n"),
+        (["--time-budget", "-0.1"], "--time-budget: must be finite and > 0 s, got -0.1\n"),
+        (["--time-budget", "nan"], "--time-budget: must be finite and > 0 s, got nan\n"),
+        (["--spacing", "0"], "--spacing: must be finite and > 0 m, got 0.0\n"),
+        (["--period", "-1"], "--period: must be finite and > 0 s, got -1.0\n"),
+    ],
+)
+def test_bad_options_end_with_status_2(options, message):
+    result = run("plan", write(), *options)
+    assert (result.exit_code, result.stderr) == (2, message)
+
+
+@pytest.mark.parametrize("arguments", [["fly"], ["plan", "--fast"], ["certify", "plan.json"], ["simulate"]])
+def test_wrong_usage_ends_with_status_2(arguments):
+    assert run(*arguments).exit_code == 2
+
+
+def test_an_output_that_cannot_be_written_ends_with_status_2():
+    result = run("plan", write(), "--out", "bay.yaml/plan.json")
+    assert result.exit_code == 2
+    assert result.stderr.startswith("bay.yaml/plan.json: cannot be written: ")
+
+
+def test_the_program_itself_exits_like_the_tests_say(tmp_path):
+    """Through a real process: status and streams as a shell sees them."""
+    write(SCENARIO, "pose: [1.0, 0.2, 0.4]", "pose: [1.5, 1.5, 0.0]")
+    command = [sys.executable, "-c", "from optdock.cli import main; main()", "plan", "bay.yaml"]
+    result = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert result.returncode == 3
+    assert result.stdout == ""
+    assert result.stderr == FAILURES["start in collision"][2]
+    assert json.loads((tmp_path / "plan.json").read_text())["status"] == "StartOccupied"
+
+
+def test_simulate_says_how_exactly_the_robot_ends():
+    first = run("simulate", write(), "--out", "run.json", "--seed", "3")
+    assert first.exit_code == 0, first.output
+    document = json.loads(pathlib.Path("run.json").read_text())
+    assert (document["format"], document["docked"], document["seed"]) == ("optdock-run/1", True, 3)
+    assert abs(document["final_error"]["along"]) < 0.02
+    assert abs(document["final_error"]["cross"]) < 0.02
+    assert abs(document["final_error"]["yaw"]) < 0.05
+    columns = document["columns"]
+    assert len({len(column) for column in columns.values()}) == 1
+    assert columns["t"][-1] == pytest.approx(document["duration"])
+    assert "final error" in first.stdout
+    goal = load_scenario("bay.yaml").problem.goal
+    last = Pose2(columns["x"][-1], columns["y"][-1], columns["yaw"][-1]).in_frame_of(goal)
+    assert (last.x, last.y, last.yaw) == pytest.approx(
+        tuple(document["final_error"][name] for name in ("along", "cross", "yaw"))
+    )
+
+
+def test_equal_seeds_give_equal_runs_and_others_do_not():
+    write(SCENARIO, "time_budget: 5.0", "time_budget: 5.0\nsmoother: {stop_at_first: true}")
+    errors = []
+    for seed in (1, 1, 2):
+        run("simulate", "bay.yaml", "--out", "run.json", "--seed", seed)
+        errors.append(json.loads(pathlib.Path("run.json").read_text())["final_error"])
+    assert errors[0] == errors[1]
+    assert errors[0] != errors[2]
+
+
+def test_a_run_that_does_not_dock_ends_with_status_3():
+    text = SCENARIO + "goal_checker: {plugin: DockGoalChecker, along_tolerance: 0.0}\n"
+    result = run("simulate", write(text), "--out", "run.json")
+    assert result.exit_code == 3
+    assert result.stderr.startswith("not docked: timeout: ")
+
+
+def test_compare_lists_raw_and_smoothed_and_draws_each(tmp_path):
+    write(name="first.yaml")
+    write(SCENARIO, "pose: [1.0, 0.2, 0.4]", "pose: [1.5, 1.5, 0.0]", name="second.yaml")
+    result = run("compare", "first.yaml", "second.yaml", "--out", "cmp")
+    assert result.exit_code == 3
+    assert result.stderr == f"second: {FAILURES['start in collision'][2]}"
+    rows = list(csv.DictReader((tmp_path / "cmp" / "comparison.csv").read_text().splitlines()))
+    assert [(row["scenario"], row["path"], row["status"]) for row in rows] == [
+        ("first", "raw", "not certified"),
+        ("first", "smoothed", "certified"),
+        ("second", "smoothed", "StartOccupied"),
+    ]
+    raw, smoothed = rows[:2]
+    assert float(smoothed["max_curvature_1pm"]) <= 2.0 < float(raw["max_curvature_1pm"])
+    assert float(smoothed["worst_joint_deg"]) < 1e-6 < float(raw["worst_joint_deg"])
+    assert float(smoothed["min_clearance_m"]) > 0.0
+    assert rows[2]["length_m"] == ""
+    assert sorted(path.name for path in (tmp_path / "cmp").glob("*.png")) == ["01_first.png", "02_second.png"]
+    assert len(result.stdout.splitlines()) == 4
+
+
+def test_plugins_lists_what_is_installed_one_line_each():
+    result = run("plugins")
+    assert result.exit_code == 0
+    rows = [line.split() for line in result.stdout.splitlines()]
+    assert ["planners", "DockPlanner", "optdock.planners.dock_planner:DockPlanner"] in rows
+    assert all(len(row) == 3 for row in rows)
+
+
+def test_demo_runs_from_start_to_finish(tmp_path):
+    result = run("demo", "--out", "demo")
+    assert result.exit_code == 0, result.output
+    made = {path.name: path.stat().st_size for path in (tmp_path / "demo").iterdir()}
+    assert set(made) == {"plan.json", "run.json", "plan.png", "profile.png", "run.png", "run.gif"}
+    assert min(made.values()) > 1000
+    document = json.loads((tmp_path / "demo" / "run.json").read_text())
+    assert document["docked"] is True
+    assert max(abs(document["final_error"]["along"]), abs(document["final_error"]["cross"])) < 0.005
+
+
+def test_pictures_without_matplotlib_name_the_extra(monkeypatch):
+    monkeypatch.setitem(sys.modules, "matplotlib.figure", None)
+    result = run("plan", write(), "--plot", "plan.png")
+    assert result.exit_code == 2
+    assert result.stderr == "pictures need matplotlib: pip install 'optdock[plot]'\n"
+
+
+def test_a_path_driven_against_its_gear_is_refused(planned):
+    folder, _ = planned
+    spline = ClothoidSpline(Pose2(1.0, 0.2, 0.4), np.array([0.0, 3.0]), np.zeros(2), -1)
+    save_plan("reverse.json", PlanFile(path=Path((ClothoidSegment(spline),))))
+    result = run("certify", "reverse.json", folder / "bay.yaml")
+    assert result.exit_code == 3

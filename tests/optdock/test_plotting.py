@@ -1,0 +1,198 @@
+import sys
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from optdock.builtin import demo_scenario
+from optdock.config import load_scenario
+from optdock.dock import Dock
+from optdock.errors import InvalidFile, InvalidValue, MissingExtra
+from optdock.geometry.clothoid import ClothoidSpline
+from optdock.geometry.footprint import Footprint
+from optdock.geometry.pose import Pose2
+from optdock.limits import MotionLimits, SpeedZone
+from optdock.obstacles import ObstacleSet
+from optdock.path import ClothoidSegment, Path
+from optdock.plotting import save_animation, save_plan_picture, save_profile_picture, save_run_picture
+from optdock.plotting.canvas import COLOURS, canvas_of, new_figure, save_figure
+from optdock.plotting.profile_picture import _panels
+from optdock.plotting.scene import draw_scene, view_of
+from optdock.problem import DockingProblem
+from optdock.robot import Robot
+from optdock.simulation import Run
+from optdock.trajectory import TimeLaw, Trajectory
+from optdock.verification import certify_path
+
+
+@pytest.fixture(scope="module")
+def path():
+    """Forward, a cusp, and back."""
+    first = ClothoidSpline(Pose2(0.0, 0.0, 0.0), np.array([0.0, 0.5, 1.5]), np.array([0.0, 0.8, 0.8]))
+    second = ClothoidSpline(first.end, np.array([0.0, 1.2]), np.array([-0.4, 0.0]), -1)
+    return Path((ClothoidSegment(first), ClothoidSegment(second)))
+
+
+@pytest.fixture(scope="module")
+def problem(path):
+    robot = Robot(Footprint.rectangle(0.4, 0.3, 0.5), MotionLimits(max_curvature=2.0))
+    obstacles = ObstacleSet.from_polygons([[[1.2, -0.6], [2.0, -0.6], [2.0, -0.3], [1.2, -0.3]]])
+    dock = Dock(path.end, Footprint.rectangle(-0.32, 0.5, 0.6))
+    return DockingProblem(path.start, dock, robot, obstacles)
+
+
+@pytest.fixture(scope="module")
+def trajectory(path):
+    phases = np.tile([0.5, -0.5, -0.5, 0.5], 2)
+    quarter = np.repeat([(segment.length / 2.0 / 0.5) ** (1.0 / 3.0) for segment in path.segments], 4)
+    return Trajectory(path, TimeLaw(quarter, phases))
+
+
+@pytest.fixture(scope="module")
+def run(trajectory, path):
+    samples = trajectory.sample(0.05)
+    poses = np.column_stack((samples.x, samples.y, samples.yaw))
+    speeds = np.column_stack((samples.speed, samples.yaw_rate))
+    return Run(samples.t, poses + np.array([0.0, 0.01, 0.0]), poses, speeds, speeds, poses, path.end, docked=True)
+
+
+def colours_in(picture):
+    """Colours of a picture with the number of their pixels."""
+    with Image.open(picture) as image:
+        pixels = np.asarray(image.convert("RGB")).reshape(-1, 3)
+    found, counts = np.unique(pixels, axis=0, return_counts=True)
+    return {"#" + bytes(colour).hex().upper(): int(count) for colour, count in zip(found, counts, strict=True)}
+
+
+def test_a_plan_picture_shows_everything_there_is(tmp_path, problem, path):
+    raw = Path.from_poses(path.sample(0.2).poses)
+    certificate = certify_path(path, problem)
+    save_plan_picture(tmp_path / "p.png", problem, raw_path=raw, path=path, certificate=certificate, title="t")
+    colours = colours_in(tmp_path / "p.png")
+    for name in ("raw", "path", "reverse", "start", "goal", "hot", "dock", "obstacle"):
+        assert colours.get(COLOURS[name], 0) > 20, name
+
+
+def test_a_plan_picture_shows_what_a_failure_left(tmp_path, problem):
+    save_plan_picture(tmp_path / "p.png", problem)
+    colours = colours_in(tmp_path / "p.png")
+    assert colours.get(COLOURS["start"], 0) > 20
+    assert COLOURS["path"] not in colours
+    assert COLOURS["raw"] not in colours
+
+
+def test_the_view_holds_the_whole_robot_and_axes_are_equal_in_metres(problem, path):
+    view = view_of(problem, [path.sample(0.02).poses])
+    assert view.left < -0.3
+    assert view.right > path.sample(0.02).x.max() + 0.3
+    figure = new_figure(*view.figure_size())
+    axes = figure.add_subplot()
+    draw_scene(axes, problem, view)
+    canvas_of(figure).draw()
+    to_pixels = axes.transData.transform
+    origin, along, across = to_pixels([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]])
+    assert along[0] - origin[0] == pytest.approx(across[1] - origin[1], rel=1e-9)
+    assert (axes.get_xlabel(), axes.get_ylabel()) == ("x [m]", "y [m]")
+
+
+def test_the_map_is_drawn_where_its_cells_are(tmp_path):
+    problem = load_scenario(demo_scenario()).problem
+    view = view_of(problem, [])
+    figure = new_figure(*view.figure_size())
+    axes = figure.add_subplot()
+    draw_scene(axes, problem, view)
+    (image,) = axes.get_images()
+    assert image.get_extent() == [0.0, 8.0, 0.0, 5.0]
+    grey = image.get_array()
+    # The shelf of the built-in hall stands at x 2.7 to 4.1 m, y 2.7 to 4.9 m.
+    assert grey[round(3.5 / 0.05), round(3.4 / 0.05)] < 100
+    assert grey[round(2.0 / 0.05), round(3.4 / 0.05)] == 255
+
+
+def test_every_panel_of_a_profile_holds_its_quantity_and_limit(trajectory):
+    limits = MotionLimits(
+        max_yaw_rate=0.4, max_yaw_acceleration=3.0, max_lateral_acceleration=0.2, max_wheel_speed=0.5, track_width=0.4
+    )
+    times = np.linspace(0.0, trajectory.duration, 400)
+    panels = {panel.label.split(" [")[0]: panel for panel in _panels(trajectory, limits, SpeedZone(0.1, 0.2), times)}
+    assert list(panels) == ["speed", "acceleration", "jerk", "curvature", "yaw rate", "yaw acceleration"]
+    samples = trajectory.sample_at(times)
+    np.testing.assert_array_equal(panels["speed"].values, samples.speed)
+    bend = np.abs(trajectory.path.curvature_at(samples.s))
+    forward = trajectory.path.direction_at(samples.s) > 0
+    bound = np.where(forward, panels["speed"].upper, -panels["speed"].lower)
+    # Whoever drives at the drawn bound keeps every limit, and meets one of them.
+    ratios = np.array(
+        [
+            bound / np.where(forward, limits.max_speed, limits.max_reverse_speed),
+            bound * bend / limits.max_yaw_rate,
+            bound**2 * bend / limits.max_lateral_acceleration,
+            bound * (1.0 + 0.2 * bend) / limits.max_wheel_speed,
+            np.where(samples.s > trajectory.path.length - 0.2, bound / 0.1, 0.0),
+        ]
+    )
+    np.testing.assert_allclose(ratios.max(axis=0), 1.0, rtol=1e-9)
+    reverse = ~forward
+    assert set(panels["acceleration"].upper[forward]) == {limits.max_acceleration}
+    assert set(panels["acceleration"].upper[reverse]) == {limits.max_deceleration}
+
+
+def test_a_profile_picture_is_drawn(tmp_path, trajectory):
+    save_profile_picture(tmp_path / "v.png", trajectory, MotionLimits(max_curvature=1.0), SpeedZone(), title="t")
+    colours = colours_in(tmp_path / "v.png")
+    assert colours.get(COLOURS["path"], 0) > 500
+    assert colours.get(COLOURS["goal"], 0) > 200
+
+
+def test_a_run_picture_is_drawn(tmp_path, problem, run):
+    save_run_picture(tmp_path / "r.png", problem, run, title="t")
+    colours = colours_in(tmp_path / "r.png")
+    for name in ("path", "goal", "start", "dock"):
+        assert colours.get(COLOURS[name], 0) > 20, name
+
+
+def test_an_animation_moves_the_robot_from_start_to_end(tmp_path, problem, run):
+    done = []
+    save_animation(tmp_path / "a.gif", problem, run.times, run.poses, lambda i, n: done.append((i, n)))
+    with Image.open(tmp_path / "a.gif") as animation:
+        frames = animation.n_frames
+        pictures = []
+        for i in (0, frames // 2, frames - 1):
+            animation.seek(i)
+            pictures.append(np.asarray(animation.convert("RGB")).astype(int))
+    assert done == [(i + 1, frames) for i in range(frames)]
+    blue = [int(COLOURS["robot"][i : i + 2], 16) for i in (1, 3, 5)]
+    centres = []
+    for picture in pictures:
+        rows, columns = np.nonzero(np.abs(picture - blue).sum(axis=2) < 60)
+        assert rows.size > 500
+        centres.append((columns.mean(), rows.mean()))
+    assert centres[1][0] - centres[0][0] > 20
+    assert abs(centres[2][0] - centres[1][0]) > 20
+
+
+@pytest.mark.parametrize("suffix", ["png", "svg", "pdf"])
+def test_the_suffix_chooses_the_format(tmp_path, suffix):
+    figure = new_figure(2.0, 2.0)
+    save_figure(figure, tmp_path / f"p.{suffix}")
+    head = (tmp_path / f"p.{suffix}").read_bytes()[:5]
+    assert head.startswith({"png": b"\x89PNG", "svg": b"<?xml", "pdf": b"%PDF-"}[suffix])
+    assert [path.name for path in tmp_path.iterdir()] == [f"p.{suffix}"]
+
+
+def test_a_suffix_that_names_no_picture_is_refused(tmp_path):
+    with pytest.raises(InvalidValue, match=r"p\.xyz: must end in one of .*png.*, got \.xyz"):
+        save_figure(new_figure(2.0, 2.0), tmp_path / "p.xyz")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_picture_that_cannot_be_written_is_a_named_error(tmp_path):
+    (tmp_path / "file").write_text("")
+    with pytest.raises(InvalidFile, match="cannot be written"):
+        save_figure(new_figure(2.0, 2.0), tmp_path / "file" / "p.png")
+
+
+def test_without_matplotlib_the_extra_is_named(monkeypatch):
+    monkeypatch.setitem(sys.modules, "matplotlib.figure", None)
+    with pytest.raises(MissingExtra, match=r"pictures need matplotlib: pip install 'optdock\[plot\]'"):
+        new_figure(2.0, 2.0)
