@@ -1,0 +1,221 @@
+"""The pipeline: certified or a true reason, and what a raw path breaks the smoothed one keeps."""
+
+import dataclasses
+import math
+
+import numpy as np
+import pytest
+
+from optdock.costmap.costmap import Costmap
+from optdock.dock import Dock, DockDirection
+from optdock.errors import (
+    CertificationFailed,
+    FailedToSmoothPath,
+    FailedToTimePath,
+    GoalOccupied,
+    GoalOutsideMapBounds,
+    InvalidValue,
+    NoValidPathCouldBeFound,
+    OptdockError,
+    PlannerCancelled,
+    PluginError,
+    SmootherTimedOut,
+    StartOccupied,
+    StartOutsideMapBounds,
+)
+from optdock.geometry.footprint import Footprint
+from optdock.geometry.pose import Pose2
+from optdock.interfaces import Smoother, SmoothingResult
+from optdock.limits import MotionLimits, SpeedZone
+from optdock.obstacles import ObstacleSet
+from optdock.pipeline import PartialPlan, PluginChoice, PluginChoices, plan_dock
+from optdock.problem import ClearanceRule, DockingProblem
+from optdock.robot import Robot
+from optdock.testing.dense_check import dense_check
+from optdock.verification import certify_path, certify_trajectory
+
+BUDGET = 20.0  # [s]: these tests are about verdicts, not about time
+LIMITS = MotionLimits(max_yaw_rate=1.0, max_yaw_acceleration=2.0, max_curvature=1.5, max_curvature_rate=6.0)
+ROBOT = Robot(Footprint.rectangle(0.45, 0.45, 0.6), LIMITS)
+STATION = Footprint(np.array([[0.455, -0.3], [0.6, -0.3], [0.6, 0.3], [0.455, 0.3]]))
+GOAL = Pose2(4.0, 1.0, 0.0)
+
+
+def dock(**changes):
+    return Dock(
+        **{"pose": GOAL, "footprint": STATION, "final_straight": 0.3, "approach": SpeedZone(0.1, 0.3), **changes}
+    )
+
+
+def problem(**changes):
+    return DockingProblem(**{"start": Pose2(0.5, 0.3, 0.3), "dock": dock(), "robot": ROBOT, **changes})
+
+
+def test_a_plan_is_certified_and_every_part_of_it_holds():
+    task = problem()
+    plan = plan_dock(task, time_budget=BUDGET)
+    assert plan.certificate.certified
+    assert plan.completed
+    assert certify_path(plan.path, task).certified
+    assert certify_trajectory(plan.trajectory, LIMITS, task.dock.approach, start_speed=0.0).certified
+    assert dense_check(plan.path, task).ok
+    assert set(plan.timing_ms) == {"plan", "smooth", "certify", "time", "total"}
+
+
+def test_the_raw_path_breaks_what_the_smoothed_one_keeps():
+    task = problem(start=Pose2(0.5, 0.3, -0.4))
+    plan = plan_dock(task, time_budget=BUDGET)
+    raw = {violation.kind for violation in certify_path(plan.raw_path, task).violations}
+    assert {"curvature", "curvature_rate"} <= raw
+    assert certify_path(plan.path, task).violations == ()
+
+
+@pytest.mark.parametrize("frame", [Pose2(0, 0, 0), Pose2(20.0, -3.0, 2.0), Pose2(-5.0, 40.0, -1.0)])
+def test_the_frame_does_not_matter(frame):
+    task = problem(start=frame @ Pose2(0.5, 0.3, 0.3), dock=dock(pose=frame @ GOAL))
+    plan = plan_dock(task, time_budget=BUDGET)
+    plain = plan_dock(problem(), time_budget=BUDGET)
+    assert plan.path.length == pytest.approx(plain.path.length, rel=1e-4)
+    assert plan.trajectory.duration == pytest.approx(plain.trajectory.duration, rel=1e-3)
+
+
+def test_a_mirrored_problem_has_the_mirrored_plan():
+    mirrored = plan_dock(problem(start=Pose2(0.5, 1.7, -0.3)), time_budget=BUDGET)
+    plain = plan_dock(problem(), time_budget=BUDGET)
+    assert mirrored.path.length == pytest.approx(plain.path.length, rel=1e-4)
+    assert mirrored.certificate.max_curvature == pytest.approx(plain.certificate.max_curvature, abs=1e-2)
+
+
+def test_the_robot_backs_into_a_dock_behind_it():
+    rear = Footprint(STATION.vertices * [-1.0, 1.0])
+    task = problem(start=Pose2(7.0, 1.5, 0.2), dock=dock(footprint=rear))
+    plan = plan_dock(task, time_budget=BUDGET)
+    assert [int(segment.direction) for segment in plan.path.segments] == [-1]
+    assert plan.trajectory.at(0.5 * plan.trajectory.duration).twist.linear < 0.0
+
+
+def failure(task, **arguments):
+    with pytest.raises(OptdockError) as caught:
+        plan_dock(task, **{"time_budget": BUDGET, **arguments})
+    assert isinstance(caught.value.partial, PartialPlan)
+    assert caught.value.partial.timing_ms["total"] >= 0.0
+    return caught.value
+
+
+def wall(x0, y0, x1, y1):
+    return ObstacleSet.from_polygons([[[x0, y0], [x1, y0], [x1, y1], [x0, y1]]])
+
+
+@pytest.mark.parametrize("budget", [0.0, -1.0, math.nan, math.inf])
+def test_a_budget_is_a_positive_number(budget):
+    with pytest.raises(InvalidValue, match="time_budget: must be finite and > 0 s"):
+        plan_dock(problem(), time_budget=budget)
+
+
+def test_a_budget_too_small_for_anything_is_a_time_out():
+    assert isinstance(failure(problem(), time_budget=1e-9), OptdockError)
+    error = failure(problem(), time_budget=1e-6)
+    assert type(error).__name__ in ("PlannerTimedOut", "SmootherTimedOut")
+
+
+def test_start_in_collision():
+    error = failure(problem(obstacles=wall(0.0, 0.5, 0.7, 0.9)))
+    assert isinstance(error, StartOccupied)
+    assert error.code == 205
+    assert "overlaps obstacles[0]" in str(error)
+
+
+def test_goal_in_collision():
+    error = failure(problem(obstacles=wall(4.0, 1.2, 4.4, 1.8)))
+    assert isinstance(error, GoalOccupied)
+    assert error.code == 206
+
+
+def test_goal_closer_than_required_at_the_dock():
+    error = failure(problem(clearance=ClearanceRule(0.05, 0.02, 0.5)))
+    assert isinstance(error, GoalOccupied)
+    assert "0.0050 m from dock, required 0.0200 m" in str(error)
+
+
+def test_start_too_close_to_the_dock():
+    error = failure(problem(start=Pose2(3.7, 1.0, 0.0)))
+    assert isinstance(error, NoValidPathCouldBeFound)
+    assert error.code == 208
+
+
+def test_a_dock_direction_that_contradicts_the_start():
+    assert isinstance(failure(problem(dock=dock(direction=DockDirection.BACKWARD))), NoValidPathCouldBeFound)
+
+
+def test_ends_off_the_map():
+    costmap = Costmap(np.zeros((60, 100), dtype=np.uint8), 0.05, (0.0, 0.0))
+    assert plan_dock(problem(costmap=costmap), time_budget=BUDGET).certificate.certified
+    assert isinstance(failure(problem(start=Pose2(0.5, -0.1, 0.3), costmap=costmap)), StartOutsideMapBounds)
+    assert isinstance(failure(problem(dock=dock(pose=Pose2(6.0, 1.0, 0.0)), costmap=costmap)), GoalOutsideMapBounds)
+
+
+def test_a_curvature_the_robot_cannot_drive():
+    stiff = Robot(ROBOT.footprint, dataclasses.replace(LIMITS, max_curvature=0.05))
+    error = failure(problem(start=Pose2(2.0, 0.0, 1.0), robot=stiff))
+    assert isinstance(error, FailedToSmoothPath)
+    assert error.partial.raw_path is not None
+    assert error.where["reason"]
+
+
+def test_a_blocked_way():
+    error = failure(problem(obstacles=wall(2.0, -5.0, 2.3, 6.0)))
+    assert isinstance(error, FailedToSmoothPath)
+
+
+def test_a_start_too_fast_to_stop():
+    error = failure(problem(start=Pose2(2.9, 1.0, 0.0), start_speed=2.0, start_curvature=0.0))
+    assert isinstance(error, FailedToTimePath)
+    assert error.where["status"] in ("START_INFEASIBLE", "CANNOT_STOP")
+    assert error.partial.path is not None
+
+
+def test_an_unknown_plugin_is_named():
+    choices = PluginChoices(smoother=PluginChoice("CasadiSmother"))
+    assert isinstance(failure(problem(), plugins=choices), PluginError)
+
+
+def test_cancelling_stops_the_planner():
+    assert isinstance(failure(problem(), cancel_checker=lambda: True), PlannerCancelled)
+
+
+class Liar(Smoother):
+    """A smoother that returns its input and calls it good."""
+
+    def smooth(self, path, max_time, *, problem=None, warm_start=None, cancel_checker=None):
+        return SmoothingResult(path)
+
+
+def test_a_smoother_is_never_believed(monkeypatch):
+    monkeypatch.setattr("optdock.pipeline.create_plugin", _with_liar)
+    error = failure(problem(start=Pose2(0.5, 0.3, -0.4)))
+    assert isinstance(error, CertificationFailed)
+    assert error.partial.certificate is not None
+    assert not error.partial.certificate.certified
+
+
+def _with_liar(interface, name, parameters=None):
+    from optdock.plugins import create_plugin
+
+    return Liar() if interface is Smoother else create_plugin(interface, name, parameters)
+
+
+def test_the_smoother_time_out_is_passed_on(monkeypatch):
+    class Slow(Liar):
+        def smooth(self, path, max_time, *, problem=None, warm_start=None, cancel_checker=None):
+            raise SmootherTimedOut("too slow")
+
+    monkeypatch.setattr(
+        "optdock.pipeline.create_plugin",
+        lambda interface, name, parameters=None: (
+            Slow() if interface is Smoother else _with_liar(interface, name, parameters)
+        ),
+    )
+    error = failure(problem())
+    assert error.code == 502
+    assert error.partial.raw_path is not None
+    assert error.partial.path is None
