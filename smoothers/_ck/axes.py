@@ -12,9 +12,10 @@ import numpy as np
 if TYPE_CHECKING:
     from optdock.geometry.arrays import BoolArray, FloatArray, IntArray
 
-__all__ = ["Points", "best_axes", "lowest_points", "turned_normals"]
+__all__ = ["Points", "best_axes", "chords", "turned_normals"]
 
 _MAX_LOWEST = 8  # vertices that can carry the lower side of a hull
+_PAIRS = {count: np.triu_indices(count, 1) for count in range(2, _MAX_LOWEST + 1)}
 
 
 class Points(NamedTuple):
@@ -102,32 +103,49 @@ def _unit(vectors: Points, fallback: Points) -> Points:
     return Points(np.where(short, fallback.x, vectors.x / length), np.where(short, fallback.y, vectors.y / length))
 
 
-def lowest_points(along: FloatArray, height: FloatArray) -> IntArray | None:
-    """Indices of the vertices that can carry the lower side of every hull, Shape (8, p); None for all."""
-    if along.shape[0] <= _MAX_LOWEST:
-        return None
-    lowest = np.argmin(height, axis=0)
-    tilted = height - 0.35 * np.abs(along - along[lowest, np.arange(lowest.size)])
-    chosen: IntArray = np.argpartition(tilted, _MAX_LOWEST, axis=0)[:_MAX_LOWEST]
-    return chosen
+class Chords(NamedTuple):
+    """Chords between the vertices of every hull that can carry its lower side, from left to right; Shape (c, p) each.
+
+    `first`, `second`: vertex indices. `along`, `height`: of the first. `run`, `rise`: to the second, run >= 0.
+    """
+
+    first: IntArray
+    second: IntArray
+    along: FloatArray
+    height: FloatArray
+    run: FloatArray
+    rise: FloatArray
+
+    def levels(self, place: FloatArray) -> tuple[FloatArray, BoolArray]:
+        """Share of the second vertex at tangent coordinates `place`, and whether the chord spans it."""
+        usable = self.run > 1e-12
+        share = (place - self.along) / np.where(usable, self.run, 1.0)
+        return share, usable & (share >= -1e-9) & (share <= 1.0 + 1e-9)
+
+
+def chords(along: FloatArray, height: FloatArray) -> Chords:
+    """All chords between points at tangent coordinates `along`, Shape (k, p); of many points only the lowest count."""
+    columns = np.arange(along.shape[1])
+    if along.shape[0] > _MAX_LOWEST:
+        lowest = np.argmin(height, axis=0)
+        tilted = height - 0.35 * np.abs(along - along[lowest, columns])
+        kept = np.argpartition(tilted, _MAX_LOWEST, axis=0)[:_MAX_LOWEST]
+        order = np.take_along_axis(kept, np.argsort(np.take_along_axis(along, kept, axis=0), axis=0), axis=0)
+    else:
+        order = np.argsort(along, axis=0)
+    along, height = along[order, columns], height[order, columns]
+    a, b = _PAIRS[len(order)]
+    return Chords(order[a], order[b], along[a], height[a], along[b] - along[a], height[b] - height[a])
 
 
 def _refined(axis: Points, gap: FloatArray, hull: Points, outline: Points) -> Points:
     """The normal of the hull's lower edge over the obstacle's support point, where that separates better."""
     support = outline.at(np.argmax(outline.along(axis), axis=0))
-    place = support.across(axis)
-    along, height = hull.across(axis), hull.along(axis)
-    kept = lowest_points(along, height)
-    if kept is not None:
-        along, height = np.take_along_axis(along, kept, axis=0), np.take_along_axis(height, kept, axis=0)
-    run, rise = along - along[:, None], height - height[:, None]  # from first to second index
-    usable = run > 1e-12
-    share = (place - along)[:, None] / np.where(usable, run, 1.0)
-    spans = usable & (share >= 0.0) & (share <= 1.0)
-    level = np.where(spans, height[:, None] + share * rise, np.inf).reshape(len(along) ** 2, gap.size)
-    best = np.argmin(level, axis=0)
-    columns = np.arange(best.size)
-    edge_run, edge_rise = run.reshape(level.shape)[best, columns], rise.reshape(level.shape)[best, columns]
+    lines = chords(hull.across(axis), hull.along(axis))
+    share, spans = lines.levels(support.across(axis))
+    level = np.where(spans, lines.height + share * lines.rise, np.inf)
+    best, columns = np.argmin(level, axis=0), np.arange(gap.size)
+    edge_run, edge_rise = lines.run[best, columns], lines.rise[best, columns]
     found = np.isfinite(level[best, columns])
     length = np.where(found, np.hypot(edge_run, edge_rise), 1.0)
     # In the frame (tangent, axis) the edge runs along (run, rise): its upward normal is (-rise, run).

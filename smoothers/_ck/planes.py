@@ -26,8 +26,8 @@ if TYPE_CHECKING:
 
 __all__ = ["Clearance", "Pairs", "clearance", "swept_pairs"]
 
-_MANY = 200  # pairs: below, none is dropped
-_PER_INTERVAL = 6
+_MANY = 150  # pairs: below, none is dropped
+_PER_INTERVAL = 4
 
 
 class Pairs(NamedTuple):
@@ -141,14 +141,19 @@ def swept_pairs(world: World, layout: Layout, rollout: Rollout, corners: Points,
         low, high = values.min(axis=0).reshape(shape), values.max(axis=0).reshape(shape)
         low, high = np.minimum(low[:, left], low[:, left + 1]), np.maximum(high[:, left], high[:, left + 1])
         gaps.append(np.maximum(low[..., None] - upper, lower - high[..., None]))
-    near = (gaps[0] < reach) & (gaps[1] < reach)  # (parts, intervals, obstacles)
-    part, interval, obstacle = np.nonzero(near)
-    apart = _box_separation(gaps[0][near], gaps[1][near])
-    apart = np.maximum(apart, _in_body_frame(world, layout, rollout, Pairs(interval, part, obstacle)))
-    kept = np.flatnonzero(apart < reach)
+    shape = gaps[0].shape
+    near = np.flatnonzero((gaps[0] < reach) & (gaps[1] < reach))  # of (parts, intervals, obstacles)
+    apart = _box_separation(gaps[0].ravel()[near], gaps[1].ravel()[near])
+    apart = np.maximum(apart, _in_body_frame(world, layout, rollout, _pairs_at(near, shape)))
+    kept = near[apart < reach]
     if kept.size > _MANY:
-        kept = _nearest(interval[kept], apart[kept], kept)
-    return Pairs(interval[kept], part[kept], obstacle[kept])
+        kept = _nearest(near, apart, shape, reach)
+    return _pairs_at(kept, shape)
+
+
+def _pairs_at(flat: IntArray, shape: tuple[int, ...]) -> Pairs:
+    part, interval, obstacle = np.unravel_index(flat, shape)
+    return Pairs(interval, part, obstacle)
 
 
 def _box_separation(x: FloatArray, y: FloatArray) -> FloatArray:
@@ -159,27 +164,37 @@ def _box_separation(x: FloatArray, y: FloatArray) -> FloatArray:
 
 
 def _in_body_frame(world: World, layout: Layout, rollout: Rollout, pairs: Pairs) -> FloatArray:
-    """The same in the frame of the body at the left node, its box grown by the motion within the interval."""
-    left = layout.left[pairs.interval]
-    pose = rollout.poses[left].T
-    outline = world.outline.columns(pairs.obstacle)
-    x, y = outline.x - pose[0], outline.y - pose[1]
-    c, s = np.cos(pose[2]), np.sin(pose[2])
+    """The same in the frame of the body at the left node, its box grown by the motion within the interval.
+
+    Obstacles count as their world boxes, whose extent along a direction (c, s) is |c| x + |s| y.
+    """
+    left = layout.left
+    c, s = np.cos(rollout.poses[left, 2]), np.sin(rollout.poses[left, 2])
     turn = np.maximum(np.abs(rollout.curvature[left]), np.abs(rollout.curvature[left + 1]))
-    grown = rollout.steps[pairs.interval] * (1.0 + world.body.radius * turn)
-    low, high = world.body.lower[pairs.part].T, world.body.upper[pairs.part].T
-    gaps = []
-    for i, local in enumerate((c * x + s * y, c * y - s * x)):
-        gaps.append(np.maximum(local.min(axis=0) - high[i], low[i] - local.max(axis=0)) - grown)
-    return _box_separation(gaps[0], gaps[1])
+    grown = (rollout.steps * (1.0 + world.body.radius * turn))[pairs.interval]
+    middle, half = 0.5 * (world.body.lower + world.body.upper), 0.5 * (world.body.upper - world.body.lower)
+    rock, spread = world.box_middle, world.box_half
+    dx = rock.x[0, pairs.obstacle] - rollout.poses[left, 0][pairs.interval]
+    dy = rock.y[0, pairs.obstacle] - rollout.poses[left, 1][pairs.interval]
+    c, s = c[pairs.interval], s[pairs.interval]
+    wide, high = spread.x[0, pairs.obstacle], spread.y[0, pairs.obstacle]
+    along = np.abs(c * dx + s * dy - middle[pairs.part, 0]) - half[pairs.part, 0]
+    across = np.abs(c * dy - s * dx - middle[pairs.part, 1]) - half[pairs.part, 1]
+    c, s = np.abs(c), np.abs(s)
+    return _box_separation(along - (c * wide + s * high) - grown, across - (s * wide + c * high) - grown)
 
 
-def _nearest(interval: IntArray, apart: FloatArray, kept: IntArray) -> IntArray:
-    """Of every interval the `_PER_INTERVAL` pairs with the smallest separation."""
-    order = np.lexsort((apart, interval))
-    owner = interval[order]
-    first = np.searchsorted(owner, owner)
-    chosen: IntArray = kept[order[np.arange(owner.size) - first < _PER_INTERVAL]]
+def _nearest(near: IntArray, apart: FloatArray, shape: tuple[int, ...], reach: float) -> IntArray:
+    """Of every interval the `_PER_INTERVAL` pairs with the smallest separation, within `reach` [m]."""
+    flat = np.full(int(np.prod(shape)), np.inf)
+    flat[near] = apart
+    table = flat.reshape(-1, shape[2])
+    if shape[2] > _PER_INTERVAL:
+        nearest = np.argpartition(table, _PER_INTERVAL, axis=1)[:, :_PER_INTERVAL]
+    else:
+        nearest = np.broadcast_to(np.arange(shape[2]), table.shape)
+    row = np.arange(len(table)).reshape(-1, 1)
+    chosen: IntArray = (row * shape[2] + nearest)[table[row, nearest] < reach]
     return chosen
 
 

@@ -63,7 +63,8 @@ class DenseProgram:
         self._run()
         # On failure DAQP leaves the previous solution behind, and NaN input passes for a success.
         if self._buffer.stats()["success"] and bool(np.isfinite(self._solution).all()):
-            return self._solution.copy()
+            solution: FloatArray = self._solution.copy()
+            return solution
         return self.solve_slowly()
 
     def solve_slowly(self) -> FloatArray | None:

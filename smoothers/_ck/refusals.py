@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 __all__ = ["Refusal", "refuse_approach", "refuse_search", "refuse_start"]
 
 _TOLERANCE = 1e-6  # [m], as the certificate's
-_STRAIGHT_SAMPLES = 25
+_STRAIGHT_SAMPLES = 13
 
 
 class Refusal(NamedTuple):

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from smoothers._ck.axes import lowest_points
+from smoothers._ck.axes import chords
 
 if TYPE_CHECKING:
     from optdock.geometry.arrays import BoolArray, FloatArray, IntArray
@@ -111,8 +111,9 @@ def _shared_support(
 
 def _upper_side(beside: FloatArray, tops: FloatArray, place: FloatArray) -> FloatArray:
     """Height of the obstacle's upper side at tangent coordinates `place`. Shape (t, p)."""
-    level, _ = _chord_levels(beside, tops, place, -np.inf)
-    highest: FloatArray = level.max(axis=1)
+    lines = chords(beside, -tops)
+    share, spans = lines.levels(place[:, None])
+    highest: FloatArray = np.where(spans, -lines.height - share * lines.rise, -np.inf).max(axis=1)
     return np.where(np.isfinite(highest), highest, tops.max(axis=0))
 
 
@@ -120,38 +121,17 @@ def _lower_side(
     along: FloatArray, height: FloatArray, place: FloatArray
 ) -> tuple[IntArray, IntArray, FloatArray, FloatArray]:
     """Vertices, share of the second, and height of the hull's lower side at `place`. Shape (t, p) each."""
-    kept, columns = lowest_points(along, height), np.arange(along.shape[1])
-    bottom = np.argmin(height, axis=0)
-    floor = height[bottom, columns]
-    if kept is not None:
-        along, height = np.take_along_axis(along, kept, axis=0), np.take_along_axis(height, kept, axis=0)
-    level, share = _chord_levels(along, height, place, np.inf)
+    lines, columns = chords(along, height), np.arange(along.shape[1])
+    share, spans = lines.levels(place[:, None])
+    level = np.where(spans, lines.height + share * lines.rise, np.inf)  # (t, c, p)
     best = np.argmin(level, axis=1)
     times = np.arange(len(place))[:, None]
     picked, part = level[times, best, columns], share[times, best, columns]
-    first, second = best // len(along), best % len(along)
-    if kept is not None:
-        first, second = kept[first, columns], kept[second, columns]
+    bottom = np.argmin(height, axis=0)
     lost = ~np.isfinite(picked)
     return (
-        np.where(lost, bottom, first),
-        np.where(lost, bottom, second),
-        np.where(lost, 0.0, part),
-        np.where(lost, floor, picked),
+        np.where(lost, bottom, lines.first[best, columns]),
+        np.where(lost, bottom, lines.second[best, columns]),
+        np.where(lost, 0.0, np.clip(part, 0.0, 1.0)),
+        np.where(lost, height[bottom, columns], picked),
     )
-
-
-def _chord_levels(
-    along: FloatArray, height: FloatArray, place: FloatArray, missing: float
-) -> tuple[FloatArray, FloatArray]:
-    """Height at `place` of the chord between every two points, `missing` off the chord, and the second's share.
-
-    Shape (t, k * k, p) each.
-    """
-    run, rise = along - along[:, None], height - height[:, None]  # from first to second index
-    usable = run > 1e-12
-    share = (place[:, None, None] - along[:, None]) * (1.0 / np.where(usable, run, 1.0))
-    spans = usable & (share >= -1e-9) & (share <= 1.0 + 1e-9)
-    level = np.where(spans, height[:, None] + share * rise, missing)
-    flat = (len(place), len(along) ** 2, along.shape[1])
-    return level.reshape(flat), np.clip(share, 0.0, 1.0).reshape(flat)

@@ -55,6 +55,7 @@ class World:
     Attributes:
         outline: Obstacle vertices, one column per obstacle, Shape (k, m) [m].
         edge_normals: Their outward edge normals.
+        box_middle, box_half: Middle and half extent of their bounding boxes, Shape (1, m) [m].
     """
 
     obstacles: ObstacleSet
@@ -65,11 +66,16 @@ class World:
     start_clearance: float
     outline: Points = field(init=False, repr=False)
     edge_normals: Points = field(init=False, repr=False)
+    box_middle: Points = field(init=False, repr=False)
+    box_half: Points = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
         for name, values in (("outline", self.obstacles.vertices), ("edge_normals", self.obstacles.normals)):
             x, y = (np.ascontiguousarray(values[..., i].T) for i in (0, 1))
             object.__setattr__(self, name, Points(x, y))
+        lower, upper = self.obstacles.lower.T[:, None], self.obstacles.upper.T[:, None]
+        object.__setattr__(self, "box_middle", Points(*(0.5 * (lower + upper))))
+        object.__setattr__(self, "box_half", Points(*(0.5 * (upper - lower))))
 
     def required(self, positions: FloatArray) -> Requirement:
         """What is required at robot positions, Shape (n, 2) [m]."""
