@@ -61,8 +61,6 @@ def attempt(bounds: Bounds, start: State, settings: Settings) -> Attempt | None:
     nodes = nodes_of(reference, start, State(bounds.course.length), arcs, grid.zone)
     split = split_into_moves(nodes, bounds)
     bad = tuple(
-        (nodes.states[piece.first].s, nodes.states[piece.last].s, piece.excess)
-        for piece in split.pieces
-        if piece.excess > 1.0
+        (nodes.s[piece.first], nodes.s[piece.last], piece.excess) for piece in split.pieces if piece.excess > 1.0
     )
     return Attempt(split.phases if split.complete else (), bad, len(split.pieces), reference.iterations)

@@ -26,10 +26,10 @@ class Margins(NamedTuple):
         check: Of the speed caps, when pieces are accepted; twice that of the yaw acceleration.
     """
 
-    reference_speed: float = 0.006
-    reference_yaw: float = 0.025
-    reference_jerk: float = 0.03
-    check: float = 0.0015
+    reference_speed: float = 0.003
+    reference_yaw: float = 0.02
+    reference_jerk: float = 0.015
+    check: float = 0.001
 
 
 class Tightening(NamedTuple):
@@ -114,5 +114,6 @@ class Bounds:
         """
         curvature, rate, slowness = self.curve_at(s)
         yaw = np.abs(a * curvature + v * v * rate) * (1.0 / self.course.limits.max_yaw_acceleration)
-        excess = np.maximum(v * slowness, np.sqrt(yaw))
-        return excess * np.where(s < self.relief, 1.0, 1.0 / (1.0 - self.margins.check))
+        excess: FloatArray = np.maximum(v * slowness, np.sqrt(yaw))
+        excess *= np.where(s < self.relief, 1.0, 1.0 / (1.0 - self.margins.check))
+        return excess

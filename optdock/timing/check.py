@@ -18,11 +18,11 @@ PERIOD = 0.008  # [s]
 
 
 class Worst(NamedTuple):
-    """The largest quotient of a quantity and its limit, and where it occurs [m]; and in terms of time:
+    """The largest quotient of a quantity and its limit, where it occurs, and what it means for time.
 
     Args:
         ratio: Largest quotient.
-        s: Where.
+        s: Where [m].
         path: Factor on time that keeps speeds and yaw acceleration, whose limits depend on the path.
         drive: Factor on time that keeps acceleration and jerk.
     """
@@ -39,7 +39,10 @@ class Worst(NamedTuple):
 
 
 class Ratios(NamedTuple):
-    """Quotients of quantities and limits at distances `s`, Shape (n,) each; lateral acceleration as its root."""
+    """Quotients of quantities and limits at distances `s`, Shape (n,); lateral acceleration as its root.
+
+    `drive` is of the acceleration at the first of these distances only: it is linear between them.
+    """
 
     s: FloatArray
     speed: FloatArray
@@ -51,22 +54,25 @@ def motion_ratios(course: Course, motion: Motion, period: float = PERIOD) -> Rat
     """All limits at time samples, at phase borders, and at every node of the course with the rates on both its sides.
 
     Between nodes curvature and its rate are linear and the motion is smooth, so the maxima sit at the nodes up to the
-    time sampling; time samples alone would miss narrow features. Jerk is the caller's: it is the phases themselves.
+    time sampling; time samples alone would miss narrow features. At the nodes speed and acceleration are interpolated
+    between time samples, wrong by at most period^2 * jerk / 8. Jerk is the caller's: it is the phases themselves.
     """
     t = np.union1d(motion.times, np.arange(0.0, motion.duration, period))
     s, v, a = motion.at(t)
+    s = np.minimum(np.maximum.accumulate(s), course.length)
     inner = course.s[1:-1]
-    first, last = np.searchsorted(inner, (motion.states[0, 0], motion.states[0, -1]))
+    first, last = np.searchsorted(inner, (s[0], s[-1]))
     nodes = inner[first:last]
-    _s, node_v, node_a = motion.at(motion.crossing_times(nodes)) if nodes.size else np.zeros((3, 0))
-    points = course.points_at(np.clip(s, 0.0, course.length))
+    node_v, node_a = np.interp(nodes, s, v), np.interp(nodes, s, a)
+    points = course.points_at(s)
     speed = np.concatenate((v * points.slowness, node_v * _node_slowness(course, first, last)))
     yaw = _yaw_ratio(course, points.curvature, points.rate, v, a)
     curvature = course.curvature[1:-1][first:last]
     left = _yaw_ratio(course, curvature, course.rate_right[:-1][first:last], node_v, node_a)
     right = _yaw_ratio(course, curvature, course.rate_left[1:][first:last], node_v, node_a)
-    drive = np.concatenate((_drive_ratio(course, a), _drive_ratio(course, node_a)))
-    return Ratios(np.concatenate((s, nodes)), speed, np.concatenate((yaw, np.maximum(left, right))), drive)
+    return Ratios(
+        np.concatenate((s, nodes)), speed, np.concatenate((yaw, np.maximum(left, right))), _drive_ratio(course, a)
+    )
 
 
 def _node_slowness(course: Course, first: int, last: int) -> FloatArray:
@@ -90,7 +96,8 @@ def _drive_ratio(course: Course, a: FloatArray) -> FloatArray:
 def worst_ratio(course: Course, motion: Motion, period: float = PERIOD) -> Worst:
     """The worst of all limits along a motion, jerk included."""
     ratios = motion_ratios(course, motion, period)
-    largest = np.maximum(np.maximum(ratios.speed, ratios.yaw), ratios.drive)
+    largest = np.maximum(ratios.speed, ratios.yaw)
+    np.maximum(largest[: ratios.drive.size], ratios.drive, out=largest[: ratios.drive.size])
     worst = int(np.argmax(largest))
     steepest = int(np.argmax(np.abs(motion.jerks)))
     jerk = abs(float(motion.jerks[steepest])) / course.limits.max_jerk

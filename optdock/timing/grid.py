@@ -7,13 +7,14 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 if TYPE_CHECKING:
-    from optdock.geometry.arrays import FloatArray
+    from optdock.geometry.arrays import BoolArray, FloatArray, IntArray
     from optdock.timing.bounds import Bounds
     from optdock.timing.motion import State
 
 __all__ = ["Grid", "Profile", "acceleration_profile", "grid_of"]
 
 _JUMP_SHARE = 0.02  # of the yaw acceleration: smaller jumps of v^2 * rate are left to the margins
+_MOST_JUMPS = 400  # more are noise: no knot is put on any of them
 _MIN_STEP_SHARE = 0.4  # of the step: jumps closer together share a knot's cell
 _MIN_CELLS = 8
 _SLOWEST = 1e-4  # [m/s]: pseudo time counts no speed below this
@@ -37,7 +38,7 @@ class Grid(NamedTuple):
         rate: Largest and least of the rates on both sides of the knots, Shape (2, M + 1) [1/m^2].
         yaw: Yaw acceleration for the reference, at the knots, Shape (M + 1,) [rad/s^2].
         centre_curvature: At the cell centres, Shape (M,) [1/m].
-        centre_rate: Shape (M,) [1/m^2].
+        centre_rate: As `rate`, at the cell centres, Shape (2, M) [1/m^2].
         zone: Index of the knot at the zone start; 0 without one inside.
         time: Pseudo time of the knots, Shape (M + 1,) [s].
     """
@@ -72,7 +73,9 @@ def acceleration_profile(bounds: Bounds, start: State) -> Profile:
 def grid_of(bounds: Bounds, profile: Profile, first: State, last: State, step: float) -> Grid:
     """Knots from `first` to `last`, about `step` [s] of pseudo time apart."""
     course = bounds.course
-    breaks = _breaks(bounds, profile, first, last, step)
+    jump = np.abs(course.rate_left[1:] - course.rate_right[:-1]) * profile.speed_squared[1:-1]
+    jumps = np.concatenate(([0.0], np.where(jump > _JUMP_SHARE * course.limits.max_yaw_acceleration, jump, 0.0), [0.0]))
+    breaks = _breaks(bounds, profile, (first, last), jumps, _MIN_STEP_SHARE * step)
     times = np.interp(breaks, course.s, profile.time)
     parts = np.maximum(1, np.rint(np.diff(times) / step)).astype(np.int64)
     parts[np.argmax(np.diff(times))] += max(0, _MIN_CELLS - int(parts.sum()))
@@ -80,52 +83,84 @@ def grid_of(bounds: Bounds, profile: Profile, first: State, last: State, step: f
     rank = np.arange(owner.size) - np.repeat(np.cumsum(parts) - parts, parts)
     inner = np.interp(times[owner] + np.diff(times)[owner] * rank / parts[owner], profile.time, course.s)
     knots = np.append(np.where(rank == 0, breaks[owner], inner), breaks[-1])
-    zone = int(np.searchsorted(knots, course.zone_start - 1e-12)) if course.has_zone else 0
-    return _limits_on(bounds, profile, knots, 0 if zone >= knots.size - 1 else zone)
+    return _limits_on(bounds, profile, knots, jumps > 0.0)
 
 
-def _breaks(bounds: Bounds, profile: Profile, first: State, last: State, step: float) -> FloatArray:
-    """Where a knot must be: both ends, the zone start, jumps of the curvature rate that matter."""
-    course = bounds.course
-    begin, end = first.s, last.s
-    if first.a < 0.0:  # the first coefficient, v^2 + a h, must stay positive
-        begin_next = first.s - 0.4 * first.v * first.v / first.a
-    jump = np.abs(course.rate_left[1:] - course.rate_right[:-1]) * profile.speed_squared[1:-1]
-    found = np.flatnonzero(jump > _JUMP_SHARE * bounds.course.limits.max_yaw_acceleration) + 1
-    fixed = [course.zone_start] if course.has_zone and begin + 1e-9 < course.zone_start < end - 1e-9 else []
-    gap = _MIN_STEP_SHARE * step
-    order = found[np.argsort(-jump[found - 1], kind="stable")] if 0 < found.size <= 400 else found[:0]
-    taken = [float(np.interp(s, course.s, profile.time)) for s in (begin, end, *fixed)]
-    kept = [begin, end, *fixed]
-    for i in order.tolist():
+def _breaks(bounds: Bounds, profile: Profile, ends: tuple[State, State], jumps: FloatArray, gap: float) -> FloatArray:
+    """Where a knot must be: both ends, the zone start; the largest jumps of the rate, at least `gap` [s] apart."""
+    course, (first, last) = bounds.course, ends
+    fixed = [first.s, last.s]
+    if course.has_zone and first.s + 1e-9 < course.zone_start < last.s - 1e-9:
+        fixed.append(course.zone_start)
+    found = np.flatnonzero((jumps > 0.0) & (course.s > first.s) & (course.s < last.s))
+    if found.size > _MOST_JUMPS:
+        found = found[:0]
+    taken = np.interp(fixed, course.s, profile.time).tolist()
+    for i in found[np.argsort(-jumps[found], kind="stable")].tolist():
         time = float(profile.time[i])
-        if begin < course.s[i] < end and min(abs(time - other) for other in taken) > gap:
+        if min([abs(time - other) for other in taken]) > gap:
             taken.append(time)
-            kept.append(float(course.s[i]))
-    if first.a < 0.0:
-        nearest = min(s for s in kept if s > begin)
-        if begin_next < nearest:
-            kept.append(begin_next)
-    return np.array(sorted(kept))
+            fixed.append(float(course.s[i]))
+    if first.a < 0.0:  # the coefficient v^2 + a h of the first cell must stay positive
+        nearest = first.s - 0.4 * first.v * first.v / first.a
+        if nearest < min(s for s in fixed if s > first.s):
+            fixed.append(nearest)
+    return np.array(sorted(fixed))
 
 
-def _limits_on(bounds: Bounds, profile: Profile, knots: FloatArray, zone: int) -> Grid:
+def _limits_on(bounds: Bounds, profile: Profile, knots: FloatArray, jumps: BoolArray) -> Grid:
     course = bounds.course
     centres = 0.5 * (knots[:-1] + knots[1:])
-    cells = course.cells_at(np.concatenate((knots[:1], centres)))
-    ends = np.append(cells[1:], course.s.size - 2)
-    bound = _least_between(bounds.speed_squared, cells, ends)
-    yaw = _least_between(bounds.yaw, cells, ends)
+    cells = course.cells_at(np.concatenate((knots[:1], centres, knots[-1:])))
+    cells[-1] = course.s.size - 2
+    bound = _least_between(bounds.speed_squared, cells[:-1], cells[1:])
+    yaw = _least_between(bounds.yaw, cells[:-1], cells[1:])
     curvature, right, _slow = bounds.curve_at(knots)
     _k, left, _slow = bounds.curve_at(knots - 1e-9)
     centre_curvature, centre_rate, _slow = bounds.curve_at(centres)
-    time = np.interp(knots, course.s, profile.time)
     rate = np.stack((np.maximum(left, right), np.minimum(left, right)))
+    hidden = _hidden_jumps(course.s, jumps, knots)
+    if hidden.any():
+        rate, centre_rate = _extremes(bounds, knots, hidden, rate, np.stack((centre_rate, centre_rate)))
+    else:
+        centre_rate = np.stack((centre_rate, centre_rate))
+    zone = int(np.searchsorted(knots, course.zone_start - 1e-12)) if course.has_zone else 0
+    time = np.interp(knots, course.s, profile.time)
+    zone = 0 if zone >= knots.size - 1 else zone
     return Grid(knots, np.diff(knots), bound, curvature, rate, yaw, centre_curvature, centre_rate, zone, time)
 
 
-def _least_between(values: FloatArray, first: FloatArray, last: FloatArray) -> FloatArray:
-    """Minimum of `values[first[i] : last[i] + 1]` for every i; overlapping by one."""
+def _hidden_jumps(s: FloatArray, jumps: BoolArray, knots: FloatArray) -> BoolArray:
+    """Whether each cell of the grid holds a jump that no knot stands on, Shape (M,)."""
+    places = s[jumps]
+    nearest = knots[np.minimum(np.searchsorted(knots, places - 1e-9), knots.size - 1)]
+    places = places[np.abs(nearest - places) > 1e-9]
+    counts = np.searchsorted(places, knots)
+    found: BoolArray = np.diff(counts) > 0
+    return found
+
+
+def _extremes(
+    bounds: Bounds, knots: FloatArray, hidden: BoolArray, rate: FloatArray, centre_rate: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Rates at knots and centres; their extremes over the cells around where a cell hides jumps."""
+    course = bounds.course
+    cells = course.cells_at(knots)
+    high = np.maximum(course.rate_left, course.rate_right)
+    low = np.minimum(course.rate_left, course.rate_right)
+    top = -_least_between(-high, cells[:-1], cells[1:])
+    bottom = _least_between(low, cells[:-1], cells[1:])
+    spread = np.where(hidden, np.stack((top, bottom)), centre_rate)
+    beside = np.stack((np.append(spread[0], -np.inf), np.append(spread[1], np.inf)))
+    before = np.stack((np.insert(spread[0], 0, -np.inf), np.insert(spread[1], 0, np.inf)))
+    touched = np.append(hidden, False) | np.insert(hidden, 0, False)
+    rate[0] = np.where(touched, np.maximum(np.maximum(before[0], beside[0]), rate[0]), rate[0])
+    rate[1] = np.where(touched, np.minimum(np.minimum(before[1], beside[1]), rate[1]), rate[1])
+    return rate, spread
+
+
+def _least_between(values: FloatArray, first: IntArray, last: IntArray) -> FloatArray:
+    """Minimum of `values[first[i] : last[i] + 1]` for every i."""
     pairs = np.stack((first, last + 1), axis=1).ravel()
     least: FloatArray = np.minimum.reduceat(np.append(values, np.inf), pairs)[::2]
     return least

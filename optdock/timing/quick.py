@@ -5,9 +5,11 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from optdock.interfaces import TimingStatus
-from optdock.timing.motion import State
+from optdock.timing.braking import stop_box
+from optdock.timing.check import worst_ratio
+from optdock.timing.motion import Motion, Phases, State, stretched
 from optdock.timing.moves import Box, move
-from optdock.timing.start import checked_plan, stop_box
+from optdock.timing.start import checked_plan
 
 if TYPE_CHECKING:
     from optdock.timing.course import Course
@@ -16,33 +18,36 @@ if TYPE_CHECKING:
 __all__ = ["quick_plan"]
 
 _SHORT = 1.0  # [m]: longer gears are not tried
-_TINY = 0.08  # [m]: below it the reference has no room, so slower moves are tried too
-_SLOWER = (0.9, 0.8, 0.65, 0.5, 0.35, 0.25, 0.15)
+_TINY = 0.08  # [m]: below it the reference has no room
+_SLOWER = ((1.0, 1.0), (0.5, 1.0), (0.5, 0.5), (0.25, 0.5), (0.25, 0.25))
+_SPARE = 1.0005  # stretched by this more than needed: the check samples
 
 
 def quick_plan(course: Course, start: State) -> GearPlan | None:
-    """One move over the whole gear; None where the check refuses all that are tried."""
+    """One move over the whole gear; None where it breaks a limit, and the gear is not tiny."""
     if course.length >= _SHORT:
         return None
     full = stop_box(course)._replace(speed=1.0 / float(course.slowness.min()))
-    found = _one_move(course, start, full)
-    if found is not None or course.length >= _TINY or start.v > 0.0 or start.a > 0.0:
-        return found
-    plans = [_one_move(course, start, _slower(full, v, a)) for v in (1.0, *_SLOWER) for a in (1.0, *_SLOWER)]
-    return min((plan for plan in plans if plan is not None), key=_duration, default=None)
+    phases = move(start, State(course.length), full)
+    plan = checked_plan(course, start, phases, "one move") if phases else None
+    if plan is not None and plan.status is TimingStatus.OK:
+        return plan
+    return _tiny_plan(course, full) if course.length < _TINY and start == State() else None
 
 
-def _slower(box: Box, speed: float, drive: float) -> Box:
-    return Box(speed * box.speed, drive * box.acceleration, drive * box.deceleration, box.jerk)
-
-
-def _one_move(course: Course, start: State, box: Box) -> GearPlan | None:
-    phases = move(start, State(course.length), box)
-    if phases is None:
-        return None
-    plan = checked_plan(course, start, phases, "one move")
+def _tiny_plan(course: Course, full: Box) -> GearPlan | None:
+    """The shortest of some moves from rest, each stretched in time until it keeps every limit."""
+    moves = [move(State(), State(course.length), _share(full, *share)) for share in _SLOWER]
+    slowed = [_slowed(course, phases) for phases in moves if phases]
+    best = min(slowed, key=lambda phases: sum(duration for duration, _jerk in phases), default=())
+    plan = checked_plan(course, State(), best, "one move, stretched")
     return plan if plan.status is TimingStatus.OK else None
 
 
-def _duration(plan: GearPlan) -> float:
-    return sum(duration for duration, _jerk in plan.phases)
+def _slowed(course: Course, phases: Phases) -> Phases:
+    worst = worst_ratio(course, Motion.of(State(), phases))
+    return stretched(phases, max(worst.path * _SPARE, worst.drive))
+
+
+def _share(box: Box, speed: float, drive: float) -> Box:
+    return Box(speed * box.speed, drive * box.acceleration, drive * box.deceleration, box.jerk)

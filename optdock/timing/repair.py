@@ -14,10 +14,11 @@ from typing import TYPE_CHECKING, NamedTuple
 from optdock.interfaces import TimingStatus
 from optdock.timing.attempt import Attempt, Settings, attempt
 from optdock.timing.bounds import Bounds, Margins, Tightening
+from optdock.timing.braking import Braking
 from optdock.timing.check import Worst, worst_ratio
 from optdock.timing.motion import Motion, Phases, State, stretched
 from optdock.timing.quick import quick_plan
-from optdock.timing.start import GearPlan, checked_plan, judged_plan, relief_length
+from optdock.timing.start import GearPlan, checked_plan, judged_plan
 from optdock.timing.windowed import plan_windows
 
 if TYPE_CHECKING:
@@ -25,10 +26,11 @@ if TYPE_CHECKING:
 
 __all__ = ["plan_gear"]
 
-_FINE = 0.001  # [s]: period of the check where it is close
+_FINE = 0.0005  # [s]: period of the check where it is close
 _STRETCH_AT_ONCE = 1.012  # up to it stretching time is better than another attempt
 _STRETCH_AT_LAST = 1.1  # beyond it the windowed method may be better
 _KEPT = 1.0 + 1e-9
+_TIGHT = 3.0  # margins: a moving start whose braking is closer to the limits gets none there
 _RETRIES = 2
 _AROUND = 0.06  # [m]: tightened on both sides of a bad stretch
 _EXTRA = 0.006  # tightened beyond the excess
@@ -48,7 +50,7 @@ def plan_gear(course: Course, start: State, settings: Settings) -> GearPlan:
             return quick
     moving = start.v > 0.0 or start.a > 0.0
     margins = Margins()
-    relief = relief_length(course, start, 3.0 * margins.reference_speed) if moving else 0.0
+    relief = Braking(course, start).tight_length(_TIGHT * margins.reference_speed) if moving else 0.0
     best: _Tried | None = None
     tightenings: tuple[Tightening, ...] = ()
     for retry in range(_RETRIES + 1):

@@ -1,7 +1,7 @@
 """Quadratic splines of x = v^2 over arc length: their linear maps, and the limits as rows of a linear program.
 
 Knot i: x_i = wl c_i + wr c_{i+1}, wr = h_{i-1} / (h_{i-1} + h_i), a_i = (c_{i+1} - c_i) / (h_{i-1} + h_i).
-Cell m, on c_m, c_{m+1}, c_{m+2}: x'' = 2 (a_{m+1} - a_m) / h_m, and at its centre x = (x_m + x_{m+1}) / 2 - x'' h^2 / 8.
+Cell m, on c_m, c_{m+1}, c_{m+2}: x'' = 2 (a_{m+1} - a_m) / h_m, centre x = (x_m + x_{m+1}) / 2 - x'' h^2 / 8.
 """
 
 from __future__ import annotations
@@ -90,7 +90,7 @@ def limit_rows(grid: Grid, limits: MotionLimits, spline: Spline) -> Rows:
     value, slope = spline.right_value, spline.right_slope
     yaw, bend, rate = grid.yaw[1:], grid.curvature[1:], grid.rate[:, 1:]
     centre_yaw = 0.5 * (grid.yaw[:-1] + grid.yaw[1:])
-    turn = (grid.centre_curvature * spline.centre_slope + grid.centre_rate * spline.centre_value) / centre_yaw
+    turn, spread = grid.centre_curvature * spline.centre_slope, grid.centre_rate
     floor = np.zeros_like(value)
     floor[1] = -1.0 / min(1e-5, 0.01 * float(grid.bound.min()))
     knot_rows = (
@@ -100,7 +100,11 @@ def limit_rows(grid: Grid, limits: MotionLimits, spline: Spline) -> Rows:
         (bend * slope + rate[0] * value) / yaw,
         -(bend * slope + rate[1] * value) / yaw,
     )
-    stencil = np.stack((floor, *knot_rows, turn, -turn), axis=1)
+    centre_rows = (
+        (turn + spread[0] * spline.centre_value) / centre_yaw,
+        -(turn + spread[1] * spline.centre_value) / centre_yaw,
+    )
+    stencil = np.stack((floor, *knot_rows, *centre_rows), axis=1)
     bound = np.ones(stencil.shape[1:])
     bound[0] = -1.0
     stencil[:, 1:6, -1] = 0.0  # the last knot is given
