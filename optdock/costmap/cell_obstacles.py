@@ -47,6 +47,11 @@ def obstacles_from_costmap(
 
     Raises:
         InvalidValue: threshold is not in 1..254, or the region's corners are not finite or not in order.
+
+    >>> from optdock.costmap.costmap import Costmap
+    >>> walls = Costmap(np.array([[254, 254, 254], [254, 0, 0], [254, 0, 0]]), resolution=0.5)
+    >>> obstacles_from_costmap(walls, border=False).upper.tolist()
+    [[0.5, 1.5], [1.5, 0.5]]
     """
     if not 1 <= threshold <= LETHAL:
         raise InvalidValue(f"threshold: must be in 1..{LETHAL}, got {threshold}")

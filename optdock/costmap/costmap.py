@@ -42,6 +42,9 @@ class Costmap:
 
     Raises:
         InvalidValue: No cell, costs that are not integers in 0..255, resolution not > 0, origin not finite.
+
+    >>> Costmap(np.array([[0, 254]]), resolution=0.5).cost_at([[0.2, 0.2], [0.7, 0.2], [9.0, 9.0]]).tolist()
+    [0, 254, 255]
     """
 
     data: CostArray

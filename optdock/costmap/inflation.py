@@ -58,8 +58,8 @@ class InflationRule:
     def distance_of(self, cost: ArrayLike) -> FloatArray:
         """Distance [m] at which the cost is 1..252: inscribed_radius + ln(252 / cost) / cost_scaling_factor.
 
-        Costs are integer parts, so the true distance is at most this one. 253 and 254 give inscribed_radius and 0,
-        the most that is certain; 0 and 255 give infinity and NaN.
+        Costs are integer parts: this is the largest distance with that cost, and `distance_of(cost + 1)` is below all
+        of them. 253 gives inscribed_radius, 254 gives 0, 0 infinity, 255 NaN.
 
         Raises:
             InvalidValue: cost_scaling_factor is 0: one cost stands for many distances.

@@ -26,6 +26,9 @@ class LayerParameters(PluginParameters):
     @model_validator(mode="before")
     @classmethod
     def _drop_graph_names(cls, values: object) -> object:
-        if not isinstance(values, Mapping):
-            return values
+        return cls.without_graph_names(values) if isinstance(values, Mapping) else values
+
+    @classmethod
+    def without_graph_names(cls, values: Mapping[str, object]) -> dict[str, object]:
+        """`values` without the names that mean something on a ROS graph only."""
         return {name: value for name, value in values.items() if name not in cls.graph_names}

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
-from pydantic import Field, field_validator
+from pydantic import Field, field_validator, model_validator
 
 from optdock.costmap.costs import FREE_SPACE, NO_INFORMATION
 from optdock.errors import InvalidValue
@@ -31,9 +32,10 @@ _FARTHEST = 1e9  # [m]; points beyond are no measurements
 
 
 class ObstacleLayerParameters(LayerParameters):
-    """Nav2's parameters of the ObstacleLayer and of its observation sources, of which there is one here.
+    """Nav2's parameters of the ObstacleLayer and of its one observation source.
 
-    `track_unknown_space` is True here, False in Nav2.
+    The source's parameters stand beside the layer's, or, as in Nav2's files, in a block named by
+    `observation_sources`. `track_unknown_space` is True here, False in Nav2.
     """
 
     track_unknown_space: bool = Field(default=True, description="cells never seen are unknown; False: free")
@@ -48,11 +50,26 @@ class ObstacleLayerParameters(LayerParameters):
     raytrace_max_range: float = Field(default=3.0, ge=0.0, description="clearing ends here [m]")
     raytrace_min_range: float = Field(default=0.0, ge=0.0, description="clearing begins here [m]")
     inf_is_valid: bool = Field(default=False, description="beams without return clear")
+    observation_sources: str = Field(default="", description="name of the source's block, if it has one")
 
     graph_names: ClassVar[frozenset[str]] = frozenset(
-        {"observation_sources", "topic", "sensor_frame", "data_type", "expected_update_rate", "transform_tolerance"}
+        {"topic", "sensor_frame", "data_type", "expected_update_rate", "transform_tolerance"}
         | {"observation_persistence", "min_obstacle_height", "max_obstacle_height", "tf_filter_tolerance"}
     )
+
+    @model_validator(mode="before")
+    @classmethod
+    def _flatten_source(cls, values: object) -> object:
+        names = values.get("observation_sources") if isinstance(values, Mapping) else None
+        if not isinstance(values, Mapping) or not isinstance(names, str):
+            return values
+        blocks = {name: values[name] for name in names.split() if isinstance(values.get(name), Mapping)}
+        if len(blocks) > 1:
+            raise ValueError(f"observation_sources: one source per layer; give a layer each to {', '.join(blocks)}")
+        flat = {name: value for name, value in values.items() if name not in blocks}
+        for block in blocks.values():
+            flat.update(cls.without_graph_names(block))
+        return flat
 
     @field_validator("combination_method", mode="before")
     @classmethod

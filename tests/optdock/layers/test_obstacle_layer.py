@@ -2,14 +2,20 @@ import math
 
 import numpy as np
 import pytest
+import yaml
+from scipy.ndimage import distance_transform_edt
 
+from optdock.costmap.inflation import InflationRule
 from optdock.errors import InvalidValue
 from optdock.geometry.footprint import Footprint
 from optdock.geometry.pose import Pose2
+from optdock.io.maps import load_map
 from optdock.layers.combination import CombinationMethod, combined
+from optdock.layers.inflation_layer import InflationLayer
 from optdock.layers.layered import LayeredCostmap
 from optdock.layers.obstacle_layer import ObstacleLayer
 from optdock.layers.scan import LaserScan
+from optdock.layers.static_layer import StaticLayer
 
 SENSOR = (0.55, 0.55)
 ROBOT = Pose2(*SENSOR, 0.0)
@@ -183,12 +189,57 @@ def test_bad_parameters_are_named(parameters, message):
         ObstacleLayer(**parameters)
 
 
+SOURCE = {
+    "topic": "/scan",
+    "max_obstacle_height": 2.0,
+    "clearing": True,
+    "data_type": "LaserScan",
+    "raytrace_max_range": 4.0,
+    "obstacle_max_range": 3.5,
+}
+
+
 def test_a_nav2_block_can_be_passed_as_it_is():
-    ObstacleLayer(
-        enabled=True, observation_sources="scan", topic="/scan", max_obstacle_height=2.0, clearing=True, marking=True,
-        data_type="LaserScan", raytrace_max_range=3.0, raytrace_min_range=0.0, obstacle_max_range=2.5,
-        obstacle_min_range=0.0,
-    )  # fmt: skip
+    for layer in (
+        ObstacleLayer(enabled=True, observation_sources="scan", scan=SOURCE, footprint_clearing_enabled=False),
+        ObstacleLayer(enabled=True, footprint_clearing_enabled=False, **SOURCE),
+    ):
+        parameters = layer.parameters
+        assert (parameters.clearing, parameters.footprint_clearing_enabled) == (True, False)
+        assert (parameters.raytrace_max_range, parameters.obstacle_max_range) == (4.0, 3.5)
+        layer.set_parameters(clearing=False)
+        assert layer.parameters.raytrace_max_range == 4.0
+
+
+def test_several_sources_in_one_layer_are_refused():
+    with pytest.raises(InvalidValue, match="one source per layer; give a layer each to scan, depth"):
+        ObstacleLayer(observation_sources="scan depth", scan=SOURCE, depth=SOURCE)
+
+
+def test_misspelt_names_in_a_source_are_found():
+    with pytest.raises(InvalidValue, match="clering: unknown parameter; did you mean clearing"):
+        ObstacleLayer(observation_sources="scan", scan={"clering": True})
+
+
+def test_the_layers_of_nav2s_own_parameter_file(real_data):
+    text = (real_data / "nav2" / "params" / "nav2_params.yaml").read_text()
+    blocks = yaml.safe_load(text)["global_costmap"]["global_costmap"]["ros__parameters"]
+    kinds = {"static_layer": StaticLayer, "obstacle_layer": ObstacleLayer, "inflation_layer": InflationLayer}
+    layers = {
+        name: kind(**{key: value for key, value in blocks[name].items() if key != "plugin"})
+        for name, kind in kinds.items()
+    }
+    assert layers["obstacle_layer"].parameters.clearing
+    assert layers["inflation_layer"].parameters.inflation_radius == 0.7
+    grid = load_map(real_data / "nav2" / "maps" / "tb3_sandbox.yaml")
+    layers["static_layer"].set_map(grid)
+    costs = LayeredCostmap.of_map(grid, layers, Footprint.from_radius(blocks["robot_radius"])).update(ROBOT)
+    # Lethal cells are the map's; around them Nav2's costs by the distance to the nearest.
+    np.testing.assert_array_equal(costs.data == 254, grid.data == 100)
+    distance = distance_transform_edt(grid.data != 100) * 0.05
+    known = grid.data == 0
+    rule = InflationRule(Footprint.from_radius(0.22).inscribed_radius, 0.7, 3.0)
+    np.testing.assert_array_equal(costs.data[known], rule.cost_at(distance[known]))
 
 
 def test_bad_observations_are_refused_and_leave_no_trace():
