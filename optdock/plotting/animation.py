@@ -76,6 +76,7 @@ class _Stage:
             [0.0, 0.0, 1.0], [0.0, 1.0, 0.0], facecolor=COLOURS["robot"], edgecolor="black", alpha=0.85
         )
         (self._arrow,) = self._axes.plot([], [], color="black", linewidth=2.0)
+        self._palette: Image | None = None  # of the first frame, which shows every colour there will be
         self._clock = self._axes.text(0.02, 0.96, "", transform=self._axes.transAxes, va="top", fontsize=11)
 
     def frame(self, pose: FloatArray, clock: str) -> Image:
@@ -88,7 +89,10 @@ class _Stage:
         self._canvas.restore_region(self._background)
         for artist in (self._outline, self._arrow, self._clock):
             self._axes.draw_artist(artist)
-        return Images.fromarray(np.asarray(self._canvas.buffer_rgba())[..., :3].copy()).quantize(colors=64)
+        picture = Images.fromarray(np.asarray(self._canvas.buffer_rgba())[..., :3].copy())
+        if self._palette is None:
+            self._palette = picture.quantize(colors=128)
+        return picture.quantize(palette=self._palette, dither=Images.Dither.NONE)
 
 
 def _write(target: Path, frames: list[Image], milliseconds: float) -> None:
