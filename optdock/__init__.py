@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from optdock.config import Scenario, load_scenario
-    from optdock.pipeline import DockPlan, plan_dock
+    from optdock.pipeline import DockPlan, plan_dock, warm_up
     from optdock.verification import Certificate, certify_path, certify_trajectory
 
 _HOMES = {
@@ -26,6 +26,7 @@ _HOMES = {
     "certify_trajectory": "optdock.verification",
     "load_scenario": "optdock.config",
     "plan_dock": "optdock.pipeline",
+    "warm_up": "optdock.pipeline",
 }
 
 __all__ = [
@@ -36,6 +37,7 @@ __all__ = [
     "certify_trajectory",
     "load_scenario",
     "plan_dock",
+    "warm_up",
 ]
 __version__ = "0.1.0"
 

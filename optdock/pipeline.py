@@ -2,27 +2,32 @@
 
 from __future__ import annotations
 
+import contextlib
+import functools
 import logging
 import math
 import time
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, TypeVar
 
+from optdock.dock import Dock
+from optdock.end_poses import check_ends
 from optdock.errors import (
     CertificationFailed,
     FailedToTimePath,
-    GoalOccupied,
-    GoalOutsideMapBounds,
     InvalidValue,
     OptdockError,
     PlannerTimedOut,
     SmootherTimedOut,
-    StartOccupied,
-    StartOutsideMapBounds,
 )
+from optdock.geometry.footprint import Footprint
+from optdock.geometry.pose import Pose2
 from optdock.interfaces import GlobalPlanner, PluginContext, Smoother, TimeParameterizer, TimingStatus, never_cancelled
+from optdock.limits import MotionLimits
 from optdock.plugins import create_plugin
-from optdock.verification import certify_path, certify_trajectory, pose_clearance
+from optdock.problem import DockingProblem
+from optdock.robot import Robot
+from optdock.verification import certify_path, certify_trajectory
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
@@ -30,18 +35,16 @@ if TYPE_CHECKING:
     from optdock.interfaces import SmoothingResult
     from optdock.lifecycle import Plugin
     from optdock.path import Path
-    from optdock.problem import DockingProblem
     from optdock.trajectory import Trajectory
     from optdock.verification import Certificate, TrajectoryCertificate
 
-__all__ = ["DockPlan", "PartialPlan", "PluginChoice", "PluginChoices", "plan_dock"]
+__all__ = ["DockPlan", "PartialPlan", "PluginChoice", "PluginChoices", "plan_dock", "warm_up"]
 
 logger = logging.getLogger(__name__)
 
 DEFAULT_TIME_BUDGET = 0.1  # [s]
 # Share of the budget, and its most, kept back from the smoother for timing the path and proving the result.
 _RESERVED_SHARE, _RESERVED_MOST = 0.3, 0.03
-_CONTACT_TOLERANCE = 1e-6  # [m]
 
 P = TypeVar("P", bound="Plugin")
 _T = TypeVar("_T")
@@ -61,7 +64,7 @@ class PluginChoices:
 
     planner: PluginChoice = PluginChoice("DockPlanner")
     smoother: PluginChoice = PluginChoice("CasadiSmoother")
-    timing: PluginChoice = PluginChoice("Windowed")
+    timing: PluginChoice = PluginChoice("NearOptimal")
 
 
 @dataclass(frozen=True, eq=False)
@@ -119,8 +122,8 @@ def plan_dock(
 
     Args:
         problem: From where, to where, with what, among what.
-        time_budget: Wall-clock seconds for the whole call. Plugins built for the first time in a process load their
-            libraries first; see `CasadiSmoother.warm_up`.
+        time_budget: Wall-clock seconds for the whole call, but for the first call of a process with these plugins:
+            there the clock starts when they are warm; see `warm_up`.
         plugins: Which planner, smoother and time parameterizer to use.
         cancel_checker: Polled at least every 5 ms by the stages that take long.
 
@@ -141,6 +144,7 @@ def plan_dock(
     if not (math.isfinite(time_budget) and time_budget > 0.0):
         raise InvalidValue(f"time_budget: must be finite and > 0 s, got {time_budget}")
     choices = plugins or PluginChoices()
+    warm_up(choices)
     run = _Run(problem, _Clock(time_budget), cancel_checker)
     try:
         return run.plan(choices)
@@ -149,6 +153,31 @@ def plan_dock(
         error.partial = run.so_far
         logger.info("no plan after %.1f ms: %s", run.clock.elapsed_ms(), error)
         raise
+
+
+def warm_up(plugins: PluginChoices | None = None) -> None:
+    """Load libraries and build what the plugins build once, so that no later call pays for it.
+
+    Takes about a second the first time in a process, nothing after that. Plans a small problem; what is wrong with a
+    plugin shows when it meets a real one.
+
+    Args:
+        plugins: Which planner, smoother and time parameterizer; None: the default ones.
+    """
+    choices = plugins or PluginChoices()
+    _warm_once(choices.planner.name, choices.smoother.name, choices.timing.name)
+
+
+@functools.cache
+def _warm_once(planner: str, smoother: str, timing: str) -> None:
+    choices = PluginChoices(PluginChoice(planner), PluginChoice(smoother), PluginChoice(timing))
+    limits = MotionLimits(max_curvature=2.0, max_curvature_rate=8.0)
+    outline = Footprint.rectangle(0.6, -0.4, 0.5)
+    problem = DockingProblem(
+        Pose2(-2.0, 0.1, 0.1), Dock(Pose2(0.0, 0.0, 0.0), outline), Robot(Footprint.rectangle(0.3, 0.3, 0.5), limits)
+    )
+    with contextlib.suppress(OptdockError):
+        _Run(problem, _Clock(10.0), never_cancelled).plan(choices)
 
 
 class _Clock:
@@ -174,7 +203,7 @@ class _Run:
     so_far: PartialPlan = field(default_factory=PartialPlan)
 
     def plan(self, choices: PluginChoices) -> DockPlan:
-        _check_ends(self.problem)
+        check_ends(self.problem)
         raw = self._timed("plan", lambda: self._raw_path(choices.planner))
         self.so_far.raw_path = raw
         result = self._timed("smooth", lambda: self._smooth(choices.smoother, raw))
@@ -254,23 +283,3 @@ class _Run:
 def _where(certificate: Certificate | TrajectoryCertificate) -> Mapping[str, object]:
     first = certificate.violations[0]
     return {"kind": first.kind, "s": first.s, "amount": first.amount, **first.where}
-
-
-def _check_ends(problem: DockingProblem) -> None:
-    """Refuse end poses that no path can have."""
-    for name, pose, off_map, occupied in (
-        ("start", problem.start, StartOutsideMapBounds, StartOccupied),
-        ("goal", problem.goal, GoalOutsideMapBounds, GoalOccupied),
-    ):
-        if problem.costmap is not None and not bool(problem.costmap.contains(pose.as_array()[None, :2])[0]):
-            raise off_map(f"the {name} ({pose.x:.3f}, {pose.y:.3f}) lies off the map", where={"pose": [pose.x, pose.y]})
-        clearance, row = pose_clearance(pose, problem.robot.footprint, problem.all_obstacles)
-        required = problem.clearance.at_dock if name == "goal" else 0.0
-        if clearance < required - _CONTACT_TOLERANCE:
-            obstacle = problem.all_obstacles.name_of(row)
-            what = (
-                f"overlaps {obstacle} by {-clearance:.4f} m"
-                if clearance < 0.0
-                else (f"is {clearance:.4f} m from {obstacle}, required {required:.4f} m")
-            )
-            raise occupied(f"the footprint at the {name} {what}", where={"obstacle": obstacle, "clearance": clearance})

@@ -1,0 +1,41 @@
+"""End poses that no path can have, refused before anything is planned."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from optdock.errors import GoalOccupied, GoalOutsideMapBounds, StartOccupied, StartOutsideMapBounds
+from optdock.verification import pose_clearance
+
+if TYPE_CHECKING:
+    from optdock.problem import DockingProblem
+
+__all__ = ["check_ends"]
+
+_CONTACT_TOLERANCE = 1e-6  # [m]
+
+
+def check_ends(problem: DockingProblem) -> None:
+    """Refuse end poses that no path can have.
+
+    Raises:
+        StartOutsideMapBounds: Also GoalOutsideMapBounds: the position lies off the problem's costmap.
+        StartOccupied: The footprint at the start overlaps an obstacle.
+        GoalOccupied: The footprint at the goal is closer to an obstacle than required there.
+    """
+    for name, pose, off_map, occupied in (
+        ("start", problem.start, StartOutsideMapBounds, StartOccupied),
+        ("goal", problem.goal, GoalOutsideMapBounds, GoalOccupied),
+    ):
+        if problem.costmap is not None and not bool(problem.costmap.contains(pose.as_array()[None, :2])[0]):
+            raise off_map(f"the {name} ({pose.x:.3f}, {pose.y:.3f}) lies off the map", where={"pose": [pose.x, pose.y]})
+        clearance, row = pose_clearance(pose, problem.robot.footprint, problem.all_obstacles)
+        required = problem.clearance.at_dock if name == "goal" else 0.0
+        if clearance < required - _CONTACT_TOLERANCE:
+            obstacle = problem.all_obstacles.name_of(row)
+            what = (
+                f"overlaps {obstacle} by {-clearance:.4f} m"
+                if clearance < 0.0
+                else (f"is {clearance:.4f} m from {obstacle}, required {required:.4f} m")
+            )
+            raise occupied(f"the footprint at the {name} {what}", where={"obstacle": obstacle, "clearance": clearance})
