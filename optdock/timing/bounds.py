@@ -10,10 +10,13 @@ import numpy as np
 from optdock.geometry.arrays import readonly
 
 if TYPE_CHECKING:
-    from optdock.geometry.arrays import FloatArray
+    from optdock.geometry.arrays import FloatArray, IntArray
     from optdock.timing.course import Course
 
 __all__ = ["Bounds", "Margins", "Tightening"]
+
+
+_JUMP_SHARE = 0.02  # of the yaw acceleration: smaller jumps of v^2 * rate are left to the margins
 
 
 class Margins(NamedTuple):
@@ -54,6 +57,7 @@ class Bounds:
         speed_squared: Bound on v^2 in each cell, for the reference, Shape (n - 1,) [m^2/s^2].
         yaw: Bound on the yaw acceleration in each cell, for the reference, Shape (n - 1,) [rad/s^2].
         cap_squared: v^2 at which a cell meets its speed caps, no margin, Shape (n - 1,) [m^2/s^2].
+        jumps: Indices of the inner nodes where the curvature rate jumps by so much that it matters.
     """
 
     course: Course
@@ -63,6 +67,7 @@ class Bounds:
     speed_squared: FloatArray = field(init=False, repr=False)
     yaw: FloatArray = field(init=False, repr=False)
     cap_squared: FloatArray = field(init=False, repr=False)
+    jumps: IntArray = field(init=False, repr=False)
     _left: FloatArray = field(init=False, repr=False)
     _slope: FloatArray = field(init=False, repr=False)
 
@@ -79,6 +84,9 @@ class Bounds:
         cap = np.maximum(left, right) ** -2.0
         speed = (factor * np.where(relieved, 1.0 - 1e-4, 1.0 - margins.reference_speed)) ** 2
         yaw = factor**2 * np.where(relieved, 1.0 - 1e-3, 1.0 - margins.reference_yaw)
+        jump = np.abs(course.rate_left[1:] - course.rate_right[:-1]) * np.minimum(cap[1:], cap[:-1])
+        jumps = np.flatnonzero(jump > _JUMP_SHARE * course.limits.max_yaw_acceleration) + 1
+        object.__setattr__(self, "jumps", jumps)
         for name, value in (
             ("cap_squared", cap),
             ("speed_squared", cap * speed),
@@ -114,6 +122,16 @@ class Bounds:
         """
         curvature, rate, slowness = self.curve_at(s)
         yaw = np.abs(a * curvature + v * v * rate) * (1.0 / self.course.limits.max_yaw_acceleration)
-        excess: FloatArray = np.maximum(v * slowness, np.sqrt(yaw))
-        excess *= np.where(s < self.relief, 1.0, 1.0 / (1.0 - self.margins.check))
-        return excess
+        return self._checked(s, np.maximum(v * slowness, np.sqrt(yaw)))
+
+    def jump_excess_at(self, nodes: IntArray, v: FloatArray, a: FloatArray) -> FloatArray:
+        """As `excess_at`, at `nodes`, of the yaw acceleration with the rates on both their sides. Shape (n,)."""
+        course = self.course
+        turn, square = a * course.curvature[nodes], v * v
+        left, right = course.rate_right[nodes - 1], course.rate_left[nodes]
+        yaw = np.maximum(np.abs(turn + square * left), np.abs(turn + square * right))
+        return self._checked(course.s[nodes], np.sqrt(yaw * (1.0 / course.limits.max_yaw_acceleration)))
+
+    def _checked(self, s: FloatArray, excess: FloatArray) -> FloatArray:
+        share = 1.0 / (1.0 - self.margins.check)
+        return excess * (np.where(s < self.relief, 1.0, share) if self.relief > 0.0 else share)

@@ -13,8 +13,7 @@ if TYPE_CHECKING:
 
 __all__ = ["Grid", "Profile", "acceleration_profile", "grid_of"]
 
-_JUMP_SHARE = 0.02  # of the yaw acceleration: smaller jumps of v^2 * rate are left to the margins
-_MOST_JUMPS = 400  # more are noise: no knot is put on any of them
+_CROWDED = 0.5  # jumps per shortest step: beyond it no knot is put on any of them
 _MIN_STEP_SHARE = 0.4  # of the step: jumps closer together share a knot's cell
 _MIN_CELLS = 8
 _SLOWEST = 1e-4  # [m/s]: pseudo time counts no speed below this
@@ -73,9 +72,7 @@ def acceleration_profile(bounds: Bounds, start: State) -> Profile:
 def grid_of(bounds: Bounds, profile: Profile, first: State, last: State, step: float) -> Grid:
     """Knots from `first` to `last`, about `step` [s] of pseudo time apart."""
     course = bounds.course
-    jump = np.abs(course.rate_left[1:] - course.rate_right[:-1]) * profile.speed_squared[1:-1]
-    jumps = np.concatenate(([0.0], np.where(jump > _JUMP_SHARE * course.limits.max_yaw_acceleration, jump, 0.0), [0.0]))
-    breaks = _breaks(bounds, profile, (first, last), jumps, _MIN_STEP_SHARE * step)
+    breaks = _breaks(bounds, profile, (first, last), _MIN_STEP_SHARE * step)
     times = np.interp(breaks, course.s, profile.time)
     parts = np.maximum(1, np.rint(np.diff(times) / step)).astype(np.int64)
     parts[np.argmax(np.diff(times))] += max(0, _MIN_CELLS - int(parts.sum()))
@@ -83,20 +80,21 @@ def grid_of(bounds: Bounds, profile: Profile, first: State, last: State, step: f
     rank = np.arange(owner.size) - np.repeat(np.cumsum(parts) - parts, parts)
     inner = np.interp(times[owner] + np.diff(times)[owner] * rank / parts[owner], profile.time, course.s)
     knots = np.append(np.where(rank == 0, breaks[owner], inner), breaks[-1])
-    return _limits_on(bounds, profile, knots, jumps > 0.0)
+    return _limits_on(bounds, profile, knots)
 
 
-def _breaks(bounds: Bounds, profile: Profile, ends: tuple[State, State], jumps: FloatArray, gap: float) -> FloatArray:
+def _breaks(bounds: Bounds, profile: Profile, ends: tuple[State, State], gap: float) -> FloatArray:
     """Where a knot must be: both ends, the zone start; the largest jumps of the rate, at least `gap` [s] apart."""
     course, (first, last) = bounds.course, ends
     fixed = [first.s, last.s]
     if course.has_zone and first.s + 1e-9 < course.zone_start < last.s - 1e-9:
         fixed.append(course.zone_start)
-    found = np.flatnonzero((jumps > 0.0) & (course.s > first.s) & (course.s < last.s))
-    if found.size > _MOST_JUMPS:
+    found = bounds.jumps[(course.s[bounds.jumps] > first.s) & (course.s[bounds.jumps] < last.s)]
+    if found.size * gap > _CROWDED * (profile.time[-1] - profile.time[0]):
         found = found[:0]
     taken = np.interp(fixed, course.s, profile.time).tolist()
-    for i in found[np.argsort(-jumps[found], kind="stable")].tolist():
+    size = np.abs(course.rate_left[found] - course.rate_right[found - 1]) * profile.speed_squared[found]
+    for i in found[np.argsort(-size, kind="stable")].tolist():
         time = float(profile.time[i])
         if min([abs(time - other) for other in taken]) > gap:
             taken.append(time)
@@ -108,7 +106,7 @@ def _breaks(bounds: Bounds, profile: Profile, ends: tuple[State, State], jumps: 
     return np.array(sorted(fixed))
 
 
-def _limits_on(bounds: Bounds, profile: Profile, knots: FloatArray, jumps: BoolArray) -> Grid:
+def _limits_on(bounds: Bounds, profile: Profile, knots: FloatArray) -> Grid:
     course = bounds.course
     centres = 0.5 * (knots[:-1] + knots[1:])
     cells = course.cells_at(np.concatenate((knots[:1], centres, knots[-1:])))
@@ -119,7 +117,7 @@ def _limits_on(bounds: Bounds, profile: Profile, knots: FloatArray, jumps: BoolA
     _k, left, _slow = bounds.curve_at(knots - 1e-9)
     centre_curvature, centre_rate, _slow = bounds.curve_at(centres)
     rate = np.stack((np.maximum(left, right), np.minimum(left, right)))
-    hidden = _hidden_jumps(course.s, jumps, knots)
+    hidden = _hidden_jumps(course.s[bounds.jumps], knots)
     if hidden.any():
         rate, centre_rate = _extremes(bounds, knots, hidden, rate, np.stack((centre_rate, centre_rate)))
     else:
@@ -130,9 +128,8 @@ def _limits_on(bounds: Bounds, profile: Profile, knots: FloatArray, jumps: BoolA
     return Grid(knots, np.diff(knots), bound, curvature, rate, yaw, centre_curvature, centre_rate, zone, time)
 
 
-def _hidden_jumps(s: FloatArray, jumps: BoolArray, knots: FloatArray) -> BoolArray:
+def _hidden_jumps(places: FloatArray, knots: FloatArray) -> BoolArray:
     """Whether each cell of the grid holds a jump that no knot stands on, Shape (M,)."""
-    places = s[jumps]
     nearest = knots[np.minimum(np.searchsorted(knots, places - 1e-9), knots.size - 1)]
     places = places[np.abs(nearest - places) > 1e-9]
     counts = np.searchsorted(places, knots)
@@ -143,20 +140,16 @@ def _hidden_jumps(s: FloatArray, jumps: BoolArray, knots: FloatArray) -> BoolArr
 def _extremes(
     bounds: Bounds, knots: FloatArray, hidden: BoolArray, rate: FloatArray, centre_rate: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Rates at knots and centres; their extremes over the cells around where a cell hides jumps."""
+    """Rates at knots and centres, each over the half cell around it where cells hide jumps."""
     course = bounds.course
-    cells = course.cells_at(knots)
+    quarter = 0.25 * np.diff(knots)
+    borders = np.stack((knots[:-1] + quarter, knots[1:] - quarter), axis=1).ravel()
+    cells = course.cells_at(np.concatenate((knots[:1], borders, knots[-1:] - 1e-9)))
     high = np.maximum(course.rate_left, course.rate_right)
     low = np.minimum(course.rate_left, course.rate_right)
-    top = -_least_between(-high, cells[:-1], cells[1:])
-    bottom = _least_between(low, cells[:-1], cells[1:])
-    spread = np.where(hidden, np.stack((top, bottom)), centre_rate)
-    beside = np.stack((np.append(spread[0], -np.inf), np.append(spread[1], np.inf)))
-    before = np.stack((np.insert(spread[0], 0, -np.inf), np.insert(spread[1], 0, np.inf)))
-    touched = np.append(hidden, False) | np.insert(hidden, 0, False)
-    rate[0] = np.where(touched, np.maximum(np.maximum(before[0], beside[0]), rate[0]), rate[0])
-    rate[1] = np.where(touched, np.minimum(np.minimum(before[1], beside[1]), rate[1]), rate[1])
-    return rate, spread
+    spread = np.stack((-_least_between(-high, cells[:-1], cells[1:]), _least_between(low, cells[:-1], cells[1:])))
+    beside = np.append(hidden, False) | np.insert(hidden, 0, False)
+    return np.where(beside, spread[:, ::2], rate), np.where(hidden, spread[:, 1::2], centre_rate)
 
 
 def _least_between(values: FloatArray, first: IntArray, last: IntArray) -> FloatArray:

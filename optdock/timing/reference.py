@@ -73,7 +73,8 @@ def solve_reference(grid: Grid, bounds: Bounds, guess: FloatArray, first: State,
     spline = spline_of(grid.steps)
     rows = limit_rows(grid, bounds.course.limits, spline)
     program = _Program(grid.steps, spline, rows, 2.0 * bounds.jerk)
-    c, iterations = _interior_point(program, coefficients_of(grid.steps, guess, first, last))
+    with np.errstate(over="ignore", invalid="ignore", divide="ignore"):  # of slacks, where no spline keeps the limits
+        c, iterations = _interior_point(program, coefficients_of(grid.steps, guess, first, last))
     x, a = np.append(0.0, applied(spline.right_value, c)), np.append(0.0, applied(spline.right_slope, c))
     v = np.sqrt(np.maximum(x, 1e-12))
     v[0], a[0], v[-1], a[-1] = first.v, first.a, last.v, last.a
@@ -149,6 +150,8 @@ def _interior_point(program: _Program, c: FloatArray) -> tuple[FloatArray, int]:
         primal = program.value + slack
         weight = dual / slack
         change = program.newton_change(weight, mu / slack + weight * primal)
+        if not np.isfinite(change).all():
+            break  # no spline keeps the limits; the last one is still a motion
         slack_change = -primal - applied(program.stencil, change)
         dual_change = mu / slack - dual - weight * slack_change
         step = min(_longest(slack, slack_change), _longest(c[1:-1], change[1:-1], _LARGEST_DECREASE))

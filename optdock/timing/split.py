@@ -15,7 +15,7 @@ from optdock.timing.motion import Phases, State
 from optdock.timing.moves import Box, move
 
 if TYPE_CHECKING:
-    from optdock.geometry.arrays import FloatArray
+    from optdock.geometry.arrays import FloatArray, IntArray
     from optdock.timing.bounds import Bounds
     from optdock.timing.reference import Reference
 
@@ -189,21 +189,52 @@ def _evaluate(bounds: Bounds, moves: list[tuple[State, Phases]]) -> list[tuple[f
     if not moves:
         return []
     phases, counts = _phase_rows(moves)
-    samples = phases[:, 5].astype(np.int64)
-    owner = np.repeat(np.arange(samples.size), samples)
-    first = np.cumsum(samples) - samples
+    number_of = phases[:, 5].astype(np.int64)
+    owner = np.repeat(np.arange(number_of.size), number_of)
+    first = np.cumsum(number_of) - number_of
     duration, jerk, s, v, a, number = phases[owner].T
     t = (np.arange(owner.size) - first[owner]) * (duration / (number - 1.0))
     half = 0.5 * t * jerk
     distance = np.minimum(np.maximum(s + t * (v + t * (0.5 * a + half / 3.0)), 0.0), bounds.course.length)
-    excess = bounds.excess_at(distance, v + t * (a + half), a + t * jerk)
-    begins = first[np.cumsum(counts) - counts]
-    worst = np.maximum.reduceat(excess, begins)
-    piece = np.repeat(np.arange(begins.size), np.diff(np.append(begins, owner.size)))
-    at_worst = np.flatnonzero(excess >= worst[piece])
-    place = np.empty(begins.size)
-    place[piece[at_worst]] = distance[at_worst]
+    samples = _Samples(distance, v + t * (a + half), a + t * jerk, first[np.cumsum(counts) - counts])
+    excess = bounds.excess_at(samples.s, samples.v, samples.a)
+    if bounds.jumps.size:
+        _add_jumps(bounds, samples, excess)
+    worst = np.maximum.reduceat(excess, samples.begins)
+    at_worst = np.flatnonzero(excess >= worst[samples.owners])
+    place = np.empty(worst.size)
+    place[samples.owners[at_worst]] = distance[at_worst]
     return list(zip(worst.tolist(), place.tolist(), strict=True))
+
+
+class _Samples(NamedTuple):
+    """States along some moves, one after the other; `begins` holds the index of the first of each."""
+
+    s: FloatArray
+    v: FloatArray
+    a: FloatArray
+    begins: IntArray
+
+    @property
+    def owners(self) -> IntArray:
+        """Which move each sample belongs to."""
+        return np.repeat(np.arange(self.begins.size), np.diff(np.append(self.begins, self.s.size)))
+
+
+def _add_jumps(bounds: Bounds, samples: _Samples, excess: FloatArray) -> None:
+    """Raise the excess at the samples before jumps of the curvature rate to what it is at the jumps."""
+    places = bounds.course.s[bounds.jumps]
+    ends = np.append(samples.begins[1:], samples.s.size) - 1
+    first = np.searchsorted(places, samples.s[samples.begins])
+    count = np.maximum(np.searchsorted(places, samples.s[ends], side="right") - first, 0)
+    owner = np.repeat(np.arange(count.size), count)
+    index = first[owner] + np.arange(owner.size) - (np.cumsum(count) - count)[owner]
+    stride = 2.0 * bounds.course.length  # moves overlap; shifted apart they make one increasing sequence
+    key = samples.s + stride * samples.owners
+    wanted = places[index] + stride * owner
+    v, a = np.interp(wanted, key, samples.v), np.interp(wanted, key, samples.a)
+    before = np.clip(np.searchsorted(key, wanted) - 1, samples.begins[owner], None)
+    np.maximum.at(excess, before, bounds.jump_excess_at(bounds.jumps[index], v, a))
 
 
 def _phase_rows(moves: list[tuple[State, Phases]]) -> tuple[FloatArray, FloatArray]:
