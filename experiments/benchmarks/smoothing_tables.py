@@ -124,13 +124,14 @@ def _family_row(family: str, group: list[Run], unit: float) -> tuple[object, ...
 
 def reasons_table(runs: Sequence[Run]) -> Table:
     """Verdicts and their times, per infeasible family."""
-    header = ("family", "expected reason", "right", "of", "others", "ms p50", "p90", "max")
+    header = ("family", "expected reason", "right", "of", "others", "cpu ms p50", "p90", "max", "wall ms max")
     rows = []
     for family, group in _by_family(runs):
         wrong = sorted({run.call.reason or "a path" for run in group if run.call.reason != run.drawn.expected_reason})
         expected = group[0].drawn.expected_reason if family != "all" else ""
         right = sum(run.call.reason == run.drawn.expected_reason for run in group)
-        times = _milliseconds([run.call.wall for run in group], 50, 90, 100)
+        cpu = _milliseconds([run.call.cpu for run in group], 50, 90, 100)
+        times = (*cpu, *_milliseconds([run.call.wall for run in group], 100))
         rows.append((family, expected, right, len(group), ", ".join(wrong) or "none", *times))
     return Table("Smoothing, infeasible families: verdicts", header, tuple(rows))
 
@@ -138,7 +139,7 @@ def reasons_table(runs: Sequence[Run]) -> Table:
 def warm_table(smoother: Smoother, runs: Sequence[Run], repeats: int) -> Table:
     """The dock is found a little elsewhere: solved again from the last result, and from the raw path."""
     header = (
-        *("family", "cold certified", "warm certified", "of", "cold ms p50", "warm ms p50", "warm p90"),
+        *("family", "cold certified", "warm certified", "of", "cold cpu ms p50", "warm cpu ms p50", "warm p90"),
         *("cold iterations p50", "warm iterations p50"),
     )
     pairs = [_again(smoother, run, repeats) for run in runs if run.call.path is not None]
@@ -156,8 +157,8 @@ def _warm_row(pairs: list[tuple[Run, Run]]) -> tuple[object, ...]:
         sum(run.is_certified for run in cold),
         sum(run.is_certified for run in warm),
         len(pairs),
-        *_milliseconds([run.call.wall for run in cold if run.is_certified], 50),
-        *_milliseconds([call.wall for call in warm_calls], 50, 90),
+        *_milliseconds([run.call.cpu for run in cold if run.is_certified], 50),
+        *_milliseconds([call.cpu for call in warm_calls], 50, 90),
         percentile([run.call.number("iterations") for run in cold if run.is_certified], 50),
         percentile([call.number("iterations") for call in warm_calls], 50),
     )
