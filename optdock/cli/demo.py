@@ -23,10 +23,10 @@ def demo(
 ) -> None:
     """Run the built-in scenario from start to finish: plan, prove, time, drive, draw."""
     with reported():
+        from optdock.builtin import demo_scenario
         from optdock.cli.simulate import POSITION_NOISE, YAW_NOISE, driven
         from optdock.cli.solving import solved_or_saved
         from optdock.config import load_scenario
-        from optdock.builtin import demo_scenario
         from optdock.io.atomic_file import write_text
         from optdock.io.plan_file import save_plan
         from optdock.report import plan_file, plan_rows, run_json, run_rows, table
