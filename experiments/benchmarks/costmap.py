@@ -1,9 +1,11 @@
-"""Times of maps and costmaps: `python -m benchmarks.costmap [MAP.yaml ...]`; CPU milliseconds, best of several."""
+"""Times of maps and costmaps: `python -m experiments.benchmarks costmap`; CPU milliseconds, best of several."""
 
 from __future__ import annotations
 
+import os
 import sys
 import time
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -66,7 +68,14 @@ def report_grids() -> None:
         print(f"{name:<30}{best_ms(work):>10.2f} ms")
 
 
-if __name__ == "__main__":
+def main(arguments: list[str]) -> None:
+    """Grids always; maps where `arguments` names map YAML files, or where the real maps are found."""
     report_grids()
-    if sys.argv[1:]:
-        report_maps(sys.argv[1:])
+    default = Path(os.environ.get("OPTDOCK_DATA", Path(__file__).resolve().parents[3] / "shared" / "data"))
+    paths = arguments or sorted(str(path) for path in default.glob("nav2/maps/*.yaml"))
+    if paths:
+        report_maps(paths)
+
+
+if __name__ == "__main__":
+    main(sys.argv[1:])

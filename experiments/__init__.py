@@ -1,0 +1,1 @@
+"""Experiments: scripts that import the library; nothing imports them."""
