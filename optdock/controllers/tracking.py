@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 from pydantic import Field
 
+from optdock.controllers._delay import DelayEstimate
 from optdock.controllers._law import Gains, tracking_command
 from optdock.controllers._limiter import rate_limited
 from optdock.controllers._reference import Reference
@@ -38,7 +39,9 @@ class TrackingControllerParameters(PluginParameters):
     )
     damping: float = Field(default=1.0, gt=0.0, description="damping ratio of the lateral error")
     turn_gain: float = Field(default=1.0, gt=0.0, description="least yaw rate per heading error [1/s]")
-    preview: float = Field(default=0.0, ge=0.0, description="the drive's latency plus lag, compensated [s]")
+    preview: float | None = Field(
+        default=None, ge=0.0, description="the drive's latency plus lag, compensated [s]; None: estimated on the way"
+    )
     slow_down_lag: float = Field(default=0.05, ge=0.0, description="lag at which the reference begins to wait [m]")
     stop_lag: float = Field(default=0.2, gt=0.0, description="lag at which the reference stands still [m]")
     max_error: float = Field(default=0.5, gt=0.0, description="distance from the reference that ends the task [m]")
@@ -59,7 +62,9 @@ class TrackingController(Controller):
     starts at the trajectory's nearest point when the robot is not at its beginning, no faster than the robot is. At
     cusps the reference rests as its time law does.
 
-    **Law.** See `_law`; the feed-forward is that of the middle of the coming period, `preview` ahead.
+    **Law.** See `_law`; the feed-forward is that of the middle of the coming period, `preview` ahead. Without a
+    given `preview` it is identified from the first ramp on, by comparing the measured speed with the commands
+    (`_delay`); it is kept from path to path, until `reset`.
 
     **Finish.** At the trajectory's end the same law holds the last pose: errors along and in yaw decay exponentially
     to zero, without a dead band of its own. A drive that ignores small commands is given at least `min_speed`
@@ -84,6 +89,7 @@ class TrackingController(Controller):
         self._reference: Reference | None = None
         self._limits = MotionLimits()
         self._last = Twist2()
+        self._delay = DelayEstimate(self.parameters.period)
         self._anchored = self._cancelled = False
 
     def set_path(self, path: Path | Trajectory) -> None:
@@ -103,7 +109,7 @@ class TrackingController(Controller):
 
         Args:
             pose: Measured pose.
-            velocity: Measured body velocity; limits the first command only.
+            velocity: Measured body velocity: where the first command starts from, and what the drive made of the last.
             goal_checker: Its position tolerance may widen `finish_tolerance`.
 
         Raises:
@@ -114,6 +120,7 @@ class TrackingController(Controller):
             raise ControllerInvalidPath("TrackingController: has no path; call set_path first")
         if not self._anchored:
             self._anchor(self._reference, pose, velocity)
+        self._delay.update(self._last.linear, velocity.linear)
         error = self._reference.pose.in_frame_of(pose)
         self._check_error(error)
         wanted = self._wanted(self._reference, error, goal_checker)
@@ -140,8 +147,9 @@ class TrackingController(Controller):
         return self._reference is None or not self._anchored or (self._reference.rate == 0.0 and self._last == Twist2())
 
     def reset(self) -> None:
-        """Forget the path; the speed limit stays."""
+        """Forget the path and what was learnt about the drive; the speed limit stays."""
         self._reference = None
+        self._delay = DelayEstimate(self.parameters.period)
         self._last = Twist2()
         self._anchored = self._cancelled = False
 
@@ -177,6 +185,7 @@ class TrackingController(Controller):
             reference.jump_to_nearest(pose)
         reference.match_speed(velocity.linear)
         self._last = Twist2(velocity.linear, velocity.angular)
+        self._delay = DelayEstimate(self.parameters.period, self._delay.delay)
         self._anchored = True
 
     def _check_error(self, error: Pose2) -> None:
@@ -193,7 +202,8 @@ class TrackingController(Controller):
             return Twist2()
         p = self.parameters
         gains = Gains(p.along_gain, p.convergence_distance, p.damping, p.turn_gain)
-        wanted = tracking_command(error, reference.velocity(p.preview + 0.5 * p.period), gains)
+        preview = self._delay.delay if p.preview is None else p.preview
+        wanted = tracking_command(error, reference.velocity(preview + 0.5 * p.period), gains)
         return self._above_dead_band(wanted, error, goal_checker) if reference.finished else wanted
 
     def _above_dead_band(self, wanted: Twist2, error: Pose2, goal_checker: GoalChecker | None) -> Twist2:

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from checkers.axis import AxisGoalChecker
+from checkers.dock import DockGoalChecker
 from optdock.controllers.tracking import TrackingController
 from optdock.errors import InvalidValue
 from optdock.geometry.footprint import Footprint
@@ -14,7 +15,7 @@ from optdock.limits import MotionLimits
 from optdock.obstacles import ObstacleSet
 from optdock.path import Direction
 from optdock.robot import Robot
-from optdock.simulation import Actuation, SimulationSettings, run_closed_loop
+from optdock.simulation import Actuation, SimulationSettings, pose_errors, run_closed_loop
 from optdock.testing.drives import cusp_drive, s_curve_drive, straight_drive
 
 START = Pose2(0.4, -0.2, 0.3)
@@ -61,6 +62,24 @@ def test_preview_is_what_removes_the_delay():
     world = SimulationSettings(actuation=SLUGGISH)
     without, with_preview = (np.abs(run(DRIVES["s curve"], world, preview=p).errors).max(axis=0) for p in (0.0, 0.15))
     assert np.all(with_preview < 0.2 * without)
+
+
+def overshoot(found):
+    """How far the robot went beyond the goal, in a forward drive [m]."""
+    return float(pose_errors(found.poses, np.tile(found.goal.as_array(), (len(found.poses), 1)))[:, 0].max())
+
+
+@pytest.mark.parametrize("name", ["straight", "s curve"])
+def test_an_unknown_delay_is_found_before_it_drives_the_robot_into_its_dock(name):
+    world, drive = SimulationSettings(actuation=SLUGGISH), DRIVES[name]
+    at_rest = DockGoalChecker(along_tolerance=0.005, cross_tolerance=0.01)
+    found = {
+        preview: run_closed_loop(drive, ROBOT, drive.path.end, TrackingController(preview=preview), at_rest, world)
+        for preview in (0.0, None)
+    }
+    assert overshoot(found[0.0]) > 0.02
+    assert overshoot(found[None]) < 0.003
+    assert found[None].docked
 
 
 def test_mirrored_worlds_give_mirrored_runs():

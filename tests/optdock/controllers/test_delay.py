@@ -1,0 +1,56 @@
+"""The delay of a drive is found from commands and speeds, and nothing is found where there is nothing to see."""
+
+import pytest
+
+from optdock.controllers._delay import DelayEstimate
+from optdock.geometry.footprint import Footprint
+from optdock.geometry.pose import Pose2, Twist2
+from optdock.limits import MotionLimits
+from optdock.robot import Robot
+from optdock.simulation import Actuation, DifferentialDrive
+
+ROBOT = Robot(Footprint.from_radius(0.3), MotionLimits())
+RAMP = [min(0.4, 0.008 * k) for k in range(120)]
+
+
+def identified(actuation, commands=RAMP, known=0.0):
+    plant, estimate = DifferentialDrive(ROBOT, actuation), DelayEstimate(0.02, known)
+    state = plant.at_rest(Pose2(0.0, 0.0, 0.0))
+    for command in commands:
+        state = plant.step(state, Twist2(command))
+        estimate.update(command, state.twist.linear)
+    return estimate.delay
+
+
+@pytest.mark.parametrize(
+    ("lag", "latency"), [(0.0, 0.0), (0.1, 0.0), (0.0, 0.1), (0.1, 0.05), (0.2, 0.1), (0.06, 0.025)]
+)
+@pytest.mark.parametrize("sign", [1.0, -0.7])
+def test_it_finds_latency_plus_lag_on_the_first_ramp(lag, latency, sign):
+    found = identified(Actuation(linear_lag=lag, latency=latency), [sign * command for command in RAMP])
+    assert found == pytest.approx(lag + latency, abs=0.02)
+
+
+def test_it_moves_smoothly():
+    plant, estimate = DifferentialDrive(ROBOT, Actuation(linear_lag=0.2)), DelayEstimate(0.02)
+    state, before = plant.at_rest(Pose2(0.0, 0.0, 0.0)), 0.0
+    for command in RAMP:
+        state = plant.step(state, Twist2(command))
+        estimate.update(command, state.twist.linear)
+        assert abs(estimate.delay - before) <= 0.5 * 0.02 + 1e-12
+        before = estimate.delay
+
+
+def test_a_held_or_unmeasured_drive_says_nothing():
+    estimate = DelayEstimate(0.02, 0.07)
+    for command in RAMP:
+        estimate.update(command, 0.0)
+    assert estimate.delay == 0.07
+
+
+def test_a_steady_speed_says_nothing_new():
+    assert identified(Actuation(), [0.0] * 50, known=0.12) == 0.12
+
+
+def test_what_is_known_gives_way_to_evidence():
+    assert identified(Actuation(), known=0.2) == pytest.approx(0.0, abs=1e-12)
