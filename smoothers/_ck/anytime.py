@@ -23,8 +23,10 @@ if TYPE_CHECKING:
 
 __all__ = ["Incumbent", "Outcome", "Runner"]
 
-_CERTIFY_GUESS = 0.003  # [s], until one was measured
-_ITERATION_GUESS = 0.002
+# Until one was measured [s], without and per obstacle nearby.
+_CERTIFY_GUESS = (0.0025, 4e-5)
+_ITERATION_GUESS = (0.0015, 2e-5)
+_GRACE = 0.002  # [s]: how late the only certificate may end
 _NEARLY = 5e-3  # [m]: a shortfall that may be due to the cautious bound between nodes
 _REPAIRS = 2
 
@@ -82,11 +84,14 @@ class Runner:
     first_only: bool = False
     outcome: Outcome = field(default_factory=Outcome)
     _candidate: Iterate | None = None
-    _longest: float = _ITERATION_GUESS
-    _certify: float = _CERTIFY_GUESS
+    _longest: float = 0.0
+    _certify: float = 0.0
 
     def run(self, task: Task) -> Outcome:
         """Search, and search again a little further from the obstacles where the certificate refuses the result."""
+        count = len(task.world.obstacles)
+        self._longest = _ITERATION_GUESS[0] + count * _ITERATION_GUESS[1]
+        self._certify = self._certify or _CERTIFY_GUESS[0] + count * _CERTIFY_GUESS[1]
         for _ in range(_REPAIRS + 1):
             self._search(task)
             rejected = self._settle(task)
@@ -145,7 +150,7 @@ class Runner:
             candidate = self.outcome.last
         if candidate is None:
             return None
-        if self.outcome.incumbent is not None and not self.budget.fits(1.1 * self._certify):
+        if not self.budget.fits(self._certify - (_GRACE if self.outcome.incumbent is None else 0.0)):
             return None
         began = self.budget.elapsed
         path, _ = exact_path(task, candidate.variables, self.problem.dock.final_straight)
