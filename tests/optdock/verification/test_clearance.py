@@ -256,3 +256,15 @@ def test_a_polyline_and_the_clothoid_it_samples_agree():
     exact = certify_path(path, problem_for(path, obstacles)).min_clearance
     sampled = certify_path(polyline, problem_for(polyline, obstacles)).min_clearance
     assert sampled == pytest.approx(exact, abs=1.5e-3)
+
+
+@given(st.integers(0, 3000))
+def test_the_reported_minimum_is_true_however_far_the_obstacles_are(seed):
+    rng = np.random.default_rng(seed)
+    path = clothoid([0.0, 1.0, 2.0], rng.uniform(-1.0, 1.0, 3))
+    polygons = [rng.normal(size=2) * 4.0 + 0.3 * _convex(rng) for _ in range(6)]
+    obstacles = ObstacleSet.from_polygons(polygons)
+    truth = dense_clearance(path, obstacles, ROBOT.footprint, 0.004)
+    certificate = certify_path(path, problem_for(path, obstacles, clearance=ClearanceRule(0.0, 0.0, 0.0)))
+    if certificate.certified:
+        assert truth - 0.0015 <= certificate.min_clearance <= truth + 1e-9
