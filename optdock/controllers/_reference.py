@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+import math
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -12,11 +13,24 @@ if TYPE_CHECKING:
     from optdock.limits import MotionLimits
     from optdock.trajectory import Trajectory
 
-__all__ = ["Reference"]
+__all__ = ["Look", "Reference"]
 
-_SETTLING = 0.2  # [s], time constant with which the rate approaches its target
 _AT_REST = 1e-6  # [m/s]: a standing reference may change its rate at once
 _SAMPLES = 400  # for the peak speed and the nearest point
+
+
+class Look(NamedTuple):
+    """The reference at one instant.
+
+    `speed`, `acceleration`: of the trajectory itself, along its travel, at rate 1 [m/s, m/s^2]. `gear`: 1 or -1.
+    `previewed`: velocity a little later, scaled by the rate; zero beyond the end.
+    """
+
+    pose: Pose2
+    gear: float
+    speed: float
+    acceleration: float
+    previewed: Twist2
 
 
 class Reference:
@@ -42,45 +56,42 @@ class Reference:
         """Whether the trajectory's end is reached."""
         return self.time >= self.trajectory.duration
 
-    @property
-    def pose(self) -> Pose2:
-        """The reference pose now."""
-        return self.trajectory.at(self.time).pose
+    def look(self, preview: float) -> Look:
+        """The reference now, and its velocity `preview` seconds from now at the present rate."""
+        ahead = self.time + self.rate * preview
+        row = self.trajectory.sample_at((self.time, ahead))
+        speed = float(row.speed[0])
+        gear = (
+            math.copysign(1.0, speed) if abs(speed) > _AT_REST else float(self.trajectory.path.direction_at(row.s)[0])
+        )
+        share = self.rate if ahead < self.trajectory.duration else 0.0
+        return Look(
+            pose=Pose2(float(row.x[0]), float(row.y[0]), float(row.yaw[0])),
+            gear=gear,
+            speed=abs(speed),
+            acceleration=gear * float(row.acceleration[0]),
+            previewed=Twist2(share * float(row.speed[1]), share * float(row.yaw_rate[1])),
+        )
 
-    @property
-    def gear(self) -> int:
-        """1 forward, -1 reverse."""
-        s = self.trajectory.time_law.at(self.time)[0, 0]
-        return int(self.trajectory.path.direction_at(s)[0])
+    def join(self, pose: Pose2, linear: float, near: float) -> None:
+        """Begin at the trajectory's start, or at its nearest point when the robot is not `near` [m] the start.
 
-    def jump_to_nearest(self, pose: Pose2) -> None:
-        """Set the time to that of the trajectory's point nearest to `pose`."""
+        The rate begins such that the reference is no faster than the robot at `linear` m/s.
+        """
         distance = np.hypot(self._grid.x - pose.x, self._grid.y - pose.y)
-        self.time = float(self._grid.t[int(np.argmin(distance))])
-
-    def match_speed(self, linear: float) -> None:
-        """Begin at the rate at which the reference is no faster than a robot at `linear` m/s."""
-        speed = self.trajectory.at(self.time).twist.linear
+        first = 0 if distance[0] <= near else int(np.argmin(distance))
+        self.time, speed = float(self._grid.t[first]), float(self._grid.speed[first])
         if abs(speed) > _AT_REST:
             self.rate = min(1.0, max(0.0, linear / speed))
 
-    def velocity(self, preview: float) -> Twist2:
-        """The reference velocity `preview` seconds from now at the present rate."""
-        ahead = self.time + self.rate * preview
-        if ahead >= self.trajectory.duration:
-            return Twist2()
-        twist = self.trajectory.at(ahead).twist
-        return Twist2(self.rate * twist.linear, self.rate * twist.angular)
-
-    def advance(self, period: float, target_rate: float, limits: MotionLimits, *, urgent: bool = False) -> None:
-        """Let `period` seconds pass while the rate approaches `target_rate`, at once when `urgent`."""
-        _, speed, acceleration, _ = self.trajectory.time_law.at(self.time)[0]
+    def advance(self, now: Look, period: float, target_rate: float, limits: MotionLimits, settling: float) -> None:
+        """Let `period` seconds pass while the rate approaches `target_rate` with the time constant `settling` [s]."""
         before = self.rate
-        if speed <= _AT_REST or abs(target_rate - before) < 1e-6:
+        if now.speed <= _AT_REST or abs(target_rate - before) < 1e-6:
             self.rate = before = target_rate
         else:
-            lowest, highest = _rate_bounds(speed, before**2 * acceleration, limits)
-            wanted = (target_rate - before) / (period if urgent else _SETTLING)
+            lowest, highest = _rate_bounds(now.speed, before**2 * now.acceleration, limits)
+            wanted = (target_rate - before) / max(settling, period)
             self.rate = min(1.0, max(0.0, before + period * min(max(wanted, lowest), highest)))
         self.time = min(self.trajectory.duration, self.time + 0.5 * (before + self.rate) * period)
 

@@ -11,7 +11,7 @@ from pydantic import Field
 from optdock.controllers._delay import DelayEstimate
 from optdock.controllers._law import Gains, tracking_command
 from optdock.controllers._limiter import rate_limited
-from optdock.controllers._reference import Reference
+from optdock.controllers._reference import Look, Reference
 from optdock.errors import ControllerInvalidPath, InvalidValue, NoValidControl
 from optdock.geometry.pose import Pose2, Twist2
 from optdock.interfaces import Controller, TimeParameterizer
@@ -26,6 +26,7 @@ if TYPE_CHECKING:
 
 __all__ = ["TrackingController", "TrackingControllerParameters"]
 
+_SETTLING = 0.2  # [s], time constant with which the reference's rate approaches its target
 _PEAK_MARGIN = 1.2  # without a configured robot: headroom for feedback above the trajectory's own peaks
 
 
@@ -45,11 +46,12 @@ class TrackingControllerParameters(PluginParameters):
     slow_down_lag: float = Field(default=0.05, ge=0.0, description="lag at which the reference begins to wait [m]")
     stop_lag: float = Field(default=0.2, gt=0.0, description="lag at which the reference stands still [m]")
     max_error: float = Field(default=0.5, gt=0.0, description="distance from the reference that ends the task [m]")
+    max_yaw_error: float = Field(default=0.8, gt=0.0, description="heading error that ends the task [rad]")
     min_speed: float = Field(default=0.0, ge=0.0, description="smallest speed the drive executes, for the finish [m/s]")
     min_yaw_rate: float = Field(default=0.0, ge=0.0, description="smallest yaw rate it executes [rad/s]")
     finish_tolerance: float = Field(default=0.002, gt=0.0, description="the smallest speed is used beyond this [m]")
     finish_yaw_tolerance: float = Field(default=0.005, gt=0.0, description="as finish_tolerance, for yaw [rad]")
-    time_parameterizer: str = Field(default="Windowed", description="plugin that times a path handed over untimed")
+    time_parameterizer: str = Field(default="NearOptimal", description="plugin that times a path handed over untimed")
 
 
 class TrackingController(Controller):
@@ -57,10 +59,10 @@ class TrackingController(Controller):
 
     **Time.** There is no clock: every call lets the reference advance by `period`, times a rate in [0, 1]. The rate
     is 1 normally, lower under a speed limit, and falls smoothly to 0 while the robot lags behind by `slow_down_lag`
-    to `stop_lag`, so a blocked robot finds its reference waiting. A robot further than `max_error` from the
-    reference has left what was certified: NoValidControl, and a new plan is needed. The first call after `set_path`
-    starts at the trajectory's nearest point when the robot is not at its beginning, no faster than the robot is. At
-    cusps the reference rests as its time law does.
+    to `stop_lag`, so a blocked robot finds its reference waiting. A robot further than `max_error` (or
+    `max_yaw_error`) from the reference has left what was certified: NoValidControl, and a new plan is needed. The
+    first call after `set_path` starts at the trajectory's nearest point when the robot is not at its beginning, no
+    faster than the robot is. At cusps the reference rests as its time law does.
 
     **Law.** See `_law`; the feed-forward is that of the middle of the coming period, `preview` ahead. Without a
     given `preview` it is identified from the first ramp on, by comparing the measured speed with the commands
@@ -114,21 +116,22 @@ class TrackingController(Controller):
 
         Raises:
             ControllerInvalidPath: There is no path.
-            NoValidControl: The robot is further than `max_error` from the reference.
+            NoValidControl: The robot is further than `max_error` or `max_yaw_error` from the reference.
         """
         if self._reference is None:
             raise ControllerInvalidPath("TrackingController: has no path; call set_path first")
         if not self._anchored:
             self._anchor(self._reference, pose, velocity)
+        p = self.parameters
         self._delay.update(self._last.linear, velocity.linear)
-        error = self._reference.pose.in_frame_of(pose)
+        preview = self._delay.delay if p.preview is None else p.preview
+        now = self._reference.look(preview + 0.5 * p.period)
+        error = now.pose.in_frame_of(pose)
         self._check_error(error)
-        wanted = self._wanted(self._reference, error, goal_checker)
-        command = rate_limited(self._last, wanted, self._limits, self.parameters.period)
-        self._last = admissible(command, self._limits, self._drive)
-        self._reference.advance(
-            self.parameters.period, self._target_rate(self._reference, error), self._limits, urgent=self._cancelled
-        )
+        wanted = self._wanted(self._reference, now, error, goal_checker)
+        self._last = admissible(rate_limited(self._last, wanted, self._limits, p.period), self._limits, self._drive)
+        rate = self._target_rate(self._reference, error.x * now.gear)
+        self._reference.advance(now, p.period, rate, self._limits, 0.0 if self._cancelled else _SETTLING)
         return self._last
 
     def set_speed_limit(self, limit: float, *, percentage: bool) -> None:
@@ -181,29 +184,26 @@ class TrackingController(Controller):
         )
 
     def _anchor(self, reference: Reference, pose: Pose2, velocity: Twist2) -> None:
-        if pose.distance_to(reference.pose) > self.parameters.slow_down_lag:
-            reference.jump_to_nearest(pose)
-        reference.match_speed(velocity.linear)
+        reference.join(pose, velocity.linear, self.parameters.slow_down_lag)
         self._last = Twist2(velocity.linear, velocity.angular)
         self._delay = DelayEstimate(self.parameters.period, self._delay.delay)
         self._anchored = True
 
     def _check_error(self, error: Pose2) -> None:
-        distance = math.hypot(error.x, error.y)
-        if distance > self.parameters.max_error:
+        p, distance = self.parameters, math.hypot(error.x, error.y)
+        if distance > p.max_error or abs(error.yaw) > p.max_yaw_error:
             raise NoValidControl(
-                f"TrackingController: {distance:.3f} m from the reference, more than max_error = "
-                f"{self.parameters.max_error} m; plan again from here",
+                f"TrackingController: {distance:.3f} m and {abs(error.yaw):.3f} rad from the reference, more than "
+                f"max_error = {p.max_error} m or max_yaw_error = {p.max_yaw_error} rad; plan again from here",
                 where={"along": error.x, "cross": error.y, "yaw": error.yaw},
             )
 
-    def _wanted(self, reference: Reference, error: Pose2, goal_checker: GoalChecker | None) -> Twist2:
+    def _wanted(self, reference: Reference, now: Look, error: Pose2, goal_checker: GoalChecker | None) -> Twist2:
         if self._cancelled and reference.rate == 0.0:
             return Twist2()
         p = self.parameters
         gains = Gains(p.along_gain, p.convergence_distance, p.damping, p.turn_gain)
-        preview = self._delay.delay if p.preview is None else p.preview
-        wanted = tracking_command(error, reference.velocity(preview + 0.5 * p.period), gains)
+        wanted = tracking_command(error, now.previewed, gains)
         return self._above_dead_band(wanted, error, goal_checker) if reference.finished else wanted
 
     def _above_dead_band(self, wanted: Twist2, error: Pose2, goal_checker: GoalChecker | None) -> Twist2:
@@ -215,11 +215,10 @@ class TrackingController(Controller):
         angular = _at_least(wanted.angular, p.min_yaw_rate) if abs(error.yaw) > aligned else wanted.angular
         return Twist2(linear, angular)
 
-    def _target_rate(self, reference: Reference, error: Pose2) -> float:
+    def _target_rate(self, reference: Reference, lag: float) -> float:
         if self._cancelled:
             return 0.0
         p = self.parameters
-        lag = error.x * reference.gear
         waiting = min(1.0, max(0.0, (p.stop_lag - lag) / max(1e-9, p.stop_lag - p.slow_down_lag)))
         return waiting * self._allowed_rate(reference.peak_speed)
 

@@ -132,7 +132,7 @@ def test_a_run_that_cannot_arrive_says_timeout():
 def test_a_controller_that_gives_up_is_quoted():
     found = run(DRIVES["straight"], SimulationSettings(start=START @ Pose2(0.0, 0.8, 0.0)))
     assert not found.docked
-    assert found.reason.startswith("NoValidControl: TrackingController: 0.800 m from the reference")
+    assert found.reason.startswith("NoValidControl: TrackingController: 0.800 m and 0.000 rad from the reference")
     assert len(found.times) == 1
 
 
