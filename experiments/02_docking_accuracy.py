@@ -1,0 +1,134 @@
+"""Experiment 2: how exactly a robot ends in its dock, against the control law that Nav2 docks with.
+
+The same random starts around the staging pose, 0.7 m before the dock, are driven twice: by the graceful law as Nav2's
+docking server runs it (target 0.25 m behind the dock, stop within 5 cm of it, Nav2's default parameters), and by a
+certified plan and the TrackingController until the DockGoalChecker says docked. Both in a perfect world, and with lag,
+latency and measurement noise. A start without a plan is counted, not hidden. Writes results/02_docking_accuracy/.
+
+    python experiments/02_docking_accuracy.py [--starts N]
+"""
+
+from __future__ import annotations
+
+import argparse
+import math
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from optdock.controllers.graceful_law import GracefulLaw, egocentric
+from optdock.dock import Dock, DockDirection
+from optdock.errors import OptdockError
+from optdock.geometry.footprint import Footprint
+from optdock.geometry.pose import Pose2
+from optdock.interfaces import Controller, GoalChecker
+from optdock.io.atomic_file import write_text
+from optdock.limits import MotionLimits, SpeedZone
+from optdock.pipeline import plan_dock
+from optdock.plugins import create_plugin
+from optdock.problem import DockingProblem
+from optdock.report import table
+from optdock.robot import Robot
+from optdock.simulation import Actuation, DifferentialDrive, SimulationSettings, run_closed_loop
+
+OUT = Path("results") / Path(__file__).stem
+GOAL = Pose2(0.0, 0.0, 0.0)
+STAGING, SPREAD, TURN = 0.7, 0.25, 0.25  # [m], [m], [rad]: what Nav2's SimpleGoalChecker accepts by default
+LAW = GracefulLaw(3.0, 2.0, 0.4, 2.0, 0.25, 2.5, 0.1, 0.25, 0.75)  # the docking server's defaults
+PROJECTION, ACCEPTED = 0.25, 0.05  # [m]
+LIMITS = MotionLimits(
+    max_speed=0.25, max_reverse_speed=0.25, max_acceleration=0.5, max_deceleration=0.5, max_yaw_rate=0.75,
+    max_curvature=3.0, max_curvature_rate=30.0,
+)  # fmt: skip
+ROBOT = Robot(Footprint.rectangle(0.3, 0.3, 0.5), LIMITS)
+DOCK = Dock(GOAL, direction=DockDirection.FORWARD, approach=SpeedZone(0.1, 0.1))
+WORLDS = {
+    "perfect": SimulationSettings(),
+    "lag, latency, noise": SimulationSettings(
+        actuation=Actuation(linear_lag=0.06, angular_lag=0.06, latency=0.04), position_noise=0.002, yaw_noise=0.0017
+    ),
+}
+
+
+class Ending(NamedTuple):
+    """Where and how one docking ended: |lateral| [m], |yaw| [rad], largest curvature asked for [1/m], time [s]."""
+
+    lateral: float
+    yaw: float
+    curvature: float
+    duration: float
+
+
+def starts(count: int) -> list[Pose2]:
+    """Poses uniform in a disc around the staging pose, headings uniform around the dock's."""
+    random = np.random.default_rng(1)
+    radius, angle = SPREAD * np.sqrt(random.uniform(size=count)), random.uniform(-math.pi, math.pi, count)
+    turn = random.uniform(-TURN, TURN, count)
+    columns = (radius * np.cos(angle) - STAGING, radius * np.sin(angle), turn)
+    return [Pose2(*row) for row in np.column_stack(columns).tolist()]
+
+
+def by_law(start: Pose2, world: SimulationSettings) -> Ending:
+    """The docking server's loop: the law towards the projected dock until within 5 cm of the dock."""
+    plant = DifferentialDrive(ROBOT, world.actuation, world.period)
+    state, noise, curvatures = plant.at_rest(start), np.random.default_rng(world.seed), []
+    target = GOAL @ Pose2(PROJECTION, 0.0, 0.0)
+    while len(curvatures) < 3000:
+        x, y, yaw = noise.standard_normal(3) * (world.position_noise, world.position_noise, world.yaw_noise)
+        measured = Pose2(state.pose.x + x, state.pose.y + y, state.pose.yaw + yaw)
+        if measured.distance_to(GOAL) < ACCEPTED:
+            break
+        curvatures.append(abs(LAW.curvature(egocentric(target, measured))))
+        state = plant.step(state, LAW.command(target, measured))
+    return Ending(abs(state.pose.y), abs(state.pose.yaw), max(curvatures), len(curvatures) * world.period)
+
+
+def by_plan(start: Pose2, world: SimulationSettings) -> Ending | None:
+    """A certified plan, tracked; None where there is none."""
+    try:
+        plan = plan_dock(DockingProblem(start, DOCK, ROBOT), time_budget=1.0)
+    except OptdockError:
+        return None
+    run = run_closed_loop(
+        plan.trajectory,
+        ROBOT,
+        GOAL,
+        create_plugin(Controller, "TrackingController"),
+        create_plugin(GoalChecker, "DockGoalChecker", {"along_tolerance": 0.01}),
+        world,
+    )
+    if not run.docked:
+        return None
+    return Ending(abs(run.final_error.y), abs(run.final_error.yaw), plan.certificate.max_curvature, run.duration)
+
+
+def row(world: str, method: str, endings: list[Ending | None]) -> list[str]:
+    """One line of the table."""
+    done = np.array([ending for ending in endings if ending is not None])
+
+    def spread(values: np.ndarray, digits: int) -> str:
+        return " / ".join(f"{value:.{digits}f}" for value in (*np.percentile(values, [50, 95]), values.max()))
+
+    columns = (spread(1e3 * done[:, 0], 1), spread(np.degrees(done[:, 1]), 2), spread(done[:, 2], 1))
+    return [world, method, f"{len(done)}/{len(endings)}", *columns, spread(done[:, 3], 1)]
+
+
+def main() -> None:
+    """Drive everything; print and write the table."""
+    parser = argparse.ArgumentParser(description="Docking accuracy against Nav2's control law.")
+    parser.add_argument("--starts", type=int, default=100)
+    poses = starts(parser.parse_args().starts)
+    rows = []
+    for name, world in WORLDS.items():
+        rows.append(row(name, "graceful law", [by_law(pose, world) for pose in poses]))
+        rows.append(row(name, "certified plan", [by_plan(pose, world) for pose in poses]))
+    head = ["world", "method", "docked", "|lateral| mm", "|yaw| deg", "curvature 1/m", "time s"]
+    text = table([head, *rows])
+    OUT.mkdir(parents=True, exist_ok=True)
+    write_text(OUT / "accuracy.md", text + "\n")
+    print(f"p50 / p95 / max of {len(poses)} starts\n\n{text}")
+
+
+if __name__ == "__main__":
+    main()
