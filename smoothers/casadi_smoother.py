@@ -25,7 +25,7 @@ from smoothers._ck.budget import Budget
 from smoothers._ck.initial import Resolution, Tuning, make_task
 from smoothers._ck.kept import input_cost, may_be_kept
 from smoothers._ck.qp import ProgramPool
-from smoothers._ck.refusals import refuse_approach, refuse_search, refuse_start
+from smoothers._ck.refusals import refuse_approach, refuse_certificate, refuse_search, refuse_start
 from smoothers._ck.spline import exact_path
 from smoothers._ck.steps import prepare_programs
 from smoothers._ck.surroundings import problem_between_ends
@@ -168,6 +168,8 @@ def _failure(task: Task, outcome: Outcome, max_time: float) -> SmootherException
     if not outcome.converged or outcome.last is None:
         message = f"no certified path within {1e3 * max_time:.1f} ms"
         return SmootherTimedOut(message, where={"iterations": outcome.iterations})
+    if outcome.refused is not None and outcome.last.feasible:
+        return refuse_certificate(outcome.refused).error()
     return refuse_search(task, outcome.last).error()
 
 

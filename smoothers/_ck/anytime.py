@@ -88,7 +88,7 @@ class Runner:
     _certify: float = 0.0
 
     def run(self, task: Task) -> Outcome:
-        """Search, and search again a little further from the obstacles where the certificate refuses the result."""
+        """Search, and search again more cautiously where the certificate refuses the result."""
         count = len(task.world.obstacles)
         self._longest = _ITERATION_GUESS[0] + count * _ITERATION_GUESS[1]
         self._certify = self._certify or _CERTIFY_GUESS[0] + count * _CERTIFY_GUESS[1]
@@ -97,7 +97,8 @@ class Runner:
             rejected = self._settle(task)
             if rejected is None or not self.outcome.converged:
                 break
-            task = replace(task, initial=rejected.variables, buffer=3.0 * task.buffer)
+            world = replace(task.world, per_interval=4 * task.world.per_interval)
+            task = replace(task, initial=rejected.variables, buffer=3.0 * task.buffer, world=world)
         return self.outcome
 
     def offer(self, path: Path, cost: float) -> None:

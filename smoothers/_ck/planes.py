@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 __all__ = ["Clearance", "Pairs", "clearance", "swept_pairs"]
 
 _MANY = 150  # pairs: below, none is dropped
-_PER_INTERVAL = 4
+_SURELY_KEPT = 0.01  # [m] beyond the required clearance
 
 
 class Pairs(NamedTuple):
@@ -147,7 +147,9 @@ def swept_pairs(world: World, layout: Layout, rollout: Rollout, corners: Points,
     apart = np.maximum(apart, _in_body_frame(world, layout, rollout, _pairs_at(near, shape)))
     kept = near[apart < reach]
     if kept.size > _MANY:
-        kept = _nearest(near, apart, shape, reach)
+        # The bound is coarse: whatever might be too close stays, whether it is among the nearest or not.
+        certain = near[apart < world.rule.required + _SURELY_KEPT]
+        kept = np.union1d(_nearest(near, apart, shape, reach, world.per_interval), certain)
     return _pairs_at(kept, shape)
 
 
@@ -184,13 +186,13 @@ def _in_body_frame(world: World, layout: Layout, rollout: Rollout, pairs: Pairs)
     return _box_separation(along - (c * wide + s * high) - grown, across - (s * wide + c * high) - grown)
 
 
-def _nearest(near: IntArray, apart: FloatArray, shape: tuple[int, ...], reach: float) -> IntArray:
-    """Of every interval the `_PER_INTERVAL` pairs with the smallest separation, within `reach` [m]."""
+def _nearest(near: IntArray, apart: FloatArray, shape: tuple[int, ...], reach: float, count: int) -> IntArray:
+    """Of every interval and part the `count` pairs with the smallest separation, within `reach` [m]."""
     flat = np.full(int(np.prod(shape)), np.inf)
     flat[near] = apart
     table = flat.reshape(-1, shape[2])
-    if shape[2] > _PER_INTERVAL:
-        nearest = np.argpartition(table, _PER_INTERVAL, axis=1)[:, :_PER_INTERVAL]
+    if shape[2] > count:
+        nearest = np.argpartition(table, count, axis=1)[:, :count]
     else:
         nearest = np.broadcast_to(np.arange(shape[2]), table.shape)
     row = np.arange(len(table)).reshape(-1, 1)

@@ -16,10 +16,11 @@ if TYPE_CHECKING:
     from optdock.geometry.arrays import FloatArray
     from optdock.path import Path
     from optdock.problem import DockingProblem
+    from optdock.verification import Certificate
     from smoothers._ck.scp import Iterate
     from smoothers._ck.task import Task
 
-__all__ = ["Refusal", "refuse_approach", "refuse_search", "refuse_start"]
+__all__ = ["Refusal", "refuse_approach", "refuse_certificate", "refuse_search", "refuse_start"]
 
 _TOLERANCE = 1e-6  # [m], as the certificate's
 _STRAIGHT_SAMPLES = 13
@@ -124,6 +125,13 @@ def refuse_search(task: Task, last: Iterate) -> Refusal:
     s, excess = float(last.rollout.steps[:k].sum()), last.rate_excess * task.bounds.rate
     message = f"the curvature rate exceeds its limit by {excess:.3g} 1/m^2 at s = {s:.3f} m"
     return Refusal("curvature_rate", s, excess, "", message)
+
+
+def refuse_certificate(certificate: Certificate) -> Refusal:
+    """The first violation that a certificate found in the result of a search."""
+    broken = certificate.violations[0]
+    obstacle = str(broken.where.get("obstacle", ""))
+    return Refusal(broken.kind, broken.s, broken.amount, obstacle, broken.message)
 
 
 def _unreachable(task: Task, last: Iterate, missed: float, turned: float, length: float) -> Refusal:

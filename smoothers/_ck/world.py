@@ -51,6 +51,7 @@ class World:
         start: Start position, Shape (2,) [m].
         goal: Goal position, Shape (2,) [m].
         start_clearance: Clearance of the start pose [m].
+        per_interval: How many obstacles are watched in every interval, where there are very many.
 
     Attributes:
         outline: Obstacle vertices, one column per obstacle, Shape (k, m) [m].
@@ -64,6 +65,7 @@ class World:
     start: FloatArray
     goal: FloatArray
     start_clearance: float
+    per_interval: int = 4
     outline: Points = field(init=False, repr=False)
     edge_normals: Points = field(init=False, repr=False)
     box_middle: Points = field(init=False, repr=False)
