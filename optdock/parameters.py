@@ -58,6 +58,7 @@ def _fault(model: type[PluginParameters], owner: str, item: Mapping[str, object]
     path = item["loc"]
     name = ".".join(str(part) for part in path) if isinstance(path, tuple) else str(path)
     if item["type"] == "extra_forbidden":
-        return f"{owner}.{name}: unknown parameter{closest(name, model.model_fields)}"
+        known = (spec.alias or field for field, spec in model.model_fields.items())
+        return f"{owner}.{name}: unknown parameter{closest(name, known)}"
     where = f"{owner}.{name}" if name else owner
     return f"{where}: {item['msg']} (got {item['input']!r})"

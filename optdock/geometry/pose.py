@@ -134,6 +134,8 @@ class Twist2:
     lateral: float = 0.0
 
     def __post_init__(self) -> None:
+        for name in ("linear", "angular", "lateral"):
+            object.__setattr__(self, name, float(getattr(self, name)))
         _check_finite("twist", linear=self.linear, angular=self.angular, lateral=self.lateral)
 
 

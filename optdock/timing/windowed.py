@@ -127,9 +127,10 @@ def _cuts(course: Course, slowness: FloatArray, parameters: WindowedParameters) 
     """Indices of the nodes between windows: where the cap leaves its band, the length runs out, the zone begins."""
     zone = int(np.searchsorted(course.s, course.zone_start - 1e-12)) if course.has_zone else -1
     cuts, low, high, begin = [0], math.inf, 0.0, 0.0
+    longest = parameters.max_window * (1.0 + 1e-9)  # rounding of arc lengths must not shift the borders
     for i, (value, s) in enumerate(zip(slowness.tolist(), course.s[1:].tolist(), strict=True)):
         low, high = min(low, value), max(high, value)
-        if i > cuts[-1] and (high > parameters.cap_ratio * low or s - begin > parameters.max_window or i == zone):
+        if i > cuts[-1] and (high > parameters.cap_ratio * low or s - begin > longest or i == zone):
             cuts.append(i)
             low = high = value
             begin = float(course.s[i])
