@@ -97,6 +97,7 @@ class Smoother(Plugin):
             cancel_checker: Polled at least every 5 ms.
 
         Raises:
+            InvalidValue: `max_time` is not finite, or negative.
             InvalidPath: The path is too short to smooth.
             SmootherTimedOut: The time limit came before any usable result.
             FailedToSmoothPath: No result keeps every bound; the message names the one in the way.

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import difflib
+import math
 from typing import TYPE_CHECKING, TypeVar
 
 from pydantic import BaseModel, ConfigDict, ValidationError
@@ -12,7 +13,7 @@ from optdock.errors import InvalidValue
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping
 
-__all__ = ["PluginParameters", "closest", "parse_parameters"]
+__all__ = ["PluginParameters", "checked_seconds", "closest", "parse_parameters"]
 
 
 class PluginParameters(BaseModel):
@@ -35,6 +36,17 @@ def closest(name: str, known: Iterable[str]) -> str:
     """
     found = difflib.get_close_matches(name, list(known), n=1)
     return f"; did you mean {found[0]}?" if found else ""
+
+
+def checked_seconds(value: float, name: str) -> float:
+    """`value`, a time limit in seconds.
+
+    Raises:
+        InvalidValue: It is not finite, or negative.
+    """
+    if not (math.isfinite(value) and value >= 0.0):
+        raise InvalidValue(f"{name}: must be finite and >= 0 s, got {value}")
+    return value
 
 
 def parse_parameters(model: type[P], values: Mapping[str, object], owner: str) -> P:

@@ -13,7 +13,7 @@ from pydantic import Field, model_validator
 
 from optdock.errors import SmootherCancelled, SmootherTimedOut
 from optdock.interfaces import Smoother, SmoothingResult, never_cancelled
-from optdock.parameters import PluginParameters
+from optdock.parameters import PluginParameters, checked_seconds
 from optdock.path import Path
 from smoothers._nav2_poses import directional_pieces, poses_of, with_travel_yaw
 
@@ -102,11 +102,12 @@ class SavitzkyGolaySmoother(Smoother):
             cancel_checker: Polled before every piece.
 
         Raises:
+            InvalidValue: `max_time` is not finite, or negative.
             InvalidPath: Smoothing left fewer than two distinct poses.
             SmootherTimedOut: The time is over; as in Nav2 the partial result is lost.
             SmootherCancelled: `cancel_checker` returned True.
         """
-        began = time.monotonic()
+        began, allowed = time.monotonic(), checked_seconds(max_time, "max_time")
         poses = poses_of(path)
         whole = [(0, len(poses) - 1)]
         for first, last in directional_pieces(poses) if self.parameters.enforce_path_inversion else whole:
@@ -114,7 +115,7 @@ class SavitzkyGolaySmoother(Smoother):
                 continue
             if cancel_checker():
                 raise SmootherCancelled("smoothing was cancelled")
-            if time.monotonic() - began >= max_time:
+            if time.monotonic() - began >= allowed:
                 raise SmootherTimedOut(f"smoothing took longer than the allowed {max_time} s; allow more max_time")
             poses[first : last + 1] = self._filtered(poses[first : last + 1])
         return SmoothingResult(Path.from_poses(poses), report={"seconds": time.monotonic() - began})

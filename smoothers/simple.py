@@ -16,7 +16,7 @@ from pydantic import Field
 from optdock.costmap.costs import MAX_NON_OBSTACLE, NO_INFORMATION
 from optdock.errors import SmootherCancelled, SmootherTimedOut
 from optdock.interfaces import Smoother, SmoothingResult, never_cancelled
-from optdock.parameters import PluginParameters
+from optdock.parameters import PluginParameters, checked_seconds
 from optdock.path import Path
 from smoothers._nav2_poses import directional_pieces, poses_of, with_travel_yaw
 
@@ -126,13 +126,14 @@ class SimpleSmoother(Smoother):
             cancel_checker: Polled before every sweep.
 
         Raises:
+            InvalidValue: `max_time` is not finite, or negative.
             InvalidPath: Smoothing left fewer than two distinct poses.
             SmootherTimedOut: The time is over; as in Nav2 the partial result is lost.
             SmootherCancelled: `cancel_checker` returned True.
         """
         began = time.monotonic()
         costmap = self.context.costmap if problem is None else problem.costmap
-        run = _Run(began + max_time, max_time, costmap, cancel_checker)
+        run = _Run(began + checked_seconds(max_time, "max_time"), max_time, costmap, cancel_checker)
         poses, completed = poses_of(path), True
         whole = [(0, len(poses) - 1)]
         for first, last in directional_pieces(poses) if self.parameters.enforce_path_inversion else whole:

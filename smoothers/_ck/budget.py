@@ -5,6 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
+from optdock.parameters import checked_seconds
+
 if TYPE_CHECKING:
     from collections.abc import Callable
 
@@ -18,6 +20,9 @@ class Budget:
     Args:
         max_time: Allowance [s].
         clock: Monotonic seconds.
+
+    Raises:
+        InvalidValue: `max_time` is not finite, or negative.
     """
 
     max_time: float
@@ -25,6 +30,7 @@ class Budget:
     _began: float = field(init=False)
 
     def __post_init__(self) -> None:
+        checked_seconds(self.max_time, "max_time")
         self._began = self.clock()
 
     @property
