@@ -74,6 +74,7 @@ class Spin(Behavior):
 
     def on_run(self, command: Mapping[str, object]) -> BehaviorResult:
         """Begin; the command is a `SpinCommand`."""
+        self._turn = None
         try:
             parsed = parse_parameters(SpinCommand, command, "Spin")
             gate = None if parsed.disable_collision_checks else CollisionGate(self.context, self.parameters.clearance)

@@ -43,6 +43,7 @@ class Wait(Behavior):
 
     def on_run(self, command: Mapping[str, object]) -> BehaviorResult:
         """Begin to wait; the command is a `WaitCommand`."""
+        self._running = None
         try:
             parsed = parse_parameters(WaitCommand, command, "Wait")
         except InvalidValue as error:

@@ -10,7 +10,7 @@ import numpy as np
 from pydantic import Field, model_validator
 
 from optdock.controllers.graceful_law import GracefulLaw
-from optdock.errors import ControllerInvalidPath, NoValidControl
+from optdock.errors import ControllerInvalidPath, InvalidValue, NoValidControl
 from optdock.geometry.pose import Pose2, Twist2, normalize_angle
 from optdock.interfaces import Controller
 from optdock.parameters import PluginParameters
@@ -52,7 +52,7 @@ class GracefulControllerParameters(PluginParameters):
     initial_rotation: bool = Field(default=True, description="turn towards the path first")
     initial_rotation_tolerance: float = Field(default=0.75, gt=0.0, description="[rad]")
     prefer_final_rotation: bool = Field(default=True, description="ignore the final heading until at the goal")
-    rotation_scaling_factor: float = Field(default=0.5, gt=0.0, description="yaw rate per angle, of v_angular_max")
+    rotation_scaling_factor: float = Field(default=0.5, gt=0.0, description="yaw rate per angle, in v_angular_max [1/rad]")
     allow_backward: bool = Field(default=False, description="follow reverse gears; excludes initial_rotation")
     use_collision_detection: bool = Field(default=True, description="roll the law out among the obstacles")
 
@@ -134,7 +134,13 @@ class GracefulController(Controller):
         return self._towards(pose, gear, leg)
 
     def set_speed_limit(self, limit: float, *, percentage: bool) -> None:
-        """Scale both speeds, to `limit` percent or to `limit` m/s; never below v_linear_min; 0 removes the limit."""
+        """Scale both speeds, to `limit` percent or to `limit` m/s; never below v_linear_min; 0 removes the limit.
+
+        Raises:
+            InvalidValue: The limit is negative or not finite.
+        """
+        if not (math.isfinite(limit) and limit >= 0.0):
+            raise InvalidValue(f"GracefulController: the speed limit must be finite and >= 0, got {limit}")
         top = self.parameters.v_linear_max
         share = (limit / 100.0 if percentage else limit / top) if limit > 0.0 else 1.0
         self._speed_share = min(1.0, share)

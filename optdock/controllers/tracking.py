@@ -88,6 +88,7 @@ class TrackingController(Controller):
     def __init__(self, **parameters: object) -> None:
         super().__init__(**parameters)
         self._speed_limit: tuple[float, bool] | None = None
+        self._seen: tuple[Look, float] | None = None  # the reference of the last call, and the robot's lag behind it
         self._reference: Reference | None = None
         self._limits = MotionLimits()
         self._last = Twist2()
@@ -124,14 +125,12 @@ class TrackingController(Controller):
             self._anchor(self._reference, pose, velocity)
         p = self.parameters
         self._delay.update(self._last.linear, velocity.linear)
-        preview = self._delay.delay if p.preview is None else p.preview
-        now = self._reference.look(preview + 0.5 * p.period)
+        now = self._advanced(self._reference)
         error = now.pose.in_frame_of(pose)
         self._check_error(error)
         wanted = self._wanted(self._reference, now, error, goal_checker)
         self._last = admissible(rate_limited(self._last, wanted, self._limits, p.period), self._limits, self._drive)
-        rate = self._target_rate(self._reference, error.x * now.gear)
-        self._reference.advance(now, p.period, rate, self._limits, 0.0 if self._cancelled else _SETTLING)
+        self._seen = (now, error.x * now.gear)
         return self._last
 
     def set_speed_limit(self, limit: float, *, percentage: bool) -> None:
@@ -187,7 +186,18 @@ class TrackingController(Controller):
         reference.join(pose, velocity.linear, self.parameters.slow_down_lag)
         self._last = Twist2(velocity.linear, velocity.angular)
         self._delay = DelayEstimate(self.parameters.period, self._delay.delay)
+        self._seen = None
         self._anchored = True
+
+    def _advanced(self, reference: Reference) -> Look:
+        """The reference one period after it was last seen; on the first call, where it begins."""
+        p = self.parameters
+        if self._seen is not None:
+            before, lag = self._seen
+            settling = 0.0 if self._cancelled else _SETTLING
+            reference.advance(before, p.period, self._target_rate(reference, lag), self._limits, settling)
+        preview = self._delay.delay if p.preview is None else p.preview
+        return reference.look(preview + 0.5 * p.period)
 
     def _check_error(self, error: Pose2) -> None:
         p, distance = self.parameters, math.hypot(error.x, error.y)
