@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from smoothers._ck.layout import Layout
     from smoothers._ck.rollout import Rollout
 
-__all__ = ["Bounds", "Ends", "clipped", "close_goal", "least_norm_step"]
+__all__ = ["Bounds", "Ends", "clipped", "close_goal", "least_norm_step", "rate_kept", "rate_limited"]
 
 _MAX_STEPS = 5
 _TOLERANCE = 1e-7
@@ -58,6 +58,31 @@ def clipped(variables: Variables, bounds: Bounds) -> Variables:
         np.clip(variables.curvature, bounds.lower[:knots], bounds.upper[:knots]),
         np.clip(variables.lengths, bounds.lower[knots:], bounds.upper[knots:]),
     )
+
+
+def rate_limited(layout: Layout, variables: Variables, bounds: Bounds) -> Variables:
+    """Curvatures moved as little as needed so that the rate keeps its bound; fixed ones stay.
+
+    The mean of the largest rate-bounded function below and the smallest above: the identity where the bound holds.
+    """
+    if not np.isfinite(bounds.rate):
+        return variables
+    curvature = variables.curvature.copy()
+    for m, (first, last) in enumerate(zip(layout.first_knots, layout.last_knots, strict=True)):
+        knots = np.arange(first, last + 1)
+        # Rounding must not leave the rate a little above its bound.
+        change = (1.0 - 1e-12) * bounds.rate * variables.lengths[m] / (last - first) * np.abs(knots[:, None] - knots)
+        values = curvature[knots]
+        for k in np.flatnonzero(bounds.lower[knots] == bounds.upper[knots]):
+            values = np.clip(values, values[k] - change[k], values[k] + change[k])
+        curvature[knots] = 0.5 * ((values + change).min(axis=1) + (values - change).max(axis=1))
+    return Variables(curvature, variables.lengths)
+
+
+def rate_kept(layout: Layout, variables: Variables, bounds: Bounds) -> bool:
+    """Whether the curvature rate keeps its bound."""
+    slopes = layout.span_rows @ variables.curvature
+    return bool(np.all(np.abs(slopes) <= bounds.rate * variables.lengths[layout.span_gear] * (1.0 + 1e-12)))
 
 
 def close_goal(

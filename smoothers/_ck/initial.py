@@ -11,7 +11,8 @@ import numpy as np
 from optdock.geometry.pose import unwrap_yaw
 from smoothers._ck.closing import Ends, clipped
 from smoothers._ck.layout import layout_for
-from smoothers._ck.rollout import Variables
+from smoothers._ck.pursuit import pursued_variables
+from smoothers._ck.rollout import Variables, roll_out
 from smoothers._ck.task import Task, curvature_bound, reference_scales, variable_bounds
 from smoothers._ck.terms import CostModel, Reference
 
@@ -19,6 +20,7 @@ if TYPE_CHECKING:
     from optdock.geometry.arrays import FloatArray
     from optdock.path import Path
     from optdock.problem import DockingProblem
+    from smoothers._ck.closing import Bounds
     from smoothers._ck.layout import Layout, Shape
     from smoothers._ck.terms import Weights
     from smoothers._ck.warm import Remaining
@@ -27,6 +29,7 @@ if TYPE_CHECKING:
 __all__ = ["Resolution", "Traced", "Tuning", "fitted_variables", "make_task", "shape_for", "trace"]
 
 
+_ASTRAY, _TURNED_AWAY = 0.4, 0.4  # [m], [rad]
 _WARM_TRUST, _WARM_PROX = 0.2, 0.1  # an earlier result is near the new one
 
 
@@ -123,10 +126,24 @@ def make_task(path: Path, problem: DockingProblem, world: World, tuning: Tuning,
         layout, limits, lengths, start_curvature=problem.start_curvature, straight_end=straight > 0.0
     )
     cost = CostModel(layout, tuning.weights, reference_scales(limits), reference_of(traced, layout))
-    first = fitted_variables(layout, traced, lengths, start[2]) if left is None else left.variables(layout)
+    if left is None:
+        first = _first_variables(layout, traced, lengths, ends, inner)
+    else:
+        first = clipped(left.variables(layout), inner)
     radius = 1.0 / min(curvature_bound(limits), 2.0)
-    task = Task(layout, ends, bounds, inner, cost, world, clipped(first, inner), 0.5 * radius, radius)
+    task = Task(layout, ends, bounds, inner, cost, world, first, 0.5 * radius, radius)
     return task if left is None else replace(task, trust=_WARM_TRUST, prox=_WARM_PROX)
+
+
+def _first_variables(layout: Layout, traced: Traced, lengths: FloatArray, ends: Ends, inner: Bounds) -> Variables:
+    """Fitted to the input's headings; where such a drive strays from the input, a pursuit of it."""
+    fitted = clipped(fitted_variables(layout, traced, lengths, float(ends.start[2])), inner)
+    driven = roll_out(layout, fitted, ends.start, ends.signs)
+    away = np.abs(driven.poses[:, :2] - traced.positions).max()
+    turned = abs(float(driven.poses[-1, 2] - ends.target[2]))
+    if away < _ASTRAY and turned < _TURNED_AWAY:
+        return fitted
+    return clipped(pursued_variables(layout, traced.positions, ends, inner), inner)
 
 
 def _signs(path: Path) -> FloatArray:

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from smoothers._ck.closing import clipped, close_goal
+from smoothers._ck.closing import clipped, close_goal, rate_kept, rate_limited
 from smoothers._ck.planes import clearance
 from smoothers._ck.rollout import Variables, roll_out, sensitivity
 from smoothers._ck.steps import ZONES, Penalties, Step, StepProblem, solve_step, zone_of
@@ -35,6 +35,7 @@ _RATE_PENALTY = 30.0
 _SMALL_STEP = 3e-4
 _SMALL_SHARE = 1e-3  # of the cost: a predicted gain not worth a step
 _MAX_REJECTIONS = 7
+_ALTERNATIONS = 2  # between the goal and the curvature rate
 _PATIENCE = 5  # iterations within which an infeasible iterate must lose
 _SHRINKING = 0.93  # of its shortfall
 _MAX_PENALTY = 300.0 * 36.0
@@ -138,7 +139,7 @@ def merit(iterate: Iterate, penalties: Penalties) -> float:
 def search(task: Task, pool: ProgramPool, max_iterations: int = 60) -> Iterator[Progress]:
     """Yield after every iteration, the initial iterate first; the last one is `finished`."""
     controls = _Controls(task.trust, task.prox)
-    variables, rollout = _closed(task, task.initial, None)
+    variables, rollout = _closed(task, task.initial)
     current = evaluate(task, variables, rollout, controls.reach)
     yield Progress(current, 0, finished=False, accepted=True)
     problem = _linearized(task, current)
@@ -201,18 +202,31 @@ def _linearized(task: Task, current: Iterate) -> StepProblem:
     return StepProblem.around(task, current.variables, current.rollout, current.clearance, by, quadratic)
 
 
-def _closed(task: Task, variables: Variables, rollout: Rollout | None) -> tuple[Variables, Rollout]:
-    driven = roll_out(task.layout, variables, task.ends.start, task.ends.signs) if rollout is None else rollout
-    if float(np.abs(task.ends.error(driven)).max()) > task.closing_reach:
+def _closed(task: Task, variables: Variables) -> tuple[Variables, Rollout]:
+    """The variables closed onto the goal where that keeps the curvature rate; else as they are, within the rate."""
+    layout, ends = task.layout, task.ends
+    driven = roll_out(layout, variables, ends.start, ends.signs)
+    if float(np.abs(ends.error(driven)).max()) <= task.closing_reach:
+        closed, moved = close_goal(layout, variables, ends, task.bounds, driven)
+        for _ in range(_ALTERNATIONS):
+            if rate_kept(layout, closed, task.bounds):
+                return closed, moved
+            limited = rate_limited(layout, closed, task.inner)
+            moved = roll_out(layout, limited, ends.start, ends.signs)
+            closed, moved = close_goal(layout, limited, ends, task.bounds, moved)
+        if rate_kept(layout, closed, task.bounds):
+            return closed, moved
+    if rate_kept(layout, variables, task.bounds):
         return variables, driven
-    return close_goal(task.layout, variables, task.ends, task.bounds, driven)
+    limited = rate_limited(layout, variables, task.inner)
+    return limited, roll_out(layout, limited, ends.start, ends.signs)
 
 
 def _trial(task: Task, current: Iterate, step: Step, controls: _Controls) -> tuple[Iterate, float]:
     """The iterate after a step, and how far it turned or stretched at most."""
     knots, change = task.layout.num_knots, step.change
     wanted = Variables(current.variables.curvature + change[:knots], current.variables.lengths + change[knots:])
-    variables, rollout = _closed(task, clipped(wanted, task.bounds), None)
+    variables, rollout = _closed(task, clipped(wanted, task.bounds))
     turned = float(np.abs(rollout.poses[:, 2] - current.rollout.poses[:, 2]).max())
     moved = max(turned, float(np.abs(variables.lengths - current.variables.lengths).max()))
     return evaluate(task, variables, rollout, min(_REACH, max(controls.reach, 1.5 * moved + 0.12))), moved
