@@ -27,6 +27,7 @@ from optdock.errors import InvalidValue
 from optdock.geometry.footprint import Footprint
 from optdock.geometry.polygon import simple_polygon
 from optdock.geometry.pose import Pose2
+from optdock.io.numbers import is_number
 from optdock.limits import MotionLimits, SpeedZone
 from optdock.pipeline import DEFAULT_TIME_BUDGET
 from optdock.problem import ClearanceRule
@@ -34,23 +35,22 @@ from optdock.robot import Drive, Robot
 
 __all__ = ["SECTIONS", "ScenarioDocument", "known_keys"]
 
+_FARTHEST = 1e8  # [m]; as for polygons
 SECTIONS = ("planner", "smoother", "timing", "controller", "goal_checker")
 
 
 def _pose(value: object) -> Pose2:
-    if not (isinstance(value, list) and len(value) == 3 and all(_is_number(v) for v in value)):
+    if not (isinstance(value, list) and len(value) == 3 and all(map(is_number, value))):
         raise InvalidValue(f"must be [x, y, yaw] in m, m, rad, got {value!r}")
+    if any(math.isfinite(part) and abs(part) > _FARTHEST for part in value):
+        raise InvalidValue(f"must be within +-{_FARTHEST:g} m, got {value!r}")
     return Pose2.from_sequence(value)
-
-
-def _is_number(value: object) -> bool:
-    return isinstance(value, int | float) and not isinstance(value, bool)
 
 
 def _footprint(value: object) -> Footprint:
     if isinstance(value, str):
         return Footprint.from_string(value)
-    if isinstance(value, dict) and set(value) == {"radius"} and _is_number(value["radius"]):
+    if isinstance(value, dict) and set(value) == {"radius"} and is_number(value["radius"]):
         return Footprint.from_radius(float(value["radius"]))
     if not isinstance(value, list):
         raise InvalidValue(f"must be a list of points [x, y], a text like it, or {{radius: r}}, got {value!r}")
@@ -224,7 +224,7 @@ class ClearanceDocument(_Part):
 
 
 def _clearance(value: object) -> object:
-    return {"required": value, "at_dock": value} if _is_number(value) else value
+    return {"required": value, "at_dock": value} if is_number(value) else value
 
 
 class ScenarioDocument(_Part):

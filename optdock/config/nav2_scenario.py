@@ -17,6 +17,7 @@ from optdock.io.dock_database import DockEntry, load_dock_database
 from optdock.io.maps import load_map
 from optdock.io.nav2_docking import DockType
 from optdock.io.nav2_params import Nav2Params, load_nav2_params
+from optdock.io.numbers import is_number
 from optdock.limits import MotionLimits, SpeedZone
 from optdock.parameters import closest
 from optdock.pipeline import DEFAULT_TIME_BUDGET, PluginChoices
@@ -132,7 +133,7 @@ def _entry(values: Mapping[str, object], name: str, i: int, default: float) -> f
     vector = values.get(name)
     if vector is None:
         return default
-    if isinstance(vector, list) and len(vector) == 3 and all(isinstance(v, int | float) for v in vector):
+    if isinstance(vector, list) and len(vector) == 3 and all(map(is_number, vector)):
         return float(vector[i])
     raise InvalidValue(f"{name}: must be [x, y, yaw], three numbers, got {vector!r}")
 
@@ -141,6 +142,6 @@ def _approach(params: Nav2Params, dock_type: DockType) -> SpeedZone:
     """The docking controller's speed, from the staging pose on."""
     controller = params.node("docking_server").get("controller")
     speed = controller.get("v_linear_max", 0.25) if isinstance(controller, Mapping) else 0.25
-    if isinstance(speed, bool) or not isinstance(speed, int | float) or not speed > 0.0:
+    if not (is_number(speed) and speed > 0.0):
         raise InvalidFile(f"{params.source}: docking_server.controller.v_linear_max: must be > 0 m/s, got {speed!r}")
     return SpeedZone(float(speed), abs(dock_type.staging_x_offset))

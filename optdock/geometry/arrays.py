@@ -38,7 +38,7 @@ def frozen_array(values: ArrayLike, name: str, columns: int | None = None) -> Fl
     """
     try:
         array = np.array(values, dtype=np.float64, copy=True)
-    except (TypeError, ValueError) as error:
+    except (TypeError, ValueError, OverflowError) as error:
         raise InvalidValue(f"{name}: must be numbers, got {values!r}") from error
     wanted = "(n,)" if columns is None else f"(n, {columns})"
     if array.ndim != (1 if columns is None else 2) or (columns is not None and array.shape[1] != columns):

@@ -29,7 +29,7 @@ def _refined_breaks(knots: FloatArray, curvature: FloatArray) -> FloatArray:
     """Knots with enough points between them that no cell turns by more than `_MAX_TURN_PER_CELL`."""
     steps = np.diff(knots)
     turn = steps * np.maximum(np.abs(curvature[:-1]), np.abs(curvature[1:]))
-    parts = np.maximum(1, np.ceil(turn / _MAX_TURN_PER_CELL)).astype(np.int64)
+    parts = np.ceil(np.clip(turn / _MAX_TURN_PER_CELL, 1.0, _MAX_CELLS + 1.0)).astype(np.int64)
     if parts.sum() > _MAX_CELLS:
         raise InvalidValue(f"clothoid: turns by {turn.sum():.3g} rad in all, more than can be evaluated")
     owner = np.repeat(np.arange(steps.size), parts)

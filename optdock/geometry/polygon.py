@@ -18,6 +18,7 @@ if TYPE_CHECKING:
 __all__ = ["convex_pieces", "edge_normals", "is_convex", "signed_area", "simple_polygon"]
 
 _MERGE_EPS = 1e-12
+_FARTHEST = 1e8  # [m]: beyond it squares overflow or millimetres vanish; no map on earth is that large
 
 
 def signed_area(vertices: FloatArray) -> float:
@@ -57,9 +58,11 @@ def simple_polygon(vertices: ArrayLike, name: str) -> FloatArray:
         name: What the polygon is called in error messages.
 
     Raises:
-        InvalidValue: Fewer than three distinct vertices, no area, edges that cross or touch, NaN.
+        InvalidValue: Fewer than three distinct vertices, no area, edges that cross or touch, NaN, beyond 1e8 m.
     """
     points = frozen_array(vertices, name, columns=2)
+    if points.size and np.max(np.abs(points)) > _FARTHEST:
+        raise InvalidValue(f"{name}: coordinates must be within +-{_FARTHEST:g} m, got {np.max(np.abs(points)):g}")
     if points.shape[0]:
         points = points[np.any(points != np.roll(points, 1, axis=0), axis=1)]
     if points.shape[0] < 3:

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 
 from optdock.errors import InvalidFile, InvalidValue
 from optdock.geometry.pose import Pose2
+from optdock.io.numbers import is_number
 from optdock.io.yaml_lines import load_yaml
 from optdock.parameters import closest
 
@@ -113,7 +114,7 @@ def _pose(document: Document, keys: Keys, block: Mapping[str, object], faults: l
 
 
 def _checked_pose(document: Document, keys: Keys, values: Sequence[object], faults: list[str]) -> Pose2 | None:
-    bad = [i for i, v in enumerate(values) if isinstance(v, bool) or not isinstance(v, int | float)]
+    bad = [i for i, v in enumerate(values) if not is_number(v)]
     faults.extend(document.fault((*keys, i), f"must be a number, got {values[i]!r}") for i in bad)
     if bad:
         return None

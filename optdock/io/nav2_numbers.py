@@ -5,6 +5,8 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING
 
+from optdock.io.numbers import is_number
+
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
@@ -30,7 +32,7 @@ class NumberReader:
         """The finite number called `name`, or its default where it is absent or wrong."""
         value = self._values.get(name, default)
         rule = "a number > 0" if positive else "a finite number"
-        if isinstance(value, bool) or not isinstance(value, int | float) or not _holds(value, positive=positive):
+        if not (is_number(value) and math.isfinite(value) and (value > 0.0 or not positive)):
             self.fault(name, f"must be {rule}, got {value!r}")
             return default
         return float(value)
@@ -46,7 +48,3 @@ class NumberReader:
     def fault(self, name: str, message: str) -> None:
         """Note that the value called `name` is wrong."""
         self._faults.append(self._document.fault((*self._keys, name), message))
-
-
-def _holds(value: float, *, positive: bool) -> bool:
-    return math.isfinite(value) and (value > 0.0 or not positive)

@@ -27,6 +27,8 @@ AGREEMENT = 1e-6
 _STILL = 1e-9  # [m]: shorter steps carry no direction
 
 Gear: TypeAlias = Literal[1, -1]
+# Numbers beyond this are no plan of anything; a polyline that turns in place has this curvature.
+Number: TypeAlias = Annotated[float, Field(ge=-1e9, le=1e9)]
 Json: TypeAlias = Mapping[str, object]
 
 
@@ -37,27 +39,27 @@ class _Columns(BaseModel):
 class _Clothoid(_Columns):
     """Curvature linear between knots: start [m, m, rad], knots [m], curvature [1/m]."""
 
-    start: Annotated[list[float], Field(min_length=3, max_length=3)]
-    knots: list[float]
-    curvature: list[float]
+    start: Annotated[list[Number], Field(min_length=3, max_length=3)]
+    knots: list[Number]
+    curvature: list[Number]
     direction: Gear
 
 
 class _Polyline(_Columns):
     """Poses [m, m, rad] in driving order."""
 
-    poses: list[Annotated[list[float], Field(min_length=3, max_length=3)]]
+    poses: list[Annotated[list[Number], Field(min_length=3, max_length=3)]]
     direction: Gear
 
 
 class PathColumns(_Columns):
     """A path as a plan file holds it; s [m], curvature [1/m] and direction may be missing in files of others."""
 
-    s: list[float] | None = None
-    x: list[float]
-    y: list[float]
-    yaw: list[float]
-    curvature: list[float] | None = None
+    s: list[Number] | None = None
+    x: list[Number]
+    y: list[Number]
+    yaw: list[Number]
+    curvature: list[Number] | None = None
     direction: list[Gear] | None = None
     segments: list[_Clothoid | _Polyline] | None = None
 

@@ -16,6 +16,7 @@ from optdock.errors import InvalidFile, InvalidPath, InvalidValue
 from optdock.geometry.arrays import frozen_array
 from optdock.io.atomic_file import write_text
 from optdock.io.path_columns import PathColumns, path_columns, path_from_columns
+from optdock.io.yaml_lines import printable
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -256,7 +257,7 @@ def _fault(source: FilePath, item: Mapping[str, object]) -> str:
     path = item["loc"]
     place = ".".join(str(part) for part in path) if isinstance(path, tuple) else str(path)
     got = "" if item["type"] == "missing" else f", got {item['input']!r}"
-    return f"{source}: {place or 'top level'}: {item['msg']}{got if len(got) < 80 else ''}"
+    return f"{source}: {printable(place) or 'top level'}: {item['msg']}{got if len(got) < 80 else ''}"
 
 
 def _trajectory(document: _TrajectoryDocument | None) -> TrajectoryColumns | None:

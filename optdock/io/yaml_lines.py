@@ -14,7 +14,7 @@ from optdock.errors import InvalidFile
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
 
-__all__ = ["Document", "Keys", "load_yaml"]
+__all__ = ["Document", "Keys", "load_yaml", "printable"]
 
 Keys: TypeAlias = "tuple[str | int, ...]"
 
@@ -22,6 +22,15 @@ Keys: TypeAlias = "tuple[str | int, ...]"
 _SCALAR_ERRORS = (ValueError, OverflowError, IndexError, AttributeError)
 _MAX_DEPTH = 100
 _MAX_REPEATS = 100_000  # aliases can make a small file expand without end
+
+
+def printable(text: str) -> str:
+    r"""The text on one line, with control characters written as escapes: a file's own words may hold anything.
+
+    >>> print(printable("a\x1b[1m\nb"))
+    a\x1b[1m\nb
+    """
+    return "".join(c if c.isprintable() else repr(c)[1:-1] for c in text)
 
 
 class _Loader(getattr(yaml, "CSafeLoader", yaml.SafeLoader)):  # type: ignore[misc] # the C loader is optional
@@ -64,7 +73,8 @@ class Document:
         'a.yaml:7: v: must be > 0, got -1'
         """
         name = ".".join(str(key) for key in keys)
-        return f"{self.path}:{self.line_of(keys)}: {name}: {message}" if name else f"{self.path}: {message}"
+        place = f"{self.path}:{self.line_of(keys)}: " if keys else f"{self.path}: "
+        return place + printable(f"{name}: {message}" if keys else message)
 
 
 def load_yaml(path: str | Path) -> Document:
@@ -173,5 +183,7 @@ class _Survey:
                 continue
             key = self._key_of(key_node)
             if key in first:
-                self.faults.append(f"{self._place(key_node)}: {key}: stands here again; first in line {first[key]}")
+                self.faults.append(
+                    f"{self._place(key_node)}: {printable(str(key))}: stands here again; first in line {first[key]}"
+                )
             first.setdefault(key, key_node.start_mark.line + 1)
