@@ -52,7 +52,9 @@ class GracefulControllerParameters(PluginParameters):
     initial_rotation: bool = Field(default=True, description="turn towards the path first")
     initial_rotation_tolerance: float = Field(default=0.75, gt=0.0, description="[rad]")
     prefer_final_rotation: bool = Field(default=True, description="ignore the final heading until at the goal")
-    rotation_scaling_factor: float = Field(default=0.5, gt=0.0, description="yaw rate per angle, in v_angular_max [1/rad]")
+    rotation_scaling_factor: float = Field(
+        default=0.5, gt=0.0, description="yaw rate per angle, in v_angular_max [1/rad]"
+    )
     allow_backward: bool = Field(default=False, description="follow reverse gears; excludes initial_rotation")
     use_collision_detection: bool = Field(default=True, description="roll the law out among the obstacles")
 

@@ -98,6 +98,8 @@ class TrackingController(Controller):
     def set_path(self, path: Path | Trajectory) -> None:
         """Follow a trajectory, or a path after timing it, from the next call on.
 
+        A path is timed from the speed of the last command, so that a new path in motion is taken up without a stop.
+
         Raises:
             ControllerInvalidPath: The path cannot be timed under the robot's limits.
             PluginError: The time parameterizer does not exist.
@@ -164,7 +166,9 @@ class TrackingController(Controller):
 
         problem = self.context.problem
         limits, zone = (problem.robot.limits, problem.dock.approach) if problem else (MotionLimits(), SpeedZone())
-        result = create_plugin(TimeParameterizer, self.parameters.time_parameterizer).parameterize(path, limits, zone)
+        moving = max(0.0, path.segments[0].direction * self._last.linear)
+        parameterizer = create_plugin(TimeParameterizer, self.parameters.time_parameterizer)
+        result = parameterizer.parameterize(path, limits, zone, start_speed=moving)
         if result.trajectory is None or result.status != 0:
             raise ControllerInvalidPath(f"TrackingController: the path cannot be timed: {result.status.name}")
         return result.trajectory

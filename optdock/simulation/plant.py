@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from typing import TYPE_CHECKING, NamedTuple
 
 from optdock.errors import InvalidValue
@@ -27,6 +27,8 @@ class Actuation:
         latency: Delay between a command and its first effect [s]; a multiple of the sub-step.
         linear_dead_band: Commanded speeds smaller than this do nothing [m/s].
         angular_dead_band: Commanded yaw rates smaller than this do nothing [rad/s].
+        linear_gain: Speed that the wheels make of a commanded 1 m/s (wear, wrong wheel radius) [1].
+        angular_gain: Yaw rate that they make of a commanded 1 rad/s (wrong track width) [1].
         substeps: Sub-steps per control period.
 
     Raises:
@@ -38,13 +40,15 @@ class Actuation:
     latency: float = 0.0
     linear_dead_band: float = 0.0
     angular_dead_band: float = 0.0
+    linear_gain: float = 1.0
+    angular_gain: float = 1.0
     substeps: int = 4
 
     def __post_init__(self) -> None:
-        for name in ("linear_lag", "angular_lag", "latency", "linear_dead_band", "angular_dead_band"):
-            value = getattr(self, name)
+        for spec in fields(self):
+            value = getattr(self, spec.name)
             if not (math.isfinite(value) and value >= 0.0):
-                raise InvalidValue(f"actuation.{name}: must be finite and >= 0, got {value}")
+                raise InvalidValue(f"actuation.{spec.name}: must be finite and >= 0, got {value}")
         if self.substeps < 1:
             raise InvalidValue(f"actuation.substeps: must be >= 1, got {self.substeps}")
 
@@ -66,7 +70,7 @@ class DifferentialDrive:
 
     Args:
         robot: Whose drive limits cut every command.
-        actuation: Lags, latency and dead band.
+        actuation: Lags, latency, dead band and gains.
         period: Control period [s].
 
     Raises:
@@ -107,7 +111,8 @@ class DifferentialDrive:
     def _effective(self, command: Twist2) -> Twist2:
         a = self.actuation
         linear = command.linear if abs(command.linear) >= a.linear_dead_band else 0.0
-        return Twist2(linear, command.angular if abs(command.angular) >= a.angular_dead_band else 0.0)
+        angular = command.angular if abs(command.angular) >= a.angular_dead_band else 0.0
+        return Twist2(a.linear_gain * linear, a.angular_gain * angular)
 
     def _follow(self, twist: Twist2, target: Twist2) -> tuple[Twist2, Twist2]:
         """Mean velocity of the sub-step and velocity after it."""

@@ -13,7 +13,7 @@ from optdock.geometry.footprint import Footprint
 from optdock.geometry.pose import Pose2, Twist2
 from optdock.interfaces import Controller, PluginContext
 from optdock.limits import MotionLimits
-from optdock.path import Direction
+from optdock.path import Direction, Path
 from optdock.plugins import create_plugin
 from optdock.problem import DockingProblem
 from optdock.robot import Drive, Robot
@@ -262,6 +262,18 @@ def test_a_path_is_timed_before_it_is_followed():
             break
         state = plant.step(state, controller.compute_velocity_commands(state.pose, state.twist, checker))
     assert state.pose.distance_to(path.end) < 0.004
+
+
+def test_a_new_path_in_motion_is_taken_up_without_a_stop():
+    trajectory = straight_drive(START)
+    controller = ready(trajectory)
+    commands, states = drive(controller, trajectory, 150)
+    ahead = Path.from_poses([states[-1].pose, trajectory.path.end @ Pose2(1.0, 0.0, 0.0)])
+    controller.set_path(ahead)
+    more, _ = drive(controller, trajectory, 50, state=states[-1])
+    assert commands[-1].linear == pytest.approx(0.4, abs=1e-3)
+    assert min(command.linear for command in more) > 0.39
+    assert abs(np.diff([commands[-1].linear, *(c.linear for c in more)])).max() <= 0.5 * PERIOD + 1e-9
 
 
 def test_it_is_found_by_name():

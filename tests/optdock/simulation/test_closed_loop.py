@@ -4,6 +4,8 @@ import math
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from checkers.axis import AxisGoalChecker
 from checkers.dock import DockGoalChecker
@@ -56,6 +58,34 @@ class TestEveryDrive:
         assert found.docked, found.reason
         assert abs(found.final_error.y) < 0.001
         assert abs(found.final_error.yaw) < math.radians(0.1)
+
+
+@pytest.mark.parametrize("gains", [(0.93, 1.0), (1.07, 1.0), (1.0, 0.9), (1.0, 1.1), (0.95, 1.07)])
+@pytest.mark.parametrize("name", ["s curve", "cusp"])
+def test_feedback_makes_up_for_wheels_that_are_not_as_they_should_be(name, gains):
+    world = SimulationSettings(actuation=Actuation(linear_gain=gains[0], angular_gain=gains[1]))
+    found = run(DRIVES[name], world)
+    assert found.docked, found.reason
+    assert abs(found.final_error.y) < 0.002
+    assert abs(found.final_error.yaw) < math.radians(0.6)
+
+
+@settings(max_examples=12)
+@given(
+    st.sampled_from(sorted(DRIVES)),
+    st.floats(-0.05, 0.05),
+    st.floats(-0.05, 0.05),
+    st.floats(-0.15, 0.15),
+    st.integers(0, 1000),
+)
+def test_it_arrives_from_any_small_offset_whatever_the_noise(name, along, cross, yaw, seed):
+    world = SimulationSettings(
+        start=START @ Pose2(along, cross, yaw), actuation=SLUGGISH, position_noise=0.002, yaw_noise=0.002, seed=seed
+    )
+    found = run(DRIVES[name], world)
+    assert found.docked, found.reason
+    assert abs(found.final_error.y) < 0.006
+    assert abs(found.final_error.yaw) < math.radians(1.2)
 
 
 def test_preview_is_what_removes_the_delay():

@@ -86,6 +86,13 @@ def test_commands_below_the_dead_band_do_nothing():
     assert moved.yaw > 0.0
 
 
+def test_gains_scale_what_becomes_of_a_command():
+    plant = DifferentialDrive(ROBOT, Actuation(linear_gain=0.9, angular_gain=1.1))
+    end = drive(plant, [Twist2(0.5, 1.0)] * 10)
+    assert (end.twist.linear, end.twist.angular) == pytest.approx((0.45, 1.1))
+    assert end.pose.yaw == pytest.approx(0.22)
+
+
 def test_the_drive_limits_cut_the_command_and_keep_its_curvature():
     robot = Robot(ROBOT.footprint, MotionLimits(max_speed=0.5, max_reverse_speed=0.2))
     plant = DifferentialDrive(robot)
