@@ -35,7 +35,7 @@ class UndockParameters(PluginParameters):
     undock_angular_tolerance: float = Field(default=0.05, gt=0.0, description="heading error there [rad]")
     staging_distance: float = Field(default=0.7, gt=0.0, description="of the staging pose from the dock [m]")
     dock_tolerance: float = Field(default=0.05, gt=0.0, description="distance from the dock that counts as docked [m]")
-    time_budget: float = Field(default=2.0, gt=0.0, description="wall-clock seconds for planning")
+    time_budget: float = Field(default=2.0, gt=0.0, description="wall-clock time for planning [s]")
     simulate_ahead_time: float = Field(default=0.3, gt=0.0, description="collision check of each command [s]")
     controller: str = Field(default="TrackingController", description="plugin that drives the trajectory")
 
