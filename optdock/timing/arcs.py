@@ -34,7 +34,7 @@ def _end_acceleration(bounds: Bounds, drive: float, *, at_end: bool) -> float:
     course, jerk = bounds.course, bounds.jerk
     reach = max(jerk * (_DRIVE_SHARE * drive / jerk) ** 3 / 6.0, 1e-9)
     window = (
-        slice(int(course.s.searchsorted(course.length - reach)) - 1, None)
+        slice(max(0, int(course.s.searchsorted(course.length - reach)) - 1), None)
         if at_end
         else slice(0, int(course.s.searchsorted(reach)) + 1)
     )
@@ -47,7 +47,7 @@ def _end_acceleration(bounds: Bounds, drive: float, *, at_end: bool) -> float:
         math.sqrt(_SPEED_SHARE * local * jerk),
         _DRIVE_SHARE * drive,
         _DRIVE_SHARE * yaw / bend if bend > 0.0 else math.inf,
-        (6.0 * _LENGTH_SHARE * course.length * jerk * jerk) ** (1.0 / 3.0),
+        math.pow(6.0 * _LENGTH_SHARE * course.length * jerk * jerk, 1.0 / 3.0),
     )
 
 

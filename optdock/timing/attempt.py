@@ -18,6 +18,9 @@ if TYPE_CHECKING:
 __all__ = ["Attempt", "Settings", "attempt"]
 
 
+_RIPPLE, _SMOOTH_RIPPLE = 0.002, 0.1  # [s]: a little saves a sixth of the moves for 0.01 % of time
+
+
 class Settings(NamedTuple):
     """How references are made.
 
@@ -54,7 +57,8 @@ def attempt(bounds: Bounds, start: State, settings: Settings) -> Attempt | None:
         return None
     grid = grid_of(bounds, profile, launch.state, stop.state, settings.step)
     guess = initial_guess(grid, bounds, profile, launch.state, stop.state)
-    reference = solve_reference(grid, bounds, guess, launch.state, stop.state)
+    ripple = _SMOOTH_RIPPLE if settings.smooth else _RIPPLE
+    reference = solve_reference(grid, bounds, guess, (launch.state, stop.state), ripple)
     if settings.smooth:
         return Attempt(launch.phases + smooth_phases(reference) + stop.phases, (), 0, reference.iterations)
     arcs = (sum(time for time, _jerk in launch.phases), sum(time for time, _jerk in stop.phases))

@@ -64,7 +64,8 @@ class Braking:
     @property
     def ratios(self) -> FloatArray:
         """The larger of both quotients, Shape (n,)."""
-        return np.maximum(self.path_ratios, self.drive_ratios)
+        larger: FloatArray = np.maximum(self.path_ratios, self.drive_ratios)
+        return larger
 
     def tight_length(self, slack: float) -> float:
         """How far from the start braking is within `slack`, relative, of the limits: no room for margins there [m]."""

@@ -7,6 +7,7 @@ intermediate position: with one, the community edition would call a cloud servic
 from __future__ import annotations
 
 import importlib
+import math
 import threading
 from functools import cache
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -32,30 +33,34 @@ class Box(NamedTuple):
     jerk: float
 
 
-def move(start: State, target: State, box: Box) -> Phases | None:
+def move(start: State, target: State, box: Box, longest: float = math.inf) -> Phases | None:
     """The time-optimal motion between two states; None where there is none without driving backwards.
 
     The speed bound is raised to what the two states make inevitable; whoever needs it kept checks the result.
+
+    Args:
+        start: First state.
+        target: Last state.
+        box: Bounds.
+        longest: Motions that take longer count as none [s].
     """
-    tool = _tool()
     rise = max(
         target.v + (0.5 * target.a * target.a / box.jerk if target.a < 0.0 else 0.0),
         start.v + (0.5 * start.a * start.a / box.jerk if start.a > 0.0 else 0.0),
     )
-    tool.position_move(start, target, box._replace(speed=max(box.speed, rise * _ABOVE)))
-    phases = tool.calculate()
-    return phases if phases is not None and _drives_forward(start, phases) else None
+    phases = _tool().position_move(start, target, box, max(box.speed, rise * _ABOVE), longest)
+    return phases if _drives_forward(start, phases) else None
 
 
 def full_stop(start: State, box: Box) -> Phases:
     """Full braking to rest, wherever that is; starts with speed > 0, or at rest with no acceleration."""
-    tool = _tool()
-    tool.stop_move(start, box)
-    return tool.calculate() or ()
+    return _tool().stop_move(start, box)
 
 
-def _drives_forward(start: State, phases: Phases) -> bool:
-    v, a = start.v, start.a
+def _drives_forward(start: State, phases: Phases | None) -> bool:
+    if phases is None:
+        return False
+    _s, v, a = start
     for duration, jerk in phases:
         end_a = a + duration * jerk
         if a < 0.0 < end_a and v - 0.5 * a * a / jerk < -_STILL:
@@ -76,38 +81,38 @@ class _Tool:
         self.output: Any = ruckig.Trajectory(1)
         self.error: type[Exception] = ruckig.RuckigError
         self.position, self.velocity = ruckig.ControlInterface.Position, ruckig.ControlInterface.Velocity
-        self.interface: object = None
 
-    def position_move(self, start: State, target: State, box: Box) -> None:
-        """Set the inputs; they are copies inside ruckig, so lists are assigned, never changed."""
+    def position_move(self, start: State, target: State, box: Box, speed: float, longest: float) -> Phases | None:
+        """From state to state; inputs are copies inside ruckig, so lists are assigned, never changed."""
         given = self.input
-        self._interface(self.position)
         given.current_position, given.current_velocity, given.current_acceleration = [start.s], [start.v], [start.a]
         given.target_position, given.target_velocity, given.target_acceleration = [target.s], [target.v], [target.a]
-        given.max_velocity, given.max_jerk = [box.speed], [box.jerk]
+        given.max_velocity, given.max_jerk = [speed], [box.jerk]
         given.max_acceleration, given.min_acceleration = [box.acceleration], [-box.deceleration]
+        return self._calculated(longest)
 
-    def stop_move(self, start: State, box: Box) -> None:
-        """Set the inputs of a stop."""
-        self.position_move(start, State(start.s), box)
-        self._interface(self.velocity)
+    def stop_move(self, start: State, box: Box) -> Phases:
+        """To rest by the velocity interface, which ignores positions and the speed bound."""
+        self.input.control_interface = self.velocity
+        try:
+            return self.position_move(start, State(start.s), box, box.speed, math.inf) or ()
+        finally:
+            self.input.control_interface = self.position
 
-    def _interface(self, wanted: object) -> None:
-        if self.interface is not wanted:
-            self.input.control_interface = self.interface = wanted
-
-    def calculate(self) -> Phases | None:
+    def _calculated(self, longest: float) -> Phases | None:
         """The phases of the motion that the inputs ask for, brake phases first; None where ruckig finds none."""
         try:
             self.otg.calculate(self.input, self.output)
         except self.error:
             return None
+        if self.output.duration > longest:
+            return None
         profile = self.output.profiles[0][0]
-        phases = tuple((t, j) for t, j in zip(profile.t, profile.j, strict=True) if t > 0.0)
         brake = profile.brake
+        times, jerks = profile.t, profile.j
         if brake.duration > 0.0:
-            phases = tuple((t, j) for t, j in zip(brake.t, brake.j, strict=True) if t > 0.0) + phases
-        return phases
+            times, jerks = [*brake.t, *times], [*brake.j, *jerks]
+        return tuple([phase for phase in zip(times, jerks, strict=True) if phase[0] > 0.0])
 
 
 class _Local(threading.local):

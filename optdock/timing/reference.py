@@ -3,12 +3,13 @@
 With x = v^2 acceleration is x' / 2 and yaw acceleration k x' / 2 + k' x, both linear; jerk is x'' sqrt(x) / 2. Every
 such spline is a real motion, so a jerk-limited move between the states at any two of its knots exists.
 
-    minimize   sum h_m / sqrt(c_{m+1})
+    minimize   sum h_m / sqrt(c_{m+1})  (+ a price on jerk steps between cells)
     subject to x_i <= X_i,  -D <= a_i <= A,  |k a + k' x| <= yaw   at the knots,
                |k a + k' x| <= yaw,  |x''| vmax <= 2 J             in the cells.
 
 The jerk row |x''| - 2 J f c^(-1/2) <= 0, f = sqrt(c) / vmax, is linearized; its right side is convex in c, so the
-linear row is an inner approximation. Newton's normal matrix is pentadiagonal.
+linear row is an inner approximation. Newton's normal matrix is pentadiagonal; the price on jerk steps, which keeps
+the solution from chattering, adds one band.
 """
 
 from __future__ import annotations
@@ -18,7 +19,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from optdock.timing.spline import Rows, Spline, applied, coefficients_of, limit_rows, spline_of
+from optdock.timing.spline import Rows, Spline, applied, coefficients_of, limit_rows, ripple_bands, spline_of
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -60,19 +61,24 @@ class Reference(NamedTuple):
     iterations: int
 
 
-def solve_reference(grid: Grid, bounds: Bounds, guess: FloatArray, first: State, last: State) -> Reference:
+def solve_reference(
+    grid: Grid, bounds: Bounds, guess: FloatArray, ends: tuple[State, State], ripple: float
+) -> Reference:
     """The fastest spline between two states.
 
     Args:
         grid: Knots and limits, at least 4 cells.
         bounds: Drive limits and margins.
         guess: Initial v^2 at the knots, Shape (M + 1,) [m^2/s^2].
-        first: State at the first knot.
-        last: State at the last knot.
+        ends: States at the first and the last knot.
+        ripple: Price of a full swing of the jerk between neighbouring cells [s].
     """
+    first, last = ends
     spline = spline_of(grid.steps)
     rows = limit_rows(grid, bounds.course.limits, spline)
-    program = _Program(grid.steps, spline, rows, 2.0 * bounds.jerk)
+    # A swing from -J to J is a step of x'' by 4 J / v.
+    bands = ripple_bands(spline, np.sqrt(0.5 * ripple * guess[1:-1]) / (4.0 * bounds.jerk))
+    program = _Program(grid.steps, spline, rows, 2.0 * bounds.jerk, bands)
     with np.errstate(over="ignore", invalid="ignore", divide="ignore"):  # of slacks, where no spline keeps the limits
         c, iterations = _interior_point(program, coefficients_of(grid.steps, guess, first, last))
     x, a = np.append(0.0, applied(spline.right_value, c)), np.append(0.0, applied(spline.right_slope, c))
@@ -84,8 +90,9 @@ def solve_reference(grid: Grid, bounds: Bounds, guess: FloatArray, first: State,
 class _Program:
     """The program at the current iterate: constraint values, their stencils, Newton's normal equations."""
 
-    def __init__(self, steps: FloatArray, spline: Spline, rows: Rows, twice_jerk: float) -> None:
+    def __init__(self, steps: FloatArray, spline: Spline, rows: Rows, twice_jerk: float, ripple: FloatArray) -> None:
         self.steps, self.right_share, self.bound = steps, spline.right_share, rows.bound
+        self.ripple = ripple
         self.curve = spline.curve / twice_jerk
         self.linear = rows.stencil
         self.products = _products(rows.stencil)
@@ -93,11 +100,13 @@ class _Program:
         self.value = np.empty((rows.bound.shape[0] + 2, steps.size))
         self.root = np.ones(steps.size)
         self.share = np.ones(steps.size)
+        self.c = self.root
 
     def move_to(self, c: FloatArray, *, frozen: bool) -> None:
         """Evaluate everything at `c`; `frozen` keeps f as it is. Jerk rows are in units of 2 J / sqrt(c)."""
         if not frozen:
             self.share = self._jerk_shares(c)
+        self.c = c
         root = self.root = np.sqrt(c[1:-1])
         self.value[:-2] = applied(self.linear, c) - self.bound
         scaled = self.curve * root
@@ -109,7 +118,7 @@ class _Program:
         self.stencil[1, -2:] += 0.5 * self.share / (root * root)
 
     def _jerk_shares(self, c: FloatArray) -> FloatArray:
-        """F = sqrt(c) over the largest speed in each cell."""
+        """Factor f: sqrt(c) over the largest speed in each cell."""
         knot = c[:-1] + self.right_share * (c[1:] - c[:-1])
         largest = np.maximum(np.maximum(knot[:-1], knot[1:]), c[1:-1])
         shares: FloatArray = np.sqrt(c[1:-1] / largest)
@@ -127,16 +136,29 @@ class _Program:
         slope = np.einsum("rm,prm->pm", target, self.stencil)
         square = self.root * self.root
         cube = self.steps / (self.root * square)
-        band = np.zeros((3, self.steps.size - 2), order="F")
-        band[2] = normal[0, 2:] + normal[1, 1:-1] + normal[2, :-2] + (0.75 * cube / square)[1:-1]
-        band[1, 1:] = (normal[3, 2:] + normal[4, 1:-1])[:-1]
-        band[0, 2:] = normal[5, 2:-2]
+        band = np.zeros((4, self.steps.size - 2), order="F")
+        band[-1] = normal[0, 2:] + normal[1, 1:-1] + normal[2, :-2] + (0.75 * cube / square)[1:-1]
+        band[-2, 1:] = (normal[3, 2:] + normal[4, 1:-1])[:-1]
+        band[-3, 2:] = normal[5, 2:-2]
         force = (0.5 * cube)[1:-1] - (slope[0, 2:] + slope[1, 1:-1] + slope[2, :-2])
+        _ripple_into(band, force, self.ripple, self.c)
         _factor, solution, info = _banded_solver()(band, force)
         change = np.zeros(self.steps.size + 2)
         if info == 0:
             change[2:-2] = solution
         return change
+
+
+def _ripple_into(band: FloatArray, force: FloatArray, ripple: FloatArray, c: FloatArray) -> None:
+    """Add the Hessian 2 Q to the bands and take the gradient 2 Q c from the force."""
+    product = ripple[0] * c
+    for offset in range(1, 4):
+        coupled = ripple[offset, :-offset]
+        product[:-offset] += coupled * c[offset:]
+        product[offset:] += coupled * c[:-offset]
+    force -= 2.0 * product[2:-2]
+    for offset in range(4):
+        band[3 - offset, offset:] += 2.0 * ripple[offset, 2 : c.size - 2 - offset]
 
 
 def _interior_point(program: _Program, c: FloatArray) -> tuple[FloatArray, int]:

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from optdock.timing.grid import Grid
     from optdock.timing.motion import State
 
-__all__ = ["Rows", "Spline", "applied", "coefficients_of", "limit_rows", "spline_of"]
+__all__ = ["Rows", "Spline", "applied", "coefficients_of", "limit_rows", "ripple_bands", "spline_of"]
 
 
 class Spline(NamedTuple):
@@ -110,3 +110,22 @@ def limit_rows(grid: Grid, limits: MotionLimits, spline: Spline) -> Rows:
     stencil[:, 1:6, -1] = 0.0  # the last knot is given
     stencil[:, 0, [0, -1]], bound[0, [0, -1]] = 0.0, 1.0  # so are the second and the last but one coefficient
     return Rows(stencil, bound)
+
+
+def ripple_bands(spline: Spline, weight: FloatArray) -> FloatArray:
+    """Upper bands of the matrix Q with c' Q c = sum of (weight * step of x'' between neighbouring cells)^2.
+
+    Args:
+        spline: The maps.
+        weight: Per pair of neighbouring cells, Shape (M - 1,).
+
+    Returns:
+        Shape (4, M + 2): entry (d, i) is Q[i, i + d].
+    """
+    left, right, zero = spline.curve[:, :-1], spline.curve[:, 1:], np.zeros((1, weight.size))
+    row = weight * (np.concatenate((zero, right)) - np.concatenate((left, zero)))  # (4, M - 1) on c_m .. c_{m+3}
+    bands = np.zeros((4, weight.size + 3))
+    for offset in range(4):
+        for i in range(4 - offset):
+            bands[offset, i : i + weight.size] += row[i] * row[i + offset]
+    return bands

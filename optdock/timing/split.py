@@ -24,7 +24,7 @@ __all__ = ["Nodes", "Piece", "Split", "nodes_of", "split_into_moves"]
 _SAMPLE = 0.02  # [s]
 _GENTLE_BELOW = 1.5  # [s]: shorter pieces are tried with the reference's own jerk and acceleration first
 _LONGEST = (1.2, 0.05)  # a move may take this factor and this time [s] more than the reference
-_LONG = 12  # cells: longer pieces are cut in four at once
+_MIDDLE, _SHORT = 16, 6  # cells: longer pieces are cut in parts of at most 16 cells, or in four, at once
 
 
 class Nodes(NamedTuple):
@@ -130,9 +130,10 @@ def split_into_moves(nodes: Nodes, bounds: Bounds) -> Split:
 def _parts(nodes: Nodes, ends: tuple[int, int], tried: Piece | None) -> list[tuple[int, int]]:
     """A long piece in equal parts, a short one in two at the knot nearest to where it is worst."""
     i, j = ends
-    if j - i > _LONG or tried is None:
-        count = 4 if j - i > _LONG else 2
-        return list(itertools.pairwise(i + (j - i) * n // count for n in range(count + 1)))
+    cells = j - i
+    if cells > _SHORT or tried is None:
+        count = -(-cells // _MIDDLE) if cells > _MIDDLE else 4 if cells > _SHORT else 2
+        return list(itertools.pairwise(i + cells * n // count for n in range(count + 1)))
     s, worst = nodes.s, tried.worst
     middle = min(range(i + 1, j), key=lambda n: abs(s[n] - worst))
     return [(i, middle), (middle, j)]
@@ -161,11 +162,7 @@ def _gentle_move(nodes: Nodes, bounds: Bounds, i: int, j: int) -> Phases | None:
 
 
 def _short_enough(nodes: Nodes, i: int, j: int, box: Box) -> Phases | None:
-    phases = move(nodes.state(i), nodes.state(j), box)
-    if phases is None:
-        return None
-    longest = _LONGEST[0] * (nodes.time[j] - nodes.time[i]) + _LONGEST[1]
-    return phases if sum([duration for duration, _jerk in phases]) <= longest else None
+    return move(nodes.state(i), nodes.state(j), box, _LONGEST[0] * (nodes.time[j] - nodes.time[i]) + _LONGEST[1])
 
 
 def _try_pieces(nodes: Nodes, bounds: Bounds, active: list[tuple[int, int]]) -> dict[tuple[int, int], Piece | None]:

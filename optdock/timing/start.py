@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple, TypeAlias
 
 import numpy as np
 
@@ -43,9 +43,8 @@ class GearPlan(NamedTuple):
     reason: str = ""
 
 
-if TYPE_CHECKING:
-    GearPlanner = Callable[[Course, State], GearPlan]
-    """Plans one gear from a state whose full braking keeps the speed caps; status OK or FAIL."""
+GearPlanner: TypeAlias = "Callable[[Course, State], GearPlan]"
+"""Plans one gear from a state whose full braking keeps the speed caps; status OK or FAIL."""
 
 
 def checked_plan(course: Course, start: State, phases: Phases, how: str) -> GearPlan:
