@@ -1,0 +1,87 @@
+"""The scene that contracts are tried in: a robot, a dock 3 m ahead, a free map, and raw paths to it."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from optdock.costmap.costmap import Costmap
+from optdock.dock import Dock
+from optdock.geometry.footprint import Footprint
+from optdock.geometry.pose import Pose2
+from optdock.lifecycle import PluginContext
+from optdock.limits import MotionLimits
+from optdock.obstacles import ObstacleSet
+from optdock.path import Path
+from optdock.problem import DockingProblem
+from optdock.robot import Robot
+
+__all__ = [
+    "GOAL",
+    "ORIGIN",
+    "ROBOT",
+    "cusp_path",
+    "moved_path",
+    "raw_path",
+    "room",
+    "scene_context",
+    "scene_problem",
+]
+
+ORIGIN = Pose2(0.0, 0.0, 0.0)
+GOAL = Pose2(3.0, 0.4, 0.0)
+ROBOT = Robot(
+    Footprint.rectangle(front=0.4, rear=0.3, width=0.5),
+    MotionLimits(max_speed=0.5, max_yaw_rate=1.0, max_curvature=2.5, max_curvature_rate=10.0),
+)
+_DOCK = Footprint.rectangle(front=0.8, rear=-0.45, width=0.8)
+
+
+def scene_problem(start: Pose2 = ORIGIN, goal: Pose2 = GOAL, obstacles: ObstacleSet | None = None) -> DockingProblem:
+    """From `start` into a dock whose station begins 5 cm before the docked robot's nose."""
+    return DockingProblem(start, Dock(goal, _DOCK), ROBOT, obstacles or ObstacleSet.empty())
+
+
+def scene_context(problem: DockingProblem | None = None) -> PluginContext:
+    """Surroundings with everything in them: a problem, a footprint, and a free map of 8 m x 6 m around it."""
+    free = Costmap(np.zeros((120, 160), dtype=np.uint8), resolution=0.05, origin=(-2.0, -3.0))
+    found = problem or scene_problem()
+    return PluginContext(name="contract", costmap=free, footprint=found.robot.footprint, problem=found)
+
+
+def room() -> ObstacleSet:
+    """Walls around the robot at the origin: too narrow to turn, too short to drive a metre either way."""
+    near, far, ahead, behind = 0.3, 3.0, 0.7, -0.6
+    sides = [[(-far, y), (far, y), (far, 2.0 * y), (-far, 2.0 * y)] for y in (near, -near)]
+    ends = [[(x, -near), (2.0 * x, -near), (2.0 * x, near), (x, near)] for x in (ahead, behind)]
+    return ObstacleSet.from_polygons([np.array(polygon) for polygon in (*sides, *ends)])
+
+
+def raw_path(start: Pose2 = ORIGIN, goal: Pose2 = GOAL) -> Path:
+    """A rough polyline from `start` towards `goal` straight ahead of it: an S with 1 cm of zigzag, 5 cm steps."""
+    end = goal.in_frame_of(start)
+    x = np.linspace(0.0, end.x, 1 + round(abs(end.x) / 0.05))
+    share = x / end.x
+    y = end.y * share**2 * (3.0 - 2.0 * share)
+    y[2:-2] += 0.005 * (-1.0) ** np.arange(y.size - 4)
+    yaw = np.arctan2(np.gradient(y), np.gradient(x))
+    yaw[0], yaw[-1] = 0.0, end.yaw
+    return Path.from_poses([start @ Pose2(*row) for row in zip(x, y, yaw, strict=True)])
+
+
+def cusp_path() -> Path:
+    """A rough polyline that drives 1.5 m forward through a left arc and 1.5 m back through another."""
+    s = np.linspace(0.0, 1.5, 31)
+    there = np.column_stack((np.sin(0.4 * s) / 0.4, (1.0 - np.cos(0.4 * s)) / 0.4, 0.4 * s))
+    tip = Pose2.from_sequence(there[-1])
+    back = [tip @ Pose2(-x, y, -yaw) for x, y, yaw in there[1:]]
+    return Path.from_poses([*map(Pose2.from_sequence, there), *back])
+
+
+def moved_path(path: Path, motion: Pose2) -> Path:
+    """A path carried along by a rigid motion: the same polyline steps elsewhere.
+
+    Args:
+        path: Sampled every 5 cm where it is no polyline.
+        motion: Applied to every pose.
+    """
+    return Path.from_poses([motion @ Pose2.from_sequence(row) for row in path.sample(0.05).poses])

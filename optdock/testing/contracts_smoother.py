@@ -1,0 +1,156 @@
+"""The contract of smoothers."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from functools import partial
+from typing import TYPE_CHECKING, ClassVar
+
+import numpy as np
+
+from optdock.errors import InvalidValue, SmootherCancelled, SmootherException, SmootherTimedOut
+from optdock.geometry.pose import Pose2, normalize_angle
+from optdock.interfaces import Smoother, SmoothingResult
+from optdock.path import Path
+from optdock.testing.contracts_plugin import PluginContract
+from optdock.testing.contracts_polls import PollGaps, poll_gaps, require_cancellable
+from optdock.testing.contracts_rules import refused, require
+from optdock.testing.contracts_scene import GOAL, cusp_path, raw_path, scene_problem
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from optdock.problem import DockingProblem
+
+__all__ = ["SmootherContract"]
+
+_SAME = 1e-6  # [m], [rad]
+_AMPLE = 20.0  # [s]
+
+
+def _numbers(path: Path) -> tuple[tuple[float, ...], ...]:
+    return tuple(tuple(float(value) for value in row) for row in path.sample(0.1).poses)
+
+
+class SmootherContract(PluginContract[Smoother]):
+    """`optdock.interfaces.Smoother`: makes a path smoother, within its time, between the same two poses.
+
+    Attributes:
+        keeps_start_yaw: The result begins at the input's yaw; Nav2's geometric smoothers turn it along the travel.
+    """
+
+    interface: ClassVar[type[Smoother]] = Smoother
+    keeps_start_yaw: ClassVar[bool] = True
+
+    def tasks(self) -> tuple[tuple[Path, DockingProblem | None], ...]:
+        """Paths, and what must hold for them; None: whatever the configured surroundings say."""
+        return ((raw_path(), scene_problem()), (raw_path(), None), (cusp_path(), None))
+
+    def exercise(self, plugin: Smoother) -> object:
+        """The first task's path, as numbers; time plays no part."""
+        path, problem = self.tasks()[0]
+        result = plugin.smooth(path, _AMPLE, problem=problem)
+        return result.completed, _numbers(result.path)
+
+    def test_the_ends_stay(self) -> None:
+        """`smooth`: a smoother path between the same two poses."""
+        smoother = self.ready_plugin()
+        for path, problem in self.tasks():
+            self._require_same_ends(smoother.smooth(path, _AMPLE, problem=problem).path, path)
+
+    def test_the_result_says_what_it_is(self) -> None:
+        """`SmoothingResult`: a usable path, whether it was completed, and a report for people and logs."""
+        smoother = self.ready_plugin()
+        for path, problem in self.tasks():
+            result = smoother.smooth(path, _AMPLE, problem=problem)
+            require(isinstance(result, SmoothingResult), f"a SmoothingResult, got {type(result).__name__}")
+            require(isinstance(result.path, Path) and result.path.length > 0.0, "its path is a Path with a length")
+            require(isinstance(result.completed, bool), f"completed is a bool, got {result.completed!r}")
+            named = isinstance(result.report, Mapping) and all(isinstance(key, str) for key in result.report)
+            require(named, f"the report has names, got {result.report!r}")
+
+    def test_the_input_is_not_touched(self) -> None:
+        """`smooth`: the result is returned; unlike Nav2's, the input stays what it was."""
+        smoother = self.ready_plugin()
+        for path, problem in self.tasks():
+            segments, before = path.segments, _numbers(path)
+            smoother.smooth(path, _AMPLE, problem=problem)
+            require(path.segments is segments and _numbers(path) == before, "the input path is left as it was")
+
+    def test_gears_stay_in_order(self) -> None:
+        """`smooth`: a smoother path, not another manoeuvre: the gears and their order stay."""
+        smoother = self.ready_plugin()
+        for path, problem in self.tasks():
+            wanted = [segment.direction for segment in path.segments]
+            found = [segment.direction for segment in smoother.smooth(path, _AMPLE, problem=problem).path.segments]
+            require(found == wanted, f"the gears stay {wanted}, got {found}")
+
+    def test_a_path_too_short_is_refused_or_returned(self) -> None:
+        """`smooth`: InvalidPath where the path is too short to smooth; a result, or another named refusal, is fine."""
+        smoother = self.ready_plugin()
+        ahead = [Pose2(length, 0.0, 0.0) for length in (1e-6, 1e-3, 0.3)]
+        for end in (*ahead, Pose2(0.0, 0.0, 0.5)):
+            path = Path.from_poses([Pose2(0.0, 0.0, 0.0), end])
+            try:
+                result = smoother.smooth(path, _AMPLE)
+            except SmootherException as error:
+                require(str(error), f"a refusal says why, to {end}")
+            else:
+                self._require_same_ends(result.path, path)
+
+    def test_no_time_is_time_out_or_a_usable_path(self) -> None:
+        """`smooth`: SmootherTimedOut when the limit came before any usable result."""
+        smoother = self.ready_plugin()
+        for path, problem in self.tasks():
+            for max_time in (1e-9, 1e-4):
+                try:
+                    result = smoother.smooth(path, max_time, problem=problem)
+                except SmootherTimedOut as error:  # noqa: PERF203 - every limit is tried
+                    require(str(error), "a time-out says so")
+                else:
+                    self._require_same_ends(result.path, path)
+
+    def test_a_time_limit_is_a_finite_number_that_is_not_negative(self) -> None:
+        """`max_time`: wall-clock seconds for the whole call; NaN, infinity and negative values are no seconds."""
+        smoother = self.ready_plugin()
+        path, problem = self.tasks()[0]
+        for bad in (math.nan, math.inf, -math.inf, -1.0):
+            rule = f"max_time {bad} is refused"
+            refused(partial(smoother.smooth, path, bad, problem=problem), InvalidValue, rule)
+
+    def test_it_stops_when_cancelled_and_smooths_again(self) -> None:
+        """`smooth`: polls `cancel_checker`; SmootherCancelled when it returned True."""
+        smoother = self.ready_plugin()
+        path, problem = self.tasks()[0]
+        before = self.exercise(smoother)
+        require_cancellable(
+            lambda cancelled: smoother.smooth(path, _AMPLE, problem=problem, cancel_checker=cancelled),
+            SmootherCancelled,
+        )
+        require(self.exercise(smoother) == before, "after a cancellation it smooths as before")
+
+    def test_an_earlier_result_helps_or_is_ignored(self) -> None:
+        """`warm_start`: an earlier result for a problem much like this one; one for another must do no harm."""
+        smoother = self.ready_plugin()
+        path, problem = self.tasks()[0]
+        earlier = smoother.smooth(path, _AMPLE, problem=problem).path
+        for warm in (earlier, cusp_path(), raw_path(goal=GOAL @ Pose2(-1.0, -0.3, 0.0))):
+            self._require_same_ends(smoother.smooth(path, _AMPLE, problem=problem, warm_start=warm).path, path)
+
+    def measured_poll_gaps(self) -> PollGaps:
+        """How often a smoothing polls: a measurement, not a test; the interface asks for 5 ms."""
+        smoother = self.ready_plugin()
+        path, problem = self.tasks()[0]
+
+        def run(cancelled: Callable[[], bool]) -> object:
+            return smoother.smooth(path, _AMPLE, problem=problem, cancel_checker=cancelled)
+
+        run(lambda: False)
+        return poll_gaps(run)
+
+    def _require_same_ends(self, found: Path, wanted: Path) -> None:
+        for what, mine, theirs in (("start", found.start, wanted.start), ("end", found.end, wanted.end)):
+            apart, turn = mine.distance_to(theirs), abs(normalize_angle(mine.yaw - theirs.yaw))
+            turned = turn > _SAME and (what == "end" or self.keeps_start_yaw)
+            require(np.isfinite(apart) and apart <= _SAME and not turned, f"the {what} stays {theirs}, got {mine}")

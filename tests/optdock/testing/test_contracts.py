@@ -1,0 +1,152 @@
+"""Every installed plugin, found through its entry point, keeps the contract of its kind.
+
+A sample below says what the suite cannot know: what to feed a layer with, what to command a behavior.
+"""
+
+import re
+import subprocess
+import sys
+import textwrap
+
+import numpy as np
+import pytest
+
+from optdock.costmap.occupancy import OccupancyGrid
+from optdock.errors import InvalidValue
+from optdock.obstacles import ObstacleSet
+from optdock.plugins import INTERFACES, available_plugins
+from optdock.testing.contracts import CONTRACTS, installed_suites
+from optdock.testing.contracts_scene import GOAL, scene_context, scene_problem
+
+
+def dock_blocked_from_staging(suite):
+    wall = np.array([[2.4, -1.0], [2.6, -1.0], [2.6, 2.0], [2.4, 2.0]])
+    return scene_context(scene_problem(obstacles=ObstacleSet.from_polygons([wall])))
+
+
+def feed_map(suite, layer):
+    occupancy = np.where(np.random.default_rng(2).random((50, 70)) < 0.1, 100, 0)
+    layer.set_map(OccupancyGrid(occupancy, 0.05, (-1.5, -1.2)))
+
+
+def feed_points(suite, layer):
+    layer.add_points([[1.0, 0.2], [0.8, -0.5], [-0.9, 0.9]], (0.0, 0.0))
+
+
+DRIVE = {"target": 1.0, "speed": 0.3}
+SPIN = {"target_yaw": 1.5}
+SAMPLES = {
+    "planners.DockPlanner": {"needs_context": True, "unitless": {"step", "alpha", "beta", "gamma"}},
+    # As in Nav2, the yaws follow the smoothed points; only the last one is kept.
+    "smoothers.SimpleSmoother": {"keeps_start_yaw": False, "unitless": {"w_data", "w_smooth"}},
+    "smoothers.SavitzkyGolaySmoother": {"keeps_start_yaw": False},
+    "timing.Windowed": {"unitless": {"cap_ratio", "yaw_share"}},
+    "controllers.TrackingController": {"plugin_parameters": {"period": 0.05}, "unitless": {"damping"}},
+    # Steps from rest to speed as Nav2's does, and stops within the 0.25 m of Nav2's default goal checker.
+    "controllers.GracefulController": {
+        "limits_acceleration": False,
+        "arrival_tolerance": 0.25,
+        "unitless": {"k_phi", "k_delta", "beta", "lambda", "rotation_scaling_factor"},
+    },
+    "behaviors.DriveOnHeading": {
+        "needs_context": True,
+        "command": DRIVE,
+        "timed_command": {**DRIVE, "time_allowance": 3.0},
+        "bad_commands": ({}, {**DRIVE, "speed": -0.3}, {**DRIVE, "target": 0.0}, {**DRIVE, "target": "far"}),
+        "invalid_code": 724,
+        "timeout_code": 721,
+        "blocked_code": 723,
+    },
+    "behaviors.BackUp": {
+        "needs_context": True,
+        "command": DRIVE,
+        "timed_command": {**DRIVE, "time_allowance": 3.0},
+        "bad_commands": ({}, {**DRIVE, "speed": 0.0}, {**DRIVE, "target": 0.0}),
+        "invalid_code": 713,
+        "timeout_code": 711,
+        "blocked_code": 714,
+    },
+    "behaviors.Spin": {
+        "needs_context": True,
+        "command": SPIN,
+        "timed_command": {**SPIN, "time_allowance": 3.0},
+        "bad_commands": ({}, {"target_yaw": "left"}),
+        "invalid_code": 700,
+        "timeout_code": 701,
+        "blocked_code": 703,
+    },
+    "behaviors.Wait": {"command": {"time": 2.0}, "bad_commands": ({}, {"time": -1.0}), "invalid_code": 740},
+    "behaviors.Undock": {
+        "needs_context": True,
+        "plugin_parameters": {"cycle_frequency": 10.0},
+        "start": lambda suite: GOAL,
+        "command": {"time_allowance": 60.0},
+        "timed_command": {"time_allowance": 3.0},
+        "bad_commands": ({"path": 3}, {"time_allowance": -1.0}),
+        "invalid_code": 999,
+        "timeout_code": 907,
+        "blocked_code": 903,
+        "make_blocked_context": dock_blocked_from_staging,
+    },
+    "layers.StaticLayer": {"feed": feed_map},
+    "layers.ObstacleLayer": {"feed": feed_points},
+    "layers.InflationLayer": {"needs_context": True},
+}
+globals().update(installed_suites(SAMPLES))
+
+
+def test_every_installed_plugin_has_a_suite_and_every_kind_a_contract():
+    assert set(CONTRACTS) == set(INTERFACES)
+    for kind, contract in CONTRACTS.items():
+        assert contract.interface is INTERFACES[kind]
+    collected = [globals()[name] for name in installed_suites(SAMPLES)]
+    assert len(collected) == len(available_plugins()) >= 23
+    for suite, info in zip(collected, available_plugins(), strict=True):
+        assert issubclass(suite, CONTRACTS[info.kind])
+        assert suite.__doc__ == f"{info.kind}: {info.target}."
+
+
+def test_every_sample_belongs_to_a_plugin_and_says_what_its_suite_knows():
+    assert set(SAMPLES) <= {f"{info.kind}.{info.name}" for info in available_plugins()}
+    with pytest.raises(InvalidValue, match=re.escape("GlobalPlannerContract has no need_context; did you mean needs_")):
+        installed_suites({"planners.DockPlanner": {"need_context": True}})
+
+
+FOREIGN = """
+from optdock.interfaces import GoalChecker, Tolerances
+
+class Always(GoalChecker):
+    tolerances = Tolerances()
+    def is_goal_reached(self, query_pose, goal_pose, velocity, path):
+        return True
+
+class Near(GoalChecker):
+    tolerances = Tolerances(x=0.1, y=0.1)
+    def is_goal_reached(self, query_pose, goal_pose, velocity, path):
+        return query_pose.distance_to(goal_pose) < 0.1
+"""
+JUDGE = """
+import sys
+sys.path.insert(0, sys.argv[1])
+from optdock.testing.contracts import failures, installed_suites
+suites = installed_suites()
+print("pytest" in sys.modules)
+print(failures(suites["TestGoalCheckersNear"]))
+print(sorted(failures(suites["TestGoalCheckersAlways"])))
+"""
+
+
+def test_a_plugin_of_another_distribution_is_judged_by_the_same_suite_without_pytest(tmp_path):
+    (tmp_path / "foreign.py").write_text(FOREIGN)
+    info = tmp_path / "foreign-1.0.dist-info"
+    info.mkdir()
+    (info / "METADATA").write_text("Metadata-Version: 2.1\nName: foreign\nVersion: 1.0\n")
+    (info / "entry_points.txt").write_text("[optdock.goal_checkers]\nAlways = foreign:Always\nNear = foreign:Near\n")
+    command = [sys.executable, "-c", textwrap.dedent(JUDGE), str(tmp_path)]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.splitlines() == [
+        "False",
+        "{}",
+        "['test_a_robot_far_away_has_not', 'test_reset_forgets_every_latch']",
+    ]
