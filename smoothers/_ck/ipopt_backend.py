@@ -13,7 +13,7 @@ import casadi
 import numpy as np
 
 from smoothers._ck.closing import clipped, close_goal
-from smoothers._ck.planes import clearance
+from smoothers._ck.planes import Pairs, clearance, clearance_of
 from smoothers._ck.rollout import Variables, roll_out
 from smoothers._ck.scp import evaluate
 from smoothers._ck.symbolic import cost_expression, model_for
@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 
 __all__ = ["solve_reference"]
 
-_ROUNDS = 5  # the set of near pairs and the dips between nodes are renewed after each
+_ROUNDS = 8  # the set of near pairs and the dips between nodes are renewed after each
 _REACH = 0.12  # [m]
 _SETTLED = 1e-4
 _BUFFER = 2e-5  # [m]
@@ -58,9 +58,12 @@ def solve_reference(task: Task, max_time: float) -> tuple[Iterate, bool]:
     rollout = roll_out(layout, variables, ends.start, ends.signs)
     variables, rollout = close_goal(layout, variables, ends, task.bounds, rollout)
     current = evaluate(task, variables, rollout, _REACH)
-    settled = False
+    settled, watched = False, np.zeros((0, 3), dtype=np.int64)
     for _ in range(_ROUNDS):
-        found = clearance(task.world, layout, current.rollout, ends.signs, _REACH + task.world.rule.required)
+        near = clearance(task.world, layout, current.rollout, ends.signs, _REACH + task.world.rule.required)
+        # What was near once stays watched, or two rounds could take turns in overlooking each other's obstacles.
+        watched = np.unique(np.concatenate((watched, np.column_stack(near.pairs))), axis=0)
+        found = clearance_of(task.world, layout, current.rollout, ends.signs, Pairs(*watched.T))
         solved, success = _round(task, current, found, max_time)
         settled = success and solved.feasible and abs(solved.cost - current.cost) < _SETTLED * current.cost
         current = solved

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from smoothers._ck.rollout import Rollout
     from smoothers._ck.world import Requirement, World
 
-__all__ = ["Clearance", "Pairs", "clearance", "swept_pairs"]
+__all__ = ["Clearance", "Pairs", "clearance", "clearance_of", "swept_pairs"]
 
 _MANY = 150  # pairs: below, none is dropped
 _SURELY_KEPT = 0.01  # [m] beyond the required clearance
@@ -80,9 +80,20 @@ def clearance(world: World, layout: Layout, rollout: Rollout, signs: FloatArray,
         signs: Gear of every gear segment, Shape (num_gears,).
         reach: Pairs further apart than this are left out [m].
     """
-    required = world.required(rollout.poses[:, :2])
     corners = corners_at(world, rollout.poses)
     pairs = swept_pairs(world, layout, rollout, corners, reach)
+    return _margins(world, layout, rollout, signs, pairs, corners)
+
+
+def clearance_of(world: World, layout: Layout, rollout: Rollout, signs: FloatArray, pairs: Pairs) -> Clearance:
+    """The proven margins of given pairs."""
+    return _margins(world, layout, rollout, signs, pairs, corners_at(world, rollout.poses))
+
+
+def _margins(
+    world: World, layout: Layout, rollout: Rollout, signs: FloatArray, pairs: Pairs, corners: Points
+) -> Clearance:
+    required = world.required(rollout.poses[:, :2])
     left = layout.left[pairs.interval]
     motion = _Motion(left, left + 1, pairs.interval)
     hull = _swept_hulls(corners, pairs.part, left, layout.num_nodes)

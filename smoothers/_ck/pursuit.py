@@ -32,9 +32,9 @@ class _Limits(NamedTuple):
 
 
 class _Drive(NamedTuple):
-    """A driven gear: curvature at equally spaced points, its length, and where it ends."""
+    """A driven gear: yaw at equally spaced points, its length, and where it ends."""
 
-    curvature: list[float]
+    yaw: list[float]
     length: float
     pose: tuple[float, float, float]
 
@@ -49,7 +49,7 @@ def pursued_variables(layout: Layout, positions: FloatArray, ends: Ends, bounds:
         bounds: Of curvature and rate.
     """
     limit = float(bounds.upper[: layout.num_knots].max())
-    curvature, lengths = np.empty(layout.num_knots), np.empty(layout.num_gears)
+    headings, lengths = np.empty(layout.num_intervals), np.empty(layout.num_gears)
     pose = (float(ends.start[0]), float(ends.start[1]), float(ends.start[2]))
     for m in range(layout.num_gears):
         points = positions[layout.node_gear == m]
@@ -58,11 +58,13 @@ def pursued_variables(layout: Layout, positions: FloatArray, ends: Ends, bounds:
         limits = _Limits(limit, bounds.rate, step, max(1.0 / limit, 4.0 * step))
         aim = ends.target[2] if m == layout.num_gears - 1 else None
         drive = _pursue(pose, float(ends.signs[m]), _extended(points, ends.signs[m], aim, limits), limits)
-        knots = slice(int(layout.first_knots[m]), int(layout.last_knots[m]) + 1)
-        share = np.linspace(0.0, len(drive.curvature) - 1.0, layout.last_knots[m] - layout.first_knots[m] + 1)
-        curvature[knots] = np.interp(share, np.arange(len(drive.curvature)), drive.curvature)
+        mine = layout.interval_gear == m
+        middle = (np.arange(mine.sum()) + 0.5) / mine.sum()
+        headings[mine] = np.interp(middle * (len(drive.yaw) - 1.0), np.arange(len(drive.yaw)), drive.yaw)
         lengths[m], pose = drive.length, drive.pose
-    return Variables(curvature, lengths)
+    # Curvatures at the few knots that reproduce the headings, not samples of the curvature: those would drift away.
+    turned = layout.fit @ (headings - ends.start[2])
+    return Variables(turned / layout.per_knot(lengths), lengths)
 
 
 def _extended(points: FloatArray, sign: float, yaw: float | None, limits: _Limits) -> list[tuple[float, float]]:
@@ -84,7 +86,7 @@ def _pursue(pose: tuple[float, float, float], sign: float, line: list[tuple[floa
     tail = math.ceil(2.0 * limits.lookahead / limits.step)
     end, ahead = max(1, len(line) - tail), math.ceil(limits.lookahead / limits.step)
     most = int(_LONGEST * len(line) + 2.0 * math.pi / (limits.curvature * limits.step))
-    nearest, kappa, driven = 0, 0.0, [0.0]
+    nearest, kappa, driven = 0, 0.0, [yaw]
     for count in range(most):
         nearest = _advanced(line, nearest, x, y)
         if nearest >= end and count > 3:
@@ -94,8 +96,7 @@ def _pursue(pose: tuple[float, float, float], sign: float, line: list[tuple[floa
         middle = yaw + 0.5 * kappa * limits.step
         x, y = x + sign * limits.step * math.cos(middle), y + sign * limits.step * math.sin(middle)
         yaw += kappa * limits.step
-        driven.append(kappa)
-    driven[0] = driven[min(1, len(driven) - 1)]
+        driven.append(yaw)
     return _Drive(driven, max(1, len(driven) - 1) * limits.step, (x, y, yaw))
 
 
