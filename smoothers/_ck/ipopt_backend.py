@@ -85,7 +85,16 @@ def _round(task: Task, current: Iterate, found: Clearance, max_time: float) -> t
     options: dict[str, _Option] = {
         "print_time": False,
         "error_on_fail": False,
-        "ipopt": {"print_level": 0, "sb": "yes", "tol": 1e-7, "max_iter": 400, "max_wall_time": max_time},
+        "ipopt": {
+            "print_level": 0,
+            "sb": "yes",
+            "tol": 1e-7,
+            "max_iter": 400,
+            "max_wall_time": max_time,
+            "mu_init": 1e-3,
+            "bound_push": 1e-4,
+            "bound_frac": 1e-4,
+        },
     }
     solver = casadi.nlpsol("reference", "ipopt", {"x": z, "p": fixed, "f": cost, "g": value}, options)
     guess = np.concatenate((*current.variables, np.arctan2(found.axis.y[0], found.axis.x[0]), found.top))
