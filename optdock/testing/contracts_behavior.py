@@ -74,7 +74,11 @@ class BehaviorContract(PluginContract[Behavior]):
         return scene_context(scene_problem(goal=Pose2(50.0, 0.0, 0.0), obstacles=room()))
 
     def exercise(self, plugin: Behavior) -> object:
-        """How it begins, and its first command."""
+        """How it begins, and its first command.
+
+        Raises:
+            BehaviorException: It does not begin.
+        """
         begun = plugin.on_run(self.command)
         if begun.status is not BehaviorStatus.SUCCEEDED:
             raise BehaviorException(begun.error_msg)

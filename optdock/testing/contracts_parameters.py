@@ -12,7 +12,7 @@ if TYPE_CHECKING:
     from optdock.lifecycle import Plugin
     from optdock.parameters import PluginParameters
 
-__all__ = ["accepted_changes", "float_names", "known_names"]
+__all__ = ["accepted_changes", "accepts", "float_names", "known_names"]
 
 
 def known_names(parameters: PluginParameters) -> tuple[str, ...]:
@@ -25,17 +25,23 @@ def float_names(parameters: PluginParameters) -> tuple[str, ...]:
     return tuple(name for name, value in parameters.model_dump(by_alias=True).items() if isinstance(value, float))
 
 
+def accepts(plugin: Plugin, name: str, value: object) -> bool:
+    """Whether the plugin takes this value; it has it then."""
+    try:
+        plugin.set_parameters(**{name: value})
+    except InvalidValue:
+        return False
+    return True
+
+
 def accepted_changes(make_plugin: Callable[[], Plugin]) -> dict[str, object]:
     """For every number and switch that can be changed alone, a value other than the present one that is accepted."""
     found: dict[str, object] = {}
     for name, value in make_plugin().parameters.model_dump(by_alias=True).items():
         for candidate in _others(value):
-            try:
-                make_plugin().set_parameters(**{name: candidate})
-            except InvalidValue:
-                continue
-            found[name] = candidate
-            break
+            if accepts(make_plugin(), name, candidate):
+                found[name] = candidate
+                break
     return found
 
 

@@ -1,0 +1,46 @@
+"""How a gate is seen failing."""
+
+import pytest
+
+from optdock.testing.contracts import ContractBroken, PluginContract, failures
+
+COMMON = {name for name in dir(PluginContract) if name.startswith("test_")}
+
+
+def suite_of(contract, plugin, **attributes):
+    """The suite of a plugin class; attributes replace those of the contract."""
+    return type("Suite", (contract,), {"make_plugin": lambda suite: plugin(), **attributes})
+
+
+def require_every_gate(contract, good, broken, *, errors=(), **attributes):
+    """`good` passes, and each test of the contract's own fails for the plugin that `broken` holds for it.
+
+    Args:
+        contract: The contract.
+        good: A plugin class that keeps it.
+        broken: A plugin class, or a dict of suite attributes, by the name of the test that must catch it.
+        errors: Exceptions other than ContractBroken with which a test may fail.
+        attributes: Of the suite.
+    """
+    own = {name for name in dir(contract) if name.startswith("test_")}
+    own -= COMMON if contract is not PluginContract else set()
+    assert failures(suite_of(contract, good, **attributes)) == {}
+    for name, plugin in broken.items():
+        suite = suite_of(contract, good if isinstance(plugin, dict) else plugin, **attributes)
+        if isinstance(plugin, dict):
+            suite = type("Suite", (suite,), plugin)
+        assert caught(getattr(suite(), name), errors), f"{name} does not catch {plugin}"
+    assert set(broken) == own, "every gate is seen failing"
+
+
+def caught(gate, errors):
+    try:
+        gate()
+    except (ContractBroken, *errors):
+        return True
+    return False
+
+
+@pytest.fixture
+def every_gate():
+    return require_every_gate

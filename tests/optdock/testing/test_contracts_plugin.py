@@ -1,0 +1,245 @@
+"""The common contract and the goal checkers' contract catch every plugin that breaks a sentence of theirs."""
+
+import itertools
+import math
+
+import pytest
+from pydantic import ConfigDict, Field
+
+from optdock.errors import InvalidValue
+from optdock.interfaces import GoalChecker, LifecycleState, Tolerances
+from optdock.parameters import PluginParameters
+from optdock.plugins import INTERFACES
+from optdock.testing.contracts import GoalCheckerContract, PluginContract
+from optdock.testing.contracts_polls import PollCounter, poll_gaps, require_cancellable
+from optdock.testing.contracts_rules import ContractBroken, refused, require
+
+
+class NearParameters(PluginParameters):
+    tolerance: float = Field(0.3, gt=0.0, description="accepted distance [m]")
+    yaw_tolerance: float = Field(0.4, gt=0.0, description="accepted heading error [rad]")
+    longest: float = Field(1.0, gt=0.0, description="longest remaining path [m]")
+    stateful: bool = Field(default=True, description="once reached stays reached")
+
+
+class Near(GoalChecker):
+    Parameters = NearParameters
+    parameters: NearParameters
+
+    def __init__(self, **parameters):
+        super().__init__(**parameters)
+        self._reached = False
+
+    def is_goal_reached(self, query_pose, goal_pose, velocity, path):
+        p = self.parameters
+        if self._reached and p.stateful:
+            return True
+        length = sum(a.distance_to(b) for a, b in itertools.pairwise(path))
+        turned = abs(math.remainder(query_pose.yaw - goal_pose.yaw, 2.0 * math.pi))
+        near = query_pose.distance_to(goal_pose) < p.tolerance and turned < p.yaw_tolerance
+        self._reached = near and length <= p.longest
+        return self._reached
+
+    @property
+    def tolerances(self):
+        p = self.parameters
+        return Tolerances(x=p.tolerance, y=p.tolerance, yaw=p.yaw_tolerance, path_length=p.longest)
+
+    def reset(self):
+        self._reached = False
+
+
+def checker(judge, **more):
+    return type("Broken", (Near,), {"is_goal_reached": judge, **more})
+
+
+def nan_axis(self, query_pose, goal_pose, velocity, path):
+    if len(path) > 2 and path[-1].distance_to(path[-2]) < 1e-6:
+        return float(path[-1].yaw * math.nan) > 0.0
+    return Near.is_goal_reached(self, query_pose, goal_pose, velocity, path)
+
+
+def emptying(self, query_pose, goal_pose, velocity, path):
+    reached = Near.is_goal_reached(self, query_pose, goal_pose, velocity, path)
+    if isinstance(path, list):
+        path.clear()
+    return reached
+
+
+def in_world_axes(self, query_pose, goal_pose, velocity, path):
+    return bool(abs(query_pose.x - goal_pose.x) < 0.3 and abs(query_pose.y - goal_pose.y) < 0.01)
+
+
+def test_every_gate_of_goal_checkers_can_fail(every_gate):
+    broken = {
+        "test_a_robot_at_rest_at_the_goal_has_arrived": checker(lambda *_: False),
+        "test_a_robot_far_away_has_not": checker(lambda *_: True),
+        "test_repeated_and_single_poses_are_judged": checker(nan_axis),
+        "test_a_long_remaining_path_is_not_the_end": checker(lambda self, q, g, v, p: q.distance_to(g) < 0.3),
+        "test_a_measured_heading_is_measured": checker(lambda self, q, g, v, p: q.distance_to(g) < 0.3),
+        "test_tolerances_are_numbers_or_none": type("Broken", (Near,), {"tolerances": Tolerances(x=math.nan, y=0.1)}),
+        "test_verdicts_are_booleans_and_inputs_stay": checker(emptying),
+        "test_reset_forgets_every_latch": type("Broken", (Near,), {"reset": lambda self: None}),
+        "test_arrival_does_not_depend_on_where_the_world_begins": checker(in_world_axes),
+    }
+    every_gate(GoalCheckerContract, Near, broken)
+
+
+class Lax(PluginParameters):
+    model_config = ConfigDict(extra="ignore")
+    tolerance: float = Field(0.3, gt=0.0, description="[m]")
+
+
+class Endless(PluginParameters):
+    model_config = ConfigDict(allow_inf_nan=True)
+    tolerance: float = Field(0.3, description="[m]")
+
+
+class Unitless(PluginParameters):
+    tolerance: float = Field(0.3, gt=0.0, description="accepted distance")
+
+
+class Short:
+    """A checker of one distance, for other parameters."""
+
+    def is_goal_reached(self, query_pose, goal_pose, velocity, path):
+        return query_pose.distance_to(goal_pose) < self.parameters.tolerance
+
+    tolerances = Tolerances()
+
+
+def with_parameters(model):
+    return type("Broken", (Short, GoalChecker), {"Parameters": model})
+
+
+class Forgetful(Near):
+    def set_parameters(self, **changes):
+        super().set_parameters(**changes)
+        self.parameters = NearParameters(**changes)
+
+
+class OneByOne(Near):
+    def set_parameters(self, **changes):
+        for name, value in changes.items():
+            super().set_parameters(**{name: value})
+
+
+class Clinging(Near):
+    def cleanup(self):
+        kept = self.context
+        super().cleanup()
+        self.context = kept
+
+
+class Permissive(Near):
+    def configure(self, context):
+        self._state = LifecycleState.UNCONFIGURED
+        super().configure(context)
+
+
+class OnceConfigured(Near):
+    seen = False
+
+    def on_cleanup(self):
+        self.seen = True
+
+    def is_goal_reached(self, query_pose, goal_pose, velocity, path):
+        return self.seen or super().is_goal_reached(query_pose, goal_pose, velocity, path)
+
+
+class Counting(Near):
+    calls = 0
+
+    def is_goal_reached(self, query_pose, goal_pose, velocity, path):
+        self.calls += 1
+        return self.calls > 60
+
+
+class Shared(Near):
+    latch = []  # noqa: RUF012 - shared by all instances: the defect
+
+    def is_goal_reached(self, query_pose, goal_pose, velocity, path):
+        found = super().is_goal_reached(query_pose, goal_pose, velocity, path)
+        return found or len(self.latch) > 2
+
+    def set_parameters(self, **changes):
+        super().set_parameters(**changes)
+        self.latch.append(changes)
+
+
+def test_every_gate_of_all_plugins_can_fail(every_gate):
+    one = Near()
+    broken = {
+        "test_it_is_built_in_one_call": {"make_plugin": lambda suite: one},
+        "test_an_unknown_parameter_is_refused_with_the_nearest_name": with_parameters(Lax),
+        "test_a_number_must_be_finite": with_parameters(Endless),
+        "test_every_parameter_is_described_with_its_unit": with_parameters(Unitless),
+        "test_parameters_change_one_by_one": Forgetful,
+        "test_a_refused_change_changes_nothing": OneByOne,
+        "test_it_walks_through_its_whole_life": Clinging,
+        "test_every_transition_is_allowed_or_refused": Permissive,
+        "test_it_works_at_every_stage": OnceConfigured,
+        "test_it_does_the_same_again": Counting,
+        "test_instances_share_nothing": Shared,
+    }
+    attributes = {"interface": GoalChecker, "exercise": GoalCheckerContract.exercise}
+    every_gate(PluginContract, Near, broken, queries=GoalCheckerContract.queries, **attributes)
+
+
+def test_a_plugin_of_another_kind_or_without_its_context_is_caught():
+    class Misplaced(GoalCheckerContract):
+        interface = INTERFACES["smoothers"]
+
+        def make_plugin(self):
+            return Near()
+
+    with pytest.raises(ContractBroken, match="it is a Smoother"):
+        Misplaced().test_it_is_built_in_one_call()
+    Misplaced.needs_context = True
+    with pytest.raises(ContractBroken, match="not configured, it says so"):
+        Misplaced().test_it_works_at_every_stage()
+
+
+def test_rules_hold_break_and_chain():
+    require([1], "not empty")
+    with pytest.raises(ContractBroken, match="the rule"):
+        require(0.0, "the rule")
+    assert isinstance(refused(lambda: Near(tolerance=0), InvalidValue, "zero"), InvalidValue)
+    with pytest.raises(ContractBroken, match="zero: wanted KeyError, got InvalidValue") as error:
+        refused(lambda: Near(tolerance=0), KeyError, "zero")
+    assert isinstance(error.value.__cause__, InvalidValue)
+    with pytest.raises(ContractBroken, match="wanted KeyError, got the result 3"):
+        refused(lambda: 3, KeyError, "three")
+
+
+def test_polls_and_the_gaps_between_them_are_counted():
+    now = iter([0.0, 1.0, 5.0, 6.0])
+    counter = PollCounter(cancel_at=2, clock=lambda: next(now))
+    assert [counter(), counter(), counter()] == [False, True, True]
+    assert (counter.polls, counter.longest) == (3, 4.0)
+
+    def work(cancelled):
+        for _ in range(150):
+            if cancelled():
+                raise KeyError
+
+    gaps = poll_gaps(work)
+    assert gaps.polls == 150
+    assert 0.0 < gaps.longest <= gaps.total
+    require_cancellable(work, KeyError)
+
+
+def deaf(cancelled):
+    for _ in range(150):
+        cancelled()
+
+
+def late(cancelled):
+    if sum(cancelled() for _ in range(150)):
+        raise KeyError
+
+
+def test_a_deaf_a_late_and_a_silent_worker_are_caught():
+    for wrong, rule in ((deaf, "a True at poll 1"), (late, "nothing more is asked"), (lambda _: None, "at least once")):
+        with pytest.raises(ContractBroken, match=rule):
+            require_cancellable(wrong, KeyError)
