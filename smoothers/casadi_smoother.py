@@ -29,6 +29,7 @@ from smoothers._ck.refusals import refuse_approach, refuse_certificate, refuse_s
 from smoothers._ck.spline import exact_path
 from smoothers._ck.steps import prepare_programs
 from smoothers._ck.surroundings import problem_between_ends
+from smoothers._ck.task import reference_scales
 from smoothers._ck.terms import Weights
 from smoothers._ck.warm import remaining
 from smoothers._ck.world import world_around
@@ -42,6 +43,8 @@ if TYPE_CHECKING:
 
 __all__ = ["CasadiSmoother", "CasadiSmootherParameters"]
 
+_LONGEST_SPAN = 1.2  # of the smallest turning radius
+
 
 class CasadiSmootherParameters(PluginParameters):
     """Parameters of `CasadiSmoother`; the limits are used only where no problem is given."""
@@ -54,7 +57,7 @@ class CasadiSmootherParameters(PluginParameters):
     curvature_weight: float = Field(0.4, ge=0, description="cost of curvature, relative to its limit [1/m]")
     curvature_rate_weight: float = Field(0.15, gt=0, description="cost of curvature rate, relative to its limit [1/m]")
     tracking_weight: float = Field(0.3, ge=0, description="cost of squared distance to the input [1/m^3]")
-    spans: int = Field(24, ge=8, le=80, description="pieces of linear curvature over the whole path")
+    spans: int = Field(24, ge=8, le=80, description="least number of pieces of linear curvature over the whole path")
     interval: float = Field(0.0625, gt=0, description="distance of collision nodes for a robot of 1 m [m]")
     max_iterations: int = Field(60, ge=1, description="convex steps")
     backend: Literal["scp", "ipopt"] = Field("scp", description="ipopt: slow reference, not for production")
@@ -136,16 +139,17 @@ class CasadiSmoother(Smoother):
         shares = np.linspace(0.0, 1.0, 40)
         positions = np.concatenate([segment.poses_at(shares * segment.length)[:, :2] for segment in path.segments])
         world = world_around(problem, positions, start_clearance)
-        return make_task(path, problem, world, self._tuning(world), remaining(earlier, path, problem))
+        tuning = self._tuning(world, problem.robot.limits)
+        return make_task(path, problem, world, tuning, remaining(earlier, path, problem))
 
-    def _tuning(self, world: World) -> Tuning:
+    def _tuning(self, world: World, limits: MotionLimits) -> Tuning:
         chosen = self.parameters
         # Longer robots are larger in everything: their obstacles too can be watched at larger distances.
         interval = chosen.interval * max(1.0, world.body.radius / 0.55)
         weights = Weights(
             chosen.length_weight, chosen.curvature_weight, chosen.curvature_rate_weight, chosen.tracking_weight
         )
-        return Tuning(Resolution(chosen.spans, interval), weights)
+        return Tuning(Resolution(chosen.spans, _LONGEST_SPAN / reference_scales(limits)[0], interval), weights)
 
     def _problem_of(self, path: Path) -> DockingProblem:
         chosen = self.parameters

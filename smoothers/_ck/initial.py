@@ -29,14 +29,16 @@ if TYPE_CHECKING:
 __all__ = ["Resolution", "Traced", "Tuning", "fitted_variables", "make_task", "shape_for", "trace"]
 
 
+_MOST_SPANS = 80
 _ASTRAY, _TURNED_AWAY = 0.4, 0.4  # [m], [rad]
 _WARM_TRUST, _WARM_PROX = 0.2, 0.1  # an earlier result is near the new one
 
 
 class Resolution(NamedTuple):
-    """Spans of all gears together, and length of a collision interval [m]."""
+    """Least number of spans of all gears together, longest span [m], and length of a collision interval [m]."""
 
     spans: int
+    longest: float
     interval: float
 
 
@@ -72,7 +74,8 @@ def free_lengths(path: Path, final_straight: float) -> FloatArray:
 def shape_for(lengths: FloatArray, resolution: Resolution) -> Shape:
     """Spans by share of length, at least 4 per gear, even where there are several gears; intervals per span."""
     total = float(lengths.sum())
-    spans = [max(4, 2 * round(0.5 * resolution.spans * length / total)) for length in lengths]
+    wanted = max(resolution.spans, min(_MOST_SPANS, math.ceil(total / resolution.longest)))
+    spans = [max(4, 2 * round(0.5 * wanted * length / total)) for length in lengths]
     cells = [math.ceil(length / (q * resolution.interval)) for length, q in zip(lengths, spans, strict=True)]
     return tuple((q, min(max(r, 2), 12)) for q, r in zip(spans, cells, strict=True))
 

@@ -85,10 +85,16 @@ def test_a_start_that_looks_the_wrong_way_is_turned_round_while_driving(cases, t
 
 
 def test_spans_follow_the_lengths_and_are_never_too_few():
-    shape = shape_for(np.array([4.0, 1.0, 0.05]), Resolution(24, 0.0625))
+    shape = shape_for(np.array([4.0, 1.0, 0.05]), Resolution(24, 1.0, 0.0625))
     spans = [q for q, _ in shape]
     assert spans[0] > spans[1] >= spans[2] >= 4
     assert all(2 <= r <= 12 for _, r in shape)
+
+
+def test_a_long_path_has_more_spans():
+    few, many = (sum(q for q, _ in shape_for(np.array([x]), Resolution(24, 0.8, 0.0625))) for x in (5.0, 30.0))
+    assert few == 24
+    assert many >= 30.0 / 0.8
 
 
 def test_headings_follow_the_motion_and_not_the_yaws_of_the_input():
