@@ -1,0 +1,275 @@
+"""The contracts of controllers, behaviors and layers catch every plugin that breaks a sentence of theirs."""
+
+import math
+
+import numpy as np
+import pytest
+from pydantic import Field
+
+from optdock.behaviors.drive import DriveOnHeading
+from optdock.controllers.tracking import TrackingController
+from optdock.costmap.costs import LETHAL
+from optdock.errors import ControllerException
+from optdock.geometry.pose import Twist2
+from optdock.interfaces import BehaviorResult, BehaviorStatus, Bounds, Layer
+from optdock.parameters import PluginParameters
+from optdock.path import Path
+from optdock.testing.contracts import BehaviorContract, ContractBroken, ControllerContract, LayerContract
+
+
+class Tracking(TrackingController):
+    """The built-in controller at the contract's period."""
+
+    def __init__(self, **parameters):
+        super().__init__(**{"period": 0.05, **parameters})
+
+
+class Idle(Tracking):
+    def compute_velocity_commands(self, pose, velocity, goal_checker):
+        if self._reference is None:
+            return Twist2()
+        return super().compute_velocity_commands(pose, velocity, goal_checker)
+
+
+class Wild(Tracking):
+    def compute_velocity_commands(self, pose, velocity, goal_checker):
+        command = super().compute_velocity_commands(pose, velocity, goal_checker)
+        return Twist2(2.0 * command.linear, command.angular)
+
+
+class ForwardOnly(Tracking):
+    def compute_velocity_commands(self, pose, velocity, goal_checker):
+        command = super().compute_velocity_commands(pose, velocity, goal_checker)
+        return Twist2(abs(command.linear), command.angular)
+
+
+class HalfOfPaths(Tracking):
+    def set_path(self, path):
+        if isinstance(path, Path):
+            path = Path.from_poses(path.sample(0.05).poses[:20])
+        super().set_path(path)
+
+
+class Unlimited(Tracking):
+    def set_speed_limit(self, limit, *, percentage):
+        pass
+
+
+class Hasty(Tracking):
+    """Says that it has stopped once it was asked twice."""
+
+    asked = 0
+
+    def cancel(self):
+        super().cancel()
+        self.asked += 1
+        return self.asked > 2
+
+
+class Sulking(Tracking):
+    sulks = False
+
+    def cancel(self):
+        self.sulks = True
+        return super().cancel()
+
+    def compute_velocity_commands(self, pose, velocity, goal_checker):
+        command = super().compute_velocity_commands(pose, velocity, goal_checker)
+        return Twist2() if self.sulks else command
+
+
+class Lost(Tracking):
+    def compute_velocity_commands(self, pose, velocity, goal_checker):
+        try:
+            return super().compute_velocity_commands(pose, velocity, goal_checker)
+        except ControllerException:
+            if self._reference is None:
+                raise
+            return Twist2(5.0, 0.0)
+
+
+def test_every_gate_of_controllers_can_fail(every_gate):
+    broken = {
+        "test_without_a_path_there_is_no_command": Idle,
+        "test_it_drives_to_the_end_within_the_limits": Wild,
+        "test_a_reverse_gear_is_driven_or_refused": ForwardOnly,
+        "test_paths_without_time_are_followed_too": HalfOfPaths,
+        "test_a_speed_limit_holds_until_it_is_removed": Unlimited,
+        "test_a_speed_limit_is_a_number_that_is_not_negative": Unlimited,
+        "test_cancelling_ends_in_a_stop": Hasty,
+        "test_a_cancelled_controller_takes_a_new_path": Sulking,
+        "test_a_robot_that_is_lost_gets_a_named_failure_or_a_command": Lost,
+    }
+    every_gate(ControllerContract, Tracking, broken, errors=(ControllerException,), unitless={"damping"})
+
+
+def test_a_controller_that_never_stops_or_speeds_up_when_cancelled_is_caught():
+    never = type("Never", (Tracking,), {"cancel": lambda self: False})
+    faster = type("Faster", (Hasty,), {"compute_velocity_commands": speeding_up})
+    for plugin in (never, faster):
+        suite = type("Suite", (ControllerContract,), {"make_plugin": lambda suite, plugin=plugin: plugin()})
+        with pytest.raises(ContractBroken, match="cancel says True within|once cancelled it slows down"):
+            suite().test_cancelling_ends_in_a_stop()
+
+
+def speeding_up(self, pose, velocity, goal_checker):
+    command = Tracking.compute_velocity_commands(self, pose, velocity, goal_checker)
+    return Twist2(0.49, 0.0) if self.asked else command
+
+
+DRIVE = {"target": 1.0, "speed": 0.3}
+
+
+class Restless(DriveOnHeading):
+    def on_cycle_update(self, pose, velocity):
+        result, _ = super().on_cycle_update(pose, velocity)
+        return result, Twist2(0.1)
+
+
+class Eager(DriveOnHeading):
+    def on_cycle_update(self, pose, velocity):
+        if self._motion is None:
+            return BehaviorResult(BehaviorStatus.RUNNING), Twist2(0.1)
+        return super().on_cycle_update(pose, velocity)
+
+
+class OnceOnly(DriveOnHeading):
+    def on_run(self, command):
+        return BehaviorResult(BehaviorStatus.SUCCEEDED) if self._motion else super().on_run(command)
+
+
+class WrongCode(DriveOnHeading):
+    def on_run(self, command):
+        result = super().on_run(command)
+        return result if result.error_code == 0 else BehaviorResult(result.status, 720, result.error_msg)
+
+
+class GoesOn(DriveOnHeading):
+    def on_run(self, command):
+        earlier = self._motion
+        result = super().on_run(command)
+        self._motion = self._motion or earlier
+        return result
+
+
+class TakesNan(DriveOnHeading):
+    def on_run(self, command):
+        return super().on_run({k: 1.0 if str(v) == "nan" else v for k, v in command.items()})
+
+
+class Patient(DriveOnHeading):
+    def on_run(self, command):
+        return super().on_run({**command, "time_allowance": 0.0} if "target" in command else command)
+
+
+class Blind(DriveOnHeading):
+    def on_run(self, command):
+        return super().on_run({**command, "disable_collision_checks": True})
+
+
+def test_every_gate_of_behaviors_can_fail(every_gate):
+    broken = {
+        "test_it_says_which_costmaps_it_needs": type("Broken", (DriveOnHeading,), {"resource_info": "local"}),
+        "test_no_cycle_before_it_has_begun": Eager,
+        "test_it_runs_and_ends_at_rest": Restless,
+        "test_it_can_begin_again": OnceOnly,
+        "test_a_bad_command_is_refused_with_its_code": WrongCode,
+        "test_a_bad_command_ends_an_earlier_run": GoesOn,
+        "test_numbers_in_commands_are_finite": TakesNan,
+        "test_it_gives_up_when_its_time_is_over": Patient,
+        "test_it_does_not_drive_into_obstacles": Blind,
+    }
+    sample = {
+        "needs_context": True,
+        "command": DRIVE,
+        "timed_command": {**DRIVE, "time_allowance": 3.0},
+        "bad_commands": ({}, {**DRIVE, "speed": -0.3}),
+        "invalid_code": 724,
+        "timeout_code": 721,
+        "blocked_code": 723,
+    }
+    every_gate(BehaviorContract, DriveOnHeading, broken, **sample)
+
+
+class SpotParameters(PluginParameters):
+    enabled: bool = Field(default=True, description="whether it takes part")
+    side: float = Field(0.1, gt=0.0, description="of a spot [m]")
+
+
+class Spots(Layer):
+    """Marks what it is shown."""
+
+    Parameters = SpotParameters
+    parameters: SpotParameters
+
+    def __init__(self, **parameters):
+        super().__init__(**parameters)
+        self.points = []
+        self.fresh = True
+
+    def reset(self):
+        self.points = []
+
+    def update_bounds(self, robot, bounds):
+        xs, ys = ([p[k] for p in self.points] for k in (0, 1))
+        low = min([bounds.min_x, *xs]), min([bounds.min_y, *ys])
+        return Bounds(*low, max([bounds.max_x, *xs]), max([bounds.max_y, *ys]))
+
+    def update_costs(self, master, min_i, min_j, max_i, max_j):
+        if not self.points:
+            return
+        cells = master.cell_of(self.points)
+        inside = np.all((cells >= (min_i, min_j)) & (cells < (max_i, max_j)), axis=1)
+        master.data[cells[inside, 1], cells[inside, 0]] = LETHAL
+
+    def is_clearable(self):
+        return True
+
+    def is_enabled(self):
+        return self.parameters.enabled
+
+
+def spots(**methods):
+    return type("Broken", (Spots,), methods)
+
+
+def write_everywhere(self, master, min_i, min_j, max_i, max_j):
+    Spots.update_costs(self, master, 0, 0, master.columns, master.rows)
+
+
+def write_once(self, master, *window):
+    Spots.update_costs(self, master, *window)
+    self.points = []
+
+
+def own_bounds_only(self, robot, bounds):
+    return Spots.update_bounds(self, robot, Bounds(math.inf, math.inf, -math.inf, -math.inf))
+
+
+def feed(suite, layer):
+    layer.points = [[0.3, 0.4], [1.0, -0.7]]
+
+
+def test_every_gate_of_layers_can_fail(every_gate):
+    broken = {
+        "test_it_has_something_to_write": spots(update_costs=lambda *_: None),
+        "test_bounds_only_grow": spots(update_bounds=own_bounds_only),
+        "test_what_it_writes_lies_within_its_bounds": spots(update_bounds=lambda self, robot, bounds: bounds),
+        "test_costs_outside_the_window_stay": spots(update_costs=write_everywhere),
+        "test_an_update_without_news_writes_the_same": spots(update_costs=write_once),
+        "test_reset_forgets": spots(reset=lambda self: None),
+        "test_it_answers_its_questions_with_yes_or_no": spots(is_current=lambda self: 1),
+        "test_it_is_current_after_an_update": spots(is_current=lambda self: False),
+        "test_a_disabled_layer_takes_no_part": spots(is_enabled=lambda self: True),
+        "test_it_follows_the_grid": spots(
+            is_current=lambda self: self.fresh, match_size=lambda self: setattr(self, "fresh", False)
+        ),
+    }
+    every_gate(LayerContract, Spots, broken, feed=feed)
+
+
+def test_bounds_that_are_no_numbers_are_caught():
+    nan = spots(update_bounds=lambda self, robot, bounds: Bounds(math.nan, math.nan, math.nan, math.nan))
+    suite = type("Suite", (LayerContract,), {"make_plugin": lambda suite: nan()})
+    with pytest.raises(ContractBroken, match="only grows"):
+        suite().test_bounds_only_grow()

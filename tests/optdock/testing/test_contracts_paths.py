@@ -1,0 +1,226 @@
+"""The contracts of planners, smoothers and time parameterizers catch every plugin that breaks a sentence of theirs."""
+
+import dataclasses
+import math
+
+import numpy as np
+from pydantic import Field
+
+from optdock.errors import NoValidPathCouldBeFound, PlannerCancelled, SmootherCancelled, SmootherTimedOut
+from optdock.geometry.pose import Pose2, normalize_angle
+from optdock.interfaces import GlobalPlanner, Smoother, SmoothingResult, TimeParameterizer, TimingResult, TimingStatus
+from optdock.parameters import PluginParameters, checked_seconds
+from optdock.path import Direction, Path, PolylineSegment
+from optdock.plugins import create_plugin
+from optdock.testing.contracts import GlobalPlannerContract, SmootherContract, TimeParameterizerContract
+from optdock.trajectory import TimeLaw, Trajectory
+
+
+class LineParameters(PluginParameters):
+    spacing: float = Field(0.02, gt=0.0, description="distance between poses [m]")
+
+
+class Line(GlobalPlanner):
+    """Straight to the goal, turning on the way."""
+
+    Parameters = LineParameters
+    parameters: LineParameters
+
+    def create_plan(self, start, goal, cancel_checker=lambda: False):
+        length = start.distance_to(goal)
+        if length < 1e-6:
+            raise NoValidPathCouldBeFound("the goal is where the robot is")
+        turn = normalize_angle(goal.yaw - start.yaw)
+        poses = []
+        for share in np.linspace(0.0, 1.0, min(1000, 2 + int(length / self.parameters.spacing))):
+            if cancel_checker():
+                raise PlannerCancelled("cancelled")
+            poses.append([*self.point(start, goal, share), start.yaw + share * turn])
+        return self.joined(poses, goal)
+
+    def point(self, start, goal, share):
+        return start.x + share * (goal.x - start.x), start.y + share * (goal.y - start.y)
+
+    def joined(self, poses, goal):
+        return Path.from_poses([*poses[:-1], goal])
+
+
+def planner(**methods):
+    return type("Broken", (Line,), methods)
+
+
+def bulging(scale):
+    def point(self, start, goal, share):
+        x, y = Line.point(self, start, goal, share)
+        return x, y + share * (1.0 - share) * scale(start)
+
+    return point
+
+
+def foreign_error(self, start, goal, cancel_checker=lambda: False):
+    if start.distance_to(goal) < 1e-6:
+        raise ZeroDivisionError
+    return Line.create_plan(self, start, goal, cancel_checker)
+
+
+def test_every_gate_of_planners_can_fail(every_gate):
+    broken = {
+        "test_the_path_begins_at_the_start_and_ends_at_the_goal": planner(
+            joined=lambda self, poses, goal: Path.from_poses(poses[:-1])
+        ),
+        "test_yaws_a_full_turn_apart_are_the_same": planner(point=bulging(lambda start: math.sin(0.5 * start.yaw + 1))),
+        "test_a_rigid_motion_of_the_task_moves_the_path": planner(point=bulging(lambda start: start.x)),
+        "test_it_stops_when_cancelled_and_plans_again": planner(
+            create_plan=lambda self, start, goal, cancel_checker=None: Line.create_plan(self, start, goal)
+        ),
+        "test_it_fails_by_name": planner(create_plan=foreign_error),
+    }
+    every_gate(GlobalPlannerContract, Line, broken, errors=(ZeroDivisionError,))
+
+
+class Same(Smoother):
+    """The input again."""
+
+    def smooth(self, path, max_time, *, problem=None, warm_start=None, cancel_checker=lambda: False):
+        if checked_seconds(max_time, "max_time") < 1e-6:
+            raise SmootherTimedOut("no time")
+        for _ in range(3):
+            if cancel_checker():
+                raise SmootherCancelled("cancelled")
+        return self.result(path, max_time, warm_start)
+
+    def result(self, path, max_time, warm_start):
+        return SmoothingResult(path)
+
+
+def smoother(result):
+    return type("Broken", (Same,), {"result": result})
+
+
+def poses_of(path):
+    return np.vstack([segment.poses for segment in path.segments])
+
+
+def shortened(self, path, max_time, warm_start):
+    return SmoothingResult(Path.from_poses(poses_of(path)[:-1]))
+
+
+def touching(self, path, max_time, warm_start):
+    object.__setattr__(path, "segments", (*path.segments,))
+    return SmoothingResult(path)
+
+
+def one_gear(self, path, max_time, warm_start):
+    return SmoothingResult(Path((PolylineSegment(poses_of(path), Direction.FORWARD),)))
+
+
+def dividing(self, path, max_time, warm_start):
+    return SmoothingResult(path) if path.length else 1.0 / path.length
+
+
+def halved_in_haste(self, path, max_time, warm_start):
+    return shortened(self, path, max_time, warm_start) if max_time < 1e-3 else SmoothingResult(path)
+
+
+class Timeless(Same):
+    def smooth(self, path, max_time, **rest):
+        return super().smooth(path, 1.0, **rest)
+
+
+class Deaf(Same):
+    def smooth(self, path, max_time, *, cancel_checker=None, **rest):
+        return super().smooth(path, max_time, **rest)
+
+
+def test_every_gate_of_smoothers_can_fail(every_gate):
+    broken = {
+        "test_the_ends_stay": smoother(shortened),
+        "test_the_result_says_what_it_is": smoother(lambda self, path, *_: SmoothingResult(path, completed=1)),
+        "test_the_input_is_not_touched": smoother(touching),
+        "test_gears_stay_in_order": smoother(one_gear),
+        "test_a_path_too_short_is_refused_or_returned": smoother(dividing),
+        "test_no_time_is_time_out_or_a_usable_path": smoother(halved_in_haste),
+        "test_a_time_limit_is_a_finite_number_that_is_not_negative": Timeless,
+        "test_it_stops_when_cancelled_and_smooths_again": Deaf,
+        "test_an_earlier_result_helps_or_is_ignored": smoother(
+            lambda self, path, _, warm: SmoothingResult(warm or path)
+        ),
+    }
+    every_gate(SmootherContract, Same, broken, errors=(ZeroDivisionError,))
+
+
+class Delegating(TimeParameterizer):
+    """The built-in method, with a place to spoil question and answer."""
+
+    def parameterize(self, path, limits, zone, *, start_speed=0.0, start_acceleration=0.0):
+        limits, start_speed = self.question(path, limits, start_speed)
+        result = create_plugin(TimeParameterizer, "Windowed").parameterize(
+            path, limits, zone, start_speed=start_speed, start_acceleration=start_acceleration
+        )
+        return self.answer(result)
+
+    def question(self, path, limits, start_speed):
+        return limits, start_speed
+
+    def answer(self, result):
+        return result
+
+
+def timing(**methods):
+    return type("Broken", (Delegating,), methods)
+
+
+def slower_far_away(self, path, limits, start_speed):
+    share = 0.9 if path.start.x > 1.0 else 1.0
+    return dataclasses.replace(limits, max_speed=share * limits.max_speed), start_speed
+
+
+class Forgetful(Trajectory):
+    def __reduce__(self):
+        law = self.time_law
+        return Trajectory, (self.path, TimeLaw(law.durations, 0.5 * law.jerks))
+
+
+def lossy(self, result):
+    motion = result.trajectory
+    return dataclasses.replace(result, trajectory=motion and Forgetful(motion.path, motion.time_law))
+
+
+def test_every_gate_of_time_parameterizers_can_fail(every_gate):
+    broken = {
+        "test_what_is_ok_is_certified": timing(
+            question=lambda self, path, limits, v: (dataclasses.replace(limits, max_jerk=2.0 * limits.max_jerk), v)
+        ),
+        "test_moving_the_path_changes_no_time": timing(question=slower_far_away),
+        "test_impossible_starts_are_statuses": timing(
+            answer=lambda self, result: dataclasses.replace(result, status=TimingStatus.OK)
+        ),
+        "test_a_path_too_short_to_stop_on_says_by_how_much": timing(
+            answer=lambda self, result: dataclasses.replace(result, overshoot=0.0)
+        ),
+        "test_a_turn_in_place_is_no_motion_along_a_path": timing(
+            answer=lambda self, result: TimingResult(TimingStatus.OK, result.trajectory)
+        ),
+        "test_a_start_that_is_no_number_is_refused_or_bad": timing(
+            question=lambda self, path, limits, v: (limits, v if math.isfinite(v) else 0.0)
+        ),
+        "test_trajectories_can_be_sent": timing(answer=lossy),
+    }
+    every_gate(TimeParameterizerContract, Delegating, broken)
+
+
+def test_poll_gaps_are_measured_where_the_plan_is_long():
+    class Suite(GlobalPlannerContract):
+        def make_plugin(self):
+            return Line()
+
+    gaps = Suite().measured_poll_gaps()
+    assert gaps.polls == 1000
+    assert 0.0 < gaps.longest <= gaps.total
+    assert Suite().long_query()[0] == Pose2(-60.0, 20.0, 0.0)
+
+    class SmootherSuite(SmootherContract):
+        def make_plugin(self):
+            return Same()
+
+    assert SmootherSuite().measured_poll_gaps().polls == 3
