@@ -23,7 +23,7 @@ from optdock.verification import certify_path, pose_clearance
 from smoothers._ck.anytime import Incumbent, Outcome, Runner
 from smoothers._ck.budget import Budget
 from smoothers._ck.initial import Resolution, Tuning, make_task
-from smoothers._ck.kept import input_cost, may_be_kept
+from smoothers._ck.kept import direct_line, input_cost, may_be_kept
 from smoothers._ck.qp import ProgramPool
 from smoothers._ck.refusals import refuse_approach, refuse_certificate, refuse_search, refuse_start
 from smoothers._ck.spline import exact_path
@@ -113,8 +113,11 @@ class CasadiSmoother(Smoother):
             return self._reference(task, wanted, budget)
         runner = Runner(wanted, self._pool, budget, cancel_checker, chosen.max_iterations, chosen.stop_at_first)
         if may_be_kept(path, wanted):
-            runner.offer(path, input_cost(path, task.cost, wanted.dock.final_straight))
-        outcome = runner.run(task)
+            runner.offer(path, input_cost(path, task.cost, wanted.dock.final_straight), "input")
+        line = direct_line(path, wanted)
+        if line is not None:
+            runner.offer(line, input_cost(line, task.cost, wanted.dock.final_straight), "line")
+        outcome = runner.run(task) if line is None or runner.outcome.incumbent is None else runner.finished()
         if outcome.incumbent is None:
             raise _failure(task, outcome, max_time)
         return _result(outcome, budget, setup, self._pool.build_time - built)
@@ -181,7 +184,7 @@ def _result(outcome: Outcome, budget: Budget, setup: float, build: float) -> Smo
     best = outcome.incumbent
     assert best is not None  # the caller has raised otherwise
     first = outcome.first_certified
-    status = "input_kept" if best.is_input else "converged" if outcome.converged else "budget"
+    status = {"input": "input_kept", "line": "direct"}.get(best.origin, "converged" if outcome.converged else "budget")
     report = {
         "status": status,
         "cost": best.cost,

@@ -32,12 +32,12 @@ _REPAIRS = 2
 
 
 class Incumbent(NamedTuple):
-    """A certified path, its certificate, its cost, and whether it is the input."""
+    """A certified path, its certificate, its cost, and where it comes from: `search`, `input` or `line`."""
 
     path: Path
     certificate: Certificate
     cost: float
-    is_input: bool = False
+    origin: str = "search"
 
 
 @dataclass
@@ -101,14 +101,19 @@ class Runner:
             task = replace(task, initial=rejected.variables, buffer=3.0 * task.buffer, world=world)
         return self.outcome
 
-    def offer(self, path: Path, cost: float) -> None:
-        """The input as a first result, if it is certified."""
+    def offer(self, path: Path, cost: float, origin: str) -> None:
+        """A first result from elsewhere, if it is certified."""
         began = self.budget.elapsed
         certificate = certify_path(path, self.problem)
         self._note_certificate(began)
         if certificate.certified:
-            self.outcome.incumbent = Incumbent(path, certificate, cost, is_input=True)
+            self.outcome.incumbent = Incumbent(path, certificate, cost, origin)
             self.outcome.first_certified = self.budget.elapsed
+
+    def finished(self) -> Outcome:
+        """The offers alone, where nothing is left to search for."""
+        self.outcome.converged = True
+        return self.outcome
 
     def _note_certificate(self, began: float) -> None:
         self._certify = self.budget.elapsed - began

@@ -6,14 +6,17 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from optdock.path import ClothoidSegment
+from optdock.geometry.clothoid import ClothoidSpline
+from optdock.path import ClothoidSegment, Path
 
 if TYPE_CHECKING:
-    from optdock.path import Path
     from optdock.problem import DockingProblem
     from smoothers._ck.terms import CostModel
 
-__all__ = ["input_cost", "may_be_kept"]
+__all__ = ["direct_line", "input_cost", "may_be_kept"]
+
+_ON_AXIS = 1e-7  # [m, rad]
+_STAGING = 0.05  # [m]
 
 
 def may_be_kept(path: Path, problem: DockingProblem) -> bool:
@@ -27,6 +30,23 @@ def may_be_kept(path: Path, problem: DockingProblem) -> bool:
         if np.abs(curvature).max() > limits.max_curvature or rate > limits.max_curvature_rate:
             return False
     return True
+
+
+def direct_line(path: Path, problem: DockingProblem) -> Path | None:
+    """The straight line to the goal, where the robot already stands on its axis and no further than needed; or None.
+
+    From the staging pose nothing is left to optimize but the final straight, which the search takes for granted.
+    """
+    if len(path.segments) > 1:
+        return None
+    sign = int(path.segments[0].direction)
+    seen = problem.goal.in_frame_of(problem.start)
+    length = sign * seen.x
+    off_axis = max(abs(seen.y), abs(seen.yaw)) > _ON_AXIS
+    if off_axis or not 0.0 < length < problem.dock.final_straight + _STAGING:
+        return None
+    line = ClothoidSpline(problem.start, np.array([0.0, length]), np.zeros(2), sign)
+    return Path((ClothoidSegment(line),))
 
 
 def input_cost(path: Path, cost: CostModel, final_straight: float) -> float:

@@ -189,6 +189,31 @@ def test_a_straight_line_is_kept_as_it_is(smoother, cases):
     assert result.report["status"] == "input_kept"
 
 
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_from_the_staging_pose_only_the_straight_is_left(smoother, cases, sign):
+    goal = Pose2(sign * 0.3, 0.0, 0.0)
+    problem = cases.open_problem(goal)
+    result = smoother.smooth(Path.from_poses([Pose2(0.0, 0.0, 0.0), goal]), LONG, problem=problem)
+    assert certify_path(result.path, problem).certified
+    assert result.path.length == pytest.approx(0.3)
+    assert result.report["status"] == "direct"
+
+
+def test_a_start_within_the_final_straight_is_refused(smoother, cases):
+    goal = Pose2(0.25, 0.0, 0.0)
+    with pytest.raises(FailedToSmoothPath) as caught:
+        smoother.smooth(Path.from_poses([Pose2(0.0, 0.0, 0.0), goal]), LONG, problem=cases.open_problem(goal))
+    assert caught.value.where["reason"] == "goal_unreachable"
+
+
+def test_a_gear_of_one_centimetre_is_no_obstacle(smoother, cases):
+    poses = [[x, 0.0, 0.0] for x in (0.0, 0.5, 1.0, 0.99, 1.5, 2.0, 2.5)]
+    problem = cases.open_problem(Pose2(2.5, 0.0, 0.0))
+    result = smoother.smooth(Path.from_poses(np.array(poses)), LONG, problem=problem)
+    assert len(result.path.segments) == 3
+    assert certify_path(result.path, problem).certified
+
+
 def test_duplicate_poses_change_nothing(smoother, cases):
     raw = cases.kinked(*S_CURVE)
     poses = raw.segments[0].poses
