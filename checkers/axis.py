@@ -28,7 +28,9 @@ class AxisGoalCheckerParameters(PluginParameters):
 
     The last three are Nav2's later repairs. `direction_estimation_distance` 0 takes the axis from the last two
     distinct poses; above 0 from the first pose, walking back, at least that far away, and the axis found is kept
-    for when the remaining path has become too short.
+    for when the remaining path has become too short. Nav2 as merged in #5746: axis_end goal and a radial fallback of
+    hypot(along, cross). In #6345: axis_end goal and a baseline of 0.15 m, `reset` before every call. In #6420: the
+    same without the resets; #6513 adds the radial parameter.
     """
 
     along_path_tolerance: float = Field(default=0.25, ge=0.0, description="accepted error along the axis [m]")

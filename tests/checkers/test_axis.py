@@ -172,6 +172,42 @@ def test_a_goal_skewed_against_the_path_end_flips_only_the_goal_based_axis():
     assert reached(AxisGoalChecker(is_overshoot_valid=True, axis_end="goal"), robot, path, goal)
 
 
+# Nav2's variants as parameters; #6345 differs from #6420 by keeping no axis, that is by a reset before every call.
+VARIANTS = {
+    "document": {},
+    "#5746": {"axis_end": "goal", "fallback_radial_goal_tolerance": math.hypot(0.25, 0.25)},
+    "#6420": {"axis_end": "goal", "direction_estimation_distance": 0.15},
+    "#6513": {"axis_end": "goal", "direction_estimation_distance": 0.15, "fallback_radial_goal_tolerance": 0.3},
+}
+
+
+@pytest.mark.parametrize(
+    ("name", "one_pose", "hooked_end", "short_path", "skewed_goal"),
+    [
+        ("document", False, False, False, False),
+        ("#5746", True, False, False, True),
+        ("#6420", False, True, True, True),
+        ("#6513", True, True, True, True),
+    ],
+)
+def test_the_variants_of_nav2_are_told_apart(name, one_pose, hooked_end, short_path, skewed_goal):
+    def checker(**more):
+        return AxisGoalChecker(**{**VARIANTS[name], **more})
+
+    aside = Pose2(0.0, 0.28, 0.0)
+    assert reached(checker(), aside, [ORIGIN]) is one_pose
+    hooked = [Pose2(-0.5, 0.0, 0.0), Pose2(0.0, -0.05, 0.0), ORIGIN]  # its last 5 cm turn to +y
+    tight = {"along_path_tolerance": 0.1, "cross_track_tolerance": 0.3}
+    assert reached(checker(**tight), aside, hooked) is hooked_end
+    kept = checker(along_path_tolerance=0.1, cross_track_tolerance=0.5)
+    assert reached(kept, Pose2(0.0, 0.4, 0.0), AHEAD)
+    assert reached(kept, Pose2(0.0, 0.4, 0.0), [Pose2(0.0, -0.05, 0.0), ORIGIN]) is short_path
+    past_the_goal = [Pose2(-0.6, 0.0, 0.0), Pose2(-0.1, 0.0, 0.0), Pose2(0.1, 0.0, 0.0)]
+    lenient = checker(is_overshoot_valid=True, path_length_tolerance=2.0)
+    skewed, far_short = Pose2(-0.3, 0.0, 0.0), Pose2(-0.9, 0.0, 0.0)
+    assert reached(lenient, far_short, past_the_goal, skewed) is skewed_goal
+
+
 def test_tolerances_report_the_smaller_radius_and_leave_the_rest_unmeasured():
     found = AxisGoalChecker(along_path_tolerance=0.2, cross_track_tolerance=0.1).tolerances
     assert (found.x, found.y, found.path_length) == (0.1, 0.1, 1.0)

@@ -99,6 +99,17 @@ def test_an_ackermann_robot_gets_no_command_tighter_than_its_smallest_radius():
     assert all(abs(c.angular) <= 1.3 * abs(c.linear) + 1e-12 for c in commands)
 
 
+def test_an_ackermann_robot_arrives_from_an_offset():
+    robot = Robot(ROBOT.footprint, MotionLimits(max_curvature=2.0), Drive.ACKERMANN)
+    trajectory = s_curve_drive(START)
+    checker = AxisGoalChecker(along_path_tolerance=0.003, cross_track_tolerance=0.02)
+    world = SimulationSettings(start=START @ Pose2(-0.02, 0.04, 0.05))
+    controller = ready(trajectory, robot)
+    found = run_closed_loop(trajectory, robot, trajectory.path.end, controller, checker, world)
+    assert found.docked, found.reason
+    assert abs(found.final_error.y) < 0.001
+
+
 class TestSpeedLimit:
     def test_as_a_percentage_scales_the_whole_drive(self):
         trajectory = s_curve_drive(START)

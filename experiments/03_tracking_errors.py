@@ -1,0 +1,116 @@
+"""Experiment 3: what the TrackingController leaves, on four drives in six worlds.
+
+Every drive runs from rest to rest until the DockGoalChecker (5 mm, 10 mm, 0.02 rad, at rest) says docked; noisy worlds
+with ten seeds, of which the worst counts. Writes results/03_tracking_errors/.
+
+    python experiments/03_tracking_errors.py
+"""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+from optdock.geometry.footprint import Footprint
+from optdock.geometry.pose import Pose2
+from optdock.interfaces import Controller, GoalChecker
+from optdock.io.atomic_file import write_text
+from optdock.limits import MotionLimits
+from optdock.path import Direction
+from optdock.plugins import create_plugin
+from optdock.report import table
+from optdock.robot import Robot
+from optdock.simulation import Actuation, SimulationSettings, pose_errors, run_closed_loop
+from optdock.testing.drives import cusp_drive, s_curve_drive, straight_drive
+
+if TYPE_CHECKING:
+    from optdock.simulation import Run
+    from optdock.trajectory import Trajectory
+
+OUT = Path("results") / Path(__file__).stem
+START = Pose2(0.0, 0.0, 0.3)
+DRIVES = {
+    "straight": straight_drive(START),
+    "S-curve": s_curve_drive(START),
+    "reverse S-curve": s_curve_drive(START, Direction.REVERSE),
+    "cusp": cusp_drive(START),
+}
+ROBOT = Robot(Footprint.rectangle(0.4, 0.3, 0.5), MotionLimits(max_speed=0.5, max_reverse_speed=0.5))
+CHECKER = {"along_tolerance": 0.005, "cross_tolerance": 0.01, "yaw_goal_tolerance": 0.02}
+SEEDS = 10
+SLUGGISH = Actuation(linear_lag=0.1, angular_lag=0.1, latency=0.05)
+
+
+class World(NamedTuple):
+    """A name, what the drive and the localization are like, and the controller's `preview` (None: identified)."""
+
+    name: str
+    actuation: Actuation
+    noise: bool
+    preview: float | None
+
+
+WORLDS = (
+    World("perfect", Actuation(), noise=False, preview=None),
+    World("noise", Actuation(), noise=True, preview=None),
+    World("lag, ignored", SLUGGISH, noise=False, preview=0.0),
+    World("lag, identified", SLUGGISH, noise=False, preview=None),
+    World("lag, known", SLUGGISH, noise=False, preview=0.15),
+    World("lag and noise, identified", SLUGGISH, noise=True, preview=None),
+)
+
+
+def runs(drive: Trajectory, world: World) -> list[Run]:
+    """The drive in the world, once per seed."""
+    found = []
+    for seed in range(SEEDS if world.noise else 1):
+        settings = SimulationSettings(
+            actuation=world.actuation,
+            position_noise=0.002 if world.noise else 0.0,
+            yaw_noise=0.003 if world.noise else 0.0,
+            seed=seed,
+        )
+        controller = create_plugin(Controller, "TrackingController", {"preview": world.preview})
+        checker = create_plugin(GoalChecker, "DockGoalChecker", CHECKER)
+        found.append(run_closed_loop(drive, ROBOT, drive.path.end, controller, checker, settings))
+    return found
+
+
+def overshoot(drive: Trajectory, run: Run) -> float:
+    """How far the robot went beyond the goal in the last two seconds [m]."""
+    gear = int(drive.path.segments[-1].direction)
+    poses = run.poses[-100:]
+    return float(np.max(gear * pose_errors(poses, np.tile(run.goal.as_array(), (len(poses), 1)))[:, 0]))
+
+
+def row(name: str, drive: Trajectory, world: World) -> list[str]:
+    """The worst of every number over the seeds."""
+    found = runs(drive, world)
+    final = np.max([np.abs(run.final_error.as_array()) for run in found], axis=0)
+    tracking = np.max([np.abs(run.errors).max(axis=0) for run in found], axis=0)
+    beyond = max(0.0, *(overshoot(drive, run) for run in found))
+    return [
+        name,
+        world.name,
+        f"{sum(run.docked for run in found)}/{len(found)}",
+        f"{1e3 * final[0]:.1f} / {1e3 * final[1]:.1f} / {math.degrees(final[2]):.2f}",
+        f"{1e3 * tracking[0]:.1f} / {1e3 * tracking[1]:.1f} / {math.degrees(tracking[2]):.2f}",
+        f"{1e3 * beyond:.1f}",
+        f"{max(run.duration for run in found) - drive.duration:+.2f}",
+    ]
+
+
+def main() -> None:
+    """Drive everything; print and write the table."""
+    head = ["drive", "world", "docked", "end mm/mm/deg", "on the way mm/mm/deg", "beyond mm", "time s"]
+    text = table([head, *(row(name, drive, world) for name, drive in DRIVES.items() for world in WORLDS)])
+    OUT.mkdir(parents=True, exist_ok=True)
+    write_text(OUT / "tracking.md", text + "\n")
+    print(f"errors along / across / yaw, the worst of {SEEDS} seeds\n\n{text}")
+
+
+if __name__ == "__main__":
+    main()
