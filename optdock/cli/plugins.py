@@ -26,7 +26,10 @@ def plugins(
         if nav2_params is None:
             typer.echo(table([(plugin.kind, plugin.name, plugin.target) for plugin in available_plugins()]))
             return
-        from optdock.config import nav2_plugin_rows
+        from optdock.config import nav2_costmap_rows, nav2_plugin_rows
         from optdock.io.nav2_params import load_nav2_params
 
-        typer.echo(table(nav2_plugin_rows(load_nav2_params(nav2_params))))
+        params = load_nav2_params(nav2_params)
+        for rows in (nav2_plugin_rows(params), nav2_costmap_rows(params)):
+            if rows:
+                typer.echo(table(rows))

@@ -3,18 +3,21 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
+
+from pydantic import ValidationError
 
 from optdock.errors import InvalidValue, PluginError
 from optdock.parameters import closest
 from optdock.plugins import INTERFACES, load_plugin
 
 if TYPE_CHECKING:
+    from optdock.io.nav2_costmap import CostmapParams
     from optdock.io.nav2_params import Nav2Params, PluginInstance
     from optdock.lifecycle import Plugin
 
-__all__ = ["Nav2Plugin", "nav2_plugin_rows", "nav2_plugins"]
+__all__ = ["Nav2Plugin", "nav2_costmap_rows", "nav2_plugin_rows", "nav2_plugins"]
 
 # Nav2's kinds of plugins that have an interface here.
 _KINDS: Mapping[str, str] = {
@@ -37,12 +40,14 @@ class Nav2Plugin:
     Args:
         instance: What the file says.
         plugin: The plugin, built with the parameters it knows; None when it is not provided.
+        taken: The parameters it was built with.
         reason: Why it is not provided; empty when it is.
         unknown: Parameters that the plugin here does not have, each with the nearest one that it has, if any.
     """
 
     instance: PluginInstance
     plugin: Plugin | None = None
+    taken: Mapping[str, object] = field(default_factory=dict)
     reason: str = ""
     unknown: tuple[str, ...] = ()
 
@@ -67,21 +72,58 @@ def _resolved(instance: PluginInstance) -> Nav2Plugin:
         reason = f"optdock has no {instance.kind.replace('_', ' ')} of this class" if unknown_class else str(error)
         return Nav2Plugin(instance, reason=reason)
     fields = plugin_class.Parameters.model_fields
-    known = {name: value for name, value in instance.parameters.items() if name in fields}
-    unknown = tuple(f"{name}{closest(name, fields)}" for name in instance.parameters if name not in fields)
+    extra = _refused(plugin_class, instance.parameters)
+    unknown = tuple(f"{name}{closest(name, fields)}" for name in extra)
+    known = _without(instance.parameters, extra)
     try:
-        return Nav2Plugin(instance, plugin_class(**known), unknown=unknown)
+        return Nav2Plugin(instance, plugin_class(**known), known, unknown=unknown)
     except InvalidValue as error:
         return Nav2Plugin(instance, reason=" | ".join(str(error).splitlines()), unknown=unknown)
 
 
+def _refused(plugin_class: type[Plugin], parameters: Mapping[str, object]) -> tuple[str, ...]:
+    """Names that the plugin's own model does not accept, however it takes a block apart."""
+    try:
+        plugin_class.Parameters.model_validate(dict(parameters))
+    except ValidationError as error:
+        return tuple(str(item["loc"][-1]) for item in error.errors() if item["type"] == "extra_forbidden")
+    return ()
+
+
+def _without(values: Mapping[str, object], names: tuple[str, ...]) -> dict[str, object]:
+    """The block and the blocks in it without these names."""
+    kept = {name: value for name, value in values.items() if name not in names}
+    return {name: _without(value, names) if isinstance(value, Mapping) else value for name, value in kept.items()}
+
+
 def nav2_plugin_rows(params: Nav2Params) -> list[tuple[str, str, str, str]]:
-    """Node, instance, Nav2's class, and what became of it: one row per plugin."""
+    """Node, instance, Nav2's class, and what became of it with which parameters: one row per plugin."""
     return [(p.instance.node, p.instance.name, p.instance.nav2_class, _outcome(p)) for p in nav2_plugins(params)]
 
 
 def _outcome(found: Nav2Plugin) -> str:
     if found.plugin is None:
         return f"not provided: {found.reason}"
+    taken = ", ".join(f"{name}={value}" for name, value in found.taken.items())
     ignored = f"; not read: {', '.join(found.unknown)}" if found.unknown else ""
-    return f"{type(found.plugin).__name__}{ignored}"
+    return f"{type(found.plugin).__name__}({taken}){ignored}"
+
+
+def nav2_costmap_rows(params: Nav2Params) -> list[tuple[str, str, str, str]]:
+    """Name, resolution, outline and layers: one row per costmap."""
+    return [
+        (
+            costmap.name,
+            f"{costmap.resolution:g} m",
+            f"{'radius' if costmap.footprint is None else 'footprint'} {_outline(costmap)}",
+            f"layers: {', '.join(costmap.layers) or 'none'}; filters: {', '.join(costmap.filters) or 'none'}",
+        )
+        for costmap in params.costmaps.values()
+    ]
+
+
+def _outline(costmap: CostmapParams) -> str:
+    padding = f"padded by {costmap.footprint_padding:g} m"
+    if costmap.footprint is None:
+        return f"{costmap.robot_radius:g} m, {padding}"
+    return f"{costmap.footprint.length:g} m x {costmap.footprint.width:g} m, {padding}"

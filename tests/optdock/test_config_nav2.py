@@ -7,7 +7,7 @@ from PIL import Image
 from typer.testing import CliRunner
 
 from optdock.cli import app
-from optdock.config import nav2_plugin_rows, nav2_plugins, nav2_scenario
+from optdock.config import nav2_costmap_rows, nav2_plugin_rows, nav2_plugins, nav2_scenario
 from optdock.config.nav2_scenario import nav2_limits
 from optdock.dock import DockDirection
 from optdock.errors import InvalidFile, InvalidValue
@@ -189,4 +189,27 @@ def test_every_plugin_of_the_bringup_file_is_built_or_has_a_reason(real_data):
     assert built["route_smoother"].parameters.model_dump()["refinement_num"] == 5
     rows = {row[1]: row for row in nav2_plugin_rows(params)}
     assert rows["FollowPath"][3] == "not provided: optdock has no controller of this class"
+    assert rows["simple_smoother"][3].startswith("SimpleSmoother(tolerance=1e-10, max_its=1000, refinement_num=2, ")
+    assert nav2_costmap_rows(params) == [
+        (
+            "local_costmap",
+            "0.05 m",
+            "radius 0.22 m, padded by 0.01 m",
+            "layers: voxel_layer, inflation_layer; filters: keepout_filter",
+        ),
+        (
+            "global_costmap",
+            "0.05 m",
+            "radius 0.22 m, padded by 0.01 m",
+            "layers: static_layer, obstacle_layer, inflation_layer; filters: keepout_filter, speed_filter",
+        ),
+    ]
     assert rows["simple_smoother"][:3] == ("smoother_server", "simple_smoother", "nav2_smoother::SimpleSmoother")
+
+
+def test_plugins_lists_what_a_nav2_file_asks_for(files):
+    result = CliRunner().invoke(app, ["plugins", "--nav2-params", str(files / "params.yaml")])
+    assert result.exit_code == 0
+    first, second = result.stdout.splitlines()
+    assert first.startswith("docking_server  charger  opennav_docking::SimpleChargingDock  not provided: ")
+    assert second.startswith("global_costmap  0.1 m  footprint 0.6 m x 0.4 m, padded by 0.02 m")
