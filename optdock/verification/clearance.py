@@ -118,7 +118,8 @@ class _Prover:
     def _crop(self, cells: Cells, crop: float) -> tuple[ObstacleSet, IntArray]:
         """The obstacles near the swept area, or all of them where none is near; and their rows in the problem."""
         everything = self.problem.all_obstacles
-        at = self.motion.nodes(cells.segment, cells.first).poses[:, :2]
+        ends = self.motion.nodes(np.tile(cells.segment, 2), np.concatenate((cells.first, cells.last)))
+        at = ends.poses[:, :2]  # a cell strays from its chord by less than `_MAX_STEP`
         reach = self.problem.robot.footprint.circumscribed_radius + _MAX_STEP + crop + self.problem.clearance.required
         low, high = at.min(axis=0) - reach, at.max(axis=0) + reach
         rows = np.flatnonzero(np.all((everything.lower <= high) & (everything.upper >= low), axis=1))

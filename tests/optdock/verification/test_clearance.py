@@ -143,6 +143,15 @@ def test_a_long_step_of_a_polyline_hides_no_post():
         assert certificate.certified is certified
 
 
+def test_a_post_at_the_far_end_of_a_long_last_step_is_found_among_nearer_obstacles():
+    beside_the_start = square(0.0, 0.8)
+    for poses in ([[0.0, 0.0, 0.0], [5.0, 0.0, 0.0]], [[0.0, 0.0, 0.0], [0.1, 0.0, 0.0], [-5.0, 0.0, 0.0]]):
+        path = Path.from_poses(np.array(poses))
+        in_the_way = square(0.9 * poses[-1][0], 0.0)
+        certificate = certify_path(path, problem_for(path, ObstacleSet.from_polygons([beside_the_start, in_the_way])))
+        assert kinds(certificate) == {"clearance"}
+
+
 def test_a_post_swept_only_by_the_corner_in_an_in_place_turn_is_found():
     path = Path.from_poses(np.array([[0.0, 0.0, 0.0], [0.0, 0.0, np.pi / 2]]))
     corner = np.hypot(0.45, 0.3)
