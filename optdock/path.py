@@ -99,8 +99,8 @@ class Path:
 
     @property
     def start(self) -> Pose2:
-        """Pose at s = 0."""
-        return self.pose_at(0.0)
+        """Pose at s = 0; before the turn where the path begins with one in place."""
+        return Pose2.from_sequence(_first_pose(self.segments[0]))
 
     @property
     def end(self) -> Pose2:
@@ -153,6 +153,11 @@ class Path:
             block._replace(s=block.s + start) for block, start in zip(blocks, self.segment_starts[:-1], strict=True)
         )
         return _joined(list(shifted))
+
+
+def _first_pose(segment: Segment) -> FloatArray:
+    first: FloatArray = segment.poses[0] if isinstance(segment, PolylineSegment) else segment.poses_at(0.0)[0]
+    return first
 
 
 def _sample_segment(segment: Segment, spacing: float) -> PathSamples:

@@ -12,7 +12,7 @@ from optdock.path import Direction, PolylineSegment
 from optdock.verification.certificate import Violation
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Iterator, Sequence
 
     from optdock.geometry.arrays import FloatArray
     from optdock.path import Path, Segment
@@ -66,15 +66,21 @@ def _first_pose(segment: Segment) -> FloatArray:
 
 
 def _gears(path: Path, problem: DockingProblem) -> Iterator[Violation]:
-    last, wanted = path.segments[-1].direction, problem.dock.direction
+    moving = _moving_segments(path)
+    last, wanted = moving[-1].direction, problem.dock.direction
     required = {DockDirection.FORWARD: Direction.FORWARD, DockDirection.BACKWARD: Direction.REVERSE}.get(wanted, last)
     if last is not required:
         message = f"the path enters the dock in {last.name.lower()} gear, the dock asks for {wanted.value}"
         yield Violation("direction", message, path.length, 1.0)
-    first = path.segments[0].direction
+    first = moving[0].direction
     if problem.start_speed * first < 0.0:
         message = f"the robot moves at {problem.start_speed:.3g} m/s but the path begins in {first.name.lower()} gear"
         yield Violation("direction", message, 0.0, abs(problem.start_speed))
+
+
+def _moving_segments(path: Path) -> Sequence[Segment]:
+    """The gears that lead anywhere; a motion within the tolerance of a pose has no direction."""
+    return [segment for segment in path.segments if segment.length > POSE_TOLERANCE] or path.segments
 
 
 def _slip(path: Path, problem: DockingProblem) -> Iterator[Violation]:  # noqa: ARG001 - one shape for all rules
@@ -176,14 +182,15 @@ def _final_straight(path: Path, problem: DockingProblem) -> Iterator[Violation]:
         message = f"the last gear is {last.length:.3f} m long, the final straight needs {wanted:.3f} m"
         yield Violation("final_straight", message, path.length, wanted - last.length)
         return
-    begin = max(0.0, last.length - wanted)
-    inside = last.knots[(last.knots > begin + POSE_TOLERANCE) & (last.knots < last.length)]
     # A nanometre in, so that rounding of the knot where the straight begins does not count as a curve.
-    s = np.concatenate(([begin + 1e-9], inside, [last.length]))
+    begin = max(0.0, last.length - wanted) + 1e-9
+    inside = last.knots > begin
     if isinstance(last, PolylineSegment):
-        error = _straight_error(last.poses_at(s), problem.goal)
-        allowed = STRAIGHT_TOLERANCE
+        # The poses themselves: where the robot turns in place, arc length cannot tell them apart.
+        poses = np.concatenate((last.poses_at(begin), last.poses[inside]))
+        error, allowed = _straight_error(poses, problem.goal), STRAIGHT_TOLERANCE
     else:
+        s = np.concatenate(([begin], last.knots[inside]))
         error, allowed = np.abs(last.curvature_at(s)), POSE_TOLERANCE
     worst = float(np.max(error))
     if not worst <= allowed:

@@ -107,6 +107,20 @@ def test_a_moving_robot_keeps_its_gear():
     assert kinds(path, problem(path, start_speed=-0.2)) == ["direction"]
 
 
+def test_the_gear_into_the_dock_is_that_of_the_motion_not_of_a_last_nanometre():
+    back = spline((0.0, 1.0), (0.0, 0.0), sign=-1)
+    path = path_of(back, spline((0.0, 1e-9), (0.0, 0.0), back.end))
+    for asked, expected in ((DockDirection.FORWARD, ["direction"]), (DockDirection.BACKWARD, [])):
+        assert kinds(path, problem(path, direction=asked, final_straight=0.0)) == expected
+
+
+def test_a_moving_robot_keeps_its_gear_beyond_a_first_nanometre():
+    first = spline((0.0, 1e-9), (0.0, 0.0))
+    path = path_of(first, spline((0.0, 1.0), (0.0, 0.0), first.end, -1))
+    assert kinds(path, problem(path, start_speed=0.2)) == ["direction"]
+    assert kinds(path, problem(path, start_speed=-0.2)) == []
+
+
 def test_gears_that_do_not_meet_are_a_joint_violation():
     first = spline()
     whole = path_of(first, spline((0.0, 1.0), (0.0, 0.0), first.end, -1))
@@ -142,6 +156,27 @@ def test_turning_in_place_breaks_any_finite_curvature_bound():
     assert certificate.max_curvature == np.inf
     free = certify_path(path, problem(path, MotionLimits(), final_straight=0.0))
     assert free.certified
+
+
+def test_a_path_that_begins_with_a_turn_in_place_begins_before_the_turn():
+    path = Path.from_poses(np.array([[0.0, 0.0, 1.0], [0.0, 0.0, 0.0], [1.0, 0.0, 0.0]]))
+    for yaw, expected in ((0.0, ["start"]), (1.0, [])):
+        wanted = problem(path, MotionLimits(), start=Pose2(0.0, 0.0, yaw), final_straight=0.0)
+        assert kinds(path, wanted) == expected
+
+
+@pytest.mark.parametrize("at", [1.0, 2.0])
+def test_a_turn_in_place_and_back_is_not_straight(at):
+    poses = np.array([[0.0, 0.0, 0.0], [at, 0.0, 0.0], [at, 0.0, 0.5], [at, 0.0, 0.0], [2.0 + at, 0.0, 0.0]])
+    for path, expected in ((Path.from_poses(poses), []), (Path.from_poses(poses[:4]), ["final_straight"])):
+        assert kinds(path, problem(path, MotionLimits(), final_straight=0.5)) == expected
+        whole = problem(path, MotionLimits(), final_straight=path.length)
+        assert kinds(path, whole) == ["final_straight"]
+
+
+def test_a_spike_of_curvature_in_the_first_micrometre_of_the_final_straight_is_seen():
+    path = path_of(spline((0.0, 2.0, 2.0000002, 2.0000004, 2.0000006, 2.5), (0.0, 0.0, 0.0, 900.0, 0.0, 0.0)))
+    assert kinds(path, problem(path, MotionLimits(), final_straight=0.5)) == ["final_straight"]
 
 
 def test_sliding_sideways_is_a_slip():
