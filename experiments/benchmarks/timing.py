@@ -1,8 +1,8 @@
-"""Benchmark of the time parameterization: how close to the optimum, at what cost, and whether every limit holds.
+"""Time parameterization: how close to the optimum, at what cost, and whether every limit holds.
 
-    python -m experiments.benchmarks.timing              tables over the committed suites, 200 fresh paths, CPU times
-    python -m experiments.benchmarks.timing --fresh 2000 that many fresh random paths
-    python -m experiments.benchmarks.timing --recompute  the references too (minutes), kept in timing_reference.json
+    python -m experiments.benchmarks timing                tables over the committed suites, 200 fresh paths, CPU times
+    python -m experiments.benchmarks timing --fresh 2000   that many fresh random paths
+    python -m experiments.benchmarks timing --recompute    the references too (minutes), kept in timing_reference.json
 
 T is the duration found, B the jerk-limited optimum (a local one, by IPOPT), A the bound without jerk (TOPP-RA).
 """
@@ -11,13 +11,15 @@ from __future__ import annotations
 
 import argparse
 import json
-import time
+import sys
+from collections import Counter
 from pathlib import Path as FilePath
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from experiments.benchmarks.timing_paths import clothoid_case, random_case, suite
+from experiments.benchmarks.tables import Table, Timer, yardstick
+from experiments.benchmarks.timing_paths import clothoid_case, random_case, sampled, suite
 from optdock.interfaces import TimingStatus
 from optdock.timing.near_optimal import NearOptimal
 from optdock.timing.windowed import Windowed
@@ -31,7 +33,7 @@ if TYPE_CHECKING:
     from optdock.trajectory import Trajectory
 
 _REFERENCES = FilePath(__file__).with_name("timing_reference.json")
-_SUITES = ("std", "hard", "clothoid")
+_SUITES = ("std", "hard", "clothoid", "smoothed")
 _FRESH_SEED = 20261121
 _KEPT = 1.0 + 1e-6
 
@@ -48,7 +50,7 @@ def methods() -> dict[str, TimeParameterizer]:
 
 
 class Run(NamedTuple):
-    """One timed call: result and CPU time, the least of the repetitions [s]."""
+    """A timed call: its result and its CPU time, the least of the repetitions [s]."""
 
     case: Case
     result: TimingResult
@@ -56,20 +58,20 @@ class Run(NamedTuple):
 
 
 def run(method: TimeParameterizer, case: Case, repeat: int = 3) -> Run:
-    """Time one call."""
-    least, result = np.inf, None
+    """Time one call `repeat` times."""
+    speed, acceleration = case.start
+    seconds, results = [], []
     for _ in range(repeat):
-        begin = time.process_time()
-        result = method.parameterize(
-            case.path, case.limits, case.zone, start_speed=case.start[0], start_acceleration=case.start[1]
+        timer = Timer()
+        results.append(
+            method.parameterize(case.path, case.limits, case.zone, start_speed=speed, start_acceleration=acceleration)
         )
-        least = min(least, time.process_time() - begin)
-    assert result is not None
-    return Run(case, result, least)
+        seconds.append(timer.cpu)
+    return Run(case, results[-1], min(seconds))
 
 
 def worst_quotient(case: Case, trajectory: Trajectory) -> float:
-    """Largest quotient of any quantity and its limit on a 1 ms grid plus all phase ends, analytic curvature."""
+    """Largest quotient of any quantity and its limit on a 1 ms grid plus all phase ends, the path's own curvature."""
     limits, path, law = case.limits, trajectory.path, trajectory.time_law
     t = np.union1d(np.arange(0.0, law.duration, 1e-3), law.times)
     s, v, a, _jerk = law.at(t).T
@@ -97,112 +99,119 @@ def clean(item: Run) -> bool:
     if item.result.status is not TimingStatus.OK or trajectory is None:
         return False
     end = np.abs(trajectory.time_law.states[-1] - (item.case.path.length, 0.0, 0.0)).max()
-    return worst_quotient(item.case, trajectory) <= _KEPT and end < 1e-9
+    return worst_quotient(item.case, trajectory) <= _KEPT and bool(end < 1e-9)
 
 
-def recompute() -> None:
-    """Solve for A and B of every suite, B from two first iterates, and keep them."""
-    from experiments.benchmarks.timing_reference import acceleration_bound, jerk_limited_optimum
+def recompute(names: Iterable[str] = _SUITES) -> None:
+    """Solve for A and B of some suites, B from two first iterates, and keep them."""
+    from experiments.benchmarks.timing_reference import acceleration_bound
 
-    found: dict[str, dict[str, float]] = {}
-    for name in _SUITES:
-        for i, case in enumerate(suite(name)):
-            guesses = [run(method, case, 1).result.trajectory for method in (NearOptimal(), Windowed())]
-            optima = []
-            for guess in guesses:
-                try:
-                    optima.append(jerk_limited_optimum(case, guess.time_law) if guess is not None else np.inf)
-                except RuntimeError as error:
-                    print(case.name, error)
-            row = {"A": acceleration_bound(case), "B": min(optima, default=np.inf)}
-            if i % 12 == 0 and guesses[0] is not None:
-                row["B doubled"] = jerk_limited_optimum(case, guesses[0].time_law, 600)
-            found[case.name] = row
-            print(case.name, row, flush=True)
-    _REFERENCES.write_text(json.dumps(found, indent=1) + "\n")
+    found: dict[str, dict[str, float]] = json.loads(_REFERENCES.read_text()) if _REFERENCES.exists() else {}
+    for i, case in enumerate(case for name in names for case in suite(name)):
+        guesses = [run(method, case, 1).result.trajectory for method in (NearOptimal(), Windowed())]
+        optima = [_optimum(case, guess, 300) for guess in guesses if guess is not None]
+        row = {"A": acceleration_bound(case), "B": min(optima, default=np.inf)}
+        if i % 12 == 0 and guesses[0] is not None:
+            row["B doubled"] = _optimum(case, guesses[0], 600)
+        found[case.name] = row
+        print(case.name, row, flush=True)
+        _REFERENCES.write_text(json.dumps(found, indent=1) + "\n")
 
 
-def print_suite(name: str) -> None:
+def _optimum(case: Case, guess: Trajectory, intervals: int) -> float:
+    """Infinite where IPOPT does not converge."""
+    from experiments.benchmarks.timing_reference import jerk_limited_optimum
+
+    try:
+        return jerk_limited_optimum(case, guess.time_law, intervals)
+    except RuntimeError as error:
+        print(case.name, error)
+        return np.inf
+
+
+def suite_table(name: str) -> Table:
     """One suite: every method against B and A."""
     references = json.loads(_REFERENCES.read_text())
     cases = suite(name)
-    ratios = [references[case.name]["B"] / references[case.name]["A"] for case in cases]
-    doubled = [abs(row["B doubled"] / row["B"] - 1.0) for row in references.values() if "B doubled" in row]
-    print(
-        f"\n{name}: {len(cases)} paths, B/A median {np.median(ratios):.3f}, doubling the grid changes B by <= {max(doubled):.1e}"
-    )
-    print(f"{'method':14} {'clean':>7} {'T/B med':>8} {'p90':>7} {'max':>7} {'<=1.05':>7} {'T/A med':>8} {'ms/5 m':>7}")
+    own = {case.name: references[case.name] for case in cases}
+    doubled = [abs(row["B doubled"] / row["B"] - 1.0) for row in own.values() if "B doubled" in row]
+    rows = []
     for label, method in methods().items():
         runs = [run(method, case, 1) for case in cases]
         good = [item for item in runs if clean(item)]
         times = np.array([item.result.trajectory.duration for item in good if item.result.trajectory])
-        to_b = times / [references[item.case.name]["B"] for item in good]
-        to_a = times / [references[item.case.name]["A"] for item in good]
-        cost = np.median([item.seconds * 5e3 / item.case.path.length for item in runs])
-        print(
-            f"{label:14} {len(good):3}/{len(runs):3} {np.median(to_b):8.4f} {np.percentile(to_b, 90):7.4f} {to_b.max():7.4f}"
-            f" {np.mean(to_b <= 1.05):7.0%} {np.median(to_a):8.3f} {cost:7.2f}"
-        )
+        to_b = times / [own[item.case.name]["B"] for item in good]
+        to_a = times / [own[item.case.name]["A"] for item in good]
+        shown = (*np.percentile(to_b, (50, 90, 100)), np.percentile(to_a, 50))
+        rows.append((label, f"{len(good)}/{len(runs)}", *(f"{value:.4f}" for value in shown), _jerk_steps(good)))
+    note = (
+        f"B/A median {np.median([row['B'] / row['A'] for row in own.values()]):.3f}; doubling the grid changes B by at"
+        f" most {max(doubled):.1e}; jerk steps: median of the sum of |jerk step| / max_jerk per second"
+    )
+    header = ("method", "clean", "T/B median", "p90", "max", "T/A median", "jerk steps")
+    return Table(f"{name}: {len(cases)} paths", header, tuple(rows), note)
 
 
-def print_cost(count: int) -> None:
-    """CPU time of single-gear paths of 5 m."""
-    print(f"\nCPU of single-gear paths of 5 m [ms], {count} each, least of 3 calls")
-    print(f"{'paths':10} {'method':14} {'p50':>6} {'p90':>6} {'p95':>6} {'p99':>6} {'max':>6}")
+def _jerk_steps(runs: list[Run]) -> float:
+    laws = [(item.result.trajectory.time_law, item.case.limits.max_jerk) for item in runs if item.result.trajectory]
+    return float(np.median([np.sum(np.abs(np.diff(law.jerks))) / jerk / law.duration for law, jerk in laws]))
+
+
+def cost_table(count: int) -> Table:
+    """CPU time of paths of 5 m, as clothoid splines."""
     kinds: dict[str, Callable[[int], Case]] = {
-        "std": lambda i: random_case(501, i, length=5.0, gears=1),
-        "hard": lambda i: random_case(502, i, length=5.0, gears=1, hard=True),
-        "clothoid": lambda i: clothoid_case(503, i, length=5.0, hard=i % 2 == 1),
-        "one cusp": lambda i: random_case(504, i, length=5.0, gears=2),
+        "standard": lambda i: sampled(random_case(501, i, length=5.0, gears=1)),
+        "hard": lambda i: sampled(random_case(502, i, length=5.0, gears=1, hard=True)),
+        "knots 8 cm apart": lambda i: clothoid_case(503, i, length=5.0, hard=i % 2 == 1),
+        "standard, one cusp": lambda i: sampled(random_case(504, i, length=5.0, gears=2)),
     }
+    rows = []
     for kind, make in kinds.items():
         cases = [make(i) for i in range(count)]
         for label, method in methods().items():
-            ms = [1e3 * run(method, case).seconds for case in cases]
-            row = " ".join(f"{value:6.2f}" for value in (*np.percentile(ms, (50, 90, 95, 99)), max(ms)))
-            print(f"{kind:10} {label:14} {row}")
+            ms = [1e3 * run(method, case, 5).seconds for case in cases]
+            rows.append((kind, label.strip(), *(f"{value:.2f}" for value in np.percentile(ms, (50, 90, 95, 99, 100)))))
+    note = f"{count} paths each, CPU ms, least of 5 calls; yardstick {1e3 * yardstick():.2f} ms"
+    return Table("CPU of 5 m paths", ("paths", "method", "p50", "p90", "p95", "p99", "max"), tuple(rows), note)
 
 
-def print_fresh(count: int, seed: int) -> None:
+def fresh_table(count: int, seed: int) -> Table:
     """Fresh random paths of all kinds: how they end, and the worst quotient among those called OK."""
-    statuses: dict[str, int] = {}
-    repairs: dict[str, int] = {}
+    statuses: Counter[str] = Counter()
+    repairs: Counter[str] = Counter()
     worst, broken = (0.0, ""), 0
     for i in range(count):
         case = clothoid_case(seed, i, hard=i % 2 == 1) if i % 4 == 3 else random_case(seed, i, hard=i % 3 == 0)
         item = run(NearOptimal(), case, 1)
-        statuses[item.result.status.name] = statuses.get(item.result.status.name, 0) + 1
-        for how in _gears(item.result):
-            repairs[how] = repairs.get(how, 0) + 1
+        statuses[item.result.status.name] += 1
+        gears = item.result.report["gears"]
+        repairs.update(gears if isinstance(gears, list) else [])
         if item.result.status is TimingStatus.OK and item.result.trajectory is not None:
-            quotient = worst_quotient(case, item.result.trajectory)
-            broken += quotient > _KEPT
-            worst = max(worst, (quotient, case.name))
-    print(f"\nfresh paths, seed {seed}: {count}; ended {statuses}; above a limit by > 1e-6: {broken}")
-    print(f"worst quotient {worst[0]:.9f} ({worst[1]}); per gear: {repairs}")
+            broken += not clean(item)
+            worst = max(worst, (worst_quotient(case, item.result.trajectory), case.name))
+    rows = [("paths", count), *((f"ended {name}", number) for name, number in statuses.items())]
+    rows += [("OK but beyond a limit by > 1e-6, or not at rest at the end", broken)]
+    rows += [("worst quotient among OK", f"{worst[0]:.9f} ({worst[1]})")]
+    rows += [(f"gears by: {how}", number) for how, number in repairs.most_common()]
+    return Table(f"Fresh random paths, seed {seed}, near-optimal", ("what", "number"), tuple(rows))
 
 
-def _gears(result: TimingResult) -> list[str]:
-    found = result.report.get("gears", [])
-    return [str(how) for how in found] if isinstance(found, list) else []
-
-
-def main() -> None:
+def main(arguments: list[str]) -> None:
     """Print the tables."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--recompute", action="store_true", help="solve for the references again")
     parser.add_argument("--fresh", type=int, default=200, help="number of fresh random paths")
     parser.add_argument("--seed", type=int, default=_FRESH_SEED, help="of the fresh paths")
-    parser.add_argument("--cost", type=int, default=50, help="number of paths per CPU row")
-    arguments = parser.parse_args()
-    if arguments.recompute:
+    parser.add_argument("--cost", type=int, default=40, help="number of paths per CPU row")
+    options = parser.parse_args(arguments)
+    if options.recompute:
         recompute()
     run(NearOptimal(), suite("std")[0])  # imports and caches
     for name in _SUITES:
-        print_suite(name)
-    print_cost(arguments.cost)
-    print_fresh(arguments.fresh, arguments.seed)
+        print(suite_table(name))
+    print(cost_table(options.cost))
+    print(fresh_table(options.fresh, options.seed))
 
 
 if __name__ == "__main__":
-    main()
+    main(sys.argv[1:])

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
+from experiments.benchmarks.timing_smoothed import smoothed_paths
 from optdock.geometry.arrays import FloatArray, frozen_array
 from optdock.geometry.clothoid import ClothoidSpline
 from optdock.geometry.pose import Pose2
@@ -18,7 +19,7 @@ if TYPE_CHECKING:
 
     from optdock.path import Segment
 
-__all__ = ["Case", "GaussianSegment", "clothoid_case", "random_case", "suite"]
+__all__ = ["Case", "GaussianSegment", "clothoid_case", "random_case", "sampled", "suite"]
 
 _MAX_CURVATURE = 2.5  # [1/m]
 _POSE_SPACING = 0.005  # [m]
@@ -176,10 +177,24 @@ def clothoid_case(seed: int, index: int, *, length: float | None = None, hard: b
     return Case(f"clothoid-{seed}-{index}", Path((ClothoidSegment(spline),)), limits, zone)
 
 
+def sampled(case: Case, spacing: float = _POSE_SPACING) -> Case:
+    """The same case with its path as clothoid splines, knots `spacing` [m] apart."""
+    segments = []
+    for segment in case.path.segments:
+        knots = np.linspace(0.0, segment.length, max(2, int(np.ceil(segment.length / spacing)) + 1))
+        start = Pose2.from_sequence(segment.poses_at(0.0)[0])
+        segments.append(ClothoidSegment(ClothoidSpline(start, knots, segment.curvature_at(knots), segment.direction)))
+    return case._replace(path=Path(tuple(segments)))
+
+
 def suite(name: str) -> list[Case]:
-    """A committed suite: `std` (48 paths), `hard` (24 paths) or `clothoid` (24 paths)."""
+    """A committed suite: `std` (48 paths), `hard` (24), `clothoid` (24) or `smoothed` (45, by CasadiSmoother)."""
     if name == "clothoid":
         return [clothoid_case(5, i, hard=i % 2 == 1) for i in range(24)]
     if name == "hard":
         return [random_case(77, i, hard=True) for i in range(24)]
+    if name == "smoothed":
+        sets = (*_STANDARD, *_HARD)
+        paths = enumerate(smoothed_paths().items())
+        return [Case(f"smoothed-{key}", path, sets[i % len(sets)], SpeedZone(0.12, 0.4)) for i, (key, path) in paths]
     return [random_case(1, i) for i in range(48)]

@@ -6,6 +6,7 @@ checks its grid by doubling. A relaxes the jerk limit: no motion is faster.
 
 from __future__ import annotations
 
+import itertools
 import logging
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -74,7 +75,7 @@ def _stretches(case: Case, segment: Segment, begin: float) -> list[_Stretch]:
     slow = min(speed, case.zone.speed)
     return [
         _Stretch(float(a), float(b), slow if a >= zone - 1e-9 else speed, _curve_of(segment, float(a), float(b)))
-        for a, b in zip(knots[:-1], knots[1:], strict=True)
+        for a, b in itertools.pairwise(knots)
     ]
 
 
@@ -200,7 +201,7 @@ def _gear_optimum(
     times = np.interp([part.left for part in stretches] + [stretches[-1].right], guess[1], guess[0])
     state: ca.SX | None = None
     for part, time in zip(stretches, np.diff(times), strict=True):
-        count = max(4 if len(stretches) > 2 else 60, int(round(intervals * time / times[-1])))
+        count = max(4 if len(stretches) > 2 else 60, round(intervals * time / times[-1]))
         state = program.stretch(part, count, state)
     program.bound(program.first - ca.DM(start), 0.0, 0.0)
     program.bound(state, 0.0, 0.0)

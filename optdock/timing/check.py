@@ -12,9 +12,10 @@ if TYPE_CHECKING:
     from optdock.timing.course import Course
     from optdock.timing.motion import Motion
 
-__all__ = ["PERIOD", "Worst", "motion_ratios", "worst_ratio"]
+__all__ = ["Ratios", "Worst", "motion_ratios", "refined_times", "worst_ratio"]
 
-PERIOD = 0.008  # [s]
+_PERIOD = 0.008  # [s]
+_FINER = 16  # times: near a limit
 
 
 class Worst(NamedTuple):
@@ -50,14 +51,14 @@ class Ratios(NamedTuple):
     drive: FloatArray
 
 
-def motion_ratios(course: Course, motion: Motion, period: float = PERIOD) -> Ratios:
+def motion_ratios(course: Course, motion: Motion, times: FloatArray | None = None) -> Ratios:
     """All limits at time samples, at phase borders, and at every node of the course with the rates on both its sides.
 
     Between nodes curvature and its rate are linear and the motion is smooth, so the maxima sit at the nodes up to the
     time sampling; time samples alone would miss narrow features. At the nodes speed and acceleration are interpolated
     between time samples, wrong by at most period^2 * jerk / 8. Jerk is the caller's: it is the phases themselves.
     """
-    t = np.union1d(motion.times, np.arange(0.0, motion.duration, period))
+    t = _grid(motion) if times is None else times
     s, v, a = motion.at(t)
     s = np.minimum(np.maximum.accumulate(s), course.length)
     inner = course.s[1:-1]
@@ -93,9 +94,24 @@ def _drive_ratio(course: Course, a: FloatArray) -> FloatArray:
     return np.maximum(a * (1.0 / course.limits.max_acceleration), a * (-1.0 / course.limits.max_deceleration))
 
 
-def worst_ratio(course: Course, motion: Motion, period: float = PERIOD) -> Worst:
-    """The worst of all limits along a motion, jerk included."""
-    ratios = motion_ratios(course, motion, period)
+def _grid(motion: Motion) -> FloatArray:
+    return np.union1d(motion.times, np.arange(0.0, motion.duration, _PERIOD))
+
+
+def refined_times(course: Course, motion: Motion, close: float) -> FloatArray:
+    """The usual times, and half a millisecond apart wherever a limit of the path is used up to `close` or more."""
+    t = _grid(motion)
+    ratios = motion_ratios(course, motion, t)
+    near = ratios.s[np.maximum(ratios.speed, np.sqrt(ratios.yaw)) > close]
+    first = np.clip(np.searchsorted(motion.at(t)[0], near) - 1, 0, t.size - 2)
+    spans = np.unique(np.concatenate((first, np.minimum(first + 1, t.size - 2), np.maximum(first - 1, 0))))
+    steps = np.arange(1, _FINER) / _FINER
+    return np.union1d(t, (t[spans, None] + (t[spans + 1] - t[spans])[:, None] * steps).ravel())
+
+
+def worst_ratio(course: Course, motion: Motion, times: FloatArray | None = None) -> Worst:
+    """The worst of all limits along a motion, jerk included; at `times`, Shape (n,) [s], instead of the usual ones."""
+    ratios = motion_ratios(course, motion, times)
     largest = np.maximum(ratios.speed, ratios.yaw)
     np.maximum(largest[: ratios.drive.size], ratios.drive, out=largest[: ratios.drive.size])
     worst = int(np.argmax(largest))

@@ -15,7 +15,7 @@ from optdock.interfaces import TimingStatus
 from optdock.timing.attempt import Attempt, Settings, attempt
 from optdock.timing.bounds import Bounds, Margins, Tightening
 from optdock.timing.braking import Braking
-from optdock.timing.check import Worst, worst_ratio
+from optdock.timing.check import Worst, refined_times, worst_ratio
 from optdock.timing.motion import Motion, Phases, State, stretched
 from optdock.timing.quick import quick_plan
 from optdock.timing.start import GearPlan, checked_plan, judged_plan
@@ -26,7 +26,6 @@ if TYPE_CHECKING:
 
 __all__ = ["plan_gear"]
 
-_FINE = 0.0005  # [s]: period of the check where it is close
 _STRETCH_AT_ONCE = 1.012  # up to it stretching time is better than another attempt
 _STRETCH_AT_LAST = 1.1  # beyond it the windowed method may be better
 _KEPT = 1.0 + 1e-9
@@ -79,7 +78,8 @@ def _accepted(course: Course, start: State, tried: _Tried, margins: Margins, ret
     if worst.ratio > _KEPT or worst.path > 1.0 - 0.5 * margins.check:
         if start.v == 0.0 and start.a == 0.0:
             return _stretched_plan(course, start, tried, margins, how) if worst.stretch <= _STRETCH_AT_ONCE else None
-        worst = worst_ratio(course, Motion.of(start, tried.phases), _FINE)
+        motion = Motion.of(start, tried.phases)
+        worst = worst_ratio(course, motion, refined_times(course, motion, 1.0 - margins.check))
     return judged_plan(course, Motion.of(start, tried.phases), worst, how) if worst.ratio <= _KEPT else None
 
 

@@ -24,6 +24,7 @@ __all__ = ["Nodes", "Piece", "Split", "nodes_of", "split_into_moves"]
 _SAMPLE = 0.02  # [s]
 _GENTLE_BELOW = 1.5  # [s]: shorter pieces are tried with the reference's own jerk and acceleration first
 _LONGEST = (1.2, 0.05)  # a move may take this factor and this time [s] more than the reference
+_LEVEL = 0.8  # of the largest v^2: where the cap stays above, one move may do for any length
 _MIDDLE, _SHORT = 16, 6  # cells: longer pieces are cut in parts of at most 16 cells, or in four, at once
 
 
@@ -110,8 +111,7 @@ def nodes_of(reference: Reference, start: State, end: State, arcs: tuple[float, 
 
 def split_into_moves(nodes: Nodes, bounds: Bounds) -> Split:
     """The moves that drive the reference within the checked limits, wherever there are such."""
-    last = len(nodes.s) - 1
-    active = [(0, nodes.zone), (nodes.zone, last)] if 0 < nodes.zone < last else [(0, last)]
+    active = _first_pieces(nodes, bounds)
     done: list[Piece] = []
     complete = True
     while active:
@@ -127,13 +127,30 @@ def split_into_moves(nodes: Nodes, bounds: Bounds) -> Split:
     return Split(sorted(done), complete)
 
 
+def _first_pieces(nodes: Nodes, bounds: Bounds) -> list[tuple[int, int]]:
+    """Before and after the zone start; at most `_MIDDLE` cells each where the speed cap changes on the way."""
+    last = len(nodes.s) - 1
+    halves = [(0, nodes.zone), (nodes.zone, last)] if 0 < nodes.zone < last else [(0, last)]
+    pieces: list[tuple[int, int]] = []
+    for i, j in halves:
+        cells = slice(*np.searchsorted(bounds.course.s, (nodes.s[i] + 1e-9, nodes.s[j] - 1e-9)))
+        cap = bounds.speed_squared[cells]
+        level = cap.size == 0 or float(cap.min()) > _LEVEL * float(cap.max())
+        pieces.extend([(i, j)] if level else _equal_parts(i, j, -(-(j - i) // _MIDDLE)))
+    return pieces
+
+
+def _equal_parts(i: int, j: int, count: int) -> list[tuple[int, int]]:
+    return list(itertools.pairwise(i + (j - i) * n // count for n in range(count + 1)))
+
+
 def _parts(nodes: Nodes, ends: tuple[int, int], tried: Piece | None) -> list[tuple[int, int]]:
     """A long piece in equal parts, a short one in two at the knot nearest to where it is worst."""
     i, j = ends
     cells = j - i
     if cells > _SHORT or tried is None:
         count = -(-cells // _MIDDLE) if cells > _MIDDLE else 4 if cells > _SHORT else 2
-        return list(itertools.pairwise(i + cells * n // count for n in range(count + 1)))
+        return _equal_parts(i, j, count)
     s, worst = nodes.s, tried.worst
     middle = min(range(i + 1, j), key=lambda n: abs(s[n] - worst))
     return [(i, middle), (middle, j)]
@@ -190,7 +207,7 @@ def _evaluate(bounds: Bounds, moves: list[tuple[State, Phases]]) -> list[tuple[f
     owner = np.repeat(np.arange(number_of.size), number_of)
     first = np.cumsum(number_of) - number_of
     duration, jerk, s, v, a, number = phases[owner].T
-    t = (np.arange(owner.size) - first[owner]) * (duration / (number - 1.0))
+    t = (np.arange(owner.size) - first[owner]) * (duration / number)  # the end of a move is a knot
     half = 0.5 * t * jerk
     distance = np.minimum(np.maximum(s + t * (v + t * (0.5 * a + half / 3.0)), 0.0), bounds.course.length)
     samples = _Samples(distance, v + t * (a + half), a + t * jerk, first[np.cumsum(counts) - counts])
@@ -240,7 +257,7 @@ def _phase_rows(moves: list[tuple[State, Phases]]) -> tuple[FloatArray, FloatArr
     for start, phases in moves:
         s, v, a = start
         for duration, jerk in phases:
-            rows.append((duration, jerk, s, v, a, 2 + int(duration / _SAMPLE)))
+            rows.append((duration, jerk, s, v, a, 1 + int(duration / _SAMPLE)))
             gain = duration * jerk
             s, v, a = (
                 s + duration * (v + duration * (0.5 * a + gain / 6.0)),
