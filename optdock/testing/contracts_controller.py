@@ -8,15 +8,15 @@ from typing import TYPE_CHECKING, ClassVar, NamedTuple
 
 from optdock.errors import ControllerException, ControllerInvalidPath, InvalidValue
 from optdock.geometry.pose import Pose2, Twist2
-from optdock.interfaces import Controller
+from optdock.interfaces import Controller, GoalChecker, Tolerances
 from optdock.path import Direction, Path
 from optdock.testing.contracts_plugin import PluginContract
 from optdock.testing.contracts_rules import refused, require
 from optdock.testing.contracts_scene import ORIGIN, ROBOT, scene_context, scene_problem
-from optdock.testing.drives import s_curve_drive, straight_drive
+from optdock.testing.drives import cusp_drive, s_curve_drive, straight_drive
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Sequence
 
     from optdock.lifecycle import PluginContext
     from optdock.trajectory import Trajectory
@@ -33,6 +33,19 @@ class _Run(NamedTuple):
 
     commands: list[Twist2]
     pose: Pose2
+
+
+class _Accepting(GoalChecker):
+    """Says what it accepts, and never that the goal is reached."""
+
+    tolerances = Tolerances()
+
+    def __init__(self, accepted: Tolerances) -> None:
+        super().__init__()
+        self.tolerances = accepted
+
+    def is_goal_reached(self, query_pose: Pose2, goal_pose: Pose2, velocity: Twist2, path: Sequence[Pose2]) -> bool:  # noqa: ARG002 - the interface's
+        return False
 
 
 class ControllerContract(PluginContract[Controller]):
@@ -96,17 +109,27 @@ class ControllerContract(PluginContract[Controller]):
 
     def test_a_reverse_gear_is_driven_or_refused(self) -> None:
         """`set_path`: ControllerInvalidPath where it cannot be followed; else it is driven backwards."""
-        controller, task = self.ready_plugin(), straight_drive(ORIGIN, Direction.REVERSE)
-        try:
+        for task in (straight_drive(ORIGIN, Direction.REVERSE), cusp_drive(ORIGIN)):
+            controller = self.ready_plugin()
+            try:
+                controller.set_path(task)
+            except ControllerInvalidPath as error:
+                require(str(error), "a refusal says why")
+                continue
+            run = self._drive(controller, self.cycles)
+            self._require_within_limits(run.commands)
+            require(min(command.linear for command in run.commands) < 0.0, "a reverse gear is driven backwards")
+            missed = run.pose.distance_to(task.path.end)
+            require(missed <= self.arrival_tolerance, f"it arrives in reverse too, missed by {missed} m")
+
+    def test_a_goal_checker_may_measure_anything_or_nothing(self) -> None:
+        """`goal_checker`: may be asked for its tolerances; each of them may be None."""
+        for accepted in (Tolerances(), Tolerances(x=0.02, y=0.02, yaw=0.05)):
+            controller, task = self.ready_plugin(), self.make_task()
             controller.set_path(task)
-        except ControllerInvalidPath as error:
-            require(str(error), "a refusal says why")
-            return
-        run = self._drive(controller, self.cycles)
-        self._require_within_limits(run.commands)
-        require(min(command.linear for command in run.commands) < 0.0, "a reverse gear is driven backwards")
-        missed = run.pose.distance_to(task.path.end)
-        require(missed <= self.arrival_tolerance, f"it arrives in reverse too, missed by {missed} m")
+            run = self._drive(controller, self.cycles, _Accepting(accepted))
+            missed = run.pose.distance_to(_path_of(task).end)
+            require(missed <= self.arrival_tolerance, f"it arrives with a checker of {accepted}, missed by {missed} m")
 
     def test_paths_without_time_are_followed_too(self) -> None:
         """`set_path`: a path or a trajectory."""
@@ -175,11 +198,11 @@ class ControllerContract(PluginContract[Controller]):
             else:
                 self._require_within_limits([command])
 
-    def _drive(self, controller: Controller, cycles: int) -> _Run:
+    def _drive(self, controller: Controller, cycles: int, checker: GoalChecker | None = None) -> _Run:
         """A run from the origin with perfect actuation."""
         pose, twist, commands = ORIGIN, Twist2(), []
         for _ in range(cycles):
-            twist = controller.compute_velocity_commands(pose, twist, None)
+            twist = controller.compute_velocity_commands(pose, twist, checker)
             pose = pose.moved(twist, self.period)
             commands.append(twist)
         return _Run(commands, pose)

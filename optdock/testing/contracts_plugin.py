@@ -132,6 +132,15 @@ class PluginContract(ABC, Generic[P]):
                 refused(partial(plugin.set_parameters, **changes), InvalidValue, f"{changes}")
                 require(plugin.parameters.model_dump() == before, f"nothing has changed after {changes}")
 
+    def test_a_change_counts_as_if_it_had_been_built_so(self) -> None:
+        """`Plugin.set_parameters`: change parameters; what was read from them earlier changes too."""
+        for name, value in accepted_changes(self.make_plugin).items():
+            changed = self.ready_plugin()
+            changed.set_parameters(**{name: value})
+            built = type(changed)(**changed.parameters.model_dump(by_alias=True))
+            self._walk(built, "configure", "activate")
+            require(self._outcome(changed) == self._outcome(built), f"{name} = {value} counts from now on")
+
     def test_it_walks_through_its_whole_life(self) -> None:
         """`Plugin`: configure, activate, deactivate, cleanup, and again; each leaves it in the state it says."""
         plugin = self.make_plugin()
@@ -192,6 +201,13 @@ class PluginContract(ABC, Generic[P]):
             busy.set_parameters(**{name: value})
             require(other.parameters.model_dump() == defaults, f"a change of {name} stays in its instance")
         require(self.exercise(other) == expected, "an instance answers the same whatever another has done")
+
+    def _outcome(self, plugin: P) -> object:
+        """What the plugin does, or the name of its refusal."""
+        try:
+            return self.exercise(plugin)
+        except OptdockError as error:
+            return type(error).__name__
 
     def _walk(self, plugin: Plugin, *transitions: str) -> None:
         for transition in transitions:

@@ -55,13 +55,13 @@ class TimeParameterizerContract(PluginContract[TimeParameterizer]):
         results = [plugin.parameterize(path, MotionLimits(), SpeedZone()) for path in self.paths()]
         return tuple((int(result.status), _phases(result.trajectory)) for result in results)
 
-    def cases(self) -> Iterator[tuple[Path, MotionLimits, SpeedZone, float]]:
-        """Path, limits, speed zone and start speed: every path under every set of limits."""
+    def cases(self) -> Iterator[tuple[Path, MotionLimits, SpeedZone, tuple[float, float]]]:
+        """Path, limits, speed zone, start speed and acceleration: every path under every set of limits."""
         for path in self.paths():
             for limits in self.limits():
                 for zone in (SpeedZone(), SpeedZone(0.15, 0.4)):
-                    for start_speed in (0.0, 0.2):
-                        yield path, limits, zone, start_speed
+                    for start in ((0.0, 0.0), (0.2, 0.0), (0.2, -0.2), (0.15, 0.1)):
+                        yield path, limits, zone, start
 
     def test_what_is_ok_is_certified(self) -> None:
         """`parameterize`: under `limits`, at rest at every cusp and at the end; OK: the whole path, worst ratio <= 1.
@@ -69,12 +69,13 @@ class TimeParameterizerContract(PluginContract[TimeParameterizer]):
         The independent certificate decides. Starting at rest every path here can be driven, so OK is demanded.
         """
         plugin = self.ready_plugin()
-        for path, limits, zone, start_speed in self.cases():
-            result = plugin.parameterize(path, limits, zone, start_speed=start_speed)
+        for path, limits, zone, (speed, acceleration) in self.cases():
+            result = plugin.parameterize(path, limits, zone, start_speed=speed, start_acceleration=acceleration)
             require(isinstance(result, TimingResult), f"a TimingResult, got {type(result).__name__}")
-            require(result.status is TimingStatus.OK or start_speed > 0.0, f"from rest it is OK, got {result.status!r}")
+            require(result.status is TimingStatus.OK or speed > 0.0, f"from rest it is OK, got {result.status!r}")
             if result.status is TimingStatus.OK:
-                _require_certified(result, path, limits, zone, start_speed)
+                self._require_start(result.trajectory, speed, acceleration)
+                _require_certified(result, path, limits, zone)
 
     def test_moving_the_path_changes_no_time(self) -> None:
         """`parameterize`: the time law belongs to the shape of the path, wherever it lies."""
@@ -146,16 +147,14 @@ class TimeParameterizerContract(PluginContract[TimeParameterizer]):
         if trajectory is not None:
             law = trajectory.time_law
             found, wanted = (law.start_speed, law.start_acceleration), (speed, acceleration)
-            require(found == wanted, f"a braking motion begins as the robot moves, {wanted}, got {found}")
+            require(found == wanted, f"a motion begins as the robot moves, {wanted}, got {found}")
 
 
-def _require_certified(
-    result: TimingResult, path: Path, limits: MotionLimits, zone: SpeedZone, start_speed: float
-) -> None:
+def _require_certified(result: TimingResult, path: Path, limits: MotionLimits, zone: SpeedZone) -> None:
     require(result.trajectory is not None, "OK comes with a trajectory")
     if result.trajectory is None:
         return
-    proof = certify_trajectory(result.trajectory, limits, zone, start_speed=start_speed, start_acceleration=0.0)
+    proof = certify_trajectory(result.trajectory, limits, zone)
     require(proof.certified, f"OK is certified: {proof.reason}")
     require(abs(result.trajectory.path.length - path.length) <= 1e-9, "OK drives the whole path")
     require(result.worst_ratio <= 1.0 + 1e-6, f"OK has a worst ratio of at most 1, got {result.worst_ratio}")

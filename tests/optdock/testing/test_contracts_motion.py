@@ -37,6 +37,13 @@ class Wild(Tracking):
         return Twist2(2.0 * command.linear, command.angular)
 
 
+class Presuming(Tracking):
+    def compute_velocity_commands(self, pose, velocity, goal_checker):
+        if goal_checker is not None and goal_checker.tolerances.x is None:
+            return Twist2()
+        return super().compute_velocity_commands(pose, velocity, goal_checker)
+
+
 class ForwardOnly(Tracking):
     def compute_velocity_commands(self, pose, velocity, goal_checker):
         command = super().compute_velocity_commands(pose, velocity, goal_checker)
@@ -93,6 +100,7 @@ def test_every_gate_of_controllers_can_fail(every_gate):
         "test_without_a_path_there_is_no_command": Idle,
         "test_it_drives_to_the_end_within_the_limits": Wild,
         "test_a_reverse_gear_is_driven_or_refused": ForwardOnly,
+        "test_a_goal_checker_may_measure_anything_or_nothing": Presuming,
         "test_paths_without_time_are_followed_too": HalfOfPaths,
         "test_a_speed_limit_holds_until_it_is_removed": Unlimited,
         "test_a_speed_limit_is_a_number_that_is_not_negative": Unlimited,

@@ -118,6 +118,14 @@ class Forgetful(Near):
         self.parameters = NearParameters(**changes)
 
 
+class Memorizing(Near):
+    def on_configure(self):
+        self.radius = self.parameters.tolerance
+
+    def is_goal_reached(self, query_pose, goal_pose, velocity, path):
+        return query_pose.distance_to(goal_pose) < self.radius
+
+
 class OneByOne(Near):
     def set_parameters(self, **changes):
         for name, value in changes.items():
@@ -176,6 +184,7 @@ def test_every_gate_of_all_plugins_can_fail(every_gate):
         "test_every_parameter_is_described_with_its_unit": with_parameters(Unitless),
         "test_parameters_change_one_by_one": Forgetful,
         "test_a_refused_change_changes_nothing": OneByOne,
+        "test_a_change_counts_as_if_it_had_been_built_so": Memorizing,
         "test_it_walks_through_its_whole_life": Clinging,
         "test_every_transition_is_allowed_or_refused": Permissive,
         "test_it_works_at_every_stage": OnceConfigured,
