@@ -212,12 +212,18 @@ def _nearest(near: IntArray, apart: FloatArray, shape: tuple[int, ...], reach: f
 
 
 def _node_requirements(required: Requirement, left: IntArray, count: int) -> FloatArray:
-    """Requirement of every hull vertex; where another rule takes over within an interval, the larger of its ends."""
+    """Requirement of every hull vertex, such that the chord between the two nodes is nowhere below the requirement.
+
+    Every rule is at most linear in distance and the smallest one counts, so where another takes over within an interval
+    the larger of its ends is safe. Next to the start only the right end may be raised: the left one is given.
+    """
     first, last = required.value[left], required.value[left + 1]
     changes = required.rule[left] != required.rule[left + 1]
+    from_start = changes & (required.rule[left] == 2)
     larger = np.maximum(first, last)
-    both = np.stack((np.where(changes, larger, first), np.where(changes, larger, last)))
-    return np.repeat(both, count, axis=0)
+    first = np.where(changes & ~from_start, larger, first)
+    last = np.where(from_start, required.relieved[left + 1], np.where(changes, larger, last))
+    return np.repeat(np.stack((first, last)), count, axis=0)
 
 
 def _sag(

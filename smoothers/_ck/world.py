@@ -33,11 +33,19 @@ class Body(NamedTuple):
 
 
 class Requirement(NamedTuple):
-    """Required clearance (n,) [m], its gradient by position (n, 2), and the rule (n,): 0 dock, 1 full, 2 start."""
+    """Required clearance at positions.
+
+    Attributes:
+        value: Shape (n,) [m].
+        gradient: By position, Shape (n, 2).
+        rule: Which one decides, Shape (n,): 0 dock, 1 full, 2 start.
+        relieved: What the start rule alone would ask for, Shape (n,) [m].
+    """
 
     value: FloatArray
     gradient: FloatArray
     rule: IntArray
+    relieved: FloatArray
 
 
 @dataclass(frozen=True, eq=False)
@@ -88,14 +96,14 @@ class World:
         value = np.where(near, self.rule.at_dock + slope * from_goal, self.rule.required)
         gradient = np.where(near, slope / np.maximum(from_goal, 1e-9), 0.0)[:, None] * to_goal
         rule = np.where(near, 0, 1)
+        from_start = np.hypot(to_start[:, 0], to_start[:, 1])
+        relieved = max(0.0, self.start_clearance) + START_RELIEF_SLOPE * from_start
         if self.start_clearance < self.rule.required:
-            from_start = np.hypot(to_start[:, 0], to_start[:, 1])
-            relieved = max(0.0, self.start_clearance) + START_RELIEF_SLOPE * from_start
             eased = relieved < value
             value = np.where(eased, relieved, value)
             away = START_RELIEF_SLOPE * to_start / np.maximum(from_start, 1e-9)[:, None]
             gradient, rule = np.where(eased[:, None], away, gradient), np.where(eased, 2, rule)
-        return Requirement(value, gradient, rule)
+        return Requirement(value, gradient, rule, relieved)
 
 
 def body_of(footprint: Footprint) -> Body:

@@ -214,6 +214,31 @@ def test_a_gear_of_one_centimetre_is_no_obstacle(smoother, cases):
     assert certify_path(result.path, problem).certified
 
 
+@pytest.mark.parametrize("gap", [0.0, 0.02, 0.049])
+def test_a_robot_that_starts_close_to_a_wall_drives_away_from_it(smoother, cases, gap):
+    wall = [[-0.6, -1.0], [-0.45 - gap, -1.0], [-0.45 - gap, 1.0], [-0.6, 1.0]]
+    problem = cases.open_problem(GOAL, obstacles=[wall])
+    result = smoother.smooth(cases.kinked(*S_CURVE), LONG, problem=problem)
+    assert certify_path(result.path, problem).certified
+
+
+def test_a_wall_along_a_start_too_close_is_named(smoother, cases):
+    wall = [[-2.0, -0.6], [1.0, -0.6], [1.0, -0.32], [-2.0, -0.32]]
+    with pytest.raises(FailedToSmoothPath, match="obstacles\\[0\\]") as caught:
+        smoother.smooth(cases.kinked(*S_CURVE), LONG, problem=cases.open_problem(GOAL, obstacles=[wall]))
+    assert caught.value.where["reason"] == "clearance"
+    assert caught.value.where["s"] < 1.5
+
+
+@pytest.mark.parametrize("straight", [0.0, 0.3])
+def test_a_dock_may_be_touched_at_the_goal(smoother, cases, straight):
+    dock = Footprint(np.array([[0.45, -0.4], [0.6, -0.4], [0.6, 0.4], [0.45, 0.4]]))
+    problem = dataclasses.replace(cases.open_problem(GOAL), dock=Dock(GOAL, dock, final_straight=straight))
+    result = smoother.smooth(cases.kinked(*S_CURVE), LONG, problem=problem)
+    assert certify_path(result.path, problem).certified
+    assert result.report["iterations"] < 10
+
+
 def test_duplicate_poses_change_nothing(smoother, cases):
     raw = cases.kinked(*S_CURVE)
     poses = raw.segments[0].poses
