@@ -188,6 +188,19 @@ def test_a_hopeless_problem_ends_with_status_3_a_line_and_a_file(name):
     assert "total" in document["timing_ms"]
 
 
+def test_a_path_that_cannot_be_smoothed_leaves_its_raw_path_and_a_picture(tmp_path):
+    wall = write(SCENARIO, "[[1.0, 1.4], [2.0, 1.4], [2.0, 2.4], [1.0, 2.4]]", "[[2, -9], [2.1, -9], [2.1, 9], [2, 9]]")
+    result = run("plan", wall, "--out", "out.json", "--plot", "out.png")
+    assert (result.exit_code, result.stdout) == (3, "")
+    assert result.stderr.startswith("FailedToSmoothPath: clearance: ")
+    left = load_plan(tmp_path / "out.json")
+    assert left.error.code == 504
+    assert left.error.where["obstacle"] == "obstacles[0]"
+    assert left.raw_path.end.distance_to(load_scenario(wall).problem.goal) < 1e-6
+    assert (left.path, left.trajectory) == (None, None)
+    assert (tmp_path / "out.png").stat().st_size > 1000
+
+
 def test_no_time_at_all_is_a_named_failure_with_what_exists():
     result = run("plan", write(), "--out", "out.json", "--time-budget", "1e-6")
     assert result.exit_code == 3

@@ -1,0 +1,61 @@
+import json
+import math
+
+import numpy as np
+
+from optdock.errors import NoValidPathCouldBeFound, OptdockError
+from optdock.geometry.pose import Pose2
+from optdock.path import Path
+from optdock.pipeline import PartialPlan
+from optdock.report import certificate_rows, failed_plan_file, run_json, run_rows, table
+from optdock.simulation import Run
+from optdock.verification import Certificate
+
+
+def run_ending_at(pose, **options):
+    poses = np.array([[0.0, 0.0, 0.0], pose])
+    speeds = np.zeros((2, 2))
+    return Run(np.array([0.0, 1.0]), poses, poses, speeds, speeds, np.zeros((2, 3)), Pose2(1.0, 0.0, 0.0), **options)
+
+
+def test_a_table_is_aligned_and_has_no_trailing_blanks():
+    assert table([("a", "bb", "c"), ("aaa", "b", "")]) == "a    bb  c\naaa  b"
+
+
+def test_a_run_tells_its_final_error_in_the_frame_of_the_dock():
+    run = run_ending_at([0.998, 0.001, 0.01], docked=True, min_clearance=0.02)
+    rows = {row.name: row.value for row in run_rows(run)}
+    assert rows["docked"] == "yes"
+    assert rows["final error"] == "along -2.00 mm, cross +1.00 mm, yaw +0.01000 rad"
+    assert rows["min clearance driven"] == "0.0200 m"
+
+
+def test_a_run_that_failed_says_why_and_stays_strict_json():
+    run = run_ending_at([0.5, 0.0, 0.0], docked=False, reason="timeout", min_clearance=math.inf)
+    assert {row.name: row.value for row in run_rows(run)}["docked"] == "no: timeout"
+    document = json.loads(run_json(run, 7), parse_constant=lambda name: name)
+    assert (document["docked"], document["reason"], document["seed"]) == (False, "timeout", 7)
+    assert document["min_clearance"] is None
+    assert document["final_error"] == {"along": -0.5, "cross": 0.0, "yaw": 0.0}
+    assert document["columns"]["error_along"] == [0.0, 0.5]
+
+
+def test_a_failure_takes_along_whatever_exists():
+    raw = Path.from_poses(np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0]]))
+    error = NoValidPathCouldBeFound("no way", where={"s": 1.0})
+    error.partial = PartialPlan(raw_path=raw, timing_ms={"plan": 1.5})
+    plan = failed_plan_file(error, "depot")
+    assert (plan.status, plan.frame, plan.completed) == ("NoValidPathCouldBeFound", "depot", False)
+    assert plan.raw_path is raw
+    assert plan.timing_ms == {"plan": 1.5}
+    assert plan.error == (208, "no way", {"s": 1.0})
+
+
+def test_a_failure_before_anything_exists_has_nothing_but_its_reason():
+    plan = failed_plan_file(OptdockError("early"), "map")
+    assert (plan.raw_path, plan.path, plan.certificate, dict(plan.timing_ms)) == (None, None, None, {})
+
+
+def test_a_certificate_without_obstacles_has_no_clearance_to_tell():
+    certificate = Certificate((), math.inf, 0.0, 0.0, math.inf, "", 0.5, 1.0, 2.0, 3)
+    assert [row.name for row in certificate_rows(certificate)] == ["length", "max curvature"]
