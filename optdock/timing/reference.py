@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from optdock.timing.spline import Rows, Spline, applied, coefficients_of, limit_rows, ripple_bands, spline_of
+from optdock.timing.spline import Spline, applied, coefficients_of, limit_rows, ripple_bands, spline_of
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -90,14 +90,16 @@ def solve_reference(
 class _Program:
     """The program at the current iterate: constraint values, their stencils, Newton's normal equations."""
 
-    def __init__(self, steps: FloatArray, spline: Spline, rows: Rows, twice_jerk: float, ripple: FloatArray) -> None:
-        self.steps, self.right_share, self.bound = steps, spline.right_share, rows.bound
+    def __init__(
+        self, steps: FloatArray, spline: Spline, rows: FloatArray, twice_jerk: float, ripple: FloatArray
+    ) -> None:
+        self.steps, self.right_share = steps, spline.right_share
         self.ripple = ripple
         self.curve = spline.curve / twice_jerk
-        self.linear = rows.stencil
-        self.products = _products(rows.stencil)
-        self.stencil = np.concatenate((rows.stencil, np.zeros((3, 2, steps.size))), axis=1)
-        self.value = np.empty((rows.bound.shape[0] + 2, steps.size))
+        self.linear = rows
+        self.products = _products(rows)
+        self.stencil = np.concatenate((rows, np.zeros((3, 2, steps.size))), axis=1)
+        self.value = np.empty(self.stencil.shape[1:])
         self.root = np.ones(steps.size)
         self.share = np.ones(steps.size)
         self.c = self.root
@@ -108,7 +110,7 @@ class _Program:
             self.share = self._jerk_shares(c)
         self.c = c
         root = self.root = np.sqrt(c[1:-1])
-        self.value[:-2] = applied(self.linear, c) - self.bound
+        self.value[:-2] = applied(self.linear, c) - 1.0
         scaled = self.curve * root
         bend = applied(scaled, c)
         self.value[-2] = bend - self.share

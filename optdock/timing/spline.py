@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from optdock.timing.grid import Grid
     from optdock.timing.motion import State
 
-__all__ = ["Rows", "Spline", "applied", "coefficients_of", "limit_rows", "ripple_bands", "spline_of"]
+__all__ = ["Spline", "applied", "coefficients_of", "limit_rows", "ripple_bands", "spline_of"]
 
 
 class Spline(NamedTuple):
@@ -37,18 +37,6 @@ class Spline(NamedTuple):
     centre_slope: FloatArray
     curve: FloatArray
     right_share: FloatArray
-
-
-class Rows(NamedTuple):
-    """Constraints A c <= b on three neighbouring coefficients each.
-
-    Attributes:
-        stencil: Shape (3, rows, M).
-        bound: Shape (rows, M).
-    """
-
-    stencil: FloatArray
-    bound: FloatArray
 
 
 def spline_of(steps: FloatArray) -> Spline:
@@ -82,34 +70,30 @@ def coefficients_of(steps: FloatArray, guess: FloatArray, first: State, last: St
     return c
 
 
-def limit_rows(grid: Grid, limits: MotionLimits, spline: Spline) -> Rows:
-    """Floor, speed, acceleration, deceleration, yaw acceleration at knots and centres, each in units of its bound.
+def limit_rows(grid: Grid, limits: MotionLimits, spline: Spline) -> FloatArray:
+    """Constraints A c <= 1: speed, acceleration, deceleration, and yaw acceleration at knots and centres.
 
     At a knot the yaw rows take the largest and the least of the rates on its two sides: x is never negative.
+
+    Returns:
+        Stencils on three neighbouring coefficients each, Shape (3, rows, M); the rows of the last knot, which is
+        given, are zero.
     """
     value, slope = spline.right_value, spline.right_slope
-    yaw, bend, rate = grid.yaw[1:], grid.curvature[1:], grid.rate[:, 1:]
-    centre_yaw = 0.5 * (grid.yaw[:-1] + grid.yaw[1:])
-    turn, spread = grid.centre_curvature * spline.centre_slope, grid.centre_rate
-    floor = np.zeros_like(value)
-    floor[1] = -1.0 / min(1e-5, 0.01 * float(grid.bound.min()))
-    knot_rows = (
-        value / grid.bound[1:],
-        slope / limits.max_acceleration,
-        -slope / limits.max_deceleration,
-        (bend * slope + rate[0] * value) / yaw,
-        -(bend * slope + rate[1] * value) / yaw,
-    )
-    centre_rows = (
-        (turn + spread[0] * spline.centre_value) / centre_yaw,
-        -(turn + spread[1] * spline.centre_value) / centre_yaw,
-    )
-    stencil = np.stack((floor, *knot_rows, *centre_rows), axis=1)
-    bound = np.ones(stencil.shape[1:])
-    bound[0] = -1.0
-    stencil[:, 1:6, -1] = 0.0  # the last knot is given
-    stencil[:, 0, [0, -1]], bound[0, [0, -1]] = 0.0, 1.0  # so are the second and the last but one coefficient
-    return Rows(stencil, bound)
+    rows = [value / grid.bound[1:], slope / limits.max_acceleration, -slope / limits.max_deceleration]
+    if np.isfinite(limits.max_yaw_acceleration):
+        yaw, turn, rate = grid.yaw[1:], grid.curvature[1:] * slope, grid.rate[:, 1:]
+        rows += [(turn + rate[0] * value) / yaw, -(turn + rate[1] * value) / yaw]
+    for row in rows:
+        row[:, -1] = 0.0
+    if np.isfinite(limits.max_yaw_acceleration):
+        yaw, turn, rate = (
+            0.5 * (grid.yaw[:-1] + grid.yaw[1:]),
+            grid.centre_curvature * spline.centre_slope,
+            grid.centre_rate,
+        )
+        rows += [(turn + rate[0] * spline.centre_value) / yaw, -(turn + rate[1] * spline.centre_value) / yaw]
+    return np.stack(rows, axis=1)
 
 
 def ripple_bands(spline: Spline, weight: FloatArray) -> FloatArray:
