@@ -10,6 +10,8 @@ j the jerk, k the curvature and r its rate per metre:
     wheel v (1 +- b k/2)  f'' = j +- b/2 (j k + 3 a v r)
 
 Speed and acceleration are exact: polynomials of degree 2 and 1. Cells that the bound does not clear are cut in two.
+
+A polyline is judged twice: with the curvature that it claims between its poses, and with that of its steps.
 """
 
 from __future__ import annotations
@@ -18,6 +20,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
+from optdock.path import PolylineSegment
 from optdock.verification.certificate import Violation
 
 if TYPE_CHECKING:
@@ -25,12 +28,15 @@ if TYPE_CHECKING:
 
     from optdock.geometry.arrays import FloatArray, IntArray
     from optdock.limits import MotionLimits
+    from optdock.path import Path
     from optdock.trajectory import TimeLaw, Trajectory
 
 __all__ = ["RTOL", "curved_limits", "times_at"]
 
 RTOL = 1e-6  # accepted excess over a limit, relative
+SAMPLED_RTOL = 0.05  # likewise of a polyline's step, whose curvature is a difference quotient
 _MAX_WIDTH = 0.05  # [s], first cells
+_MAX_GRID = 20_000  # first cells of a long motion are wider
 _MAX_LEVELS = 22
 _BISECTIONS = 50  # leave 1e-15 of a phase
 
@@ -59,11 +65,14 @@ class _Cells(NamedTuple):
         """The cells at `keep`."""
         return _Cells(*(column[keep] for column in self))
 
+    def and_also(self, more: _Cells) -> _Cells:
+        """These cells, then more."""
+        return _Cells(*(np.concatenate(columns) for columns in zip(self, more, strict=True)))
+
     def halves(self) -> _Cells:
         """Every cell cut in two."""
         half = 0.5 * self.width
-        parts = (self._replace(width=half), self.advanced(half))
-        return _Cells(*(np.concatenate(columns) for columns in zip(*parts, strict=True)))
+        return self._replace(width=half).and_also(self.advanced(half))
 
 
 def times_at(law: TimeLaw, s: FloatArray) -> FloatArray:
@@ -86,7 +95,7 @@ def _initial_cells(trajectory: Trajectory) -> _Cells:
     knots = np.concatenate(
         [segment.knots + start for segment, start in zip(path.segments, path.segment_starts[:-1], strict=True)]
     )
-    grid = np.linspace(0.0, law.duration, int(np.ceil(law.duration / _MAX_WIDTH)) + 1)
+    grid = np.linspace(0.0, law.duration, int(min(np.ceil(law.duration / _MAX_WIDTH), _MAX_GRID)) + 1)
     t = np.unique(np.concatenate((law.times, grid, times_at(law, knots[1:-1]))))
     t = t[np.concatenate(([True], np.diff(t) > 1e-13))]
     middle = 0.5 * (t[:-1] + t[1:])
@@ -98,7 +107,21 @@ def _initial_cells(trajectory: Trajectory) -> _Cells:
     at_middle = law.at(middle)[:, 0]
     r = path.curvature_rate_at(at_middle)
     k = path.curvature_at(at_middle) - r * (at_middle - s)
-    return _Cells(t[:-1], np.diff(t), s, v0 + dt * (a0 + dt * j / 2.0), a0 + dt * j, j, k, r)
+    cells = _Cells(t[:-1], np.diff(t), s, v0 + dt * (a0 + dt * j / 2.0), a0 + dt * j, j, k, r)
+    return cells.and_also(_sampled(cells, path, at_middle))
+
+
+def _sampled(cells: _Cells, path: Path, at: FloatArray) -> _Cells:
+    """The cells within polylines, turning as the steps do: their curvature is constant, not that between poses."""
+    owner = np.clip(np.searchsorted(path.segment_starts, at, side="right") - 1, 0, len(path.segments) - 1)
+    curvature = np.full(at.size, np.nan)
+    for i, segment in enumerate(path.segments):
+        if isinstance(segment, PolylineSegment):
+            mine = owner == i
+            step = np.searchsorted(segment.knots, at[mine] - path.segment_starts[i], side="right") - 1
+            curvature[mine] = segment.step_curvature[np.clip(step, 0, segment.knots.size - 2)] / (1.0 + SAMPLED_RTOL)
+    keep = np.flatnonzero(np.isfinite(curvature))
+    return cells._replace(k=curvature, r=np.zeros(at.size)).rows(keep)
 
 
 def _quantities(cells: _Cells, track: float) -> Mapping[str, FloatArray]:

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from optdock.path import Direction
+from optdock.path import Direction, PolylineSegment
 from optdock.verification.certificate import TrajectoryCertificate, Violation
 from optdock.verification.trajectory_cells import RTOL, curved_limits, times_at
 
@@ -15,6 +15,7 @@ if TYPE_CHECKING:
 
     from optdock.geometry.arrays import FloatArray
     from optdock.limits import MotionLimits, SpeedZone
+    from optdock.path import Path
     from optdock.trajectory import TimeLaw, Trajectory
 
 __all__ = ["certify_trajectory"]
@@ -31,6 +32,8 @@ def certify_trajectory(
     start_acceleration: float | None = None,
 ) -> TrajectoryCertificate:
     """Prove that a trajectory keeps every motion limit, or name what is broken, when and by how much.
+
+    Within a step of a polyline, whose curvature is a difference quotient, 5 % beyond a limit on turning are accepted.
 
     It does NOT look at clearance or at the path's own curvature bounds: see `certify_path`.
 
@@ -65,16 +68,40 @@ def _coverage(trajectory: Trajectory) -> Iterator[Violation]:
     slowest, at = _lowest_speed(law)
     if slowest < -REST_TOLERANCE:
         yield Violation("coverage", f"the motion runs backwards at {-slowest:.3g} m/s, t = {at:.3f} s", 0.0, -slowest)
+    back = _distance_back(law)
+    if not back <= REST_TOLERANCE:
+        yield Violation("coverage", f"the motion runs backwards by up to {back:.3g} m in all", 0.0, back)
+    yield from _turns_in_place(trajectory.path)
+
+
+def _turns_in_place(path: Path) -> Iterator[Violation]:
+    """A law over distance has no time for a turn that covers no distance."""
+    for segment, start in zip(path.segments, path.segment_starts[:-1], strict=True):
+        if isinstance(segment, PolylineSegment):
+            still = np.flatnonzero(~np.isfinite(segment.step_curvature))
+            if still.size:
+                s = float(start + segment.knots[still[0]])
+                turn = float(np.sum(np.abs(np.diff(segment.poses[:, 2])[still])))
+                message = f"the path turns in place at s = {s:.3f} m, where the motion takes no time to turn"
+                yield Violation("coverage", message, s, turn)
 
 
 def _speed_candidates(law: TimeLaw) -> tuple[FloatArray, FloatArray]:
     """Times and speeds among which every phase's extreme speeds are: borders and interior stationary points."""
     _, v, a = law.states[:-1].T
-    with np.errstate(divide="ignore", invalid="ignore"):
+    with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
         dt = np.where(law.jerks != 0.0, -a / law.jerks, 0.0)
     dt = np.clip(dt, 0.0, law.durations)
     peak = v + dt * (a + dt * law.jerks / 2.0)
     return np.concatenate((law.times, law.times[:-1] + dt)), np.concatenate((law.states[:, 1], peak))
+
+
+def _distance_back(law: TimeLaw) -> float:
+    """Upper bound of the distance that the motion runs backwards [m]."""
+    _, speeds = _speed_candidates(law)
+    borders, inside = speeds[: law.times.size], speeds[law.times.size :]
+    slowest = np.minimum(np.minimum(borders[:-1], borders[1:]), inside)
+    return float(np.sum(law.durations * np.maximum(-slowest, 0.0)))
 
 
 def _lowest_speed(law: TimeLaw) -> tuple[float, float]:
@@ -86,7 +113,7 @@ def _lowest_speed(law: TimeLaw) -> tuple[float, float]:
 def _rest(trajectory: Trajectory) -> Iterator[Violation]:
     law = trajectory.time_law
     for name, s in (*(("cusp", s) for s in trajectory.path.cusps), ("end", trajectory.path.length)):
-        k = int(np.argmin(np.abs(law.states[:, 0] - s)))
+        k = -1 if name == "end" else int(np.argmin(np.abs(law.states[:, 0] - s)))
         miss = float(np.max(np.abs(law.states[k] - [s, 0.0, 0.0])))
         if not miss <= REST_TOLERANCE:
             at, v, a = law.states[k]

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from optdock.geometry.clothoid import ClothoidSpline
 from optdock.geometry.pose import Pose2
 from optdock.limits import MotionLimits, SpeedZone
-from optdock.path import ClothoidSegment, Path
+from optdock.path import ClothoidSegment, Path, PolylineSegment
 from optdock.trajectory import TimeLaw, Trajectory
 from optdock.verification import certify_trajectory
 
@@ -162,3 +162,73 @@ def test_a_curvature_jump_between_gears_does_not_leak_into_the_gear_before():
     motion = Trajectory(gears, TimeLaw(np.append(t1, t2), np.append(j1, j2)))
     assert kinds(motion, dataclasses.replace(OPEN, max_yaw_rate=0.41)) == []
     assert kinds(motion, dataclasses.replace(OPEN, max_yaw_rate=0.39)) == ["yaw_rate"]
+
+
+def straight(length):
+    return Path((ClothoidSegment(ClothoidSpline(Pose2(0, 0, 0), [0.0, length], [0.0, 0.0])),))
+
+
+def law(*phases):
+    """Phases one after another, each (durations, jerks)."""
+    return TimeLaw(*(np.concatenate([np.atleast_1d(phase[i]) for phase in phases]) for i in (0, 1)))
+
+
+def test_creeping_on_after_the_stop_is_no_rest_at_the_end():
+    jerk, beyond = 4.0, 0.9e-6
+    creeping = law(move(1.0), ((6.0 * beyond / jerk) ** (1.0 / 3.0), jerk))
+    assert creeping.states[-1, 0] == pytest.approx(1.0 + beyond, abs=1e-9)
+    assert creeping.states[-1, 1] > 2e-4
+    assert kinds(Trajectory(straight(1.0), creeping), OPEN) == ["rest"]
+
+
+def test_a_long_drift_backwards_is_refused_however_slow():
+    slow, ramp = 0.45e-6, 1e-3
+    jerk = slow / ramp**2
+    back = ([ramp, ramp, 1e5, ramp, ramp], [-jerk, jerk, 0.0, jerk, -jerk])
+    halfway = law(move(0.5), back).states[-1, 0]
+    assert halfway < 0.46
+    drifting = Trajectory(straight(1.0), law(move(0.5), back, move(1.0 - halfway)))
+    assert kinds(drifting, OPEN) == ["coverage"]
+    waiting = Trajectory(straight(1.0), law(move(0.5), ([1e5], [0.0]), move(0.5)))
+    assert kinds(waiting, OPEN) == []
+
+
+def test_a_wait_of_years_costs_no_memory():
+    half_metre = (np.ones(4), 0.25 * np.array([1.0, -1.0, -1.0, 1.0]))  # at rest without rounding
+    arc = Path((ClothoidSegment(ClothoidSpline(Pose2(0, 0, 0), [0.0, 1.0], [1.0, 1.0])),))
+    waiting = Trajectory(arc, law(half_metre, ([1e9], [0.0]), half_metre))
+    for limit, expected in ((0.251, []), (0.249, ["yaw_rate"])):
+        assert kinds(waiting, dataclasses.replace(OPEN, max_yaw_rate=limit)) == expected
+
+
+@pytest.mark.parametrize("limit", [0.5, np.inf])
+@pytest.mark.parametrize("gears", [True, False])
+def test_no_law_over_distance_turns_in_place(gears, limit):
+    there = np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0]])
+    turn = np.array([[1.0, 0.0, 0.0], [1.0, 0.0, 3.0]])
+    back = np.array([[1.0, 0.0, 3.0], [1.0 + np.cos(3.0), np.sin(3.0), 3.0]])
+    parts = (there, turn, back) if gears else (np.concatenate((there, turn[1:], back[1:])),)
+    turning = Path(tuple(PolylineSegment(part) for part in parts))
+    motion = Trajectory(turning, law(move(1.0), move(1.0)))
+    assert "coverage" in kinds(motion, dataclasses.replace(OPEN, max_yaw_rate=limit))
+
+
+def test_a_zigzag_of_headings_turns_as_fast_as_its_steps():
+    yaw = np.tile([0.0, 0.02], 100)
+    steps = 0.01 * np.column_stack((np.cos(np.full(199, 0.01)), np.sin(np.full(199, 0.01))))
+    poses = np.column_stack((np.vstack(([[0.0, 0.0]], np.cumsum(steps, axis=0))), yaw))
+    zigzag = Path((PolylineSegment(poses),))
+    motion = Trajectory(zigzag, TimeLaw(*move(zigzag.length, speed=0.5)))
+    for limit, expected in ((0.9, ["yaw_rate"]), (1.01, [])):
+        assert kinds(motion, dataclasses.replace(OPEN, max_yaw_rate=limit)) == expected
+
+
+def test_sampling_a_curve_does_not_raise_its_yaw_rate_beyond_the_tolerance_of_samples():
+    exact = path((0.0, 2.0, 0.0, -2.0, 0.0))
+    sampled = Path((PolylineSegment(exact.sample(0.05).poses),))
+    limits = dataclasses.replace(OPEN, max_yaw_rate=1.0)
+    ratios = [
+        certify_trajectory(Trajectory(one, TimeLaw(*move(one.length, speed=0.45))), limits, SpeedZone()).ratios
+        for one in (exact, sampled)
+    ]
+    assert 0.95 * ratios[0]["yaw_rate"] < ratios[1]["yaw_rate"] <= ratios[0]["yaw_rate"]
