@@ -164,17 +164,19 @@ def _sample_segment(segment: Segment, spacing: float) -> PathSamples:
     count = max(1, int(np.ceil(segment.length / spacing - 1e-9)))
     s = np.linspace(0.0, segment.length, count + 1)
     if isinstance(segment, PolylineSegment) and np.any(np.diff(segment.knots) <= 0.0):
-        return _sample_knots(segment)
+        return _sample_steps(segment, spacing)
     poses = segment.poses_at(s)
     gear = np.full(s.size, int(segment.direction))
     return PathSamples(s, poses[:, 0], poses[:, 1], poses[:, 2], segment.curvature_at(s), gear)
 
 
-def _sample_knots(segment: PolylineSegment) -> PathSamples:
-    """The given poses themselves: where the robot turns in place, arc length cannot tell poses apart."""
-    gear = np.full(segment.knots.size, int(segment.direction))
-    x, y, yaw = segment.poses.T
-    return PathSamples(segment.knots, x, y, yaw, segment.curvature_at(segment.knots), gear)
+def _sample_steps(segment: PolylineSegment, spacing: float) -> PathSamples:
+    """Every given pose, and poses between them: where the robot turns in place, arc length cannot tell poses apart."""
+    counts = np.maximum(1, np.ceil(np.diff(segment.knots) / spacing - 1e-9)).astype(np.int64)
+    borders = np.arange(segment.knots.size)
+    step = np.append(np.concatenate([i + np.arange(n) / n for i, n in enumerate(counts)]), borders[-1])
+    s, x, y, yaw = (np.interp(step, borders, column) for column in (segment.knots, *segment.poses.T))
+    return PathSamples(s, x, y, yaw, segment.curvature_at(s), np.full(s.size, int(segment.direction)))
 
 
 def _joined(blocks: Sequence[PathSamples]) -> PathSamples:

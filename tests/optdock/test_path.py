@@ -86,6 +86,16 @@ def test_poses_may_be_given_as_pose_objects():
     assert path.end == Pose2(2.0, 0.0, 0.0)
 
 
+def test_samples_keep_their_spacing_where_the_robot_turns_in_place():
+    poses = [(0.0, 0.0, 0.0), (1.0, 0.0, 0.0), (1.0, 0.0, 1.2), (1.0, 0.0, 0.5), (1.4, 0.3, 0.6)]
+    samples = Path.from_poses(poses).sample(0.05)
+    assert np.max(np.diff(samples.s)) <= 0.05 + 1e-12
+    assert np.max(np.hypot(np.diff(samples.x), np.diff(samples.y))) <= 0.05 + 1e-12
+    rows = samples.poses.tolist()
+    places = [rows.index(list(pose)) for pose in poses]
+    assert places == [0, 20, 21, 22, len(rows) - 1]
+
+
 def test_samples_hold_ends_and_both_gears_at_a_cusp():
     path = two_gears()
     samples = path.sample(0.1)
