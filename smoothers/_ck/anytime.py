@@ -88,10 +88,23 @@ class Runner:
     _certify: float = 0.0
 
     def run(self, task: Task) -> Outcome:
-        """Search, and search again more cautiously where the certificate refuses the result."""
+        """Search, and where nothing is found once more from elsewhere; the failure that came closer is kept."""
         count = len(task.world.obstacles)
         self._longest = _ITERATION_GUESS[0] + count * _ITERATION_GUESS[1]
         self._certify = self._certify or _CERTIFY_GUESS[0] + count * _CERTIFY_GUESS[1]
+        self._repaired(task)
+        failed = self.outcome.last
+        if self.outcome.incumbent is not None or not self.outcome.converged or failed is None:
+            return self.outcome
+        second = task.restart()
+        if second is not None:
+            self._repaired(replace(task, initial=second))
+            if self.outcome.last is not None and self.outcome.last.missing > failed.missing:
+                self.outcome.last = failed
+        return self.outcome
+
+    def _repaired(self, task: Task) -> None:
+        """Search, and search again more cautiously where the certificate refuses the result."""
         for _ in range(_REPAIRS + 1):
             self._search(task)
             rejected = self._settle(task)
@@ -99,7 +112,6 @@ class Runner:
                 break
             world = replace(task.world, per_interval=4 * task.world.per_interval)
             task = replace(task, initial=rejected.variables, buffer=3.0 * task.buffer, world=world)
-        return self.outcome
 
     def offer(self, path: Path, cost: float, origin: str) -> None:
         """A first result from elsewhere, if it is certified."""

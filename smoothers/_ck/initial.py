@@ -10,9 +10,8 @@ import numpy as np
 
 from optdock.geometry.pose import unwrap_yaw
 from smoothers._ck.closing import Ends, clipped
+from smoothers._ck.guesses import Guesses
 from smoothers._ck.layout import layout_for
-from smoothers._ck.pursuit import pursued_variables
-from smoothers._ck.rollout import Variables, roll_out
 from smoothers._ck.task import Task, curvature_bound, reference_scales, variable_bounds
 from smoothers._ck.terms import CostModel, Reference
 
@@ -20,17 +19,15 @@ if TYPE_CHECKING:
     from optdock.geometry.arrays import FloatArray
     from optdock.path import Path
     from optdock.problem import DockingProblem
-    from smoothers._ck.closing import Bounds
     from smoothers._ck.layout import Layout, Shape
     from smoothers._ck.terms import Weights
     from smoothers._ck.warm import Remaining
     from smoothers._ck.world import World
 
-__all__ = ["Resolution", "Traced", "Tuning", "fitted_variables", "make_task", "shape_for", "trace"]
+__all__ = ["Resolution", "Traced", "Tuning", "make_task", "shape_for", "trace"]
 
 
 _MOST_SPANS = 80
-_ASTRAY, _TURNED_AWAY = 0.4, 0.4  # [m], [rad]
 _WARM_TRUST, _WARM_PROX = 0.2, 0.1  # an earlier result is near the new one
 
 
@@ -103,16 +100,9 @@ def reference_of(traced: Traced, layout: Layout) -> Reference:
     heading = np.empty(layout.num_nodes)
     heading[layout.left] = traced.headings
     heading[layout.last_nodes] = traced.headings[layout.last_nodes - np.arange(layout.num_gears) - 1]
-    inner = np.setdiff1d(layout.left, layout.last_nodes - layout.fraction.size, assume_unique=False)
-    inner = inner[layout.fraction[inner] > 0.0]
+    inner = layout.left[layout.fraction[layout.left] > 0.0]
     heading[inner] = 0.5 * (heading[inner] + heading[inner - 1])
     return Reference(traced.positions, np.column_stack((-np.sin(heading), np.cos(heading))))
-
-
-def fitted_variables(layout: Layout, traced: Traced, lengths: FloatArray, start_yaw: float) -> Variables:
-    """Curvatures whose headings fit the input's in the least squares sense, smoothed."""
-    turned = layout.fit @ (traced.headings - start_yaw)
-    return Variables(turned / layout.per_knot(lengths), lengths.copy())
 
 
 def make_task(path: Path, problem: DockingProblem, world: World, tuning: Tuning, left: Remaining | None) -> Task:
@@ -129,24 +119,13 @@ def make_task(path: Path, problem: DockingProblem, world: World, tuning: Tuning,
         layout, limits, lengths, start_curvature=problem.start_curvature, straight_end=straight > 0.0
     )
     cost = CostModel(layout, tuning.weights, reference_scales(limits), reference_of(traced, layout))
-    if left is None:
-        first = _first_variables(layout, traced, lengths, ends, inner)
-    else:
-        first = clipped(left.variables(layout), inner)
+    guesses = Guesses(layout, traced, lengths, ends, inner)
     radius = 1.0 / min(curvature_bound(limits), 2.0)
-    task = Task(layout, ends, bounds, inner, cost, world, first, 0.5 * radius, radius)
-    return task if left is None else replace(task, trust=_WARM_TRUST, prox=_WARM_PROX)
-
-
-def _first_variables(layout: Layout, traced: Traced, lengths: FloatArray, ends: Ends, inner: Bounds) -> Variables:
-    """Fitted to the input's headings; where such a drive strays from the input, a pursuit of it."""
-    fitted = clipped(fitted_variables(layout, traced, lengths, float(ends.start[2])), inner)
-    driven = roll_out(layout, fitted, ends.start, ends.signs)
-    away = np.abs(driven.poses[:, :2] - traced.positions).max()
-    turned = abs(float(driven.poses[-1, 2] - ends.target[2]))
-    if away < _ASTRAY and turned < _TURNED_AWAY:
-        return fitted
-    return clipped(pursued_variables(layout, traced.positions, ends, inner), inner)
+    task = Task(layout, ends, bounds, inner, cost, world, guesses.first, 0.5 * radius, radius, restart=guesses.other)
+    if left is None:
+        return task
+    warm = clipped(left.variables(layout), inner)
+    return replace(task, initial=warm, restart=lambda: guesses.first, trust=_WARM_TRUST, prox=_WARM_PROX)
 
 
 def _signs(path: Path) -> FloatArray:

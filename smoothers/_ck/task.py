@@ -9,6 +9,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from optdock.geometry.arrays import FloatArray
     from optdock.limits import MotionLimits
     from smoothers._ck.closing import Bounds, Ends
@@ -43,6 +45,7 @@ class Task:
         initial: First variables.
         closing_reach: Goal error up to which the goal is closed by Newton steps [m].
         stretch: Largest change of a gear length per radian of the trust region [m].
+        restart: Other variables to begin with where nothing is found, or None.
         buffer: Clearance aimed at above the requirement [m].
         trust: First bound of the heading changes of a step [rad].
         prox: First weight of the squared motion of a step.
@@ -57,6 +60,7 @@ class Task:
     initial: Variables
     closing_reach: float
     stretch: float
+    restart: Callable[[], Variables | None]
     buffer: float = 8e-4
     trust: float = 0.45
     prox: float = 1.0

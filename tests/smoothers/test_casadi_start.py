@@ -11,6 +11,7 @@ from optdock.geometry.pose import Pose2
 from optdock.path import Path
 from optdock.verification import certify_path
 from smoothers._ck.closing import Bounds, Ends, clipped, rate_kept, rate_limited
+from smoothers._ck.guesses import Guesses
 from smoothers._ck.initial import Resolution, shape_for, trace
 from smoothers._ck.layout import layout_for
 from smoothers._ck.pursuit import pursued_variables
@@ -74,6 +75,30 @@ def test_a_pursuit_ends_on_the_line_it_pursues(sign, turned):
     assert abs(driven.poses[-1, 0] - 6.0 * sign) < 0.3
     assert abs(driven.poses[-1, 2]) < 0.2
     assert np.abs(driven.curvature).max() <= 1.5 + 1e-9
+
+
+def guesses_for(points, start_yaw=0.0):
+    layout = layout_for(((24, 3),))
+    path = Path.from_poses(points)
+    start = np.array([*points[0, :2], start_yaw])
+    lengths = np.array([path.length])
+    traced = trace(path, layout, lengths, start_yaw)
+    ends = Ends(start, np.array(points[-1]), np.array([1.0]))
+    return Guesses(layout, traced, lengths, ends, bounds_of(layout, 1.5, 6.0))
+
+
+def test_a_smooth_input_is_fitted_and_driving_it_gives_much_the_same():
+    angle = np.linspace(0.0, 1.2, 60)
+    guesses = guesses_for(np.column_stack((3.0 * np.sin(angle), 3.0 - 3.0 * np.cos(angle), angle)))
+    assert guesses.first is guesses.fitted
+    assert guesses.other() is None
+
+
+def test_an_input_that_starts_sideways_is_driven_and_the_fit_is_the_other_guess():
+    points = np.column_stack((np.linspace(0.0, 4.0, 60), np.zeros(60), np.zeros(60)))
+    guesses = guesses_for(points, start_yaw=1.4)
+    assert guesses.first is guesses.pursued
+    assert guesses.other() is guesses.fitted
 
 
 @pytest.mark.parametrize("turned", [-1.3, 1.0])
