@@ -22,6 +22,8 @@ if TYPE_CHECKING:
 
 __all__ = ["courses_of", "time_path"]
 
+_NO_LENGTH = 1e-11  # [m]: the knots of a shorter gear are one
+
 
 def time_path(
     path: Path, limits: MotionLimits, zone: SpeedZone, start: tuple[float, float], plan: GearPlanner
@@ -57,7 +59,7 @@ def courses_of(path: Path, limits: MotionLimits, zone: SpeedZone) -> list[Course
     zone_start = path.length - zone.distance if zone.distance > 0.0 and math.isfinite(zone.speed) else math.inf
     return [
         course_of(segment, Slowness(limits, segment.direction), zone_start - float(begin), zone.speed)
-        if segment.length > 0.0
+        if segment.length > _NO_LENGTH
         else None
         for segment, begin in zip(path.segments, path.segment_starts[:-1], strict=True)
     ]
@@ -70,7 +72,7 @@ def _undrivable(path: Path) -> str:
         if turn != 0.0:
             where = f"by {turn:.6g} rad at s = {begin + s:.6g} m"
             return f"path turns in place {where}; a time law over arc length cannot drive that"
-    return "" if path.length > 0.0 else "path has no length"
+    return "" if any(segment.length > _NO_LENGTH for segment in path.segments) else "path has no length"
 
 
 def _turn_in_place(segment: Segment) -> tuple[float, float]:

@@ -22,6 +22,7 @@ if TYPE_CHECKING:
 __all__ = ["Nodes", "Piece", "Split", "nodes_of", "split_into_moves"]
 
 _SAMPLE = 0.02  # [s]
+_CRAWL = 1e-3  # [m/s]: speeds below it break no limit
 _GENTLE_BELOW = 1.5  # [s]: shorter pieces are tried with the reference's own jerk and acceleration first
 _LONGEST = (1.2, 0.05)  # a move may take this factor and this time [s] more than the reference
 _LEVEL = 0.8  # of the largest v^2: where the cap stays above, one move may do for any length
@@ -210,7 +211,8 @@ def _evaluate(bounds: Bounds, moves: list[tuple[State, Phases]]) -> list[tuple[f
     t = (np.arange(owner.size) - first[owner]) * (duration / number)  # the end of a move is a knot
     half = 0.5 * t * jerk
     distance = np.minimum(np.maximum(s + t * (v + t * (0.5 * a + half / 3.0)), 0.0), bounds.course.length)
-    samples = _Samples(distance, v + t * (a + half), a + t * jerk, first[np.cumsum(counts) - counts])
+    begins = first[np.cumsum(counts) - counts]
+    samples = _Samples(distance, v + t * (a + half), a + t * jerk, jerk, begins)
     excess = bounds.excess_at(samples.s, samples.v, samples.a)
     if bounds.jumps.size:
         _add_jumps(bounds, samples, excess)
@@ -227,12 +229,24 @@ class _Samples(NamedTuple):
     s: FloatArray
     v: FloatArray
     a: FloatArray
+    jerk: FloatArray
     begins: IntArray
 
     @property
     def owners(self) -> IntArray:
         """Which move each sample belongs to."""
         return np.repeat(np.arange(self.begins.size), np.diff(np.append(self.begins, self.s.size)))
+
+    def reached(self, before: IntArray, s: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Speed and acceleration at distances `s` soon after the samples `before`; two Newton steps for the time."""
+        v, a, jerk = self.v[before], self.a[before], self.jerk[before]
+        gap = s - self.s[before]
+        t = gap / np.maximum(v, _CRAWL)
+        for _ in range(2):
+            speed = v + t * (a + 0.5 * t * jerk)
+            miss = t * (v + t * (0.5 * a + t * jerk / 6.0)) - gap
+            t = np.clip(t - miss / np.maximum(speed, _CRAWL), 0.0, _SAMPLE)
+        return v + t * (a + 0.5 * t * jerk), a + t * jerk
 
 
 def _add_jumps(bounds: Bounds, samples: _Samples, excess: FloatArray) -> None:
@@ -245,9 +259,8 @@ def _add_jumps(bounds: Bounds, samples: _Samples, excess: FloatArray) -> None:
     index = first[owner] + np.arange(owner.size) - (np.cumsum(count) - count)[owner]
     stride = 2.0 * bounds.course.length  # moves overlap; shifted apart they make one increasing sequence
     key = samples.s + stride * samples.owners
-    wanted = places[index] + stride * owner
-    v, a = np.interp(wanted, key, samples.v), np.interp(wanted, key, samples.a)
-    before = np.clip(np.searchsorted(key, wanted) - 1, samples.begins[owner], None)
+    before = np.maximum(np.searchsorted(key, places[index] + stride * owner) - 1, samples.begins[owner])
+    v, a = samples.reached(before, places[index])
     np.maximum.at(excess, before, bounds.jump_excess_at(bounds.jumps[index], v, a))
 
 
