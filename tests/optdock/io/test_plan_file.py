@@ -3,10 +3,10 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, reject
 from hypothesis import strategies as st
 
-from optdock.errors import InvalidFile, InvalidValue, StartOccupied
+from optdock.errors import InvalidFile, InvalidPath, InvalidValue, StartOccupied
 from optdock.geometry.clothoid import ClothoidSpline
 from optdock.geometry.pose import Pose2
 from optdock.io.plan_file import PlanError, PlanFile, TrajectoryColumns, load_plan, save_plan
@@ -113,7 +113,11 @@ def test_any_clothoid_path_survives_the_round_trip(tmp_path_factory, start, piec
 
 @given(st.lists(st.tuples(st.floats(-5, 5), st.floats(-5, 5), st.floats(-10, 10)), min_size=2, max_size=8, unique=True))
 def test_any_polyline_survives_the_round_trip(tmp_path_factory, rows):
-    path, target = Path.from_poses(np.array(rows)), tmp_path_factory.mktemp("plans") / "p.json"
+    try:
+        path = Path.from_poses(np.array(rows))
+    except InvalidPath:  # all poses are the same but for rounding
+        reject()
+    target = tmp_path_factory.mktemp("plans") / "p.json"
     save_plan(target, PlanFile(raw_path=path))
     loaded = load_plan(target).raw_path
     assert len(loaded.segments) == len(path.segments)
