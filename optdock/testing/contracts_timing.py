@@ -16,7 +16,7 @@ from optdock.path import Path
 from optdock.testing.contracts_plugin import PluginContract
 from optdock.testing.contracts_rules import require
 from optdock.testing.contracts_scene import ORIGIN, moved_path
-from optdock.testing.drives import cusp_drive, s_curve_drive, straight_drive
+from optdock.testing.drives import clothoid, cusp_drive, s_curve_drive, straight_drive
 from optdock.verification import certify_trajectory
 
 if TYPE_CHECKING:
@@ -120,6 +120,15 @@ class TimeParameterizerContract(PluginContract[TimeParameterizer]):
         result = self.ready_plugin().parameterize(turn, MotionLimits(), SpeedZone())
         require(result.status is TimingStatus.FAIL, f"a turn in place fails, got {result.status!r}")
         require(result.trajectory is None, "FAIL offers no motion")
+
+    def test_a_path_of_almost_no_length_has_a_status(self) -> None:
+        """`TimingStatus`: how it ended, never an exception: from a picometre to a millimetre."""
+        for exponent in range(-13, -2):
+            path = Path((clothoid(ORIGIN, [0.0, 10.0**exponent], [0.0, 0.0]),))
+            result = self.ready_plugin().parameterize(path, MotionLimits(), SpeedZone())
+            require(isinstance(result.status, TimingStatus), f"a status, got {result.status!r}")
+            offered = result.trajectory is not None
+            require(offered or result.status is not TimingStatus.OK, "OK comes with a trajectory")
 
     def test_a_start_that_is_no_number_is_refused_or_bad(self) -> None:
         """`start_speed`, `start_acceleration`: NaN and infinity are InvalidValue or BAD_START."""

@@ -201,6 +201,9 @@ def test_every_gate_of_time_parameterizers_can_fail(every_gate):
         "test_a_turn_in_place_is_no_motion_along_a_path": timing(
             answer=lambda self, result: TimingResult(TimingStatus.OK, result.trajectory)
         ),
+        "test_a_path_of_almost_no_length_has_a_status": timing(
+            answer=lambda self, result: TimingResult(TimingStatus.OK, None)
+        ),
         "test_a_start_that_is_no_number_is_refused_or_bad": timing(
             question=lambda self, path, limits, v: (limits, v if math.isfinite(v) else 0.0)
         ),
