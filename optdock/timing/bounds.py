@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 __all__ = ["Bounds", "Margins", "Tightening"]
 
 
-_JUMP_SHARE = 0.02  # of the yaw acceleration: smaller jumps of v^2 * rate are left to the margins
+_JUMP_SHARE = 0.004  # of the yaw acceleration: smaller jumps of v^2 * rate are left to the margins
 
 
 class Margins(NamedTuple):

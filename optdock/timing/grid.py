@@ -13,6 +13,7 @@ if TYPE_CHECKING:
 
 __all__ = ["Grid", "Profile", "acceleration_profile", "grid_of"]
 
+_JUMP_SHARE = 0.02  # of the yaw acceleration: smaller jumps of v^2 * rate need no knot
 _CROWDED = 0.5  # jumps per shortest step: beyond it no knot is put on any of them
 _MIN_STEP_SHARE = 0.4  # of the step: jumps closer together share a knot's cell
 _MIN_CELLS = 8
@@ -89,11 +90,12 @@ def _breaks(bounds: Bounds, profile: Profile, ends: tuple[State, State], gap: fl
     fixed = [first.s, last.s]
     if course.has_zone and first.s + 1e-9 < course.zone_start < last.s - 1e-9:
         fixed.append(course.zone_start)
-    found = bounds.jumps[(course.s[bounds.jumps] > first.s) & (course.s[bounds.jumps] < last.s)]
+    found = _large_jumps(bounds, profile)
+    found = found[(course.s[found] > first.s) & (course.s[found] < last.s)]
     if found.size * gap > _CROWDED * (profile.time[-1] - profile.time[0]):
         found = found[:0]
     taken = np.interp(fixed, course.s, profile.time).tolist()
-    size = np.abs(course.rate_left[found] - course.rate_right[found - 1]) * profile.speed_squared[found]
+    size = _jump_sizes(bounds, profile, found)
     for i in found[np.argsort(-size, kind="stable")].tolist():
         time = float(profile.time[i])
         if min([abs(time - other) for other in taken]) > gap:
@@ -104,6 +106,18 @@ def _breaks(bounds: Bounds, profile: Profile, ends: tuple[State, State], gap: fl
         if nearest < min(s for s in fixed if s > first.s):
             fixed.append(nearest)
     return np.array(sorted(fixed))
+
+
+def _jump_sizes(bounds: Bounds, profile: Profile, nodes: IntArray) -> FloatArray:
+    """v^2 times the jump of the curvature rate [rad/s^2]."""
+    course = bounds.course
+    sizes: FloatArray = np.abs(course.rate_left[nodes] - course.rate_right[nodes - 1]) * profile.speed_squared[nodes]
+    return sizes
+
+
+def _large_jumps(bounds: Bounds, profile: Profile) -> IntArray:
+    sizes = _jump_sizes(bounds, profile, bounds.jumps)
+    return bounds.jumps[sizes > _JUMP_SHARE * bounds.course.limits.max_yaw_acceleration]
 
 
 def _limits_on(bounds: Bounds, profile: Profile, knots: FloatArray) -> Grid:
@@ -117,7 +131,7 @@ def _limits_on(bounds: Bounds, profile: Profile, knots: FloatArray) -> Grid:
     _k, left, _slow = bounds.curve_at(knots - 1e-9)
     centre_curvature, centre_rate, _slow = bounds.curve_at(centres)
     rate = np.stack((np.maximum(left, right), np.minimum(left, right)))
-    hidden = _hidden_jumps(course.s[bounds.jumps], knots)
+    hidden = _hidden_jumps(course.s[_large_jumps(bounds, profile)], knots)
     if hidden.any():
         rate, centre_rate = _extremes(bounds, knots, hidden, rate, np.stack((centre_rate, centre_rate)))
     else:
