@@ -162,7 +162,7 @@ class CasadiSmoother(Smoother):
     def _reference(self, task: Task, problem: DockingProblem, budget: Budget) -> SmoothingResult:
         from smoothers._ck.ipopt_backend import solve_reference
 
-        iterate, settled = solve_reference(task, max(0.1, budget.remaining))
+        iterate, settled = solve_reference(task, budget)
         path, _ = exact_path(task, iterate.variables, problem.dock.final_straight)
         certificate = certify_path(path, problem)
         if not certificate.certified:

@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from collections.abc import Mapping
 
     from optdock.geometry.arrays import FloatArray, IntArray
+    from smoothers._ck.budget import Budget
     from smoothers._ck.planes import Clearance
     from smoothers._ck.scp import Iterate
     from smoothers._ck.symbolic import SymbolicModel
@@ -31,7 +32,8 @@ __all__ = ["solve_reference"]
 
 _ROUNDS = 8  # the set of near pairs and the dips between nodes are renewed after each
 _REACH = 0.12  # [m]
-_SETTLED = 1e-4
+_SETTLED = 1e-4  # relative change of the cost
+_SHORTEST = 0.05  # [s], of a round
 _BUFFER = 2e-5  # [m]
 
 
@@ -46,12 +48,12 @@ class _Program(NamedTuple):
     upper: FloatArray
 
 
-def solve_reference(task: Task, max_time: float) -> tuple[Iterate, bool]:
+def solve_reference(task: Task, budget: Budget) -> tuple[Iterate, bool]:
     """The best iterate ipopt finds, and whether the rounds settled.
 
     Args:
         task: The problem.
-        max_time: Wall-clock seconds per round.
+        budget: Seconds left; the last round may overrun it by one of ipopt's iterations and the symbolic set-up.
     """
     layout, ends = task.layout, task.ends
     variables = clipped(task.initial, task.bounds)
@@ -64,10 +66,10 @@ def solve_reference(task: Task, max_time: float) -> tuple[Iterate, bool]:
         # What was near once stays watched, or two rounds could take turns in overlooking each other's obstacles.
         watched = np.unique(np.concatenate((watched, np.column_stack(near.pairs))), axis=0)
         found = clearance_of(task.world, layout, current.rollout, ends.signs, Pairs(*watched.T))
-        solved, success = _round(task, current, found, max_time)
+        solved, success = _round(task, current, found, max(_SHORTEST, budget.remaining))
         settled = success and solved.feasible and abs(solved.cost - current.cost) < _SETTLED * current.cost
         current = solved
-        if settled:
+        if settled or budget.remaining <= 0.0:
             break
     return current, settled
 
@@ -79,10 +81,33 @@ def _round(task: Task, current: Iterate, found: Clearance, max_time: float) -> t
     parts = [_path_constraints(task, model)]
     if count:
         parts.append(_line_constraints(task, current, found, (angles, offsets)))
-    value, cost = casadi.vertcat(*(p.value for p in parts)), cost_expression(model, task.cost)
-    fixed = casadi.vertcat(model.start, model.signs)
-    z = casadi.vertcat(model.variables, angles, offsets)
-    options: dict[str, _Option] = {
+    symbols = {
+        "x": casadi.vertcat(model.variables, angles, offsets),
+        "p": casadi.vertcat(model.start, model.signs),
+        "f": cost_expression(model, task.cost),
+        "g": casadi.vertcat(*(part.value for part in parts)),
+    }
+    solver = casadi.nlpsol("reference", "ipopt", symbols, _options(max_time))
+    free = np.full(2 * count, np.inf)
+    result = solver(
+        x0=np.concatenate((*current.variables, np.arctan2(found.axis.y[0], found.axis.x[0]), found.top)),
+        p=np.concatenate((task.ends.start, task.ends.signs)),
+        lbx=np.concatenate((task.bounds.lower, -free)),
+        ubx=np.concatenate((task.bounds.upper, free)),
+        lbg=np.concatenate([part.lower for part in parts]),
+        ubg=np.concatenate([part.upper for part in parts]),
+    )
+    flat = np.array(result["x"]).ravel()[: layout.size]
+    if not np.all(np.isfinite(flat)):
+        return current, False
+    variables = clipped(Variables(flat[: layout.num_knots], flat[layout.num_knots :]), task.bounds)
+    rollout = roll_out(layout, variables, task.ends.start, task.ends.signs)
+    return evaluate(task, variables, rollout, _REACH), bool(solver.stats()["success"])
+
+
+def _options(max_time: float) -> dict[str, _Option]:
+    """Silent, and with a small first barrier: a large one throws the first step into another basin."""
+    return {
         "print_time": False,
         "error_on_fail": False,
         "ipopt": {
@@ -96,24 +121,6 @@ def _round(task: Task, current: Iterate, found: Clearance, max_time: float) -> t
             "bound_frac": 1e-4,
         },
     }
-    solver = casadi.nlpsol("reference", "ipopt", {"x": z, "p": fixed, "f": cost, "g": value}, options)
-    guess = np.concatenate((*current.variables, np.arctan2(found.axis.y[0], found.axis.x[0]), found.top))
-    free = np.full(2 * count, np.inf)
-    result = solver(
-        x0=guess,
-        p=np.concatenate((task.ends.start, task.ends.signs)),
-        lbx=np.concatenate((task.bounds.lower, -free)),
-        ubx=np.concatenate((task.bounds.upper, free)),
-        lbg=np.concatenate([p.lower for p in parts]),
-        ubg=np.concatenate([p.upper for p in parts]),
-    )
-    success = bool(solver.stats()["success"])
-    flat = np.array(result["x"]).ravel()[: layout.size]
-    if not np.all(np.isfinite(flat)):
-        return current, False
-    variables = clipped(Variables(flat[: layout.num_knots], flat[layout.num_knots :]), task.bounds)
-    rollout = roll_out(layout, variables, task.ends.start, task.ends.signs)
-    return evaluate(task, variables, rollout, _REACH), success
 
 
 def _path_constraints(task: Task, model: SymbolicModel) -> _Program:

@@ -1,7 +1,11 @@
 """The sequential steps against ipopt on the same problem with free separating lines."""
 
+import math
+
 import pytest
 
+from optdock.errors import FailedToSmoothPath
+from optdock.geometry.pose import Pose2
 from optdock.testing.families import instance
 from optdock.verification import certify_path
 from smoothers.casadi_smoother import CasadiSmoother
@@ -14,3 +18,18 @@ def test_both_find_the_same_optimum(family):
     reference = CasadiSmoother(backend="ipopt").smooth(case.raw_path, 60.0, problem=case.problem)
     assert certify_path(reference.path, case.problem).certified
     assert fast.report["cost"] == pytest.approx(reference.report["cost"], rel=0.01)
+
+
+def test_they_agree_in_the_open_too(cases):
+    problem = cases.open_problem(Pose2(3.2, 0.7, 0.0), max_curvature_rate=math.inf)
+    raw = cases.kinked((0.0, 0.0), (1.2, 0.0), (2.0, 0.7), (3.2, 0.7))
+    fast = CasadiSmoother().smooth(raw, 30.0, problem=problem)
+    reference = CasadiSmoother(backend="ipopt").smooth(raw, 60.0, problem=problem)
+    assert fast.report["cost"] == pytest.approx(reference.report["cost"], rel=0.01)
+
+
+def test_the_reference_refuses_with_a_reason():
+    case = instance("gap_blocked", 0)
+    with pytest.raises(FailedToSmoothPath) as caught:
+        CasadiSmoother(backend="ipopt").smooth(case.raw_path, 0.3, problem=case.problem)
+    assert caught.value.where["reason"] in {"clearance", "goal_unreachable"}
