@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import itertools
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
 
@@ -17,7 +16,8 @@ if TYPE_CHECKING:
 
 __all__ = ["convex_pieces", "edge_normals", "is_convex", "signed_area", "simple_polygon"]
 
-_MERGE_EPS = 1e-12
+_Point: TypeAlias = "tuple[float, float]"
+_Ring: TypeAlias = "list[_Point]"
 _FARTHEST = 1e8  # [m]: beyond it squares overflow or millimetres vanish; no map on earth is that large
 
 
@@ -111,32 +111,33 @@ def convex_pieces(vertices: FloatArray) -> tuple[FloatArray, ...]:
     import shapely
 
     triangles = shapely.constrained_delaunay_triangles(shapely.Polygon(vertices)).geoms
-    pieces = [_oriented(np.asarray(triangle.exterior.coords)[:-1]) for triangle in triangles]
-    return tuple(readonly(np.ascontiguousarray(piece)) for piece in _merge_convex(pieces))
+    pieces = _merge_convex([_oriented(np.asarray(triangle.exterior.coords)[:-1]) for triangle in triangles])
+    return tuple(readonly(np.array(piece)) for piece in pieces)
 
 
-def _oriented(points: FloatArray) -> FloatArray:
-    return points if signed_area(points) > 0.0 else points[::-1]
+def _oriented(points: FloatArray) -> _Ring:
+    return [(float(x), float(y)) for x, y in (points if signed_area(points) > 0.0 else points[::-1])]
 
 
-def _merge_convex(pieces: list[FloatArray]) -> list[FloatArray]:
-    """Join pieces pairwise until no union is convex."""
-    for i, j in itertools.combinations(range(len(pieces)), 2):
-        union = _union_over_shared_edge(pieces[i], pieces[j])
-        if union is not None and is_convex(union):
-            rest = [piece for k, piece in enumerate(pieces) if k not in (i, j)]
-            return _merge_convex([*rest, union])
-    return pieces
+def _merge_convex(rings: list[_Ring]) -> list[_Ring]:
+    """Join triangles over every diagonal that no corner needs; a diagonal once needed stays so, one pass is enough."""
+    pieces = dict(enumerate(rings))
+    owner = {edge: i for i, ring in pieces.items() for edge in _edges(ring)}
+    for a, b in [edge for edge in owner if edge < edge[::-1]]:
+        first, second = owner[a, b], owner.get((b, a), owner[a, b])
+        union = _joined(pieces[first], pieces[second], (a, b)) if first != second else None
+        if union is not None and is_convex(np.array(union)):
+            del pieces[second]
+            pieces[first] = union
+            owner.update(dict.fromkeys(_edges(union), first))
+    return list(pieces.values())
 
 
-def _union_over_shared_edge(first: FloatArray, second: FloatArray) -> FloatArray | None:
-    """The two polygons joined over a common edge, or None where they share none."""
-    for i in range(len(first)):
-        a, b = first[i], first[(i + 1) % len(first)]
-        for j in range(len(second)):
-            c, d = second[j], second[(j + 1) % len(second)]
-            if np.abs(a - d).max() <= _MERGE_EPS and np.abs(b - c).max() <= _MERGE_EPS:
-                rest_first = np.roll(first, -(i + 1), axis=0)  # starts at b, ends at a
-                rest_second = np.roll(second, -(j + 1), axis=0)[1:-1]  # between d and c
-                return np.vstack((rest_first, rest_second))
-    return None
+def _edges(ring: _Ring) -> list[tuple[_Point, _Point]]:
+    return list(zip(ring, ring[1:] + ring[:1], strict=True))
+
+
+def _joined(first: _Ring, second: _Ring, edge: tuple[_Point, _Point]) -> _Ring:
+    """The union over an edge that runs from a to b in the first ring and from b to a in the second."""
+    i, j = first.index(edge[1]), second.index(edge[0])
+    return first[i:] + first[:i] + (second[j:] + second[:j])[1:-1]

@@ -85,3 +85,15 @@ def test_normals_point_outward_and_padding_repeats_the_last_real_one():
     assert np.allclose(normals[1], np.sqrt([0.5, 0.5]))
     assert np.allclose(normals[2], normals[1])
     assert np.allclose(normals[3], [-1.0, 0.0])
+
+
+def test_a_star_of_many_points_is_cut_at_once_and_few_pieces_cover_it():
+    """The time per vertex must not grow: one pass over the diagonals, no restart after every merge."""
+    count = 1200
+    angle = 2.0 * np.pi * np.arange(count) / count
+    radius = 1.0 + 0.3 * (-1.0) ** np.arange(count)
+    star = np.column_stack((radius * np.cos(angle), radius * np.sin(angle)))
+    pieces = convex_pieces(simple_polygon(star, "star"))
+    assert len(pieces) <= count // 2 + 1
+    assert all(is_convex(piece) for piece in pieces)
+    assert sum(signed_area(piece) for piece in pieces) == pytest.approx(signed_area(star), rel=1e-12)
