@@ -7,6 +7,7 @@ closed onto the goal, so every iterate is drivable and nearly every one is a can
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -102,6 +103,7 @@ class _Controls:
     penalties: Penalties = field(default_factory=Penalties)
     reach: float = _REACH
     rejections: int = 0
+    gain: float = math.inf
     shortfalls: list[float] = field(default_factory=list)
 
     def accept(self, step: float) -> None:
@@ -174,9 +176,11 @@ def _improved(task: Task, current: Iterate, step: Step | None, controls: _Contro
 
 
 def _settled(before: Iterate, after: Iterate, controls: _Controls) -> bool:
-    """Whether a feasible iterate has stopped to improve."""
+    """Whether a feasible iterate has stopped to improve, or will with the next step if gains shrink as they did."""
     gain = merit(before, controls.penalties) - merit(after, controls.penalties)
-    return after.feasible and gain < _SMALL_SHARE * after.cost
+    previous, controls.gain = controls.gain, gain if before.feasible else math.inf
+    expected = gain * min(1.0, gain / previous) if math.isfinite(previous) else gain
+    return after.feasible and before.feasible and min(gain, 2.0 * expected) < _SMALL_SHARE * after.cost
 
 
 def _hopeless(current: Iterate, controls: _Controls) -> bool:
