@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import difflib
 import math
-from typing import TYPE_CHECKING, TypeVar
+from typing import TYPE_CHECKING, TypeVar, get_args
 
-from pydantic import BaseModel, ConfigDict, ValidationError
+from pydantic import BaseModel, ConfigDict, ValidationError, ValidationInfo, field_validator
 
 from optdock.errors import InvalidValue
 
@@ -17,12 +17,20 @@ __all__ = ["PluginParameters", "checked_seconds", "closest", "parse_parameters"]
 
 
 class PluginParameters(BaseModel):
-    """Base of every plugin's parameters: frozen, unknown names and non-finite numbers refused.
+    """Base of every plugin's parameters: frozen; unknown names, non-finite numbers and switches as numbers refused.
 
     Fields carry Nav2's names and defaults where Nav2 has them; the unit stands in each field's description.
     """
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False, validate_default=True)
+
+    @field_validator("*", mode="before")
+    @classmethod
+    def _no_switch_as_number(cls, value: object, info: ValidationInfo) -> object:
+        wanted = cls.model_fields[str(info.field_name)].annotation
+        if isinstance(value, bool) and {wanted, *get_args(wanted)} & {int, float}:
+            raise ValueError("must be a number")
+        return value
 
 
 P = TypeVar("P", bound=PluginParameters)

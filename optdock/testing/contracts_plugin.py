@@ -93,10 +93,10 @@ class PluginContract(ABC, Generic[P]):
                 require(named and wrong in str(error), f"the message names {wrong} and {name}, got: {error}")
 
     def test_a_number_must_be_finite(self) -> None:
-        """`PluginParameters`: non-finite numbers are refused."""
+        """`PluginParameters`: non-finite numbers are refused, and so are switches."""
         plugin = self.make_plugin()
         for name in float_names(plugin.parameters):
-            for bad in (math.nan, math.inf, -math.inf):
+            for bad in (math.nan, math.inf, -math.inf, True):
                 refused(partial(plugin.set_parameters, **{name: bad}), InvalidValue, f"{name} = {bad}")
 
     def test_every_parameter_is_described_with_its_unit(self) -> None:

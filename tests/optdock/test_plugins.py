@@ -49,7 +49,7 @@ def test_parameters_have_defaults_and_are_checked_all_at_once():
     assert "Near.tolerancce: unknown parameter; did you mean tolerance?" in text
 
 
-@pytest.mark.parametrize("bad", [float("nan"), float("inf"), None, "wide"])
+@pytest.mark.parametrize("bad", [float("nan"), float("inf"), None, "wide", True])
 def test_a_number_is_a_finite_number(bad):
     with pytest.raises(InvalidValue, match="Near.tolerance"):
         Near(tolerance=bad)
