@@ -27,6 +27,8 @@ __all__ = ["SmootherContract"]
 
 _SAME = 1e-6  # [m], [rad]
 _AMPLE = 20.0  # [s]
+_MOTION = Pose2(1.3, -0.7, 2.5)
+_MOVED = 1e-5  # [m]: an iteration may stop elsewhere by rounding
 
 
 def _numbers(path: Path) -> tuple[tuple[float, ...], ...]:
@@ -58,6 +60,16 @@ class SmootherContract(PluginContract[Smoother]):
         smoother = self.ready_plugin()
         for path, problem in self.tasks():
             self._require_same_ends(smoother.smooth(path, _AMPLE, problem=problem).path, path)
+
+    def test_a_rigid_motion_of_the_task_moves_the_result(self) -> None:
+        """`smooth`: path and problem in one frame, whichever: moved together they give the same path there."""
+        smoother = self.ready_plugin()
+        here = smoother.smooth(raw_path(), _AMPLE, problem=scene_problem()).path.sample(0.1).poses
+        goal = _MOTION @ GOAL
+        moved = smoother.smooth(raw_path(_MOTION, goal), _AMPLE, problem=scene_problem(_MOTION, goal)).path
+        there = np.array([(_MOTION.inverse() @ Pose2.from_sequence(row)).as_array() for row in moved.sample(0.1).poses])
+        same = there.shape == here.shape and bool(np.max(np.abs(there - here)[:, :2]) <= _MOVED)
+        require(same, f"moved by {_MOTION}, the task gives the moved path within {_MOVED} m")
 
     def test_the_result_says_what_it_is(self) -> None:
         """`SmoothingResult`: a usable path, whether it was completed, and a report for people and logs."""

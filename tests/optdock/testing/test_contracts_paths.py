@@ -110,6 +110,12 @@ def touching(self, path, max_time, warm_start):
     return SmoothingResult(path)
 
 
+def on_a_grid(self, path, max_time, warm_start):
+    poses = poses_of(path)
+    poses[1:-1, :2] = poses[1:-1, :2].round(2)
+    return SmoothingResult(Path.from_poses(poses))
+
+
 def one_gear(self, path, max_time, warm_start):
     return SmoothingResult(Path((PolylineSegment(poses_of(path), Direction.FORWARD),)))
 
@@ -135,6 +141,7 @@ class Deaf(Same):
 def test_every_gate_of_smoothers_can_fail(every_gate):
     broken = {
         "test_the_ends_stay": smoother(shortened),
+        "test_a_rigid_motion_of_the_task_moves_the_result": smoother(on_a_grid),
         "test_the_result_says_what_it_is": smoother(lambda self, path, *_: SmoothingResult(path, completed=1)),
         "test_the_input_is_not_touched": smoother(touching),
         "test_gears_stay_in_order": smoother(one_gear),
