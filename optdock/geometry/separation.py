@@ -19,6 +19,9 @@ if TYPE_CHECKING:
 __all__ = ["ConvexBody", "ConvexPieces", "Separation", "separation"]
 
 
+_MAX_PRODUCTS = 1_000_000  # of vertices met with vertices in one go; bounds the memory
+
+
 class ConvexBody(NamedTuple):
     """A convex polygon in its own frame: vertices (n, 2) [m], outward normals (n, 2), offsets (n,) [m]."""
 
@@ -50,6 +53,11 @@ def separation(body: ConvexBody, poses: FloatArray, pieces: ConvexPieces) -> Sep
         poses: Shape (m, 3) [m, m, rad].
         pieces: The obstacle of each row.
     """
+    block = max(1, _MAX_PRODUCTS // (len(body.vertices) * pieces.vertices.shape[1]))
+    if len(poses) > block:
+        rows = [slice(i, i + block) for i in range(0, len(poses), block)]
+        parts = [separation(body, poses[one], ConvexPieces(*(column[one] for column in pieces))) for one in rows]
+        return Separation(*(np.concatenate(columns) for columns in zip(*parts, strict=True)))
     vertices = transform_points(poses, body.vertices)  # (m, v, 2)
     of_piece = _along_piece_normals(vertices, pieces)
     of_body = _along_body_normals(body, poses, pieces)

@@ -28,7 +28,7 @@ TOLERANCE = 1e-6  # [m], accepted shortfall; covers rounding where contact is al
 SHARPNESS = 1e-3  # [m]: the reported minimum is at most this far below a clearance that occurs
 _MAX_STEP = 0.08  # [m], first cells
 _MAX_LEVELS = 24
-_MAX_POSES = 60_000
+_MAX_POSES = 60_000  # added by refinement
 _CROP = 1.0  # [m]: obstacles further from the swept area than this are looked at only when nothing is as near
 
 
@@ -96,6 +96,7 @@ class _Prover:
         """Rounds of cells until each is proven, violated or given up; obstacles beyond `crop` [m] are left out."""
         cells = self.motion.cells(_MAX_STEP)
         self.near, original = self._crop(cells, crop)
+        budget = _MAX_POSES + cells.first.size
         settled: list[FloatArray] = []
         violations: list[FloatArray] = []
         given_up = np.zeros((0, 2))
@@ -109,7 +110,7 @@ class _Prover:
             open_cells = np.flatnonzero(~(proven | self._touches_violation(cells, result)))
             if open_cells.size == 0:
                 break
-            if level == _MAX_LEVELS or self.poses > _MAX_POSES:
+            if level == _MAX_LEVELS or self.poses > budget:
                 given_up = np.column_stack((result.s, result.bound - result.required))[open_cells]
                 break
             cells = cells.rows(open_cells).halves()

@@ -12,6 +12,7 @@ n.v' = 0 there; first-order advancement, which knows no direction, would have to
 
 from __future__ import annotations
 
+import functools
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -29,6 +30,9 @@ if TYPE_CHECKING:
 __all__ = ["HalfBounds", "HalfCells", "half_cell_bounds", "pose_clearance"]
 
 
+_MAX_PAIRS = 300_000  # of a stretch and an obstacle looked at in one go; bounds the memory
+
+
 class HalfCells(NamedTuple):
     """Stretches that begin at a known pose; n of them.
 
@@ -43,6 +47,10 @@ class HalfCells(NamedTuple):
     turn: FloatArray
     bend: FloatArray
     twist: FloatArray
+
+    def rows(self, keep: slice) -> HalfCells:
+        """The stretches at `keep`."""
+        return HalfCells(*(column[keep] for column in self))
 
 
 class HalfBounds(NamedTuple):
@@ -59,7 +67,7 @@ class HalfBounds(NamedTuple):
 
     def merged(self, other: HalfBounds) -> HalfBounds:
         """The smaller bound of the two, and both lists of poses."""
-        mine = self.bound <= other.bound
+        mine = ~(self.bound > other.bound)  # a bound that is not a number proves nothing: it must not be lost
         return HalfBounds(
             np.where(mine, self.bound, other.bound),
             np.where(mine, self.row, other.row),
@@ -80,11 +88,15 @@ def half_cell_bounds(
         obstacles: At least one.
         care: Shape (n,) [m]: whatever may come closer than this is looked at exactly; the rest by box and circle.
     """
-    parts = [_body_bounds(body, stretches, obstacles, care) for body in footprint.bodies]
-    total = parts[0]
-    for part in parts[1:]:
-        total = total.merged(part)
-    return total
+    n, block = stretches.width.size, max(1, _MAX_PAIRS // len(obstacles))
+    if n <= block:
+        parts = [_body_bounds(body, stretches, obstacles, care) for body in footprint.bodies]
+        return functools.reduce(HalfBounds.merged, parts)
+    starts = range(0, n, block)
+    rows = [slice(start, start + block) for start in starts]
+    blocks = [half_cell_bounds(footprint, stretches.rows(one), obstacles, care[one]) for one in rows]
+    shifted = (one._replace(stretch=one.stretch + start) for one, start in zip(blocks, starts, strict=True))
+    return HalfBounds(*(np.concatenate(columns) for columns in zip(*shifted, strict=True)))
 
 
 def _body_bounds(body: ConvexBody, stretches: HalfCells, obstacles: ObstacleSet, care: FloatArray) -> HalfBounds:

@@ -1,6 +1,7 @@
 """The proof of clearance, attacked: thin posts, corners, cusps, in-place turns, long steps, tangency."""
 
 import itertools
+import tracemalloc
 
 import numpy as np
 import pytest
@@ -195,6 +196,47 @@ def test_a_start_beside_a_wall_may_leave_it_at_the_stated_slope_but_not_slower()
     assert kinds(certify_path(along, problem_for(along, wall))) == {"clearance"}
     behind = ObstacleSet.from_polygons([[[-2.0, -1.0], [-0.46, -1.0], [-0.46, 1.0], [-2.0, 1.0]]])
     assert certify_path(along, problem_for(along, behind)).certified
+
+
+def peak_memory(call):
+    tracemalloc.start()
+    try:
+        result = call()
+        return result, tracemalloc.get_traced_memory()[1]
+    finally:
+        tracemalloc.stop()
+
+
+def test_many_samples_beside_many_obstacles_fit_into_memory():
+    s = np.linspace(0.0, 1000.0, 150_000)
+    path = Path((PolylineSegment(np.column_stack((s, 0.0 * s, 0.0 * s))),))
+    posts = ObstacleSet.from_polygons([square(x, 0.7, 0.1) for x in np.linspace(1.0, 999.0, 100)])
+    certificate, memory = peak_memory(lambda: certify_path(path, problem_for(path, posts)))
+    assert certificate.certified
+    assert certificate.min_clearance == pytest.approx(0.3, abs=1e-3)
+    assert memory < 400e6
+
+
+def test_outlines_of_many_corners_fit_into_memory():
+    angle = 2.0 * np.pi * np.arange(200) / 200
+    circle = np.column_stack((np.cos(angle), np.sin(angle)))
+    robot = Robot(Footprint(0.4 * circle), MotionLimits())
+    path = clothoid([0.0, 6.0], [1.0, 1.0])
+    discs = ObstacleSet.from_polygons([0.4 * circle + [0.0, 1.0], 0.3 * circle + [3.0, 1.0]])
+    problem = problem_for(path, discs, robot, ClearanceRule(0.19, 0.19, 0.0))
+    certificate, memory = peak_memory(lambda: certify_path(path, problem))
+    assert certificate.certified
+    assert certificate.min_clearance == pytest.approx(0.2, abs=1e-3)
+    assert memory < 200e6
+
+
+def test_a_path_of_more_poses_than_refinement_may_add_can_still_be_proven(monkeypatch):
+    monkeypatch.setattr("optdock.verification.clearance._MAX_POSES", 60)
+    path = curved_path()
+    obstacles = beside(path, 1.7, REQUIRED + 0.0001, 1)
+    fine = Path((PolylineSegment(path.sample(0.005).poses),))
+    for one in (path, fine):
+        assert certify_path(one, problem_for(one, obstacles)).certified
 
 
 def test_an_obstacle_wholly_inside_the_footprint_is_a_collision():
