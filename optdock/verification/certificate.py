@@ -40,10 +40,11 @@ class Certificate:
     Args:
         violations: Every broken rule; empty when certified.
         min_clearance: Proven: no point of the footprint, anywhere on the path, is closer to an obstacle [m]; inf
-            without obstacles. For a violated path the smallest clearance seen.
+            without obstacles. Where poses break the rule, the smallest clearance among those found.
         required_clearance: What was required where `min_clearance` occurs [m].
         at_s: Where it occurs [m].
-        margin: Proven lower bound of clearance minus required clearance along the whole path [m].
+        margin: Proven lower bound of clearance minus required clearance along the whole path [m]; where poses break
+            the rule, the worst among those found.
         nearest: Name of the obstacle there, empty without obstacles.
         max_curvature: Largest |curvature| [1/m].
         max_curvature_rate: Largest |d curvature / ds| [1/m^2].

@@ -35,7 +35,7 @@ def certify_path(path: Path, problem: DockingProblem) -> Certificate:
         The certificate; `certified` is True only if everything was proven.
     """
     proof = prove_clearance(path, problem)
-    violations = (*path_violations(path, problem), *_clearance_violations(proof, problem, path))
+    violations = (*path_violations(path, problem), *_clearance_violations(proof, problem))
     return Certificate(
         violations=violations,
         min_clearance=proof.proven,
@@ -50,13 +50,11 @@ def certify_path(path: Path, problem: DockingProblem) -> Certificate:
     )
 
 
-def _clearance_violations(proof: ClearanceProof, problem: DockingProblem, path: Path) -> tuple[Violation, ...]:
+def _clearance_violations(proof: ClearanceProof, problem: DockingProblem) -> tuple[Violation, ...]:
     """The worst violating pose, and the worst cell given up."""
     found = []
     if len(proof.violations):
-        found.append(
-            _too_close(proof.violations[(proof.violations[:, 1] - proof.violations[:, 2]).argmin()], problem, path)
-        )
+        found.append(_too_close(proof.violations[(proof.violations[:, 1] - proof.violations[:, 2]).argmin()], problem))
     elif len(proof.unproven):
         s, short = proof.unproven[proof.unproven[:, 1].argmin()]
         message = f"clearance near s = {s:.4f} m cannot be proven; the bound is {-short:.3g} m short"
@@ -64,12 +62,12 @@ def _clearance_violations(proof: ClearanceProof, problem: DockingProblem, path: 
     return tuple(found)
 
 
-def _too_close(row: FloatArray, problem: DockingProblem, path: Path) -> Violation:
+def _too_close(row: FloatArray, problem: DockingProblem) -> Violation:
     s, clearance, required = (float(value) for value in row[:3])
     obstacle = problem.all_obstacles.name_of(int(row[3]))
     what = "overlaps" if clearance < 0.0 else "comes too close to"
     message = (
         f"the footprint {what} {obstacle} at s = {s:.3f} m: clearance {clearance:.4f} m, required {required:.4f} m"
     )
-    where = {"pose": path.poses_at(s)[0].tolist(), "obstacle": obstacle, "clearance": clearance, "required": required}
+    where = {"pose": row[4:].tolist(), "obstacle": obstacle, "clearance": clearance, "required": required}
     return Violation("clearance", message, s, required - clearance, where)

@@ -35,10 +35,10 @@ _CROP = 1.0  # [m]: obstacles further from the swept area than this are looked a
 class ClearanceProof(NamedTuple):
     """What the proof found.
 
-    `proven`: lower bound of the clearance, everywhere on the path; without a proof the smallest clearance seen. `at_s`,
-    `required`, `row`: where that is, what was required there, which obstacle (-1: none). `margin`: lower bound of
-    clearance - required. `violations`: (s, clearance, required, row) of poses that break the rule, Shape (n, 4).
-    `unproven`: (s, bound - required) of cells given up, Shape (m, 2). `poses`: poses looked at.
+    `proven`: lower bound of the clearance, everywhere on the path; with violations the smallest clearance among them.
+    `at_s`, `required`, `row`: where that is, what was required there, which obstacle (-1: none). `margin`: lower bound
+    of clearance - required, likewise. `violations`: (s, clearance, required, row, x, y, yaw) of poses that break the
+    rule, Shape (n, 7). `unproven`: (s, bound - required) of cells given up, Shape (m, 2). `poses`: poses looked at.
     """
 
     proven: float
@@ -64,7 +64,7 @@ class _Round(NamedTuple):
     violations: FloatArray
     attained: float
 
-    def settled(self, keep: BoolArray) -> FloatArray:
+    def settled(self, keep: BoolArray | IntArray) -> FloatArray:
         """Bound, requirement, place and row of the cells at `keep`, Shape (n, 4)."""
         table: FloatArray = np.column_stack((self.bound, self.s, self.required, self.row.astype(np.float64)))[keep]
         return table
@@ -74,7 +74,7 @@ def prove_clearance(path: Path, problem: DockingProblem) -> ClearanceProof:
     """Prove the clearance rule of `problem` for every point of `path`, or find the poses that break it."""
     footprint, obstacles = problem.robot.footprint, problem.all_obstacles
     if len(obstacles) == 0:
-        nothing = np.zeros((0, 4))
+        nothing = np.zeros((0, 7))
         return ClearanceProof(np.inf, 0.0, problem.clearance.required, -1, np.inf, nothing, nothing[:, :2], 0)
     start_clearance, _ = pose_clearance(problem.start, footprint, obstacles)
     end_clearance, _ = pose_clearance(path.end, footprint, obstacles)
@@ -99,19 +99,20 @@ class _Prover:
         budget = _MAX_POSES + cells.first.size
         settled: list[FloatArray] = []
         violations: list[FloatArray] = []
-        given_up = np.zeros((0, 2))
+        given_up = np.zeros((0, 4))
         for level in range(_MAX_LEVELS + 1):
             result = self._round(cells)
             self.attained = min(self.attained, result.attained)
+            is_last = level == _MAX_LEVELS or self.poses > budget
             sharp = result.bound >= self.attained - SHARPNESS
-            proven = (result.bound >= result.required - TOLERANCE) & (sharp | (level == _MAX_LEVELS))
+            proven = (result.bound >= result.required - TOLERANCE) & (sharp | is_last)
             violations.append(result.violations)
             settled.append(result.settled(proven))
             open_cells = np.flatnonzero(~(proven | self._touches_violation(cells, result)))
             if open_cells.size == 0:
                 break
-            if level == _MAX_LEVELS or self.poses > budget:
-                given_up = np.column_stack((result.s, result.bound - result.required))[open_cells]
+            if is_last:
+                given_up = result.settled(open_cells)
                 break
             cells = cells.rows(open_cells).halves()
         return self._summary(np.concatenate(settled), np.concatenate(violations), given_up, original)
@@ -150,8 +151,10 @@ class _Prover:
         pick = np.where(earlier, np.arange(n), np.arange(n) + n)
         required_at_nodes = self._required(*self._distances(nodes))[halves.stretch]
         bad = np.flatnonzero(halves.distance < required_at_nodes - TOLERANCE)
+        at_bad = halves.stretch[bad]
+        poses = nodes.poses[at_bad]
         violations = np.column_stack(
-            (nodes.s[halves.stretch[bad]], halves.distance[bad], required_at_nodes[bad], 1.0 * halves.obstacle[bad])
+            (nodes.s[at_bad], halves.distance[bad], required_at_nodes[bad], 1.0 * halves.obstacle[bad], poses)
         )
         attained = float(np.min(halves.distance, initial=np.inf))
         return _Round(halves.bound[pick], required, halves.row[pick], nodes.s[pick], violations, attained)
@@ -173,17 +176,13 @@ class _Prover:
     def _summary(
         self, settled: FloatArray, violations: FloatArray, given_up: FloatArray, original: IntArray
     ) -> ClearanceProof:
-        worst = violations[:, [1, 0, 2, 3]] if len(violations) else settled
+        worst = violations[:, [1, 0, 2, 3]] if len(violations) else np.concatenate((settled, given_up))
+        unproven = np.column_stack((given_up[:, 1], given_up[:, 0] - given_up[:, 2]))
         violations = violations.copy()
         violations[:, 3] = original[violations[:, 3].astype(np.int64)]
-        if len(worst) == 0:
-            return ClearanceProof(-np.inf, 0.0, 0.0, -1, -np.inf, violations, given_up, self.poses)
-        proven, s, required, row = worst[np.argmin(worst[:, 0])]
+        proven, s, required, row = (float(value) for value in worst[np.argmin(worst[:, 0])])
         margin = float(np.min(worst[:, 0] - worst[:, 2]))
-        nearest = int(original[int(row)])
-        return ClearanceProof(
-            float(proven), float(s), float(required), nearest, margin, violations, given_up, self.poses
-        )
+        return ClearanceProof(proven, s, required, int(original[int(row)]), margin, violations, unproven, self.poses)
 
 
 def _distance(nodes: Nodes, point: Pose2) -> FloatArray:

@@ -100,6 +100,35 @@ def test_the_violation_names_a_pose_that_shows_it():
     assert violation.where["obstacle"] == "obstacles[0]"
 
 
+def test_the_violating_pose_of_a_turn_in_place_shows_it():
+    path = Path.from_poses(np.array([[-1.0, 0.0, 0.0], [0.0, 0.0, 0.0], [0.0, 0.0, np.pi / 2]]))
+    corner = (np.hypot(0.45, 0.3) + 0.01) * np.array([np.cos(1.0), np.sin(1.0)])
+    obstacles = ObstacleSet.from_polygons([square(*corner)])
+    violation = certify_path(path, problem_for(path, obstacles)).violations[0]
+    clearance, _ = pose_clearance(Pose2.from_sequence(violation.where["pose"]), ROBOT.footprint, obstacles)
+    assert violation.s == pytest.approx(1.0)
+    assert clearance == pytest.approx(violation.where["clearance"], abs=1e-12)
+
+
+def test_what_is_given_up_still_bounds_the_clearance(monkeypatch):
+    path = curved_path()
+    obstacles = beside(path, 1.7, REQUIRED + 0.0001, 1)
+    monkeypatch.setattr("optdock.verification.clearance._MAX_LEVELS", 1)
+    certificate = certify_path(path, problem_for(path, obstacles))
+    assert kinds(certificate) == {"unproven"}
+    assert certificate.min_clearance < REQUIRED
+    assert certificate.margin == pytest.approx(-certificate.violations[0].amount)
+    assert certificate.nearest == "obstacles[0]"
+
+
+def test_a_proof_that_runs_out_of_poses_before_it_is_sharp_is_a_proof(monkeypatch):
+    monkeypatch.setattr("optdock.verification.clearance._MAX_POSES", 0)
+    path = curved_path()
+    certificate = certify_path(path, problem_for(path, beside(path, 1.7, REQUIRED + 0.03, 1)))
+    assert certificate.certified
+    assert REQUIRED < certificate.min_clearance < REQUIRED + 0.03
+
+
 @given(st.integers(0, 10_000))
 def test_proven_clearance_never_exceeds_the_dense_truth(seed):
     rng = np.random.default_rng(seed)
