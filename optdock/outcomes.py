@@ -55,8 +55,10 @@ class TimingResult:
 
     Args:
         status: How it ended.
-        trajectory: The timed motion. OK: the whole path. START_INFEASIBLE, CANNOT_STOP: the braking motion that
-            violates the limits least, over as much of the path as it needs. None where there is no motion to offer.
+        trajectory: The timed motion. OK: the whole path. START_INFEASIBLE: full braking, which violates the limits
+            least, until past the last violation, then on to the end (to rest, where nothing more can be planned).
+            CANNOT_STOP: full braking on the gear at hand; its distance runs on beyond that gear's end. None where
+            there is no motion to offer.
         worst_ratio: Largest quotient of a quantity and its limit; at most 1 when OK.
         overshoot: Distance that full braking needs beyond the end of the gear segment [m]; 0 unless CANNOT_STOP.
         report: Numbers about the work.

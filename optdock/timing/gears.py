@@ -48,7 +48,7 @@ def time_path(
     state, plans = State(0.0, *start), []
     for course in courses_of(path, limits, zone):
         plans.append(plan_from(course, state, plan) if course is not None else GearPlan(TimingStatus.OK, how="empty"))
-        if plans[-1].status in (TimingStatus.FAIL, TimingStatus.CANNOT_STOP, TimingStatus.BAD_START):
+        if plans[-1].status is TimingStatus.FAIL or not plans[-1].arrives:
             break
         state = State() if course is not None else state
     return _result(path, plans, start)
@@ -86,7 +86,7 @@ def _turn_in_place(segment: Segment) -> tuple[float, float]:
 
 
 def _result(path: Path, plans: list[GearPlan], start: tuple[float, float]) -> TimingResult:
-    worst = max(plans, key=lambda gear: gear.status is not TimingStatus.OK)
+    worst = max(plans, key=lambda gear: gear.status)  # the statuses are in order of gravity
     report: dict[str, object] = {"gears": [gear.how for gear in plans]}
     if worst.reason:
         report["reason"] = worst.reason

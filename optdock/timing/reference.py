@@ -34,8 +34,8 @@ if TYPE_CHECKING:
 __all__ = ["Reference", "solve_reference"]
 
 _MAX_ITERATIONS = 40
-_GAP = 5e-3  # relative to the objective
-_RESIDUAL = 4e-3  # of every bound; the margins are larger
+_GAP = 1e-2  # relative to the objective
+_RESIDUAL = 6e-3  # of every bound; the margins are larger
 _FREEZE = 8  # iterations after which f stays: updating it for ever converges only linearly
 _TO_BOUNDARY = 0.99
 _LARGEST_DECREASE = 0.9  # of a coefficient in one step

@@ -33,6 +33,7 @@ class GearPlan(NamedTuple):
         overshoot: Distance that full braking needs beyond the end [m].
         how: What led to the result, for the report.
         reason: Why it is not OK.
+        arrives: Whether the motion ends at rest at the end of the gear.
     """
 
     status: TimingStatus
@@ -41,6 +42,7 @@ class GearPlan(NamedTuple):
     overshoot: float = 0.0
     how: str = ""
     reason: str = ""
+    arrives: bool = True
 
 
 GearPlanner: TypeAlias = "Callable[[Course, State], GearPlan]"
@@ -76,7 +78,7 @@ def plan_from(course: Course, start: State, plan: GearPlanner) -> GearPlan:
         return plan(course, start)
     if start.v < 0.0 or braking_slack(start, course.limits.max_jerk) < 0.0:
         reason = f"from v = {start.v:.6g} m/s, a = {start.a:.6g} m/s^2 the robot rolls backwards whatever is done"
-        return GearPlan(TimingStatus.BAD_START, how="none", reason=reason)
+        return GearPlan(TimingStatus.BAD_START, how="none", reason=reason, arrives=False)
     braking = Braking(course, start)
     if braking.motion.end.s > course.length + _CLOSE:
         return _overshooting(course, braking.motion)
@@ -89,7 +91,7 @@ def plan_from(course: Course, start: State, plan: GearPlanner) -> GearPlan:
 def _overshooting(course: Course, brake: Motion) -> GearPlan:
     reason = f"full braking needs {brake.end.s:.6g} m, {course.length:.6g} m are left"
     overshoot, ratio = brake.end.s - course.length, worst_ratio(course, brake).ratio
-    return GearPlan(TimingStatus.CANNOT_STOP, brake.phases, ratio, overshoot, "brake", reason)
+    return GearPlan(TimingStatus.CANNOT_STOP, brake.phases, ratio, overshoot, "brake", reason, arrives=False)
 
 
 def _least_violation(course: Course, braking: Braking, plan: GearPlanner) -> GearPlan:
@@ -104,8 +106,10 @@ def _least_violation(course: Course, braking: Braking, plan: GearPlanner) -> Gea
     head, state = _cut(brake, after)
     rest = _resumed(course, state, plan)
     phases = head + rest if rest else brake.phases + _resumed(course, State(brake.end.s), plan)
-    worst = max(ratio, worst_ratio(course, Motion.of(brake.start, phases)).ratio)
-    return GearPlan(TimingStatus.START_INFEASIBLE, phases, worst, 0.0, "brake", reason)
+    motion = Motion.of(brake.start, phases)
+    worst = max(ratio, worst_ratio(course, motion).ratio)
+    arrives = motion.end.s > course.length - _CLOSE
+    return GearPlan(TimingStatus.START_INFEASIBLE, phases, worst, 0.0, "brake", reason, arrives)
 
 
 def _resumed(course: Course, state: State, plan: GearPlanner) -> Phases:
