@@ -99,8 +99,8 @@ class CasadiSmoother(Smoother):
 
         Raises:
             FailedToSmoothPath: `where["reason"]` names the bound in the way: `start_in_collision`, `start_curvature`,
-                `direction`, `approach_blocked`, `goal_unreachable`, `clearance`, `curvature_rate`; `s` [m], `amount`
-                and `obstacle` say where and by how much.
+                `direction`, `approach_blocked`, `goal_unreachable`, `clearance`; `s` [m], `amount` and `obstacle` say
+                where and by how much.
             SmootherTimedOut: No certified path within `max_time`.
             SmootherCancelled: `cancel_checker` returned True.
         """

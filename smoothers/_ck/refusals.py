@@ -110,21 +110,13 @@ def _distances(problem: DockingProblem, poses: FloatArray) -> tuple[FloatArray, 
 
 def refuse_search(task: Task, last: Iterate) -> Refusal:
     """Which bound the search could not satisfy: the goal (through curvature and rate) or clearance."""
-    missed = float(np.hypot(*last.end_error[:2]))
-    turned = abs(float(last.end_error[2]))
-    length = float(last.variables.lengths.sum())
-    if max(missed, turned) > 1e-3:
-        return _unreachable(task, last, missed, turned, length)
-    if last.clearance.margin.size and last.shortfall > 0.0:
-        k = int(np.argmin(last.clearance.margin))
-        name = task.world.obstacles.name_of(int(last.clearance.pairs.obstacle[k]))
-        s = float(last.rollout.steps[: int(last.clearance.pairs.interval[k])].sum())
-        message = f"{last.shortfall:.4f} m are missing to the required clearance from {name} at s = {s:.3f} m"
-        return Refusal("clearance", s, last.shortfall, name, message)
-    k = int(np.argmax(np.abs(last.rollout.rate)))
-    s, excess = float(last.rollout.steps[:k].sum()), last.rate_excess * task.bounds.rate
-    message = f"the curvature rate exceeds its limit by {excess:.3g} 1/m^2 at s = {s:.3f} m"
-    return Refusal("curvature_rate", s, excess, "", message)
+    if not last.on_goal or last.clearance.margin.size == 0:
+        return _unreachable(task, last)
+    k = int(np.argmin(last.clearance.margin))
+    name = task.world.obstacles.name_of(int(last.clearance.pairs.obstacle[k]))
+    s = float(last.rollout.steps[: int(last.clearance.pairs.interval[k])].sum())
+    message = f"{last.shortfall:.4f} m are missing to the required clearance from {name} at s = {s:.3f} m"
+    return Refusal("clearance", s, last.shortfall, name, message)
 
 
 def refuse_certificate(certificate: Certificate) -> Refusal:
@@ -134,11 +126,13 @@ def refuse_certificate(certificate: Certificate) -> Refusal:
     return Refusal(broken.kind, broken.s, broken.amount, obstacle, broken.message)
 
 
-def _unreachable(task: Task, last: Iterate, missed: float, turned: float, length: float) -> Refusal:
+def _unreachable(task: Task, last: Iterate) -> Refusal:
+    missed, turned = float(np.hypot(*last.end_error[:2])), abs(float(last.end_error[2]))
     bound = float(task.bounds.upper[: task.layout.num_knots].max())
     used = float(np.abs(last.variables.curvature).max()) / bound
-    kept = "curvature" if used > 0.98 else "curvature rate or clearance"
-    message = (
-        f"a path with these gears misses the goal by {missed:.3f} m and {turned:.3f} rad; its {kept} is at the limit"
-    )
-    return Refusal("goal_unreachable", length, missed, "", message)
+    steered = float(np.abs(last.rollout.rate).max()) / task.bounds.rate
+    tight = [name for name, share in (("curvature", used), ("curvature rate", steered)) if share > 0.97]
+    tight += ["clearance"] if last.clearance.margin.size and last.clearance.margin.min() < 2e-3 else []
+    message = f"a path with these gears misses the goal by {missed:.3f} m and {turned:.3f} rad"
+    message += f"; at the limit: {', '.join(tight)}" if tight else ""
+    return Refusal("goal_unreachable", float(last.variables.lengths.sum()), missed, "", message)

@@ -33,13 +33,11 @@ _REACH = 0.25  # [m] beyond the required clearance, first iteration
 _GOAL_TOLERANCE = 1e-5
 _CLEARANCE_TOLERANCE = 1e-6
 _END_ALLOWANCE = 5e-4  # [m]
-_RATE_PENALTY = 30.0
 _SMALL_STEP = 3e-4
 _SMALL_SHARE = 1e-3  # of the cost: a predicted gain not worth a step
 _MAX_REJECTIONS = 7
 _ALTERNATIONS = 2  # between the goal and the curvature rate
-_PATIENCE = 5  # iterations within which an infeasible iterate must lose
-_SHRINKING = 0.93  # of its shortfall
+_SHRINKING = 0.93  # of its shortfall keeps an infeasible iterate whose patience is at its end
 _MAX_PENALTY = 300.0 * 36.0
 
 
@@ -53,7 +51,6 @@ class Iterate(NamedTuple):
         clearance: Its near pairs.
         zones: Shape (ZONES,) [m], worst shortfall of clearance in each zone, >= 0.
         end_error: Shape (3,) [m, m, rad].
-        rate_excess: Excess of the curvature rate, relative to its limit, >= 0.
     """
 
     variables: Variables
@@ -62,7 +59,6 @@ class Iterate(NamedTuple):
     clearance: Clearance
     zones: FloatArray
     end_error: FloatArray
-    rate_excess: float
 
     @property
     def shortfall(self) -> float:
@@ -82,7 +78,7 @@ class Iterate(NamedTuple):
     @property
     def feasible(self) -> bool:
         """Whether it may be certified."""
-        return self.on_goal and self.shortfall <= _CLEARANCE_TOLERANCE and self.rate_excess <= 1e-9
+        return self.on_goal and self.shortfall <= _CLEARANCE_TOLERANCE
 
 
 class Progress(NamedTuple):
@@ -100,6 +96,7 @@ class _Controls:
 
     trust: float
     prox: float
+    patience: int
     penalties: Penalties = field(default_factory=Penalties)
     reach: float = _REACH
     rejections: int = 0
@@ -127,23 +124,19 @@ def evaluate(task: Task, variables: Variables, rollout: Rollout, reach: float) -
         # The end poses are given and were checked before: the cautious bound next to them is no fault of the path.
         at_ends = (found.pairs.interval == 0) | (found.pairs.interval == task.layout.num_intervals - 1)
         np.maximum.at(zones, zone_of(task.layout, node), np.where(at_ends, -_END_ALLOWANCE, 0.0) - found.margin)
-    rate = float(np.abs(rollout.rate).max())
-    excess = max(0.0, rate / task.bounds.rate - 1.0)
-    return Iterate(
-        variables, rollout, task.cost.value(variables, rollout), found, zones, task.ends.error(rollout), excess
-    )
+    cost = task.cost.value(variables, rollout)
+    return Iterate(variables, rollout, cost, found, zones, task.ends.error(rollout))
 
 
 def merit(iterate: Iterate, penalties: Penalties) -> float:
     """Cost plus penalties."""
-    missed = float(np.abs(iterate.end_error).sum())
-    short = float(iterate.zones.sum())
-    return iterate.cost + penalties.clearance * short + penalties.goal * missed + _RATE_PENALTY * iterate.rate_excess
+    missed, short = float(np.abs(iterate.end_error).sum()), float(iterate.zones.sum())
+    return iterate.cost + penalties.clearance * short + penalties.goal * missed
 
 
 def search(task: Task, pool: ProgramPool, max_iterations: int = 60) -> Iterator[Progress]:
     """Yield after every iteration, the initial iterate first; the last one is `finished`."""
-    controls = _Controls(task.trust, task.prox)
+    controls = _Controls(task.trust, task.prox, task.patience)
     variables, rollout = _closed(task, task.initial)
     current = evaluate(task, variables, rollout, controls.reach)
     yield Progress(current, 0, finished=False, accepted=True)
@@ -191,8 +184,8 @@ def _hopeless(current: Iterate, controls: _Controls) -> bool:
     if current.feasible:
         return controls.rejections > _MAX_REJECTIONS or controls.trust < _SMALL_STEP
     controls.shortfalls.append(current.missing)
-    recent = controls.shortfalls[-_PATIENCE:]
-    if len(recent) < _PATIENCE or recent[-1] < _SHRINKING * recent[0]:
+    recent = controls.shortfalls[-controls.patience :]
+    if len(recent) < controls.patience or recent[-1] < _SHRINKING * recent[0]:
         return False
     if controls.penalties.clearance >= _MAX_PENALTY or controls.penalties.clearance * current.missing > current.cost:
         return True

@@ -49,6 +49,7 @@ class Task:
         buffer: Clearance aimed at above the requirement [m].
         trust: First bound of the heading changes of a step [rad].
         prox: First weight of the squared motion of a step.
+        patience: Iterations within which an infeasible iterate must lose a good part of its shortfall.
     """
 
     layout: Layout
@@ -64,6 +65,7 @@ class Task:
     buffer: float = 8e-4
     trust: float = 0.45
     prox: float = 1.0
+    patience: int = 4
 
 
 def curvature_bound(limits: MotionLimits) -> float:
