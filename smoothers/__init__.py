@@ -1,1 +1,25 @@
-"""Path smoothers: plugins of `optdock.smoothers`."""
+"""Path smoothers: plugins of `optdock.smoothers`; each is imported on first use."""
+
+from __future__ import annotations
+
+import importlib
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from smoothers.casadi_smoother import CasadiSmoother
+    from smoothers.savitzky_golay import SavitzkyGolaySmoother
+    from smoothers.simple import SimpleSmoother
+
+_HOMES = {
+    "CasadiSmoother": "smoothers.casadi_smoother",
+    "SavitzkyGolaySmoother": "smoothers.savitzky_golay",
+    "SimpleSmoother": "smoothers.simple",
+}
+
+__all__ = ["CasadiSmoother", "SavitzkyGolaySmoother", "SimpleSmoother"]
+
+
+def __getattr__(name: str) -> object:
+    if name not in _HOMES:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    return getattr(importlib.import_module(_HOMES[name]), name)

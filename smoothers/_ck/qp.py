@@ -60,7 +60,10 @@ class DenseProgram:
 
     def solve(self) -> FloatArray | None:
         """The minimizer, or None where no solver finds one. Shape (size,)."""
-        self._run()
+        try:
+            self._run()
+        except RuntimeError:  # casadi's one exception, for example where a lower bound exceeds its upper bound
+            return None
         # On failure DAQP leaves the previous solution behind, and NaN input passes for a success.
         if self._buffer.stats()["success"] and bool(np.isfinite(self._solution).all()):
             solution: FloatArray = self._solution.copy()
@@ -70,6 +73,8 @@ class DenseProgram:
     def solve_slowly(self) -> FloatArray | None:
         """The minimizer by PIQP, built anew for the rows in use; unused rows make it print warnings."""
         if not all(bool(np.isfinite(getattr(self, name)).all()) for name in _ARGUMENTS):
+            return None
+        if not casadi.has_conic("piqp"):
             return None
         used = (self.lba > -UNBOUNDED) | (self.uba < UNBOUNDED)
         values = {name: getattr(self, name) for name in _ARGUMENTS}

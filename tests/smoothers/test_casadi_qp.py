@@ -47,6 +47,12 @@ def test_contradicting_bounds_have_no_solution():
     assert program.solve() is None
 
 
+def test_crossed_bounds_have_no_solution():
+    program, _ = filled(4)
+    program.lbx[0], program.ubx[0] = 1.0, -1.0
+    assert program.solve() is None
+
+
 def test_nan_has_no_solution():
     program, _ = filled(3)
     program.g[0] = np.nan
