@@ -18,7 +18,7 @@ from optdock.geometry.pose import Pose2
 from optdock.path import ClothoidSegment, Direction, Path, PolylineSegment, Segment
 
 if TYPE_CHECKING:
-    from optdock.geometry.arrays import BoolArray, FloatArray
+    from optdock.geometry.arrays import FloatArray
 
 __all__ = ["PathColumns", "path_columns", "path_from_columns"]
 
@@ -33,7 +33,7 @@ Json: TypeAlias = Mapping[str, object]
 
 
 class _Columns(BaseModel):
-    model_config = ConfigDict(frozen=True, extra="ignore", allow_inf_nan=False)
+    model_config = ConfigDict(strict=True, frozen=True, extra="ignore", allow_inf_nan=False)
 
 
 class _Clothoid(_Columns):
@@ -161,19 +161,31 @@ def _check_agreement(columns: PathColumns, poses: FloatArray, path: Path, name: 
     apart = np.hypot(poses[:, 0] - exact[:, 0], poses[:, 1] - exact[:, 1])
     turned = np.abs(np.remainder(poses[:, 2] - exact[:, 2] + np.pi, 2.0 * np.pi) - np.pi)
     # Where the robot turns in place many headings share one arc length; positions tell all there.
-    turned[_turning_in_place(np.array(columns.s))] = 0.0
+    turned[_distances_to(_turns_in_place(path), np.array(columns.s)) <= _STILL] = 0.0
     worst = int(np.argmax(np.maximum(apart, turned)))
     if max(apart[worst], turned[worst]) > AGREEMENT:
         raise InvalidFile(
             f"{name}: sample {worst} is {apart[worst]:.3g} m and {turned[worst]:.3g} rad off the segments, "
             f"allowed is {AGREEMENT:g}"
         )
-    at_cusp = np.min(np.abs(np.subtract.outer(columns.s, path.segment_starts)), axis=1) <= _STILL
+    at_cusp = _distances_to(path.segment_starts, np.array(columns.s)) <= _STILL
     if columns.direction is not None and np.any((path.direction_at(columns.s) != columns.direction) & ~at_cusp):
         raise InvalidFile(f"{name}.direction: differs from that of the segments")
 
 
-def _turning_in_place(s: FloatArray) -> BoolArray:
-    still = np.diff(s) <= _STILL
-    marks: BoolArray = np.concatenate((still, [False])) | np.concatenate(([False], still))
-    return marks
+def _turns_in_place(path: Path) -> FloatArray:
+    """Arc lengths at which the robot turns without moving, increasing; Shape (k,) [m]."""
+    still = [
+        segment.knots[1:][np.diff(segment.knots) <= _STILL] + start
+        for segment, start in zip(path.segments, path.segment_starts[:-1], strict=True)
+        if isinstance(segment, PolylineSegment)
+    ]
+    return np.concatenate(still) if still else np.zeros(0)
+
+
+def _distances_to(places: FloatArray, s: FloatArray) -> FloatArray:
+    """Distance of every `s` from the nearest of increasing `places`; infinite without any. Shape (n,) [m]."""
+    fenced = np.concatenate(([-np.inf], places, [np.inf]))
+    after = np.clip(np.searchsorted(fenced, s), 1, fenced.size - 1)
+    distances: FloatArray = np.minimum(s - fenced[after - 1], fenced[after] - s)
+    return distances

@@ -161,7 +161,7 @@ def save_plan(target: FilePath, plan: PlanFile, *, spacing: float = DEFAULT_SPAC
 
 
 class _Model(BaseModel):
-    model_config = ConfigDict(frozen=True, extra="ignore", allow_inf_nan=False)
+    model_config = ConfigDict(strict=True, frozen=True, extra="ignore", allow_inf_nan=False)
 
 
 class _TrajectoryDocument(_Model):

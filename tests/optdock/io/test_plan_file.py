@@ -1,5 +1,6 @@
 import json
 import math
+import tracemalloc
 
 import numpy as np
 import pytest
@@ -182,6 +183,28 @@ def test_samples_off_their_segments_are_refused(tmp_path):
     assert "path: sample 7 is 2e-06 m" in broken(tmp_path, shift)
 
 
+def test_repeated_samples_hide_no_wrong_heading(tmp_path):
+    def turn_every_sample_by_one_radian(document):
+        columns = document["path"]
+        for key in ("s", "x", "y", "yaw", "curvature", "direction"):
+            columns[key] = [value for value in columns[key] for _ in range(2)]
+        columns["yaw"] = [yaw + 1.0 for yaw in columns["yaw"]]
+
+    assert "1 rad off the segments" in broken(tmp_path, turn_every_sample_by_one_radian)
+
+
+def test_many_samples_of_many_gears_fit_into_memory(tmp_path):
+    poses = [[0.1 * (i % 2), 0.0, 0.0] for i in range(3000)]
+    document = json.loads(PlanFile(path=Path.from_poses(np.array(poses))).as_json(spacing=0.01))
+    (tmp_path / "long.json").write_text(json.dumps(document))
+    tracemalloc.start()
+    try:
+        assert len(load_plan(tmp_path / "long.json").path.segments) == 2999
+        assert tracemalloc.get_traced_memory()[1] < 100e6
+    finally:
+        tracemalloc.stop()
+
+
 def test_samples_that_end_elsewhere_are_refused(tmp_path):
     def stretch(document):
         document["path"]["segments"][1]["knots"][-1] = 0.8
@@ -204,6 +227,9 @@ def test_samples_within_the_tolerance_pass(tmp_path):
         (lambda d: d["path"]["y"].append(0.0), "broken.json: path.y: must have as many values as path.x"),
         (lambda d: d["path"]["direction"].__setitem__(3, 0), "broken.json: path.direction.3: Input should be 1 or -1"),
         (lambda d: d["path"]["x"].__setitem__(2, "a"), "broken.json: path.x.2: Input should be a valid number"),
+        (lambda d: d["path"]["x"].__setitem__(2, "1.5"), "broken.json: path.x.2: Input should be a valid number"),
+        (lambda d: d["path"]["x"].__setitem__(2, True), "broken.json: path.x.2: Input should be a valid number"),
+        (lambda d: d["trajectory"]["t"].__setitem__(0, "0"), "broken.json: trajectory.t.0: Input should be a valid"),
         (lambda d: d["path"]["s"].__setitem__(0, -0.5), "broken.json: path.s: must start at 0 m, got -0.5"),
         (lambda d: d["path"]["s"].__setitem__(5, 0.0), "broken.json: path.s: grows by"),
         (lambda d: d["path"].update(direction=[1] * len(d["path"]["x"])), "path.direction: differs from that of the"),
