@@ -41,6 +41,8 @@ def _judged(plan: PlanFile, problem: DockingProblem) -> list[str]:
 
     if plan.path is None:
         return [f"the file holds no path, its status is {plan.status}"]
+    if plan.frame != problem.frame:
+        return [f"the plan stands in frame {plan.frame!r}, the scenario in {problem.frame!r}; transform one of them"]
     certificate = certify_path(plan.path, problem)
     faults = [violation.message for violation in certificate.violations]
     if plan.trajectory is not None:

@@ -106,6 +106,15 @@ def test_certify_judges_a_path_that_optdock_did_not_make(planned):
     assert result.stderr.count("\n") == 1
 
 
+def test_certify_refuses_a_plan_of_another_frame(planned):
+    folder, _ = planned
+    document = json.loads((folder / "plan.json").read_text())
+    pathlib.Path("odom.json").write_text(json.dumps({**document, "frame": "odom"}))
+    result = run("certify", "odom.json", folder / "bay.yaml")
+    assert result.exit_code == 3
+    assert "not certified: the plan stands in frame 'odom', the scenario in 'map'" in result.stderr
+
+
 def test_certify_notices_a_path_through_an_obstacle(planned):
     folder, _ = planned
     problem = load_scenario(folder / "bay.yaml").problem
