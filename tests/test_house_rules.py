@@ -3,7 +3,6 @@
 import ast
 import importlib
 import re
-
 from importlib.metadata import entry_points
 from pathlib import Path
 
@@ -98,6 +97,6 @@ def test_configured_paths_exist():
     for name in (*config["tool"]["mypy"]["packages"], *config["tool"]["importlinter"]["root_packages"]):
         assert (ROOT / name / "py.typed").is_file()
     for layer in config["tool"]["importlinter"]["contracts"][0]["layers"]:
-        for name in re.split(r"\s*\|\s*", layer):
+        for name in re.split(r"\s*[|:]\s*", layer):
             module = ROOT.joinpath(*name.split("."))
             assert module.is_dir() or module.with_suffix(".py").is_file(), name

@@ -53,7 +53,11 @@ class DockPlanner(GlobalPlanner):
         super().configure(context)
 
     def on_configure(self) -> None:
-        """Check the surroundings, and load SciPy's splines now: that takes longer than a hundred plans."""
+        """Check the surroundings, and load SciPy's splines now: that takes longer than a hundred plans.
+
+        Raises:
+            InvalidValue: The context holds no robot footprint.
+        """
         import scipy.interpolate  # noqa: F401 - loaded for its side effect on the first plan's duration
 
         if self._robot_footprint() is None:
