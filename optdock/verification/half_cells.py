@@ -19,6 +19,7 @@ import numpy as np
 
 from optdock.geometry.pose import transform_points
 from optdock.geometry.separation import separation
+from optdock.verification.seams import joined_bodies
 
 if TYPE_CHECKING:
     from optdock.geometry.arrays import FloatArray, IntArray
@@ -90,7 +91,7 @@ def half_cell_bounds(
     """
     n, block = stretches.width.size, max(1, _MAX_PAIRS // len(obstacles))
     if n <= block:
-        parts = [_body_bounds(body, stretches, obstacles, care) for body in footprint.bodies]
+        parts = [_body_bounds(body, stretches, obstacles, care) for body in joined_bodies(footprint)]
         return functools.reduce(HalfBounds.merged, parts)
     starts = range(0, n, block)
     rows = [slice(start, start + block) for start in starts]
@@ -138,7 +139,7 @@ def pose_clearance(pose: Pose2, footprint: Footprint, obstacles: ObstacleSet) ->
     """Signed clearance of one pose [m] and the row of the nearest obstacle; (inf, -1) without obstacles."""
     poses = pose.as_array()[None]
     best, row = np.inf, -1
-    for body in footprint.bodies:
+    for body in joined_bodies(footprint):
         apart = _box_gaps(body, poses, obstacles)[0]
         order = np.argsort(apart)
         for chunk in (order[:8], order[8:]):

@@ -14,6 +14,7 @@ import numpy as np
 
 from optdock.geometry.pose import transform_points
 from optdock.geometry.separation import separation
+from optdock.verification.seams import joined_bodies
 
 if TYPE_CHECKING:
     from optdock.geometry.arrays import FloatArray
@@ -58,13 +59,13 @@ def free_motion(
     if near.size == 0:
         return Sweep(duration, -1)
     scene = obstacles.subset(near)
-    start = np.min([_distances(body, scene, pose) for body in footprint.bodies], axis=0)
+    start = np.min([_distances(body, scene, pose) for body in joined_bodies(footprint)], axis=0)
     required = np.minimum(clearance, start)
     if float(required.min()) < -_SHALLOW:
         return Sweep(0.0, int(near[int(np.argmin(required))]))
     time, blocking = 0.0, -1
     for _ in range(_MOST_STEPS):
-        steps = np.min([_safe_steps(body, scene, pose, twist, required) for body in footprint.bodies], axis=0)
+        steps = np.min([_safe_steps(body, scene, pose, twist, required) for body in joined_bodies(footprint)], axis=0)
         blocking = int(np.argmin(steps))
         step = float(steps[blocking])
         if time + step >= duration:

@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 from optdock.dock import Dock
 from optdock.geometry.clothoid import ClothoidSpline
 from optdock.geometry.footprint import Footprint
+from optdock.geometry.polygon import is_convex
 from optdock.geometry.pose import Pose2, transform_points
 from optdock.limits import MotionLimits
 from optdock.obstacles import ObstacleSet
@@ -19,6 +20,7 @@ from optdock.path import ClothoidSegment, Direction, Path, PolylineSegment
 from optdock.problem import ClearanceRule, DockingProblem
 from optdock.robot import Robot
 from optdock.verification import certify_path, pose_clearance
+from optdock.verification.seams import joined_bodies
 
 ROBOT = Robot(Footprint.rectangle(0.45, 0.45, 0.6), MotionLimits())
 REQUIRED = 0.05
@@ -295,6 +297,34 @@ def test_a_non_convex_footprint_may_straddle_a_post_that_its_hull_would_hit():
     assert certificate.min_clearance == pytest.approx(0.199, abs=1e-3)
     hull = Robot(Footprint.rectangle(0.4, 0.4, 0.6), MotionLimits())
     assert kinds(certify_path(path, problem_for(path, post, hull))) == {"clearance"}
+
+
+def test_a_post_of_a_micrometre_does_not_slip_through_the_seam_of_two_pieces():
+    dart = Footprint(np.array([[0.4, 0.0], [-0.4, 0.3], [-0.2, 0.0], [-0.4, -0.3]]))
+    robot, path = Robot(dart, MotionLimits()), clothoid([0.0, 1.0], [0.0, 0.0])
+    touching_allowed = ClearanceRule(0.0, 0.0, 0.0)
+    on_the_seam = ObstacleSet.from_polygons([square(0.8, 0.0, 0.5e-6)])
+    certificate = certify_path(path, problem_for(path, on_the_seam, robot, touching_allowed))
+    assert kinds(certificate) == {"clearance"}
+    clearance, _ = pose_clearance(Pose2(0.8, 0.0, 0.0), dart, on_the_seam)
+    assert clearance < -0.01
+    beside = ObstacleSet.from_polygons([square(0.8, 0.301, 0.5e-6)])
+    assert certify_path(path, problem_for(path, beside, robot, touching_allowed)).certified
+
+
+@given(st.integers(0, 10_000))
+def test_pieces_and_kites_cover_exactly_the_footprint(seed):
+    rng = np.random.default_rng(seed)
+    angle = np.sort(rng.uniform(0.0, 2.0 * np.pi, 9))
+    radius = rng.uniform(0.2, 1.0, 9)
+    star = shapely.Polygon(np.column_stack((radius * np.cos(angle), radius * np.sin(angle))))
+    if np.max(np.diff(angle, append=angle[0] + 2.0 * np.pi)) > 3.0 or np.min(np.diff(angle)) < 1e-3:
+        return
+    bodies = joined_bodies(Footprint(np.array(star.exterior.coords)[:-1]))
+    assert all(is_convex(body.vertices) for body in bodies)
+    covered = shapely.union_all([shapely.Polygon(body.vertices) for body in bodies])
+    assert shapely.hausdorff_distance(covered, star) < 1e-9
+    assert covered.area == pytest.approx(star.area, rel=1e-9)
 
 
 def test_without_obstacles_the_clearance_is_infinite():
