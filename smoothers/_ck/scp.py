@@ -29,7 +29,8 @@ if TYPE_CHECKING:
 
 __all__ = ["Iterate", "Progress", "evaluate", "search"]
 
-_REACH = 0.25  # [m] beyond the required clearance, first iteration
+_REACH = 0.15  # [m] beyond the required clearance, first iteration
+_LEAST_REACH = 0.08  # [m], near the end
 _GOAL_TOLERANCE = 1e-5
 _CLEARANCE_TOLERANCE = 1e-6
 _END_ALLOWANCE = 5e-4  # [m]
@@ -106,7 +107,7 @@ class _Controls:
     def accept(self, step: float) -> None:
         self.trust = min(2.0 * self.trust, 0.9)
         self.prox = max(0.3 * self.prox, 1e-3)
-        self.reach = min(_REACH, 1.5 * step + 0.12)
+        self.reach = min(_REACH, 1.5 * step + _LEAST_REACH)
         self.rejections = 0
 
     def reject(self, step: float) -> None:
@@ -229,4 +230,4 @@ def _trial(task: Task, current: Iterate, step: Step, controls: _Controls) -> tup
     variables, rollout = _closed(task, clipped(wanted, task.bounds))
     turned = float(np.abs(rollout.poses[:, 2] - current.rollout.poses[:, 2]).max())
     moved = max(turned, float(np.abs(variables.lengths - current.variables.lengths).max()))
-    return evaluate(task, variables, rollout, min(_REACH, max(controls.reach, 1.5 * moved + 0.12))), moved
+    return evaluate(task, variables, rollout, min(_REACH, max(controls.reach, 1.5 * moved + _LEAST_REACH))), moved
