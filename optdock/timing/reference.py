@@ -29,8 +29,6 @@ if TYPE_CHECKING:
     from optdock.timing.grid import Grid
     from optdock.timing.motion import State
 
-    BandedSolver = Callable[[FloatArray, FloatArray], tuple[object, FloatArray, int]]
-
 __all__ = ["Reference", "solve_reference"]
 
 _MAX_ITERATIONS = 40
@@ -138,29 +136,17 @@ class _Program:
         slope = np.einsum("rm,prm->pm", target, self.stencil)
         square = self.root * self.root
         cube = self.steps / (self.root * square)
-        band = np.zeros((4, self.steps.size - 2), order="F")
-        band[-1] = normal[0, 2:] + normal[1, 1:-1] + normal[2, :-2] + (0.75 * cube / square)[1:-1]
-        band[-2, 1:] = (normal[3, 2:] + normal[4, 1:-1])[:-1]
-        band[-3, 2:] = normal[5, 2:-2]
+        band = np.array(self.ripple[:, 2:-2], order="F")
+        band[3] += normal[0, 2:] + normal[1, 1:-1] + normal[2, :-2] + (0.75 * cube / square)[1:-1]
+        band[2, 1:] += (normal[3, 2:] + normal[4, 1:-1])[:-1]
+        band[1, 2:] += normal[5, 2:-2]
         force = (0.5 * cube)[1:-1] - (slope[0, 2:] + slope[1, 1:-1] + slope[2, :-2])
-        _ripple_into(band, force, self.ripple, self.c)
-        _factor, solution, info = _banded_solver()(band, force)
+        force -= _lapack().product(3, 1.0, self.ripple, self.c)[2:-2]
+        _factor, solution, info = _lapack().solve(band, force)
         change = np.zeros(self.steps.size + 2)
         if info == 0:
             change[2:-2] = solution
         return change
-
-
-def _ripple_into(band: FloatArray, force: FloatArray, ripple: FloatArray, c: FloatArray) -> None:
-    """Add the Hessian 2 Q to the bands and take the gradient 2 Q c from the force."""
-    product = ripple[0] * c
-    for offset in range(1, 4):
-        coupled = ripple[offset, :-offset]
-        product[:-offset] += coupled * c[offset:]
-        product[offset:] += coupled * c[:-offset]
-    force -= 2.0 * product[2:-2]
-    for offset in range(4):
-        band[3 - offset, offset:] += 2.0 * ripple[offset, 2 : c.size - 2 - offset]
 
 
 def _interior_point(program: _Program, c: FloatArray) -> tuple[FloatArray, int]:
@@ -206,9 +192,16 @@ def _longest(values: FloatArray, change: FloatArray, share: float = _TO_BOUNDARY
     return min(1.0, -share / worst) if worst < 0.0 else 1.0
 
 
+class _Lapack(NamedTuple):
+    """Solver of a banded positive definite system, and product of a banded symmetric matrix with a vector."""
+
+    solve: Callable[[FloatArray, FloatArray], tuple[object, FloatArray, int]]
+    product: Callable[[int, float, FloatArray, FloatArray], FloatArray]
+
+
 @cache
-def _banded_solver() -> BandedSolver:
+def _lapack() -> _Lapack:
+    from scipy.linalg.blas import dsbmv
     from scipy.linalg.lapack import dpbsv
 
-    solver: BandedSolver = dpbsv
-    return solver
+    return _Lapack(dpbsv, dsbmv)

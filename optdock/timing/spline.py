@@ -97,19 +97,19 @@ def limit_rows(grid: Grid, limits: MotionLimits, spline: Spline) -> FloatArray:
 
 
 def ripple_bands(spline: Spline, weight: FloatArray) -> FloatArray:
-    """Upper bands of the matrix Q with c' Q c = sum of (weight * step of x'' between neighbouring cells)^2.
+    """Upper bands of the matrix Q with c' Q c / 2 = sum of (weight * step of x'' between neighbouring cells)^2.
 
     Args:
         spline: The maps.
         weight: Per pair of neighbouring cells, Shape (M - 1,).
 
     Returns:
-        Shape (4, M + 2): entry (d, i) is Q[i, i + d].
+        Shape (4, M + 2), LAPACK's storage: entry (3 - d, j) is Q[j - d, j].
     """
     left, right, zero = spline.curve[:, :-1], spline.curve[:, 1:], np.zeros((1, weight.size))
     row = weight * (np.concatenate((zero, right)) - np.concatenate((left, zero)))  # (4, M - 1) on c_m .. c_{m+3}
-    bands = np.zeros((4, weight.size + 3))
+    bands = np.zeros((4, weight.size + 3), order="F")
     for offset in range(4):
         for i in range(4 - offset):
-            bands[offset, i : i + weight.size] += row[i] * row[i + offset]
+            bands[3 - offset, i + offset : i + offset + weight.size] += 2.0 * row[i] * row[i + offset]
     return bands

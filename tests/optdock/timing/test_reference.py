@@ -12,7 +12,7 @@ from optdock.timing.guess import initial_guess
 from optdock.timing.motion import State, state_after
 from optdock.timing.reference import solve_reference
 from optdock.timing.smooth import smooth_phases
-from optdock.timing.spline import applied, coefficients_of, limit_rows, spline_of
+from optdock.timing.spline import applied, coefficients_of, limit_rows, ripple_bands, spline_of
 
 REST = State()
 
@@ -118,3 +118,14 @@ def test_smooth_phases_reproduce_the_knots(make, all_limits):
         if n % 2:
             knot = (n + 1) // 2
             assert state == pytest.approx((found.s[knot], found.v[knot], found.a[knot]), abs=1e-9)
+
+
+def test_ripple_bands_are_the_squared_steps_of_the_second_derivative():
+    rng = np.random.default_rng(5)
+    steps, c, weight = rng.uniform(0.5, 2.0, 9), rng.uniform(0.5, 1.0, 11), rng.uniform(0.5, 1.5, 8)
+    spline = spline_of(steps)
+    bands = ripple_bands(spline, weight)
+    matrix = sum(np.diag(bands[3 - d, d:], d) for d in range(4))
+    matrix = matrix + np.triu(matrix, 1).T
+    wanted = np.sum((weight * np.diff(applied(spline.curve, c))) ** 2)
+    assert 0.5 * c @ matrix @ c == pytest.approx(wanted, rel=1e-12)
