@@ -24,6 +24,7 @@ POSE_TOLERANCE = 1e-6  # [m], [rad]: start, goal and joints
 EXACT_RTOL = 1e-6  # curvature bounds on clothoid splines
 SAMPLED_RTOL = 1e-3  # curvature bounds on polylines, whose curvature is a difference quotient
 SLIP_TOLERANCE = 0.01  # [rad] between heading and motion of a polyline step
+BULGE_TOLERANCE = 0.005  # [m] between the straight motion of a polyline step and the arc that wheels would drive
 STRAIGHT_TOLERANCE = 1e-4  # [m], [rad]: a polyline's final straight
 
 
@@ -99,6 +100,15 @@ def _slip(path: Path, problem: DockingProblem) -> Iterator[Violation]:  # noqa: 
             s = float(start + segment.knots[k])
             message = f"the path slips sideways: motion and heading differ by {error[k]:.3g} rad at s = {s:.3f} m"
             yield Violation("slip", message, s, float(error[k]))
+        # Position moves with acceleration arc * turn along the arc, in units of the step, and with none straight on.
+        bulge = np.diff(segment.knots) * np.abs(step[:, 2]) / 8.0
+        k = int(np.argmax(bulge))
+        if not bulge[k] <= BULGE_TOLERANCE:
+            s = float(start + segment.knots[k])
+            message = (
+                f"the step at s = {s:.3f} m is too long to tell its motion: arc and chord are {bulge[k]:.3g} m apart"
+            )
+            yield Violation("slip", message, s, float(bulge[k]))
 
 
 def _curvature_samples(segment: Segment) -> tuple[FloatArray, FloatArray]:

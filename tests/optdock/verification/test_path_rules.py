@@ -179,6 +179,15 @@ def test_a_spike_of_curvature_in_the_first_micrometre_of_the_final_straight_is_s
     assert kinds(path, problem(path, MotionLimits(), final_straight=0.5)) == ["final_straight"]
 
 
+def test_a_half_circle_in_one_step_is_no_motion_of_wheels():
+    """Its arc keeps the curvature, its chord the clearance: nothing keeps both."""
+    for count, expected in ((2, ["slip"]), (16, [])):
+        angle = np.linspace(-np.pi / 2, np.pi / 2, count)
+        path = Path.from_poses(np.column_stack((0.5 * np.cos(angle), 0.5 * np.sin(angle), angle + np.pi / 2)))
+        wanted = problem(path, MotionLimits(max_curvature=2.1), final_straight=0.0)
+        assert kinds(path, wanted) == expected
+
+
 def test_sliding_sideways_is_a_slip():
     path = Path.from_poses(np.array([[0.0, 0.0, 0.0], [0.5, 0.5, 0.0], [1.0, 1.0, 0.0]]))
     assert kinds(path, problem(path, final_straight=0.0)) == ["slip"]
