@@ -12,7 +12,7 @@ import numpy as np
 if TYPE_CHECKING:
     from optdock.geometry.arrays import BoolArray, FloatArray, IntArray
 
-__all__ = ["Points", "best_axes", "chords", "turned_normals"]
+__all__ = ["Points", "best_axes", "chords"]
 
 _MAX_LOWEST = 8  # vertices that can carry the lower side of a hull
 _PAIRS = {count: np.triu_indices(count, 1) for count in range(2, _MAX_LOWEST + 1)}
@@ -65,12 +65,6 @@ def best_axes(hull: Points, outline: Points, normals: Points, inward: Points) ->
     gaps = _gaps(axes, hull, outline)
     best = np.argmax(gaps, axis=0)
     return _refined(axes.at(best), gaps[best, np.arange(best.size)], hull, outline)
-
-
-def turned_normals(body: Points, yaw: FloatArray) -> Points:
-    """Inward body normals in the world; `body` holds outward ones. Shape (v, p)."""
-    c, s = np.cos(yaw), np.sin(yaw)
-    return Points(s * body.y - c * body.x, -s * body.x - c * body.y)
 
 
 def _gaps(axes: Points, hull: Points, outline: Points) -> FloatArray:

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from smoothers._ck.axes import Points, best_axes, turned_normals
+from smoothers._ck.axes import Points, best_axes
 
 if TYPE_CHECKING:
     from optdock.geometry.arrays import FloatArray, IntArray
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from smoothers._ck.rollout import Rollout
     from smoothers._ck.world import Requirement, World
 
-__all__ = ["Clearance", "Pairs", "clearance", "clearance_of", "swept_pairs"]
+__all__ = ["Clearance", "Frames", "Pairs", "clearance", "clearance_of", "frames_at", "swept_pairs"]
 
 _MANY = 150  # pairs: below, none is dropped
 _SURELY_KEPT = 0.01  # [m] beyond the required clearance
@@ -62,12 +62,19 @@ class Clearance(NamedTuple):
     required: Requirement
 
 
-class _Motion(NamedTuple):
-    """Motion at the two ends of every pair's interval: nodes, Shape (p,)."""
+class Frames(NamedTuple):
+    """The body at every node.
 
-    left: IntArray
-    right: IntArray
-    interval: IntArray
+    Attributes:
+        corners: World positions of all body vertices, one column per part and node, Shape (v, parts * nodes) [m].
+        inward: Inward normals of the body's edges, likewise.
+        cosine, sine: Of the yaw, Shape (nodes,).
+    """
+
+    corners: Points
+    inward: Points
+    cosine: FloatArray
+    sine: FloatArray
 
 
 def clearance(world: World, layout: Layout, rollout: Rollout, signs: FloatArray, reach: float) -> Clearance:
@@ -80,58 +87,60 @@ def clearance(world: World, layout: Layout, rollout: Rollout, signs: FloatArray,
         signs: Gear of every gear segment, Shape (num_gears,).
         reach: Pairs further apart than this are left out [m].
     """
-    corners = corners_at(world, rollout.poses)
-    pairs = swept_pairs(world, layout, rollout, corners, reach)
-    return _margins(world, layout, rollout, signs, pairs, corners)
+    frames = frames_at(world, rollout.poses)
+    pairs = swept_pairs(world, layout, rollout, frames, reach)
+    return _margins(world, layout, rollout, signs, pairs, frames)
 
 
 def clearance_of(world: World, layout: Layout, rollout: Rollout, signs: FloatArray, pairs: Pairs) -> Clearance:
     """The proven margins of given pairs."""
-    return _margins(world, layout, rollout, signs, pairs, corners_at(world, rollout.poses))
+    return _margins(world, layout, rollout, signs, pairs, frames_at(world, rollout.poses))
 
 
 def _margins(
-    world: World, layout: Layout, rollout: Rollout, signs: FloatArray, pairs: Pairs, corners: Points
+    world: World, layout: Layout, rollout: Rollout, signs: FloatArray, pairs: Pairs, frames: Frames
 ) -> Clearance:
     required = world.required(rollout.poses[:, :2])
     left = layout.left[pairs.interval]
-    motion = _Motion(left, left + 1, pairs.interval)
-    hull = _swept_hulls(corners, pairs.part, left, layout.num_nodes)
+    column = pairs.part * layout.num_nodes + left
+    hull, inward = _both_ends(frames.corners, column), _both_ends(frames.inward, column)
     outline, normals = world.outline.columns(pairs.obstacle), world.edge_normals.columns(pairs.obstacle)
-    axis = best_axes(hull, outline, normals, _inward_normals(world, rollout, pairs.part, left))
-    heights = hull.along(axis)
-    heights -= _node_requirements(required, left, hull.x.shape[0] // 2)
-    dip = _sag(layout, rollout, signs, motion, hull, axis)
+    axis = best_axes(hull, outline, normals, inward)
+    along = hull.along(axis)
+    sign = signs[layout.interval_gear[pairs.interval]]
+    dip = _sag(world, rollout, pairs, _Seen(np.stack((left, left + 1)), sign, axis, along, hull.across(axis)), frames)
+    heights = along - _node_requirements(required, left, len(dip))
     heights[: len(dip)] -= dip
     heights[len(dip) :] -= dip
     top = outline.along(axis).max(axis=0)
     return Clearance(pairs, hull, axis, heights, outline, top, heights.min(axis=0) - top, required)
 
 
-def corners_at(world: World, poses: FloatArray) -> Points:
-    """World positions of all body vertices at all poses, one column per part and pose. Shape (v, parts * nodes) [m]."""
+def frames_at(world: World, poses: FloatArray) -> Frames:
+    """The body at all poses, Shape (nodes, 3)."""
     c, s = np.cos(poses[:, 2]), np.sin(poses[:, 2])
-    body = world.body.vertices
-    x, y = body[..., 0].T[..., None], body[..., 1].T[..., None]  # (v, parts, 1)
-    shape = (body.shape[1], -1)
-    return Points((poses[:, 0] + c * x - s * y).reshape(shape), (poses[:, 1] + s * x + c * y).reshape(shape))
+    shape = (world.body.vertices.shape[1], -1)
+    turned = []
+    for points, sign in ((world.body.vertices, 1.0), (world.body.normals, -1.0)):
+        x, y = sign * points[..., 0].T[..., None], sign * points[..., 1].T[..., None]  # (v, parts, 1)
+        turned.append((c * x - s * y, s * x + c * y))
+    corners = Points((poses[:, 0] + turned[0][0]).reshape(shape), (poses[:, 1] + turned[0][1]).reshape(shape))
+    return Frames(corners, Points(turned[1][0].reshape(shape), turned[1][1].reshape(shape)), c, s)
 
 
-def _swept_hulls(corners: Points, part: IntArray, left: IntArray, nodes: int) -> Points:
-    column = part * nodes + left
+def _both_ends(points: Points, column: IntArray) -> Points:
+    """The columns of the left nodes above those of the right nodes."""
+    both = np.concatenate((column, column + 1))
+    count, size = points.x.shape[0], column.size
     return Points(
-        np.concatenate((corners.x[:, column], corners.x[:, column + 1])),
-        np.concatenate((corners.y[:, column], corners.y[:, column + 1])),
+        *(
+            values[:, both].reshape(count, 2, size).transpose(1, 0, 2).reshape(2 * count, size)
+            for values in (points.x, points.y)
+        )
     )
 
 
-def _inward_normals(world: World, rollout: Rollout, part: IntArray, left: IntArray) -> Points:
-    body = Points(world.body.normals[part, :, 0].T, world.body.normals[part, :, 1].T)
-    first, last = (turned_normals(body, rollout.poses[node, 2]) for node in (left, left + 1))
-    return Points(np.concatenate((first.x, last.x)), np.concatenate((first.y, last.y)))
-
-
-def swept_pairs(world: World, layout: Layout, rollout: Rollout, corners: Points, reach: float) -> Pairs:
+def swept_pairs(world: World, layout: Layout, rollout: Rollout, frames: Frames, reach: float) -> Pairs:
     """Pairs within `reach` [m] by their boxes, in the world's frame and the body's; of each interval the nearest few.
 
     World boxes alone keep most obstacles around a body that stands askew.
@@ -140,14 +149,14 @@ def swept_pairs(world: World, layout: Layout, rollout: Rollout, corners: Points,
         world: Obstacles and body.
         layout: Shape of the path.
         rollout: The driven path.
-        corners: Of the body at the nodes, as `corners_at` gives them.
+        frames: The body at the nodes.
         reach: Pairs further apart are left out [m].
     """
     left, shape = layout.left, (-1, layout.num_nodes)
     gaps = []
     for values, lower, upper in (
-        (corners.x, world.obstacles.lower[:, 0], world.obstacles.upper[:, 0]),
-        (corners.y, world.obstacles.lower[:, 1], world.obstacles.upper[:, 1]),
+        (frames.corners.x, world.obstacles.lower[:, 0], world.obstacles.upper[:, 0]),
+        (frames.corners.y, world.obstacles.lower[:, 1], world.obstacles.upper[:, 1]),
     ):
         low, high = values.min(axis=0).reshape(shape), values.max(axis=0).reshape(shape)
         low, high = np.minimum(low[:, left], low[:, left + 1]), np.maximum(high[:, left], high[:, left + 1])
@@ -155,7 +164,7 @@ def swept_pairs(world: World, layout: Layout, rollout: Rollout, corners: Points,
     shape = gaps[0].shape
     near = np.flatnonzero((gaps[0] < reach) & (gaps[1] < reach))  # of (parts, intervals, obstacles)
     apart = _box_separation(gaps[0].ravel()[near], gaps[1].ravel()[near])
-    apart = np.maximum(apart, _in_body_frame(world, layout, rollout, _pairs_at(near, shape)))
+    apart = np.maximum(apart, _in_body_frame(world, layout, rollout, _pairs_at(near, shape), frames))
     kept = near[apart < reach]
     if kept.size > _MANY:
         # The bound is coarse: whatever might be too close stays, whether it is among the nearest or not.
@@ -176,20 +185,20 @@ def _box_separation(x: FloatArray, y: FloatArray) -> FloatArray:
     return distance
 
 
-def _in_body_frame(world: World, layout: Layout, rollout: Rollout, pairs: Pairs) -> FloatArray:
+def _in_body_frame(world: World, layout: Layout, rollout: Rollout, pairs: Pairs, frames: Frames) -> FloatArray:
     """The same in the frame of the body at the left node, its box grown by the motion within the interval.
 
     Obstacles count as their world boxes, whose extent along a direction (c, s) is |c| x + |s| y.
     """
     left = layout.left
-    c, s = np.cos(rollout.poses[left, 2]), np.sin(rollout.poses[left, 2])
     turn = np.maximum(np.abs(rollout.curvature[left]), np.abs(rollout.curvature[left + 1]))
     grown = (rollout.steps * (1.0 + world.body.radius * turn))[pairs.interval]
     middle, half = 0.5 * (world.body.lower + world.body.upper), 0.5 * (world.body.upper - world.body.lower)
     rock, spread = world.box_middle, world.box_half
-    dx = rock.x[0, pairs.obstacle] - rollout.poses[left, 0][pairs.interval]
-    dy = rock.y[0, pairs.obstacle] - rollout.poses[left, 1][pairs.interval]
-    c, s = c[pairs.interval], s[pairs.interval]
+    node = left[pairs.interval]
+    dx = rock.x[0, pairs.obstacle] - rollout.poses[node, 0]
+    dy = rock.y[0, pairs.obstacle] - rollout.poses[node, 1]
+    c, s = frames.cosine[node], frames.sine[node]
     wide, high = spread.x[0, pairs.obstacle], spread.y[0, pairs.obstacle]
     along = np.abs(c * dx + s * dy - middle[pairs.part, 0]) - half[pairs.part, 0]
     across = np.abs(c * dy - s * dx - middle[pairs.part, 1]) - half[pairs.part, 1]
@@ -226,22 +235,28 @@ def _node_requirements(required: Requirement, left: IntArray, count: int) -> Flo
     return np.repeat(np.stack((first, last)), count, axis=0)
 
 
-def _sag(
-    layout: Layout, rollout: Rollout, signs: FloatArray, motion: _Motion, hull: Points, axis: Points
-) -> FloatArray:
+class _Seen(NamedTuple):
+    """Pairs seen along their axes: end nodes (2, p), gear (p,), axis, hull vertices along and across it (2v, p)."""
+
+    nodes: IntArray
+    sign: FloatArray
+    axis: Points
+    along: FloatArray
+    across: FloatArray
+
+
+def _sag(world: World, rollout: Rollout, pairs: Pairs, seen: _Seen, frames: Frames) -> FloatArray:
     """How far every vertex may dip below its chord along the axis. Shape (v, p)."""
-    count, step, rate = hull.x.shape[0] // 2, rollout.steps[motion.interval], rollout.rate[motion.interval]
-    sign = signs[layout.interval_gear[motion.interval]]
-    bends, reach = [], np.zeros(0)
-    for node, rows in ((motion.left, slice(0, count)), (motion.right, slice(count, None))):
-        pose, kappa = rollout.poses[node].T, rollout.curvature[node]
-        arm = Points(hull.x[rows] - pose[0], hull.y[rows] - pose[1])
-        lateral = sign * kappa * (axis.y * np.cos(pose[2]) - axis.x * np.sin(pose[2]))
-        # n . R90 arm is minus the arm's coordinate across n.
-        bends.append(lateral - rate * arm.across(axis) - kappa * kappa * arm.along(axis))
-        reach = np.hypot(arm.x, arm.y)
-    kappa = np.maximum(np.abs(rollout.curvature[motion.left]), np.abs(rollout.curvature[motion.right]))
-    third = np.abs(rate) * (1.0 + 3.0 * kappa * reach) + kappa**2 * (1.0 + kappa * reach)
-    bend = np.maximum(bends[0], bends[1]) + 0.5 * step * third
-    dip: FloatArray = 0.125 * step**2 * np.maximum(bend, 0.0)
+    axis, nodes = seen.axis, seen.nodes
+    step, rate = rollout.steps[pairs.interval], rollout.rate[pairs.interval]
+    x, y, kappa = rollout.poses[nodes, 0], rollout.poses[nodes, 1], rollout.curvature[nodes]
+    shape = (2, len(seen.along) // 2, step.size)
+    along = seen.along.reshape(shape) - (axis.x * x + axis.y * y)[:, None]
+    across = seen.across.reshape(shape) - (axis.x * y - axis.y * x)[:, None]
+    lateral = seen.sign * kappa * (axis.y * frames.cosine[nodes] - axis.x * frames.sine[nodes])
+    # n . R90 arm is minus the arm's coordinate across n.
+    bend = (lateral[:, None] - rate * across - (kappa * kappa)[:, None] * along).max(axis=0)
+    most, reach = np.abs(kappa).max(axis=0), world.body.reach[pairs.part].T
+    third = np.abs(rate) * (1.0 + 3.0 * most * reach) + most**2 * (1.0 + most * reach)
+    dip: FloatArray = 0.125 * step**2 * np.maximum(bend + 0.5 * step * third, 0.0)
     return dip

@@ -22,12 +22,16 @@ _CROP = 1.0  # [m]: how far beyond the input path obstacles are looked at
 
 
 class Body(NamedTuple):
-    """The footprint's convex parts padded to one vertex count: vertices and normals (parts, v, 2); boxes (parts, 2)."""
+    """The footprint's convex parts padded to one vertex count: vertices and normals (parts, v, 2); boxes (parts, 2).
+
+    `reach`: distance of every vertex from the origin (parts, v). `radius`: largest of them. `width`: thickness [m].
+    """
 
     vertices: FloatArray
     normals: FloatArray
     lower: FloatArray
     upper: FloatArray
+    reach: FloatArray
     radius: float
     width: float
 
@@ -112,9 +116,9 @@ def body_of(footprint: Footprint) -> Body:
     vertices = np.stack([_padded(part.vertices, width) for part in footprint.bodies])
     normals = np.stack([_padded(part.normals, width) for part in footprint.bodies])
     thickness = 2.0 * max(footprint.inscribed_radius, 0.25 * min(footprint.width, footprint.length))
-    return Body(
-        vertices, normals, vertices.min(axis=1), vertices.max(axis=1), footprint.circumscribed_radius, thickness
-    )
+    reach = np.hypot(vertices[..., 0], vertices[..., 1])
+    lower, upper = vertices.min(axis=1), vertices.max(axis=1)
+    return Body(vertices, normals, lower, upper, reach, footprint.circumscribed_radius, thickness)
 
 
 def _padded(rows: FloatArray, count: int) -> FloatArray:
