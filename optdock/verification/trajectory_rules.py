@@ -113,7 +113,7 @@ def _lowest_speed(law: TimeLaw) -> tuple[float, float]:
 def _rest(trajectory: Trajectory) -> Iterator[Violation]:
     law = trajectory.time_law
     for name, s in (*(("cusp", s) for s in trajectory.path.cusps), ("end", trajectory.path.length)):
-        k = -1 if name == "end" else int(np.argmin(np.abs(law.states[:, 0] - s)))
+        k = -1 if name == "end" else _border_at(law, s)
         miss = float(np.max(np.abs(law.states[k] - [s, 0.0, 0.0])))
         if not miss <= REST_TOLERANCE:
             at, v, a = law.states[k]
@@ -121,6 +121,14 @@ def _rest(trajectory: Trajectory) -> Iterator[Violation]:
                 f"no rest at the {name} s = {s:.4f} m: nearest phase border s = {at:.4f} m, v = {v:.3g}, a = {a:.3g}"
             )
             yield Violation("rest", message, s, miss)
+
+
+def _border_at(law: TimeLaw, s: float) -> int:
+    """The phase border at `s` that is nearest to rest; where none is at `s`, the nearest."""
+    off = np.abs(law.states[:, 0] - s)
+    moving = np.max(np.abs(law.states[:, 1:]), axis=1)
+    at = off <= REST_TOLERANCE
+    return int(np.argmin(np.where(at, moving, np.inf) if at.any() else off))
 
 
 def _start(law: TimeLaw, speed: float | None, acceleration: float | None) -> Iterator[Violation]:

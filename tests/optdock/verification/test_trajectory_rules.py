@@ -164,6 +164,15 @@ def test_a_curvature_jump_between_gears_does_not_leak_into_the_gear_before():
     assert kinds(motion, dataclasses.replace(OPEN, max_yaw_rate=0.39)) == ["yaw_rate"]
 
 
+def test_the_rest_at_a_cusp_may_follow_a_phase_too_short_to_move():
+    (t1, j1), (t2, j2) = move(1.0), move(2.0)
+    last = 1e-4  # of the braking: the robot is at the cusp, but not yet at rest, when it begins
+    durations = np.concatenate((t1[:-1], [t1[-1] - last, last, 0.5], t2))
+    jerks = np.concatenate((j1, [j1[-1], 0.0], j2))
+    for shift in (-1e-12, 0.0, 1e-12):
+        assert kinds(Trajectory(two_gears(), TimeLaw(durations, jerks, start_s=shift)), OPEN) == []
+
+
 def straight(length):
     return Path((ClothoidSegment(ClothoidSpline(Pose2(0, 0, 0), [0.0, length], [0.0, 0.0])),))
 
