@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from smoothers._ck.rollout import Variables, end_pose, end_sensitivity, roll_out
+from smoothers._ck.rollout import Variables, end_pose, end_sensitivity
 
 if TYPE_CHECKING:
     from optdock.geometry.arrays import FloatArray
@@ -24,11 +24,19 @@ _RENEW = 1e-3  # error from which the old derivatives do for the remaining steps
 
 @dataclass(frozen=True, eq=False)
 class Ends:
-    """Where the path begins and must end, Shape (3,) each, with the gears, Shape (num_gears,)."""
+    """Where the path begins and must end.
+
+    Args:
+        start: Shape (3,) [m, m, rad].
+        target: Likewise.
+        signs: Gears, Shape (num_gears,).
+        reach: Error at the goal from which on Newton steps are not tried [m, rad].
+    """
 
     start: FloatArray
     target: FloatArray
     signs: FloatArray
+    reach: float = 0.5
 
     def error(self, rollout: Rollout) -> FloatArray:
         """Last pose minus target, Shape (3,)."""
@@ -86,8 +94,8 @@ def rate_kept(layout: Layout, variables: Variables, bounds: Bounds) -> bool:
 
 
 def close_goal(
-    layout: Layout, variables: Variables, ends: Ends, bounds: Bounds, start: Rollout
-) -> tuple[Variables, Rollout]:
+    layout: Layout, variables: Variables, ends: Ends, bounds: Bounds, tolerance: float = _TOLERANCE
+) -> Variables:
     """Up to five Newton steps of least norm; a step that does not contract the error is not taken.
 
     Args:
@@ -95,15 +103,15 @@ def close_goal(
         variables: Where to begin.
         ends: Start and target.
         bounds: Variables stay inside.
-        start: The roll-out of `variables`.
+        tolerance: Error at the goal that is small enough [m, rad].
     """
-    error, driven = ends.error(start), start.moves
-    size = _largest(error)
-    if size < _TOLERANCE:
-        return variables, start
-    flat, knots = np.concatenate(variables), layout.num_knots
+    pose, driven = end_pose(layout, variables, ends.start, ends.signs)
+    error = pose - ends.target
+    size, flat, knots = _largest(error), np.concatenate(variables), layout.num_knots
     solver: _LeastNorm | None = None
     for _ in range(_MAX_STEPS):
+        if not tolerance <= size <= ends.reach:
+            break
         if solver is None or size > _RENEW:
             solver = _LeastNorm.of(end_sensitivity(layout, variables, driven), error, flat, bounds)
         moved = np.clip(flat - solver.operator @ error, bounds.lower, bounds.upper)
@@ -113,9 +121,7 @@ def close_goal(
         if _largest(found) > _CONTRACTION * size:
             break
         flat, variables, driven, error, size = moved, trial, moves, found, _largest(found)
-        if size < _TOLERANCE:
-            break
-    return variables, roll_out(layout, variables, ends.start, ends.signs)
+    return variables
 
 
 def _largest(error: FloatArray) -> float:

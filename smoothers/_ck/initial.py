@@ -114,14 +114,14 @@ def make_task(path: Path, problem: DockingProblem, world: World, tuning: Tuning,
     start = problem.start.as_array()
     start[2] += 2.0 * np.pi * round((path.start.yaw - start[2]) / (2.0 * np.pi))
     traced = trace(path, layout, traced_lengths, start[2])
-    ends = Ends(start, _target(problem, path, traced.end_yaw), _signs(path))
+    radius = 1.0 / min(curvature_bound(limits), 2.0)
+    ends = Ends(start, _target(problem, path, traced.end_yaw), _signs(path), 0.5 * radius)
     bounds, inner = variable_bounds(
         layout, limits, lengths, start_curvature=problem.start_curvature, straight_end=straight > 0.0
     )
     cost = CostModel(layout, tuning.weights, reference_scales(limits), reference_of(traced, layout))
     guesses = Guesses(layout, traced, lengths, ends, inner)
-    radius = 1.0 / min(curvature_bound(limits), 2.0)
-    task = Task(layout, ends, bounds, inner, cost, world, guesses.first, 0.5 * radius, radius, restart=guesses.other)
+    task = Task(layout, ends, bounds, inner, cost, world, guesses.first, radius, restart=guesses.other)
     if left is None:
         return task
     warm = clipped(left.variables(layout), inner)

@@ -56,9 +56,8 @@ def solve_reference(task: Task, budget: Budget) -> tuple[Iterate, bool]:
         budget: Seconds left; the last round may overrun it by one of ipopt's iterations and the symbolic set-up.
     """
     layout, ends = task.layout, task.ends
-    variables = clipped(task.initial, task.bounds)
+    variables = close_goal(layout, clipped(task.initial, task.bounds), ends, task.bounds)
     rollout = roll_out(layout, variables, ends.start, ends.signs)
-    variables, rollout = close_goal(layout, variables, ends, task.bounds, rollout)
     current = evaluate(task, variables, rollout, _REACH)
     settled, watched = False, np.zeros((0, 3), dtype=np.int64)
     for _ in range(_ROUNDS):

@@ -206,21 +206,14 @@ def _linearized(task: Task, current: Iterate) -> StepProblem:
 def _closed(task: Task, variables: Variables) -> tuple[Variables, Rollout]:
     """The variables closed onto the goal where that keeps the curvature rate; else as they are, within the rate."""
     layout, ends = task.layout, task.ends
-    driven = roll_out(layout, variables, ends.start, ends.signs)
-    if float(np.abs(ends.error(driven)).max()) <= task.closing_reach:
-        closed, moved = close_goal(layout, variables, ends, task.bounds, driven)
-        for _ in range(_ALTERNATIONS):
-            if rate_kept(layout, closed, task.bounds):
-                return closed, moved
-            limited = rate_limited(layout, closed, task.inner)
-            moved = roll_out(layout, limited, ends.start, ends.signs)
-            closed, moved = close_goal(layout, limited, ends, task.bounds, moved)
+    closed = close_goal(layout, variables, ends, task.bounds)
+    for _ in range(_ALTERNATIONS):
         if rate_kept(layout, closed, task.bounds):
-            return closed, moved
-    if rate_kept(layout, variables, task.bounds):
-        return variables, driven
-    limited = rate_limited(layout, variables, task.inner)
-    return limited, roll_out(layout, limited, ends.start, ends.signs)
+            break
+        closed = close_goal(layout, rate_limited(layout, closed, task.inner), ends, task.bounds)
+    if not rate_kept(layout, closed, task.bounds):
+        closed = rate_limited(layout, variables, task.inner)
+    return closed, roll_out(layout, closed, ends.start, ends.signs)
 
 
 def _trial(task: Task, current: Iterate, step: Step, controls: _Controls) -> tuple[Iterate, float]:

@@ -9,7 +9,7 @@ import numpy as np
 from optdock.geometry.clothoid import ClothoidSpline
 from optdock.geometry.pose import Pose2
 from optdock.path import ClothoidSegment, Path
-from smoothers._ck.closing import least_norm_step
+from smoothers._ck.closing import close_goal, least_norm_step
 from smoothers._ck.rollout import Variables, end_sensitivity, roll_out
 
 if TYPE_CHECKING:
@@ -20,6 +20,7 @@ if TYPE_CHECKING:
 __all__ = ["exact_path"]
 
 _CLOSED = 3e-9  # [m, rad]
+_POLISHED = 1e-11  # of the roll-out, which is within some 1e-9 of the spline
 _MAX_STEPS = 4
 
 
@@ -29,6 +30,7 @@ def exact_path(task: Task, variables: Variables, final_straight: float) -> tuple
     target = task.ends.target
     back = float(task.ends.signs[-1]) * final_straight
     goal = target + back * np.array([np.cos(target[2]), np.sin(target[2]), 0.0])
+    variables = close_goal(layout, variables, task.ends, task.bounds, _POLISHED)
     splines = _chained(layout, variables, task.ends, final_straight)
     for _ in range(_MAX_STEPS):
         error = splines[-1].end.as_array() - goal

@@ -43,7 +43,6 @@ class Task:
         cost: What is minimized.
         world: What must be kept clear of.
         initial: First variables.
-        closing_reach: Goal error up to which the goal is closed by Newton steps [m].
         stretch: Largest change of a gear length per radian of the trust region [m].
         restart: Other variables to begin with where nothing is found, or None.
         buffer: Clearance aimed at above the requirement [m].
@@ -59,7 +58,6 @@ class Task:
     cost: CostModel
     world: World
     initial: Variables
-    closing_reach: float
     stretch: float
     restart: Callable[[], Variables | None]
     buffer: float = 8e-4
