@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 __all__ = ["exact_path"]
 
-_CLOSED = 3e-9  # [m, rad]
+_CLOSED = 3e-8  # [m, rad], a thirtieth of what the certificate accepts
 _POLISHED = 1e-11  # of the roll-out, which is within some 1e-9 of the spline
 _MAX_STEPS = 4
 
