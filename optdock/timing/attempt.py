@@ -9,7 +9,7 @@ from optdock.timing.grid import acceleration_profile, grid_of
 from optdock.timing.guess import initial_guess
 from optdock.timing.motion import Phases, State
 from optdock.timing.reference import solve_reference
-from optdock.timing.smooth import smooth_phases
+from optdock.timing.smooth import cell_phases
 from optdock.timing.split import nodes_of, split_into_moves
 
 if TYPE_CHECKING:
@@ -37,7 +37,7 @@ class Attempt(NamedTuple):
     """A motion over a gear.
 
     Args:
-        phases: Empty where there is none.
+        phases: The motion.
         bad: Stretches [m] whose moves break a limit, with the stretch of time that would cure it.
         moves: Number of moves.
         iterations: Of the interior-point method.
@@ -60,11 +60,16 @@ def attempt(bounds: Bounds, start: State, settings: Settings) -> Attempt | None:
     ripple = _SMOOTH_RIPPLE if settings.smooth else _RIPPLE
     reference = solve_reference(grid, bounds, guess, (launch.state, stop.state), ripple)
     if settings.smooth:
-        return Attempt(launch.phases + smooth_phases(reference) + stop.phases, (), 0, reference.iterations)
+        return Attempt(
+            launch.phases + cell_phases(reference.s, reference.v, reference.a) + stop.phases,
+            (),
+            0,
+            reference.iterations,
+        )
     arcs = (sum(time for time, _jerk in launch.phases), sum(time for time, _jerk in stop.phases))
     nodes = nodes_of(reference, start, State(bounds.course.length), arcs, grid.zone)
     split = split_into_moves(nodes, bounds)
     bad = tuple(
         (nodes.s[piece.first], nodes.s[piece.last], piece.excess) for piece in split.pieces if piece.excess > 1.0
     )
-    return Attempt(split.phases if split.complete else (), bad, len(split.pieces), reference.iterations)
+    return Attempt(split.phases, bad, len(split.pieces), reference.iterations)

@@ -26,12 +26,14 @@ class Margins(NamedTuple):
         reference_speed: Of the speed caps, in the reference; room for the corners that ruckig cuts.
         reference_yaw: Of the yaw acceleration, in the reference.
         reference_jerk: Of the jerk, in the reference.
+        reference_drive: Of acceleration and deceleration, in the reference: ruckig refuses a state beyond them.
         check: Of the speed caps, when pieces are accepted; twice that of the yaw acceleration.
     """
 
     reference_speed: float = 0.003
     reference_yaw: float = 0.02
     reference_jerk: float = 0.015
+    reference_drive: float = 0.003
     check: float = 0.001
 
 

@@ -73,7 +73,7 @@ def solve_reference(
     """
     first, last = ends
     spline = spline_of(grid.steps)
-    rows = limit_rows(grid, bounds.course.limits, spline)
+    rows = limit_rows(grid, bounds, spline)
     # A swing from -J to J is a step of x'' by 4 J / v.
     bands = ripple_bands(spline, np.sqrt(0.5 * ripple * guess[1:-1]) / (4.0 * bounds.jerk))
     program = _Program(grid.steps, spline, rows, 2.0 * bounds.jerk, bands)
@@ -81,6 +81,7 @@ def solve_reference(
         c, iterations = _interior_point(program, coefficients_of(grid.steps, guess, first, last))
     x, a = np.append(0.0, applied(spline.right_value, c)), np.append(0.0, applied(spline.right_slope, c))
     v = np.sqrt(np.maximum(x, 1e-12))
+    np.clip(a, -bounds.course.limits.max_deceleration, bounds.course.limits.max_acceleration, out=a)
     v[0], a[0], v[-1], a[-1] = first.v, first.a, last.v, last.a
     return Reference(grid.knots, v, a, applied(spline.curve, c), iterations)
 

@@ -66,7 +66,7 @@ def plan_gear(course: Course, start: State, settings: Settings) -> GearPlan:
 
 def _try(bounds: Bounds, start: State, settings: Settings) -> _Tried | None:
     found = attempt(bounds, start, settings)
-    if found is None or not found.phases:
+    if found is None:
         return None
     return _Tried(found.phases, worst_ratio(bounds.course, Motion.of(start, found.phases)), found)
 
@@ -74,18 +74,21 @@ def _try(bounds: Bounds, start: State, settings: Settings) -> _Tried | None:
 def _accepted(course: Course, start: State, tried: _Tried, margins: Margins, retry: int) -> GearPlan | None:
     """A plan where the check is passed, or passed once time is stretched a little."""
     how = "reference" if retry == 0 else f"reference, retry {retry}"
-    worst = tried.worst
-    if worst.ratio > _KEPT or worst.path > 1.0 - 0.5 * margins.check:
-        if start.v == 0.0 and start.a == 0.0:
-            return _stretched_plan(course, start, tried, margins, how) if worst.stretch <= _STRETCH_AT_ONCE else None
-        motion = Motion.of(start, tried.phases)
-        worst = worst_ratio(course, motion, refined_times(course, motion, 1.0 - margins.check))
-    return judged_plan(course, Motion.of(start, tried.phases), worst, how) if worst.ratio <= _KEPT else None
+    worst, motion = tried.worst, Motion.of(start, tried.phases)
+    if worst.ratio <= _KEPT and worst.path <= 1.0 - 0.5 * margins.check:
+        return _if_ok(judged_plan(course, motion, worst, how))
+    if start == State():
+        return _stretched_plan(course, start, tried, margins, how) if worst.stretch <= _STRETCH_AT_ONCE else None
+    worst = worst_ratio(course, motion, refined_times(course, motion, 1.0 - margins.check))
+    return _if_ok(judged_plan(course, motion, worst, how))
 
 
 def _stretched_plan(course: Course, start: State, tried: _Tried, margins: Margins, how: str) -> GearPlan | None:
     factor = max(tried.worst.path + 0.5 * margins.check, tried.worst.drive)
-    plan = checked_plan(course, start, stretched(tried.phases, factor), f"{how}, stretched")
+    return _if_ok(checked_plan(course, start, stretched(tried.phases, factor), f"{how}, stretched"))
+
+
+def _if_ok(plan: GearPlan) -> GearPlan | None:
     return plan if plan.status is TimingStatus.OK else None
 
 

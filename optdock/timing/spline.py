@@ -12,7 +12,7 @@ import numpy as np
 
 if TYPE_CHECKING:
     from optdock.geometry.arrays import FloatArray
-    from optdock.limits import MotionLimits
+    from optdock.timing.bounds import Bounds
     from optdock.timing.grid import Grid
     from optdock.timing.motion import State
 
@@ -70,7 +70,7 @@ def coefficients_of(steps: FloatArray, guess: FloatArray, first: State, last: St
     return c
 
 
-def limit_rows(grid: Grid, limits: MotionLimits, spline: Spline) -> FloatArray:
+def limit_rows(grid: Grid, bounds: Bounds, spline: Spline) -> FloatArray:
     """Constraints A c <= 1: speed, acceleration, deceleration, and yaw acceleration at knots and centres.
 
     At a knot the yaw rows take the largest and the least of the rates on its two sides: x is never negative.
@@ -80,7 +80,9 @@ def limit_rows(grid: Grid, limits: MotionLimits, spline: Spline) -> FloatArray:
         given, are zero.
     """
     value, slope = spline.right_value, spline.right_slope
-    rows = [value / grid.bound[1:], slope / limits.max_acceleration, -slope / limits.max_deceleration]
+    limits, share = bounds.course.limits, 1.0 - bounds.margins.reference_drive
+    drive = slope / (share * limits.max_acceleration), -slope / (share * limits.max_deceleration)
+    rows = [value / grid.bound[1:], *drive]
     if np.isfinite(limits.max_yaw_acceleration):
         yaw, turn, rate = grid.yaw[1:], grid.curvature[1:] * slope, grid.rate[:, 1:]
         rows += [(turn + rate[0] * value) / yaw, -(turn + rate[1] * value) / yaw]

@@ -13,6 +13,7 @@ import numpy as np
 
 from optdock.timing.motion import Phases, State
 from optdock.timing.moves import Box, move
+from optdock.timing.smooth import cell_phases
 
 if TYPE_CHECKING:
     from optdock.geometry.arrays import FloatArray, IntArray
@@ -76,11 +77,9 @@ class Split(NamedTuple):
 
     Args:
         pieces: In driving order; together they cover all nodes.
-        complete: False where a cell has no move at all.
     """
 
     pieces: list[Piece]
-    complete: bool
 
     @property
     def phases(self) -> Phases:
@@ -114,18 +113,15 @@ def split_into_moves(nodes: Nodes, bounds: Bounds) -> Split:
     """The moves that drive the reference within the checked limits, wherever there are such."""
     active = _first_pieces(nodes, bounds)
     done: list[Piece] = []
-    complete = True
     while active:
         tried = _try_pieces(nodes, bounds, active)
         active = []
         for (i, j), best in tried.items():
             if best is not None and (best.excess <= 1.0 or j - i == 1):
                 done.append(best)
-            elif j - i > 1:
-                active.extend(_parts(nodes, (i, j), best))
             else:
-                complete = False
-    return Split(sorted(done), complete)
+                active.extend(_parts(nodes, (i, j), best))
+    return Split(sorted(done))
 
 
 def _first_pieces(nodes: Nodes, bounds: Bounds) -> list[tuple[int, int]]:
@@ -179,17 +175,26 @@ def _gentle_move(nodes: Nodes, bounds: Bounds, i: int, j: int) -> Phases | None:
     return _short_enough(nodes, i, j, Box(max(nodes.v[i : j + 1]), max(rise, least), max(fall, least), jerk))
 
 
+def _reference_motion(nodes: Nodes, i: int) -> Phases:
+    """The motion of the reference in one cell."""
+    return cell_phases(*(np.array(column[i : i + 2]) for column in (nodes.s, nodes.v, nodes.a)))
+
+
 def _short_enough(nodes: Nodes, i: int, j: int, box: Box) -> Phases | None:
     return move(nodes.state(i), nodes.state(j), box, _LONGEST[0] * (nodes.time[j] - nodes.time[i]) + _LONGEST[1])
 
 
 def _try_pieces(nodes: Nodes, bounds: Bounds, active: list[tuple[int, int]]) -> dict[tuple[int, int], Piece | None]:
-    """The best move of every piece; the time-optimal one only where the gentle one is missing or the last hope."""
+    """The best move of every piece; the time-optimal one only where the gentle one is missing or the last hope.
+
+    A single cell without a move, by rounding, is driven as the reference drives it.
+    """
     moves: list[tuple[tuple[int, int], Phases]] = []
     for i, j in active:
         gentle = _gentle_move(nodes, bounds, i, j)
         full = None if gentle and j - i > 1 else _full_move(nodes, bounds, i, j)
-        moves.extend(((i, j), phases) for phases in (gentle, full) if phases)
+        own = _reference_motion(nodes, i) if j - i == 1 and not (gentle or full) else None
+        moves.extend(((i, j), phases) for phases in (gentle, full, own) if phases)
     found = _evaluate(bounds, [(nodes.state(ends[0]), phases) for ends, phases in moves])
     best: dict[tuple[int, int], Piece | None] = dict.fromkeys(active)
     for (ends, phases), (excess, worst) in zip(moves, found, strict=True):

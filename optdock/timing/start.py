@@ -59,9 +59,9 @@ def judged_plan(course: Course, motion: Motion, worst: Worst, how: str) -> GearP
     """As `checked_plan`, with what the dense check found."""
     missing = max(abs(motion.end.s - course.length), abs(motion.end.v), abs(motion.end.a))
     status, reason = TimingStatus.OK, ""
-    if missing > _REACHED:
+    if not missing <= _REACHED:  # true of NaN as well
         status, reason = TimingStatus.FAIL, f"ends at {motion.end}, not at rest at s = {course.length:.6g} m"
-    elif worst.ratio > _KEPT:
+    elif not worst.ratio <= _KEPT:
         status, reason = TimingStatus.FAIL, f"{worst.ratio:.6g} times a limit at s = {worst.s:.4f} m"
     return GearPlan(status, motion.phases, worst.ratio, 0.0, how, reason)
 

@@ -11,7 +11,7 @@ from optdock.timing.grid import acceleration_profile, grid_of
 from optdock.timing.guess import initial_guess
 from optdock.timing.motion import State, state_after
 from optdock.timing.reference import solve_reference
-from optdock.timing.smooth import smooth_phases
+from optdock.timing.smooth import cell_phases
 from optdock.timing.spline import applied, coefficients_of, limit_rows, ripple_bands, spline_of
 
 REST = State()
@@ -84,7 +84,7 @@ def test_an_independent_solver_finds_no_faster_spline(make, all_limits, seed):
     bounds, grid, guess, launch, stop = _posed(make, all_limits, seed)
     found = solve_reference(grid, bounds, guess, (launch.state, stop.state), 0.0)
     spline = spline_of(grid.steps)
-    rows = limit_rows(grid, all_limits, spline)
+    rows = limit_rows(grid, bounds, spline)
     start = coefficients_of(grid.steps, guess, launch.state, stop.state)
     c = casadi.SX.sym("c", start.size)
 
@@ -109,11 +109,11 @@ def test_an_independent_solver_finds_no_faster_spline(make, all_limits, seed):
     assert ours == pytest.approx(theirs, rel=4e-3)
 
 
-def test_smooth_phases_reproduce_the_knots(make, all_limits):
+def test_cell_phases_reproduce_the_knots(make, all_limits):
     bounds, grid, guess, launch, stop = _posed(make, all_limits, 2)
     found = solve_reference(grid, bounds, guess, (launch.state, stop.state), 0.0)
     state = launch.state
-    for n, phase in enumerate(smooth_phases(found)):
+    for n, phase in enumerate(cell_phases(found.s, found.v, found.a)):
         state = state_after(state, *phase)
         if n % 2:
             knot = (n + 1) // 2

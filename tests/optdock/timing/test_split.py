@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from optdock.limits import SpeedZone
+from optdock.timing import split
 from optdock.timing.attempt import Settings, attempt
 from optdock.timing.bounds import Bounds, Tightening
 from optdock.timing.check import worst_ratio
@@ -42,3 +43,12 @@ def test_too_short_a_gear_leaves_no_room_for_a_reference(make, all_limits):
     almost = course.after(course.length - 1e-5)
     found = attempt(Bounds(almost), State(), Settings())
     assert found is None or Motion.of(State(), found.phases).end.s == pytest.approx(1e-5)
+
+
+def test_a_cell_without_a_move_is_driven_as_the_reference_drives_it(make, all_limits, monkeypatch):
+    bounds = _bounds(make, all_limits, 2)
+    monkeypatch.setattr(split, "move", lambda *_: None)
+    found = attempt(bounds, State(), Settings())
+    motion = Motion.of(State(), found.phases)
+    assert tuple(motion.end) == pytest.approx((3.0, 0.0, 0.0), abs=1e-8)
+    assert worst_ratio(bounds.course, motion).stretch <= 1.02
