@@ -36,7 +36,8 @@ class TimeLaw:
         states: Distance, speed, acceleration at the borders, Shape (n + 1, 3).
 
     Raises:
-        InvalidValue: No phase, differing shapes, a duration that is not > 0, a value that is not finite.
+        InvalidValue: No phase, differing shapes, a duration that is not > 0, a value that is not finite, or a motion
+            that overflows.
     """
 
     durations: FloatArray
@@ -62,7 +63,11 @@ class TimeLaw:
         for name, value in (("durations", durations), ("jerks", jerks)):
             object.__setattr__(self, name, value)
         object.__setattr__(self, "times", readonly(np.concatenate(([0.0], np.cumsum(durations)))))
-        object.__setattr__(self, "states", readonly(_border_states(durations, jerks, first)))
+        with np.errstate(over="ignore", invalid="ignore"):
+            states = _border_states(durations, jerks, first)
+        if not (np.all(np.isfinite(states)) and np.isfinite(self.times[-1])):
+            raise InvalidValue("time law: the motion goes beyond all numbers; durations and jerks are too large")
+        object.__setattr__(self, "states", readonly(states))
 
     @property
     def duration(self) -> float:

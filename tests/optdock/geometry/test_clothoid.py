@@ -131,3 +131,11 @@ def test_arrays_are_copies_and_read_only():
     assert spline.length == 1.0
     with pytest.raises(ValueError, match="read-only"):
         spline.curvature[0] = 1.0
+
+
+def test_a_change_of_sign_within_a_cell_costs_less_than_a_billionth_of_the_length():
+    for width in np.linspace(0.4, 0.5, 11):
+        coarse = ClothoidSpline(Pose2(0.0, 0.0, 0.3), [0.0, width], [1.0, -1.0])
+        knots = np.linspace(0.0, width, 65)
+        fine = ClothoidSpline(coarse.start, knots, 1.0 - 2.0 * knots / width)
+        assert coarse.end.distance_to(fine.end) < 1e-9 * width
