@@ -19,7 +19,7 @@ class Violation:
     Args:
         kind: Machine-readable name of the rule: `start`, `goal`, `joint`, `direction`, `slip`, `curvature`,
             `curvature_rate`, `start_curvature`, `final_straight`, `clearance`, `unproven`; for trajectories the name of
-            the limit, `rest`, `reversal`, `zone`, `coverage` or `start_state`.
+            the limit, `rest`, `coverage` or `start_state`.
         message: What is wrong, where, by how much.
         s: Arc length at which it shows [m].
         amount: How far beyond the rule, in the rule's unit; > 0.

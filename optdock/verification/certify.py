@@ -22,8 +22,10 @@ def certify_path(path: Path, problem: DockingProblem) -> Certificate:
 
     Proven for every point of the continuous path: footprint clearance (second-order conservative advancement, see
     `clearance`). Checked exactly: start and goal pose (1e-6 m, rad), joints, gears, curvature, curvature rate, start
-    curvature, final straight. A polyline is judged as linear motion between its poses, with the curvature of the arcs
-    through them.
+    curvature, final straight. A polyline is judged as linear motion between its poses, turning the short way, with the
+    curvature of the arcs through them; a step whose arc is more than 5 mm from that motion is refused.
+
+    Wherever two segments meet, also two of one gear, the curvature may jump: the robot must rest there.
 
     It does NOT look at time: see `certify_trajectory`.
 
