@@ -29,7 +29,6 @@ _ITERATION_GUESS = (0.0015, 2e-5)
 _GRACE = 0.002  # [s]: how late the only certificate may end
 _NEARLY = 5e-3  # [m]: a shortfall that may be due to the cautious bound between nodes
 _REPAIRS = 2
-_LESS_PATIENCE = 3  # with a second guess: most problems that got here have no answer
 
 
 class Incumbent(NamedTuple):
@@ -89,19 +88,20 @@ class Runner:
     _certify: float = 0.0
 
     def run(self, task: Task) -> Outcome:
-        """Search, and where nothing is found once more from elsewhere; the failure that came closer is kept."""
+        """Search, and where nothing is found try what the task offers next; the failure that came closest is kept."""
         count = len(task.world.obstacles)
         self._longest = _ITERATION_GUESS[0] + count * _ITERATION_GUESS[1]
         self._certify = self._certify or _CERTIFY_GUESS[0] + count * _CERTIFY_GUESS[1]
-        self._repaired(task)
-        failed = self.outcome.last
-        if self.outcome.incumbent is not None or not self.outcome.converged or failed is None:
-            return self.outcome
-        second = task.restart()
-        if second is not None:
-            self._repaired(replace(task, initial=second, patience=_LESS_PATIENCE))
-            if self.outcome.last is not None and self.outcome.last.missing > failed.missing:
-                self.outcome.last = failed
+        closest: Iterate | None = None
+        following: Task | None = task
+        while following is not None:
+            self._repaired(following)
+            failed = self.outcome.last
+            if self.outcome.incumbent is not None or not self.outcome.converged or failed is None:
+                return self.outcome
+            closest = failed if closest is None or failed.missing < closest.missing else closest
+            following = following.restart(failed.on_goal)
+        self.outcome.last = closest
         return self.outcome
 
     def _repaired(self, task: Task) -> None:

@@ -28,6 +28,7 @@ __all__ = ["Resolution", "Traced", "Tuning", "make_task", "shape_for", "trace"]
 
 
 _MOST_SPANS = 80
+_LESS_PATIENCE = 3  # with a second guess: most problems that got here have no answer
 _WARM_TRUST, _WARM_PROX = 0.2, 0.1  # an earlier result is near the new one
 
 
@@ -121,11 +122,24 @@ def make_task(path: Path, problem: DockingProblem, world: World, tuning: Tuning,
     )
     cost = CostModel(layout, tuning.weights, reference_scales(limits), reference_of(traced, layout))
     guesses = Guesses(layout, traced, lengths, ends, inner)
-    task = Task(layout, ends, bounds, inner, cost, world, guesses.first, radius, restart=guesses.other)
+    cold = _restartable(Task(layout, ends, bounds, inner, cost, world, guesses.first, radius), guesses)
     if left is None:
-        return task
+        return cold
     warm = clipped(left.variables(layout), inner)
-    return replace(task, initial=warm, restart=lambda: guesses.first, trust=_WARM_TRUST, prox=_WARM_PROX)
+    return replace(cold, initial=warm, restart=lambda _: cold, trust=_WARM_TRUST, prox=_WARM_PROX)
+
+
+def _restartable(task: Task, guesses: Guesses) -> Task:
+    """The task with its other guess, for where an obstacle was met on its wrong side.
+
+    A goal that is out of reach for the curvature stays so from elsewhere.
+    """
+
+    def again(on_goal: bool) -> Task | None:  # noqa: FBT001 - the form of Task.restart
+        second = guesses.other() if on_goal else None
+        return None if second is None else replace(task, initial=second, patience=_LESS_PATIENCE)
+
+    return replace(task, restart=again)
 
 
 def _signs(path: Path) -> FloatArray:

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from smoothers._ck.terms import CostModel
     from smoothers._ck.world import World
 
-__all__ = ["CURVATURE_CAP", "Task", "curvature_bound", "reference_scales", "variable_bounds"]
+__all__ = ["CURVATURE_CAP", "Task", "curvature_bound", "no_restart", "reference_scales", "variable_bounds"]
 
 CURVATURE_CAP = 20.0
 """Curvature that stands for an unlimited one [1/m]: a radius of 5 cm, below any wheeled robot's size."""
@@ -29,6 +29,11 @@ _RATE_INSIDE = 0.99
 _MIN_LENGTH = 0.02  # [m]: a gear never vanishes
 _RATE_SCALE = 4.0  # [1/m]: reference rate per reference curvature where the rate is unlimited
 _RELAXED_SCALE = 1.5  # [1/m]: reference curvature where curvature is unlimited
+
+
+def no_restart(on_goal: bool) -> Task | None:  # noqa: ARG001, FBT001 - the form of Task.restart
+    """Nothing else to try."""
+    return None
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,7 +49,7 @@ class Task:
         world: What must be kept clear of.
         initial: First variables.
         stretch: Largest change of a gear length per radian of the trust region [m].
-        restart: Other variables to begin with where nothing is found, or None.
+        restart: What to try next where nothing is found, given whether the failed search ended on the goal; or None.
         buffer: Clearance aimed at above the requirement [m].
         trust: First bound of the heading changes of a step [rad].
         prox: First weight of the squared motion of a step.
@@ -59,7 +64,7 @@ class Task:
     world: World
     initial: Variables
     stretch: float
-    restart: Callable[[], Variables | None]
+    restart: Callable[[bool], Task | None] = no_restart
     buffer: float = 8e-4
     trust: float = 0.45
     prox: float = 1.0

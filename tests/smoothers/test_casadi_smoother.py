@@ -343,6 +343,16 @@ def test_a_warm_start_further_along_the_path(smoother):
     assert result.path.length == pytest.approx(before.length - s, abs=0.1)
 
 
+def test_a_warm_start_through_a_new_obstacle_still_finds_the_way(smoother, cases):
+    raw, goal = cases.kinked((0.0, 0.0), (2.0, 0.4), (4.5, 0.0)), Pose2(4.5, 0.0, 0.0)
+    earlier = smoother.smooth(raw, LONG, problem=cases.open_problem(goal)).path
+    rock = [[1.7, -0.5], [2.3, -0.5], [2.3, 0.0], [1.7, 0.0]]
+    blocked = cases.open_problem(goal, obstacles=[rock])
+    assert not certify_path(earlier, blocked).certified
+    result = smoother.smooth(raw, LONG, problem=blocked, warm_start=earlier)
+    assert certify_path(result.path, blocked).certified
+
+
 def test_a_warm_start_with_other_gears_is_ignored(smoother):
     case, other = instance("u_dock", 0), instance("parallel", 0)
     earlier = smoother.smooth(other.raw_path, LONG, problem=other.problem).path
