@@ -73,7 +73,8 @@ def acceleration_profile(bounds: Bounds, start: State) -> Profile:
 def grid_of(bounds: Bounds, profile: Profile, first: State, last: State, step: float) -> Grid:
     """Knots from `first` to `last`, about `step` [s] of pseudo time apart."""
     course = bounds.course
-    breaks = _breaks(bounds, profile, (first, last), _MIN_STEP_SHARE * step)
+    jumps = _large_jumps(bounds, profile)
+    breaks = _breaks(bounds, profile, (first, last), jumps, _MIN_STEP_SHARE * step)
     times = np.interp(breaks, course.s, profile.time)
     parts = np.maximum(1, np.rint(np.diff(times) / step)).astype(np.int64)
     parts[np.argmax(np.diff(times))] += max(0, _MIN_CELLS - int(parts.sum()))
@@ -81,17 +82,16 @@ def grid_of(bounds: Bounds, profile: Profile, first: State, last: State, step: f
     rank = np.arange(owner.size) - np.repeat(np.cumsum(parts) - parts, parts)
     inner = np.interp(times[owner] + np.diff(times)[owner] * rank / parts[owner], profile.time, course.s)
     knots = np.append(np.where(rank == 0, breaks[owner], inner), breaks[-1])
-    return _limits_on(bounds, profile, knots)
+    return _limits_on(bounds, profile, knots, course.s[jumps])
 
 
-def _breaks(bounds: Bounds, profile: Profile, ends: tuple[State, State], gap: float) -> FloatArray:
+def _breaks(bounds: Bounds, profile: Profile, ends: tuple[State, State], jumps: IntArray, gap: float) -> FloatArray:
     """Where a knot must be: both ends, the zone start; the largest jumps of the rate, at least `gap` [s] apart."""
     course, (first, last) = bounds.course, ends
     fixed = [first.s, last.s]
     if course.has_zone and first.s + 1e-9 < course.zone_start < last.s - 1e-9:
         fixed.append(course.zone_start)
-    found = _large_jumps(bounds, profile)
-    found = found[(course.s[found] > first.s) & (course.s[found] < last.s)]
+    found = jumps[(course.s[jumps] > first.s) & (course.s[jumps] < last.s)]
     if found.size * gap > _CROWDED * (profile.time[-1] - profile.time[0]):
         found = found[:0]
     taken = np.interp(fixed, course.s, profile.time).tolist()
@@ -120,7 +120,7 @@ def _large_jumps(bounds: Bounds, profile: Profile) -> IntArray:
     return bounds.jumps[sizes > _JUMP_SHARE * bounds.course.limits.max_yaw_acceleration]
 
 
-def _limits_on(bounds: Bounds, profile: Profile, knots: FloatArray) -> Grid:
+def _limits_on(bounds: Bounds, profile: Profile, knots: FloatArray, jumps: FloatArray) -> Grid:
     course = bounds.course
     centres = 0.5 * (knots[:-1] + knots[1:])
     cells = course.cells_at(np.concatenate((knots[:1], centres, knots[-1:])))
@@ -131,7 +131,7 @@ def _limits_on(bounds: Bounds, profile: Profile, knots: FloatArray) -> Grid:
     _k, left, _slow = bounds.curve_at(knots - 1e-9)
     centre_curvature, centre_rate, _slow = bounds.curve_at(centres)
     rate = np.stack((np.maximum(left, right), np.minimum(left, right)))
-    hidden = _hidden_jumps(course.s[_large_jumps(bounds, profile)], knots)
+    hidden = _hidden_jumps(jumps, knots)
     if hidden.any():
         rate, centre_rate = _extremes(bounds, knots, hidden, rate, np.stack((centre_rate, centre_rate)))
     else:

@@ -18,7 +18,7 @@ from optdock.timing.motion import Phases, State
 if TYPE_CHECKING:
     from types import ModuleType
 
-__all__ = ["Box", "full_stop", "move"]
+__all__ = ["Box", "full_stop", "load_ruckig", "move"]
 
 _ABOVE = 1.0 + 1e-9  # ruckig refuses a target exactly at its speed limit
 _STILL = 1e-9  # [m/s]: rounding below zero that does not count as driving backwards
@@ -113,6 +113,15 @@ class _Tool:
         if brake.duration > 0.0:
             times, jerks = [*brake.t, *times], [*brake.j, *jerks]
         return tuple([phase for phase in zip(times, jerks, strict=True) if phase[0] > 0.0])
+
+
+def load_ruckig() -> None:
+    """Import ruckig now, for this thread.
+
+    Raises:
+        PluginError: It is not installed.
+    """
+    _tool()
 
 
 class _Local(threading.local):

@@ -10,6 +10,8 @@ from optdock.interfaces import TimeParameterizer
 from optdock.parameters import PluginParameters
 from optdock.timing.attempt import Settings
 from optdock.timing.gears import time_path
+from optdock.timing.moves import load_ruckig
+from optdock.timing.reference import load_lapack
 from optdock.timing.repair import plan_gear
 
 if TYPE_CHECKING:
@@ -35,6 +37,15 @@ class NearOptimal(TimeParameterizer):
 
     Parameters = NearOptimalParameters
     parameters: NearOptimalParameters
+
+    def on_configure(self) -> None:
+        """Import what the first call would import.
+
+        Raises:
+            PluginError: The package ruckig is not installed.
+        """
+        load_ruckig()
+        load_lapack()
 
     def parameterize(
         self,

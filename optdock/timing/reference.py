@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from optdock.timing.grid import Grid
     from optdock.timing.motion import State
 
-__all__ = ["Reference", "solve_reference"]
+__all__ = ["Reference", "load_lapack", "solve_reference"]
 
 _MAX_ITERATIONS = 40
 _GAP = 1e-2  # relative to the objective
@@ -198,6 +198,11 @@ class _Lapack(NamedTuple):
 
     solve: Callable[[FloatArray, FloatArray], tuple[object, FloatArray, int]]
     product: Callable[[int, float, FloatArray, FloatArray], FloatArray]
+
+
+def load_lapack() -> None:
+    """Import LAPACK now."""
+    _lapack()
 
 
 @cache

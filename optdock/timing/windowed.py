@@ -16,7 +16,7 @@ from optdock.interfaces import TimeParameterizer, TimingStatus
 from optdock.parameters import PluginParameters
 from optdock.timing.gears import time_path
 from optdock.timing.motion import Phases, State, state_after
-from optdock.timing.moves import Box, move
+from optdock.timing.moves import Box, load_ruckig, move
 from optdock.timing.start import GearPlan, checked_plan
 
 if TYPE_CHECKING:
@@ -55,6 +55,14 @@ class Windowed(TimeParameterizer):
 
     Parameters = WindowedParameters
     parameters: WindowedParameters
+
+    def on_configure(self) -> None:
+        """Import what the first call would import.
+
+        Raises:
+            PluginError: The package ruckig is not installed.
+        """
+        load_ruckig()
 
     def parameterize(
         self,
