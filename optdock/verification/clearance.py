@@ -135,8 +135,8 @@ class _Prover:
             return np.zeros(cells.first.size, dtype=bool)
         low = self.motion.nodes(cells.segment, cells.first).s
         high = self.motion.nodes(cells.segment, cells.last).s
-        s = result.violations[:, 0]
-        touched: BoolArray = np.any((s >= low[:, None] - 1e-9) & (s <= high[:, None] + 1e-9), axis=1)
+        s = np.sort(result.violations[:, 0])
+        touched: BoolArray = np.searchsorted(s, low - 1e-9) < np.searchsorted(s, high + 1e-9, side="right")
         return touched
 
     def _round(self, cells: Cells) -> _Round:

@@ -248,6 +248,15 @@ def test_many_samples_beside_many_obstacles_fit_into_memory():
     assert memory < 400e6
 
 
+def test_many_samples_in_collision_fit_into_memory():
+    s = np.linspace(0.0, 20.0, 10_000)
+    path = Path((PolylineSegment(np.column_stack((s, 0.0 * s, 0.0 * s))),))
+    wall = ObstacleSet.from_polygons([[[-9.0, 0.2], [40.0, 0.2], [40.0, 0.6], [-9.0, 0.6]]])
+    certificate, memory = peak_memory(lambda: certify_path(path, problem_for(path, wall)))
+    assert kinds(certificate) == {"clearance"}
+    assert memory < 100e6
+
+
 def test_outlines_of_many_corners_fit_into_memory():
     angle = 2.0 * np.pi * np.arange(200) / 200
     circle = np.column_stack((np.cos(angle), np.sin(angle)))
