@@ -35,10 +35,10 @@ _REACH_STEPS = 50  # bisections for a reachable speed
 class WindowedParameters(PluginParameters):
     """Parameters of `Windowed`."""
 
-    max_window: float = Field(default=0.5, gt=0.0, description="longest window [m]")
-    cap_ratio: float = Field(default=1.1, gt=1.0, description="largest quotient of two speed caps in a window")
+    max_window: float = Field(default=1.0, gt=0.0, description="longest window [m]")
+    cap_ratio: float = Field(default=1.2, gt=1.0, description="largest quotient of two speed caps in a window")
     yaw_share: float = Field(
-        default=0.7, gt=0.0, lt=1.0, description="share of the yaw acceleration for speed^2 * rate"
+        default=0.8, gt=0.0, lt=1.0, description="share of the yaw acceleration for speed^2 * rate"
     )
 
 
@@ -51,7 +51,7 @@ class Window(NamedTuple):
 
 
 class Windowed(TimeParameterizer):
-    """Time laws from constant limits in windows: robust, and 5 % (easy paths) to 25 % slower than need be."""
+    """Time laws from constant limits in windows: robust, and 3 % (easy paths) to 17 % slower than need be."""
 
     Parameters = WindowedParameters
     parameters: WindowedParameters
