@@ -26,6 +26,7 @@ __all__ = ["Incumbent", "Outcome", "Runner"]
 # Until one was measured [s], without and per obstacle nearby.
 _CERTIFY_GUESS = (0.0025, 4e-5)
 _ITERATION_GUESS = (0.0015, 2e-5)
+_CERTIFY_PER_ITERATION = 1.2
 _GRACE = 0.002  # [s]: how late the only certificate may end
 _NEARLY = 5e-3  # [m]: a shortfall that may be due to the cautious bound between nodes
 _REPAIRS = 2
@@ -142,6 +143,8 @@ class Runner:
             self.outcome.iterations += progress.iterations > 0
             self._consider(progress.iterate)
             self._longest = max(0.8 * self._longest, self.budget.elapsed - before)
+            if self.outcome.certify_time == 0.0:  # none was measured yet, but how fast this machine is was
+                self._certify = max(self._certify, _CERTIFY_PER_ITERATION * self._longest)
             if self._enough(task):
                 return
             before = self.budget.elapsed

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from functools import lru_cache
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -110,8 +111,9 @@ class World:
         return Requirement(value, gradient, rule, relieved)
 
 
+@lru_cache(maxsize=16)
 def body_of(footprint: Footprint) -> Body:
-    """The padded parts of a footprint."""
+    """The padded parts of a footprint, once per footprint object."""
     width = max(len(part.vertices) for part in footprint.bodies)
     vertices = np.stack([_padded(part.vertices, width) for part in footprint.bodies])
     normals = np.stack([_padded(part.normals, width) for part in footprint.bodies])
