@@ -71,7 +71,7 @@ class Plugin(ABC):
     Parameters: ClassVar[type[PluginParameters]] = PluginParameters
     parameters: PluginParameters
 
-    def __init__(self, **parameters: object) -> None:
+    def __init__(self, /, **parameters: object) -> None:
         self.parameters = parse_parameters(self.Parameters, parameters, type(self).__name__)
         self.context = PluginContext(name=type(self).__name__)
         self._state = LifecycleState.UNCONFIGURED
@@ -141,7 +141,7 @@ class Plugin(ABC):
             self.on_cleanup()
         self._state = LifecycleState.FINALIZED
 
-    def set_parameters(self, **changes: object) -> None:
+    def set_parameters(self, /, **changes: object) -> None:
         """Change parameters, all of them or none.
 
         Raises:

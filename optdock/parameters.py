@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import difflib
 import math
+from collections.abc import Mapping
 from typing import TYPE_CHECKING, TypeVar, get_args
 
 from pydantic import BaseModel, ConfigDict, ValidationError, ValidationInfo, field_validator
@@ -11,25 +12,30 @@ from pydantic import BaseModel, ConfigDict, ValidationError, ValidationInfo, fie
 from optdock.errors import InvalidValue
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping
+    from collections.abc import Iterable
 
 __all__ = ["PluginParameters", "checked_seconds", "closest", "parse_parameters"]
 
 
 class PluginParameters(BaseModel):
-    """Base of every plugin's parameters: frozen; unknown names, non-finite numbers and switches as numbers refused.
+    """Base of every plugin's parameters: frozen; unknown names and non-finite numbers are refused.
 
-    Fields carry Nav2's names and defaults where Nav2 has them; the unit stands in each field's description.
+    Types do not stand in for each other, as in ROS: neither switch nor text is a number, and only a switch is one. An
+    integer may stand where a float is wanted. Fields carry Nav2's names and defaults where Nav2 has them; the unit
+    stands in each field's description.
     """
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False, validate_default=True)
 
     @field_validator("*", mode="before")
     @classmethod
-    def _no_switch_as_number(cls, value: object, info: ValidationInfo) -> object:
-        wanted = cls.model_fields[str(info.field_name)].annotation
-        if isinstance(value, bool) and {wanted, *get_args(wanted)} & {int, float}:
+    def _of_its_own_type(cls, value: object, info: ValidationInfo) -> object:
+        annotation = cls.model_fields[str(info.field_name)].annotation
+        wanted = {annotation, *get_args(annotation)}
+        if wanted & {int, float} and isinstance(value, bool | str | bytes):
             raise ValueError("must be a number")
+        if bool in wanted and isinstance(value, int | float | str | bytes) and not isinstance(value, bool):
+            raise ValueError("must be true or false")
         return value
 
 
@@ -52,8 +58,8 @@ def checked_seconds(value: float, name: str) -> float:
     Raises:
         InvalidValue: It is not finite, or negative.
     """
-    if not (math.isfinite(value) and value >= 0.0):
-        raise InvalidValue(f"{name}: must be finite and >= 0 s, got {value}")
+    if not (isinstance(value, int | float) and math.isfinite(value) and value >= 0.0):
+        raise InvalidValue(f"{name}: must be finite and >= 0 s, got {value!r}")
     return value
 
 
@@ -66,10 +72,12 @@ def parse_parameters(model: type[P], values: Mapping[str, object], owner: str) -
         owner: The plugin's name, for messages.
 
     Raises:
-        InvalidValue: Unknown names, wrong types, values out of range; one line per fault.
+        InvalidValue: Unknown names, wrong types, values out of range; one line per fault. Or `values` is no mapping.
     """
+    if not isinstance(values, Mapping):
+        raise InvalidValue(f"{owner}: parameters must be a mapping of names to values, got {values!r}")
     try:
-        return model.model_validate(dict(values))
+        return model.model_validate({str(name): value for name, value in values.items()})
     except ValidationError as error:
         raise InvalidValue("\n".join(_fault(model, owner, item) for item in error.errors())) from error
 
@@ -81,4 +89,5 @@ def _fault(model: type[PluginParameters], owner: str, item: Mapping[str, object]
         known = (spec.alias or field for field, spec in model.model_fields.items())
         return f"{owner}.{name}: unknown parameter{closest(name, known)}"
     where = f"{owner}.{name}" if name else owner
-    return f"{where}: {item['msg']} (got {item['input']!r})"
+    reason = str(item["msg"]).removeprefix("Value error, ")
+    return f"{where}: {reason} (got {item['input']!r})"

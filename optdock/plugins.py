@@ -6,7 +6,7 @@ from functools import cache
 from importlib.metadata import EntryPoint, entry_points
 from typing import TYPE_CHECKING, NamedTuple, TypeVar
 
-from optdock.errors import PluginError
+from optdock.errors import OptdockError, PluginError
 from optdock.interfaces import (
     Behavior,
     Controller,
@@ -17,7 +17,7 @@ from optdock.interfaces import (
     Smoother,
     TimeParameterizer,
 )
-from optdock.parameters import closest
+from optdock.parameters import closest, parse_parameters
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -79,6 +79,8 @@ def load_plugin(interface: type[P], name: str) -> type[P]:
     """
     kind = next((k for k, known in INTERFACES.items() if known is interface), "")
     found = _found(kind)
+    if not isinstance(name, str):
+        raise PluginError(f"{kind}: a plugin's name must be text, got {name!r}")
     short = name.replace("/", "::").rsplit("::", 1)[-1]
     short = _NAV2_ALIASES.get(kind, {}).get(short, short) if short not in found else short
     if short not in found:
@@ -86,7 +88,7 @@ def load_plugin(interface: type[P], name: str) -> type[P]:
     point = found[short]
     try:
         loaded = point.load()
-    except Exception as error:  # foreign code may raise anything while it is imported
+    except (Exception, SystemExit) as error:  # foreign code may raise anything while it is imported
         raise PluginError(f"{kind}: plugin {short} ({point.value}) cannot be imported: {error}") from error
     if not (isinstance(loaded, type) and issubclass(loaded, interface)):
         raise PluginError(f"{kind}: plugin {short} ({point.value}) is not a {interface.__name__}")
@@ -97,7 +99,17 @@ def create_plugin(interface: type[P], name: str, parameters: Mapping[str, object
     """A ready-to-use plugin.
 
     Raises:
-        PluginError: As `load_plugin`.
+        PluginError: As `load_plugin`, or the plugin cannot be built: it is abstract, or its constructor fails.
         InvalidValue: A parameter is unknown, of the wrong type or out of range.
     """
-    return load_plugin(interface, name)(**dict(parameters or {}))
+    plugin_class = load_plugin(interface, name)
+    values = {} if parameters is None else parameters
+    # Checked before the call: a keyword argument cannot carry every name that a file may hold.
+    parse_parameters(plugin_class.Parameters, values, plugin_class.__name__)
+    try:
+        return plugin_class(**values)
+    except OptdockError:
+        raise
+    except Exception as error:  # foreign code may raise anything while it is built
+        target = f"{plugin_class.__module__}:{plugin_class.__qualname__}"
+        raise PluginError(f"plugin {name} ({target}) cannot be built: {error}") from error

@@ -17,6 +17,7 @@ from optdock.plugins import INTERFACES, available_plugins, create_plugin, load_p
 class NearParameters(PluginParameters):
     tolerance: float = Field(0.1, gt=0.0)
     cycles: int = 3
+    loud: bool = False
 
 
 class Near(GoalChecker):
@@ -53,6 +54,51 @@ def test_parameters_have_defaults_and_are_checked_all_at_once():
 def test_a_number_is_a_finite_number(bad):
     with pytest.raises(InvalidValue, match="Near.tolerance"):
         Near(tolerance=bad)
+
+
+@pytest.mark.parametrize("bad", ["0.5", b"0.5", "1e-3", "true"])
+def test_text_is_no_number_and_no_switch(bad):
+    with pytest.raises(InvalidValue, match=r"Near.tolerance: must be a number \(got "):
+        Near(tolerance=bad)
+    with pytest.raises(InvalidValue, match=r"Near.cycles: must be a number \(got "):
+        Near().set_parameters(cycles=bad)
+    with pytest.raises(InvalidValue, match=r"Near.loud: must be true or false \(got "):
+        Near(loud=bad)
+
+
+@pytest.mark.parametrize("bad", [0, 1, 1.0])
+def test_a_number_is_no_switch(bad):
+    with pytest.raises(InvalidValue, match=r"Near.loud: must be true or false \(got "):
+        Near(loud=bad)
+
+
+def test_whole_numbers_stand_for_floats_and_floats_without_a_fraction_for_whole_numbers():
+    assert Near(tolerance=1, cycles=4.0).parameters == NearParameters(tolerance=1.0, cycles=4)
+    with pytest.raises(InvalidValue, match="Near.cycles"):
+        Near(cycles=4.5)
+
+
+@pytest.mark.parametrize("name", ["self", 3, "class", "", "a b"])
+def test_any_name_that_a_file_may_hold_is_refused_by_name(name):
+    with pytest.raises(InvalidValue, match=f"SimpleGoalChecker.{name}: unknown parameter"):
+        create_plugin(GoalChecker, "SimpleGoalChecker", {name: 1})
+
+
+def test_self_is_an_unknown_parameter_like_any_other():
+    with pytest.raises(InvalidValue, match="self: unknown parameter"):
+        Near().set_parameters(**{"self": 1})
+
+
+@pytest.mark.parametrize("bad", [3, [("tolerance", 1.0)], "tolerance"])
+def test_parameters_are_a_mapping(bad):
+    with pytest.raises(InvalidValue, match="parameters must be a mapping of names to values"):
+        create_plugin(GoalChecker, "SimpleGoalChecker", bad)
+
+
+@pytest.mark.parametrize("name", [None, 3, ["AxisGoalChecker"]])
+def test_a_name_that_is_no_text_is_refused(name):
+    with pytest.raises(PluginError, match="goal_checkers: a plugin's name must be text"):
+        load_plugin(GoalChecker, name)
 
 
 def test_parameters_change_all_or_nothing():
@@ -163,16 +209,24 @@ def foreign_distribution(folder):
 
             class NotAChecker:
                 pass
+
+            class Half(GoalChecker):
+                tolerances = Tolerances()
+
+            class Sulking(Always):
+                def __init__(self, **parameters):
+                    raise RuntimeError("not today")
             """
         )
     )
     (folder / "broken_foreign.py").write_text("import a_module_that_does_not_exist\n")
+    (folder / "leaving_foreign.py").write_text("raise SystemExit('good-bye')\n")
     info = folder / "foreign-1.0.dist-info"
     info.mkdir()
     (info / "METADATA").write_text("Metadata-Version: 2.1\nName: foreign\nVersion: 1.0\n")
     (info / "entry_points.txt").write_text(
         "[optdock.goal_checkers]\nAlways = foreign:Always\nNot = foreign:NotAChecker\nBroken = broken_foreign:X\n"
-        "Gone = foreign:Missing\n"
+        "Gone = foreign:Missing\nHalf = foreign:Half\nSulking = foreign:Sulking\nLeaving = leaving_foreign:X\n"
     )
 
 
@@ -193,7 +247,7 @@ def test_a_plugin_of_another_distribution_is_found_loaded_and_named_in_errors(tm
         print([info.target for info in available_plugins() if info.name == "Always"])
         checker = create_plugin(GoalChecker, "Always")
         print(checker.is_goal_reached(Pose2(0, 0, 0), Pose2(1, 0, 0), Twist2(), []))
-        for name in ("Not", "Broken", "Gone"):
+        for name in ("Not", "Broken", "Gone", "Half", "Sulking", "Leaving"):
             try:
                 create_plugin(GoalChecker, name)
             except PluginError as error:
@@ -207,6 +261,9 @@ def test_a_plugin_of_another_distribution_is_found_loaded_and_named_in_errors(tm
     assert lines[2] == "goal_checkers: plugin Not (foreign:NotAChecker) is not a GoalChecker"
     assert lines[3].startswith("goal_checkers: plugin Broken (broken_foreign:X) cannot be imported: No module named")
     assert lines[4].startswith("goal_checkers: plugin Gone (foreign:Missing) cannot be imported")
+    assert lines[5].startswith("plugin Half (foreign:Half) cannot be built: Can't instantiate abstract class Half")
+    assert lines[6] == "plugin Sulking (foreign:Sulking) cannot be built: not today"
+    assert lines[7] == "goal_checkers: plugin Leaving (leaving_foreign:X) cannot be imported: good-bye"
 
 
 def test_two_plugins_of_one_name_are_refused(tmp_path):
