@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from optdock.geometry.pose import Pose2
-from optdock.plotting.canvas import COLOURS, new_figure, save_figure
+from optdock.plotting.canvas import COLOURS, entitle, legend_below, new_figure, save_figure
 from optdock.plotting.scene import OutlineStyle, draw_arrow, draw_footprints, draw_scene, view_of
 from optdock.verification import pose_clearance
 
@@ -68,9 +68,8 @@ def save_plan_picture(
     draw_arrow(axes, problem.goal, size, COLOURS["goal"], "goal")
     if path is not None and certificate is not None:
         _draw_tightest(axes, problem, path, certificate)
-    axes.set_title(title, fontsize=10)
-    handles = dict(zip(*reversed(axes.get_legend_handles_labels()), strict=True))
-    figure.legend(handles.values(), handles.keys(), loc="outside lower center", ncols=4, fontsize=8, frameon=False)
+    entitle(figure, title)
+    legend_below(figure, axes)
     save_figure(figure, target)
 
 

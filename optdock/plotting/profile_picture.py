@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from optdock.plotting.canvas import COLOURS, new_figure, save_figure
+from optdock.plotting.canvas import COLOURS, entitle, legend_below, new_figure, save_figure
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -59,9 +59,8 @@ def save_profile_picture(
     for axes in grid[-1]:
         axes.set_xlabel("time [s]")
         axes.set_xlim(0.0, trajectory.duration)
-    handles, labels = grid[0, 0].get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside lower center", ncols=3, fontsize=8, frameon=False)
-    figure.suptitle(title, fontsize=10)
+    legend_below(figure, grid[0, 0])
+    entitle(figure, title)
     save_figure(figure, target)
 
 

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from optdock.plotting.canvas import COLOURS, new_figure, save_figure
+from optdock.plotting.canvas import COLOURS, entitle, legend_below, new_figure, save_figure
 from optdock.plotting.scene import OutlineStyle, draw_arrow, draw_footprints, draw_scene, view_of
 
 if TYPE_CHECKING:
@@ -40,10 +40,12 @@ def save_run_picture(target: Path, problem: DockingProblem, run: Run, *, title: 
     wide = view.right - view.left > 1.3 * (view.top - view.bottom)
     figure = new_figure(11.0, 8.5) if wide else new_figure(12.0, 7.0)
     grid = figure.add_gridspec(2, 3, height_ratios=(1.7, 1.0)) if wide else figure.add_gridspec(3, 2)
-    _draw_drive(figure.add_subplot(grid[0, :] if wide else grid[:, 0]), problem, run, view)
+    drive = figure.add_subplot(grid[0, :] if wide else grid[:, 0])
+    _draw_drive(drive, problem, run, view)
     for i, draw in enumerate((_draw_errors, _draw_yaw_error, _draw_speeds)):
         draw(figure.add_subplot(grid[1, i] if wide else grid[i, 1]), run)
-    figure.suptitle(title, fontsize=10)
+    legend_below(figure, drive)
+    entitle(figure, title)
     save_figure(figure, target)
 
 
@@ -58,7 +60,6 @@ def _draw_drive(axes: Axes, problem: DockingProblem, run: Run, view: View) -> No
     size = 0.6 * footprint.circumscribed_radius
     draw_arrow(axes, problem.start, size, COLOURS["start"], "start")
     draw_arrow(axes, problem.goal, size, COLOURS["goal"], "goal")
-    axes.legend(loc="best", fontsize=8)
 
 
 def _draw_errors(axes: Axes, run: Run) -> None:

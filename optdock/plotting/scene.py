@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
+from optdock.costmap.costs import LETHAL, NO_INFORMATION
 from optdock.geometry.pose import transform_points
 from optdock.plotting.canvas import COLOURS
 
@@ -15,6 +16,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
     from optdock.costmap.costmap import Costmap
+    from optdock.costmap.costs import CostArray
     from optdock.geometry.arrays import FloatArray
     from optdock.geometry.footprint import Footprint
     from optdock.geometry.pose import Pose2
@@ -25,6 +27,7 @@ __all__ = ["OutlineStyle", "View", "draw_arrow", "draw_footprints", "draw_scene"
 # Obstacles that the map's picture shows already.
 _DRAWN_BY_THE_MAP = ("map", "unknown", "map border")
 _GREYS = {"free": 255, "unknown": 225, "occupied": 70}
+_NARROWEST = 5.0  # [inch] that hold a legend and a title
 _MARGIN = 0.6  # [m] around everything of interest
 
 
@@ -40,7 +43,9 @@ class View(NamedTuple):
         """Inches that show the view with equal axes and room for labels."""
         ratio = (self.top - self.bottom) / (self.right - self.left)
         height = width * ratio
-        return (width, max(3.2, height + 0.9)) if height <= tallest else (max(3.6, tallest / ratio + 0.9), tallest)
+        return (
+            (width, max(3.2, height + 0.9)) if height <= tallest else (max(_NARROWEST, tallest / ratio + 0.9), tallest)
+        )
 
 
 def view_of(problem: DockingProblem, paths: Sequence[FloatArray]) -> View:
@@ -58,7 +63,7 @@ def view_of(problem: DockingProblem, paths: Sequence[FloatArray]) -> View:
 def draw_scene(axes: Axes, problem: DockingProblem, view: View) -> None:
     """Map, obstacles and dock, axes in metres with equal scales."""
     if problem.costmap is not None:
-        _draw_map(axes, problem.costmap)
+        _draw_map(axes, problem.costmap, view)
     _draw_obstacles(axes, problem, view)
     axes.set_aspect("equal")
     axes.set_xlim(view.left, view.right)
@@ -69,14 +74,28 @@ def draw_scene(axes: Axes, problem: DockingProblem, view: View) -> None:
     axes.set_axisbelow(True)
 
 
-def _draw_map(axes: Axes, costmap: Costmap) -> None:
+def _draw_map(axes: Axes, costmap: Costmap, view: View) -> None:
     grey = np.full(costmap.data.shape, _GREYS["free"], dtype=np.uint8)
-    grey[costmap.data == 255] = _GREYS["unknown"]
-    grey[(costmap.data >= 254) & (costmap.data < 255)] = _GREYS["occupied"]
+    grey[costmap.data == NO_INFORMATION] = _GREYS["unknown"]
+    grey[costmap.data == LETHAL] = _GREYS["occupied"]
     (x0, y0), (x1, y1) = costmap.lower, costmap.upper
     axes.imshow(
         grey, cmap="gray", vmin=0, vmax=255, origin="lower", extent=(x0, x1, y0, y1), interpolation="nearest", zorder=0
     )
+    shown = _in_view(costmap, view)
+    for name, cost in (("occupied", LETHAL), ("unknown", NO_INFORMATION)):
+        if np.any(shown == cost):
+            axes.plot([], [], "s", color=str(_GREYS[name] / 255.0), markersize=9, label=f"map, {name}")
+
+
+def _in_view(costmap: Costmap, view: View) -> CostArray:
+    """The costs in the view, perhaps none."""
+    (x0, y0), side = costmap.lower, costmap.resolution
+    rows, columns = (
+        slice(max(0, int((low - start) / side)), max(0, int((high - start) / side) + 1))
+        for low, high, start in ((view.bottom, view.top, y0), (view.left, view.right, x0))
+    )
+    return costmap.data[rows, columns]
 
 
 def _draw_obstacles(axes: Axes, problem: DockingProblem, view: View) -> None:

@@ -15,7 +15,7 @@ from optdock.limits import MotionLimits, SpeedZone
 from optdock.obstacles import ObstacleSet
 from optdock.path import ClothoidSegment, Path
 from optdock.plotting import save_animation, save_plan_picture, save_profile_picture, save_run_picture
-from optdock.plotting.canvas import COLOURS, canvas_of, new_figure, save_figure
+from optdock.plotting.canvas import COLOURS, canvas_of, entitle, legend_below, new_figure, save_figure
 from optdock.plotting.profile_picture import _panels
 from optdock.plotting.scene import draw_scene, view_of
 from optdock.problem import DockingProblem
@@ -195,3 +195,46 @@ def test_without_matplotlib_the_extra_is_named(monkeypatch):
     monkeypatch.setitem(sys.modules, "matplotlib.figure", None)
     with pytest.raises(MissingExtra, match=r"pictures need matplotlib: pip install 'optdock\[plot\]'"):
         new_figure(2.0, 2.0)
+
+
+def texts_beyond(figure):
+    """Labels of legends and titles that the figure's edge cuts."""
+    canvas_of(figure).draw()
+    written = [figure._suptitle, *(text for legend in figure.legends for text in legend.get_texts())]
+    frame = figure.bbox
+    return [
+        text.get_text()
+        for text in written
+        if (box := text.get_window_extent()).x0 < frame.x0 or box.x1 > frame.x1 or box.y1 > frame.y1
+    ]
+
+
+@pytest.mark.parametrize("width", [3.0, 5.0, 9.0])
+@pytest.mark.parametrize(
+    "title", ["short", "a_scenario_with_a_name_of_one_long_word_" * 4, "FailedToSmoothPath: clearance missing, " * 5]
+)
+def test_titles_and_legends_stay_inside_every_figure(width, title):
+    figure = new_figure(width, 6.0)
+    axes = figure.add_subplot()
+    for i in range(8):
+        axes.plot([0, 1], [0, i], label=f"closest on the way: {i} mm")
+    legend_below(figure, axes)
+    entitle(figure, title)
+    assert texts_beyond(figure) == []
+
+
+def test_a_dollar_in_a_name_is_no_formula(tmp_path, problem):
+    save_plan_picture(tmp_path / "p.png", problem, title=r"a$b_$x^{ $\frac$")
+    assert (tmp_path / "p.png").stat().st_size > 1000
+
+
+def test_the_legend_names_the_greys_of_the_map_that_are_in_view():
+    problem = load_scenario(demo_scenario()).problem
+    labels = []
+    for goal_side in (0.0, 1e3):
+        axes = new_figure(5.0, 5.0).add_subplot()
+        view = view_of(problem, [])
+        draw_scene(axes, problem, view._replace(left=view.left - goal_side, right=view.right - goal_side))
+        labels.append(axes.get_legend_handles_labels()[1])
+    assert "map, occupied" in labels[0]
+    assert not any(label.startswith("map") for label in labels[1])
