@@ -174,7 +174,9 @@ def curved_limits(trajectory: Trajectory, limits: MotionLimits) -> tuple[dict[st
             ratios[kind] = max(ratios[kind], float(np.max(np.where(cleared, proven, seen), initial=0.0)) / limit)
             short = broken if level < _MAX_LEVELS else ~cleared
             if short.any() and kind not in found:
-                found[kind] = _exceeded(kind, limit, cells, np.where(short, seen, -1.0))
+                ends = (cells, at_ends[0][kind]), (last, at_ends[1][kind])
+                worst = int(np.argmax(np.where(short, seen, -1.0)))
+                found[kind] = max((_exceeded(kind, limit, *end, worst) for end in ends), key=lambda one: one.amount)
             open_cells |= ~cleared & ~broken
         if not open_cells.any():
             break
@@ -182,8 +184,7 @@ def curved_limits(trajectory: Trajectory, limits: MotionLimits) -> tuple[dict[st
     return ratios, list(found.values())
 
 
-def _exceeded(kind: str, limit: float, cells: _Cells, value: FloatArray) -> Violation:
-    k = int(np.argmax(value))
+def _exceeded(kind: str, limit: float, cells: _Cells, value: FloatArray, k: int) -> Violation:
     name = kind.replace("_", " ")
     message = f"{name} {value[k]:.5g} at t = {cells.t[k]:.3f} s, s = {cells.s[k]:.3f} m exceeds {limit:.5g}"
     return Violation(kind, message, float(cells.s[k]), float(max(value[k] - limit, 0.0)))

@@ -86,6 +86,17 @@ def test_a_proven_ratio_is_never_below_the_dense_truth(seed):
             assert kind in [violation.kind for violation in certificate.violations]
 
 
+def test_the_place_of_a_violation_shows_it():
+    """The curvature rises to a knot: the worst instant is the end of a cell, not its beginning."""
+    motion = Trajectory(path((0.0, 0.0, 0.0, 2.0, 0.0, 0.0, 0.0)), TimeLaw(*move(3.0)))
+    peak = float(np.max(np.abs(motion.sample(1e-4).yaw_rate)))
+    limits = dataclasses.replace(OPEN, max_yaw_rate=0.9 * peak)
+    violation = certify_trajectory(motion, limits, SpeedZone()).violations[0]
+    speed = np.interp(violation.s, *motion.time_law.at(np.linspace(0.0, motion.duration, 100_000)).T[:2])
+    shown = abs(speed * motion.path.curvature_at(violation.s)[0])
+    assert shown == pytest.approx(limits.max_yaw_rate + violation.amount, rel=1e-4)
+
+
 def test_the_reverse_gear_has_its_own_speed_limit():
     t, j = move(3.0)
     back = Path((ClothoidSegment(ClothoidSpline(Pose2(0.0, 0.0, 0.0), [0.0, 3.0], [0.0, 0.0], -1)),))
