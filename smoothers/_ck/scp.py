@@ -30,6 +30,7 @@ if TYPE_CHECKING:
 __all__ = ["Iterate", "Progress", "evaluate", "search"]
 
 _REACH = 0.15  # [m] beyond the required clearance, first iteration
+_MOST_REACH = 0.35  # [m], after a long step
 _LEAST_REACH = 0.08  # [m], near the end
 _GOAL_TOLERANCE = 1e-5
 _CLEARANCE_TOLERANCE = 1e-6
@@ -107,7 +108,7 @@ class _Controls:
     def accept(self, step: float) -> None:
         self.trust = min(2.0 * self.trust, 0.9)
         self.prox = max(0.3 * self.prox, 1e-3)
-        self.reach = min(_REACH, 1.5 * step + _LEAST_REACH)
+        self.reach = min(_MOST_REACH, 1.5 * step + _LEAST_REACH)
         self.rejections = 0
 
     def reject(self, step: float) -> None:
@@ -223,4 +224,4 @@ def _trial(task: Task, current: Iterate, step: Step, controls: _Controls) -> tup
     variables, rollout = _closed(task, clipped(wanted, task.bounds))
     turned = float(np.abs(rollout.poses[:, 2] - current.rollout.poses[:, 2]).max())
     moved = max(turned, float(np.abs(variables.lengths - current.variables.lengths).max()))
-    return evaluate(task, variables, rollout, min(_REACH, max(controls.reach, 1.5 * moved + _LEAST_REACH))), moved
+    return evaluate(task, variables, rollout, min(_MOST_REACH, 1.5 * moved + _LEAST_REACH)), moved
