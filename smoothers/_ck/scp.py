@@ -100,15 +100,13 @@ class _Controls:
     prox: float
     patience: int
     penalties: Penalties = field(default_factory=Penalties)
-    reach: float = _REACH
     rejections: int = 0
     gain: float = math.inf
     shortfalls: list[float] = field(default_factory=list)
 
-    def accept(self, step: float) -> None:
+    def accept(self) -> None:
         self.trust = min(2.0 * self.trust, 0.9)
         self.prox = max(0.3 * self.prox, 1e-3)
-        self.reach = min(_MOST_REACH, 1.5 * step + _LEAST_REACH)
         self.rejections = 0
 
     def reject(self, step: float) -> None:
@@ -140,7 +138,7 @@ def search(task: Task, pool: ProgramPool, max_iterations: int = 60) -> Iterator[
     """Yield after every iteration, the initial iterate first; the last one is `finished`."""
     controls = _Controls(task.trust, task.prox, task.patience)
     variables, rollout = _closed(task, task.initial)
-    current = evaluate(task, variables, rollout, controls.reach)
+    current = evaluate(task, variables, rollout, _REACH)
     yield Progress(current, 0, finished=False, accepted=True)
     problem = _linearized(task, current)
     for iteration in range(1, max_iterations + 1):
@@ -162,9 +160,9 @@ def _improved(task: Task, current: Iterate, step: Step | None, controls: _Contro
     if step is None:
         controls.reject(controls.trust)
         return None
-    trial, moved = _trial(task, current, step, controls)
+    trial, moved = _trial(task, current, step)
     if merit(trial, controls.penalties) < merit(current, controls.penalties):
-        controls.accept(moved)
+        controls.accept()
         return trial
     controls.reject(moved)
     return None
@@ -217,7 +215,7 @@ def _closed(task: Task, variables: Variables) -> tuple[Variables, Rollout]:
     return closed, roll_out(layout, closed, ends.start, ends.signs)
 
 
-def _trial(task: Task, current: Iterate, step: Step, controls: _Controls) -> tuple[Iterate, float]:
+def _trial(task: Task, current: Iterate, step: Step) -> tuple[Iterate, float]:
     """The iterate after a step, and how far it turned or stretched at most."""
     knots, change = task.layout.num_knots, step.change
     wanted = Variables(current.variables.curvature + change[:knots], current.variables.lengths + change[knots:])
