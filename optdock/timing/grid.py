@@ -17,6 +17,10 @@ _JUMP_SHARE = 0.02  # of the yaw acceleration: smaller jumps of v^2 * rate need 
 _CROWDED = 0.5  # jumps per shortest step: beyond it no knot is put on any of them
 _MIN_STEP_SHARE = 0.4  # of the step: jumps closer together share a knot's cell
 _MIN_CELLS = 8
+_CRUISE_PACE = 0.5  # knots per knot elsewhere, where the profile stays level
+_CRUISE_LEVEL = 0.96  # least over largest v^2 of a level stretch
+_CRUISE_YAW = 0.6  # of the yaw acceleration: more needs the knots
+_CRUISE_SAMPLE, _CRUISE_REACH = 0.04, 12  # [s] and samples to either side that must be level too
 _SLOWEST = 1e-4  # [m/s]: pseudo time counts no speed below this
 
 
@@ -71,18 +75,34 @@ def acceleration_profile(bounds: Bounds, start: State) -> Profile:
 
 
 def grid_of(bounds: Bounds, profile: Profile, first: State, last: State, step: float) -> Grid:
-    """Knots from `first` to `last`, about `step` [s] of pseudo time apart."""
+    """Knots from `first` to `last`, about `step` [s] of pseudo time apart, wider where the robot cruises."""
     course = bounds.course
+    clock = _clock(bounds, profile)
     jumps = _large_jumps(bounds, profile)
     breaks = _breaks(bounds, profile, (first, last), jumps, _MIN_STEP_SHARE * step)
-    times = np.interp(breaks, course.s, profile.time)
+    times = np.interp(breaks, course.s, clock)
     parts = np.maximum(1, np.rint(np.diff(times) / step)).astype(np.int64)
     parts[np.argmax(np.diff(times))] += max(0, _MIN_CELLS - int(parts.sum()))
     owner = np.repeat(np.arange(parts.size), parts)
     rank = np.arange(owner.size) - np.repeat(np.cumsum(parts) - parts, parts)
-    inner = np.interp(times[owner] + np.diff(times)[owner] * rank / parts[owner], profile.time, course.s)
+    inner = np.interp(times[owner] + np.diff(times)[owner] * rank / parts[owner], clock, course.s)
     knots = np.append(np.where(rank == 0, breaks[owner], inner), breaks[-1])
     return _limits_on(bounds, profile, knots, course.s[jumps])
+
+
+def _clock(bounds: Bounds, profile: Profile) -> FloatArray:
+    """Pseudo time at the nodes, running slower where the profile stays level: few knots are needed there."""
+    total = float(profile.time[-1])
+    times = np.linspace(0.0, total, max(2, int(total / _CRUISE_SAMPLE)) + 1)
+    x = np.interp(times, profile.time, profile.speed_squared)
+    rate = np.maximum(np.abs(bounds.course.rate_left), np.abs(bounds.course.rate_right))
+    turning = np.interp(times, profile.time[1:], profile.speed_squared[1:] * rate)
+    x = np.where(turning > _CRUISE_YAW * bounds.course.limits.max_yaw_acceleration, 0.0, x)
+    around = np.lib.stride_tricks.sliding_window_view(np.pad(x, _CRUISE_REACH), 2 * _CRUISE_REACH + 1)
+    level = around.min(axis=1) > _CRUISE_LEVEL * around.max(axis=1)
+    pace = np.where(level, _CRUISE_PACE, 1.0)
+    clock = np.concatenate(([0.0], np.cumsum(0.5 * (pace[:-1] + pace[1:]) * np.diff(times))))
+    return np.interp(profile.time, times, clock)
 
 
 def _breaks(bounds: Bounds, profile: Profile, ends: tuple[State, State], jumps: IntArray, gap: float) -> FloatArray:

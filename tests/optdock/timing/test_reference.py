@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from optdock.limits import SpeedZone
+from optdock.path import Path
 from optdock.timing.arcs import launch_arc, stop_arc
 from optdock.timing.bounds import Bounds
 from optdock.timing.gears import courses_of
@@ -129,3 +130,13 @@ def test_ripple_bands_are_the_squared_steps_of_the_second_derivative():
     matrix = matrix + np.triu(matrix, 1).T
     wanted = np.sum((weight * np.diff(applied(spline.curve, c))) ** 2)
     assert 0.5 * c @ matrix @ c == pytest.approx(wanted, rel=1e-12)
+
+
+def test_knots_stand_wider_where_the_robot_cruises(make, all_limits):
+    course = courses_of(Path((make.spline([6.0], [0.0, 0.0]),)), all_limits, SpeedZone())[0]
+    bounds = Bounds(course)
+    profile = acceleration_profile(bounds, REST)
+    grid = grid_of(bounds, profile, launch_arc(bounds, REST).state, stop_arc(bounds).state, 0.08)
+    duration = np.diff(grid.time)
+    assert duration[grid.steps.size // 2] == pytest.approx(0.16, rel=0.05)
+    assert duration[0] == pytest.approx(0.08, rel=0.05)
