@@ -9,8 +9,10 @@ from typing import TYPE_CHECKING
 from pydantic import ValidationError
 
 from optdock.errors import InvalidValue, PluginError
-from optdock.parameters import closest
-from optdock.plugins import INTERFACES, load_plugin
+from optdock.io.nav2_plugin_lists import UNLISTED
+from optdock.layers.layer_parameters import LayerParameters
+from optdock.parameters import closest, parse_parameters
+from optdock.plugins import INTERFACES, create_plugin, load_plugin
 
 if TYPE_CHECKING:
     from optdock.io.nav2_costmap import CostmapParams
@@ -28,8 +30,9 @@ _KINDS: Mapping[str, str] = {
     "behavior": "behaviors",
     "layer": "layers",
 }
-_READ_ELSEWHERE: Mapping[str, str] = {
+_REASONS: Mapping[str, str] = {
     "dock": "its staging offsets, direction and threshold are read, the plugin talks to sensors",
+    UNLISTED: "no list of plugins names it",
 }
 
 
@@ -40,9 +43,10 @@ class Nav2Plugin:
     Args:
         instance: What the file says.
         plugin: The plugin, built with the parameters it knows; None when it is not provided.
-        taken: The parameters it was built with.
+        taken: The parameters of the file that count.
         reason: Why it is not provided; empty when it is.
-        unknown: Parameters that the plugin here does not have, each with the nearest one that it has, if any.
+        unknown: Parameters that the plugin here does not read: those it does not have, each with the nearest one that
+            it has, if any, and those that mean something on a ROS graph only.
     """
 
     instance: PluginInstance
@@ -63,7 +67,7 @@ def nav2_plugins(params: Nav2Params) -> tuple[Nav2Plugin, ...]:
 def _resolved(instance: PluginInstance) -> Nav2Plugin:
     kind = _KINDS.get(instance.kind)
     if kind is None:
-        reason = _READ_ELSEWHERE.get(instance.kind, f"optdock has no plugins of the kind {instance.kind}")
+        reason = _REASONS.get(instance.kind, f"optdock has no plugins of the kind {instance.kind}")
         return Nav2Plugin(instance, reason=reason)
     try:
         plugin_class = load_plugin(INTERFACES[kind], instance.nav2_class)
@@ -71,28 +75,43 @@ def _resolved(instance: PluginInstance) -> Nav2Plugin:
         unknown_class = error.__cause__ is None  # otherwise a plugin of ours cannot be imported
         reason = f"optdock has no {instance.kind.replace('_', ' ')} of this class" if unknown_class else str(error)
         return Nav2Plugin(instance, reason=reason)
-    fields = plugin_class.Parameters.model_fields
-    extra = _refused(plugin_class, instance.parameters)
-    unknown = tuple(f"{name}{closest(name, fields)}" for name in extra)
-    known = _without(instance.parameters, extra)
+    extra, block = _refused(plugin_class, instance.parameters), instance.parameters
+    unknown = tuple(f"{name}{closest(name, plugin_class.Parameters.model_fields)}" for name in extra)
+    known = _without(block, extra)
     try:
-        return Nav2Plugin(instance, plugin_class(**known), known, unknown=unknown)
-    except InvalidValue as error:
+        plugin = create_plugin(INTERFACES[kind], instance.nav2_class, known)
+    except (InvalidValue, PluginError) as error:
         return Nav2Plugin(instance, reason=" | ".join(str(error).splitlines()), unknown=unknown)
+    dropped = _of_the_graph(plugin_class, known)
+    return Nav2Plugin(instance, plugin, _without(known, dropped), unknown=unknown + dropped)
 
 
 def _refused(plugin_class: type[Plugin], parameters: Mapping[str, object]) -> tuple[str, ...]:
     """Names that the plugin's own model does not accept, however it takes a block apart."""
     try:
-        plugin_class.Parameters.model_validate(dict(parameters))
-    except ValidationError as error:
-        return tuple(str(item["loc"][-1]) for item in error.errors() if item["type"] == "extra_forbidden")
+        parse_parameters(plugin_class.Parameters, parameters, "")
+    except InvalidValue as error:
+        cause = error.__cause__
+        faults = cause.errors() if isinstance(cause, ValidationError) else []
+        return tuple(str(item["loc"][-1]) for item in faults if item["type"] == "extra_forbidden")
     return ()
+
+
+def _of_the_graph(plugin_class: type[Plugin], values: Mapping[str, object]) -> tuple[str, ...]:
+    """Names in the block and the blocks in it that the plugin accepts and drops."""
+    model = plugin_class.Parameters
+    if not issubclass(model, LayerParameters):
+        return ()
+    here = [name for name in values if name in model.graph_names]
+    inner = [
+        name for value in values.values() if isinstance(value, Mapping) for name in _of_the_graph(plugin_class, value)
+    ]
+    return tuple(dict.fromkeys((*here, *inner)))
 
 
 def _without(values: Mapping[str, object], names: tuple[str, ...]) -> dict[str, object]:
     """The block and the blocks in it without these names."""
-    kept = {name: value for name, value in values.items() if name not in names}
+    kept = {str(name): value for name, value in values.items() if str(name) not in names}
     return {name: _without(value, names) if isinstance(value, Mapping) else value for name, value in kept.items()}
 
 

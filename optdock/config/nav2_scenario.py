@@ -52,7 +52,8 @@ def nav2_scenario(
         dock_name: Which dock; may be None where there is exactly one.
 
     Raises:
-        InvalidFile: A file breaks its format, names no costmap, or the dock stands in another frame than the map.
+        InvalidFile: A file breaks its format, names no costmap, the dock stands in another frame than the map, or it is
+            of none of the parameter file's dock types (a file without any says nothing: forward, as Nav2's default).
         InvalidValue: The start is no pose, or there is no dock of that name.
     """
     params = load_nav2_params(params_source)
@@ -61,7 +62,7 @@ def nav2_scenario(
     costmap_params = _global_costmap(params)
     _check_frame(dock, costmap_params, str(docks_source or params_source))
     costmap = load_map(map_source).costmap
-    dock_type = params.dock_types.get(dock.type, DockType(dock.type))
+    dock_type = _type_of(dock, params)
     problem = DockingProblem(
         start=_start(start),
         dock=Dock(dock.pose, direction=dock_type.dock_direction, approach=_approach(params, dock_type)),
@@ -83,6 +84,16 @@ def _chosen(docks: Mapping[str, DockEntry], name: str | None, source: str) -> Do
     listed = ", ".join(docks) or "none"
     wanted = "--dock: is required" if name is None else f"--dock: {source} has no dock {name!r}{closest(name, docks)}"
     raise InvalidValue(f"{wanted}; its docks: {listed}")
+
+
+def _type_of(dock: DockEntry, params: Nav2Params) -> DockType:
+    known = params.dock_types
+    if known and dock.type not in known:
+        raise InvalidFile(
+            f"{params.source}: has no dock type {dock.type!r}, which {dock.name} is of{closest(dock.type, known)}; its "
+            f"dock types: {', '.join(known)}"
+        )
+    return known.get(dock.type, DockType(dock.type))
 
 
 def _global_costmap(params: Nav2Params) -> CostmapParams:

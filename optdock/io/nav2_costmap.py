@@ -55,7 +55,7 @@ def read_costmap(
 ) -> CostmapParams:
     """The costmap whose parameters stand at `keys`; faults are added to `faults`."""
     read = NumberReader(document, keys, values, faults)
-    return CostmapParams(
+    costmap = CostmapParams(
         name=name,
         footprint=_footprint(values.get("footprint", "[]"), read),
         robot_radius=read.number("robot_radius", 0.1, positive=True),
@@ -65,6 +65,11 @@ def read_costmap(
         layers=_names(values.get("plugins")),
         filters=_names(values.get("filters")),
     )
+    try:
+        _ = costmap.outline
+    except InvalidValue as error:
+        read.fault("footprint_padding", f"leaves no outline: {error}")
+    return costmap
 
 
 def _footprint(value: object, read: NumberReader) -> Footprint | None:

@@ -8,58 +8,25 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, TypeVar
 
 from optdock.errors import InvalidFile
 from optdock.io.dock_database import DockEntry, read_dock
 from optdock.io.nav2_costmap import CostmapParams, read_costmap
 from optdock.io.nav2_docking import DockType, read_dock_type
+from optdock.io.nav2_dotted import with_nested_names
+from optdock.io.nav2_plugin_lists import PARAMETERS, NodeBlock, PluginInstance, checked_names, plugin_instances
 from optdock.io.yaml_lines import load_yaml
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Iterable, Iterator
 
     from optdock.io.yaml_lines import Document, Keys
 
-__all__ = ["Nav2Params", "NodeBlock", "PluginInstance", "load_nav2_params"]
+__all__ = ["Nav2Params", "PluginInstance", "load_nav2_params"]
+N = TypeVar("N", CostmapParams, DockType, DockEntry)
 
-_PARAMETERS = "ros__parameters"
 _COSTMAP_KEYS = ("footprint", "robot_radius", "rolling_window", "inflation_radius")
-
-
-class NodeBlock(NamedTuple):
-    """The parameters of one node and where they stand."""
-
-    keys: Keys
-    values: Mapping[str, object]
-
-    @property
-    def path(self) -> str:
-        """Names from the outermost namespace to the node, such as `local_costmap/local_costmap`."""
-        return "/".join(str(key).strip("/") for key in self.keys if key != _PARAMETERS)
-
-
-@dataclass(frozen=True)
-class PluginInstance:
-    """One plugin that a parameter file asks for.
-
-    Args:
-        node: Path of the node that loads it, such as `controller_server` or `global_costmap/global_costmap`.
-        kind: What it is: `controller`, `planner`, `smoother`, `goal_checker`, `behavior`, `layer`, `filter`, `dock`...
-        name: Name of the instance.
-        nav2_class: Its class, as the file names it.
-        parameters: Its other parameters.
-        keys: Where its block stands in the file.
-        line: The line there.
-    """
-
-    node: str
-    kind: str
-    name: str
-    nav2_class: str
-    parameters: Mapping[str, object]
-    keys: Keys
-    line: int
 
 
 @dataclass(frozen=True, eq=False)
@@ -91,16 +58,18 @@ class Nav2Params:
 def load_nav2_params(source: str | Path) -> Nav2Params:
     """Read a Nav2 parameter file; a bare costmap file, without nodes, counts as one costmap.
 
-    Parameters that nothing reads are kept, not refused.
+    Parameters that nothing reads are kept, not refused. Dotted names count as nested blocks. Where several namespaces
+    hold a costmap, dock type or dock of one name, the first counts.
 
     Raises:
-        InvalidFile: The file cannot be read, holds no parameters, lists a plugin without a class, or has a footprint,
-            a dock or a dock type that breaks its rules; the message lists every fault.
+        InvalidFile: The file cannot be read, holds no parameters, has a plugin list that is empty, repeats a name or
+            names a plugin without a class, or has a footprint, a dock or a dock type that breaks its rules; the
+            message lists every fault.
     """
-    document = load_yaml(source)
+    document = with_nested_names(load_yaml(source), PARAMETERS)
     blocks = list(_blocks(document.value, ())) or _bare_costmap(document)
     faults: list[str] = []
-    plugins = [plugin for block in blocks for plugin in _plugins(document, block, faults)]
+    plugins = [plugin for block in blocks for plugin in plugin_instances(document, block, faults)]
     costmaps = [_costmap(document, block, faults) for block in blocks if _is_costmap(block)]
     docks = [dock for block in blocks for dock in _docks(document, block, faults)]
     types = [
@@ -114,9 +83,9 @@ def load_nav2_params(source: str | Path) -> Nav2Params:
         source=Path(source),
         nodes={block.path: block.values for block in blocks},
         plugins=tuple(plugins),
-        costmaps={costmap.name: costmap for costmap in costmaps},
-        dock_types={dock_type.name: dock_type for dock_type in types},
-        docks={dock.name: dock for dock in docks},
+        costmaps=_first_of_name(costmaps),
+        dock_types=_first_of_name(types),
+        docks=_first_of_name(docks),
     )
 
 
@@ -125,7 +94,7 @@ def _blocks(value: object, keys: Keys) -> Iterator[NodeBlock]:
     if not isinstance(value, Mapping):
         return
     for key, inner in value.items():
-        if key != _PARAMETERS:
+        if key != PARAMETERS:
             yield from _blocks(inner, (*keys, key))
         elif isinstance(inner, Mapping):
             yield NodeBlock((*keys, key), inner)
@@ -135,7 +104,7 @@ def _bare_costmap(document: Document) -> list[NodeBlock]:
     value = document.value
     if isinstance(value, Mapping) and any(key in value for key in _COSTMAP_KEYS):
         return [NodeBlock((), value)]
-    raise InvalidFile(f"{document.path}: holds no {_PARAMETERS} and no costmap parameters")
+    raise InvalidFile(f"{document.path}: holds no {PARAMETERS} and no costmap parameters")
 
 
 def _is_costmap(block: NodeBlock) -> bool:
@@ -147,44 +116,18 @@ def _costmap(document: Document, block: NodeBlock, faults: list[str]) -> Costmap
     return read_costmap(document, block.keys, name, block.values, faults)
 
 
-def _plugins(document: Document, block: NodeBlock, faults: list[str]) -> Iterator[PluginInstance]:
-    """The instances that the node's lists name: `<kind>_plugins`, a costmap's `plugins` and `filters`, and others."""
-    for key, names in block.values.items():
-        if not (isinstance(names, list) and names and all(isinstance(name, str) for name in names)):
-            continue
-        kind = _kind(key)
-        certain = kind != key
-        if not certain and not all(_class_of(block, name) for name in names):
-            continue
-        for name in names:
-            place = (*block.keys, name)
-            if _class_of(block, name):
-                yield _instance(document, block, kind, name)
-            else:
-                faults.append(document.fault((*place, "plugin"), f"is required: {key} lists {name}"))
-
-
-def _kind(key: str) -> str:
-    return {"plugins": "layer", "filters": "filter"}.get(key, key.removesuffix("_plugins"))
-
-
-def _class_of(block: NodeBlock, name: str) -> str:
-    inner = block.values.get(name)
-    found = inner.get("plugin") if isinstance(inner, Mapping) else None
-    return found if isinstance(found, str) else ""
-
-
-def _instance(document: Document, block: NodeBlock, kind: str, name: str) -> PluginInstance:
-    inner, keys = block.values[name], (*block.keys, name)
-    parameters = {key: v for key, v in inner.items() if key != "plugin"} if isinstance(inner, Mapping) else {}
-    return PluginInstance(
-        block.path, kind, name, _class_of(block, name), parameters, keys, document.line_of((*keys, "plugin"))
-    )
-
-
 def _docks(document: Document, block: NodeBlock, faults: list[str]) -> Iterator[DockEntry]:
-    names = block.values.get("docks")
-    for name in names if isinstance(names, list) else ():
-        dock = read_dock(document, (*block.keys, str(name)), faults)
+    if "docks" not in block.values:
+        return
+    for name in checked_names(document, (*block.keys, "docks"), block.values["docks"], faults):
+        dock = read_dock(document, (*block.keys, name), faults)
         if dock is not None:
             yield dock
+
+
+def _first_of_name(named: Iterable[N]) -> dict[str, N]:
+    """By name; of several namespaces the first counts, as in `Nav2Params.node`."""
+    found: dict[str, N] = {}
+    for item in named:
+        found.setdefault(item.name, item)
+    return found

@@ -42,7 +42,7 @@ def files(tmp_path):
         "image: hall.png\nresolution: 0.05\norigin: [0, 0, 0]\nnegate: 0\noccupied_thresh: 0.65\nfree_thresh: 0.196\n"
     )
     (tmp_path / "docks.yaml").write_text(
-        "docks:\n  left: {type: charger, pose: [1.0, 2.5, 0.0]}\n  right: {type: other, pose: [5.0, 2.0, 0.0]}\n"
+        "docks:\n  left: {type: charger, pose: [1.0, 2.5, 0.0]}\n  right: {type: chargr, pose: [5.0, 2.0, 0.0]}\n"
         "  far: {type: charger, pose: [0, 0, 0], frame: odom}\n"
     )
     return tmp_path
@@ -66,7 +66,15 @@ def test_the_problem_carries_what_the_files_say(files):
     assert problem.costmap.columns == 120
 
 
-def test_a_dock_of_a_type_that_the_parameters_do_not_know_docks_forward(files):
+def test_a_dock_of_a_type_that_the_parameters_do_not_know_is_refused_not_entered_with_the_wrong_end(files):
+    with pytest.raises(InvalidFile) as caught:
+        scenario(files, docks_source=files / "docks.yaml", dock_name="right")
+    text = "params.yaml: has no dock type 'chargr', which right is of; did you mean charger?; its dock types: charger"
+    assert str(caught.value).endswith(text)
+
+
+def test_without_any_dock_type_in_the_parameters_docks_are_entered_forward(files):
+    (files / "params.yaml").write_text(PARAMS.replace("    dock_plugins: [charger]\n", "").replace("plugin: ", "was: "))
     problem = scenario(files, docks_source=files / "docks.yaml", dock_name="right").problem
     assert problem.goal == Pose2(5.0, 2.0, 0.0)
     assert problem.dock.direction is DockDirection.FORWARD
@@ -178,16 +186,50 @@ smoother_server:
     assert found["s"].unknown[0].startswith("w_smooth")
 
 
+def test_every_parameter_of_nav2s_graceful_controller_loads_and_those_without_counterpart_are_listed(tmp_path):
+    found = plugins_of(
+        tmp_path,
+        """
+controller_server:
+  ros__parameters:
+    controller_plugins: [FollowPath]
+    FollowPath.plugin: "nav2_graceful_controller::GracefulController"
+    FollowPath.v_linear_max: 0.4
+    FollowPath:
+      {lambda: 2.5, k_phi: 2.0, footprint_scaling_linear_vel: 0.5, footprint_scaling_factor: 0.25,
+       footprint_scaling_step: 0.1, obstacle_cost_margin: 1, final_rotation_search_step: 0.1,
+       in_place_collision_resolution: 0.1, self: 1, 3: 4}
+""",
+    )["FollowPath"]
+    assert (found.plugin.law.v_linear_max, found.plugin.law.lambda_) == (0.4, 2.5)
+    assert {name.split(";")[0] for name in found.unknown} == {
+        *("footprint_scaling_linear_vel", "footprint_scaling_factor", "footprint_scaling_step"),
+        *("obstacle_cost_margin", "final_rotation_search_step", "in_place_collision_resolution", "self", "3"),
+    }
+
+
+@pytest.mark.parametrize("value", ["'0.5'", "yes", "[0.5]", "{a: 1}"])
+def test_a_value_of_the_wrong_type_is_the_reason_why_a_plugin_is_not_built(tmp_path, value):
+    checker = f"{{plugin: 'n::SimpleGoalChecker', xy_goal_tolerance: {value}}}"
+    text = f"controller_server:\n  ros__parameters:\n    goal_checker_plugins: [a]\n    a: {checker}\n"
+    found = plugins_of(tmp_path, text)["a"]
+    assert found.plugin is None
+    assert found.reason.startswith("SimpleGoalChecker.xy_goal_tolerance: ")
+
+
 def test_every_plugin_of_the_bringup_file_is_built_or_has_a_reason(real_data):
     params = load_nav2_params(real_data / "nav2" / "params" / "nav2_params.yaml")
     found = nav2_plugins(params)
-    assert len(found) == len(params.plugins) == 28
+    assert len(found) == len(params.plugins) == 32
     assert all((plugin.plugin is None) == bool(plugin.reason) for plugin in found)
     built = {plugin.instance.name: plugin.plugin for plugin in found if plugin.plugin is not None}
     assert type(built["general_goal_checker"]).__name__ == "SimpleGoalChecker"
     assert built["general_goal_checker"].parameters.model_dump()["path_length_tolerance"] == 1.0
     assert built["route_smoother"].parameters.model_dump()["refinement_num"] == 5
     rows = {row[1]: row for row in nav2_plugin_rows(params)}
+    assert rows["FollowPath.diff_drive"][3] == "not provided: no list of plugins names it"
+    assert rows["inflation_layer"][3] == "InflationLayer(cost_scaling_factor=3.0, inflation_radius=0.7)"
+    assert rows["obstacle_layer"][3].endswith("; not read: topic, max_obstacle_height, data_type")
     assert rows["FollowPath"][3] == "not provided: optdock has no controller of this class"
     assert rows["simple_smoother"][3].startswith("SimpleSmoother(tolerance=1e-10, max_its=1000, refinement_num=2, ")
     assert nav2_costmap_rows(params) == [

@@ -47,6 +47,10 @@ def test_the_bringup_file_is_read_completely(real):
         ("route_server", "operations"): ["AdjustSpeedLimit", "ReroutingService", "CollisionMonitor"],
         ("route_server", "edge_cost_functions"): ["DistanceScorer", "CostmapScorer"],
         ("docking_server", "dock"): ["simple_charging_dock"],
+        ("waypoint_follower", "waypoint_task_executor"): ["wait_at_waypoint"],
+        # Blocks with a class that Nav2's own servers do not load by a list.
+        ("controller_server", "unlisted"): ["FollowPath.diff_drive", "FollowPath.TrajectoryValidator"],
+        ("local_costmap/local_costmap", "unlisted"): ["static_layer"],
     }
     assert len(params.nodes) == 20
 
@@ -147,3 +151,67 @@ docking_server:
 
 def test_a_file_without_parameters_is_refused(tmp_path):
     assert faults(tmp_path, "a: 1\n") == ["p.yaml: holds no ros__parameters and no costmap parameters"]
+
+
+@pytest.mark.parametrize(
+    ("value", "rule"),
+    [
+        ("[a, a]", "names a more than once"),
+        ("[]", "must name at least one plugin"),
+        ("a", "must be a list of names, got 'a'"),
+        ("{a: 1}", "must be a list of names, got {'a': 1}"),
+        ("", "must be a list of names, got None"),
+        ("[a, 3]", "must be a list of names, got 3 in it"),
+        ("[a, '']", "must be a list of names, got '' in it"),
+    ],
+)
+@pytest.mark.parametrize("key", ["goal_checker_plugins", "plugins", "docks"])
+def test_a_list_of_plugins_or_docks_holds_different_names(tmp_path, key, value, rule):
+    a = "{plugin: x::SimpleGoalChecker, type: t, pose: [0, 0, 0]}"
+    text = f"server:\n  ros__parameters:\n    {key}: {value}\n    a: {a}\n"
+    if value == "[]" and key != "goal_checker_plugins":  # a costmap without layers, a database in its own file
+        assert loaded(tmp_path, text).docks == {}
+    else:
+        assert faults(tmp_path, text) == [f"p.yaml:3: server.ros__parameters.{key}: {rule}"]
+
+
+@pytest.mark.parametrize("value", ["&x [*x]", "&x [a, [*x]]"])
+def test_a_list_that_contains_itself_is_refused(tmp_path, value):
+    (line,) = faults(tmp_path, f"server:\n  ros__parameters:\n    goal_checker_plugins: {value}\n")
+    assert "contains itself" in line
+
+
+def test_dotted_names_are_nested_blocks_with_their_lines(tmp_path):
+    text = """controller_server:
+  ros__parameters:
+    goal_checker_plugins: [a]
+    a.plugin: "nav2_controller::SimpleGoalChecker"
+    a.xy_goal_tolerance: 0.1
+    a: {stateful: false}
+    map..topic: x
+docking_server:
+  ros__parameters:
+    docks: [home]
+    home.type: t
+    home.pose: [1, 2, x]
+"""
+    assert faults(tmp_path, text) == [
+        "p.yaml:12: docking_server.ros__parameters.home.pose.2: must be a number, got 'x'"
+    ]
+    params = loaded(tmp_path, text.replace("2, x", "2, 3"))
+    (checker,) = params.plugins
+    assert (checker.parameters, checker.line) == ({"xy_goal_tolerance": 0.1, "stateful": False}, 4)
+    assert params.docks["home"].pose == Pose2(1.0, 2.0, 3.0)
+    assert params.node("controller_server")["map..topic"] == "x"
+
+
+def test_of_several_namespaces_the_first_counts(tmp_path):
+    robot = "  global_costmap:\n    global_costmap:\n      ros__parameters: {robot_radius: %s}\n"
+    params = loaded(tmp_path, "r1:\n" + robot % 0.3 + "r2:\n" + robot % 0.6)
+    assert params.costmaps["global_costmap"].robot_radius == params.node("global_costmap")["robot_radius"] == 0.3
+
+
+def test_padding_that_turns_the_outline_inside_out_is_refused(tmp_path):
+    text = "a_costmap:\n  a_costmap:\n    ros__parameters: {robot_radius: 0.2, footprint_padding: -1.0}\n"
+    (line,) = faults(tmp_path, text)
+    assert line.startswith("p.yaml:3: a_costmap.a_costmap.ros__parameters.footprint_padding: leaves no outline: ")
