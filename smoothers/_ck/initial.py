@@ -29,7 +29,8 @@ __all__ = ["Resolution", "Traced", "Tuning", "make_task", "shape_for", "trace"]
 
 _MOST_SPANS = 80
 _LESS_PATIENCE = 3  # with a second guess: most problems that got here have no answer
-_WARM_TRUST, _WARM_PROX = 0.2, 0.1  # an earlier result is near the new one
+_PROX = 0.67  # [m]: first weight of squared motion, times the smallest radius
+_WARM_TRUST, _WARM_PROX = 0.2, 0.067  # an earlier result is near the new one
 
 
 class Resolution(NamedTuple):
@@ -122,11 +123,13 @@ def make_task(path: Path, problem: DockingProblem, world: World, tuning: Tuning,
     )
     cost = CostModel(layout, tuning.weights, reference_scales(limits), reference_of(traced, layout))
     guesses = Guesses(layout, traced, lengths, ends, inner)
-    cold = _restartable(Task(layout, ends, bounds, inner, cost, world, guesses.first, radius), guesses)
+    cold = _restartable(
+        Task(layout, ends, bounds, inner, cost, world, guesses.first, radius, prox=_PROX / radius), guesses
+    )
     if left is None:
         return cold
     warm = clipped(left.variables(layout), inner)
-    return replace(cold, initial=warm, restart=lambda _: cold, trust=_WARM_TRUST, prox=_WARM_PROX)
+    return replace(cold, initial=warm, restart=lambda _: cold, trust=_WARM_TRUST, prox=_WARM_PROX / radius)
 
 
 def _restartable(task: Task, guesses: Guesses) -> Task:
