@@ -34,7 +34,7 @@ def certify(
 
 
 def _judged(plan: PlanFile, problem: DockingProblem) -> list[str]:
-    """Every broken rule, printed with what was proven."""
+    """Every broken rule, printed with what was proven and what the file does not say."""
     from optdock.cli.motion_samples import motion_faults
     from optdock.report import certificate_rows, table
     from optdock.verification import certify_path
@@ -45,8 +45,12 @@ def _judged(plan: PlanFile, problem: DockingProblem) -> list[str]:
         return [f"the plan stands in frame {plan.frame!r}, the scenario in {problem.frame!r}; transform one of them"]
     certificate = certify_path(plan.path, problem)
     faults = [violation.message for violation in certificate.violations]
+    motion = "none in the file, the path alone is judged"
     if plan.trajectory is not None:
-        faults += motion_faults(plan.trajectory, plan.path, problem)
-    rows = [("verdict", "not certified" if faults else "certified"), *certificate_rows(certificate)]
+        broken = motion_faults(plan.trajectory, plan.path, problem)
+        motion = f"{plan.trajectory.t.size} samples, {'refuted' if broken else 'none breaks a limit'}"
+        faults += broken
+    verdict = "not certified" if faults else "certified"
+    rows = [("verdict", verdict), *certificate_rows(certificate), ("motion", motion)]
     typer.echo(table([*rows, *(("violation", fault) for fault in faults)]))
     return faults

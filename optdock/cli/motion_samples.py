@@ -15,6 +15,7 @@ if TYPE_CHECKING:
 
     from optdock.geometry.arrays import FloatArray
     from optdock.io.plan_file import TrajectoryColumns
+    from optdock.limits import MotionLimits
     from optdock.path import Path
     from optdock.problem import DockingProblem
 
@@ -34,10 +35,22 @@ def motion_faults(motion: TrajectoryColumns, path: Path, problem: DockingProblem
         path: The path they claim to follow.
         problem: What must hold.
     """
+    coarse = _too_coarse(motion, problem.robot.limits)
+    if coarse:
+        return [coarse]
     travelled = _travelled(motion, path)
     checks = (*_at_samples(motion, path, problem, travelled), *_between_samples(motion, problem, travelled))
     faults = [fault for name, values, limits in checks for fault in _worst(name, motion.t, values, limits)]
     return [*faults, *_rests(motion, path, problem, travelled), *_off_path(motion, path, travelled)]
+
+
+def _too_coarse(motion: TrajectoryColumns, limits: MotionLimits) -> str:
+    """Why the samples cannot be judged, the robot being anywhere within metres between two of them; empty if not so."""
+    dt = float(np.max(np.diff(motion.t)))
+    unsure = min(limits.max_jerk * dt**3 / 6.0, max(limits.max_speed, limits.max_reverse_speed) * dt)
+    if unsure <= _PROJECTIONS * _DRIFT:
+        return ""
+    return f"samples up to {dt:.3g} s apart leave the motion between them open by {unsure:.3g} m; sample it finer"
 
 
 def _worst(name: str, times: FloatArray, values: FloatArray, limits: FloatArray) -> Iterator[str]:

@@ -10,7 +10,15 @@ import typer
 
 from optdock.errors import InvalidValue
 
-__all__ = ["BudgetOption", "PeriodOption", "PlotOption", "ScenarioArgument", "SpacingOption", "checked_positive"]
+__all__ = [
+    "BudgetOption",
+    "PeriodOption",
+    "PlotOption",
+    "ScenarioArgument",
+    "SpacingOption",
+    "check_picture",
+    "checked_positive",
+]
 
 ScenarioArgument: TypeAlias = Annotated[Path, typer.Argument(help="Scenario file (YAML).", show_default=False)]
 BudgetOption: TypeAlias = Annotated[
@@ -21,6 +29,19 @@ PeriodOption: TypeAlias = Annotated[float, typer.Option(help="Largest step of tr
 PlotOption: TypeAlias = Annotated[
     Path | None, typer.Option(help="Draw a picture; the suffix chooses the format.", show_default=False)
 ]
+
+
+def check_picture(plot: Path | None) -> None:
+    """Refuse a picture that could not be drawn, before the work that it would show.
+
+    Raises:
+        InvalidValue: Its suffix names no picture format.
+        MissingExtra: Matplotlib is not installed.
+    """
+    if plot is not None:
+        from optdock.plotting.canvas import format_of
+
+        format_of(plot)
 
 
 def checked_positive(option: str, value: float, unit: str) -> float:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, NamedTuple
 import typer
 
 from optdock.cli.exits import reported
-from optdock.cli.options import BudgetOption, PeriodOption, PlotOption, SpacingOption, checked_positive
+from optdock.cli.options import BudgetOption, PeriodOption, PlotOption, SpacingOption, check_picture, checked_positive
 from optdock.errors import InvalidValue
 
 if TYPE_CHECKING:
@@ -43,6 +43,7 @@ def plan(  # noqa: PLR0913 - one parameter per option
         checked_positive("--period", period, "s")
         if time_budget is not None:
             checked_positive("--time-budget", time_budget, "s")
+        check_picture(plot)
         nav2 = _Nav2Sources(nav2_params, map_, docks, dock, start)
         _plan_and_write(_loaded(scenario, nav2), out, time_budget, (spacing, period), plot)
 

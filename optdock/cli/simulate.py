@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from optdock.cli.exits import NOT_CERTIFIED, reported
-from optdock.cli.options import PlotOption, ScenarioArgument, checked_positive
+from optdock.cli.options import PlotOption, ScenarioArgument, check_picture
+from optdock.errors import InvalidValue
 
 if TYPE_CHECKING:
     from optdock.config import Scenario
@@ -40,8 +42,10 @@ def simulate(
         from optdock.io.atomic_file import write_text
         from optdock.report import run_json, run_rows, table
 
+        noise = checked_noise("--position-noise", position_noise, "m"), checked_noise("--yaw-noise", yaw_noise, "rad")
+        check_picture(plot)
         loaded = load_scenario(scenario)
-        run = driven(loaded, solved(loaded), seed, (position_noise, yaw_noise))
+        run = driven(loaded, solved(loaded), seed, noise)
         write_text(out, run_json(run, seed))
         typer.echo(table(run_rows(run)))
         if plot is not None:
@@ -76,14 +80,20 @@ def driven(scenario: Scenario, plan: DockPlan, seed: int, noise: tuple[float, fl
     controller.configure(PluginContext("controller", problem.costmap, problem.robot.footprint, problem))
     settings = SimulationSettings(
         period=float(controller.parameters.model_dump().get("period", 0.02)),
-        position_noise=checked_noise("--position-noise", noise[0]),
-        yaw_noise=checked_noise("--yaw-noise", noise[1]),
+        position_noise=noise[0],
+        yaw_noise=noise[1],
         seed=seed,
         obstacles=problem.all_obstacles,
     )
     return run_closed_loop(plan.trajectory, problem.robot, problem.goal, controller, checker, settings)
 
 
-def checked_noise(option: str, value: float) -> float:
-    """`value`, which must be finite and >= 0."""
-    return value if value == 0.0 else checked_positive(option, value, "or 0")
+def checked_noise(option: str, value: float, unit: str) -> float:
+    """`value`, which must be finite and >= 0.
+
+    Raises:
+        InvalidValue: It is not.
+    """
+    if not (math.isfinite(value) and value >= 0.0):
+        raise InvalidValue(f"{option}: must be finite and >= 0 {unit}, got {value}")
+    return value

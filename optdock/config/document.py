@@ -132,7 +132,7 @@ class RobotDocument(_Part):
     @model_validator(mode="after")
     def _one_outline(self) -> RobotDocument:
         if (self.footprint is None) == (self.radius is None):
-            raise InvalidValue("needs either footprint or radius")
+            raise InvalidValue(f"needs either footprint or radius, got {'neither' if self.radius is None else 'both'}")
         return self
 
     def value(self) -> Robot:

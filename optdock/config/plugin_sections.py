@@ -42,13 +42,16 @@ def plugin_choice(kind: str, section: object, faults: list[Fault]) -> PluginChoi
     parameters = {str(key): value for key, value in section.items() if key != "plugin"}
     if not section:
         return PluginChoice(name, {})
+    if not isinstance(asked, str):
+        faults.append(Fault((kind, "plugin"), f"must be text, got {asked!r}"))
+        return PluginChoice(name, {})
     try:
-        plugin = load_plugin(INTERFACES[_plural(kind)], str(asked))
+        plugin = load_plugin(INTERFACES[_plural(kind)], asked)
     except PluginError as error:
         faults.append(Fault((kind, "plugin"), str(error)))
         return PluginChoice(name, {})
     faults.extend(parameter_faults(plugin, parameters, (kind,)))
-    return PluginChoice(str(asked), parameters)
+    return PluginChoice(asked, parameters)
 
 
 def parameter_faults(plugin: type[Plugin], parameters: Mapping[str, object], base: tuple[str, ...]) -> list[Fault]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import os
 import secrets
 from contextlib import contextmanager, suppress
@@ -20,19 +21,33 @@ __all__ = ["replacing", "write_text"]
 def replacing(target: Path) -> Iterator[Path]:
     """A temporary path beside `target` that takes its place when the block ends without an exception.
 
-    A reader of `target` sees the old file or the new one, never a part. Missing folders are made. The temporary name
-    keeps the suffix of the target, because writers of pictures choose their format by it.
+    A reader of `target` sees the old file or the new one, never a part. Missing folders are made, links are followed.
+    A device or a pipe, such as /dev/stdout, is no file to be replaced: there the path is `target` itself. The temporary
+    name keeps the suffix of the target, because writers of pictures choose their format by it.
 
     Raises:
-        InvalidFile: The folder cannot be made or written to.
+        InvalidFile: The target is a folder, or its folder cannot be made or written to.
     """
+    try:
+        if target.exists() and not (target.is_file() or target.is_dir()):
+            yield target
+            return
+        with _beside(Path(os.path.realpath(target))) as temporary:
+            yield temporary
+    except OSError as error:
+        raise InvalidFile(f"{target}: cannot be written: {error.strerror or error}") from error
+
+
+@contextmanager
+def _beside(target: Path) -> Iterator[Path]:
+    """As `replacing`, for a regular file."""
+    if target.is_dir():
+        raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR))
     temporary = target.with_name(f".{target.stem}.{secrets.token_hex(4)}{target.suffix}")
     try:
         target.parent.mkdir(parents=True, exist_ok=True)
         yield temporary
         os.replace(temporary, target)  # noqa: PTH105 - the atomic replacement, by its well-known name
-    except OSError as error:
-        raise InvalidFile(f"{target}: cannot be written: {error.strerror or error}") from error
     finally:
         with suppress(OSError):
             temporary.unlink()

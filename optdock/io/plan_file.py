@@ -32,7 +32,7 @@ PLAN_FORMAT = "optdock-plan/1"
 DEFAULT_SPACING = 0.02
 DEFAULT_PERIOD = 0.02
 CERTIFIED = "certified"
-
+MAX_SAMPLES = 1_000_000  # of a path or a trajectory in a file, about 100 MB
 
 T = TypeVar("T")
 
@@ -52,7 +52,12 @@ class TrajectoryColumns(NamedTuple):
 
     @classmethod
     def from_trajectory(cls, trajectory: Trajectory, period: float) -> TrajectoryColumns:
-        """Samples at most `period` [s] apart, ends and cusps included."""
+        """Samples at most `period` [s] apart, ends and cusps included.
+
+        Raises:
+            InvalidValue: The period is not > 0, or so small that there would be over `MAX_SAMPLES`.
+        """
+        _check_step("period", period, "s", trajectory.duration)
         samples = trajectory.sample(period)
         return cls(**{name: getattr(samples, name) for name in cls._fields})
 
@@ -103,13 +108,13 @@ class PlanFile:
             spacing: Largest distance between path samples [m].
 
         Raises:
-            InvalidValue: A number of a path or trajectory is not finite, or the spacing is not > 0.
+            InvalidValue: A number of a path or trajectory is not finite, or the spacing is not > 0, or so small that
+                there would be over `MAX_SAMPLES`.
         """
-        if not (math.isfinite(spacing) and spacing > 0.0):
-            raise InvalidValue(f"spacing: must be finite and > 0 m, got {spacing}")
+        paths = {name: path for name, path in (("raw_path", self.raw_path), ("path", self.path)) if path is not None}
+        _check_step("spacing", spacing, "m", max((path.length for path in paths.values()), default=0.0))
         head = {"format": PLAN_FORMAT, "status": self.status, "completed": self.completed, "frame": self.frame}
-        paths = {"raw_path": self.raw_path, "path": self.path}
-        body: dict[str, object] = {k: path_columns(p, spacing) for k, p in paths.items() if p is not None}
+        body: dict[str, object] = {name: path_columns(path, spacing) for name, path in paths.items()}
         if self.trajectory is not None:
             body["trajectory"] = {name: column.tolist() for name, column in self.trajectory._asdict().items()}
         if self.certificate is not None:
@@ -117,6 +122,16 @@ class PlanFile:
         if self.error is not None:
             body["error"] = finite_or_null(self.error._asdict())
         return strict_json({**head, **body, "timing_ms": finite_or_null(self.timing_ms)})
+
+
+def _check_step(name: str, step: float, unit: str, extent: float) -> None:
+    if not (math.isfinite(step) and step > 0.0):
+        raise InvalidValue(f"{name}: must be finite and > 0 {unit}, got {step}")
+    if extent > MAX_SAMPLES * step:
+        raise InvalidValue(
+            f"{name}: must be >= {extent / MAX_SAMPLES:.3g} {unit} for at most {MAX_SAMPLES} samples of "
+            f"{extent:.6g} {unit}, got {step}"
+        )
 
 
 def finite_or_null(value: object) -> object:

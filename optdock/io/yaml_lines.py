@@ -120,6 +120,8 @@ def _yaml_fault(path: Path, error: yaml.YAMLError) -> str:
     mark = getattr(error, "problem_mark", None)
     where = f"{path}:{mark.line + 1}" if mark is not None else str(path)
     reason = getattr(error, "problem", None) or getattr(error, "reason", None) or str(error)
+    if reason.startswith("but "):  # the other half of the sentence
+        reason = f"{getattr(error, 'context', None)}, {reason}"
     return f"{where}: is not valid YAML: {reason}"
 
 

@@ -93,7 +93,19 @@ def test_certify_accepts_what_plan_wrote(planned):
     folder, _ = planned
     result = run("certify", folder / "plan.json", folder / "bay.yaml")
     assert (result.exit_code, result.stderr) == (0, "")
-    assert result.stdout.splitlines()[0].split() == ["verdict", "certified"]
+    lines = result.stdout.splitlines()
+    assert lines[0].split() == ["verdict", "certified"]
+    assert lines[-1].endswith("samples, none breaks a limit")
+
+
+def test_certify_says_that_a_file_holds_no_motion(planned):
+    folder, _ = planned
+    document = json.loads((folder / "plan.json").read_text())
+    del document["trajectory"]
+    pathlib.Path("path.json").write_text(json.dumps(document))
+    result = run("certify", "path.json", folder / "bay.yaml")
+    assert result.exit_code == 0
+    assert result.stdout.splitlines()[-1].split(maxsplit=1) == ["motion", "none in the file, the path alone is judged"]
 
 
 def test_certify_judges_a_path_that_optdock_did_not_make(planned):
@@ -266,11 +278,25 @@ def test_a_huge_image_header_ends_with_status_2():
         (["--time-budget", "nan"], "--time-budget: must be finite and > 0 s, got nan\n"),
         (["--spacing", "0"], "--spacing: must be finite and > 0 m, got 0.0\n"),
         (["--period", "-1"], "--period: must be finite and > 0 s, got -1.0\n"),
+        (["--plot", "p.xyz"], "p.xyz: must end in one of "),
+        (["--spacing", "1e-9"], "spacing: must be >= "),
+        (["--period", "1e-9"], "period: must be >= "),
     ],
 )
-def test_bad_options_end_with_status_2(options, message):
+def test_bad_options_end_with_status_2_and_no_file(options, message, tmp_path):
     result = run("plan", write(), *options)
-    assert (result.exit_code, result.stderr) == (2, message)
+    assert result.exit_code == 2
+    assert result.stderr.startswith(message)
+    assert result.stderr.count("\n") == 1
+    assert [path.name for path in tmp_path.iterdir()] == ["bay.yaml"]
+
+
+@pytest.mark.parametrize("option", ["--position-noise", "--yaw-noise"])
+@pytest.mark.parametrize("value", ["-1", "nan", "inf"])
+def test_impossible_noise_ends_with_status_2(option, value):
+    result = run("simulate", write(), option, value)
+    assert result.exit_code == 2
+    assert result.stderr.startswith(f"{option}: must be finite and >= 0 ")
 
 
 @pytest.mark.parametrize("arguments", [["fly"], ["plan", "--fast"], ["certify", "plan.json"], ["simulate"]])

@@ -49,6 +49,12 @@ def test_samples_of_a_certified_motion_refute_nothing(bend, first, second, perio
     assert motion_faults(motion_of(path, period), path, problem_of(path)) == []
 
 
+def test_samples_too_far_apart_are_called_so_and_nothing_else():
+    path = two_gears(0.5)
+    (fault,) = motion_faults(motion_of(path, 3.0), path, problem_of(path))
+    assert fault == "samples up to 3 s apart leave the motion between them open by 1.5 m; sample it finer"
+
+
 @pytest.mark.parametrize(
     ("limit", "value", "fault"),
     [

@@ -210,8 +210,8 @@ def test_a_wrong_value_is_named_with_line_key_and_rule(tmp_path, old, new, messa
         ("footprint: '[[0, 0], [1, 0]'", ".footprint: must look like [[x, y], [x, y], [x, y], ...], got "),
         ("footprint: 3", ".footprint: must be a list of points [x, y], a text like it, or {radius: r}, got 3"),
         ("radius: -0.3", ".radius: must be > 0 m, got -0.3"),
-        ("radius: 0.3, footprint: {radius: 0.3}", ": needs either footprint or radius"),
-        ("drive: differential", ": needs either footprint or radius"),
+        ("radius: 0.3, footprint: {radius: 0.3}", ": needs either footprint or radius, got both"),
+        ("drive: differential", ": needs either footprint or radius, got neither"),
     ],
 )
 def test_a_robot_without_a_proper_outline_is_refused(tmp_path, robot, message):
@@ -248,6 +248,8 @@ def test_a_misspelt_parameter_of_a_plugin_is_named_with_its_line(tmp_path):
         ("{", "bay.yaml:2: is not valid YAML"),
         ("", "bay.yaml: is empty"),
         ("- 1\n", "bay.yaml: must be a mapping with the key format: optdock-scenario/1"),
+        (MINIMAL + "1: 2\n", "bay.yaml:5: 1: a key must be text, got 1"),
+        (MINIMAL + "smoother: {plugin: }\n", "bay.yaml:5: smoother.plugin: must be text, got None"),
         (MINIMAL + "dock: {pose: [2, 0, 0]}\n", "bay.yaml:5: dock: stands here again; first in line 3"),
         ("\x00", "bay.yaml: is not valid YAML"),
     ],

@@ -124,7 +124,10 @@ BOMB = "a0: &a0 [x, x, x, x, x, x, x, x, x, x]\n" + "".join(
         ("a: [1, 2\n", ":2: is not valid YAML"),
         ("a: b: c", ":1: is not valid YAML"),
         ("a: *nope", ":1: is not valid YAML: found undefined alias"),
-        ("a: 1\n---\nb: 2", ":2: is not valid YAML"),
+        (
+            "a: 1\n---\nb: 2",
+            ":2: is not valid YAML: expected a single document in the stream, but found another document",
+        ),
         ("a: !!python/object/apply:os.getcwd []", ":1: is not valid YAML"),
         (b"a: \xff", "cannot be read as UTF-8 text"),
         (b"a: \x01", "control characters"),
