@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import TYPE_CHECKING
 
 from pydantic import Field
@@ -13,11 +14,9 @@ from optdock.errors import BehaviorException, ControllerException, InvalidValue,
 from optdock.interfaces import Behavior, BehaviorResult, Controller, CostmapInfoType
 from optdock.parameters import PluginParameters, parse_parameters
 from optdock.path import Path
-from optdock.plugins import create_plugin
+from optdock.plugins import create_plugin, load_plugin
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
-
     from optdock.behaviors.undock_plan import UndockPlan
     from optdock.geometry.pose import Pose2, Twist2
     from optdock.problem import DockingProblem
@@ -53,8 +52,8 @@ class Undock(Behavior):
     driven into the dock: it is certified among the obstacles of now and reversed.
 
     Codes: FAILED_TO_STAGE 903 when there is no certified way out, FAILED_TO_CONTROL 905 when it cannot be driven or
-    something new stands in the way, TIMEOUT 907, UNKNOWN 999 for a bad command, no problem, or a robot that is not
-    in the dock.
+    something new stands in the way, TIMEOUT 907, UNKNOWN 999 for a bad command, no problem, a controller that does not
+    exist, or a robot that is not in the dock.
 
     Args:
         **parameters: Fields of `UndockParameters`.
@@ -87,10 +86,15 @@ class Undock(Behavior):
             return failed(UNDOCK.unknown, str(error))
         p = self.parameters
         try:
-            self.plan = plan_undock(problem, path, staging_distance=p.staging_distance, time_budget=p.time_budget)
+            plan = plan_undock(problem, path, staging_distance=p.staging_distance, time_budget=p.time_budget)
         except OptdockError as error:
             return failed(UNDOCK.no_way, f"{type(error).__name__}: {error}")
-        self._drive = self._prepared(self.plan, Deadline(self.context.clock, parsed.time_allowance))
+        try:
+            self._drive = self._prepared(plan, Deadline(self.context.clock, parsed.time_allowance))
+        except OptdockError as error:
+            code = UNDOCK.control if isinstance(error, ControllerException) else UNDOCK.unknown
+            return failed(code, f"{type(error).__name__}: {error}")
+        self.plan = plan
         return SUCCEEDED
 
     def on_cycle_update(self, pose: Pose2, velocity: Twist2) -> tuple[BehaviorResult, Twist2]:
@@ -104,8 +108,10 @@ class Undock(Behavior):
         return self._drive.cycle(pose, velocity)
 
     def _prepared(self, plan: UndockPlan, deadline: Deadline) -> _Drive:
+        name = self.parameters.controller
+        takes_period = "period" in load_plugin(Controller, name).Parameters.model_fields
         controller = create_plugin(
-            Controller, self.parameters.controller, {"period": 1.0 / self.parameters.cycle_frequency}
+            Controller, name, {"period": 1.0 / self.parameters.cycle_frequency} if takes_period else {}
         )
         controller.configure(self.context)
         controller.set_path(plan.trajectory)
@@ -115,6 +121,8 @@ class Undock(Behavior):
 def _understood(
     command: Mapping[str, object], problem: DockingProblem | None
 ) -> tuple[UndockCommand, DockingProblem, Path | None]:
+    if not isinstance(command, Mapping):
+        raise InvalidValue(f"Undock: the command must be a mapping of names to values, got {command!r}")
     path = command.get("path")
     rest = {name: value for name, value in command.items() if name != "path"}
     parsed = parse_parameters(UndockCommand, rest, "Undock")

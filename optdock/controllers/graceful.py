@@ -9,8 +9,9 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 from pydantic import Field, model_validator
 
+from optdock.controllers._requests import checked_speed_limit, checked_task
 from optdock.controllers.graceful_law import GracefulLaw
-from optdock.errors import ControllerInvalidPath, InvalidValue, NoValidControl
+from optdock.errors import ControllerInvalidPath, NoValidControl
 from optdock.geometry.pose import Pose2, Twist2, normalize_angle
 from optdock.interfaces import Controller
 from optdock.parameters import PluginParameters
@@ -35,7 +36,9 @@ _CUSP_TOLERANCE: Final = 0.05  # [m]: where the next gear begins
 
 
 class GracefulControllerParameters(PluginParameters):
-    """Nav2's parameters and defaults; those about costmap cells and scaled footprints have no counterpart here."""
+    """Nav2's parameters and defaults, and `period`; those about costmap cells and scaled footprints are missing."""
+
+    period: float = Field(default=0.05, gt=0.0, description="time between two calls, for a stop when cancelled [s]")
 
     min_lookahead: float = Field(default=0.25, gt=0.0, description="nearest target [m]")
     max_lookahead: float = Field(default=1.0, gt=0.0, description="furthest target [m]")
@@ -64,6 +67,15 @@ class GracefulControllerParameters(PluginParameters):
             raise ValueError(
                 f"min_lookahead: must be <= max_lookahead = {self.max_lookahead} m, got {self.min_lookahead}"
             )
+        if self.v_linear_min > self.v_linear_max:
+            raise ValueError(
+                f"v_linear_min: must be <= v_linear_max = {self.v_linear_max} m/s, got {self.v_linear_min}"
+            )
+        if self.v_angular_min_in_place > self.v_angular_max:
+            raise ValueError(
+                f"v_angular_min_in_place: must be <= v_angular_max = {self.v_angular_max} rad/s, got "
+                f"{self.v_angular_min_in_place}"
+            )
         if self.allow_backward and self.initial_rotation:
             raise ValueError("allow_backward: needs initial_rotation: false")
         return self
@@ -75,13 +87,14 @@ class GracefulController(Controller):
     As in Nav2: turn towards the path first, follow with the smooth law, turn to the final heading at the goal. Paths
     are followed one gear at a time; a reverse gear needs `allow_backward`. The rollout moves the footprint through
     the configured problem's obstacles continuously; without a configured problem nothing is checked. Commands step
-    from rest to speed, as Nav2's do: neither curvature nor acceleration is limited.
+    from rest to speed, as Nav2's do: neither curvature nor acceleration is limited. A cancelled task, which Nav2's
+    drops at full speed, is braked on its arc by `deceleration_max`; a turn in place just ends.
 
     Args:
         **parameters: Fields of `GracefulControllerParameters`; `lambda` is passed as `**{"lambda": 2.0}`.
 
     Raises:
-        InvalidValue: A parameter is unknown or out of range, min_lookahead exceeds max_lookahead, or allow_backward
+        InvalidValue: A parameter is unknown or out of range, a smallest value exceeds its largest, or allow_backward
             is asked for together with initial_rotation, which would turn the robot round.
     """
 
@@ -92,14 +105,17 @@ class GracefulController(Controller):
         super().__init__(**parameters)
         self._speed_share = 1.0
         self._legs: list[tuple[Direction, list[Pose2]]] = []
-        self._turned = self._arrived = False
+        self._turned = self._arrived = self._cancelled = False
+        self._last = Twist2()
 
     def set_path(self, path: Path | Trajectory) -> None:
         """Follow a path; the time law of a trajectory is ignored.
 
         Raises:
-            ControllerInvalidPath: The path has a reverse gear and allow_backward is off.
+            ControllerInvalidPath: It is neither a path nor a trajectory, or it has a reverse gear and allow_backward is
+                off.
         """
+        path = checked_task(path, "GracefulController")
         path = path.path if isinstance(path, Trajectory) else path
         legs = [
             (segment.direction, [Pose2.from_sequence(row) for row in Path((segment,)).sample(_SPACING).poses])
@@ -108,7 +124,7 @@ class GracefulController(Controller):
         if not self.parameters.allow_backward and any(gear is Direction.REVERSE for gear, _ in legs):
             raise ControllerInvalidPath("GracefulController: the path has a reverse gear; set allow_backward")
         self._legs = legs
-        self._arrived = False
+        self._arrived = self._cancelled = False
         self._turned = not self.parameters.initial_rotation
 
     def compute_velocity_commands(self, pose: Pose2, velocity: Twist2, goal_checker: GoalChecker | None) -> Twist2:  # noqa: ARG002 - part of the interface
@@ -120,20 +136,8 @@ class GracefulController(Controller):
         """
         if not self._legs:
             raise ControllerInvalidPath("GracefulController: has no path; call set_path first")
-        self._drop_driven(pose)
-        gear, leg = self._legs[0]
-        tolerance = goal_checker.tolerances.x if goal_checker else None
-        last_leg = len(self._legs) == 1
-        if last_leg and leg[-1].distance_to(pose) < (tolerance or _DEFAULT_XY_TOLERANCE):
-            self._arrived = True
-        if self._arrived:
-            return self._turn(normalize_angle(leg[-1].yaw - pose.yaw))
-        if not self._turned:
-            angle = _bearing(self._nearest_target(pose, leg), pose)
-            self._turned = abs(angle) < self.parameters.initial_rotation_tolerance
-            if not self._turned:
-                return self._turn(angle)
-        return self._towards(pose, gear, leg)
+        self._last = self._braked() if self._cancelled else self._followed(pose, goal_checker)
+        return self._last
 
     def set_speed_limit(self, limit: float, *, percentage: bool) -> None:
         """Scale both speeds, to `limit` percent or to `limit` m/s; never below v_linear_min; 0 removes the limit.
@@ -141,15 +145,21 @@ class GracefulController(Controller):
         Raises:
             InvalidValue: The limit is negative or not finite.
         """
-        if not (math.isfinite(limit) and limit >= 0.0):
-            raise InvalidValue(f"GracefulController: the speed limit must be finite and >= 0, got {limit}")
+        limit = checked_speed_limit(limit, "GracefulController")
         top = self.parameters.v_linear_max
         share = (limit / 100.0 if percentage else limit / top) if limit > 0.0 else 1.0
         self._speed_share = min(1.0, share)
 
+    def cancel(self) -> bool:
+        """Brake; True once the commands are zero."""
+        self._cancelled = True
+        return not self._legs or self._last == Twist2()
+
     def reset(self) -> None:
         """Forget the path."""
         self._legs = []
+        self._cancelled = False
+        self._last = Twist2()
 
     @property
     def law(self) -> GracefulLaw:
@@ -166,6 +176,29 @@ class GracefulController(Controller):
             max(p.v_linear_min, share * p.v_linear_max),
             share * p.v_angular_max,
         )
+
+    def _followed(self, pose: Pose2, goal_checker: GoalChecker | None) -> Twist2:
+        """The command that follows the path."""
+        self._drop_driven(pose)
+        gear, leg = self._legs[0]
+        tolerance = goal_checker.tolerances.x if goal_checker else None
+        last_leg = len(self._legs) == 1
+        if last_leg and leg[-1].distance_to(pose) < (tolerance or _DEFAULT_XY_TOLERANCE):
+            self._arrived = True
+        if self._arrived:
+            return self._turn(normalize_angle(leg[-1].yaw - pose.yaw))
+        if not self._turned:
+            angle = _bearing(self._nearest_target(pose, leg), pose)
+            self._turned = abs(angle) < self.parameters.initial_rotation_tolerance
+            if not self._turned:
+                return self._turn(angle)
+        return self._towards(pose, gear, leg)
+
+    def _braked(self) -> Twist2:
+        """The last command slowed down by one period, its curvature kept."""
+        p, speed = self.parameters, abs(self._last.linear)
+        share = max(0.0, 1.0 - p.deceleration_max * p.period / speed) if speed > 0.0 else 0.0
+        return Twist2(share * self._last.linear, share * self._last.angular)
 
     def _drop_driven(self, pose: Pose2) -> None:
         """Forget the poses behind the robot, and a leg whose cusp is reached."""

@@ -12,7 +12,8 @@ from optdock.controllers._delay import DelayEstimate
 from optdock.controllers._law import Gains, tracking_command
 from optdock.controllers._limiter import rate_limited
 from optdock.controllers._reference import Look, Reference
-from optdock.errors import ControllerInvalidPath, InvalidValue, NoValidControl
+from optdock.controllers._requests import checked_speed_limit, checked_task
+from optdock.errors import ControllerInvalidPath, NoValidControl
 from optdock.geometry.pose import Pose2, Twist2
 from optdock.interfaces import Controller, TimeParameterizer
 from optdock.limits import MotionLimits, SpeedZone
@@ -101,9 +102,11 @@ class TrackingController(Controller):
         A path is timed from the speed of the last command, so that a new path in motion is taken up without a stop.
 
         Raises:
-            ControllerInvalidPath: The path cannot be timed under the robot's limits.
+            ControllerInvalidPath: It is neither a path nor a trajectory, or the path cannot be timed under the robot's
+                limits.
             PluginError: The time parameterizer does not exist.
         """
+        path = checked_task(path, "TrackingController")
         trajectory = path if isinstance(path, Trajectory) else self._timed(path)
         self._reference = Reference(trajectory)
         self._anchored = self._cancelled = False
@@ -141,8 +144,7 @@ class TrackingController(Controller):
         Raises:
             InvalidValue: The limit is negative or not finite.
         """
-        if not (math.isfinite(limit) and limit >= 0.0):
-            raise InvalidValue(f"TrackingController: the speed limit must be finite and >= 0, got {limit}")
+        limit = checked_speed_limit(limit, "TrackingController")
         self._speed_limit = (limit, percentage) if limit > 0.0 else None
 
     def cancel(self) -> bool:

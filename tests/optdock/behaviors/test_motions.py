@@ -226,3 +226,11 @@ def test_a_costmap_and_a_footprint_are_enough():
     assert (result.error_code, result.error_msg[:21]) == (723, "collision ahead: map ")
     assert behavior.on_run({"target": 0.2, "speed": 0.2}).status is SUCCEEDED
     assert behavior.on_cycle_update(Pose2(0.1, 0.0, 0.0), Twist2())[0].status is RUNNING
+
+
+@pytest.mark.parametrize("command", [None, 3, "target", [("target", 1.0)], {3: 1.0}, {"self": 1}, {"target": "1.0"}])
+@pytest.mark.parametrize(("kind", "code"), [(Wait, 740), (BackUp, 713), (DriveOnHeading, 724), (Spin, 700)])
+def test_anything_but_a_command_is_invalid_input(kind, code, command):
+    result = World().run(kind(), command)
+    assert (result.status, result.error_code) == (FAILED, code)
+    assert kind.__name__.lower() in result.error_msg.lower() or "test" in result.error_msg

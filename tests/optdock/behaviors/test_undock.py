@@ -182,3 +182,31 @@ def test_without_a_problem_it_cannot_know_the_dock():
     assert undock.on_run({}).error_code == 999
     with pytest.raises(BehaviorException, match="on_run must succeed"):
         undock.on_cycle_update(GOAL, Twist2())
+
+
+def test_a_controller_that_cannot_drive_the_way_out_is_code_905():
+    behavior = Undock(controller="GracefulController")  # follows no reverse gear unless told
+    result = World(problem()).run(behavior)
+    assert (result.status, result.error_code) == (FAILED, 905)
+    assert "the path has a reverse gear; set allow_backward" in result.error_msg
+    assert behavior.plan is None
+
+
+def test_another_controller_may_drive_the_way_out():
+    case = problem(direction=DockDirection.BACKWARD)
+    case = dataclasses.replace(case, dock=dataclasses.replace(case.dock, footprint=None))
+    world = World(case)
+    behavior = Undock(controller="GracefulController", undock_linear_tolerance=0.3, undock_angular_tolerance=0.5)
+    world.run(behavior, {"time_allowance": 10.0})  # the law never rests at a heading of its own: it may time out
+    assert behavior.plan is not None
+    assert world.state.pose.distance_to(GOAL) > 0.3
+
+
+def test_a_controller_that_does_not_exist_is_code_999_and_leaves_nothing_behind():
+    behavior = Undock(controller="TrackingControler")
+    result = World(problem()).run(behavior)
+    assert (result.status, result.error_code) == (FAILED, 999)
+    assert "did you mean TrackingController" in result.error_msg
+    assert behavior.plan is None
+    with pytest.raises(BehaviorException):
+        behavior.on_cycle_update(GOAL, Twist2())

@@ -2,6 +2,7 @@
 
 import math
 
+import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -156,6 +157,53 @@ def test_a_speed_limit_scales_both_speeds_down_to_v_linear_min():
     assert (controller.law.v_linear_max, controller.law.v_angular_max) == (0.5, 1.0)
 
 
+@pytest.mark.parametrize("period", [0.02, 0.1])
+def test_cancelling_brakes_on_the_arc_and_says_when_it_has_stopped(period):
+    controller = GracefulController(period=period, deceleration_max=0.5)
+    controller.set_path(s_curve_drive(ORIGIN))
+    moving = [controller.compute_velocity_commands(Pose2(0.4, 0.1, -0.1), Twist2(), None)]
+    assert moving[0].linear > 0.1
+    assert not controller.cancel()
+    while not controller.cancel():
+        moving.append(controller.compute_velocity_commands(Pose2(0.4, 0.1, -0.1), moving[-1], None))
+    drops = -np.diff([twist.linear for twist in moving])
+    assert drops[:-1] == pytest.approx(0.5 * period)
+    assert 0.0 < drops[-1] <= 0.5 * period + 1e-12
+    curvature = moving[0].angular / moving[0].linear
+    assert [twist.angular for twist in moving] == pytest.approx([curvature * twist.linear for twist in moving])
+    controller.set_path(s_curve_drive(ORIGIN))
+    assert controller.compute_velocity_commands(Pose2(0.4, 0.1, -0.1), Twist2(), None) == moving[0]
+
+
+def test_cancelling_without_a_path_or_before_the_first_command_is_at_rest_at_once():
+    assert GracefulController().cancel()
+    assert ready().cancel()
+    turning = ready()
+    assert turning.compute_velocity_commands(Pose2(0.0, 0.0, -1.5), Twist2(), None) == Twist2(0.0, 0.75)
+    assert not turning.cancel()
+    assert turning.compute_velocity_commands(Pose2(0.0, 0.0, -1.5), Twist2(), None) == Twist2()
+    assert turning.cancel()
+    turning.reset()
+    assert turning.cancel()
+
+
+@pytest.mark.parametrize("name", ["GracefulController", "TrackingController"])
+@pytest.mark.parametrize("bad", [None, [ORIGIN], "path", 3])
+def test_what_is_no_path_is_refused_and_the_old_one_stays(name, bad):
+    controller = create_plugin(Controller, name)
+    controller.set_path(straight_drive(ORIGIN))
+    with pytest.raises(ControllerInvalidPath, match=f"{name}: can follow a Path or a Trajectory, got"):
+        controller.set_path(bad)
+    assert controller.compute_velocity_commands(ORIGIN, Twist2(), None).linear >= 0.0
+
+
+@pytest.mark.parametrize("name", ["GracefulController", "TrackingController"])
+@pytest.mark.parametrize("bad", ["1", None, True, -0.1, math.nan, math.inf])
+def test_a_speed_limit_is_a_number(name, bad):
+    with pytest.raises(InvalidValue, match=f"{name}: the speed limit must be finite and >= 0, got"):
+        create_plugin(Controller, name).set_speed_limit(bad, percentage=False)
+
+
 def test_parameters_carry_nav2s_names_and_rules():
     assert GracefulController(**{"lambda": 3.0}).law.lambda_ == 3.0
     controller = GracefulController()
@@ -167,6 +215,10 @@ def test_parameters_carry_nav2s_names_and_rules():
         controller.set_parameters(max_lookahead=0.1)
     with pytest.raises(InvalidValue, match="min_lookahead: must be <= max_lookahead = 1.0 m, got 2.0"):
         GracefulController(min_lookahead=2.0)
+    with pytest.raises(InvalidValue, match="v_linear_min: must be <= v_linear_max = 0.5 m/s, got 0.6"):
+        controller.set_parameters(v_linear_min=0.6)
+    with pytest.raises(InvalidValue, match="v_angular_min_in_place: must be <= v_angular_max = 0.2 rad/s, got 0.25"):
+        GracefulController(v_angular_max=0.2)
     with pytest.raises(InvalidValue, match="needs initial_rotation: false"):
         GracefulController(allow_backward=True)
 

@@ -1,0 +1,33 @@
+"""What every controller checks of its callers."""
+
+from __future__ import annotations
+
+import math
+
+from optdock.errors import ControllerInvalidPath, InvalidValue
+from optdock.path import Path
+from optdock.trajectory import Trajectory
+
+__all__ = ["checked_speed_limit", "checked_task"]
+
+
+def checked_speed_limit(limit: float, owner: str) -> float:
+    """`limit`, in percent or m/s.
+
+    Raises:
+        InvalidValue: It is not a finite number >= 0.
+    """
+    if isinstance(limit, bool) or not isinstance(limit, int | float) or not (math.isfinite(limit) and limit >= 0.0):
+        raise InvalidValue(f"{owner}: the speed limit must be finite and >= 0, got {limit!r}")
+    return float(limit)
+
+
+def checked_task(task: Path | Trajectory, owner: str) -> Path | Trajectory:
+    """`task`, what a controller is to follow.
+
+    Raises:
+        ControllerInvalidPath: It is neither a path nor a trajectory.
+    """
+    if not isinstance(task, Path | Trajectory):
+        raise ControllerInvalidPath(f"{owner}: can follow a Path or a Trajectory, got {type(task).__name__}")
+    return task
