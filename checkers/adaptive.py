@@ -74,12 +74,15 @@ class AdaptiveToleranceGoalChecker(GoalChecker):
     def is_goal_reached(self, query_pose: Pose2, goal_pose: Pose2, velocity: Twist2, path: Sequence[Pose2]) -> bool:
         """Whether position and heading are accepted; a remaining path that is too long is not judged."""
         p = self.parameters
-        if longer_than(path, p.path_length_tolerance):
-            return False
-        dx, dy = query_pose.x - goal_pose.x, query_pose.y - goal_pose.y
-        if not self._position_accepted(dx, dy, velocity):
+        if not self.is_goal_xy_reached(query_pose, goal_pose, velocity, path):
             return False
         return yaw_error(query_pose, goal_pose, symmetric=p.symmetric_yaw_tolerance) <= p.yaw_goal_tolerance
+
+    def is_goal_xy_reached(self, query_pose: Pose2, goal_pose: Pose2, velocity: Twist2, path: Sequence[Pose2]) -> bool:
+        """Whether the position is accepted; as in Nav2, the call counts as one of the cycles."""
+        if longer_than(path, self.parameters.path_length_tolerance):
+            return False
+        return self._position_accepted(query_pose.x - goal_pose.x, query_pose.y - goal_pose.y, velocity)
 
     @property
     def tolerances(self) -> Tolerances:

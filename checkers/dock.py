@@ -62,13 +62,28 @@ class DockGoalChecker(GoalChecker):
     def is_goal_reached(self, query_pose: Pose2, goal_pose: Pose2, velocity: Twist2, path: Sequence[Pose2]) -> bool:
         """Whether the robot is docked; a remaining path that is too long is not judged."""
         p = self.parameters
-        if self._reached and p.stateful:
+        in_position = self.is_goal_xy_reached(query_pose, goal_pose, velocity, path)
+        at_rest = not p.stopped or is_stopped(velocity, p.trans_stopped_velocity, p.rot_stopped_velocity)
+        aligned = yaw_error(query_pose, goal_pose) <= p.yaw_goal_tolerance
+        self._reached = self._is_latched or (in_position and at_rest and aligned)
+        return self._reached
+
+    def is_goal_xy_reached(
+        self,
+        query_pose: Pose2,
+        goal_pose: Pose2,
+        velocity: Twist2,  # noqa: ARG002 - part of the interface
+        path: Sequence[Pose2],
+    ) -> bool:
+        """Whether the errors along and across are accepted, or the robot was docked before; nothing is latched."""
+        p = self.parameters
+        if self._is_latched:
             return True
         if longer_than(path, p.path_length_tolerance):
             return False
-        at_rest = not p.stopped or is_stopped(velocity, p.trans_stopped_velocity, p.rot_stopped_velocity)
-        self._reached = at_rest and self._in_place(query_pose, goal_pose)
-        return self._reached
+        dx, dy = query_pose.x - goal_pose.x, query_pose.y - goal_pose.y
+        c, s = math.cos(goal_pose.yaw), math.sin(goal_pose.yaw)
+        return abs(c * dx + s * dy) <= p.along_tolerance and abs(c * dy - s * dx) <= p.cross_tolerance
 
     @property
     def tolerances(self) -> Tolerances:
@@ -87,9 +102,6 @@ class DockGoalChecker(GoalChecker):
         """A new attempt begins: forget the verdict."""
         self._reached = False
 
-    def _in_place(self, query_pose: Pose2, goal_pose: Pose2) -> bool:
-        p = self.parameters
-        dx, dy = query_pose.x - goal_pose.x, query_pose.y - goal_pose.y
-        c, s = math.cos(goal_pose.yaw), math.sin(goal_pose.yaw)
-        near = abs(c * dx + s * dy) <= p.along_tolerance and abs(c * dy - s * dx) <= p.cross_tolerance
-        return near and yaw_error(query_pose, goal_pose) <= p.yaw_goal_tolerance
+    @property
+    def _is_latched(self) -> bool:
+        return self._reached and self.parameters.stateful

@@ -33,7 +33,11 @@ class PositionGoalChecker(GoalChecker):
         super().__init__(**parameters)
         self._latch = PositionLatch()
 
-    def is_goal_reached(
+    def is_goal_reached(self, query_pose: Pose2, goal_pose: Pose2, velocity: Twist2, path: Sequence[Pose2]) -> bool:
+        """Whether the robot's position is accepted; a remaining path that is too long is not judged."""
+        return self.is_goal_xy_reached(query_pose, goal_pose, velocity, path)
+
+    def is_goal_xy_reached(
         self,
         query_pose: Pose2,
         goal_pose: Pose2,

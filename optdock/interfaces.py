@@ -231,6 +231,13 @@ class GoalChecker(Plugin):
             path: The remaining path, any sequence of poses, possibly empty.
         """
 
+    def is_goal_xy_reached(self, query_pose: Pose2, goal_pose: Pose2, velocity: Twist2, path: Sequence[Pose2]) -> bool:
+        """Whether the position alone is accepted, a latched one included; by default the whole verdict.
+
+        A checker that asks for more than the position overrides it; the default errs towards False.
+        """
+        return self.is_goal_reached(query_pose, goal_pose, velocity, path)
+
     @property
     @abstractmethod
     def tolerances(self) -> Tolerances:

@@ -108,6 +108,16 @@ class GoalCheckerContract(PluginContract[GoalChecker]):
         require(far is False, "after a reset an earlier arrival counts for nothing")
         require(self.exercise(checker) == verdicts, "after a reset it answers as a new one")
 
+    def test_who_has_arrived_is_in_position(self) -> None:
+        """`is_goal_xy_reached`: the position alone: a bool, and True right after an arrival with the same arguments."""
+        checker = self.ready_plugin()
+        for query in self.queries():
+            checker.reset()
+            reached = checker.is_goal_reached(*query)
+            in_position = checker.is_goal_xy_reached(*query)
+            require(isinstance(in_position, bool), f"the verdict is a bool, got {type(in_position).__name__}")
+            require(in_position or not reached, f"arrived, so in position, at {query[0]}")
+
     def test_arrival_does_not_depend_on_where_the_world_begins(self) -> None:
         """`is_goal_reached`: poses in the same frame, whichever: moving all of them changes no verdict."""
         for motion in (_MOTION, Pose2(0.0, 0.0, 2.0 * math.pi)):

@@ -128,3 +128,10 @@ def test_zero_cycles_and_negative_tolerances_are_refused():
 
 def test_tolerances_report_the_coarse_radius():
     assert adaptive().tolerances == (0.25, 0.25, 0.25, 0.1, 0.1, 1.0)
+
+
+def test_the_position_alone_counts_as_a_cycle_and_latches():
+    checker, turned = adaptive(), Pose2(-0.25, 0.0, 2.0)
+    assert [checker.is_goal_xy_reached(turned, GOAL, REST, []) for _ in range(4)] == [False, False, False, True]
+    assert not checker.is_goal_reached(turned, GOAL, REST, [])
+    assert checker.is_goal_reached(Pose2(9.0, 0.0, 0.0), GOAL, REST, [])

@@ -250,3 +250,9 @@ def test_one_negative_value_rejects_the_whole_change():
 def test_it_is_found_under_nav2s_name():
     checker = create_plugin(GoalChecker, "nav2_controller::AxisGoalChecker", {"along_path_tolerance": 0.2})
     assert isinstance(checker, AxisGoalChecker)
+
+
+@given(poses, st.booleans())
+def test_its_verdict_is_the_position_alone(robot, overshoot):
+    checker = AxisGoalChecker(is_overshoot_valid=overshoot)
+    assert checker.is_goal_xy_reached(robot, ORIGIN, REST, AHEAD) is reached(checker, robot)

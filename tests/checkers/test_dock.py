@@ -77,3 +77,22 @@ def test_defaults_are_those_of_the_dock():
 def test_negative_tolerances_are_refused():
     with pytest.raises(InvalidValue, match="cross_tolerance"):
         DockGoalChecker(cross_tolerance=-0.01)
+
+
+def test_the_position_alone_is_no_arrival():
+    goal, moving = Pose2(1.0, 2.0, 0.5), Twist2(0.3)
+    checker = DockGoalChecker()
+    assert checker.is_goal_xy_reached(goal @ Pose2(0.02 - 1e-9, 0.0, 1.0), goal, moving, [])
+    assert not checker.is_goal_xy_reached(goal @ Pose2(0.0, 0.021, 0.0), goal, REST, [])
+    assert not checker.is_goal_xy_reached(goal, goal, REST, [Pose2(-9.0, 0.0, 0.0), goal])
+    assert not reached(checker, goal, goal, moving)
+    assert reached(checker, goal, goal)
+    assert checker.is_goal_xy_reached(goal @ Pose2(0.5, 0.0, 0.0), goal, moving, [])
+
+
+def test_a_verdict_of_a_stateless_time_is_not_latched_later():
+    goal, away = Pose2(0.0, 0.0, 0.0), Pose2(1.0, 0.0, 0.0)
+    checker = DockGoalChecker(stateful=False)
+    assert [reached(checker, pose, goal) for pose in (goal, away)] == [True, False]
+    checker.set_parameters(stateful=True)
+    assert not reached(checker, away, goal)

@@ -72,6 +72,17 @@ class TestEveryRadiusChecker:
         assert reached(checker, at(0.25))
         assert reached(checker, at(0.4))
 
+    def test_the_position_alone_honours_and_sets_the_latch(self, kind):
+        checker = kind()
+        turned, fast = at(0.25, yaw=2.0), Twist2(1.0, 1.0)
+        assert not checker.is_goal_xy_reached(at(0.25 + EPSILON), GOAL, fast, [])
+        assert not checker.is_goal_xy_reached(turned, GOAL, fast, [at(-5.0), GOAL])
+        assert checker.is_goal_xy_reached(turned, GOAL, fast, [])
+        assert checker.is_goal_xy_reached(at(9.0), GOAL, fast, [])
+        assert reached(checker, at(9.0))
+        checker.reset()
+        assert not checker.is_goal_xy_reached(at(9.0), GOAL, fast, [])
+
     def test_negative_or_unknown_parameters_are_refused(self, kind):
         for name in ("xy_goal_tolerance", "path_length_tolerance", "xy_goal_tolerance_buffer"):
             with pytest.raises(InvalidValue, match=name):

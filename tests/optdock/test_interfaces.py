@@ -4,6 +4,7 @@ The tables follow Nav2's headers (nav2_core, nav2_costmap_2d::Layer, TimedBehavi
 """
 
 import inspect
+import re
 from enum import IntEnum
 
 import pytest
@@ -69,6 +70,13 @@ METHODS = [
         True,
         ["query_pose", "goal_pose", "velocity", "path"],
     ),
+    (
+        GoalChecker,
+        "isGoalXYReached",
+        "is_goal_xy_reached",
+        False,
+        ["query_pose", "goal_pose", "velocity", "path"],
+    ),
     (GoalChecker, "getTolerances", "tolerances", True, None),
 ]
 # Of ours alone: Nav2 has no time parameterizer.
@@ -88,7 +96,7 @@ def test_every_method_of_nav2_has_its_place(interface, theirs, ours, abstract, p
 
 
 def snake_case(name):
-    return "".join(f"_{c.lower()}" if c.isupper() else c for c in name)
+    return re.sub(r"([A-Z]+)(?=[A-Z][a-z]|$)|([A-Z])", lambda found: f"_{found[0].lower()}", name)
 
 
 @pytest.mark.parametrize("interface", INTERFACES.values())

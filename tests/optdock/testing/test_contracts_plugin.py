@@ -80,6 +80,7 @@ def test_every_gate_of_goal_checkers_can_fail(every_gate):
         "test_tolerances_are_numbers_or_none": type("Broken", (Near,), {"tolerances": Tolerances(x=math.nan, y=0.1)}),
         "test_verdicts_are_booleans_and_inputs_stay": checker(emptying),
         "test_reset_forgets_every_latch": type("Broken", (Near,), {"reset": lambda self: None}),
+        "test_who_has_arrived_is_in_position": type("Broken", (Near,), {"is_goal_xy_reached": lambda *_: False}),
         "test_arrival_does_not_depend_on_where_the_world_begins": checker(in_world_axes),
     }
     every_gate(GoalCheckerContract, Near, broken)
