@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import bisect
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -20,7 +21,7 @@ _MIN_CELLS = 8
 _CRUISE_PACE = 0.5  # knots per knot elsewhere, where the profile stays level
 _CRUISE_LEVEL = 0.96  # least over largest v^2 of a level stretch
 _CRUISE_YAW = 0.6  # of the yaw acceleration: more needs the knots
-_CRUISE_SAMPLE, _CRUISE_REACH = 0.04, 12  # [s] and samples to either side that must be level too
+_CRUISE_SAMPLE, _CRUISE_REACH = 0.06, 8  # [s] and samples to either side that must be level too
 _SLOWEST = 1e-4  # [m/s]: pseudo time counts no speed below this
 
 
@@ -114,12 +115,13 @@ def _breaks(bounds: Bounds, profile: Profile, ends: tuple[State, State], jumps: 
     found = jumps[(course.s[jumps] > first.s) & (course.s[jumps] < last.s)]
     if found.size * gap > _CROWDED * (profile.time[-1] - profile.time[0]):
         found = found[:0]
-    taken = np.interp(fixed, course.s, profile.time).tolist()
+    taken = np.sort(np.interp(fixed, course.s, profile.time)).tolist()
     size = _jump_sizes(bounds, profile, found)
     for i in found[np.argsort(-size, kind="stable")].tolist():
         time = float(profile.time[i])
-        if min([abs(time - other) for other in taken]) > gap:
-            taken.append(time)
+        place = min(max(bisect.bisect(taken, time), 1), len(taken) - 1)  # both ends are taken
+        if taken[place] - time > gap and time - taken[place - 1] > gap:
+            taken.insert(place, time)
             fixed.append(float(course.s[i]))
     if first.a < 0.0:  # the coefficient v^2 + a h of the first cell must stay positive
         nearest = first.s - 0.4 * first.v * first.v / first.a
