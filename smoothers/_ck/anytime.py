@@ -173,6 +173,7 @@ class Runner:
         if candidate is None:
             return None
         if not self.budget.fits(self._certify - (_GRACE if self.outcome.incumbent is None else 0.0)):
+            self.outcome.converged = False
             return None
         began = self.budget.elapsed
         path, _ = exact_path(task, candidate.variables, self.problem.dock.final_straight)

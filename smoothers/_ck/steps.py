@@ -28,6 +28,7 @@ ZONES = 6
 _TRUST_NODES = 12
 _USUAL_SHAPES: tuple[Shape, ...] = (((24, 2),), ((24, 3),), ((24, 4),), ((12, 3), (12, 3)), ((8, 3), (8, 3), (8, 3)))
 _BUCKETS = (48, 96, 160, 256, 400)
+_FEWEST_PLANES = 80  # pairs that get rows, where there are more: those with the smallest margins
 _BUFFER_TAPER = 0.1  # [m]: less near the fixed ends
 _DEEP = 0.06  # of the body's width: overlap from which planes no longer tell the side
 _VERY_DEEP = 0.18
@@ -108,7 +109,7 @@ def _clearance_rows(task: Task, rollout: Rollout, found: Clearance, by: Sensitiv
     if worst >= -_DEEP * width:
         deep = np.zeros(found.margin.size, dtype=bool)
     planes = np.flatnonzero(~deep)
-    limit = _BUCKETS[-1] // 3
+    limit = min(_BUCKETS[-1] // 3, max(_FEWEST_PLANES, layout.num_intervals))
     if planes.size > limit:
         planes = planes[np.argpartition(found.margin[planes], limit)[:limit]]
     rows = witness_rows(layout, rollout, by, found, planes)

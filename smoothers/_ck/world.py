@@ -78,7 +78,7 @@ class World:
     start: FloatArray
     goal: FloatArray
     start_clearance: float
-    per_interval: int = 4
+    per_interval: int = 2
     outline: Points = field(init=False, repr=False)
     edge_normals: Points = field(init=False, repr=False)
     box_middle: Points = field(init=False, repr=False)
