@@ -87,7 +87,7 @@ def _fault(model: type[PluginParameters], owner: str, item: Mapping[str, object]
     name = ".".join(str(part) for part in path) if isinstance(path, tuple) else str(path)
     if item["type"] == "extra_forbidden":
         known = (spec.alias or field for field, spec in model.model_fields.items())
-        return f"{owner}.{name}: unknown parameter{closest(name, known)}"
+        return f"{owner}.{name}: unknown parameter{closest(name.rsplit('.', 1)[-1], known)}"
     where = f"{owner}.{name}" if name else owner
     reason = str(item["msg"]).removeprefix("Value error, ")
     return f"{where}: {reason} (got {item['input']!r})"

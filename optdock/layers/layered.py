@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
+import time
 from typing import TYPE_CHECKING
 
 from pydantic import Field
@@ -11,18 +12,19 @@ from pydantic import Field
 from optdock.costmap.costmap import Costmap
 from optdock.costmap.costs import FREE_SPACE, NO_INFORMATION
 from optdock.errors import InvalidValue, PluginError
+from optdock.interfaces import Layer
 from optdock.layers.rolling import moved_grid
 from optdock.layers.window import EVERYWHERE, NOWHERE, joined, window_of
 from optdock.lifecycle import LifecycleState, PluginContext
 from optdock.parameters import PluginParameters, parse_parameters
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Callable, Mapping
 
     from optdock.costmap.occupancy import OccupancyGrid
     from optdock.geometry.footprint import Footprint
     from optdock.geometry.pose import Pose2
-    from optdock.interfaces import Bounds, Layer
+    from optdock.interfaces import Bounds
 
 __all__ = ["LayeredCostmap", "LayeredCostmapParameters"]
 
@@ -51,15 +53,23 @@ class LayeredCostmap:
     Args:
         layers: Name and layer, from the bottom up; each is configured with its name and activated.
         footprint: The robot's outline, for the layers.
+        clock: Monotonic seconds, for the layers.
         **parameters: Fields of `LayeredCostmapParameters`.
 
     Raises:
         InvalidValue: A parameter is unknown, of the wrong type or out of range, the grid has more than 2^27 cells, a
-            layer stands in `layers` twice, or refuses its surroundings.
+            layer stands in `layers` twice, is none, or refuses its surroundings.
         LifecycleError: A layer is in use already.
     """
 
-    def __init__(self, layers: Mapping[str, Layer], footprint: Footprint | None = None, **parameters: object) -> None:
+    def __init__(
+        self,
+        layers: Mapping[str, Layer],
+        footprint: Footprint | None = None,
+        *,
+        clock: Callable[[], float] = time.monotonic,
+        **parameters: object,
+    ) -> None:
         self.parameters = parse_parameters(LayeredCostmapParameters, parameters, "costmap")
         self._master = _empty_master(self.parameters)
         self._anchor = self._master.origin
@@ -67,7 +77,7 @@ class LayeredCostmap:
         self._is_whole_stale = True
         self._enabled: tuple[str, ...] = ()
         self._snapshot = self._master.frozen()
-        _start(self._layers, footprint)
+        _start(self._layers, footprint, clock)
 
     @classmethod
     def of_map(
@@ -211,14 +221,17 @@ def _empty_master(parameters: LayeredCostmapParameters) -> Costmap:
     return Costmap.writable((rows, columns), parameters.resolution, (parameters.origin_x, parameters.origin_y), fill)
 
 
-def _start(layers: Mapping[str, Layer], footprint: Footprint | None) -> None:
+def _start(layers: Mapping[str, Layer], footprint: Footprint | None, clock: Callable[[], float]) -> None:
     """Configure and activate all layers, or none."""
+    for name, layer in layers.items():
+        if not isinstance(layer, Layer):
+            raise InvalidValue(f"costmap.layers.{name}: must be a Layer, got {layer!r}")
     if len({id(layer) for layer in layers.values()}) != len(layers):
         raise InvalidValue(f"costmap.layers: one layer stands there twice among {', '.join(layers)}")
     started: list[Layer] = []
     try:
         for name, layer in layers.items():
-            layer.configure(PluginContext(name=name, footprint=footprint))
+            layer.configure(PluginContext(name=name, footprint=footprint, clock=clock))
             started.append(layer)
             layer.activate()
     except BaseException:

@@ -208,6 +208,28 @@ controller_server:
     }
 
 
+def test_a_layer_with_several_sources_is_built(tmp_path):
+    found = plugins_of(
+        tmp_path,
+        """
+local_costmap:
+  local_costmap:
+    ros__parameters:
+      plugins: [obstacles]
+      obstacles:
+        plugin: "nav2_costmap_2d::ObstacleLayer"
+        observation_sources: scan depth
+        scan: {topic: /scan, clearing: true}
+        depth: {topic: /depth, marking: false, colour: red}
+""",
+    )["obstacles"]
+    assert {name: rules.marking for name, rules in found.plugin.parameters.sources.items()} == {
+        "scan": True,
+        "depth": False,
+    }
+    assert found.unknown == ("colour", "topic")
+
+
 @pytest.mark.parametrize("value", ["'0.5'", "yes", "[0.5]", "{a: 1}"])
 def test_a_value_of_the_wrong_type_is_the_reason_why_a_plugin_is_not_built(tmp_path, value):
     checker = f"{{plugin: 'n::SimpleGoalChecker', xy_goal_tolerance: {value}}}"

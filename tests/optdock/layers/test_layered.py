@@ -273,3 +273,11 @@ def test_a_rolling_window_stays_on_its_raster_with_the_robot_in_the_middle(x, y)
     np.testing.assert_allclose(steps, np.round(steps), atol=1e-9)
     centre = (np.array(costs.lower) + costs.upper) / 2
     assert np.all(np.abs(centre - (x, y)) <= 0.05 + 1e-9)
+
+
+@pytest.mark.parametrize("what", [3, None, StaticLayer, "static_layer"])
+def test_what_is_no_layer_is_refused_before_anything_starts(what):
+    fine = StaticLayer()
+    with pytest.raises(InvalidValue, match=r"costmap\.layers\.odd: must be a Layer, got"):
+        LayeredCostmap({"fine": fine, "odd": what})
+    assert fine.state is LifecycleState.UNCONFIGURED
