@@ -167,9 +167,9 @@ def swept_pairs(world: World, layout: Layout, rollout: Rollout, frames: Frames, 
     apart = np.maximum(apart, _in_body_frame(world, layout, rollout, _pairs_at(near, shape), frames))
     kept = near[apart < reach]
     if kept.size > _MANY:
-        # The bound is coarse: whatever might be too close stays, whether it is among the nearest or not.
-        certain = near[apart < world.rule.required + _SURELY_KEPT]
-        kept = np.union1d(_nearest(near, apart, shape, reach, world.per_interval), certain)
+        flat = np.full(int(np.prod(shape)), np.inf)
+        flat[near] = apart
+        kept = _nearest(flat.reshape(-1, shape[2]), reach, world)
     return _pairs_at(kept, shape)
 
 
@@ -206,17 +206,27 @@ def _in_body_frame(world: World, layout: Layout, rollout: Rollout, pairs: Pairs,
     return _box_separation(along - (c * wide + s * high) - grown, across - (s * wide + c * high) - grown)
 
 
-def _nearest(near: IntArray, apart: FloatArray, shape: tuple[int, ...], reach: float, count: int) -> IntArray:
-    """Of every interval and part the `count` pairs with the smallest separation, within `reach` [m]."""
-    flat = np.full(int(np.prod(shape)), np.inf)
-    flat[near] = apart
-    table = flat.reshape(-1, shape[2])
-    if shape[2] > count:
-        nearest = np.argpartition(table, count, axis=1)[:, :count]
-    else:
-        nearest = np.broadcast_to(np.arange(shape[2]), table.shape)
-    row = np.arange(len(table)).reshape(-1, 1)
-    chosen: IntArray = (row * shape[2] + nearest)[table[row, nearest] < reach]
+def _nearest(apart: FloatArray, reach: float, world: World) -> IntArray:
+    """Flat indices of the nearest few obstacles of every row within `reach` [m].
+
+    The bound is coarse, so more of those that might be too close are kept than of the others.
+
+    Args:
+        apart: Separation of every interval and part, Shape (rows, obstacles) [m].
+        reach: Pairs further apart are left out [m].
+        world: How many are wanted, and the required clearance.
+    """
+    few, many = world.per_interval, 4 * world.per_interval
+    count = apart.shape[1]
+    row = np.arange(len(apart)).reshape(-1, 1)
+    nearest = (
+        np.argpartition(apart, many, axis=1)[:, :many] if count > many else np.tile(np.arange(count), (len(row), 1))
+    )
+    nearest = np.take_along_axis(nearest, np.argsort(apart[row, nearest], axis=1), axis=1)
+    found = apart[row, nearest]
+    close = found < world.rule.required + _SURELY_KEPT
+    close[:, :few] = found[:, :few] < reach
+    chosen: IntArray = (row * count + nearest)[close]
     return chosen
 
 
