@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
-from pydantic import Field
+from pydantic import Field, model_validator
 
 from optdock.costmap.costs import MAX_NON_OBSTACLE, NO_INFORMATION
 from optdock.errors import SmootherCancelled, SmootherTimedOut
@@ -44,6 +44,14 @@ class SimpleParameters(PluginParameters):
     do_refinement: bool = Field(default=True, description="smooth the smoothed path again")
     refinement_num: int = Field(2, ge=0, description="how often")
     enforce_path_inversion: bool = Field(default=True, description="keep cusps and turns in place where they are")
+
+    @model_validator(mode="after")
+    def _converges(self) -> SimpleParameters:
+        # The sweeps are successive over-relaxation by this factor: by Ostrowski and Reich they converge below 2 only.
+        relaxation = self.w_data + 2.0 * self.w_smooth
+        if relaxation >= 2.0:
+            raise ValueError(f"w_data + 2 w_smooth: must be < 2, or sweeps grow without end, got {relaxation:g}")
+        return self
 
 
 class _Sweep:

@@ -30,6 +30,17 @@ _KINDS: Mapping[str, str] = {
     "behavior": "behaviors",
     "layer": "layers",
 }
+# Parameters that Nav2's plugins of a kind read from their node instead of their own block.
+_OF_THE_NODE: Mapping[str, tuple[str, ...]] = {
+    "behavior": (
+        *("cycle_frequency", "simulate_ahead_time"),
+        *("max_rotational_vel", "min_rotational_vel", "rotational_acc_lim"),
+    ),
+    "layer": (
+        *("track_unknown_space", "trinary_costmap", "lethal_cost_threshold", "unknown_cost_value"),
+        *("inscribed_obstacle_cost_value", "use_maximum"),
+    ),
+}
 _REASONS: Mapping[str, str] = {
     "dock": "its staging offsets, direction and threshold are read, the plugin talks to sensors",
     UNLISTED: "no list of plugins names it",
@@ -59,12 +70,13 @@ class Nav2Plugin:
 def nav2_plugins(params: Nav2Params) -> tuple[Nav2Plugin, ...]:
     """Every plugin of the file, instantiated where optdock provides it; nothing here is an error.
 
-    Nav2's files carry many parameters that a plugin here does not have: they are listed, not refused.
+    Nav2's files carry many parameters that a plugin here does not have: they are listed, not refused. Behaviors and
+    layers take what their own block leaves out from their node, where Nav2 keeps it.
     """
-    return tuple(_resolved(instance) for instance in params.plugins)
+    return tuple(_resolved(instance, params.nodes.get(instance.node, {})) for instance in params.plugins)
 
 
-def _resolved(instance: PluginInstance) -> Nav2Plugin:
+def _resolved(instance: PluginInstance, node: Mapping[str, object]) -> Nav2Plugin:
     kind = _KINDS.get(instance.kind)
     if kind is None:
         reason = _REASONS.get(instance.kind, f"optdock has no plugins of the kind {instance.kind}")
@@ -75,8 +87,11 @@ def _resolved(instance: PluginInstance) -> Nav2Plugin:
         unknown_class = error.__cause__ is None  # otherwise a plugin of ours cannot be imported
         reason = f"optdock has no {instance.kind.replace('_', ' ')} of this class" if unknown_class else str(error)
         return Nav2Plugin(instance, reason=reason)
-    extra, block = _refused(plugin_class, instance.parameters), instance.parameters
-    unknown = tuple(f"{name}{closest(name, plugin_class.Parameters.model_fields)}" for name in extra)
+    fields = plugin_class.Parameters.model_fields
+    shared = [name for name in _OF_THE_NODE.get(instance.kind, ()) if name in node and name in fields]
+    block = {**{name: node[name] for name in shared}, **instance.parameters}
+    extra = _refused(plugin_class, block)
+    unknown = tuple(f"{name}{closest(name, fields)}" for name in extra)
     known = _without(block, extra)
     try:
         plugin = create_plugin(INTERFACES[kind], instance.nav2_class, known)

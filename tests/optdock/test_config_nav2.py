@@ -230,6 +230,38 @@ local_costmap:
     assert found.unknown == ("colour", "topic")
 
 
+def test_behaviors_and_layers_take_from_their_node_what_nav2s_do(tmp_path):
+    found = plugins_of(
+        tmp_path,
+        """
+behavior_server:
+  ros__parameters:
+    behavior_plugins: [spin, back, wait]
+    spin: {plugin: "nav2_behaviors::Spin", simulate_ahead_time: 1.5}
+    back: {plugin: "nav2_behaviors::BackUp"}
+    wait: {plugin: "nav2_behaviors::Wait"}
+    simulate_ahead_time: 3.0
+    max_rotational_vel: 0.7
+    transform_tolerance: 0.1
+global_costmap:
+  global_costmap:
+    ros__parameters:
+      track_unknown_space: false
+      lethal_cost_threshold: 80
+      plugins: [map, scan, inflation]
+      map: {plugin: "nav2_costmap_2d::StaticLayer", lethal_cost_threshold: 90}
+      scan: {plugin: "nav2_costmap_2d::ObstacleLayer"}
+      inflation: {plugin: "nav2_costmap_2d::InflationLayer"}
+""",
+    )
+    assert found["spin"].taken == {"simulate_ahead_time": 1.5, "max_rotational_vel": 0.7}
+    assert found["back"].plugin.parameters.simulate_ahead_time == 3.0
+    assert found["wait"].taken == found["inflation"].taken == {}
+    assert found["map"].plugin.parameters.lethal_cost_threshold == 90
+    assert not found["map"].plugin.parameters.track_unknown_space
+    assert not found["scan"].plugin.parameters.track_unknown_space
+
+
 @pytest.mark.parametrize("value", ["'0.5'", "yes", "[0.5]", "{a: 1}"])
 def test_a_value_of_the_wrong_type_is_the_reason_why_a_plugin_is_not_built(tmp_path, value):
     checker = f"{{plugin: 'n::SimpleGoalChecker', xy_goal_tolerance: {value}}}"

@@ -212,6 +212,15 @@ def test_wrong_parameters_are_named(wrong):
         SimpleSmoother(**wrong)
 
 
+@pytest.mark.parametrize("weights", [{"w_data": 0.0, "w_smooth": 0.995}, {"w_data": 1.9, "w_smooth": 0.045}])
+def test_weights_that_converge_slowly_are_accepted_and_weights_that_never_do_are_refused(weights):
+    smoother = SimpleSmoother(max_its=100_000, tolerance=1e-6, **weights)
+    assert smoother.smooth(Path.from_poses(corner()), 30.0).completed
+    too_much = {name: value * 2.001 / 1.99 for name, value in weights.items()}
+    with pytest.raises(InvalidValue, match=r"w_data \+ 2 w_smooth: must be < 2"):
+        SimpleSmoother(**too_much)
+
+
 def test_nav2s_name_finds_it():
     found = create_plugin(Smoother, "nav2_smoother::SimpleSmoother", {"w_data": 0.1})
     assert found.parameters.w_data == 0.1
