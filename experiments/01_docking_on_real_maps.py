@@ -67,7 +67,7 @@ def solve(scenario: Scenario) -> Result:
     controller = create_plugin(Controller, CONTROLLER.name, CONTROLLER.parameters)
     checker = create_plugin(GoalChecker, CHECKER.name, CHECKER.parameters)
     run = run_closed_loop(plan.trajectory, problem.robot, problem.goal, controller, checker, settings)
-    return Result(scenario, plan, run, "" if run.docked else f"not docked: {run.reason}")
+    return Result(scenario, plan, run, run.fault)
 
 
 def figures(result: Result) -> list[PathFigures]:
@@ -87,7 +87,7 @@ def run_row(result: Result) -> tuple[str, ...]:
     error, total = result.run.final_error, result.plan.timing_ms["total"]
     numbers = (f"{1e3 * error.x:+.1f}", f"{1e3 * error.y:+.1f}", f"{1e3 * error.yaw:+.1f}")
     clearance = "-" if result.run.min_clearance is None else f"{result.run.min_clearance:.4f}"
-    return (name, f"{total:.1f}", *numbers, clearance, "docked" if result.run.docked else result.error)
+    return (name, f"{total:.1f}", *numbers, clearance, result.error or "docked")
 
 
 def draw(result: Result) -> None:
@@ -139,7 +139,7 @@ def main() -> int:
 def summary(results: list[Result]) -> str:
     """Counts and medians over all scenarios."""
     plans = [result.plan for result in results if result.plan is not None]
-    docked = sum(1 for result in results if result.run is not None and result.run.docked)
+    docked = sum(1 for result in results if result.run is not None and not result.error)
     total = [plan.timing_ms["total"] for plan in plans]
     middle = f"median {statistics.median(total):.1f} ms, worst {max(total):.1f} ms" if total else "-"
     return f"{len(plans)} of {len(results)} certified, {docked} docked; request to certified trajectory: {middle}"

@@ -98,7 +98,7 @@ def run_rows(run: Run) -> list[Row]:
     """A simulated run in a few lines."""
     error = run.final_error
     rows = [
-        Row("docked", "yes" if run.docked else f"no: {run.reason}"),
+        Row("docked", ("yes" if run.docked else f"no: {run.reason}") if not run.collided else f"no, {run.fault}"),
         Row("final error", f"along {1e3 * error.x:+.2f} mm, cross {1e3 * error.y:+.2f} mm, yaw {error.yaw:+.5f} rad"),
         Row("largest error", _largest_error(run.errors)),
         Row("driving time", f"{run.duration:.2f} s"),
@@ -127,6 +127,7 @@ def run_json(run: Run, seed: int) -> str:
     ):
         columns.update({f"{name}{part}": table_[:, i] for i, part in enumerate(parts)})
     head = {"format": RUN_FORMAT, "docked": run.docked, "reason": run.reason, "seed": seed, "duration": run.duration}
+    head["collided"] = run.collided
     final = {"along": error.x, "cross": error.y, "yaw": error.yaw}
     body = {"final_error": final, "min_clearance": run.min_clearance, "columns": columns}
     return strict_json({key: finite_or_null(value) for key, value in {**head, **body}.items()})

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from optdock.cli.exits import NOT_CERTIFIED, reported
+from optdock.cli.exits import reported
 from optdock.cli.progress import working
 
 if TYPE_CHECKING:
@@ -24,7 +24,7 @@ def demo(
     """Run the built-in scenario from start to finish: plan, prove, time, drive, draw."""
     with reported():
         from optdock.builtin import demo_scenario
-        from optdock.cli.simulate import POSITION_NOISE, YAW_NOISE, driven
+        from optdock.cli.simulate import driven, refuse_fault
         from optdock.cli.solving import solved_or_saved
         from optdock.config import load_scenario
         from optdock.io.atomic_file import write_text
@@ -34,14 +34,12 @@ def demo(
         scenario = load_scenario(demo_scenario())
         plan = solved_or_saved(scenario, out / "plan.json", None, 0.02)
         save_plan(out / "plan.json", plan_file(plan, scenario.problem.frame, 0.02))
-        run = driven(scenario, plan, 0, (POSITION_NOISE, YAW_NOISE))
+        run = driven(scenario, plan, 0)
         write_text(out / "run.json", run_json(run, 0))
         typer.echo(table([*plan_rows(plan), *run_rows(run)]))
         _draw(scenario, plan, run, out)
         typer.echo(f"pictures and files are in {out}")
-    if not run.docked:
-        typer.echo(f"not docked: {run.reason}", err=True)
-        raise typer.Exit(NOT_CERTIFIED)
+    refuse_fault(run)
 
 
 def _draw(scenario: Scenario, plan: DockPlan, run: Run, out: Path) -> None:
@@ -62,7 +60,7 @@ def _draw(scenario: Scenario, plan: DockPlan, run: Run, out: Path) -> None:
         zone = problem.dock.approach
         save_profile_picture(out / "profile.png", plan.trajectory, problem.robot.limits, zone, title=title)
         advance("profile.png")
-        save_run_picture(out / "run.png", problem, run, title="built-in scenario: driven in closed loop with noise")
+        save_run_picture(out / "run.png", problem, run, title="built-in scenario: driven with lag, latency and noise")
         advance("run.png")
         save_animation(out / "run.gif", problem, run.times, run.poses)
         advance("run.gif")

@@ -16,6 +16,7 @@ if TYPE_CHECKING:
 __all__ = ["Look", "Reference"]
 
 _AT_REST = 1e-6  # [m/s]: a standing reference may change its rate at once
+_AT_START = 0.05  # [m]: a robot nearer to the start than this begins there
 _SAMPLES = 400  # for the peak speed and the nearest point
 
 
@@ -73,13 +74,16 @@ class Reference:
             previewed=Twist2(share * float(row.speed[1]), share * float(row.yaw_rate[1])),
         )
 
-    def join(self, pose: Pose2, linear: float, near: float) -> None:
-        """Begin at the trajectory's start, or at its nearest point when the robot is not `near` [m] the start.
+    def join(self, pose: Pose2, linear: float) -> None:
+        """Begin at the trajectory's start, or at the nearest point of its first gear when the robot is not there.
 
-        The rate begins such that the reference is no faster than the robot at `linear` m/s.
+        Later gears may pass closer by; to begin there would leave the manoeuvre out. The rate begins such that the
+        reference is no faster than the robot at `linear` m/s.
         """
-        distance = np.hypot(self._grid.x - pose.x, self._grid.y - pose.y)
-        first = 0 if distance[0] <= near else int(np.argmin(distance))
+        cusps = self.trajectory.cusp_times
+        mine = self._grid.t <= cusps[0] if cusps.size else np.ones(self._grid.t.size, dtype=bool)
+        distance = np.hypot(self._grid.x[mine] - pose.x, self._grid.y[mine] - pose.y)
+        first = 0 if distance[0] <= _AT_START else int(np.argmin(distance))
         self.time, speed = float(self._grid.t[first]), float(self._grid.speed[first])
         if abs(speed) > _AT_REST:
             self.rate = min(1.0, max(0.0, linear / speed))

@@ -44,7 +44,7 @@ class TrackingControllerParameters(PluginParameters):
     preview: float | None = Field(
         default=None, ge=0.0, description="the drive's latency plus lag, compensated [s]; None: estimated on the way"
     )
-    slow_down_lag: float = Field(default=0.05, ge=0.0, description="lag at which the reference begins to wait [m]")
+    slow_down_lag: float = Field(default=0.01, ge=0.0, description="lag at which the reference begins to wait [m]")
     stop_lag: float = Field(default=0.2, gt=0.0, description="lag at which the reference stands still [m]")
     max_error: float = Field(default=0.5, gt=0.0, description="distance from the reference that ends the task [m]")
     max_yaw_error: float = Field(default=0.8, gt=0.0, description="heading error that ends the task [rad]")
@@ -62,8 +62,8 @@ class TrackingController(Controller):
     is 1 normally, lower under a speed limit, and falls smoothly to 0 while the robot lags behind by `slow_down_lag`
     to `stop_lag`, so a blocked robot finds its reference waiting. A robot further than `max_error` (or
     `max_yaw_error`) from the reference has left what was certified: NoValidControl, and a new plan is needed. The
-    first call after `set_path` starts at the trajectory's nearest point when the robot is not at its beginning, no
-    faster than the robot is. At cusps the reference rests as its time law does.
+    first call after `set_path` starts at the nearest point of the trajectory's first gear when the robot is not at its
+    beginning, no faster than the robot is. At cusps the reference rests as its time law does.
 
     **Law.** See `_law`; the feed-forward is that of the middle of the coming period, `preview` ahead. Without a
     given `preview` it is identified from the first ramp on, by comparing the measured speed with the commands
@@ -189,7 +189,7 @@ class TrackingController(Controller):
         )
 
     def _anchor(self, reference: Reference, pose: Pose2, velocity: Twist2) -> None:
-        reference.join(pose, velocity.linear, self.parameters.slow_down_lag)
+        reference.join(pose, velocity.linear)
         self._last = Twist2(velocity.linear, velocity.angular)
         self._delay = DelayEstimate(self.parameters.period, self._delay.delay)
         self._seen = None

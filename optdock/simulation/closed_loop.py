@@ -35,7 +35,7 @@ class SimulationSettings:
         position_noise: Standard deviation of the measured x and y [m], white.
         yaw_noise: Standard deviation of the measured yaw [rad], white.
         seed: Of the noise; equal seeds give equal runs.
-        start: True pose at the beginning; None: the trajectory's start.
+        start: True pose at the beginning; None: the trajectory's start. The robot moves there as the trajectory does.
         obstacles: For the clearance of the driven poses; None leaves it out.
 
     Raises:
@@ -111,7 +111,8 @@ class _Loop:
 
     def run(self) -> tuple[bool, str]:
         """Whether docked, and why not."""
-        state = self.plant.at_rest(self.settings.start or self.trajectory.at(0.0).pose)
+        first = self.trajectory.at(0.0)
+        state = self.plant.moving(self.settings.start or first.pose, first.twist)
         timeout = self.settings.timeout
         timeout = 1.5 * self.trajectory.duration + 10.0 if timeout is None else timeout
         for _ in range(math.ceil(timeout / self.settings.period) + 1):

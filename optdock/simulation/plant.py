@@ -96,7 +96,11 @@ class DifferentialDrive:
 
     def at_rest(self, pose: Pose2) -> PlantState:
         """The robot standing at `pose`, no command under way."""
-        return PlantState(pose, Twist2(), (Twist2(),) * round(self.actuation.latency / self._step))
+        return self.moving(pose, Twist2())
+
+    def moving(self, pose: Pose2, twist: Twist2) -> PlantState:
+        """The robot at `pose` with a steady body velocity, which the commands under way keep up."""
+        return PlantState(pose, twist, (twist,) * round(self.actuation.latency / self._step))
 
     def step(self, state: PlantState, command: Twist2) -> PlantState:
         """The state one control period later, `command` being given now."""

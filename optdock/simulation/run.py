@@ -14,6 +14,8 @@ if TYPE_CHECKING:
 
 __all__ = ["Run", "pose_errors"]
 
+_BUMPER = 0.002  # [m]: a dock that is planned to be touched is pressed by so much without harm
+
 
 @dataclass(frozen=True, eq=False)
 class Run:
@@ -57,6 +59,18 @@ class Run:
         object.__setattr__(self, "errors", readonly(pose_errors(self.poses, self.references)))
         last = pose_errors(self.poses[-1:], self.goal.as_array()[None])[0]
         object.__setattr__(self, "final_error", type(self.goal)(*last.tolist()))
+
+    @property
+    def collided(self) -> bool:
+        """Whether the footprint went into an obstacle deeper than a bumper yields."""
+        return self.min_clearance is not None and self.min_clearance < -_BUMPER
+
+    @property
+    def fault(self) -> str:
+        """What is wrong with the run, a collision before all else; empty when the robot docked without one."""
+        if self.collided:
+            return f"collided: the footprint went {-(self.min_clearance or 0.0):.4f} m into an obstacle"
+        return "" if self.docked else f"not docked: {self.reason}"
 
     @property
     def duration(self) -> float:

@@ -291,12 +291,12 @@ def test_bad_options_end_with_status_2_and_no_file(options, message, tmp_path):
     assert [path.name for path in tmp_path.iterdir()] == ["bay.yaml"]
 
 
-@pytest.mark.parametrize("option", ["--position-noise", "--yaw-noise"])
+@pytest.mark.parametrize("option", ["--position-noise", "--yaw-noise", "--lag", "--latency"])
 @pytest.mark.parametrize("value", ["-1", "nan", "inf"])
-def test_impossible_noise_ends_with_status_2(option, value):
+def test_an_impossible_world_ends_with_status_2(option, value):
     result = run("simulate", write(), option, value)
     assert result.exit_code == 2
-    assert result.stderr.startswith(f"{option}: must be finite and >= 0 ")
+    assert result.stderr.startswith(f"{option}: must be finite and >= 0, got ")
 
 
 @pytest.mark.parametrize("arguments", [["fly"], ["plan", "--fast"], ["certify", "plan.json"], ["simulate"]])
@@ -355,6 +355,30 @@ def test_a_run_that_does_not_dock_ends_with_status_3():
     result = run("simulate", write(text), "--out", "run.json")
     assert result.exit_code == 3
     assert result.stderr.startswith("not docked: timeout: ")
+
+
+CORRIDOR = """\
+format: optdock-scenario/1
+obstacles:
+  - [[1.0, 1.304], [5.0, 1.304], [5.0, 2.0], [1.0, 2.0]]
+  - [[1.0, 0.0], [5.0, 0.0], [5.0, 0.696], [1.0, 0.696]]
+robot: {footprint: [[0.4, 0.3], [-0.4, 0.3], [-0.4, -0.3], [0.4, -0.3]]}
+dock: {pose: [4.0, 1.0, 0.0], approach_speed: 0.1, approach_distance: 0.3}
+start: {pose: [1.0, 1.0, 0.0]}
+clearance: 0.0
+time_budget: 5.0
+"""
+
+
+def test_a_run_that_touches_the_walls_ends_with_status_3_although_it_docks():
+    noise = ("--position-noise", "0.03", "--yaw-noise", "0.05")
+    assert run("simulate", write(CORRIDOR)).exit_code == 0
+    result = run("simulate", "bay.yaml", "--out", "run.json", *noise)
+    assert result.exit_code == 3
+    assert result.stderr.startswith("collided: the footprint went 0.0")
+    document = json.loads(pathlib.Path("run.json").read_text())
+    assert document["collided"] is True
+    assert document["min_clearance"] < 0.0
 
 
 def test_compare_lists_raw_and_smoothed_and_draws_each(tmp_path):

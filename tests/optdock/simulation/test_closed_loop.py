@@ -10,15 +10,19 @@ from hypothesis import strategies as st
 from checkers.axis import AxisGoalChecker
 from checkers.dock import DockGoalChecker
 from optdock.controllers.tracking import TrackingController
+from optdock.dock import Dock
 from optdock.errors import InvalidValue
 from optdock.geometry.footprint import Footprint
 from optdock.geometry.pose import Pose2
-from optdock.limits import MotionLimits
+from optdock.interfaces import PluginContext
+from optdock.limits import MotionLimits, SpeedZone
 from optdock.obstacles import ObstacleSet
-from optdock.path import Direction
+from optdock.path import Direction, Path
+from optdock.problem import DockingProblem
 from optdock.robot import Robot
 from optdock.simulation import Actuation, SimulationSettings, pose_errors, run_closed_loop
-from optdock.testing.drives import cusp_drive, s_curve_drive, straight_drive
+from optdock.testing.drives import clothoid, cusp_drive, s_curve_drive, straight_drive
+from optdock.timing.near_optimal import NearOptimal
 
 START = Pose2(0.4, -0.2, 0.3)
 ROBOT = Robot(Footprint.rectangle(0.4, 0.3, 0.5), MotionLimits(max_speed=0.5, max_reverse_speed=0.5))
@@ -112,6 +116,56 @@ def test_an_unknown_delay_is_found_before_it_drives_the_robot_into_its_dock(name
     assert found[None].docked
 
 
+def test_a_robot_at_its_top_speed_makes_up_for_its_lag_before_it_brakes():
+    """It cannot catch up by driving faster, so the reference must wait; braking late ends beyond the goal."""
+    drive = straight_drive(START)
+    robot = Robot(ROBOT.footprint, MotionLimits(max_speed=0.4, max_acceleration=0.4, max_deceleration=0.4))
+    problem = DockingProblem(drive.path.start, Dock(drive.path.end), robot)
+    found = {}
+    for slow_down_lag in (0.05, 0.01):
+        controller = TrackingController(slow_down_lag=slow_down_lag)
+        controller.configure(PluginContext("controller", None, robot.footprint, problem))
+        at_rest, world = DockGoalChecker(along_tolerance=0.03), SimulationSettings(actuation=SLUGGISH)
+        found[slow_down_lag] = run_closed_loop(drive, robot, drive.path.end, controller, at_rest, world)
+    assert overshoot(found[0.05]) > 0.03
+    assert overshoot(found[0.01]) < 0.012
+    assert TrackingController().parameters.slow_down_lag == 0.01
+
+
+@pytest.mark.parametrize("offset", [Pose2(-0.03, 0.04, 0.1), Pose2(-0.05, 0.05, 0.0), Pose2(0.0, 0.12, 0.0)])
+def test_a_robot_beside_its_start_leaves_no_gear_out(offset):
+    found = run(DRIVES["cusp"], SimulationSettings(start=START @ offset))
+    cusp = DRIVES["cusp"].path.pose_at(DRIVES["cusp"].path.cusps[0])
+    assert min(cusp.distance_to(Pose2.from_sequence(pose)) for pose in found.poses) < 0.02
+    assert found.docked, found.reason
+
+
+def test_a_drive_that_begins_in_motion_is_driven_in_motion():
+    whole = straight_drive(START)
+    begun = whole.at(2.0)
+    path = Path((clothoid(begun.pose, [0.0, whole.path.length - begun.s], [0.0, 0.0]),))
+    rest = NearOptimal().parameterize(path, MotionLimits(), SpeedZone(), start_speed=begun.twist.linear).trajectory
+    found = run(rest)
+    assert found.docked, found.reason
+    assert found.twists[0, 0] == pytest.approx(0.4)
+    assert np.all(np.abs(found.errors) < 1e-3)
+
+
+def test_a_collision_is_a_fault_even_of_a_docked_run():
+    drive = straight_drive(START)
+    side = Pose2.from_sequence(drive.path.poses_at(1.0)[0]) @ Pose2(0.0, 0.28, 0.0)
+    faults = []
+    for aside in (0.0, -0.001, -0.035):
+        post = Footprint.rectangle(0.03, 0.03, 0.06)
+        obstacles = ObstacleSet.from_footprint(post, side @ Pose2(0.0, aside, 0.0), "post")
+        found = run(drive, SimulationSettings(obstacles=obstacles))
+        assert found.docked
+        assert found.collided is bool(found.fault)
+        faults.append(found.fault)
+    assert faults[:2] == ["", ""]
+    assert faults[2].startswith("collided: the footprint went 0.03")
+
+
 def test_mirrored_worlds_give_mirrored_runs():
     there = run(s_curve_drive(Pose2(0.0, 0.0, 0.0)), SimulationSettings(start=Pose2(0.0, 0.03, 0.1)))
     back = run(
@@ -156,6 +210,7 @@ def test_a_run_that_cannot_arrive_says_timeout():
     found = run(DRIVES["straight"], unreachable)
     assert not found.docked
     assert found.reason == "timeout: not docked within 2 s"
+    assert found.fault == "not docked: timeout: not docked within 2 s"
     assert found.duration == pytest.approx(2.0)
 
 
