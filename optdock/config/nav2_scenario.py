@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -28,6 +29,18 @@ if TYPE_CHECKING:
     from optdock.io.nav2_costmap import CostmapParams
 
 __all__ = ["nav2_limits", "nav2_scenario"]
+
+# Our limit, the velocity smoother's vector, which component of it, and that component's sign.
+_SMOOTHER_LIMITS = (
+    ("max_speed", "max_velocity", "x", 1),
+    ("max_reverse_speed", "min_velocity", "x", -1),
+    ("max_acceleration", "max_accel", "x", 1),
+    ("max_deceleration", "max_decel", "x", -1),
+    ("max_yaw_rate", "max_velocity", "yaw", 1),
+    ("max_yaw_rate", "min_velocity", "yaw", -1),
+    ("max_yaw_acceleration", "max_accel", "yaw", 1),
+    ("max_yaw_acceleration", "max_decel", "yaw", -1),
+)
 
 
 def nav2_scenario(
@@ -121,38 +134,43 @@ def _start(text: str) -> Pose2:
 def nav2_limits(params: Nav2Params) -> MotionLimits:
     """Motion limits as the velocity smoother has them; those of `MotionLimits` where it is silent.
 
+    Of two yaw limits, to the left and to the right, the smaller holds for both.
+
     Raises:
         InvalidFile: A limit is none, such as a largest velocity that is not > 0.
     """
-    smoother = params.node("velocity_smoother")
-    default = MotionLimits()
+    smoother, found = params.node("velocity_smoother"), dict[str, float]()
     try:
-        return MotionLimits(
-            max_speed=_entry(smoother, "max_velocity", 0, default.max_speed),
-            max_reverse_speed=-_entry(smoother, "min_velocity", 0, -default.max_reverse_speed),
-            max_acceleration=_entry(smoother, "max_accel", 0, default.max_acceleration),
-            max_deceleration=-_entry(smoother, "max_decel", 0, -default.max_deceleration),
-            max_yaw_rate=_entry(smoother, "max_velocity", 2, default.max_yaw_rate),
-            max_yaw_acceleration=_entry(smoother, "max_accel", 2, default.max_yaw_acceleration),
-        )
+        for limit, name, axis, sign in _SMOOTHER_LIMITS:
+            value = _entry(smoother, name, axis, sign)
+            if value is not None:
+                found[limit] = min(value, found.get(limit, value))
+        return MotionLimits(**found)
     except InvalidValue as error:
-        raise InvalidFile(f"{params.source}: velocity_smoother: {error}") from error
+        raise InvalidFile(f"{params.source}: velocity_smoother.{error}") from error
 
 
-def _entry(values: Mapping[str, object], name: str, i: int, default: float) -> float:
-    """Component i of a vector [x, y, yaw]."""
+def _entry(values: Mapping[str, object], name: str, axis: str, sign: int) -> float | None:
+    """The size of one component of a vector [x, y, yaw] (Nav2 also reads all six), or None without the vector."""
     vector = values.get(name)
     if vector is None:
-        return default
-    if isinstance(vector, list) and len(vector) == 3 and all(map(is_number, vector)):
-        return float(vector[i])
-    raise InvalidValue(f"{name}: must be [x, y, yaw], three numbers, got {vector!r}")
+        return None
+    if not (isinstance(vector, list) and len(vector) in (3, 6) and all(map(is_number, vector))):
+        raise InvalidValue(f"{name}: must be [x, y, yaw], three numbers, got {vector!r}")
+    value = float(vector[0 if axis == "x" else -1])
+    if not (math.isfinite(value) and sign * value > 0.0):
+        no_reverse = "; a robot that cannot reverse is not known here" if name == "min_velocity" else ""
+        raise InvalidValue(f"{name}: {axis} must be finite and {'>' if sign > 0 else '<'} 0, got {value}{no_reverse}")
+    return sign * value
 
 
 def _approach(params: Nav2Params, dock_type: DockType) -> SpeedZone:
     """The docking controller's speed, from the staging pose on."""
-    controller = params.node("docking_server").get("controller")
-    speed = controller.get("v_linear_max", 0.25) if isinstance(controller, Mapping) else 0.25
-    if not (is_number(speed) and speed > 0.0):
-        raise InvalidFile(f"{params.source}: docking_server.controller.v_linear_max: must be > 0 m/s, got {speed!r}")
+    controller = params.node("docking_server").get("controller", {})
+    place = f"{params.source}: docking_server.controller"
+    if not isinstance(controller, Mapping):
+        raise InvalidFile(f"{place}: must be a mapping, got {controller!r}")
+    speed = controller.get("v_linear_max", 0.25)
+    if not (is_number(speed) and 0.0 < speed < math.inf):
+        raise InvalidFile(f"{place}.v_linear_max: must be finite and > 0 m/s, got {speed!r}")
     return SpeedZone(float(speed), abs(dock_type.staging_x_offset))

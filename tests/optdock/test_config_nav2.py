@@ -107,15 +107,35 @@ def test_a_start_that_is_no_pose_is_refused(files, start):
 @pytest.mark.parametrize(
     ("old", "new", "message"),
     [
-        ("[0.4, 0.0, 0.9]", "[0.0, 0.0, 0.9]", "velocity_smoother: limits.max_speed: must be > 0 m/s, got 0.0"),
-        ("[0.4, 0.0, 0.9]", "0.4", r"velocity_smoother: max_velocity: must be \[x, y, yaw\], three numbers, got 0.4"),
-        ("v_linear_max: 0.15", "v_linear_max: -1", "docking_server.controller.v_linear_max: must be > 0 m/s, got -1"),
+        ("[0.4, 0.0, 0.9]", "[0.0, 0.0, 0.9]", "velocity_smoother.max_velocity: x must be finite and > 0, got 0.0"),
+        (
+            "[-0.2, 0.0, -0.9]",
+            "[0.0, 0.0, -0.9]",
+            "min_velocity: x must be finite and < 0, got 0.0; a robot that cannot",
+        ),
+        ("[-0.8, 0.0, -1.1]", "[0.8, 0.0, 1.1]", "max_decel: x must be finite and < 0, got 0.8"),
+        ("[0.7, 0.0, 1.1]", "[0.7, 0.0, .inf]", "max_accel: yaw must be finite and > 0, got inf"),
+        ("[0.4, 0.0, 0.9]", "0.4", r"velocity_smoother.max_velocity: must be \[x, y, yaw\], three numbers, got 0.4"),
+        (
+            "v_linear_max: 0.15",
+            "v_linear_max: -1",
+            "docking_server.controller.v_linear_max: must be finite and > 0 m/s, got -1",
+        ),
+        ("v_linear_max: 0.15", "v_linear_max: .inf", "v_linear_max: must be finite and > 0 m/s, got inf"),
+        ("{v_linear_max: 0.15}", "[0.15]", r"docking_server.controller: must be a mapping, got \[0.15\]"),
     ],
 )
 def test_impossible_numbers_in_the_parameters_are_refused(files, old, new, message):
     (files / "params.yaml").write_text(PARAMS.replace(old, new, 1))
     with pytest.raises(InvalidFile, match=message):
         scenario(files)
+
+
+def test_of_two_yaw_limits_the_smaller_holds_and_six_components_are_read_as_nav2_does(files):
+    text = PARAMS.replace("[-0.2, 0.0, -0.9]", "[-0.2, 0.0, -0.3]").replace("[0.7, 0.0, 1.1]", "[0.7, 0, 0, 0, 0, 5.0]")
+    (files / "params.yaml").write_text(text)
+    limits = scenario(files).problem.robot.limits
+    assert (limits.max_yaw_rate, limits.max_acceleration, limits.max_yaw_acceleration) == (0.3, 0.7, 1.1)
 
 
 def test_without_a_velocity_smoother_the_defaults_hold(files):
