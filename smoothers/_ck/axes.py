@@ -47,7 +47,7 @@ class Points(NamedTuple):
 def best_axes(hull: Points, outline: Points, normals: Points, inward: Points) -> Points:
     """Unit axes, obstacle to robot, with the largest separation among the usual candidates. Shape (1, p).
 
-    Candidates: obstacle edge normals, body edge normals at both nodes, the direction between the closest vertices, the
+    Candidates: obstacle edge normals, body edge normals at the left node, the direction between the closest vertices, the
     normals of the closest vertex' chord, and then the normal of the hull's edge over the obstacle's support point.
     Without that last one the predicted and the found separation differ to first order.
 
@@ -55,7 +55,7 @@ def best_axes(hull: Points, outline: Points, normals: Points, inward: Points) ->
         hull: Swept vertices, those of the left node first, Shape (2v, p).
         outline: Obstacle vertices, Shape (k, p).
         normals: Outward obstacle edge normals, Shape (k, p).
-        inward: Inward body edge normals at both nodes, Shape (2v, p).
+        inward: Inward body edge normals at the left node, Shape (v, p).
     """
     closest, chord = _vertex_axes(hull, outline, normals)
     axes = Points(

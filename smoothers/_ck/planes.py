@@ -103,7 +103,7 @@ def _margins(
     required = world.required(rollout.poses[:, :2])
     left = layout.left[pairs.interval]
     column = pairs.part * layout.num_nodes + left
-    hull, inward = _both_ends(frames.corners, column), _both_ends(frames.inward, column)
+    hull, inward = _both_ends(frames.corners, column), frames.inward.columns(column)
     outline, normals = world.outline.columns(pairs.obstacle), world.edge_normals.columns(pairs.obstacle)
     axis = best_axes(hull, outline, normals, inward)
     along = hull.along(axis)
