@@ -47,8 +47,8 @@ class Points(NamedTuple):
 def best_axes(hull: Points, outline: Points, normals: Points, inward: Points) -> Points:
     """Unit axes, obstacle to robot, with the largest separation among the usual candidates. Shape (1, p).
 
-    Candidates: obstacle edge normals, body edge normals at the left node, the direction between the closest vertices, the
-    normals of the closest vertex' chord, and then the normal of the hull's edge over the obstacle's support point.
+    Candidates: obstacle edge normals, body edge normals at the left node, the direction between the closest vertices,
+    the normals of the closest vertex' chord, and then the normal of the hull's edge over the obstacle's support point.
     Without that last one the predicted and the found separation differ to first order.
 
     Args:
