@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from typing import TYPE_CHECKING, NamedTuple
 
+from optdock.errors import InvalidValue
 from optdock.parameters import closest
 
 if TYPE_CHECKING:
@@ -67,7 +68,10 @@ def _fault(item: Mapping[str, object], known: Callable[[Keys], Iterable[str]], b
     if kind == "extra_forbidden":
         return Fault(base + key, f"unknown key{closest(str(key[-1]), known(key[:-1]))}")
     if kind == "value_error":
-        return _value_fault(base + key, str(details.get("error")))
+        # Our constructors say what they got; a bare ValueError is a parameter model's rule.
+        said = isinstance(details.get("error"), InvalidValue)
+        got = "" if said else f", got {_shown(item['input'])}"
+        return _value_fault(base + key, f"{details.get('error')}{got}")
     return Fault(base + key, f"{_rule(kind, details, str(item['msg']))}, got {_shown(item['input'])}")
 
 

@@ -16,6 +16,8 @@ if TYPE_CHECKING:
 
 __all__ = ["Actuation", "DifferentialDrive", "PlantState"]
 
+_LONGEST_LATENCY = 10.0  # [s]; every sub-step of it is held in memory
+
 
 @dataclass(frozen=True)
 class Actuation:
@@ -32,7 +34,7 @@ class Actuation:
         substeps: Sub-steps per control period.
 
     Raises:
-        InvalidValue: A value is negative or not finite, or substeps < 1.
+        InvalidValue: A value is negative or not finite, the latency over 10 s, or substeps < 1.
     """
 
     linear_lag: float = 0.0
@@ -49,6 +51,8 @@ class Actuation:
             value = getattr(self, spec.name)
             if not (math.isfinite(value) and value >= 0.0):
                 raise InvalidValue(f"actuation.{spec.name}: must be finite and >= 0, got {value}")
+        if self.latency > _LONGEST_LATENCY:
+            raise InvalidValue(f"actuation.latency: must be <= {_LONGEST_LATENCY} s, got {self.latency}")
         if self.substeps < 1:
             raise InvalidValue(f"actuation.substeps: must be >= 1, got {self.substeps}")
 

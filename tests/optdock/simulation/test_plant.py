@@ -112,6 +112,7 @@ def test_an_ackermann_drive_cannot_turn_in_place():
     [
         (lambda: Actuation(linear_lag=-0.1), "linear_lag"),
         (lambda: Actuation(latency=math.inf), "latency"),
+        (lambda: Actuation(latency=1e6), "latency: must be <= 10.0 s, got 1000000.0"),
         (lambda: Actuation(substeps=0), "substeps"),
         (lambda: DifferentialDrive(ROBOT, period=0.0), "period"),
         (lambda: DifferentialDrive(ROBOT, Actuation(latency=0.007)), "multiple of the sub-step 0.005 s, got 0.007"),
