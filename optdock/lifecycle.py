@@ -13,7 +13,7 @@ from dataclasses import dataclass, field
 from enum import Enum
 from typing import TYPE_CHECKING, ClassVar
 
-from optdock.errors import LifecycleError
+from optdock.errors import InvalidValue, LifecycleError
 from optdock.parameters import PluginParameters, parse_parameters
 
 if TYPE_CHECKING:
@@ -86,8 +86,11 @@ class Plugin(ABC):
 
         Raises:
             LifecycleError: The plugin is not unconfigured.
+            InvalidValue: `context` is none.
         """
         self._require("configure", LifecycleState.UNCONFIGURED)
+        if not isinstance(context, PluginContext):
+            raise InvalidValue(f"{self.context.name}: configure needs a PluginContext, got {context!r}")
         previous, self.context = self.context, context
         try:
             self.on_configure()
@@ -139,6 +142,7 @@ class Plugin(ABC):
             self.on_deactivate()
         if self._state is not LifecycleState.UNCONFIGURED:
             self.on_cleanup()
+        self.context = PluginContext(name=type(self).__name__)
         self._state = LifecycleState.FINALIZED
 
     def set_parameters(self, /, **changes: object) -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import difflib
 import math
 from collections.abc import Mapping
+from numbers import Real
 from typing import TYPE_CHECKING, TypeVar, get_args
 
 from pydantic import BaseModel, ConfigDict, ValidationError, ValidationInfo, field_validator
@@ -52,15 +53,15 @@ def closest(name: str, known: Iterable[str]) -> str:
     return f"; did you mean {found[0]}?" if found else ""
 
 
-def checked_seconds(value: float, name: str) -> float:
+def checked_seconds(value: object, name: str) -> float:
     """`value`, a time limit in seconds.
 
     Raises:
         InvalidValue: It is not finite, or negative.
     """
-    if not (isinstance(value, int | float) and math.isfinite(value) and value >= 0.0):
+    if not (isinstance(value, Real) and math.isfinite(value) and float(value) >= 0.0):
         raise InvalidValue(f"{name}: must be finite and >= 0 s, got {value!r}")
-    return value
+    return float(value)
 
 
 def parse_parameters(model: type[P], values: Mapping[str, object], owner: str) -> P:

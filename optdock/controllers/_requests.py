@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from numbers import Real
 
 from optdock.errors import ControllerInvalidPath, InvalidValue
 from optdock.path import Path
@@ -11,13 +12,13 @@ from optdock.trajectory import Trajectory
 __all__ = ["checked_speed_limit", "checked_task"]
 
 
-def checked_speed_limit(limit: float, owner: str) -> float:
+def checked_speed_limit(limit: object, owner: str) -> float:
     """`limit`, in percent or m/s.
 
     Raises:
         InvalidValue: It is not a finite number >= 0.
     """
-    if isinstance(limit, bool) or not isinstance(limit, int | float) or not (math.isfinite(limit) and limit >= 0.0):
+    if isinstance(limit, bool) or not isinstance(limit, Real) or not (math.isfinite(limit) and float(limit) >= 0.0):
         raise InvalidValue(f"{owner}: the speed limit must be finite and >= 0, got {limit!r}")
     return float(limit)
 

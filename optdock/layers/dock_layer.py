@@ -7,6 +7,8 @@ from typing import TYPE_CHECKING
 from pydantic import Field
 
 from optdock.costmap.costs import FREE_SPACE, LETHAL
+from optdock.dock import Dock
+from optdock.errors import InvalidValue
 from optdock.interfaces import Bounds, Layer
 from optdock.layers.clearing import corners_of, fill_footprint
 from optdock.layers.layer_parameters import LayerParameters
@@ -14,7 +16,6 @@ from optdock.layers.window import NOWHERE, checked_window, grown_by_points, join
 
 if TYPE_CHECKING:
     from optdock.costmap.costmap import Costmap
-    from optdock.dock import Dock
     from optdock.geometry.footprint import Footprint
     from optdock.geometry.pose import Pose2
 
@@ -58,7 +59,13 @@ class DockLayer(Layer):
             self.set_dock(self.context.problem.dock)
 
     def set_dock(self, dock: Dock | None) -> None:
-        """Take another dock, or none; the next update rewrites both places."""
+        """Take another dock, or none; the next update rewrites both places.
+
+        Raises:
+            InvalidValue: `dock` is neither a Dock nor None; the old one stays.
+        """
+        if not (dock is None or isinstance(dock, Dock)):
+            raise InvalidValue(f"{self.context.name}: a dock must be a Dock or None, got {dock!r}")
         self._dock = dock
         self._pending = joined(self._written, self._extent())
 

@@ -88,18 +88,18 @@ class ObstacleLayer(Layer):
             source: Which source saw them; needed where there are several.
 
         Raises:
-            InvalidValue: Not that shape, the sensor's position is not finite, or the source is none of the layer's or
+            InvalidValue: Not such numbers, the sensor's position is not finite, or the source is none of the layer's or
                 not given where there are several.
         """
         rules = self._rules_of(source)
-        seen = np.asarray(points, dtype=np.float64)
-        if seen.ndim != 2 or seen.shape[1] != 2:
-            raise InvalidValue(f"{self.context.name}: points must have shape (n, 2), got {seen.shape}")
-        if not np.all(np.isfinite(sensor)):
-            raise InvalidValue(f"{self.context.name}: the sensor's position must be finite, got {sensor}")
+        seen, origin = _pairs(points), _pairs([sensor])
+        if seen is None:
+            raise InvalidValue(f"{self.context.name}: points must be numbers of shape (n, 2), got {points!r}")
+        if origin is None or not np.all(np.isfinite(origin)):
+            raise InvalidValue(f"{self.context.name}: the sensor's position must be two finite numbers, got {sensor}")
         with np.errstate(invalid="ignore"):
             usable = np.all(np.abs(seen) < _FARTHEST, axis=1)
-        observation, now = _observed(seen[usable], np.array(sensor, dtype=np.float64), rules), self.context.clock()
+        observation, now = _observed(seen[usable], origin[0], rules), self.context.clock()
         self._waiting.append(_Seen(observation, now + rules.observation_persistence))
         self._heard[source or ""] = now
         self._touched = joined(self._touched, _extent(observation))
@@ -166,6 +166,16 @@ class ObstacleLayer(Layer):
         if not p.sources:
             last[""] = max(self._heard.values(), default=self._began)
         return [name for name, rate in rates.items() if 0.0 < rate < now - last[name]]
+
+
+def _pairs(values: ArrayLike) -> FloatArray | None:
+    """Shape (n, 2), or None where they are no such numbers; an empty list has no pair."""
+    try:
+        pairs = np.asarray(values, dtype=np.float64)
+    except (TypeError, ValueError):
+        return None
+    pairs = pairs.reshape(0, 2) if pairs.shape == (0,) else pairs
+    return pairs if pairs.ndim == 2 and pairs.shape[1] == 2 else None
 
 
 def _extent(observation: Observation) -> Bounds:

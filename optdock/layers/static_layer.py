@@ -8,6 +8,8 @@ import numpy as np
 from pydantic import Field
 
 from optdock.costmap.costs import FREE_SPACE, OccupancyRule
+from optdock.costmap.occupancy import OccupancyGrid
+from optdock.errors import InvalidValue
 from optdock.interfaces import Bounds, Layer
 from optdock.layers.clearing import corners_of, fill_footprint
 from optdock.layers.layer_parameters import LayerParameters
@@ -15,7 +17,6 @@ from optdock.layers.window import NOWHERE, CellWindow, checked_window, grown_by_
 
 if TYPE_CHECKING:
     from optdock.costmap.costmap import Costmap
-    from optdock.costmap.occupancy import OccupancyGrid
     from optdock.geometry.pose import Pose2
 
 __all__ = ["StaticLayer", "StaticLayerParameters"]
@@ -62,7 +63,13 @@ class StaticLayer(Layer):
         self._last_footprint = NOWHERE
 
     def set_map(self, grid: OccupancyGrid) -> None:
-        """Take another map; the next update writes all of it."""
+        """Take another map; the next update writes all of it.
+
+        Raises:
+            InvalidValue: `grid` is no OccupancyGrid; the old map stays.
+        """
+        if not isinstance(grid, OccupancyGrid):
+            raise InvalidValue(f"{self.context.name}: a map must be an OccupancyGrid, got {type(grid).__name__}")
         self._pending = joined(self._pending, self._extent())
         self._map, self._costs = grid, None
         self._pending = joined(self._pending, self._extent())

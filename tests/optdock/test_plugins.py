@@ -161,6 +161,21 @@ def test_a_failed_configuration_leaves_the_plugin_as_it_was():
     assert plugin.context is before
 
 
+@pytest.mark.parametrize("release", ["cleanup", "shutdown"])
+def test_a_plugin_lets_go_of_its_context_at_the_end(release):
+    plugin, context = Near(), PluginContext(name="near")
+    plugin.configure(context)
+    getattr(plugin, release)()
+    assert plugin.context is not context
+
+
+def test_what_is_no_context_is_refused():
+    plugin = Near()
+    with pytest.raises(InvalidValue, match="Near: configure needs a PluginContext, got None"):
+        plugin.configure(None)
+    assert plugin.state is LifecycleState.UNCONFIGURED
+
+
 def test_every_listed_plugin_is_what_its_kind_says():
     listed = available_plugins()
     assert {info.kind for info in listed} <= set(INTERFACES)

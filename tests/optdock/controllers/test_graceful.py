@@ -204,6 +204,12 @@ def test_a_speed_limit_is_a_number(name, bad):
         create_plugin(Controller, name).set_speed_limit(bad, percentage=False)
 
 
+@pytest.mark.parametrize("name", ["GracefulController", "TrackingController"])
+@pytest.mark.parametrize("limit", [1, np.float32(0.5), np.int64(1)])
+def test_any_real_number_is_a_speed_limit(name, limit):
+    create_plugin(Controller, name).set_speed_limit(limit, percentage=False)
+
+
 def test_parameters_carry_nav2s_names_and_rules():
     assert GracefulController(**{"lambda": 3.0}).law.lambda_ == 3.0
     controller = GracefulController()

@@ -10,6 +10,7 @@ from optdock.errors import InvalidValue, LifecycleError, PluginError
 from optdock.geometry.footprint import Footprint
 from optdock.geometry.pose import Pose2
 from optdock.interfaces import Bounds, Layer
+from optdock.layers.dock_layer import DockLayer
 from optdock.layers.inflation_layer import InflationLayer
 from optdock.layers.layered import LayeredCostmap
 from optdock.layers.obstacle_layer import ObstacleLayer
@@ -281,3 +282,17 @@ def test_what_is_no_layer_is_refused_before_anything_starts(what):
     with pytest.raises(InvalidValue, match=r"costmap\.layers\.odd: must be a Layer, got"):
         LayeredCostmap({"fine": fine, "odd": what})
     assert fine.state is LifecycleState.UNCONFIGURED
+
+
+@pytest.mark.parametrize("grid", [None, np.zeros((3, 3), dtype=np.int8), "map.yaml"])
+def test_what_is_no_map_is_refused_and_the_old_one_stays(grid):
+    layer = StaticLayer()
+    layer.set_map(OccupancyGrid(np.full((3, 3), 100), 0.1))
+    with pytest.raises(InvalidValue, match="StaticLayer: a map must be an OccupancyGrid, got"):
+        layer.set_map(grid)
+    assert layer.is_current()
+
+
+def test_what_is_no_dock_is_refused():
+    with pytest.raises(InvalidValue, match="DockLayer: a dock must be a Dock or None, got 'home'"):
+        DockLayer().set_dock("home")

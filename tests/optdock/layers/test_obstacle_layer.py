@@ -232,13 +232,30 @@ def test_the_layers_of_nav2s_own_parameter_file(real_data):
     np.testing.assert_array_equal(costs.data[known], rule.cost_at(distance[known]))
 
 
-def test_bad_observations_are_refused_and_leave_no_trace():
+@pytest.mark.parametrize(
+    "points", [[1.0, 2.0, 3.0], [["a", "b"]], [[1.0], [1.0, 2.0]], None, "near", [[1.0, 2.0, 3.0]]]
+)
+def test_points_of_another_shape_or_kind_are_refused_and_leave_no_trace(points):
     layer, costmap = stack()
-    with pytest.raises(InvalidValue, match=r"shape \(n, 2\), got \(3,\)"):
-        layer.add_points([1.0, 2.0, 3.0], SENSOR)
-    with pytest.raises(InvalidValue, match="sensor's position must be finite"):
-        layer.add_points([[1.05, 0.55]], (math.nan, 0.0))
+    with pytest.raises(InvalidValue, match=r"obstacles: points must be numbers of shape \(n, 2\), got"):
+        layer.add_points(points, SENSOR)
     assert lethal(costmap.update(ROBOT)) == set()
+
+
+@pytest.mark.parametrize("sensor", [(math.nan, 0.0), (0.0, 0.0, 0.0), None, (), "here", (math.inf, 0.0)])
+def test_a_sensor_without_a_position_is_refused_and_leaves_no_trace(sensor):
+    layer, costmap = stack()
+    with pytest.raises(InvalidValue, match="the sensor's position must be two finite numbers, got"):
+        layer.add_points([[1.05, 0.55]], sensor)
+    assert lethal(costmap.update(ROBOT)) == set()
+
+
+def test_no_points_are_no_observation_of_anything():
+    layer, costmap = stack(clearing=True)
+    layer.add_points([], SENSOR)
+    layer.add_scan(LaserScan(np.full(9, math.nan), 0.0, 0.1, 0.05, 5.0), ROBOT)
+    costs = costmap.update(ROBOT)
+    assert (lethal(costs), free(costs)) == (set(), set())
 
 
 @pytest.mark.parametrize(
