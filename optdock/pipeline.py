@@ -110,6 +110,11 @@ class PartialPlan:
     certificate: Certificate | None = None
     timing_ms: dict[str, float] = field(default_factory=dict)
 
+    @classmethod
+    def left_by(cls, error: OptdockError) -> PartialPlan:
+        """What a call had finished when it failed; nothing where the error does not say."""
+        return error.partial if isinstance(error.partial, cls) else cls()
+
 
 def plan_dock(
     problem: DockingProblem,

@@ -57,8 +57,7 @@ def plan_file(plan: DockPlan, frame: str, period: float) -> PlanFile:
 
 def failed_plan_file(error: OptdockError, frame: str) -> PlanFile:
     """A failure as a file's content: its name, its reason, and whatever exists so far."""
-    partial = getattr(error, "partial", None)
-    so_far = partial if isinstance(partial, PartialPlan) else PartialPlan()
+    so_far = PartialPlan.left_by(error)
     return PlanFile(
         status=type(error).__name__,
         frame=frame,

@@ -44,11 +44,11 @@ def compare(
 def _compared(scenario: Scenario, picture: Path) -> list[PathFigures]:
     """Both rows of one scenario, and its picture; a failure becomes a row and a line on stderr."""
     from optdock.cli.exits import BAD_INPUT, status_of
+    from optdock.cli.pictures import draw_plan
     from optdock.cli.solving import solved
     from optdock.comparison import PathFigures, figures_of
     from optdock.errors import OptdockError
     from optdock.pipeline import PartialPlan
-    from optdock.plotting import save_plan_picture
 
     name, problem = scenario.source.stem, scenario.problem
     try:
@@ -57,12 +57,10 @@ def _compared(scenario: Scenario, picture: Path) -> list[PathFigures]:
         if status_of(error) == BAD_INPUT:
             raise
         typer.echo(f"{name}: {type(error).__name__}: {' '.join(str(error).split())}", err=True)
-        raw = error.partial.raw_path if isinstance(error.partial, PartialPlan) else None
-        save_plan_picture(picture, problem, raw_path=raw, title=f"{name}: {type(error).__name__}")
+        left = PartialPlan.left_by(error)
+        draw_plan(picture, problem, left, f"{name}: {type(error).__name__}")
         failed = PathFigures(name, "smoothed", type(error).__name__)
-        return [failed] if raw is None else [figures_of(scenario, "raw", raw), failed]
-    save_plan_picture(
-        picture, problem, raw_path=plan.raw_path, path=plan.path, certificate=plan.certificate, title=name
-    )
+        return [failed] if left.raw_path is None else [figures_of(scenario, "raw", left.raw_path), failed]
+    draw_plan(picture, problem, plan, name)
     smoothed = figures_of(scenario, "smoothed", plan.path, plan.trajectory.duration)
     return [figures_of(scenario, "raw", plan.raw_path), smoothed]

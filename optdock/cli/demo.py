@@ -28,12 +28,12 @@ def demo(
         from optdock.cli.solving import solved_or_saved
         from optdock.config import load_scenario
         from optdock.io.atomic_file import write_text
-        from optdock.io.plan_file import save_plan
+        from optdock.io.plan_file import DEFAULT_PERIOD, DEFAULT_SPACING, save_plan
         from optdock.report import plan_file, plan_rows, run_json, run_rows, table
 
         scenario = load_scenario(demo_scenario())
-        plan = solved_or_saved(scenario, out / "plan.json", None, 0.02)
-        save_plan(out / "plan.json", plan_file(plan, scenario.problem.frame, 0.02))
+        plan = solved_or_saved(scenario, out / "plan.json", None, DEFAULT_SPACING)
+        save_plan(out / "plan.json", plan_file(plan, scenario.problem.frame, DEFAULT_PERIOD))
         run = driven(scenario, plan, 0)
         write_text(out / "run.json", run_json(run, 0))
         typer.echo(table([*plan_rows(plan), *run_rows(run)]))
@@ -43,19 +43,13 @@ def demo(
 
 
 def _draw(scenario: Scenario, plan: DockPlan, run: Run, out: Path) -> None:
-    from optdock.plotting import save_animation, save_plan_picture, save_profile_picture, save_run_picture
+    from optdock.cli.pictures import draw_plan
+    from optdock.plotting import save_animation, save_profile_picture, save_run_picture
 
     problem = scenario.problem
     title = f"built-in scenario: certified, {plan.trajectory.duration:.1f} s"
     with working("drawing", 4) as advance:
-        save_plan_picture(
-            out / "plan.png",
-            problem,
-            raw_path=plan.raw_path,
-            path=plan.path,
-            certificate=plan.certificate,
-            title=title,
-        )
+        draw_plan(out / "plan.png", problem, plan, title)
         advance("plan.png")
         zone = problem.dock.approach
         save_profile_picture(out / "profile.png", plan.trajectory, problem.robot.limits, zone, title=title)

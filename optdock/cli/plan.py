@@ -70,45 +70,22 @@ def _loaded(scenario: Path | None, nav2: _Nav2Sources) -> Scenario:
 def _plan_and_write(
     scenario: Scenario, out: Path, time_budget: float | None, steps: tuple[float, float], plot: Path | None
 ) -> None:
+    from optdock.cli.pictures import draw_plan
     from optdock.cli.solving import solved_or_saved
     from optdock.errors import OptdockError
     from optdock.io.plan_file import save_plan
+    from optdock.pipeline import PartialPlan
     from optdock.report import plan_file, plan_rows, table
 
     spacing, period = steps
+    name, problem = scenario.source.stem, scenario.problem
     try:
         found = solved_or_saved(scenario, out, time_budget, spacing)
     except OptdockError as error:
         if plot is not None:
-            _draw_failure(scenario, plot, error)
+            draw_plan(plot, problem, PartialPlan.left_by(error), f"{name}: {type(error).__name__}")
         raise
-    save_plan(out, plan_file(found, scenario.problem.frame, period), spacing=spacing)
+    save_plan(out, plan_file(found, problem.frame, period), spacing=spacing)
     typer.echo(table(plan_rows(found)))
     if plot is not None:
-        from optdock.plotting import save_plan_picture
-
-        save_plan_picture(
-            plot,
-            scenario.problem,
-            raw_path=found.raw_path,
-            path=found.path,
-            certificate=found.certificate,
-            title=f"{scenario.source.stem}: certified, {found.trajectory.duration:.1f} s",
-        )
-
-
-def _draw_failure(scenario: Scenario, plot: Path, error: Exception) -> None:
-    """What exists of a plan that failed."""
-    from optdock.pipeline import PartialPlan
-    from optdock.plotting import save_plan_picture
-
-    partial = getattr(error, "partial", None)
-    if isinstance(partial, PartialPlan):
-        save_plan_picture(
-            plot,
-            scenario.problem,
-            raw_path=partial.raw_path,
-            path=partial.path,
-            certificate=partial.certificate,
-            title=f"{scenario.source.stem}: {type(error).__name__}",
-        )
+        draw_plan(plot, problem, found, f"{name}: certified, {found.trajectory.duration:.1f} s")

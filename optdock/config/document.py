@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from typing import Annotated, Literal
 
 from pydantic import (
+    AfterValidator,
     BaseModel,
     BeforeValidator,
     ConfigDict,
@@ -62,6 +63,12 @@ def _polygon(value: object) -> list[list[float]]:
     return polygon
 
 
+def _distance(value: float) -> float:
+    if not (math.isfinite(value) and value >= 0.0):
+        raise InvalidValue(f"must be finite and >= 0 m, got {value}")
+    return value
+
+
 @dataclass(frozen=True)
 class _Parsed:
     """Annotation: the field is what `parse` makes of the value; pydantic does not look into its type."""
@@ -74,6 +81,7 @@ class _Parsed:
 
 
 Number = Annotated[float, Field(strict=True)]
+Distance = Annotated[Number, AfterValidator(_distance)]
 PoseValue = Annotated[Pose2, _Parsed(_pose)]
 FootprintValue = Annotated[Footprint, _Parsed(_footprint)]
 PolygonValue = Annotated[list[list[float]], _Parsed(_polygon)]
@@ -149,7 +157,7 @@ class DockDocument(_Part):
     direction: DockDirection = DockDirection.AUTO
     final_straight: Number = 0.0
     approach_speed: Number = math.inf
-    approach_distance: Number = 0.0
+    approach_distance: Distance = 0.0
 
     @field_validator("final_straight")
     @classmethod
@@ -162,13 +170,6 @@ class DockDocument(_Part):
     def _speed(cls, value: float) -> float:
         if not value > 0.0:
             raise InvalidValue(f"must be > 0 m/s, got {value}")
-        return value
-
-    @field_validator("approach_distance")
-    @classmethod
-    def _distance(cls, value: float) -> float:
-        if not (math.isfinite(value) and value >= 0.0):
-            raise InvalidValue(f"must be finite and >= 0 m, got {value}")
         return value
 
     @model_validator(mode="after")
@@ -202,16 +203,9 @@ _CLEARANCE = ClearanceRule()
 class ClearanceDocument(_Part):
     """`clearance`; one number holds everywhere, also at the dock."""
 
-    required: Number = _CLEARANCE.required
-    at_dock: Number = _CLEARANCE.at_dock
-    taper: Number = _CLEARANCE.taper
-
-    @field_validator("required", "at_dock", "taper")
-    @classmethod
-    def _distance(cls, value: float) -> float:
-        if not (math.isfinite(value) and value >= 0.0):
-            raise InvalidValue(f"must be finite and >= 0 m, got {value}")
-        return value
+    required: Distance = _CLEARANCE.required
+    at_dock: Distance = _CLEARANCE.at_dock
+    taper: Distance = _CLEARANCE.taper
 
     @model_validator(mode="after")
     def _grows(self) -> ClearanceDocument:
