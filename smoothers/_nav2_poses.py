@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from optdock.errors import InvalidPath
 from optdock.path import Path, PolylineSegment
 
 if TYPE_CHECKING:
@@ -20,7 +21,13 @@ _CURVE_SPACING = 0.05  # of the poses taken from a curve [m]
 
 
 def poses_of(path: Path) -> FloatArray:
-    """The poses that a path was made of, each once; of a curve, samples 5 cm apart. Shape (n, 3)."""
+    """The poses that a path was made of, each once; of a curve, samples 5 cm apart. Shape (n, 3).
+
+    Raises:
+        InvalidPath: It is no path.
+    """
+    if not isinstance(path, Path):
+        raise InvalidPath(f"path: must be a Path, got {type(path).__name__}")
     blocks = [
         np.array(segment.poses)
         if isinstance(segment, PolylineSegment)

@@ -135,7 +135,7 @@ class SimpleSmoother(Smoother):
 
         Raises:
             InvalidValue: `max_time` is not finite, or negative.
-            InvalidPath: Smoothing left fewer than two distinct poses.
+            InvalidPath: It is no path, or smoothing left fewer than two distinct poses.
             SmootherTimedOut: The time is over; as in Nav2 the partial result is lost.
             SmootherCancelled: `cancel_checker` returned True.
         """

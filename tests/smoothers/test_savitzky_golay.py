@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from optdock.errors import InvalidValue, SmootherCancelled, SmootherTimedOut
+from optdock.errors import InvalidPath, InvalidValue, SmootherCancelled, SmootherTimedOut
 from optdock.interfaces import Smoother
 from optdock.path import Direction, Path
 from optdock.plugins import create_plugin
@@ -128,3 +128,17 @@ def test_wrong_parameters_are_named(wrong, message):
 
 def test_nav2s_name_finds_it():
     assert isinstance(create_plugin(Smoother, "nav2_smoother::SavitzkyGolaySmoother"), SavitzkyGolaySmoother)
+
+
+@pytest.mark.parametrize("name", ["SimpleSmoother", "SavitzkyGolaySmoother"])
+@pytest.mark.parametrize("what", [None, [[0.0, 0.0, 0.0]], "path"])
+def test_what_is_no_path_is_refused(name, what):
+    with pytest.raises(InvalidPath, match="path: must be a Path, got"):
+        create_plugin(Smoother, name).smooth(what, 1.0)
+
+
+@pytest.mark.parametrize("name", ["SimpleSmoother", "SavitzkyGolaySmoother"])
+@pytest.mark.parametrize("bad", ["1", None, math.nan, math.inf, -1.0])
+def test_a_time_limit_is_a_number_of_seconds(name, bad):
+    with pytest.raises(InvalidValue, match="max_time: must be finite and >= 0 s, got"):
+        create_plugin(Smoother, name).smooth(Path.from_poses(noisy()), bad)

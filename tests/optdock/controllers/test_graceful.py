@@ -27,6 +27,7 @@ from optdock.testing.drives import s_curve_drive, straight_drive
 ORIGIN = Pose2(0.0, 0.0, 0.0)
 NAV2_TEST = GracefulLaw(1.0, 10.0, 0.2, 2.0, 0.1, 2.5, 0.0, 1.0, 1.0)
 DOCKING = GracefulLaw(3.0, 2.0, 0.4, 2.0, 0.25, 2.5, 0.1, 0.25, 0.75)
+BRINGUP = GracefulLaw(3.0, 2.0, 0.4, 2.0, 0.25, 2.5, 0.15, 0.15, 0.75)
 ROBOT = Robot(Footprint.rectangle(0.4, 0.3, 0.5), MotionLimits(max_speed=1.0))
 poses = st.builds(Pose2, st.floats(-3.0, 3.0), st.floats(-3.0, 3.0), st.floats(-3.0, 3.0))
 
@@ -66,13 +67,42 @@ def test_egocentric_coordinates_are_nav2s(target, robot, gear, expected):
     ],
 )
 def test_a_simulated_docking_leaves_the_errors_published_for_the_law(lateral, staging, final_mm, final_deg, peak):
-    pose, target, curvatures = Pose2(-staging, lateral, 0.0), Pose2(0.25, 0.0, 0.0), []
+    found = docked_from(Pose2(-staging, lateral, 0.0), DOCKING)
+    assert found[0] == pytest.approx(final_mm, abs=0.6)
+    assert found[1] == pytest.approx(final_deg, abs=0.2)
+    assert found[2] == pytest.approx(peak, abs=0.06)
+
+
+def docked_from(start, law):
+    """Lateral error [mm], yaw error [deg], largest curvature [1/m] and time [s] of a simulated docking, all >= 0."""
+    pose, target, peak, steps = start, Pose2(0.25, 0.0, 0.0), 0.0, 0
     while pose.distance_to(ORIGIN) > 0.05:
-        curvatures.append(abs(DOCKING.curvature(egocentric(target, pose))))
-        pose = pose.moved(DOCKING.command(target, pose), 0.02)
-    assert 1e3 * pose.y == pytest.approx(final_mm, abs=0.6)
-    assert math.degrees(-pose.yaw) == pytest.approx(final_deg, abs=0.2)
-    assert max(curvatures) == pytest.approx(peak, abs=0.06)
+        peak = max(peak, abs(law.curvature(egocentric(target, pose))))
+        pose, steps = pose.moved(law.command(target, pose), 0.02), steps + 1
+    return abs(1e3 * pose.y), abs(math.degrees(pose.yaw)), peak, 0.02 * steps
+
+
+@pytest.mark.parametrize(
+    ("radius", "law", "published"),
+    [
+        # p50 and p95 of lateral, yaw, curvature and time; None where no number is published.
+        (0.25, DOCKING, ((8.9, 22.5), (4.7, 12.2), (1.3, 3.2), (3.2, 4.3))),
+        (0.10, DOCKING, ((3.7, 8.6), (None, 4.5), (None, None), (None, None))),
+        (0.05, DOCKING, ((1.8, 4.2), (None, 2.2), (None, None), (None, None))),
+        (0.25, BRINGUP, ((9.5, 22.9), (5.0, 12.3), (1.4, 3.2), (4.5, 5.7))),
+    ],
+)
+def test_starts_that_nav2s_goal_checker_accepts_end_as_far_off_as_published(radius, law, published):
+    draw = np.random.default_rng(3)
+    runs = []
+    for _ in range(400):
+        away, angle, yaw = radius * math.sqrt(draw.random()), draw.uniform(0.0, 2.0 * math.pi), draw.uniform(-1.0, 1.0)
+        start = Pose2(-0.7 + away * math.cos(angle), away * math.sin(angle), radius * yaw)
+        runs.append(docked_from(start, law))
+    for values, expected in zip(np.array(runs).T, published, strict=True):
+        for share, value in zip((50, 95), expected, strict=True):
+            if value is not None:
+                assert np.percentile(values, share) == pytest.approx(value, rel=0.12)
 
 
 @given(poses, poses)
