@@ -12,6 +12,7 @@ from optdock.interfaces import TimingResult, TimingStatus
 from optdock.path import Path, PolylineSegment
 from optdock.timing.course import Course, Slowness, course_of
 from optdock.timing.motion import Phases, State
+from optdock.timing.pace import LONGEST, expected_duration
 from optdock.timing.start import GearPlan, plan_from
 from optdock.trajectory import TimeLaw, Trajectory
 
@@ -47,11 +48,22 @@ def time_path(
         return TimingResult(TimingStatus.FAIL, None, math.inf, report={"reason": fault})
     state, plans = State(0.0, *start), []
     for course in courses_of(path, limits, zone):
-        plans.append(plan_from(course, state, plan) if course is not None else GearPlan(TimingStatus.OK, how="empty"))
+        plans.append(_gear_plan(course, state, plan))
         if plans[-1].status is TimingStatus.FAIL or not plans[-1].arrives:
             break
         state = State() if course is not None else state
     return _result(path, plans, start)
+
+
+def _gear_plan(course: Course | None, state: State, plan: GearPlanner) -> GearPlan:
+    """The plan of one gear; a motion that takes longer than `LONGEST` is none."""
+    if course is None:
+        return GearPlan(TimingStatus.OK, how="empty")
+    duration = expected_duration(course)
+    if duration > LONGEST:
+        reason = f"the gear would take about {duration:.3g} s; motions of more than {LONGEST:.0f} s are not planned"
+        return GearPlan(TimingStatus.FAIL, how="refused", reason=reason)
+    return plan_from(course, state, plan)
 
 
 def courses_of(path: Path, limits: MotionLimits, zone: SpeedZone) -> list[Course | None]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -28,8 +29,11 @@ def initial_guess(grid: Grid, bounds: Bounds, profile: Profile, first: State, la
     limits = bounds.course.limits
     total = float(profile.time[-1])
     times = np.linspace(0.0, total, max(3, int(total / _SAMPLE) + 1))
-    half = 0.5 * (limits.max_acceleration + limits.max_deceleration) / limits.max_jerk
-    mean = _box_mean(np.interp(times, profile.time, profile.speed_squared), int(half * (times.size - 1) / total) + 1)
+    # Speed grows to its peak before the acceleration exceeds sqrt(peak * jerk): no higher drive limit is ever felt.
+    felt = math.sqrt(limits.max_jerk * math.sqrt(float(profile.speed_squared.max())))
+    half = 0.5 * (min(limits.max_acceleration, felt) + min(limits.max_deceleration, felt)) / limits.max_jerk
+    samples = min(times.size, int(half * (times.size - 1) / total) + 1)
+    mean = _box_mean(np.interp(times, profile.time, profile.speed_squared), samples)
     x = _SHARE * np.interp(grid.time, times, mean)
     if first.v > 0.0:
         share = np.minimum(1.0, (grid.time - grid.time[0]) / _BLEND)

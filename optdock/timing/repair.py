@@ -17,6 +17,7 @@ from optdock.timing.bounds import Bounds, Margins, Tightening
 from optdock.timing.braking import Braking
 from optdock.timing.check import Worst, refined_times, worst_ratio
 from optdock.timing.motion import Motion, Phases, State, stretched
+from optdock.timing.pace import expected_duration
 from optdock.timing.quick import quick_plan
 from optdock.timing.start import GearPlan, checked_plan, judged_plan
 from optdock.timing.windowed import plan_windows
@@ -32,6 +33,7 @@ _KEPT = 1.0 + 1e-9
 _TIGHT = 3.0  # margins: a moving start whose braking is closer to the limits gets none there
 _RETRIES = 2
 _AROUND = 0.06  # [m]: tightened on both sides of a bad stretch
+_WORTHWHILE = 300.0  # [s]: the reference's knots grow with the duration, its gain over windows does not
 _EXTRA = 0.006  # tightened beyond the excess
 
 
@@ -43,6 +45,8 @@ class _Tried(NamedTuple):
 
 def plan_gear(course: Course, start: State, settings: Settings) -> GearPlan:
     """A plan of one gear from a state from which the speed caps can be kept; status OK or FAIL."""
+    if expected_duration(course) > _WORTHWHILE:
+        return plan_windows(course, start)
     if not settings.smooth:
         quick = quick_plan(course, start)
         if quick is not None:
