@@ -164,6 +164,37 @@ def test_plan_runs_from_nav2_files_alone(files):
 
 
 @pytest.mark.parametrize(
+    ("dock", "start", "gear", "yaw"), [("nose", "-12.8,0.54,3.0", 1, math.pi), ("tail", "-12.8,0.54,0.1", -1, 0.0)]
+)
+def test_plan_runs_from_nav2s_own_parameters_and_map(tmp_path, real_data, dock, start, gear, yaw):
+    own = (real_data / "nav2" / "params" / "nav2_params.yaml").read_text()
+    rear = '    rear: {plugin: "opennav_docking::SimpleChargingDock", dock_direction: backward}\n'
+    listed = own.replace('dock_plugins: ["simple_charging_dock"]', 'dock_plugins: ["simple_charging_dock", "rear"]')
+    (tmp_path / "params.yaml").write_text(listed.replace("    # Dock instances\n", rear, 1))
+    (tmp_path / "docks.yaml").write_text(
+        "docks:\n  nose: {type: simple_charging_dock, pose: [-14.5, 0.24, 3.14159265358979], id: tag}\n"
+        "  tail: {type: rear, pose: [-14.5, 0.24, 0.0]}\n"
+    )
+    files = [
+        "--nav2-params",
+        tmp_path / "params.yaml",
+        "--docks",
+        tmp_path / "docks.yaml",
+        "--out",
+        tmp_path / "p.json",
+    ]
+    files += ["--map", real_data / "nav2" / "maps" / "warehouse.yaml"]
+    options = [*map(str, files), "--dock", dock, f"--start={start}", "--time-budget", "5"]
+    result = CliRunner().invoke(app, ["plan", *options])
+    assert result.exit_code == 0, result.output
+    document = json.loads((tmp_path / "p.json").read_text())
+    assert (document["status"], document["path"]["direction"][-1]) == ("certified", gear)
+    ends = [document["path"][key][-1] for key in ("x", "y", "yaw")]
+    assert ends[:2] == pytest.approx([-14.5, 0.24], abs=1e-6)
+    assert math.remainder(ends[2] - yaw, 2.0 * math.pi) == pytest.approx(0.0, abs=1e-6)
+
+
+@pytest.mark.parametrize(
     "arguments", [["plan"], ["plan", "bay.yaml", "--dock", "home"], ["plan", "--nav2-params", "params.yaml"]]
 )
 def test_a_scenario_and_nav2_files_exclude_each_other(arguments):
