@@ -17,6 +17,8 @@ __all__ = [
     "ControllerException",
     "ControllerInvalidPath",
     "ControllerTimedOut",
+    "DockNotInDB",
+    "DockNotValid",
     "FailedToMakeProgress",
     "FailedToSmoothPath",
     "FailedToTimePath",
@@ -70,6 +72,18 @@ class InvalidValue(OptdockError, ValueError):
 
 class InvalidFile(OptdockError):
     """A file cannot be read or breaks its format; the message lists every fault, one per line."""
+
+
+class DockNotInDB(InvalidValue):
+    """The dock asked for is not in the dock database."""
+
+    code = 901
+
+
+class DockNotValid(InvalidFile):
+    """A dock is of a type that nothing knows, or in a frame that nothing relates to the map's."""
+
+    code = 902
 
 
 class LifecycleError(OptdockError):

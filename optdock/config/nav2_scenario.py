@@ -12,7 +12,7 @@ from optdock.config.plugin_sections import plugin_choice
 from optdock.config.scenario import Scenario
 from optdock.costmap import obstacles_from_costmap
 from optdock.dock import Dock
-from optdock.errors import InvalidFile, InvalidValue
+from optdock.errors import DockNotInDB, DockNotValid, InvalidFile, InvalidValue
 from optdock.geometry.pose import Pose2
 from optdock.io.dock_database import DockEntry, load_dock_database
 from optdock.io.maps import load_map
@@ -65,9 +65,11 @@ def nav2_scenario(
         dock_name: Which dock; may be None where there is exactly one.
 
     Raises:
-        InvalidFile: A file breaks its format, names no costmap, the dock stands in another frame than the map, or it is
-            of none of the parameter file's dock types (a file without any says nothing: forward, as Nav2's default).
-        InvalidValue: The start is no pose, or there is no dock of that name.
+        InvalidFile: A file breaks its format or names no costmap.
+        DockNotValid: The dock stands in another frame than the map, or it is of none of the parameter file's dock types
+            (a file without any says nothing: forward, as Nav2's default).
+        DockNotInDB: There is no dock of that name, or no name and several docks.
+        InvalidValue: The start is no pose.
     """
     params = load_nav2_params(params_source)
     docks = params.docks if docks_source is None else load_dock_database(docks_source)
@@ -96,13 +98,13 @@ def _chosen(docks: Mapping[str, DockEntry], name: str | None, source: str) -> Do
         return docks[str(name)]
     listed = ", ".join(docks) or "none"
     wanted = "--dock: is required" if name is None else f"--dock: {source} has no dock {name!r}{closest(name, docks)}"
-    raise InvalidValue(f"{wanted}; its docks: {listed}")
+    raise DockNotInDB(f"{wanted}; its docks: {listed}")
 
 
 def _type_of(dock: DockEntry, params: Nav2Params) -> DockType:
     known = params.dock_types
     if known and dock.type not in known:
-        raise InvalidFile(
+        raise DockNotValid(
             f"{params.source}: has no dock type {dock.type!r}, which {dock.name} is of{closest(dock.type, known)}; its "
             f"dock types: {', '.join(known)}"
         )
@@ -118,7 +120,7 @@ def _global_costmap(params: Nav2Params) -> CostmapParams:
 
 def _check_frame(dock: DockEntry, costmap: CostmapParams, source: str) -> None:
     if dock.frame != costmap.global_frame:
-        raise InvalidFile(
+        raise DockNotValid(
             f"{source}: {dock.name}.frame: must be the frame of {costmap.name}, {costmap.global_frame!r}, "
             f"got {dock.frame!r}; transform the pose into it"
         )

@@ -10,7 +10,7 @@ from optdock.cli import app
 from optdock.config import nav2_scenario
 from optdock.config.nav2_scenario import nav2_limits
 from optdock.dock import DockDirection
-from optdock.errors import InvalidFile, InvalidValue
+from optdock.errors import DockNotInDB, DockNotValid, InvalidFile, InvalidValue
 from optdock.geometry.pose import Pose2
 from optdock.io.nav2_params import load_nav2_params
 
@@ -67,7 +67,7 @@ def test_the_problem_carries_what_the_files_say(files):
 
 
 def test_a_dock_of_a_type_that_the_parameters_do_not_know_is_refused_not_entered_with_the_wrong_end(files):
-    with pytest.raises(InvalidFile) as caught:
+    with pytest.raises(DockNotValid) as caught:
         scenario(files, docks_source=files / "docks.yaml", dock_name="right")
     text = "params.yaml: has no dock type 'chargr', which right is of; did you mean charger?; its dock types: charger"
     assert str(caught.value).endswith(text)
@@ -88,13 +88,14 @@ def test_without_any_dock_type_in_the_parameters_docks_are_entered_forward(files
     ],
 )
 def test_an_unknown_dock_is_refused_with_the_list(files, name, message):
-    with pytest.raises(InvalidValue) as caught:
+    with pytest.raises(DockNotInDB) as caught:
         scenario(files, docks_source=files / "docks.yaml", dock_name=name)
     assert str(caught.value).endswith(message)
+    assert caught.value.code == 901
 
 
 def test_a_dock_in_another_frame_is_refused(files):
-    with pytest.raises(InvalidFile, match=r"far\.frame: must be the frame of global_costmap, 'map', got 'odom'"):
+    with pytest.raises(DockNotValid, match=r"far\.frame: must be the frame of global_costmap, 'map', got 'odom'"):
         scenario(files, docks_source=files / "docks.yaml", dock_name="far")
 
 

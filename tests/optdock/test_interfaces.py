@@ -187,10 +187,13 @@ ERRORS = [
     ("SmoothedPathInCollision", 503, "SmoothedPathInCollision", errors.SmootherException),
     ("FailedToSmoothPath", 504, "FailedToSmoothPath", errors.SmootherException),
     ("InvalidPath", 505, "InvalidPath", errors.SmootherException),
+    ("DockNotInDB", 901, "DockNotInDB", errors.InvalidValue),
+    ("DockNotValid", 902, "DockNotValid", errors.InvalidFile),
 ]
 # PlannerTFError 202, ControllerTFError 102 and the behaviors' TF_ERROR belong to a transform tree, NoViapointsGiven
-# 309 to planning through poses, TIMEOUT 108 to the client of an action: there is none of these here.
-WITHOUT_COUNTERPART = {102, 108, 202, 309}
+# 309 to planning through poses, TIMEOUT 108 to the client of an action, FAILED_TO_DETECT_DOCK 904 and FAILED_TO_CHARGE
+# 906 to sensors: there is none of these here. 903, 905, 907 and 999 are results of Undock.
+WITHOUT_COUNTERPART = {102, 108, 202, 309, 904, 906}
 # What Nav2 has no exception for; certification answers with the code of a smoothed path in collision.
 OWN = {
     "BehaviorException": 0,
