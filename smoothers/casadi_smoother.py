@@ -24,11 +24,11 @@ from smoothers._ck.anytime import Incumbent, Outcome, Runner
 from smoothers._ck.budget import Budget
 from smoothers._ck.initial import Resolution, Tuning, make_task
 from smoothers._ck.kept import direct_line, input_cost, may_be_kept
-from smoothers._ck.qp import ProgramPool
+from smoothers._ck.qp import pool_of_this_thread
 from smoothers._ck.refusals import refuse_approach, refuse_certificate, refuse_search, refuse_start
 from smoothers._ck.spline import exact_path
 from smoothers._ck.steps import prepare_programs
-from smoothers._ck.surroundings import problem_between_ends
+from smoothers._ck.surroundings import covers, problem_between_ends
 from smoothers._ck.task import reference_scales
 from smoothers._ck.terms import Weights
 from smoothers._ck.warm import remaining
@@ -68,15 +68,12 @@ class CasadiSmoother(Smoother):
     """Minimizes length, curvature, curvature rate and distance to the input under the problem's hard bounds.
 
     The result is a clothoid spline per gear (curvature piecewise linear in arc length), certified by
-    `optdock.verification` before it is returned. Gears keep their order; cusps may move. Not for concurrent use.
+    `optdock.verification` before it is returned. Gears keep their order; cusps may move. Every thread has solvers of
+    its own.
     """
 
     Parameters: ClassVar[type[PluginParameters]] = CasadiSmootherParameters
     parameters: CasadiSmootherParameters
-
-    def __init__(self, **parameters: object) -> None:
-        super().__init__(**parameters)
-        self._pool = ProgramPool()
 
     def smooth(
         self,
@@ -105,13 +102,14 @@ class CasadiSmoother(Smoother):
             SmootherCancelled: `cancel_checker` returned True.
         """
         budget = Budget(max_time, self.context.clock)
-        built = self._pool.build_time
+        pool = pool_of_this_thread()
+        built = pool.build_time
         wanted = problem if problem is not None else self._problem_of(path)
         task = self._prepared(path, wanted, warm_start)
         setup, chosen = budget.elapsed, self.parameters
         if chosen.backend == "ipopt":
             return self._reference(task, wanted, budget)
-        runner = Runner(wanted, self._pool, budget, cancel_checker, chosen.max_iterations, chosen.stop_at_first)
+        runner = Runner(wanted, pool, budget, cancel_checker, chosen.max_iterations, chosen.stop_at_first)
         if may_be_kept(path, wanted):
             runner.offer(path, input_cost(path, task.cost, wanted.dock.final_straight), "input")
         line = direct_line(path, wanted)
@@ -120,7 +118,9 @@ class CasadiSmoother(Smoother):
         outcome = runner.run(task) if line is None or runner.outcome.incumbent is None else runner.finished()
         if outcome.incumbent is None:
             raise _failure(task, outcome, max_time)
-        return _result(outcome, budget, setup, self._pool.build_time - built)
+        if problem is None and not covers(path, outcome.incumbent.path):
+            self._confirm(outcome.incumbent.path)
+        return _result(outcome, budget, setup, pool.build_time - built)
 
     def warm_up(self) -> None:
         """Build what the first call would build, and load the solvers."""
@@ -130,7 +130,7 @@ class CasadiSmoother(Smoother):
         robot = Robot(Footprint.rectangle(0.4, 0.4, 0.5), limits)
         problem = DockingProblem(start, Dock(goal, final_straight=0.2), robot, wall)
         self.smooth(Path.from_poses([start, Pose2(1.5, 0.0, 0.1), goal]), 10.0, problem=problem)
-        prepare_programs(self._pool)
+        prepare_programs(pool_of_this_thread())
 
     def _prepared(self, path: Path, problem: DockingProblem, earlier: Path | None) -> Task:
         start_clearance, nearest = pose_clearance(problem.start, problem.robot.footprint, problem.all_obstacles)
@@ -158,6 +158,12 @@ class CasadiSmoother(Smoother):
         chosen = self.parameters
         limits = MotionLimits(max_curvature=chosen.max_curvature, max_curvature_rate=chosen.max_curvature_rate)
         return problem_between_ends(path, self.context, limits, chosen.clearance, chosen.final_straight)
+
+    def _confirm(self, result: Path) -> None:
+        """Certify a result that left the part of the costmap which was read around its input."""
+        certificate = certify_path(result, self._problem_of(result))
+        if not certificate.certified:
+            raise refuse_certificate(certificate).error()
 
     def _reference(self, task: Task, problem: DockingProblem, budget: Budget) -> SmoothingResult:
         from smoothers._ck.ipopt_backend import solve_reference

@@ -6,6 +6,7 @@ casadi's buffers, which read and write numpy memory without a copy.
 
 from __future__ import annotations
 
+import threading
 import time
 from typing import TYPE_CHECKING
 
@@ -17,7 +18,7 @@ if TYPE_CHECKING:
 
     from optdock.geometry.arrays import FloatArray
 
-__all__ = ["UNBOUNDED", "DenseProgram", "ProgramPool"]
+__all__ = ["UNBOUNDED", "DenseProgram", "ProgramPool", "pool_of_this_thread"]
 
 UNBOUNDED = 1e30  # how DAQP spells infinity
 _ARGUMENTS = ("h", "g", "a", "lba", "uba", "lbx", "ubx")
@@ -86,7 +87,7 @@ class DenseProgram:
 
 
 class ProgramPool:
-    """Programs by size, built on first use. Not for concurrent use: one pool per smoother.
+    """Programs by size, built on first use. Not for concurrent use; see `pool_of_this_thread`.
 
     Attributes:
         build_time: Seconds spent on building, over the pool's life.
@@ -112,3 +113,18 @@ class ProgramPool:
         program.lba[0], program.uba[0], program.a[0, 0] = 0.0, 1.0, 1.0
         program.lbx[:], program.ubx[:] = -1.0, 1.0
         program.solve_slowly()
+
+
+class _Pools(threading.local):
+    """One pool per thread."""
+
+    def __init__(self) -> None:
+        self.pool = ProgramPool()
+
+
+_POOLS = _Pools()
+
+
+def pool_of_this_thread() -> ProgramPool:
+    """The programs of the calling thread: building one takes as long as several steps, so all smoothers share them."""
+    return _POOLS.pool

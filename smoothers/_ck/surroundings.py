@@ -15,9 +15,10 @@ if TYPE_CHECKING:
     from optdock.lifecycle import PluginContext
     from optdock.path import Path
 
-__all__ = ["problem_between_ends"]
+__all__ = ["covers", "problem_between_ends"]
 
 _MARGIN = 1.5  # [m]: how far around the path the costmap is read, beyond the footprint
+_SPACING = 0.2  # [m] between the points that say where a path is
 
 
 def problem_between_ends(
@@ -34,10 +35,18 @@ def problem_between_ends(
     if costmap is not None:
         from optdock.costmap.cell_obstacles import obstacles_from_costmap
 
-        points = path.sample(0.2).poses[:, :2]
+        points = path.sample(_SPACING).poses[:, :2]
         reach = context.footprint.circumscribed_radius + clearance + _MARGIN
         obstacles = obstacles_from_costmap(costmap, region=(points.min(axis=0) - reach, points.max(axis=0) + reach))
     rule = ClearanceRule(required=clearance, at_dock=0.0, taper=0.5 if clearance > 0.0 else 0.0)
     dock = Dock(path.end, final_straight=final_straight)
     robot = Robot(context.footprint, limits)
     return DockingProblem(path.start, dock, robot, obstacles, rule, costmap=costmap)
+
+
+def covers(path: Path, result: Path) -> bool:
+    """Whether the costmap read around `path` holds every cell that the footprint can meet on `result`."""
+    points, reached = path.sample(_SPACING).poses[:, :2], result.sample(_SPACING).poses[:, :2]
+    slack = _MARGIN - _SPACING
+    inside = (reached >= points.min(axis=0) - slack) & (reached <= points.max(axis=0) + slack)
+    return bool(inside.all())
