@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
@@ -131,14 +132,21 @@ class ObstacleSet:
         return self.names[int(self.group[row])]
 
     def pieces(self, rows: IntArray) -> ConvexPieces:
-        """The polygons of `rows`, one per row, as `separation` takes them."""
-        return ConvexPieces(self.vertices[rows], self.normals[rows], self.offsets[rows])
+        """The polygons of `rows`, in that order, as `separation` takes them."""
+        return ConvexPieces(*self._columns[:, :, rows])
+
+    @functools.cached_property
+    def _columns(self) -> FloatArray:
+        """Vertices, normals and offsets with the pieces along the last axis, Shape (5, k, m)."""
+        parts = (self.vertices[..., 0], self.vertices[..., 1], self.normals[..., 0], self.normals[..., 1], self.offsets)
+        return np.stack([np.ascontiguousarray(part.T) for part in parts])
 
     def box_distance(self, points: FloatArray) -> FloatArray:
         """Distance of every point, Shape (n, 2) [m], to every bounding box. Shape (n, m) [m]."""
-        gap = np.maximum(self.lower - points[:, None], points[:, None] - self.upper)
-        outside = np.maximum(gap, 0.0)
-        distance: FloatArray = np.hypot(outside[..., 0], outside[..., 1])
+        x, y = points[:, :1], points[:, 1:]
+        across = np.maximum(np.maximum(self.lower[:, 0] - x, x - self.upper[:, 0]), 0.0)
+        along = np.maximum(np.maximum(self.lower[:, 1] - y, y - self.upper[:, 1]), 0.0)
+        distance: FloatArray = np.sqrt(across * across + along * along)
         return distance
 
 

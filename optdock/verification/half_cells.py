@@ -118,12 +118,12 @@ def _directional(
     body: ConvexBody, poses: FloatArray, velocity: FloatArray, axis: FloatArray, width: FloatArray
 ) -> FloatArray:
     """First-order part of (*): min_v (n.v + n.v' du) - min_v n.v at du = width. Shape (m,) [m]."""
-    offset = transform_points(poses, body.vertices) - poses[:, None, :2]  # (m, v, 2)
-    height = axis[:, 0, None] * offset[..., 0] + axis[:, 1, None] * offset[..., 1]
-    linear = axis[:, 0] * velocity[:, 0] + axis[:, 1] * velocity[:, 1]
-    swing = velocity[:, 2, None] * (axis[:, 1, None] * offset[..., 0] - axis[:, 0, None] * offset[..., 1])
-    moved = height + width[:, None] * (linear[:, None] + swing)
-    change: FloatArray = moved.min(axis=1) - height.min(axis=1)
+    c, s = np.cos(poses[:, 2]), np.sin(poses[:, 2])
+    across, along = axis[:, 0] * c + axis[:, 1] * s, axis[:, 1] * c - axis[:, 0] * s  # the axis in the body's frame
+    x, y = body.vertices[:, :1], body.vertices[:, 1:]
+    height = across * x + along * y  # (v, m)
+    rate = axis[:, 0] * velocity[:, 0] + axis[:, 1] * velocity[:, 1] + velocity[:, 2] * (along * x - across * y)
+    change: FloatArray = (height + width * rate).min(axis=0) - height.min(axis=0)
     return change
 
 
