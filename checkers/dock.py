@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 from pydantic import Field
 
 from checkers._errors import is_stopped, yaw_error
 from checkers._plan import longer_than
+from optdock.dock import DockTolerances
 from optdock.interfaces import GoalChecker, Tolerances
 from optdock.parameters import PluginParameters
 
@@ -21,11 +22,11 @@ __all__ = ["DockGoalChecker", "DockGoalCheckerParameters"]
 
 
 class DockGoalCheckerParameters(PluginParameters):
-    """Tolerances of a dock; the first three defaults are those of `DockTolerances`."""
+    """Tolerances of a dock; the first three are by default those of the dock in the configured problem."""
 
-    along_tolerance: float = Field(default=0.02, ge=0.0, description="accepted error along the goal heading [m]")
-    cross_tolerance: float = Field(default=0.02, ge=0.0, description="accepted error across it [m]")
-    yaw_goal_tolerance: float = Field(default=0.05, ge=0.0, description="accepted heading error [rad]")
+    along_tolerance: float | None = Field(default=None, ge=0.0, description="accepted error along the heading [m]")
+    cross_tolerance: float | None = Field(default=None, ge=0.0, description="accepted error across it [m]")
+    yaw_goal_tolerance: float | None = Field(default=None, ge=0.0, description="accepted heading error [rad]")
     path_length_tolerance: float = Field(default=1.0, ge=0.0, description="longer remaining paths are not judged [m]")
     stopped: bool = Field(default=True, description="the robot must also stand still")
     trans_stopped_velocity: float = Field(default=0.01, ge=0.0, description="largest speed at rest [m/s]")
@@ -33,12 +34,21 @@ class DockGoalCheckerParameters(PluginParameters):
     stateful: bool = Field(default=True, description="once reached stays reached until reset")
 
 
+class _Accepted(NamedTuple):
+    """Errors along and across [m] and of heading [rad] that are accepted."""
+
+    along: float
+    cross: float
+    yaw: float
+
+
 class DockGoalChecker(GoalChecker):
     """Reached when the robot stands in the dock: what no checker of Nav2's asks for all at once.
 
     The axis is the goal's own heading, not the end of a path, so neither a short remaining path nor a skewed one can
     turn it. Along, across, heading and (if `stopped`) rest must hold in the same call, inclusively. When stateful,
-    that verdict stays until `reset`, so that noise in the measured pose does not take it back.
+    that verdict stays until `reset`, so that noise in the measured pose does not take it back. A tolerance that is not
+    given is the dock's own where a problem is configured, else `DockTolerances`' default (2 cm, 2 cm, 0.05 rad).
 
     Args:
         **parameters: Fields of `DockGoalCheckerParameters`.
@@ -64,7 +74,7 @@ class DockGoalChecker(GoalChecker):
         p = self.parameters
         in_position = self.is_goal_xy_reached(query_pose, goal_pose, velocity, path)
         at_rest = not p.stopped or is_stopped(velocity, p.trans_stopped_velocity, p.rot_stopped_velocity)
-        aligned = yaw_error(query_pose, goal_pose) <= p.yaw_goal_tolerance
+        aligned = yaw_error(query_pose, goal_pose) <= self._accepted.yaw
         self._reached = self._is_latched or (in_position and at_rest and aligned)
         return self._reached
 
@@ -83,16 +93,17 @@ class DockGoalChecker(GoalChecker):
             return False
         dx, dy = query_pose.x - goal_pose.x, query_pose.y - goal_pose.y
         c, s = math.cos(goal_pose.yaw), math.sin(goal_pose.yaw)
-        return abs(c * dx + s * dy) <= p.along_tolerance and abs(c * dy - s * dx) <= p.cross_tolerance
+        accepted = self._accepted
+        return abs(c * dx + s * dy) <= accepted.along and abs(c * dy - s * dx) <= accepted.cross
 
     @property
     def tolerances(self) -> Tolerances:
         """Along in x, across in y, heading, and the speeds that count as rest."""
-        p = self.parameters
+        p, accepted = self.parameters, self._accepted
         return Tolerances(
-            x=p.along_tolerance,
-            y=p.cross_tolerance,
-            yaw=p.yaw_goal_tolerance,
+            x=accepted.along,
+            y=accepted.cross,
+            yaw=accepted.yaw,
             linear_speed=p.trans_stopped_velocity if p.stopped else None,
             angular_speed=p.rot_stopped_velocity if p.stopped else None,
             path_length=p.path_length_tolerance,
@@ -101,6 +112,16 @@ class DockGoalChecker(GoalChecker):
     def reset(self) -> None:
         """A new attempt begins: forget the verdict."""
         self._reached = False
+
+    @property
+    def _accepted(self) -> _Accepted:
+        p, problem = self.parameters, self.context.problem
+        dock = problem.dock.tolerances if problem is not None else DockTolerances()
+        return _Accepted(
+            dock.along if p.along_tolerance is None else p.along_tolerance,
+            dock.cross if p.cross_tolerance is None else p.cross_tolerance,
+            dock.yaw if p.yaw_goal_tolerance is None else p.yaw_goal_tolerance,
+        )
 
     @property
     def _is_latched(self) -> bool:

@@ -103,7 +103,8 @@ def driven(scenario: Scenario, plan: DockPlan, seed: int, world: World = _USUAL)
     problem = scenario.problem
     controller = create_plugin(Controller, scenario.controller.name, scenario.controller.parameters)
     checker = create_plugin(GoalChecker, scenario.goal_checker.name, scenario.goal_checker.parameters)
-    controller.configure(PluginContext("controller", problem.costmap, problem.robot.footprint, problem))
+    for name, plugin in (("controller", controller), ("goal_checker", checker)):
+        plugin.configure(PluginContext(name, problem.costmap, problem.robot.footprint, problem))
     period = float(controller.parameters.model_dump().get("period", 0.02))
     step = period / Actuation().substeps
     settings = SimulationSettings(

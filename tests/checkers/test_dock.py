@@ -7,11 +7,17 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from checkers.dock import DockGoalChecker
-from optdock.dock import DockTolerances
+from optdock.dock import Dock, DockTolerances
 from optdock.errors import InvalidValue
+from optdock.geometry.footprint import Footprint
 from optdock.geometry.pose import Pose2, Twist2
+from optdock.interfaces import PluginContext
+from optdock.limits import MotionLimits
+from optdock.problem import DockingProblem
+from optdock.robot import Robot
 
 REST = Twist2()
+GOAL = Pose2(3.0, 1.0, 0.4)
 goals = st.builds(Pose2, st.floats(-5.0, 5.0), st.floats(-5.0, 5.0), st.floats(-4.0, 4.0))
 offsets = st.tuples(st.floats(-0.05, 0.05), st.floats(-0.05, 0.05), st.floats(-0.1, 0.1))
 
@@ -96,3 +102,14 @@ def test_a_verdict_of_a_stateless_time_is_not_latched_later():
     assert [reached(checker, pose, goal) for pose in (goal, away)] == [True, False]
     checker.set_parameters(stateful=True)
     assert not reached(checker, away, goal)
+
+
+def test_tolerances_not_given_are_those_of_the_configured_dock():
+    dock = Dock(GOAL, tolerances=DockTolerances(along=0.003, cross=0.004, yaw=0.005))
+    problem = DockingProblem(Pose2(-2.0, 0.0, 0.0), dock, Robot(Footprint.from_radius(0.3), MotionLimits()))
+    checker = DockGoalChecker(cross_tolerance=0.1)
+    assert checker.tolerances[:3] == (0.02, 0.1, 0.05)
+    checker.configure(PluginContext(problem=problem))
+    assert checker.tolerances[:3] == (0.003, 0.1, 0.005)
+    assert not checker.is_goal_reached(GOAL @ Pose2(0.0031, 0.0, 0.0), GOAL, Twist2(), [])
+    assert checker.is_goal_reached(GOAL @ Pose2(0.0029, 0.05, 0.0), GOAL, Twist2(), [])
