@@ -31,6 +31,7 @@ if TYPE_CHECKING:
 __all__ = ["HalfBounds", "HalfCells", "half_cell_bounds", "pose_clearance"]
 
 
+_MAX_CIRCLES = 3  # that stand for a body before it is looked at exactly
 _MAX_PAIRS = 300_000  # of a stretch and an obstacle looked at in one go; bounds the memory
 
 
@@ -128,11 +129,25 @@ def _directional(
 
 
 def _box_gaps(body: ConvexBody, poses: FloatArray, obstacles: ObstacleSet) -> FloatArray:
-    """Lower bound of the distance from every pose's body to every obstacle, by circle and box. Shape (n, m) [m]."""
-    centre = 0.5 * (body.vertices.min(axis=0) + body.vertices.max(axis=0))
-    radius = float(np.max(np.hypot(*(body.vertices - centre).T)))
-    gaps: FloatArray = obstacles.box_distance(transform_points(poses, centre[None])[:, 0]) - radius
+    """Lower bound of the distance from every pose's body to every obstacle, by circles and boxes. Shape (n, m) [m]."""
+    centres, radius = _covering_circles(body)
+    at = transform_points(poses, centres)  # (n, circles, 2)
+    gaps = obstacles.box_distance(at[:, 0])
+    for k in range(1, len(centres)):
+        np.minimum(gaps, obstacles.box_distance(at[:, k]), out=gaps)
+    gaps -= radius
     return gaps
+
+
+def _covering_circles(body: ConvexBody) -> tuple[FloatArray, float]:
+    """Centres (k, 2) [m] and common radius [m] of circles that cover the body: one per square of its bounding box."""
+    low, high = body.vertices.min(axis=0), body.vertices.max(axis=0)
+    size = high - low
+    longer = int(np.argmax(size))
+    count = int(np.clip(np.ceil(size[longer] / max(size[1 - longer], 1e-300)), 1, _MAX_CIRCLES))
+    centres = np.tile(0.5 * (low + high), (count, 1))
+    centres[:, longer] = low[longer] + size[longer] * (np.arange(count) + 0.5) / count
+    return centres, 0.5 * float(np.hypot(size[longer] / count, size[1 - longer]))
 
 
 def pose_clearance(pose: Pose2, footprint: Footprint, obstacles: ObstacleSet) -> tuple[float, int]:
