@@ -192,9 +192,11 @@ class _Clock:
         self.began, self.budget = time.monotonic(), budget
 
     def elapsed_ms(self) -> float:
+        """Milliseconds since the call began."""
         return 1e3 * (time.monotonic() - self.began)
 
     def left(self) -> float:
+        """Seconds left of the budget; negative when it is overdrawn."""
         return self.budget - (time.monotonic() - self.began)
 
 
@@ -208,6 +210,7 @@ class _Run:
     so_far: PartialPlan = field(default_factory=PartialPlan)
 
     def plan(self, choices: PluginChoices) -> DockPlan:
+        """All stages in turn; `so_far` holds what exists when one of them raises."""
         check_ends(self.problem)
         raw = self._timed("plan", lambda: self._raw_path(choices.planner))
         self.so_far.raw_path = raw

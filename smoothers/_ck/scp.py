@@ -105,11 +105,13 @@ class _Controls:
     shortfalls: list[float] = field(default_factory=list)
 
     def accept(self) -> None:
+        """A step was good: dare more."""
         self.trust = min(2.0 * self.trust, 0.9)
         self.prox = max(0.3 * self.prox, 1e-3)
         self.rejections = 0
 
     def reject(self, step: float) -> None:
+        """A step that moved by `step` was bad: stay closer."""
         self.trust = 0.3 * min(self.trust, max(step, 1e-6))
         self.prox *= 3.0
         self.rejections += 1
