@@ -117,7 +117,7 @@ class CasadiSmoother(Smoother):
             runner.offer(line, input_cost(line, task.cost, wanted.dock.final_straight), "line")
         outcome = runner.run(task) if line is None or runner.outcome.incumbent is None else runner.finished()
         if outcome.incumbent is None:
-            raise _failure(task, outcome, max_time)
+            raise _failure(task, outcome, max_time, wanted.dock.final_straight)
         if problem is None and not covers(path, outcome.incumbent.path):
             self._confirm(outcome.incumbent.path)
         return _result(outcome, budget, setup, pool.build_time - built)
@@ -172,18 +172,18 @@ class CasadiSmoother(Smoother):
         path, _ = exact_path(task, iterate.variables, problem.dock.final_straight)
         certificate = certify_path(path, problem)
         if not certificate.certified:
-            raise refuse_search(task, iterate).error(certificate=certificate.reason)
+            raise refuse_search(task, iterate, problem.dock.final_straight).error(certificate=certificate.reason)
         outcome = Outcome(Incumbent(path, certificate, iterate.cost), iterate, converged=settled)
         return _result(outcome, budget, 0.0, 0.0)
 
 
-def _failure(task: Task, outcome: Outcome, max_time: float) -> SmootherException:
+def _failure(task: Task, outcome: Outcome, max_time: float, final_straight: float) -> SmootherException:
     if not outcome.converged or outcome.last is None:
         message = f"no certified path within {1e3 * max_time:.1f} ms"
         return SmootherTimedOut(message, where={"iterations": outcome.iterations})
     if outcome.refused is not None and outcome.last.feasible:
         return refuse_certificate(outcome.refused).error()
-    return refuse_search(task, outcome.last).error()
+    return refuse_search(task, outcome.last, final_straight).error()
 
 
 def _result(outcome: Outcome, budget: Budget, setup: float, build: float) -> SmoothingResult:

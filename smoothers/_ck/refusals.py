@@ -108,10 +108,16 @@ def _distances(problem: DockingProblem, poses: FloatArray) -> tuple[FloatArray, 
     return best, rows
 
 
-def refuse_search(task: Task, last: Iterate) -> Refusal:
-    """Which bound the search could not satisfy: the goal (through curvature and rate) or clearance."""
+def refuse_search(task: Task, last: Iterate, final_straight: float) -> Refusal:
+    """Which bound the search could not satisfy: the goal (through curvature and rate) or clearance.
+
+    Args:
+        task: What was searched for.
+        last: How far it came.
+        final_straight: Length of the straight run between the target of the search and the goal [m].
+    """
     if not last.on_goal or last.clearance.margin.size == 0:
-        return _unreachable(task, last)
+        return _unreachable(task, last, final_straight)
     k = int(np.argmin(last.clearance.margin))
     name = task.world.obstacles.name_of(int(last.clearance.pairs.obstacle[k]))
     s = float(last.rollout.steps[: int(last.clearance.pairs.interval[k])].sum())
@@ -126,13 +132,14 @@ def refuse_certificate(certificate: Certificate) -> Refusal:
     return Refusal(broken.kind, broken.s, broken.amount, obstacle, broken.message)
 
 
-def _unreachable(task: Task, last: Iterate) -> Refusal:
+def _unreachable(task: Task, last: Iterate, final_straight: float) -> Refusal:
     missed, turned = float(np.hypot(*last.end_error[:2])), abs(float(last.end_error[2]))
     bound = float(task.bounds.upper[: task.layout.num_knots].max())
     used = float(np.abs(last.variables.curvature).max()) / bound
     steered = float(np.abs(last.rollout.rate).max()) / task.bounds.rate
     tight = [name for name, share in (("curvature", used), ("curvature rate", steered)) if share > 0.97]
     tight += ["clearance"] if last.clearance.margin.size and last.clearance.margin.min() < 2e-3 else []
-    message = f"a path with these gears misses the goal by {missed:.3f} m and {turned:.3f} rad"
+    target = f"the final straight, {final_straight:.3f} m before the goal," if final_straight > 0.0 else "the goal"
+    message = f"a path with these gears misses {target} by {missed:.3f} m and {turned:.3f} rad"
     message += f"; at the limit: {', '.join(tight)}" if tight else ""
     return Refusal("goal_unreachable", float(last.variables.lengths.sum()), missed, "", message)
