@@ -162,7 +162,7 @@ def _first_pose(segment: Segment) -> FloatArray:
 
 def _sample_segment(segment: Segment, spacing: float) -> PathSamples:
     count = max(1, int(np.ceil(segment.length / spacing - 1e-9)))
-    s = np.linspace(0.0, segment.length, count + 1)
+    s = np.linspace(0.0, segment.length, count + 1, dtype=np.float64)
     if isinstance(segment, PolylineSegment) and np.any(np.diff(segment.knots) <= 0.0):
         return _sample_steps(segment, spacing)
     poses = segment.poses_at(s)

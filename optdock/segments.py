@@ -169,7 +169,8 @@ class PolylineSegment:
         """Linear between the mean curvatures of the steps at each pose. Shape (n,) [1/m]."""
         points = np.atleast_1d(np.asarray(s, dtype=np.float64))
         finite = np.where(np.isfinite(self.node_curvature), self.node_curvature, np.sign(self.node_curvature) * 1e9)
-        return np.interp(points, self.knots, finite)
+        curvature: FloatArray = np.interp(points, self.knots, finite)
+        return curvature
 
     def curvature_rate_at(self, s: ArrayLike) -> FloatArray:
         """Slope of `curvature_at`, Shape (n,) [1/m^2]."""

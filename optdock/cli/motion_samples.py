@@ -64,7 +64,9 @@ def _steps(motion: TrajectoryColumns) -> FloatArray:
     """Distance between samples from speeds and accelerations; exact where the jerk is constant. Shape (n - 1,) [m]."""
     dt = np.diff(motion.t)
     gear = np.where(motion.speed[:-1] + motion.speed[1:] < 0.0, -1.0, 1.0)
-    return gear * (dt * 0.5 * (motion.speed[:-1] + motion.speed[1:]) - dt**2 / 12.0 * np.diff(motion.acceleration))
+    mean = 0.5 * (motion.speed[:-1] + motion.speed[1:])
+    steps: FloatArray = gear * (dt * mean - dt**2 / 12.0 * np.diff(motion.acceleration))
+    return steps
 
 
 def _travelled(motion: TrajectoryColumns, path: Path) -> FloatArray:

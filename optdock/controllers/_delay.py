@@ -3,8 +3,12 @@
 from __future__ import annotations
 
 import math
+from typing import TYPE_CHECKING
 
 import numpy as np
+
+if TYPE_CHECKING:
+    from optdock.geometry.arrays import FloatArray
 
 __all__ = ["DelayEstimate"]
 
@@ -37,7 +41,7 @@ class DelayEstimate:
         with np.errstate(divide="ignore"):
             self._gain = np.where(lags > 0.0, 1.0 - np.exp(-period / np.maximum(lags, 1e-12)), 1.0)
         self._delays = period * self._latencies[:, None] + lags
-        self._history = np.zeros(self._latencies.size)
+        self._history: FloatArray = np.zeros(self._latencies.size)
         self._speeds = np.zeros(self._delays.shape)
         self._misfit = np.zeros(self._delays.shape)
 

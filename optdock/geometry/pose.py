@@ -34,7 +34,7 @@ def normalize_angle(angle: float) -> float:
 
 def unwrap_yaw(yaw: FloatArray) -> FloatArray:
     """Yaws made continuous: consecutive values differ by at most pi. Shape (n,) [rad]."""
-    return np.unwrap(yaw)
+    return np.asarray(np.unwrap(yaw), dtype=np.float64)
 
 
 def _check_finite(owner: str, **values: float) -> None:

@@ -106,9 +106,8 @@ def _plain_values(path: Path, stream: BinaryIO, count: int) -> NDArray[np.int64]
 def _raw_values(stream: BinaryIO, count: int, maxval: int) -> NDArray[np.int64] | NDArray[np.uint8]:
     kind = np.dtype(np.uint8 if maxval < 256 else ">u2")
     content = stream.read(count * kind.itemsize)
-    return np.frombuffer(content, kind, len(content) // kind.itemsize).astype(
-        np.int64 if kind.itemsize > 1 else np.uint8
-    )
+    values = np.frombuffer(content, kind, len(content) // kind.itemsize)
+    return values.astype(np.int64) if kind.itemsize > 1 else values.astype(np.uint8)
 
 
 def _to_8_bit(values: NDArray[np.int64] | NDArray[np.uint8], maxval: int) -> GreyArray:

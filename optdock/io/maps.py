@@ -18,7 +18,7 @@ from optdock.io.map_image import GreyImage, load_grey_image
 from optdock.io.yaml_lines import Document, load_yaml
 
 if TYPE_CHECKING:
-    from optdock.geometry.arrays import FloatArray
+    from optdock.geometry.arrays import FloatArray, IntArray
 
 __all__ = ["MapInfo", "MapMode", "load_map", "occupancy_from_image"]
 
@@ -107,7 +107,7 @@ def _raw_table() -> OccupancyArray:
 def _threshold_table(info: MapInfo) -> OccupancyArray:
     grey = np.arange(256)
     probability: FloatArray = (grey if info.negate else 255 - grey) / 255.0
-    between = np.full(256, OCCUPANCY_UNKNOWN)
+    between: IntArray = np.full(256, OCCUPANCY_UNKNOWN)
     if info.mode is MapMode.SCALE and info.occupied_thresh > info.free_thresh:
         share = (probability - info.free_thresh) / (info.occupied_thresh - info.free_thresh)
         between = np.floor(100.0 * np.clip(share, 0.0, 1.0) + 0.5).astype(np.int64)

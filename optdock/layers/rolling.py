@@ -38,7 +38,8 @@ def moved_grid(grid: Costmap | None, target: Costmap, fill: int) -> Costmap:
 
     A grid of another size or resolution, or off the target's raster by more than a hundredth of a cell, is not kept.
     """
-    moved = Costmap.writable(target.data.shape, target.resolution, target.origin, fill)
+    rows, columns = target.data.shape
+    moved = Costmap.writable((rows, columns), target.resolution, target.origin, fill)
     if grid is None or grid.data.shape != target.data.shape or grid.resolution != target.resolution:
         return moved
     steps = [(new - old) / grid.resolution for new, old in zip(target.origin, grid.origin, strict=True)]

@@ -64,7 +64,7 @@ class CurveSampler:
             PlannerCancelled: The cancel checker returned True.
         """
         curve = Nurbs(control_points, degree=self.degree)
-        u = np.linspace(0.0, 1.0, self._count(curve, name) + 1)
+        u = np.linspace(0.0, 1.0, self._count(curve, name) + 1, dtype=np.float64)
         chunks = [self._chunk(curve, u[i : i + _CHUNK], direction, name) for i in range(0, u.size, _CHUNK)]
         found = np.concatenate(chunks)
         if len(found) < 2:

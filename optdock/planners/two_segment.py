@@ -141,4 +141,5 @@ def _assembled(
 
 def _without_repeats(poses: FloatArray) -> FloatArray:
     step = np.hypot(*np.diff(poses[:, :2], axis=0).T)
-    return poses[np.concatenate(([True], step > _SAME_POSITION))]
+    kept: FloatArray = poses[np.concatenate(([True], step > _SAME_POSITION))]
+    return kept

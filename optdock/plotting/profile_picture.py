@@ -51,7 +51,7 @@ def save_profile_picture(
         MissingExtra: Matplotlib is not installed.
         InvalidFile: The file cannot be written.
     """
-    times = np.linspace(0.0, trajectory.duration, _POINTS)
+    times = np.linspace(0.0, trajectory.duration, _POINTS, dtype=np.float64)
     figure = new_figure(10.0, 7.5)
     grid = figure.subplots(3, 2, sharex=True)
     for axes, panel in zip(grid.T.ravel(), _panels(trajectory, limits, zone, times), strict=True):

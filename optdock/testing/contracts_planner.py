@@ -19,6 +19,8 @@ from optdock.testing.contracts_scene import GOAL, ORIGIN
 if TYPE_CHECKING:
     from collections.abc import Callable
 
+    from optdock.geometry.arrays import FloatArray
+
 __all__ = ["GlobalPlannerContract"]
 
 _SAME = 1e-6  # [m], [rad]
@@ -116,7 +118,7 @@ class GlobalPlannerContract(PluginContract[GlobalPlanner]):
         return poll_gaps(run)
 
 
-def _require_close(found: np.ndarray, wanted: np.ndarray, rule: str) -> None:
+def _require_close(found: FloatArray, wanted: FloatArray, rule: str) -> None:
     require(found.shape == wanted.shape, f"{rule}: {len(wanted)} samples, got {len(found)}")
     worst = float(np.max(np.abs(found - wanted)))
     require(worst <= 1e-6, f"{rule}: within 1e-6 m, got {worst:.3g} m")

@@ -131,7 +131,7 @@ def _gears(path: Path, step: float) -> list[_Samples]:
 
 def _gear(segment: Segment, start: float, step: float) -> _Samples:
     count = max(2, math.ceil(segment.length / step))
-    s = np.linspace(0.0, segment.length, count + 1)
+    s = np.linspace(0.0, segment.length, count + 1, dtype=np.float64)
     return _Samples(start + s, segment.poses_at(s), segment.length / count, int(segment.direction))
 
 
@@ -206,7 +206,8 @@ def _straight_faults(path: Path, problem: DockingProblem, step: float) -> tuple[
         return ()
     if last.length < length - _STRAIGHT_TOLERANCE:
         return (Fault("final straight", path.length, last.length, length),)
-    s = np.linspace(last.length - length, last.length, max(2, math.ceil(length / step)) + 1)
+    count = max(2, math.ceil(length / step)) + 1
+    s = np.linspace(last.length - length, last.length, count, dtype=np.float64)
     poses = last.poses_at(s)
     sideways = np.abs((poses[:, 1] - goal.y) * math.cos(goal.yaw) - (poses[:, 0] - goal.x) * math.sin(goal.yaw))
     turned = np.abs(np.mod(poses[:, 2] - goal.yaw + math.pi, 2.0 * math.pi) - math.pi)

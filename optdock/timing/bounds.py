@@ -100,7 +100,7 @@ class Bounds:
 
     def _factors(self) -> FloatArray:
         s = self.course.s
-        factor = np.ones(s.size - 1)
+        factor: FloatArray = np.ones(s.size - 1)
         for stretch in self.tightenings:
             inside = (s[1:] > stretch.left) & (s[:-1] < stretch.right)
             factor = np.where(inside, np.minimum(factor, stretch.factor), factor)

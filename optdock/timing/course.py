@@ -107,7 +107,8 @@ class Course:
     def cells_at(self, s: FloatArray) -> IntArray:
         """Index of the cell that holds each point, Shape (n,)."""
         found: IntArray = np.searchsorted(self.s, s, side="right") - 1
-        return np.minimum(np.maximum(found, 0), self.s.size - 2)
+        cells: IntArray = np.minimum(np.maximum(found, 0), self.s.size - 2)
+        return cells
 
     def points_at(self, s: FloatArray) -> CoursePoints:
         """Everything at arc lengths `s`, Shape (n,) [m]; the right side at nodes. Slowness includes the zone."""

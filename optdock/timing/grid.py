@@ -103,7 +103,8 @@ def _clock(bounds: Bounds, profile: Profile) -> FloatArray:
     level = around.min(axis=1) > _CRUISE_LEVEL * around.max(axis=1)
     pace = np.where(level, _CRUISE_PACE, 1.0)
     clock = np.concatenate(([0.0], np.cumsum(0.5 * (pace[:-1] + pace[1:]) * np.diff(times))))
-    return np.interp(profile.time, times, clock)
+    paced: FloatArray = np.interp(profile.time, times, clock)
+    return paced
 
 
 def _breaks(bounds: Bounds, profile: Profile, ends: tuple[State, State], jumps: IntArray, gap: float) -> FloatArray:

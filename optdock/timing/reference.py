@@ -99,9 +99,9 @@ class _Program:
         self.products = _products(rows)
         self.stencil = np.concatenate((rows, np.zeros((3, 2, steps.size))), axis=1)
         self.value = np.empty(self.stencil.shape[1:])
-        self.root = np.ones(steps.size)
-        self.share = np.ones(steps.size)
-        self.c = self.root
+        self.root: FloatArray = np.ones(steps.size)
+        self.share: FloatArray = np.ones(steps.size)
+        self.c: FloatArray = self.root
 
     def move_to(self, c: FloatArray, *, frozen: bool) -> None:
         """Evaluate everything at `c`; `frozen` keeps f as it is. Jerk rows are in units of 2 J / sqrt(c)."""

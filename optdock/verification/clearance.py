@@ -99,7 +99,7 @@ class _Prover:
         budget = _MAX_POSES + cells.first.size
         settled: list[FloatArray] = []
         violations: list[FloatArray] = []
-        given_up = np.zeros((0, 4))
+        given_up: FloatArray = np.zeros((0, 4))
         for level in range(_MAX_LEVELS + 1):
             result = self._round(cells)
             self.attained = min(self.attained, result.attained)

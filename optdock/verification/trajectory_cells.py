@@ -80,7 +80,8 @@ def times_at(law: TimeLaw, s: FloatArray) -> FloatArray:
     phase = np.clip(np.searchsorted(law.states[:, 0], s, side="left") - 1, 0, law.durations.size - 1)
     base, v, a = law.states[phase].T
     half_a, sixth_j, wanted = a / 2.0, law.jerks[phase] / 6.0, s - base
-    low, high = np.zeros(s.size), law.durations[phase]
+    low: FloatArray = np.zeros(s.size)
+    high: FloatArray = law.durations[phase]
     for _ in range(_BISECTIONS):
         middle = 0.5 * (low + high)
         ahead = middle * (v + middle * (half_a + middle * sixth_j)) >= wanted

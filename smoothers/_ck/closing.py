@@ -146,8 +146,7 @@ class _LeastNorm(NamedTuple):
 def _pseudo_inverse(jacobian: FloatArray) -> FloatArray:
     normal = jacobian @ jacobian.T
     normal[np.arange(3), np.arange(3)] += 1e-12
-    inverse: FloatArray = np.linalg.solve(normal, jacobian).T
-    return inverse
+    return np.asarray(np.linalg.solve(normal, jacobian).T, dtype=np.float64)
 
 
 def least_norm_step(jacobian: FloatArray, error: FloatArray, flat: FloatArray, bounds: Bounds) -> FloatArray:

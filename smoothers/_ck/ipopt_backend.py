@@ -59,7 +59,8 @@ def solve_reference(task: Task, budget: Budget) -> tuple[Iterate, bool]:
     variables = close_goal(layout, clipped(task.initial, task.bounds), ends, task.bounds)
     rollout = roll_out(layout, variables, ends.start, ends.signs)
     current = evaluate(task, variables, rollout, _REACH)
-    settled, watched = False, np.zeros((0, 3), dtype=np.int64)
+    settled = False
+    watched: IntArray = np.zeros((0, 3), dtype=np.int64)
     for _ in range(_ROUNDS):
         near = clearance(task.world, layout, current.rollout, ends.signs, _REACH + task.world.rule.required)
         # What was near once stays watched, or two rounds could take turns in overlooking each other's obstacles.

@@ -13,7 +13,7 @@ from optdock.geometry.separation import separation
 from optdock.path import Direction
 
 if TYPE_CHECKING:
-    from optdock.geometry.arrays import FloatArray
+    from optdock.geometry.arrays import FloatArray, IntArray
     from optdock.path import Path
     from optdock.problem import DockingProblem
     from optdock.verification import Certificate
@@ -88,13 +88,14 @@ def refuse_approach(path: Path, problem: DockingProblem, start_clearance: float)
     return Refusal("approach_blocked", s, float(short[k]), name, message)
 
 
-def _distances(problem: DockingProblem, poses: FloatArray) -> tuple[FloatArray, FloatArray]:
+def _distances(problem: DockingProblem, poses: FloatArray) -> tuple[FloatArray, IntArray]:
     """Clearance of every pose and the row of its nearest obstacle, (inf, -1) where none is near."""
     obstacles, footprint = problem.all_obstacles, problem.robot.footprint
     reach = footprint.circumscribed_radius + problem.clearance.required + 0.01
     low, high = poses[:, :2].min(axis=0) - reach, poses[:, :2].max(axis=0) + reach
     near = np.flatnonzero(np.all((obstacles.lower <= high) & (obstacles.upper >= low), axis=1))
-    best, rows = np.full(len(poses), np.inf), np.full(len(poses), -1)
+    best: FloatArray = np.full(len(poses), np.inf)
+    rows: IntArray = np.full(len(poses), -1)
     if near.size == 0:
         return best, rows
     pose = np.repeat(poses, near.size, axis=0)
