@@ -1,0 +1,51 @@
+"""Costs of the smoother against its own model solved by ipopt: `python -m experiments.benchmarks optimality`."""
+
+from __future__ import annotations
+
+import argparse
+import statistics
+from typing import TYPE_CHECKING
+
+from experiments.benchmarks.tables import Table
+from optdock.errors import SmootherException
+from optdock.interfaces import Smoother
+from optdock.plugins import create_plugin
+from optdock.testing.families import FEASIBLE_FAMILIES, instance
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+__all__ = ["main"]
+
+_TIME = 60.0  # [s] for each call
+
+
+def main(arguments: Sequence[str]) -> None:
+    """Print the gap of every family over `--seeds` instances each."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--seeds", type=int, default=2, help="instances per family")
+    asked = parser.parse_args(list(arguments))
+    rows = tuple(_row(family, asked.seeds) for family in FEASIBLE_FAMILIES)
+    note = "cost over ipopt's minus 1, in per cent, where both end with a certified path"
+    print(Table("Cost against ipopt on the same model", ("family", "both", "of", "median %", "worst %"), rows, note))
+
+
+def _row(family: str, seeds: int) -> tuple[object, ...]:
+    gaps = [gap for gap in (_gap(family, seed) for seed in range(seeds)) if gap is not None]
+    if not gaps:
+        return (family, 0, seeds, "-", "-")
+    return (family, len(gaps), seeds, statistics.median(gaps), max(gaps))
+
+
+def _gap(family: str, seed: int) -> float | None:
+    """Per cent above the reference; None where one of the two has no certified path."""
+    task = instance(family, seed)
+    costs = []
+    for backend in ("scp", "ipopt"):
+        smoother = create_plugin(Smoother, "CasadiSmoother", {"backend": backend})
+        try:
+            result = smoother.smooth(task.raw_path, _TIME, problem=task.problem)
+        except SmootherException:
+            return None
+        costs.append(float(str(result.report["cost"])))
+    return 100.0 * (costs[0] / costs[1] - 1.0)
