@@ -452,3 +452,7 @@ def test_reverse_is_forward_seen_backwards(smoother, cases):
     first = smoother.smooth(forward, LONG, problem=one)
     second = smoother.smooth(backward, LONG, problem=other)
     assert second.report["cost"] == pytest.approx(first.report["cost"], rel=1e-9)
+
+
+def test_warming_up_never_fails():
+    CasadiSmoother(spans=18).warm_up()
