@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from optdock.geometry.arrays import readonly
-from optdock.path import ClothoidSegment, Direction
+from optdock.path import ClothoidSegment, Direction, PolylineSegment
 
 if TYPE_CHECKING:
     from optdock.geometry.arrays import FloatArray, IntArray
@@ -48,12 +48,12 @@ class Slowness:
         """The gear's own speed limit [m/s]."""
         return self.limits.max_speed if self.direction > 0 else self.limits.max_reverse_speed
 
-    def at(self, curvature: FloatArray) -> FloatArray:
-        """Speed, yaw rate, lateral acceleration and both wheels' speeds. Shape (n,) [s/m].
+    def at(self, curvature: FloatArray, excess: FloatArray | float = 0.0) -> FloatArray:
+        """Speed, yaw rate, lateral acceleration and both wheels' speeds, at |curvature| + excess. Shape (n,) [s/m].
 
         Both wheels: |v +- (b/2) v k| <= v_wheel  <=>  v (1 + b |k| / 2) <= v_wheel.
         """
-        bend, limits = np.abs(curvature), self.limits
+        bend, limits = np.abs(curvature) + excess, self.limits
         slowness = np.maximum(1.0 / self.max_speed, bend * (1.0 / limits.max_yaw_rate))
         if np.isfinite(limits.max_lateral_acceleration):
             slowness = np.maximum(slowness, np.sqrt(bend * (1.0 / limits.max_lateral_acceleration)))
@@ -74,6 +74,7 @@ class Course:
         drive: Speed caps by curvature.
         zone_start: Where the speed zone begins, `length` or more without one [m].
         zone_speed: Speed limit from there on [m/s].
+        excess: What the speed caps add to |curvature| at the nodes, Shape (n,) [1/m]; None: nothing.
 
     Attributes:
         slowness: 1 / speed cap at the nodes, zone not included, Shape (n,) [s/m].
@@ -87,11 +88,14 @@ class Course:
     drive: Slowness
     zone_start: float
     zone_speed: float
+    excess: FloatArray | None = None
     slowness: FloatArray = field(init=False, repr=False)
     length: float = field(init=False)
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "slowness", readonly(self.drive.at(self.curvature)))
+        object.__setattr__(
+            self, "slowness", readonly(self.drive.at(self.curvature, 0.0 if self.excess is None else self.excess))
+        )
         object.__setattr__(self, "length", float(self.s[-1]))
 
     @property
@@ -117,7 +121,8 @@ class Course:
         share = (s - left) / (self.s[cell + 1] - left)
         curvature = self.curvature[cell] + share * (self.curvature[cell + 1] - self.curvature[cell])
         rate = self.rate_left[cell] + share * (self.rate_right[cell] - self.rate_left[cell])
-        slowness = self.drive.at(curvature)
+        excess = 0.0 if self.excess is None else np.interp(s, self.s, self.excess)
+        slowness = self.drive.at(curvature, excess)
         if self.has_zone:
             slowness = np.where(s >= self.zone_start, np.maximum(slowness, 1.0 / self.zone_speed), slowness)
         return CoursePoints(curvature, rate, slowness)
@@ -139,6 +144,7 @@ class Course:
             drive=self.drive,
             zone_start=max(0.0, self.zone_start - start),
             zone_speed=self.zone_speed,
+            excess=None if self.excess is None else np.append(np.interp(start, self.s, self.excess), self.excess[keep]),
         )
 
 
@@ -163,7 +169,19 @@ def course_of(segment: Segment, drive: Slowness, zone_start: float, zone_speed: 
         drive=drive,
         zone_start=zone_start,
         zone_speed=zone_speed,
+        excess=_step_excess(segment, s) if isinstance(segment, PolylineSegment) else None,
     )
+
+
+def _step_excess(segment: PolylineSegment, s: FloatArray) -> FloatArray:
+    """By how much the curvature of the steps exceeds that between the poses, which is their mean. Shape (n,) [1/m].
+
+    A coarse polyline turns a whole step at the step's curvature; `certify_trajectory` judges it so.
+    """
+    steps = np.abs(segment.step_curvature)
+    at_poses = np.maximum(np.append(steps, 0.0), np.insert(steps, 0, 0.0))
+    excess: FloatArray = np.maximum(np.interp(s, segment.knots, at_poses) - np.abs(segment.curvature_at(s)), 0.0)
+    return excess
 
 
 def _nodes(segment: Segment, spacing: float, zone_start: float) -> FloatArray:

@@ -15,7 +15,7 @@ from optdock.costmap.occupancy import OccupancyGrid
 from optdock.errors import InvalidValue
 from optdock.obstacles import ObstacleSet
 from optdock.plugins import INTERFACES, available_plugins
-from optdock.testing.contracts import CONTRACTS, TimeParameterizerContract, installed_suites
+from optdock.testing.contracts import CONTRACTS, installed_suites
 from optdock.testing.contracts_scene import GOAL, scene_context, scene_problem
 
 
@@ -33,11 +33,6 @@ def feed_points(suite, layer):
     layer.add_points([[1.0, 0.2], [0.8, -0.5], [-0.9, 0.9]], (0.0, 0.0))
 
 
-def curved_paths(suite):
-    """Without the polyline: its curvature is read in one way when timed and in two when certified."""
-    return TimeParameterizerContract.paths(suite)[:3]
-
-
 DRIVE = {"target": 1.0, "speed": 0.3}
 SPIN = {"target_yaw": 1.5}
 SAMPLES = {
@@ -45,7 +40,6 @@ SAMPLES = {
     # As in Nav2, the yaws follow the smoothed points; only the last one is kept.
     "smoothers.SimpleSmoother": {"keeps_start_yaw": False, "unitless": {"w_data", "w_smooth"}},
     "smoothers.SavitzkyGolaySmoother": {"keeps_start_yaw": False},
-    "timing.NearOptimal": {"paths": curved_paths},
     "timing.Windowed": {"unitless": {"cap_ratio", "yaw_share"}},
     "controllers.TrackingController": {"plugin_parameters": {"period": 0.05}, "unitless": {"damping"}},
     # Steps from rest to speed as Nav2's does, and stops within the 0.25 m of Nav2's default goal checker.
