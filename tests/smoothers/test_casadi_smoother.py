@@ -456,3 +456,10 @@ def test_reverse_is_forward_seen_backwards(smoother, cases):
 
 def test_warming_up_never_fails():
     CasadiSmoother(spans=18).warm_up()
+
+
+def test_a_cluttered_scene_that_needs_finer_nodes_gets_them():
+    task = instance("clutter", 44)
+    assert len(task.problem.all_obstacles) > 60
+    result = CasadiSmoother().smooth(task.raw_path, 30.0, problem=task.problem)
+    assert certify_path(result.path, task.problem).certified
