@@ -156,7 +156,7 @@ class CasadiSmoother(Smoother):
         chosen = self.parameters
         # Longer robots are larger in everything: their obstacles too can be watched at larger distances.
         interval = chosen.interval * max(1.0, world.body.radius / 0.55)
-        # Every node meets every obstacle: among many, fewer nodes save a quarter of the time for 0.3 % of the cost.
+        # Every node meets every obstacle: among many, fewer nodes save a sixth of the time for 0.3 % of the cost.
         interval *= among_many if len(world.obstacles) > _MANY_OBSTACLES else 1.0
         weights = Weights(
             chosen.length_weight, chosen.curvature_weight, chosen.curvature_rate_weight, chosen.tracking_weight
