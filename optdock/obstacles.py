@@ -124,8 +124,12 @@ class ObstacleSet:
 
     def in_box(self, lower: FloatArray, upper: FloatArray) -> ObstacleSet:
         """The pieces whose bounding boxes meet the box from `lower` to `upper`, Shape (2,) [m] each."""
-        meets = np.all((self.lower <= upper) & (self.upper >= lower), axis=1)
-        return self if bool(meets.all()) else self.subset(meets)
+        rows = self.rows_in_box(lower, upper)
+        return self if rows.size == len(self) else self.subset(rows)
+
+    def rows_in_box(self, lower: FloatArray, upper: FloatArray) -> IntArray:
+        """The rows of those pieces, ascending."""
+        return np.flatnonzero(np.all((self.lower <= upper) & (self.upper >= lower), axis=1))
 
     def name_of(self, row: int) -> str:
         """What to call piece `row` in a message."""

@@ -108,6 +108,14 @@ class Course:
         """Whether the speed zone reaches into this gear."""
         return self.zone_start < self.length
 
+    @property
+    def cell_slowness(self) -> FloatArray:
+        """The larger slowness of both nodes of every cell, the zone included, Shape (n - 1,) [s/m]."""
+        slowness = np.maximum(self.slowness[:-1], self.slowness[1:])
+        if not self.has_zone:
+            return slowness
+        return np.where(self.s[1:] > self.zone_start + 1e-12, np.maximum(slowness, 1.0 / self.zone_speed), slowness)
+
     def cells_at(self, s: FloatArray) -> IntArray:
         """Index of the cell that holds each point, Shape (n,)."""
         found: IntArray = np.searchsorted(self.s, s, side="right") - 1

@@ -22,10 +22,7 @@ def expected_duration(course: Course) -> float:
     """
     limits = course.limits
     rate = np.maximum(np.abs(course.rate_left), np.abs(course.rate_right))
-    slowness = np.maximum(course.slowness[:-1], course.slowness[1:])
-    if course.has_zone:
-        slowness = np.where(course.s[1:] > course.zone_start, np.maximum(slowness, 1.0 / course.zone_speed), slowness)
-    slowness = np.maximum(slowness, np.sqrt(rate / limits.max_yaw_acceleration))
+    slowness = np.maximum(course.cell_slowness, np.sqrt(rate / limits.max_yaw_acceleration))
     at_caps = float(np.sum(np.diff(course.s) * slowness))
     by_drive = math.sqrt(2.0 * course.length * (1.0 / limits.max_acceleration + 1.0 / limits.max_deceleration))
     by_jerk = math.exp(math.log(32.0 * course.length / limits.max_jerk) / 3.0)

@@ -118,13 +118,8 @@ def _driven(windows: list[Window], speeds: list[float]) -> Phases:
 def _windows(course: Course, parameters: WindowedParameters) -> list[Window]:
     bend = np.maximum(np.abs(course.curvature[:-1]), np.abs(course.curvature[1:]))
     rate = np.maximum(np.abs(course.rate_left), np.abs(course.rate_right))
-    slowness = np.maximum(course.slowness[:-1], course.slowness[1:])
-    if course.has_zone:
-        slowness = np.where(
-            course.s[1:] > course.zone_start + 1e-12, np.maximum(slowness, 1.0 / course.zone_speed), slowness
-        )
     yaw_share = parameters.yaw_share * course.limits.max_yaw_acceleration
-    slowness = np.maximum(slowness, np.sqrt(rate * (1.0 / yaw_share)))
+    slowness = np.maximum(course.cell_slowness, np.sqrt(rate * (1.0 / yaw_share)))
     cuts = _cuts(course, slowness, parameters)
     peaks = (np.maximum.reduceat(column, cuts[:-1]) for column in (slowness, bend, rate))
     rows = zip(course.s[cuts[:-1]], course.s[cuts[1:]], *peaks, strict=True)

@@ -123,8 +123,7 @@ class _Prover:
         ends = self.motion.nodes(np.tile(cells.segment, 2), np.concatenate((cells.first, cells.last)))
         at = ends.poses[:, :2]  # a cell strays from its chord by less than `_MAX_STEP`
         reach = self.problem.robot.footprint.circumscribed_radius + _MAX_STEP + crop + self.problem.clearance.required
-        low, high = at.min(axis=0) - reach, at.max(axis=0) + reach
-        rows = np.flatnonzero(np.all((everything.lower <= high) & (everything.upper >= low), axis=1))
+        rows = everything.rows_in_box(at.min(axis=0) - reach, at.max(axis=0) + reach)
         if rows.size in (0, len(everything)):
             return everything, np.arange(len(everything))
         return everything.subset(rows), rows

@@ -92,8 +92,7 @@ def _distances(problem: DockingProblem, poses: FloatArray) -> tuple[FloatArray, 
     """Clearance of every pose and the row of its nearest obstacle, (inf, -1) where none is near."""
     obstacles, footprint = problem.all_obstacles, problem.robot.footprint
     reach = footprint.circumscribed_radius + problem.clearance.required + 0.01
-    low, high = poses[:, :2].min(axis=0) - reach, poses[:, :2].max(axis=0) + reach
-    near = np.flatnonzero(np.all((obstacles.lower <= high) & (obstacles.upper >= low), axis=1))
+    near = obstacles.rows_in_box(poses[:, :2].min(axis=0) - reach, poses[:, :2].max(axis=0) + reach)
     best: FloatArray = np.full(len(poses), np.inf)
     rows: IntArray = np.full(len(poses), -1)
     if near.size == 0:
