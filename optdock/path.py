@@ -6,6 +6,7 @@ is positive. A path has no time; see `trajectory` for that.
 
 from __future__ import annotations
 
+import functools
 import itertools
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
@@ -97,12 +98,12 @@ class Path:
         """Arc lengths at which the gear changes [m]."""
         return tuple(float(s) for s in self.segment_starts[1:-1])
 
-    @property
+    @functools.cached_property
     def start(self) -> Pose2:
         """Pose at s = 0; before the turn where the path begins with one in place."""
         return Pose2.from_sequence(_first_pose(self.segments[0]))
 
-    @property
+    @functools.cached_property
     def end(self) -> Pose2:
         """Pose at s = length."""
         last = self.segments[-1]

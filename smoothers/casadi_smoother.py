@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import math
+from dataclasses import replace
 from typing import TYPE_CHECKING, ClassVar, Literal
 
 import numpy as np
@@ -118,7 +119,7 @@ class CasadiSmoother(Smoother):
             runner.offer(line, input_cost(line, task.cost, wanted.dock.final_straight), "line")
         outcome = runner.run(task) if line is None or runner.outcome.incumbent is None else runner.finished()
         if outcome.incumbent is None and outcome.converged and len(task.world.obstacles) > _MANY_OBSTACLES:
-            task = self._prepared(path, wanted, warm_start, among_many=1.0)
+            task = self._prepared(path, wanted, warm_start, thoroughly=True)
             outcome = runner.run(task)
         if outcome.incumbent is None:
             raise _failure(task, outcome, max_time, wanted.dock.final_straight)
@@ -137,9 +138,7 @@ class CasadiSmoother(Smoother):
             self.smooth(Path.from_poses([start, Pose2(1.5, 0.0, 0.1), goal]), 10.0, problem=problem)
         prepare_programs(pool_of_this_thread())
 
-    def _prepared(
-        self, path: Path, problem: DockingProblem, earlier: Path | None, among_many: float = _AMONG_MANY
-    ) -> Task:
+    def _prepared(self, path: Path, problem: DockingProblem, earlier: Path | None, *, thoroughly: bool = False) -> Task:
         start_clearance, nearest = pose_clearance(problem.start, problem.robot.footprint, problem.all_obstacles)
         refusal = refuse_start(path, problem, start_clearance, nearest)
         if refusal is None:
@@ -149,7 +148,9 @@ class CasadiSmoother(Smoother):
         shares = np.linspace(0.0, 1.0, 40)
         positions = np.concatenate([segment.poses_at(shares * segment.length)[:, :2] for segment in path.segments])
         world = world_around(problem, positions, start_clearance)
-        tuning = self._tuning(world, problem.robot.limits, among_many)
+        tuning = self._tuning(world, problem.robot.limits, 1.0 if thoroughly else _AMONG_MANY)
+        if thoroughly:
+            world = replace(world, is_thinned=False)
         return make_task(path, problem, world, tuning, remaining(earlier, path, problem))
 
     def _tuning(self, world: World, limits: MotionLimits, among_many: float) -> Tuning:

@@ -5,7 +5,7 @@ Knows nothing of solvers: it reads the finished path and the problem, and nothin
 
 from optdock.verification.certificate import Certificate, TrajectoryCertificate, Violation
 from optdock.verification.certify import certify_path
-from optdock.verification.half_cells import pose_clearance
+from optdock.verification.half_cells import pose_clearance, pose_clearances
 from optdock.verification.trajectory_rules import certify_trajectory
 
 __all__ = [
@@ -15,4 +15,5 @@ __all__ = [
     "certify_path",
     "certify_trajectory",
     "pose_clearance",
+    "pose_clearances",
 ]

@@ -5,10 +5,12 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from optdock.verification.certificate import Certificate, Violation
-from optdock.verification.clearance import prove_clearance
+from optdock.verification.clearance import never, prove_clearance
 from optdock.verification.path_rules import max_curvature, max_curvature_rate, path_violations
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from optdock.geometry.arrays import FloatArray
     from optdock.path import Path
     from optdock.problem import DockingProblem
@@ -17,7 +19,7 @@ if TYPE_CHECKING:
 __all__ = ["certify_path"]
 
 
-def certify_path(path: Path, problem: DockingProblem) -> Certificate:
+def certify_path(path: Path, problem: DockingProblem, *, is_late: Callable[[], bool] = never) -> Certificate:
     """Prove that `path` solves `problem`, or name what is broken and where.
 
     Proven for every point of the continuous path: footprint clearance (second-order conservative advancement, see
@@ -32,11 +34,13 @@ def certify_path(path: Path, problem: DockingProblem) -> Certificate:
     Args:
         path: The path to judge, from any source.
         problem: What must hold.
+        is_late: For callers with a deadline, polled every millisecond or so: once it is True whatever is not proven yet
+            is refused as `unproven`, and the reported clearance is a bound that may be far from sharp.
 
     Returns:
         The certificate; `certified` is True only if everything was proven.
     """
-    proof = prove_clearance(path, problem)
+    proof = prove_clearance(path, problem, is_late)
     violations = (*path_violations(path, problem), *_clearance_violations(proof, problem))
     return Certificate(
         violations=violations,

@@ -11,25 +11,34 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from optdock.verification.half_cells import HalfCells, half_cell_bounds, pose_clearance
+from optdock.verification.half_cells import HalfCells, half_cell_bounds, pose_clearances
 from optdock.verification.motion import PathMotion
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from optdock.geometry.arrays import BoolArray, FloatArray, IntArray
     from optdock.geometry.pose import Pose2
     from optdock.obstacles import ObstacleSet
     from optdock.path import Path
     from optdock.problem import DockingProblem
-    from optdock.verification.motion import CellMotion, Cells, Nodes
+    from optdock.verification.half_cells import HalfBounds
+    from optdock.verification.motion import CellEnds, CellMotion, Cells, Nodes
 
-__all__ = ["ClearanceProof", "prove_clearance"]
+__all__ = ["ClearanceProof", "never", "prove_clearance"]
 
 TOLERANCE = 1e-6  # [m], accepted shortfall; covers rounding where contact is allowed
 SHARPNESS = 1e-3  # [m]: the reported minimum is at most this far below a clearance that occurs
 _MAX_STEP = 0.08  # [m], first cells
 _MAX_LEVELS = 24
 _MAX_POSES = 60_000  # added by refinement
+_WORTHWHILE = 0.7  # of the obstacles: leaving out fewer costs more than it saves
 _CROP = 1.0  # [m]: obstacles further from the swept area than this are looked at only when nothing is as near
+
+
+def never() -> bool:
+    """There is no deadline."""
+    return False
 
 
 class ClearanceProof(NamedTuple):
@@ -70,99 +79,122 @@ class _Round(NamedTuple):
         return table
 
 
-def prove_clearance(path: Path, problem: DockingProblem) -> ClearanceProof:
-    """Prove the clearance rule of `problem` for every point of `path`, or find the poses that break it."""
+def prove_clearance(path: Path, problem: DockingProblem, is_late: Callable[[], bool] = never) -> ClearanceProof:
+    """Prove the clearance rule of `problem` for every point of `path`, or find the poses that break it.
+
+    Args:
+        path: The path to judge.
+        problem: What must hold.
+        is_late: Polled after every round of cells. Once it is True what is proven counts, the minimum is sharpened no
+            further, and cells that are still open are given up.
+    """
     footprint, obstacles = problem.robot.footprint, problem.all_obstacles
     if len(obstacles) == 0:
         nothing = np.zeros((0, 7))
         return ClearanceProof(np.inf, 0.0, problem.clearance.required, -1, np.inf, nothing, nothing[:, :2], 0)
-    start_clearance, _ = pose_clearance(problem.start, footprint, obstacles)
-    end_clearance, _ = pose_clearance(path.end, footprint, obstacles)
-    ends = min(start_clearance, end_clearance)
-    near = _Prover(PathMotion(path), problem, start_clearance, ends).run(crop=_CROP)
+    ends = np.stack((problem.start.as_array(), path.end.as_array()))
+    clearances, _ = pose_clearances(ends, footprint, obstacles)
+    start_clearance, attained = float(clearances[0]), float(clearances.min())
+    motion = PathMotion(path)
+    near = _Prover(motion, problem, start_clearance, attained, is_late).run(crop=_CROP)
+    if near.proven <= _CROP:
+        return near
     # What was left out is at least `_CROP` away: it cannot break the rule, but it may hold the minimum.
-    return near if near.proven <= _CROP else _Prover(PathMotion(path), problem, start_clearance, ends).run(crop=np.inf)
+    return _Prover(motion, problem, start_clearance, attained, is_late).run(crop=np.inf)
 
 
 class _Prover:
     """Carries the fixed inputs of one proof, and its counters, through the rounds."""
 
-    def __init__(self, motion: PathMotion, problem: DockingProblem, start_clearance: float, attained: float) -> None:
+    def __init__(
+        self,
+        motion: PathMotion,
+        problem: DockingProblem,
+        start_clearance: float,
+        attained: float,
+        is_late: Callable[[], bool],
+    ) -> None:
         self.motion, self.problem, self.start_clearance = motion, problem, start_clearance
-        self.attained = attained
+        self.attained, self.is_late = attained, is_late
         self.poses = 0
 
     def run(self, crop: float) -> ClearanceProof:
         """Rounds of cells until each is proven, violated or given up; obstacles beyond `crop` [m] are left out."""
-        cells = self.motion.cells(_MAX_STEP)
-        self.near, original = self._crop(cells, crop)
+        # Next to the goal what is attained is often just what is required: one cell of full length needs a second round.
+        cells = self.motion.cells(_MAX_STEP).last_halved()
         budget = _MAX_POSES + cells.first.size
         settled: list[FloatArray] = []
         violations: list[FloatArray] = []
         given_up: FloatArray = np.zeros((0, 4))
         for level in range(_MAX_LEVELS + 1):
-            result = self._round(cells)
+            ends = cells.ends()
+            nodes = self.motion.nodes(ends.segment, ends.u)
+            if level == 0:
+                self.near, self.original = self._crop(nodes, crop)
+            result = self._round(cells, ends, nodes)
             self.attained = min(self.attained, result.attained)
-            is_last = level == _MAX_LEVELS or self.poses > budget
+            is_last = level == _MAX_LEVELS or self.poses > budget or self.is_late()
             sharp = result.bound >= self.attained - SHARPNESS
             proven = (result.bound >= result.required - TOLERANCE) & (sharp | is_last)
             violations.append(result.violations)
             settled.append(result.settled(proven))
-            open_cells = np.flatnonzero(~(proven | self._touches_violation(cells, result)))
+            open_cells = np.flatnonzero(~(proven | self._touches_violation(ends, nodes, result)))
             if open_cells.size == 0:
                 break
             if is_last:
                 given_up = result.settled(open_cells)
                 break
             cells = cells.rows(open_cells).halves()
-        return self._summary(np.concatenate(settled), np.concatenate(violations), given_up, original)
+        return self._summary(np.concatenate(settled), np.concatenate(violations), given_up)
 
-    def _crop(self, cells: Cells, crop: float) -> tuple[ObstacleSet, IntArray]:
+    def _crop(self, nodes: Nodes, crop: float) -> tuple[ObstacleSet, IntArray]:
         """The obstacles near the swept area, or all of them where none is near; and their rows in the problem."""
         everything = self.problem.all_obstacles
-        ends = self.motion.nodes(np.tile(cells.segment, 2), np.concatenate((cells.first, cells.last)))
-        at = ends.poses[:, :2]  # a cell strays from its chord by less than `_MAX_STEP`
+        at = nodes.poses[:, :2]  # a cell strays from its chord by less than `_MAX_STEP`
         reach = self.problem.robot.footprint.circumscribed_radius + _MAX_STEP + crop + self.problem.clearance.required
         rows = everything.rows_in_box(at.min(axis=0) - reach, at.max(axis=0) + reach)
-        if rows.size in (0, len(everything)):
+        if rows.size == 0 or rows.size > _WORTHWHILE * len(everything):
             return everything, np.arange(len(everything))
         return everything.subset(rows), rows
 
-    def _touches_violation(self, cells: Cells, result: _Round) -> BoolArray:
+    def _touches_violation(self, ends: CellEnds, nodes: Nodes, result: _Round) -> BoolArray:
         """Cells that hold a violating pose: no refinement can prove them."""
         if len(result.violations) == 0:
-            return np.zeros(cells.first.size, dtype=bool)
-        low = self.motion.nodes(cells.segment, cells.first).s
-        high = self.motion.nodes(cells.segment, cells.last).s
+            return np.zeros(ends.first.size, dtype=bool)
+        low, high = nodes.s[ends.first], nodes.s[ends.last]
         s = np.sort(result.violations[:, 0])
         touched: BoolArray = np.searchsorted(s, low - 1e-9) < np.searchsorted(s, high + 1e-9, side="right")
         return touched
 
-    def _round(self, cells: Cells) -> _Round:
+    def _round(self, cells: Cells, ends: CellEnds, nodes: Nodes) -> _Round:
+        bounds = self.motion.bounds(cells, nodes.poses[ends.first], nodes.poses[ends.last])
         n = cells.first.size
-        nodes = self.motion.nodes(np.tile(cells.segment, 2), np.concatenate((cells.first, cells.last)))
-        bounds = self.motion.bounds(cells, nodes.poses[:n], nodes.poses[n:])
         self.poses += n + 1
-        required = self._required_in_cells(nodes, bounds)
+        distances = self._distances(nodes)
+        required = self._required_in_cells(distances, ends, bounds)
         care = np.maximum(required, self.attained)
-        halves = half_cell_bounds(self.problem.robot.footprint, _halves(nodes, bounds), self.near, np.tile(care, 2))
+        stretches = _halves(nodes, ends, bounds)
+        halves = half_cell_bounds(self.problem.robot.footprint, stretches, self.near, np.tile(care, 2))
         earlier = halves.bound[:n] <= halves.bound[n:]
         pick = np.where(earlier, np.arange(n), np.arange(n) + n)
-        required_at_nodes = self._required(*self._distances(nodes))[halves.stretch]
-        bad = np.flatnonzero(halves.distance < required_at_nodes - TOLERANCE)
-        at_bad = halves.stretch[bad]
-        poses = nodes.poses[at_bad]
-        violations = np.column_stack(
-            (nodes.s[at_bad], halves.distance[bad], required_at_nodes[bad], 1.0 * halves.obstacle[bad], poses)
-        )
+        violations = self._violations(nodes, halves, self._required(*distances))
         attained = float(np.min(halves.distance, initial=np.inf))
-        return _Round(halves.bound[pick], required, halves.row[pick], nodes.s[pick], violations, attained)
+        place = nodes.s[stretches.pose[pick]]
+        return _Round(halves.bound[pick], required, halves.row[pick], place, violations, attained)
 
-    def _required_in_cells(self, nodes: Nodes, bounds: CellMotion) -> FloatArray:
+    def _violations(self, nodes: Nodes, halves: HalfBounds, required: FloatArray) -> FloatArray:
+        """Poses looked at exactly that break the rule, Shape (m, 7), see `ClearanceProof`."""
+        bad = np.flatnonzero(halves.distance < required[halves.pose] - TOLERANCE)
+        at = halves.pose[bad]
+        columns = (nodes.s[at], halves.distance[bad], required[at], 1.0 * halves.obstacle[bad])
+        return np.column_stack((*columns, nodes.poses[at]))
+
+    def _required_in_cells(
+        self, distances: tuple[FloatArray, FloatArray], ends: CellEnds, bounds: CellMotion
+    ) -> FloatArray:
         """Largest requirement within each cell: distance to a fixed point is convex along the chord."""
-        n = bounds.width.size
         sag = bounds.bend * bounds.width**2 / 8.0
-        from_goal, from_start = (np.maximum(d[:n], d[n:]) + sag for d in self._distances(nodes))
+        from_goal, from_start = (np.maximum(d[ends.first], d[ends.last]) + sag for d in distances)
         return self._required(from_goal, from_start)
 
     def _required(self, from_goal: FloatArray, from_start: FloatArray) -> FloatArray:
@@ -172,16 +204,16 @@ class _Prover:
         """Distances from the goal and from the start, Shape (n,) [m] each."""
         return _distance(nodes, self.problem.goal), _distance(nodes, self.problem.start)
 
-    def _summary(
-        self, settled: FloatArray, violations: FloatArray, given_up: FloatArray, original: IntArray
-    ) -> ClearanceProof:
+    def _summary(self, settled: FloatArray, violations: FloatArray, given_up: FloatArray) -> ClearanceProof:
         worst = violations[:, [1, 0, 2, 3]] if len(violations) else np.concatenate((settled, given_up))
         unproven = np.column_stack((given_up[:, 1], given_up[:, 0] - given_up[:, 2]))
         violations = violations.copy()
-        violations[:, 3] = original[violations[:, 3].astype(np.int64)]
+        violations[:, 3] = self.original[violations[:, 3].astype(np.int64)]
         proven, s, required, row = (float(value) for value in worst[np.argmin(worst[:, 0])])
         margin = float(np.min(worst[:, 0] - worst[:, 2]))
-        return ClearanceProof(proven, s, required, int(original[int(row)]), margin, violations, unproven, self.poses)
+        return ClearanceProof(
+            proven, s, required, int(self.original[int(row)]), margin, violations, unproven, self.poses
+        )
 
 
 def _distance(nodes: Nodes, point: Pose2) -> FloatArray:
@@ -189,8 +221,9 @@ def _distance(nodes: Nodes, point: Pose2) -> FloatArray:
     return distance
 
 
-def _halves(nodes: Nodes, bounds: CellMotion) -> HalfCells:
+def _halves(nodes: Nodes, ends: CellEnds, bounds: CellMotion) -> HalfCells:
     """First the first halves, seen from the first poses, then the last halves, seen from the last."""
     velocity = np.concatenate((bounds.velocity_first, -bounds.velocity_last))
     columns = (0.5 * bounds.width, bounds.speed, bounds.turn, bounds.bend, bounds.twist)
-    return HalfCells(nodes.poses, velocity, *(np.tile(column, 2) for column in columns))
+    pose = np.concatenate((ends.first, ends.last))
+    return HalfCells(nodes.poses, pose, velocity, *(np.tile(column, 2) for column in columns))

@@ -28,21 +28,24 @@ if TYPE_CHECKING:
     from optdock.geometry.separation import ConvexBody
     from optdock.obstacles import ObstacleSet
 
-__all__ = ["HalfBounds", "HalfCells", "half_cell_bounds", "pose_clearance"]
+__all__ = ["HalfBounds", "HalfCells", "half_cell_bounds", "pose_clearance", "pose_clearances"]
 
 
 _MAX_CIRCLES = 3  # that stand for a body before it is looked at exactly
+_NEAREST = 8  # obstacles of a pose that are looked at first
 _MAX_PAIRS = 300_000  # of a stretch and an obstacle looked at in one go; bounds the memory
 
 
 class HalfCells(NamedTuple):
-    """Stretches that begin at a known pose; n of them.
+    """Stretches that begin at known poses; n of them at k poses, as neighbours share theirs.
 
-    `poses`: Shape (n, 3). `velocity`: d pose / du at that pose, into the stretch, Shape (n, 3). The others Shape (n,):
-    `width` in u; bounds within the cell of |p'| `speed`, |yaw'| `turn`, |p''| `bend`, |yaw''| + yaw'^2 `twist`.
+    `poses`: Shape (k, 3). `pose`: where each begins, Shape (n,). `velocity`: d pose / du there, into the stretch,
+    Shape (n, 3). The others Shape (n,): `width` in u; bounds within the cell of |p'| `speed`, |yaw'| `turn`, |p''|
+    `bend`, |yaw''| + yaw'^2 `twist`.
     """
 
     poses: FloatArray
+    pose: IntArray
     velocity: FloatArray
     width: FloatArray
     speed: FloatArray
@@ -50,20 +53,21 @@ class HalfCells(NamedTuple):
     bend: FloatArray
     twist: FloatArray
 
-    def rows(self, keep: slice) -> HalfCells:
-        """The stretches at `keep`."""
-        return HalfCells(*(column[keep] for column in self))
+    def rows(self, keep: slice) -> tuple[HalfCells, IntArray]:
+        """The stretches at `keep`, and which of the poses they still hold."""
+        used, pose = np.unique(self.pose[keep], return_inverse=True)
+        return HalfCells(self.poses[used], pose, *(column[keep] for column in self[2:])), used
 
 
 class HalfBounds(NamedTuple):
     """Lower bound [m] and nearest obstacle row of every stretch, Shape (n,), and what was looked at exactly.
 
-    `stretch`, `obstacle`, `distance`: stretch index, obstacle row, signed distance [m] of a pose, Shape (m,) each.
+    `pose`, `obstacle`, `distance`: pose index, obstacle row, signed distance [m], Shape (m,) each.
     """
 
     bound: FloatArray
     row: IntArray
-    stretch: IntArray
+    pose: IntArray
     obstacle: IntArray
     distance: FloatArray
 
@@ -73,7 +77,7 @@ class HalfBounds(NamedTuple):
         return HalfBounds(
             np.where(mine, self.bound, other.bound),
             np.where(mine, self.row, other.row),
-            np.concatenate((self.stretch, other.stretch)),
+            np.concatenate((self.pose, other.pose)),
             np.concatenate((self.obstacle, other.obstacle)),
             np.concatenate((self.distance, other.distance)),
         )
@@ -92,27 +96,64 @@ def half_cell_bounds(
     """
     n, block = stretches.width.size, max(1, _MAX_PAIRS // len(obstacles))
     if n <= block:
-        parts = [_body_bounds(body, stretches, obstacles, care) for body in joined_bodies(footprint)]
+        parts = [_body_bounds(body, stretches, obstacles, care) for body in _rounded_bodies(footprint)]
         return functools.reduce(HalfBounds.merged, parts)
-    starts = range(0, n, block)
-    rows = [slice(start, start + block) for start in starts]
-    blocks = [half_cell_bounds(footprint, stretches.rows(one), obstacles, care[one]) for one in rows]
-    shifted = (one._replace(stretch=one.stretch + start) for one, start in zip(blocks, starts, strict=True))
-    return HalfBounds(*(np.concatenate(columns) for columns in zip(*shifted, strict=True)))
+    blocks = []
+    for rows in (slice(start, start + block) for start in range(0, n, block)):
+        some, used = stretches.rows(rows)
+        found = half_cell_bounds(footprint, some, obstacles, care[rows])
+        blocks.append(found._replace(pose=used[found.pose]))
+    return HalfBounds(*(np.concatenate(columns) for columns in zip(*blocks, strict=True)))
 
 
-def _body_bounds(body: ConvexBody, stretches: HalfCells, obstacles: ObstacleSet, care: FloatArray) -> HalfBounds:
-    poses, width = stretches.poses, stretches.width
-    reach = float(np.max(np.hypot(*body.vertices.T)))
+class _RoundedBody(NamedTuple):
+    """A convex body and circles that cover it: centres (k, 2) [m], common radius [m]; `reach` from the origin [m]."""
+
+    body: ConvexBody
+    centres: FloatArray
+    radius: float
+    reach: float
+
+
+@functools.lru_cache(maxsize=64)
+def _rounded_bodies(footprint: Footprint) -> tuple[_RoundedBody, ...]:
+    bodies = joined_bodies(footprint)
+    reach = (float(np.max(np.hypot(*body.vertices.T))) for body in bodies)
+    return tuple(_RoundedBody(body, *_covering_circles(body), far) for body, far in zip(bodies, reach, strict=True))
+
+
+def _body_bounds(rounded: _RoundedBody, stretches: HalfCells, obstacles: ObstacleSet, care: FloatArray) -> HalfBounds:
+    body, reach = rounded.body, rounded.reach
+    poses, width, n = stretches.poses, stretches.width, stretches.width.size
     travel = width * (stretches.speed + reach * stretches.turn)
-    bounds = _box_gaps(body, poses, obstacles) - travel[:, None]
-    i, o = np.nonzero(bounds < care[:, None])
-    exact = separation(body, poses[i], obstacles.pieces(o))
-    drift = _directional(body, poses[i], stretches.velocity[i], exact.axis, width[i])
+    gaps = _box_gaps(rounded, poses, obstacles)
+    within = np.full(len(poses), -np.inf)
+    np.maximum.at(within, stretches.pose, care + travel)
+    at, o = np.nonzero(~(gaps >= within[:, None]))
+    exact = separation(body, poses[at], obstacles.pieces(o))
+    bounds = gaps[stretches.pose] - travel[:, None]
+    i, pair = _met(stretches.pose, at, len(poses))
+    drift = _directional(body, poses[at[pair]], stretches.velocity[i], exact.axis[pair], width[i])
     stray = 0.5 * (stretches.bend + reach * stretches.twist)[i] * width[i] ** 2
-    bounds[i, o] = np.minimum(exact.distance, exact.distance + drift - stray)
+    distance = exact.distance[pair]
+    bounds[i, o[pair]] = np.minimum(distance, distance + drift - stray)
     row = np.argmin(bounds, axis=1)
-    return HalfBounds(bounds[np.arange(width.size), row], row, i, o, exact.distance)
+    return HalfBounds(bounds[np.arange(n), row], row, at, o, exact.distance)
+
+
+def _met(pose: IntArray, at: IntArray, count: int) -> tuple[IntArray, IntArray]:
+    """Every stretch with every pair of the pose where it begins: indices of stretches and of pairs, Shape (q,) each.
+
+    Args:
+        pose: Where each stretch begins.
+        at: The pose of each pair, ascending.
+        count: How many poses there are.
+    """
+    begin = np.searchsorted(at, np.arange(count + 1))
+    size = (begin[1:] - begin[:-1])[pose]
+    stretch = np.repeat(np.arange(pose.size), size)
+    first = begin[pose] - (np.cumsum(size) - size)
+    return stretch, np.arange(stretch.size) + first[stretch]
 
 
 def _directional(
@@ -128,14 +169,13 @@ def _directional(
     return change
 
 
-def _box_gaps(body: ConvexBody, poses: FloatArray, obstacles: ObstacleSet) -> FloatArray:
+def _box_gaps(rounded: _RoundedBody, poses: FloatArray, obstacles: ObstacleSet) -> FloatArray:
     """Lower bound of the distance from every pose's body to every obstacle, by circles and boxes. Shape (n, m) [m]."""
-    centres, radius = _covering_circles(body)
-    at = transform_points(poses, centres)  # (n, circles, 2)
+    at = transform_points(poses, rounded.centres)  # (n, circles, 2)
     gaps = obstacles.box_distance(at[:, 0])
-    for k in range(1, len(centres)):
+    for k in range(1, len(rounded.centres)):
         np.minimum(gaps, obstacles.box_distance(at[:, k]), out=gaps)
-    gaps -= radius
+    gaps -= rounded.radius
     return gaps
 
 
@@ -152,17 +192,29 @@ def _covering_circles(body: ConvexBody) -> tuple[FloatArray, float]:
 
 def pose_clearance(pose: Pose2, footprint: Footprint, obstacles: ObstacleSet) -> tuple[float, int]:
     """Signed clearance of one pose [m] and the row of the nearest obstacle; (inf, -1) without obstacles."""
-    poses = pose.as_array()[None]
-    best, row = np.inf, -1
-    for body in joined_bodies(footprint):
-        apart = _box_gaps(body, poses, obstacles)[0]
-        order = np.argsort(apart)
-        for chunk in (order[:8], order[8:]):
-            rows = chunk[apart[chunk] < best]
-            if rows.size == 0:
+    distance, row = pose_clearances(pose.as_array()[None], footprint, obstacles)
+    return float(distance[0]), int(row[0])
+
+
+def pose_clearances(poses: FloatArray, footprint: Footprint, obstacles: ObstacleSet) -> tuple[FloatArray, IntArray]:
+    """Signed clearances of poses, Shape (n, 3), and the rows of the nearest obstacles, as `pose_clearance`.
+
+    The nearest few by box and circle are looked at first, then whatever else may be nearer than they are.
+    """
+    n, m = len(poses), len(obstacles)
+    best, row = np.full(n, np.inf), np.full(n, -1)
+    for rounded in _rounded_bodies(footprint) if m else ():
+        apart = _box_gaps(rounded, poses, obstacles)
+        count = min(m, _NEAREST)
+        nearest = np.zeros((n, m), dtype=np.bool_)
+        nearest[np.arange(n)[:, None], np.argpartition(apart, count - 1, axis=1)[:, :count]] = True
+        for some in (nearest, ~nearest):
+            i, o = np.nonzero(some & (apart < best[:, None]))
+            if i.size == 0:
                 continue
-            distance = separation(body, np.repeat(poses, rows.size, axis=0), obstacles.pieces(rows)).distance
-            k = int(np.argmin(distance))
-            if distance[k] < best:
-                best, row = float(distance[k]), int(rows[k])
+            found = np.full((n, m), np.inf)
+            found[i, o] = separation(rounded.body, poses[i], obstacles.pieces(o)).distance
+            k = np.argmin(found, axis=1)
+            smallest = found[np.arange(n), k]
+            row, best = np.where(smallest < best, k, row), np.minimum(smallest, best)
     return best, row

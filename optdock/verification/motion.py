@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from optdock.geometry.arrays import FloatArray, IntArray
     from optdock.path import Path, Segment
 
-__all__ = ["CellMotion", "Cells", "Nodes", "PathMotion"]
+__all__ = ["CellEnds", "CellMotion", "Cells", "Nodes", "PathMotion"]
 
 
 class Cells(NamedTuple):
@@ -41,9 +41,34 @@ class Cells(NamedTuple):
             np.concatenate((middle, self.last)),
         )
 
+    def last_halved(self) -> Cells:
+        """The last cell cut in two."""
+        last = self.rows(np.array([-1])).halves()
+        return Cells(*(np.concatenate((column[:-1], end)) for column, end in zip(self, last, strict=True)))
+
+    def ends(self) -> CellEnds:
+        """Every place where a cell begins or ends, once."""
+        segment, u = np.tile(self.segment, 2), np.concatenate((self.first, self.last))
+        order = np.lexsort((u, segment))
+        new = np.ones(order.size, dtype=np.bool_)
+        new[1:] = (np.diff(u[order]) != 0.0) | (np.diff(segment[order]) != 0)
+        place = np.empty(order.size, dtype=np.int64)
+        place[order] = np.cumsum(new) - 1
+        chosen = order[new]
+        return CellEnds(segment[chosen], u[chosen], place[: self.first.size], place[self.first.size :])
+
     def rows(self, keep: FloatArray | IntArray) -> Cells:
         """The cells at `keep`."""
         return Cells(self.segment[keep], self.first[keep], self.last[keep])
+
+
+class CellEnds(NamedTuple):
+    """Where cells meet: segment and parameter of every place, Shape (k,); the places of first and last ends, (n,)."""
+
+    segment: IntArray
+    u: FloatArray
+    first: IntArray
+    last: IntArray
 
 
 class Nodes(NamedTuple):

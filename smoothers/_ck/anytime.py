@@ -24,10 +24,10 @@ if TYPE_CHECKING:
 __all__ = ["Incumbent", "Outcome", "Runner"]
 
 # Until one was measured [s], without and per obstacle nearby.
-_CERTIFY_GUESS = (0.0025, 4e-5)
+_CERTIFY_GUESS = (0.0025, 1.2e-5)
 _ITERATION_GUESS = (0.0015, 2e-5)
 _CERTIFY_PER_ITERATION = 1.2
-_GRACE = 0.002  # [s]: how late the only certificate may end
+_GRACE = 0.002  # [s]: how late the only certificate may be expected to end
 _NEARLY = 5e-3  # [m]: a shortfall that may be due to the cautious bound between nodes
 _REPAIRS = 2
 
@@ -112,13 +112,13 @@ class Runner:
             rejected = self._settle(task)
             if rejected is None or not self.outcome.converged:
                 break
-            world = replace(task.world, per_interval=4 * task.world.per_interval)
+            world = replace(task.world, per_interval=4 * task.world.per_interval, is_thinned=False)
             task = replace(task, initial=rejected.variables, buffer=3.0 * task.buffer, world=world)
 
     def offer(self, path: Path, cost: float, origin: str) -> None:
         """A first result from elsewhere, if it is certified."""
         began = self.budget.elapsed
-        certificate = certify_path(path, self.problem)
+        certificate = certify_path(path, self.problem, is_late=self._is_late)
         self._note_certificate(began)
         if certificate.certified:
             self.outcome.incumbent = Incumbent(path, certificate, cost, origin)
@@ -177,8 +177,11 @@ class Runner:
             return None
         began = self.budget.elapsed
         path, _ = exact_path(task, candidate.variables, self.problem.dock.final_straight)
-        certificate = certify_path(path, self.problem)
+        certificate = certify_path(path, self.problem, is_late=self._is_late)
         self._note_certificate(began)
+        if not certificate.certified and self._is_late():
+            self.outcome.converged = False
+            return None
         if not certificate.certified:
             self.outcome.refused = certificate
             return candidate
@@ -186,6 +189,9 @@ class Runner:
         if self.outcome.first_certified is None:
             self.outcome.first_certified = self.budget.elapsed
         return None
+
+    def _is_late(self) -> bool:
+        return self.budget.remaining < -0.001
 
     def _nearly_feasible(self) -> bool:
         last = self.outcome.last

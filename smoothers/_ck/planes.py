@@ -153,57 +153,66 @@ def swept_pairs(world: World, layout: Layout, rollout: Rollout, frames: Frames, 
         reach: Pairs further apart are left out [m].
     """
     left, shape = layout.left, (-1, layout.num_nodes)
+    lower, upper = world.obstacles.lower, world.obstacles.upper
     gaps = []
-    for values, lower, upper in (
-        (frames.corners.x, world.obstacles.lower[:, 0], world.obstacles.upper[:, 0]),
-        (frames.corners.y, world.obstacles.lower[:, 1], world.obstacles.upper[:, 1]),
-    ):
+    for axis, values in enumerate((frames.corners.x, frames.corners.y)):
         low, high = values.min(axis=0).reshape(shape), values.max(axis=0).reshape(shape)
-        low, high = np.minimum(low[:, left], low[:, left + 1]), np.maximum(high[:, left], high[:, left + 1])
-        gaps.append(np.maximum(low[..., None] - upper, lower - high[..., None]))
-    shape = gaps[0].shape
-    near = np.flatnonzero((gaps[0] < reach) & (gaps[1] < reach))  # of (parts, intervals, obstacles)
-    apart = _box_separation(gaps[0].ravel()[near], gaps[1].ravel()[near])
-    apart = np.maximum(apart, _in_body_frame(world, layout, rollout, _pairs_at(near, shape), frames))
-    kept = near[apart < reach]
+        low = np.minimum(low[:, left], low[:, left + 1]).reshape(-1, 1)
+        high = np.maximum(high[:, left], high[:, left + 1]).reshape(-1, 1)
+        gaps.append(np.maximum(low - upper[:, axis], lower[:, axis] - high))
+    apart = np.maximum(_box_separation(*gaps), _in_body_frame(world, layout, rollout, frames))
+    kept = np.flatnonzero(apart < reach)
     if kept.size > _MANY:
-        flat = np.full(int(np.prod(shape)), np.inf)
-        flat[near] = apart
-        kept = _nearest(flat.reshape(-1, shape[2]), reach, world)
-    return _pairs_at(kept, shape)
-
-
-def _pairs_at(flat: IntArray, shape: tuple[int, ...]) -> Pairs:
-    part, interval, obstacle = np.unravel_index(flat, shape)
+        kept = _nearest(apart, reach, world)
+    row, obstacle = np.divmod(kept, len(world.obstacles))
+    part, interval = np.divmod(row, layout.num_intervals)
     return Pairs(interval, part, obstacle)
 
 
 def _box_separation(x: FloatArray, y: FloatArray) -> FloatArray:
-    """Lower bound of the signed distance from the gaps of boxes along x and y. Shape (p,)."""
-    outside = np.hypot(np.maximum(x, 0.0), np.maximum(y, 0.0))
-    distance: FloatArray = np.where(outside > 0.0, outside, np.maximum(x, y))
+    """Lower bound of the signed distance from the gaps of boxes along x and y, all of one shape."""
+    right, up = np.maximum(x, 0.0), np.maximum(y, 0.0)
+    outside = np.sqrt(right * right + up * up)
+    distance: FloatArray = outside + np.minimum(np.maximum(x, y), 0.0)
     return distance
 
 
-def _in_body_frame(world: World, layout: Layout, rollout: Rollout, pairs: Pairs, frames: Frames) -> FloatArray:
-    """The same in the frame of the body at the left node, its box grown by the motion within the interval.
+def _in_body_frame(world: World, layout: Layout, rollout: Rollout, frames: Frames) -> FloatArray:
+    """Separation of obstacles and body in the frame of the body at the left node, by the box of all that it sweeps.
 
     Obstacles count as their world boxes, whose extent along a direction (c, s) is |c| x + |s| y.
+
+    Returns:
+        Shape (parts * intervals, obstacles) [m].
     """
-    left = layout.left
-    turn = np.maximum(np.abs(rollout.curvature[left]), np.abs(rollout.curvature[left + 1]))
-    grown = (rollout.steps * (1.0 + world.body.radius * turn))[pairs.interval]
-    middle, half = 0.5 * (world.body.lower + world.body.upper), 0.5 * (world.body.upper - world.body.lower)
-    rock, spread = world.box_middle, world.box_half
-    node = left[pairs.interval]
-    dx = rock.x[0, pairs.obstacle] - rollout.poses[node, 0]
-    dy = rock.y[0, pairs.obstacle] - rollout.poses[node, 1]
-    c, s = frames.cosine[node], frames.sine[node]
-    wide, high = spread.x[0, pairs.obstacle], spread.y[0, pairs.obstacle]
-    along = np.abs(c * dx + s * dy - middle[pairs.part, 0]) - half[pairs.part, 0]
-    across = np.abs(c * dy - s * dx - middle[pairs.part, 1]) - half[pairs.part, 1]
+    middle, half = _swept_boxes(world, layout, rollout, frames)
+    parts = len(world.body.vertices)
+    x, y, _ = np.tile(rollout.poses[layout.left], (parts, 1)).T[..., None]
+    c, s = (np.tile(values[layout.left], parts)[:, None] for values in (frames.cosine, frames.sine))
+    dx, dy = world.box_middle.x - x, world.box_middle.y - y
+    wide, high = world.box_half.x, world.box_half.y
+    along = np.abs(c * dx + s * dy - middle.x) - half.x
+    across = np.abs(c * dy - s * dx - middle.y) - half.y
     c, s = np.abs(c), np.abs(s)
-    return _box_separation(along - (c * wide + s * high) - grown, across - (s * wide + c * high) - grown)
+    return _box_separation(along - (c * wide + s * high), across - (s * wide + c * high))
+
+
+def _swept_boxes(world: World, layout: Layout, rollout: Rollout, frames: Frames) -> tuple[Points, Points]:
+    """Middle and half extent of what each part sweeps, in the left node's frame. Shape (parts * intervals, 1) [m]."""
+    left, shape = layout.left, (-1, len(world.body.vertices), layout.num_nodes)
+    x = frames.corners.x.reshape(shape)[..., left + 1] - rollout.poses[left, 0]
+    y = frames.corners.y.reshape(shape)[..., left + 1] - rollout.poses[left, 1]
+    c, s = frames.cosine[left], frames.sine[left]
+    turn = np.maximum(np.abs(rollout.curvature[left]), np.abs(rollout.curvature[left + 1]))
+    # A vertex accelerates by at most this, and strays from its chord by an eighth of it times the step squared.
+    bend = turn + world.body.radius * (turn**2 + np.abs(rollout.rate))
+    stray = 0.125 * rollout.steps**2 * bend
+    boxes = []
+    for axis, at in ((0, c * x + s * y), (1, c * y - s * x)):
+        low = np.minimum(at.min(axis=0), world.body.lower[:, axis, None]) - stray
+        high = np.maximum(at.max(axis=0), world.body.upper[:, axis, None]) + stray
+        boxes.append((0.5 * (low + high).reshape(-1, 1), 0.5 * (high - low).reshape(-1, 1)))
+    return Points(boxes[0][0], boxes[1][0]), Points(boxes[0][1], boxes[1][1])
 
 
 def _nearest(apart: FloatArray, reach: float, world: World) -> IntArray:

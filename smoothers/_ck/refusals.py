@@ -9,11 +9,10 @@ import numpy as np
 
 from optdock.dock import DockDirection
 from optdock.errors import FailedToSmoothPath
-from optdock.geometry.separation import separation
 from optdock.path import Direction
+from optdock.verification import pose_clearances
 
 if TYPE_CHECKING:
-    from optdock.geometry.arrays import FloatArray, IntArray
     from optdock.path import Path
     from optdock.problem import DockingProblem
     from optdock.verification import Certificate
@@ -76,7 +75,7 @@ def refuse_approach(path: Path, problem: DockingProblem, start_clearance: float)
     )
     from_start = np.hypot(poses[:, 0] - problem.start.x, poses[:, 1] - problem.start.y)
     required = problem.clearance.required_at(np.abs(back), from_start, start_clearance)
-    distance, rows = _distances(problem, poses)
+    distance, rows = pose_clearances(poses, problem.robot.footprint, problem.all_obstacles)
     short = required - distance
     k = int(np.argmax(short))
     if not short[k] > _TOLERANCE:
@@ -86,26 +85,6 @@ def refuse_approach(path: Path, problem: DockingProblem, start_clearance: float)
     what = "the goal" if back[k] == 0.0 else f"the final straight {abs(back[k]):.3f} m before the goal"
     message = f"{what} leaves {distance[k]:.4f} m to {name}, {required[k]:.4f} m are required"
     return Refusal("approach_blocked", s, float(short[k]), name, message)
-
-
-def _distances(problem: DockingProblem, poses: FloatArray) -> tuple[FloatArray, IntArray]:
-    """Clearance of every pose and the row of its nearest obstacle, (inf, -1) where none is near."""
-    obstacles, footprint = problem.all_obstacles, problem.robot.footprint
-    reach = footprint.circumscribed_radius + problem.clearance.required + 0.01
-    near = obstacles.rows_in_box(poses[:, :2].min(axis=0) - reach, poses[:, :2].max(axis=0) + reach)
-    best: FloatArray = np.full(len(poses), np.inf)
-    rows: IntArray = np.full(len(poses), -1)
-    if near.size == 0:
-        return best, rows
-    pose = np.repeat(poses, near.size, axis=0)
-    rock = np.tile(near, len(poses))
-    for body in footprint.bodies:
-        found = separation(body, pose, obstacles.pieces(rock)).distance.reshape(len(poses), near.size)
-        k = np.argmin(found, axis=1)
-        smallest = found[np.arange(len(poses)), k]
-        rows = np.where(smallest < best, near[k], rows)
-        best = np.minimum(best, smallest)
-    return best, rows
 
 
 def refuse_search(task: Task, last: Iterate, final_straight: float) -> Refusal:

@@ -35,6 +35,7 @@ _LEAST_REACH = 0.08  # [m], near the end
 _GOAL_TOLERANCE = 1e-5
 _CLEARANCE_TOLERANCE = 1e-6
 _END_ALLOWANCE = 5e-4  # [m]
+_NEARLY_CLEAR = 5e-3  # [m]
 _SMALL_STEP = 3e-4
 _SMALL_SHARE = 1e-3  # of the cost: a predicted gain not worth a step
 _MAX_REJECTIONS = 7
@@ -103,6 +104,15 @@ class _Controls:
     rejections: int = 0
     gain: float = math.inf
     shortfalls: list[float] = field(default_factory=list)
+    found: bool = False
+
+    def overshoot(self, current: Iterate) -> float:
+        """How much more clearance than the usual buffer to aim at [m], until a first feasible iterate is found.
+
+        Where sides roll around a corner a step falls short by about as much as the one before it.
+        """
+        self.found = self.found or current.feasible
+        return current.shortfall if not self.found and current.shortfall < _NEARLY_CLEAR else 0.0
 
     def accept(self) -> None:
         """A step was good: dare more."""
@@ -142,7 +152,7 @@ def search(task: Task, pool: ProgramPool, max_iterations: int = 60) -> Iterator[
     variables, rollout = _closed(task, task.initial)
     current = evaluate(task, variables, rollout, _REACH)
     yield Progress(current, 0, finished=False, accepted=True)
-    problem = _linearized(task, current)
+    problem = _linearized(task, current, controls)
     for iteration in range(1, max_iterations + 1):
         step = solve_step(task, problem, pool, controls.trust, controls.prox, controls.penalties)
         finished = current.feasible and step is not None and step.gain < _SMALL_SHARE * current.cost
@@ -150,7 +160,7 @@ def search(task: Task, pool: ProgramPool, max_iterations: int = 60) -> Iterator[
         if better is not None:
             finished = _settled(current, better, controls)
             current = better
-            problem = problem if finished else _linearized(task, current)
+            problem = problem if finished else _linearized(task, current, controls)
         finished = finished or _hopeless(current, controls) or iteration == max_iterations
         yield Progress(current, iteration, finished=finished, accepted=better is not None)
         if finished:
@@ -198,10 +208,11 @@ def _hopeless(current: Iterate, controls: _Controls) -> bool:
     return False
 
 
-def _linearized(task: Task, current: Iterate) -> StepProblem:
+def _linearized(task: Task, current: Iterate, controls: _Controls) -> StepProblem:
     by = sensitivity(task.layout, current.variables, current.rollout)
     quadratic = task.cost.quadratic(current.variables, current.rollout, by)
-    return StepProblem.around(task, current.variables, current.rollout, current.clearance, by, quadratic)
+    around = StepProblem.around(task, current.variables, current.rollout, current.clearance, by, quadratic)
+    return around.aiming(task.buffer + controls.overshoot(current))
 
 
 def _closed(task: Task, variables: Variables) -> tuple[Variables, Rollout]:

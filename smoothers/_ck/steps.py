@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -12,6 +12,7 @@ from smoothers._ck.layout import Shape, layout_for
 from smoothers._ck.qp import UNBOUNDED
 from smoothers._ck.rollout import end_sensitivity
 from smoothers._ck.rows import Rows, empty_rows, joined, witness_rows
+from smoothers._ck.watched import watched_pairs
 
 if TYPE_CHECKING:
     from optdock.geometry.arrays import FloatArray, IntArray
@@ -28,10 +29,7 @@ ZONES = 6
 _TRUST_NODES = 12
 _USUAL_SHAPES: tuple[Shape, ...] = (((24, 2),), ((24, 3),), ((24, 4),), ((12, 3), (12, 3)), ((8, 3), (8, 3), (8, 3)))
 _BUCKETS = (48, 96, 160, 256, 400)
-_FEWEST_PLANES = 80  # pairs that get rows, where there are more: those with the smallest margins
 _BUFFER_TAPER = 0.1  # [m]: less near the fixed ends
-_DEEP = 0.06  # of the body's width: overlap from which planes no longer tell the side
-_VERY_DEEP = 0.18
 _SOFT_CLEARANCE, _SOFT_GOAL, _RIDGE = 10.0, 100.0, 1e-6
 
 
@@ -70,6 +68,7 @@ class StepProblem:
         end: Derivatives of the last pose, Shape (3, size), and its error, Shape (3,).
         turns: Shape (12, size), derivatives of the headings that the trust region bounds.
         rows: Clearance.
+        away: Shape (num_nodes,), share of a buffer that is asked for: none at the ends, where the pose cannot move.
     """
 
     variables: Variables
@@ -78,6 +77,7 @@ class StepProblem:
     end: tuple[FloatArray, FloatArray]
     turns: FloatArray
     rows: Rows
+    away: FloatArray
 
     @classmethod
     def around(
@@ -95,7 +95,11 @@ class StepProblem:
         end = end_sensitivity(task.layout, variables, rollout.moves), task.ends.error(rollout)
         nodes = np.linspace(1, task.layout.num_nodes - 1, _TRUST_NODES).astype(np.int64)
         rows = _clearance_rows(task, rollout, found, by)
-        return cls(variables, quadratic, prox, end, by.yaw[nodes], rows)
+        return cls(variables, quadratic, prox, end, by.yaw[nodes], rows, _away_from_ends(task, rollout))
+
+    def aiming(self, buffer: float) -> StepProblem:
+        """The same, with steps that aim at `buffer` [m] more clearance than required."""
+        return replace(self, rows=self.rows._replace(gap=self.rows.gap - buffer * self.away[self.rows.node]))
 
 
 def _clearance_rows(task: Task, rollout: Rollout, found: Clearance, by: Sensitivity) -> Rows:
@@ -103,32 +107,24 @@ def _clearance_rows(task: Task, rollout: Rollout, found: Clearance, by: Sensitiv
     layout, world = task.layout, task.world
     if found.margin.size == 0:
         return empty_rows(layout.size)
-    width = world.body.width
-    worst = float(found.margin.min())
-    deep = found.margin < (-_DEEP * width if worst >= -_VERY_DEEP * width else 0.15 * width)
-    if worst >= -_DEEP * width:
-        deep = np.zeros(found.margin.size, dtype=bool)
-    planes = np.flatnonzero(~deep)
-    limit = min(_BUCKETS[-1] // 3, max(_FEWEST_PLANES, layout.num_intervals))
-    if planes.size > limit:
-        planes = planes[np.argpartition(found.margin[planes], limit)[:limit]]
-    rows = witness_rows(layout, rollout, by, found, planes)
-    if deep.any():
-        rows = joined(rows, disc_rows(world, layout, rollout, by, found, np.flatnonzero(deep)))
+    watched = watched_pairs(world, found, layout.num_intervals, _BUCKETS[-1] // 3)
+    rows = witness_rows(layout, rollout, by, found, watched.planes)
+    if watched.discs.size:
+        rows = joined(rows, disc_rows(world, layout, rollout, by, found, watched.discs))
     fixed = rows.node <= 0
     still = np.abs(rows.gradient).max(axis=1, initial=0.0) < 1e-9
     rows = rows.subset(~(fixed & still))
     if rows.gap.size > _BUCKETS[-1]:
         keep = np.argpartition(rows.gap, _BUCKETS[-1])[: _BUCKETS[-1]]
         rows = rows.subset(keep)
-    return rows._replace(gap=rows.gap - _buffer(task, rollout)[rows.node])
+    return rows
 
 
-def _buffer(task: Task, rollout: Rollout) -> FloatArray:
-    """Extra clearance aimed at, none at the ends, where the pose cannot move. Shape (num_nodes,) [m]."""
+def _away_from_ends(task: Task, rollout: Rollout) -> FloatArray:
+    """0 at the ends to 1 further than `_BUFFER_TAPER` away. Shape (num_nodes,)."""
     away = [np.hypot(*(rollout.poses[:, :2] - point[:2]).T) for point in (task.ends.start, task.ends.target)]
     share: FloatArray = np.minimum(1.0, np.minimum(away[0], away[1]) / _BUFFER_TAPER)
-    return task.buffer * share
+    return share
 
 
 def solve_step(

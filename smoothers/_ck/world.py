@@ -65,6 +65,7 @@ class World:
         goal: Goal position, Shape (2,) [m].
         start_clearance: Clearance of the start pose [m].
         per_interval: How many obstacles are watched in every interval, where there are very many.
+        is_thinned: Whether, where there are very many, small ones are watched where they are closest only.
 
     Attributes:
         outline: Obstacle vertices, one column per obstacle, Shape (k, m) [m].
@@ -78,7 +79,8 @@ class World:
     start: FloatArray
     goal: FloatArray
     start_clearance: float
-    per_interval: int = 2
+    per_interval: int = 3
+    is_thinned: bool = True
     outline: Points = field(init=False, repr=False)
     edge_normals: Points = field(init=False, repr=False)
     box_middle: Points = field(init=False, repr=False)
