@@ -152,15 +152,16 @@ def search(task: Task, pool: ProgramPool, max_iterations: int = 60) -> Iterator[
     variables, rollout = _closed(task, task.initial)
     current = evaluate(task, variables, rollout, _REACH)
     yield Progress(current, 0, finished=False, accepted=True)
-    problem = _linearized(task, current, controls)
+    problem: StepProblem | None = None
     for iteration in range(1, max_iterations + 1):
+        if problem is None:
+            problem = _linearized(task, current, controls)
         step = solve_step(task, problem, pool, controls.trust, controls.prox, controls.penalties)
         finished = current.feasible and step is not None and step.gain < _SMALL_SHARE * current.cost
         better = None if finished else _improved(task, current, step, controls)
         if better is not None:
             finished = _settled(current, better, controls)
-            current = better
-            problem = problem if finished else _linearized(task, current, controls)
+            current, problem = better, None
         finished = finished or _hopeless(current, controls) or iteration == max_iterations
         yield Progress(current, iteration, finished=finished, accepted=better is not None)
         if finished:
