@@ -120,7 +120,7 @@ class _Prover:
 
     def run(self, crop: float) -> ClearanceProof:
         """Rounds of cells until each is proven, violated or given up; obstacles beyond `crop` [m] are left out."""
-        # Next to the goal what is attained is often just what is required: one cell of full length needs a second round.
+        # At the goal the path often has just what is required: a last cell of full length would need a second round.
         cells = self.motion.cells(_MAX_STEP).last_halved()
         budget = _MAX_POSES + cells.first.size
         settled: list[FloatArray] = []

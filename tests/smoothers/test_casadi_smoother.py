@@ -279,9 +279,10 @@ def test_every_part_of_a_concave_robot_keeps_clear(smoother, cases):
 def test_the_cost_never_grows_with_the_budget():
     case = instance("parallel", 0)
     costs = []
-    for budget in (0.006, 0.01, 0.013, 0.018, 0.024, 0.05):
+    for budget in (0.003, 0.005, 0.007, 0.009, 0.012, 0.05):
         try:
-            result = with_clock(ticking(0.001)).smooth(case.raw_path, budget, problem=case.problem)
+            # A certificate looks at the clock after every round: it takes no longer than expected of it.
+            result = with_clock(ticking(0.0005)).smooth(case.raw_path, budget, problem=case.problem)
         except SmootherTimedOut:
             costs.append(math.inf)
             continue
@@ -290,6 +291,31 @@ def test_the_cost_never_grows_with_the_budget():
     assert costs == sorted(costs, reverse=True)
     assert costs[-1] < costs[0]
     assert result.completed
+
+
+class HandClock:
+    """A clock that stands still until it is moved."""
+
+    now = 0.0
+
+    def __call__(self):
+        return self.now
+
+
+@pytest.mark.parametrize(("delay", "certified"), [(0.0, True), (1.0, False)])
+def test_a_certificate_that_takes_too_long_is_given_up_and_says_nothing_about_the_path(monkeypatch, delay, certified):
+    clock, case = HandClock(), instance("corridor", 1)
+
+    def slowly(path, problem, *, is_late):
+        clock.now += delay
+        return certify_path(path, problem, is_late=is_late)
+
+    monkeypatch.setattr("smoothers._ck.anytime.certify_path", slowly)
+    if certified:
+        assert with_clock(clock).smooth(case.raw_path, 0.5, problem=case.problem).completed
+    else:
+        with pytest.raises(SmootherTimedOut):
+            with_clock(clock).smooth(case.raw_path, 0.5, problem=case.problem)
 
 
 def test_a_short_budget_returns_an_unfinished_certified_path():
@@ -463,3 +489,10 @@ def test_a_cluttered_scene_that_needs_finer_nodes_gets_them():
     assert len(task.problem.all_obstacles) > 60
     result = CasadiSmoother().smooth(task.raw_path, 30.0, problem=task.problem)
     assert certify_path(result.path, task.problem).certified
+
+
+def test_a_side_that_rolls_around_a_corner_needs_fewer_steps_when_they_overshoot(monkeypatch):
+    case, first = instance("long_approach", 24), CasadiSmoother(stop_at_first=True)
+    taken = first.smooth(case.raw_path, LONG, problem=case.problem).report["iterations"]
+    monkeypatch.setattr("smoothers._ck.scp._NEARLY_CLEAR", 0.0)
+    assert taken < first.smooth(case.raw_path, LONG, problem=case.problem).report["iterations"]

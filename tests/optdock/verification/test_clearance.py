@@ -19,7 +19,7 @@ from optdock.obstacles import ObstacleSet
 from optdock.path import ClothoidSegment, Direction, Path, PolylineSegment
 from optdock.problem import ClearanceRule, DockingProblem
 from optdock.robot import Robot
-from optdock.verification import certify_path, pose_clearance
+from optdock.verification import certify_path, pose_clearance, pose_clearances
 from optdock.verification.seams import joined_bodies
 
 ROBOT = Robot(Footprint.rectangle(0.45, 0.45, 0.6), MotionLimits())
@@ -129,6 +129,62 @@ def test_a_proof_that_runs_out_of_poses_before_it_is_sharp_is_a_proof(monkeypatc
     certificate = certify_path(path, problem_for(path, beside(path, 1.7, REQUIRED + 0.03, 1)))
     assert certificate.certified
     assert REQUIRED < certificate.min_clearance < REQUIRED + 0.03
+
+
+def late_after(rounds):
+    """True from the look after so many on."""
+    looks = itertools.count(1)
+    return lambda: next(looks) > rounds
+
+
+def test_a_late_certificate_counts_what_is_proven_and_refuses_the_rest():
+    path = curved_path()
+    tight = problem_for(path, beside(path, 1.7, REQUIRED + 0.0001, 1))
+    assert certify_path(path, tight).certified
+    late = certify_path(path, tight, is_late=late_after(0))
+    assert kinds(late) == {"unproven"}
+    roomy = problem_for(path, beside(path, 1.7, REQUIRED + 0.03, 1))
+    unsharp, sharp = certify_path(path, roomy, is_late=late_after(0)), certify_path(path, roomy)
+    assert unsharp.certified
+    assert REQUIRED < unsharp.min_clearance < sharp.min_clearance - 0.001
+
+
+def test_more_time_proves_more():
+    path = curved_path()
+    problem = problem_for(path, beside(path, 1.7, REQUIRED + 0.0001, 1))
+    margins = [certify_path(path, problem, is_late=late_after(rounds)).margin for rounds in range(8)]
+    assert margins == sorted(margins)
+    assert margins[0] < -1e-6 < margins[-1]
+
+
+@pytest.mark.parametrize("rounds", range(4))
+def test_a_violation_is_never_overlooked_in_a_hurry(rounds):
+    path = curved_path()
+    for amount in (1e-5, 1e-3, 0.03):
+        problem = problem_for(path, beside(path, 1.7, REQUIRED - amount, 1))
+        assert not certify_path(path, problem, is_late=late_after(rounds)).certified
+
+
+@given(st.integers(0, 10_000))
+def test_clearances_of_many_poses_are_those_of_each(seed):
+    rng = np.random.default_rng(seed)
+    poses = rng.uniform(-2.0, 2.0, (int(rng.integers(1, 6)), 3))
+    rocks = [rng.normal(size=2) * 1.5 + rng.uniform(0.02, 0.5) * _convex(rng) for _ in range(int(rng.integers(1, 30)))]
+    obstacles = ObstacleSet.from_polygons(rocks)
+    dart = Footprint(np.array([[0.4, 0.0], [-0.4, 0.3], [-0.2, 0.0], [-0.4, -0.3]]))
+    distance, row = pose_clearances(poses, dart, obstacles)
+    outlines = shapely.polygons(transform_points(poses, dart.vertices))
+    truth = np.array([[outline.distance(shapely.Polygon(rock)) for rock in rocks] for outline in outlines])
+    assert np.maximum(distance, 0.0) == pytest.approx(truth.min(axis=1), abs=1e-9)
+    assert truth[np.arange(len(poses)), row] == pytest.approx(truth.min(axis=1), abs=1e-9)
+    alone = [pose_clearance(Pose2.from_sequence(pose), dart, obstacles) for pose in poses]
+    assert [(float(d), int(r)) for d, r in zip(distance, row, strict=True)] == alone
+
+
+def test_a_pose_among_nothing_is_infinitely_clear():
+    distance, row = pose_clearances(np.zeros((2, 3)), ROBOT.footprint, ObstacleSet.empty())
+    assert distance.tolist() == [np.inf, np.inf]
+    assert row.tolist() == [-1, -1]
 
 
 @given(st.integers(0, 10_000))

@@ -1,0 +1,60 @@
+"""Cells of motion and the places where they meet."""
+
+import numpy as np
+import pytest
+
+from optdock.geometry.clothoid import ClothoidSpline
+from optdock.geometry.pose import Pose2
+from optdock.path import ClothoidSegment, Path, PolylineSegment
+from optdock.verification.motion import PathMotion
+
+
+def two_gears():
+    forward = ClothoidSpline(Pose2(0.0, 0.0, 0.0), [0.0, 0.5, 1.3], [0.2, 1.0, -0.4])
+    back = ClothoidSpline(forward.end, [0.0, 0.7, 0.9], [0.3, -1.2, 0.0], -1)
+    return Path((ClothoidSegment(forward), ClothoidSegment(back)))
+
+
+def turning_polyline():
+    return Path.from_poses([[0.0, 0.0, 0.0], [0.5, 0.0, 0.0], [0.5, 0.0, 1.2], [0.3, -0.5, 1.2]])
+
+
+@pytest.mark.parametrize("make", [two_gears, turning_polyline])
+@pytest.mark.parametrize("halvings", range(3))
+def test_every_end_appears_once_and_every_cell_finds_its_own(make, halvings):
+    cells = PathMotion(make()).cells(0.08)
+    for _ in range(halvings):
+        cells = cells.halves()
+    ends = cells.ends()
+    assert len(set(zip(ends.segment.tolist(), ends.u.tolist(), strict=True))) == ends.u.size
+    for place, u in ((ends.first, cells.first), (ends.last, cells.last)):
+        assert (ends.u[place] == u).all()
+        assert (ends.segment[place] == cells.segment).all()
+    # Every place but the two ends of each segment belongs to two cells.
+    assert ends.u.size == cells.first.size + len(set(cells.segment.tolist()))
+
+
+def test_the_two_sides_of_a_cusp_are_two_places():
+    path = two_gears()
+    ends = PathMotion(path).cells(0.08).ends()
+    at_cusp = (ends.segment == 0) & (ends.u == path.segments[0].length) | (ends.segment == 1) & (ends.u == 0.0)
+    assert at_cusp.sum() == 2
+
+
+@pytest.mark.parametrize("make", [two_gears, turning_polyline])
+def test_the_last_cell_is_halved_and_the_others_stay(make):
+    cells = PathMotion(make()).cells(0.08)
+    finer = cells.last_halved()
+    assert finer.first.size == cells.first.size + 1
+    assert (finer.first[:-1] == cells.first).all()
+    assert (finer.last[:-2] == cells.last[:-1]).all()
+    assert finer.last[-1] == cells.last[-1]
+    assert finer.last[-2] == finer.first[-1] == 0.5 * (cells.first[-1] + cells.last[-1])
+    assert (finer.segment[-2:] == cells.segment[-1]).all()
+
+
+def test_a_path_of_one_cell_is_halved_too():
+    finer = PathMotion(Path((PolylineSegment([[0.0, 0.0, 0.0], [0.01, 0.0, 0.0]]),))).cells(0.08).last_halved()
+    assert finer.first.tolist() == [0.0, 0.5]
+    assert finer.last.tolist() == [0.5, 1.0]
+    assert np.unique(finer.segment).tolist() == [0]
