@@ -22,6 +22,7 @@ from optdock.robot import Robot
 from optdock.testing.dense_check import dense_check
 from optdock.testing.families import FEASIBLE_FAMILIES, INFEASIBLE_FAMILIES, instance
 from optdock.verification import certify_path
+from smoothers._ck.scp import search
 from smoothers.casadi_smoother import CasadiSmoother
 
 LONG = 30.0  # [s]: no deadline
@@ -310,12 +311,15 @@ def test_a_certificate_that_takes_too_long_is_given_up_and_says_nothing_about_th
         clock.now += delay
         return certify_path(path, problem, is_late=is_late)
 
+    searches = []
     monkeypatch.setattr("smoothers._ck.anytime.certify_path", slowly)
+    monkeypatch.setattr("smoothers._ck.anytime.search", lambda *a: searches.append(a) or search(*a))
     if certified:
         assert with_clock(clock).smooth(case.raw_path, 0.5, problem=case.problem).completed
     else:
         with pytest.raises(SmootherTimedOut):
             with_clock(clock).smooth(case.raw_path, 0.5, problem=case.problem)
+    assert len(searches) == 1
 
 
 def test_a_short_budget_returns_an_unfinished_certified_path():

@@ -36,6 +36,8 @@ def test_a_local_minimum_is_per_part_and_obstacle_along_the_path():
     near = pairs((3, 0, 0), (4, 0, 0), (5, 0, 0), (4, 0, 1), (5, 0, 1), (4, 1, 0), (9, 0, 0))
     margin = np.array([0.3, 0.1, 0.2, 0.5, 0.4, 0.6, 0.9])
     assert local_minima(near, margin).tolist() == [False, True, False, False, True, True, True]
+    two_parts = pairs((3, 0, 0), (4, 1, 0))
+    assert local_minima(two_parts, np.array([0.3, 0.1])).all()
 
 
 @pytest.mark.parametrize("seed", range(4))

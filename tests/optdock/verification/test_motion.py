@@ -41,6 +41,14 @@ def test_the_two_sides_of_a_cusp_are_two_places():
     assert at_cusp.sum() == 2
 
 
+def test_equal_parameters_on_two_segments_are_two_places():
+    poses = [[0.0, 0.0, 0.0], [0.5, 0.0, 0.0], [1.0, 0.0, 0.0], [0.6, 0.0, 0.0], [0.2, 0.0, 0.0]]
+    cells = PathMotion(Path.from_poses(poses)).cells(0.08)
+    first_and_last = cells.rows(np.array([0, 3]))
+    assert first_and_last.last[0] == first_and_last.first[1]
+    assert first_and_last.ends().u.size == 4
+
+
 @pytest.mark.parametrize("make", [two_gears, turning_polyline])
 def test_the_last_cell_is_halved_and_the_others_stay(make):
     cells = PathMotion(make()).cells(0.08)
