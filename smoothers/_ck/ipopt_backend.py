@@ -13,7 +13,8 @@ import casadi
 import numpy as np
 
 from smoothers._ck.closing import clipped, close_goal
-from smoothers._ck.planes import Pairs, clearance, clearance_of
+from smoothers._ck.nearby import Pairs
+from smoothers._ck.planes import clearance, clearance_of
 from smoothers._ck.rollout import Variables, roll_out
 from smoothers._ck.scp import evaluate
 from smoothers._ck.symbolic import cost_expression, model_for

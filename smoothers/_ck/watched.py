@@ -8,7 +8,8 @@ import numpy as np
 
 if TYPE_CHECKING:
     from optdock.geometry.arrays import BoolArray, FloatArray, IntArray
-    from smoothers._ck.planes import Clearance, Pairs
+    from smoothers._ck.nearby import Pairs
+    from smoothers._ck.planes import Clearance
     from smoothers._ck.world import World
 
 __all__ = ["Watched", "local_minima", "watched_pairs"]

@@ -10,7 +10,8 @@ from optdock.geometry.pose import Pose2, transform_points
 from optdock.obstacles import ObstacleSet
 from optdock.testing.families import instance
 from smoothers._ck.initial import Resolution, Tuning, make_task
-from smoothers._ck.planes import Pairs, _swept_boxes, clearance, frames_at
+from smoothers._ck.nearby import Pairs, frames_at, swept_boxes
+from smoothers._ck.planes import clearance
 from smoothers._ck.rollout import roll_out
 from smoothers._ck.terms import Weights
 from smoothers._ck.watched import local_minima, watched_pairs
@@ -114,7 +115,7 @@ def test_a_wall_is_watched_all_along():
 @pytest.mark.parametrize("family", ["corridor", "car_bay", "parallel", "angled_hexagon"])
 def test_the_swept_box_holds_the_body_everywhere_in_its_interval(family):
     world, layout, rollout, signs = driven(family, 1)
-    middle, half = _swept_boxes(world, layout, rollout, frames_at(world, rollout.poses))
+    middle, half = swept_boxes(world, layout, rollout, frames_at(world, rollout.poses))
     parts = len(world.body.vertices)
     for interval in range(layout.num_intervals):
         left = layout.left[interval]
