@@ -30,7 +30,8 @@ __all__ = ["ClearanceProof", "never", "prove_clearance"]
 TOLERANCE = 1e-6  # [m], accepted shortfall; covers rounding where contact is allowed
 SHARPNESS = 1e-3  # [m]: the reported minimum is at most this far below a clearance that occurs
 _MAX_STEP = 0.08  # [m], first cells
-_MAX_LEVELS = 24
+_MAX_LEVELS = 24  # of halving
+_CHEAP = 48  # cells: a round of fewer takes hardly less time, so few open ones are cut into many parts at once
 _MAX_POSES = 60_000  # added by refinement
 _WORTHWHILE = 0.7  # of the obstacles: leaving out fewer costs more than it saves
 _CROP = 1.0  # [m]: obstacles further from the swept area than this are looked at only when nothing is as near
@@ -126,14 +127,15 @@ class _Prover:
         settled: list[FloatArray] = []
         violations: list[FloatArray] = []
         given_up: FloatArray = np.zeros((0, 4))
-        for level in range(_MAX_LEVELS + 1):
+        level = 0
+        while True:
             ends = cells.ends()
             nodes = self.motion.nodes(ends.segment, ends.u)
             if level == 0:
                 self.near, self.original = self._crop(nodes, crop)
             result = self._round(cells, ends, nodes)
             self.attained = min(self.attained, result.attained)
-            is_last = level == _MAX_LEVELS or self.poses > budget or self.is_late()
+            is_last = level >= _MAX_LEVELS or self.poses > budget or self.is_late()
             sharp = result.bound >= self.attained - SHARPNESS
             proven = (result.bound >= result.required - TOLERANCE) & (sharp | is_last)
             violations.append(result.violations)
@@ -144,7 +146,8 @@ class _Prover:
             if is_last:
                 given_up = result.settled(open_cells)
                 break
-            cells = cells.rows(open_cells).halves()
+            halvings = max(1, int(np.log2(_CHEAP / open_cells.size)))
+            cells, level = cells.rows(open_cells).cut(2**halvings), level + halvings
         return self._summary(np.concatenate(settled), np.concatenate(violations), given_up)
 
     def _crop(self, nodes: Nodes, crop: float) -> tuple[ObstacleSet, IntArray]:

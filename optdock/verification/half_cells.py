@@ -196,13 +196,21 @@ def pose_clearance(pose: Pose2, footprint: Footprint, obstacles: ObstacleSet) ->
     return float(distance[0]), int(row[0])
 
 
-def pose_clearances(poses: FloatArray, footprint: Footprint, obstacles: ObstacleSet) -> tuple[FloatArray, IntArray]:
-    """Signed clearances of poses, Shape (n, 3), and the rows of the nearest obstacles, as `pose_clearance`.
+def pose_clearances(
+    poses: FloatArray, footprint: Footprint, obstacles: ObstacleSet, within: float = np.inf
+) -> tuple[FloatArray, IntArray]:
+    """Signed clearances of poses and the rows of their nearest obstacles, Shape (n,) [m] and (n,).
 
     The nearest few by box and circle are looked at first, then whatever else may be nearer than they are.
+
+    Args:
+        poses: Shape (n, 3).
+        footprint: The outline.
+        obstacles: May be empty.
+        within: Where no obstacle is closer than this [m] the answer is (within, -1).
     """
     n, m = len(poses), len(obstacles)
-    best, row = np.full(n, np.inf), np.full(n, -1)
+    best, row = np.full(n, within), np.full(n, -1)
     for rounded in _rounded_bodies(footprint) if m else ():
         apart = _box_gaps(rounded, poses, obstacles)
         count = min(m, _NEAREST)

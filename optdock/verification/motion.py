@@ -32,18 +32,15 @@ class Cells(NamedTuple):
     first: FloatArray
     last: FloatArray
 
-    def halves(self) -> Cells:
-        """Every cell cut in two."""
-        middle = 0.5 * (self.first + self.last)
-        return Cells(
-            np.concatenate((self.segment, self.segment)),
-            np.concatenate((self.first, middle)),
-            np.concatenate((middle, self.last)),
-        )
+    def cut(self, parts: int) -> Cells:
+        """Every cell cut into equal parts."""
+        edges = self.first + (self.last - self.first) * (np.arange(1, parts) / parts)[:, None]
+        first, last = np.vstack((self.first, edges)), np.vstack((edges, self.last))
+        return Cells(np.tile(self.segment, parts), first.ravel(), last.ravel())
 
     def last_halved(self) -> Cells:
         """The last cell cut in two."""
-        last = self.rows(np.array([-1])).halves()
+        last = self.rows(np.array([-1])).cut(2)
         return Cells(*(np.concatenate((column[:-1], end)) for column, end in zip(self, last, strict=True)))
 
     def ends(self) -> CellEnds:

@@ -75,7 +75,7 @@ def refuse_approach(path: Path, problem: DockingProblem, start_clearance: float)
     )
     from_start = np.hypot(poses[:, 0] - problem.start.x, poses[:, 1] - problem.start.y)
     required = problem.clearance.required_at(np.abs(back), from_start, start_clearance)
-    distance, rows = pose_clearances(poses, problem.robot.footprint, problem.all_obstacles)
+    distance, rows = pose_clearances(poses, problem.robot.footprint, problem.all_obstacles, float(required.max()))
     short = required - distance
     k = int(np.argmax(short))
     if not short[k] > _TOLERANCE:

@@ -34,6 +34,17 @@ def test_the_smoothing_benchmark_counts_what_it_should(tmp_path):
     assert "Hard time budgets" in done.stdout
 
 
+def test_certificates_and_first_calls_are_measured():
+    done = run("certificate", "--seeds", "1")
+    assert done.returncode == 0, done.stderr
+    assert "reverse_alcove" in done.stdout
+    assert len([line for line in done.stdout.splitlines() if line.startswith("clutter ")]) == 1
+    done = run("first_call", "--processes", "1")
+    assert done.returncode == 0, done.stderr
+    first, _, later = (float(word) for word in done.stdout.splitlines()[-1].split()[-3:])
+    assert 0.0 < later < first
+
+
 @pytest.mark.parametrize("wrong", [("nosuch",), ("smoothing", "timing", "--seeds", "1")])
 def test_wrong_names_are_answered_with_the_known_ones(wrong):
     done = run(*wrong)

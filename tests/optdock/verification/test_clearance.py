@@ -115,7 +115,7 @@ def test_the_violating_pose_of_a_turn_in_place_shows_it():
 def test_what_is_given_up_still_bounds_the_clearance(monkeypatch):
     path = curved_path()
     obstacles = beside(path, 1.7, REQUIRED + 0.0001, 1)
-    monkeypatch.setattr("optdock.verification.clearance._MAX_LEVELS", 1)
+    monkeypatch.setattr("optdock.verification.clearance._MAX_LEVELS", 0)
     certificate = certify_path(path, problem_for(path, obstacles))
     assert kinds(certificate) == {"unproven"}
     assert certificate.min_clearance < REQUIRED
@@ -179,6 +179,10 @@ def test_clearances_of_many_poses_are_those_of_each(seed):
     assert truth[np.arange(len(poses)), row] == pytest.approx(truth.min(axis=1), abs=1e-9)
     alone = [pose_clearance(Pose2.from_sequence(pose), dart, obstacles) for pose in poses]
     assert [(float(d), int(r)) for d, r in zip(distance, row, strict=True)] == alone
+    within = float(rng.uniform(0.0, 1.0))
+    capped, capped_row = pose_clearances(poses, dart, obstacles, within)
+    assert capped.tolist() == np.minimum(distance, within).tolist()
+    assert capped_row.tolist() == np.where(distance < within, row, -1).tolist()
 
 
 def test_a_pose_among_nothing_is_infinitely_clear():

@@ -20,11 +20,9 @@ def turning_polyline():
 
 
 @pytest.mark.parametrize("make", [two_gears, turning_polyline])
-@pytest.mark.parametrize("halvings", range(3))
-def test_every_end_appears_once_and_every_cell_finds_its_own(make, halvings):
-    cells = PathMotion(make()).cells(0.08)
-    for _ in range(halvings):
-        cells = cells.halves()
+@pytest.mark.parametrize("parts", [1, 2, 3, 8])
+def test_every_end_appears_once_and_every_cell_finds_its_own(make, parts):
+    cells = PathMotion(make()).cells(0.08).cut(parts)
     ends = cells.ends()
     assert len(set(zip(ends.segment.tolist(), ends.u.tolist(), strict=True))) == ends.u.size
     for place, u in ((ends.first, cells.first), (ends.last, cells.last)):
@@ -32,6 +30,19 @@ def test_every_end_appears_once_and_every_cell_finds_its_own(make, halvings):
         assert (ends.segment[place] == cells.segment).all()
     # Every place but the two ends of each segment belongs to two cells.
     assert ends.u.size == cells.first.size + len(set(cells.segment.tolist()))
+
+
+@pytest.mark.parametrize("parts", [1, 2, 3, 8])
+def test_the_parts_of_a_cell_cover_it(parts):
+    cells = PathMotion(two_gears()).cells(0.08)
+    cut = cells.cut(parts)
+    assert cut.first.size == parts * cells.first.size
+    order = np.lexsort((cut.first, cut.segment))
+    first, last = cut.first[order].reshape(-1, parts), cut.last[order].reshape(-1, parts)
+    assert (first[:, 0] == cells.first).all()
+    assert (last[:, -1] == cells.last).all()
+    assert (first[:, 1:] == last[:, :-1]).all()
+    assert (last - first) == pytest.approx(np.tile((cells.last - cells.first)[:, None] / parts, parts), rel=1e-9)
 
 
 def test_the_two_sides_of_a_cusp_are_two_places():
