@@ -33,7 +33,7 @@ _MAX_STEP = 0.08  # [m], first cells
 _MAX_LEVELS = 24  # of halving
 _CHEAP = 48  # cells: a round of fewer takes hardly less time, so few open ones are cut into many parts at once
 _MAX_POSES = 60_000  # added by refinement
-_WORTHWHILE = 0.7  # of the obstacles: leaving out fewer costs more than it saves
+_WORTHWHILE = 0.7  # of the obstacles: where more are near, leaving out the rest costs more than it saves
 _CROP = 1.0  # [m]: obstacles further from the swept area than this are looked at only when nothing is as near
 
 

@@ -28,6 +28,7 @@ _CERTIFY_GUESS = (0.0025, 1.2e-5)
 _ITERATION_GUESS = (0.0015, 2e-5)
 _CERTIFY_PER_ITERATION = 1.2
 _GRACE = 0.002  # [s]: how late the only certificate may be expected to end
+_LATEST = 0.001  # [s] past the end of the budget: what a certificate has not proven by then it leaves
 _NEARLY = 5e-3  # [m]: a shortfall that may be due to the cautious bound between nodes
 _REPAIRS = 2
 
@@ -191,7 +192,7 @@ class Runner:
         return None
 
     def _is_late(self) -> bool:
-        return self.budget.remaining < -0.001
+        return self.budget.remaining < -_LATEST
 
     def _nearly_feasible(self) -> bool:
         last = self.outcome.last

@@ -148,10 +148,8 @@ def _nearest(apart: FloatArray, world: World) -> BoolArray:
         apart: Separation of every interval and part, Shape (rows, obstacles) [m].
         world: How many are wanted, and the required clearance.
     """
-    few, many = world.per_interval, 4 * world.per_interval
-    close: BoolArray = apart < world.rule.required + _SURELY_KEPT
-    if apart.shape[1] <= many:
-        return close | (apart <= np.partition(apart, min(few, apart.shape[1]) - 1, axis=1)[:, few - 1 : few])
+    few, many = (min(count, apart.shape[1]) for count in (world.per_interval, 4 * world.per_interval))
     ranked = np.partition(apart, (few - 1, many - 1), axis=1)
-    nearest: BoolArray = (apart <= ranked[:, few - 1 : few]) | close & (apart <= ranked[:, many - 1 : many])
+    close = (apart < world.rule.required + _SURELY_KEPT) & (apart <= ranked[:, many - 1 : many])
+    nearest: BoolArray = (apart <= ranked[:, few - 1 : few]) | close
     return nearest

@@ -10,7 +10,7 @@ from optdock.geometry.pose import Pose2, transform_points
 from optdock.obstacles import ObstacleSet
 from optdock.testing.families import instance
 from smoothers._ck.initial import Resolution, Tuning, make_task
-from smoothers._ck.nearby import Pairs, frames_at, swept_boxes
+from smoothers._ck.nearby import Pairs, frames_at, swept_boxes, swept_pairs
 from smoothers._ck.planes import clearance
 from smoothers._ck.rollout import roll_out
 from smoothers._ck.terms import Weights
@@ -20,12 +20,12 @@ from smoothers._ck.world import world_around
 MOST = 133
 
 
-def driven(family, seed, **changes):
+def driven(family, seed, interval=0.08, **changes):
     """The first guess for an instance: its world, layout, drive and gears."""
     case = instance(family, seed)
     positions = case.raw_path.sample(0.1).poses[:, :2]
     world = dataclasses.replace(world_around(case.problem, positions, 1.0), **changes)
-    task = make_task(case.raw_path, case.problem, world, Tuning(Resolution(24, 0.8, 0.08), Weights()), None)
+    task = make_task(case.raw_path, case.problem, world, Tuning(Resolution(24, 0.8, interval), Weights()), None)
     return world, task.layout, roll_out(task.layout, task.initial, task.ends.start, task.ends.signs), task.ends.signs
 
 
@@ -129,3 +129,19 @@ def test_the_swept_box_holds_the_body_everywhere_in_its_interval(family):
             # And it is tight: a few centimetres at most beyond what is swept.
             assert 2.0 * half.x[box] <= np.ptp(swept[..., 0]) + 0.02
             assert 2.0 * half.y[box] <= np.ptp(swept[..., 1]) + 0.02
+
+
+@pytest.mark.parametrize("walls", [1, 2, 3, 12, 13])
+def test_a_long_path_between_few_walls_keeps_the_nearest(walls):
+    """Hundreds of near pairs, and hardly more obstacles than are watched in each interval."""
+    case = instance("long_approach", 0)
+    start = case.raw_path.start
+    offsets = (0.1 * (1 + k // 2) * (-1.0) ** k for k in range(walls))
+    bars = np.array([[-1.0, 0.0], [14.0, 0.0], [14.0, 0.01], [-1.0, 0.01]])
+    obstacles = ObstacleSet.from_polygons([bars + np.array([start.x, start.y + offset]) for offset in offsets])
+    world, layout, rollout, _ = driven("long_approach", 0, 0.06, obstacles=obstacles)
+    pairs_found = swept_pairs(world, layout, rollout, frames_at(world, rollout.poses), 5.0)
+    count = np.bincount(pairs_found.interval, minlength=layout.num_intervals)
+    assert layout.num_intervals > 150
+    assert count.min() >= min(walls, world.per_interval)
+    assert count.max() <= min(walls, 4 * world.per_interval)
