@@ -140,7 +140,7 @@ def test_a_long_path_between_few_walls_keeps_the_nearest(walls):
     bars = np.array([[-1.0, 0.0], [14.0, 0.0], [14.0, 0.01], [-1.0, 0.01]])
     obstacles = ObstacleSet.from_polygons([bars + np.array([start.x, start.y + offset]) for offset in offsets])
     world, layout, rollout, _ = driven("long_approach", 0, 0.06, obstacles=obstacles)
-    pairs_found = swept_pairs(world, layout, rollout, frames_at(world, rollout.poses), 5.0)
+    pairs_found = swept_pairs(world, layout, rollout, frames_at(world, rollout.poses), 50.0)
     count = np.bincount(pairs_found.interval, minlength=layout.num_intervals)
     assert layout.num_intervals > 150
     assert count.min() >= min(walls, world.per_interval)
