@@ -28,7 +28,8 @@ _STRAIGHT_TOLERANCE = 1e-5  # sideways [m] and in yaw [rad]
 _CLEARANCE_TOLERANCE = 2e-6  # [m]: twice what the certificate forgives, as for the two below
 _CURVATURE_TOLERANCE = 2e-6  # relative; differences of yaw are exact where curvature is linear, but for rounding
 _RATE_TOLERANCE = 2e-6  # relative
-_SLIP_PER_SQUARED_STEP = 2.0  # sideways motion over distance; a clothoid shows up to its rate / 12 * step^2 [1/m^2]
+_SLIP_PER_SQUARED_STEP = 2.0  # sideways motion over distance [1/m^2]
+_SLIP_PER_RATE = 0.1  # of the curvature rate, likewise: a clothoid shows up to its rate / 12 * step^2
 _JOINT_TOLERANCE = 1e-6  # from the end of a gear to the start of the next [m, rad]
 
 
@@ -175,7 +176,9 @@ def _motion_faults(
         at = gear.s[:-1]
         found += _above("curvature", at, np.abs(kappa), limits.max_curvature * (1.0 + _CURVATURE_TOLERANCE))
         found += _above("curvature rate", at[1:], rate, limits.max_curvature_rate * (1.0 + _RATE_TOLERANCE))
-        found += _above("slip", at, _slip(gear), _SLIP_PER_SQUARED_STEP * gear.step**2)
+        steepest = min(limits.max_curvature_rate, float(np.max(rate, initial=0.0)))
+        slip_limit = max(_SLIP_PER_SQUARED_STEP, _SLIP_PER_RATE * steepest) * gear.step**2
+        found += _above("slip", at, _slip(gear), slip_limit)
         found += _above("direction", at, _backwards(gear), 0.0)
     return tuple(found)
 

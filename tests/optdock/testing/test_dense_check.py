@@ -190,3 +190,11 @@ def test_the_proven_clearance_is_never_more_than_the_measured(family):
     assert certificate.min_clearance <= report.min_clearance + 1e-9
     assert certificate.margin <= report.worst_margin + 1e-9
     assert certificate.max_curvature == pytest.approx(report.max_curvature, abs=0.02)
+
+
+def test_a_clothoid_of_any_rate_does_not_slip_where_the_rate_is_unlimited():
+    limits = MotionLimits(max_curvature=math.inf, max_curvature_rate=math.inf)
+    spline = ClothoidSpline(Pose2(0.0, 0.0, 0.0), [0.0, 0.05, 0.1], [0.0, 20.0, -20.0])
+    path = Path((ClothoidSegment(spline),))
+    problem = DockingProblem(path.start, Dock(path.end), Robot(Footprint.rectangle(0.4, 0.4, 0.5), limits))
+    assert dense_check(path, problem).faults == ()
