@@ -93,7 +93,7 @@ class CasadiSmoother(Smoother):
             max_time: Wall-clock seconds for the whole call.
             problem: What must hold. None: from the first pose of `path` to its last, with the footprint and the costmap
                 of the context and the limits of the parameters.
-            warm_start: An earlier result with the same gears.
+            warm_start: An earlier result with the same gears; returned where it is an answer still and none is found.
             cancel_checker: Polled every iteration.
 
         Raises:
@@ -121,6 +121,8 @@ class CasadiSmoother(Smoother):
         if outcome.incumbent is None and outcome.converged and len(task.world.obstacles) > _MANY_OBSTACLES:
             task = self._prepared(path, wanted, warm_start, thoroughly=True)
             outcome = runner.run(task)
+        if outcome.incumbent is None and outcome.converged and warm_start and may_be_kept(warm_start, wanted):
+            runner.offer(warm_start, input_cost(warm_start, task.cost, wanted.dock.final_straight), "warm_start")
         if outcome.incumbent is None:
             raise _failure(task, outcome, max_time, wanted.dock.final_straight)
         if problem is None and not covers(path, outcome.incumbent.path):
@@ -200,7 +202,8 @@ def _result(outcome: Outcome, budget: Budget, setup: float, build: float) -> Smo
     best = outcome.incumbent
     assert best is not None  # the caller has raised otherwise
     first = outcome.first_certified
-    status = {"input": "input_kept", "line": "direct"}.get(best.origin, "converged" if outcome.converged else "budget")
+    kept = {"input": "input_kept", "line": "direct", "warm_start": "warm_start_kept"}
+    status = kept.get(best.origin, "converged" if outcome.converged else "budget")
     report = {
         "status": status,
         "cost": best.cost,

@@ -97,10 +97,14 @@ def prove_clearance(path: Path, problem: DockingProblem, is_late: Callable[[], b
     clearances, _ = pose_clearances(ends, footprint, obstacles)
     start_clearance, attained = float(clearances[0]), float(clearances.min())
     motion = PathMotion(path)
-    near = _Prover(motion, problem, start_clearance, attained, is_late).run(crop=_CROP)
-    if near.proven <= _CROP:
+    prover = _Prover(motion, problem, start_clearance, attained, is_late)
+    near = prover.run(crop=_CROP)
+    if near.proven <= _CROP or len(prover.near) == len(obstacles):
         return near
     # What was left out is at least `_CROP` away: it cannot break the rule, but it may hold the minimum.
+    if is_late():
+        margin = min(near.margin, _CROP - problem.clearance.required)
+        return near._replace(proven=min(near.proven, _CROP), margin=margin)
     return _Prover(motion, problem, start_clearance, attained, is_late).run(crop=np.inf)
 
 
@@ -172,7 +176,7 @@ class _Prover:
     def _round(self, cells: Cells, ends: CellEnds, nodes: Nodes) -> _Round:
         bounds = self.motion.bounds(cells, nodes.poses[ends.first], nodes.poses[ends.last])
         n = cells.first.size
-        self.poses += n + 1
+        self.poses += nodes.s.size
         distances = self._distances(nodes)
         required = self._required_in_cells(distances, ends, bounds)
         care = np.maximum(required, self.attained)

@@ -73,7 +73,7 @@ class HalfBounds(NamedTuple):
 
     def merged(self, other: HalfBounds) -> HalfBounds:
         """The smaller bound of the two, and both lists of poses."""
-        mine = ~(self.bound > other.bound)  # a bound that is not a number proves nothing: it must not be lost
+        mine = self.bound <= other.bound
         return HalfBounds(
             np.where(mine, self.bound, other.bound),
             np.where(mine, self.row, other.row),
@@ -137,6 +137,7 @@ def _body_bounds(rounded: _RoundedBody, stretches: HalfCells, obstacles: Obstacl
     stray = 0.5 * (stretches.bend + reach * stretches.twist)[i] * width[i] ** 2
     distance = exact.distance[pair]
     bounds[i, o[pair]] = np.minimum(distance, distance + drift - stray)
+    bounds[np.isnan(bounds)] = -np.inf  # what is not a number proves nothing, and must not be lost in comparisons
     row = np.argmin(bounds, axis=1)
     return HalfBounds(bounds[np.arange(n), row], row, at, o, exact.distance)
 
@@ -170,7 +171,10 @@ def _directional(
 
 
 def _box_gaps(rounded: _RoundedBody, poses: FloatArray, obstacles: ObstacleSet) -> FloatArray:
-    """Lower bound of the distance from every pose's body to every obstacle, by circles and boxes. Shape (n, m) [m]."""
+    """Lower bound of the clearance of every pose's body from every obstacle, by circles and boxes. Shape (n, m) [m].
+
+    Where it is not positive the body may overlap the obstacle by more.
+    """
     at = transform_points(poses, rounded.centres)  # (n, circles, 2)
     gaps = obstacles.box_distance(at[:, 0])
     for k in range(1, len(rounded.centres)):
@@ -210,14 +214,14 @@ def pose_clearances(
         within: Where no obstacle is closer than this [m] the answer is (within, -1).
     """
     n, m = len(poses), len(obstacles)
-    best, row = np.full(n, within), np.full(n, -1)
+    best, row = np.full(n, float(within)), np.full(n, -1)
     for rounded in _rounded_bodies(footprint) if m else ():
         apart = _box_gaps(rounded, poses, obstacles)
         count = min(m, _NEAREST)
         nearest = np.zeros((n, m), dtype=np.bool_)
         nearest[np.arange(n)[:, None], np.argpartition(apart, count - 1, axis=1)[:, :count]] = True
         for some in (nearest, ~nearest):
-            i, o = np.nonzero(some & (apart < best[:, None]))
+            i, o = np.nonzero(some & ~((apart >= best[:, None]) & (apart > 0.0)))
             if i.size == 0:
                 continue
             found = np.full((n, m), np.inf)

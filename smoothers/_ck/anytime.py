@@ -23,9 +23,9 @@ if TYPE_CHECKING:
 
 __all__ = ["Incumbent", "Outcome", "Runner"]
 
-# Until one was measured [s], without and per obstacle nearby.
-_CERTIFY_GUESS = (0.0025, 1.2e-5)
-_ITERATION_GUESS = (0.0015, 2e-5)
+# Until one was measured [s]: without obstacles, per obstacle nearby, and per metre, obstacle and part of the body.
+_CERTIFY_GUESS = (0.0025, 1.2e-5, 8e-7)
+_ITERATION_GUESS = (0.0015, 2e-5, 0.0)
 _CERTIFY_PER_ITERATION = 1.2
 _GRACE = 0.002  # [s]: how late the only certificate may be expected to end
 _LATEST = 0.001  # [s] past the end of the budget: what a certificate has not proven by then it leaves
@@ -34,7 +34,7 @@ _REPAIRS = 2
 
 
 class Incumbent(NamedTuple):
-    """A certified path, its certificate, its cost, and where it comes from: `search`, `input` or `line`."""
+    """A certified path, its certificate, its cost, and its origin: `search`, `input`, `line` or `warm_start`."""
 
     path: Path
     certificate: Certificate
@@ -91,9 +91,8 @@ class Runner:
 
     def run(self, task: Task) -> Outcome:
         """Search, and where nothing is found try what the task offers next; the failure that came closest is kept."""
-        count = len(task.world.obstacles)
-        self._longest = _ITERATION_GUESS[0] + count * _ITERATION_GUESS[1]
-        self._certify = self._certify or _CERTIFY_GUESS[0] + count * _CERTIFY_GUESS[1]
+        self._longest = _guess(task, _ITERATION_GUESS)
+        self._certify = self._certify or _guess(task, _CERTIFY_GUESS)
         closest: Iterate | None = None
         following: Task | None = task
         while following is not None:
@@ -199,3 +198,9 @@ class Runner:
         if last is None or not self.outcome.converged:
             return False
         return last.on_goal and last.shortfall < _NEARLY
+
+
+def _guess(task: Task, share: tuple[float, float, float]) -> float:
+    """Seconds that something takes."""
+    obstacles, parts = len(task.world.obstacles), len(task.world.body.vertices)
+    return share[0] + obstacles * (share[1] + share[2] * parts * float(task.initial.lengths.sum()))

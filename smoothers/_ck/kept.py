@@ -1,4 +1,4 @@
-"""The input as a candidate: a certified clothoid path is never exchanged for a costlier one."""
+"""Given paths as candidates: a certified clothoid path is never exchanged for a costlier one, nor for none."""
 
 from __future__ import annotations
 
@@ -7,20 +7,25 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from optdock.geometry.clothoid import ClothoidSpline
+from optdock.geometry.pose import normalize_angle
 from optdock.path import ClothoidSegment, Path
 
 if TYPE_CHECKING:
+    from optdock.geometry.pose import Pose2
     from optdock.problem import DockingProblem
     from smoothers._ck.terms import CostModel
 
 __all__ = ["direct_line", "input_cost", "may_be_kept"]
 
+_SAME_POSE = 1e-6  # [m, rad], as the certificate's
 _ON_AXIS = 1e-7  # [m, rad]
 _STAGING = 0.05  # [m]
 
 
 def may_be_kept(path: Path, problem: DockingProblem) -> bool:
-    """Whether the input is a clothoid path within the curvature limits; the certificate decides the rest."""
+    """Whether it is a clothoid path between the right ends and within the limits; the certificate decides the rest."""
+    if not all(_same(*ends) for ends in ((path.start, problem.start), (path.end, problem.goal))):
+        return False
     limits = problem.robot.limits
     for segment in path.segments:
         if not isinstance(segment, ClothoidSegment):
@@ -30,6 +35,10 @@ def may_be_kept(path: Path, problem: DockingProblem) -> bool:
         if np.abs(curvature).max() > limits.max_curvature or rate > limits.max_curvature_rate:
             return False
     return True
+
+
+def _same(found: Pose2, wanted: Pose2) -> bool:
+    return max(found.distance_to(wanted), abs(normalize_angle(found.yaw - wanted.yaw))) <= _SAME_POSE
 
 
 def direct_line(path: Path, problem: DockingProblem) -> Path | None:

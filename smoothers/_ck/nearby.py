@@ -18,6 +18,7 @@ __all__ = ["Frames", "Pairs", "frames_at", "swept_boxes", "swept_pairs"]
 
 _MANY = 150  # pairs: below, none is dropped
 _SURELY_KEPT = 0.01  # [m] beyond the required clearance
+_TOGETHER = 6  # neighbouring intervals whose common box is looked at first
 
 
 class Pairs(NamedTuple):
@@ -67,27 +68,47 @@ def swept_pairs(world: World, layout: Layout, rollout: Rollout, frames: Frames, 
         frames: The body at the nodes.
         reach: Pairs further apart are left out [m].
     """
-    lower, upper = world.obstacles.lower, world.obstacles.upper
-    gaps = []
-    for axis, (low, high) in enumerate(_world_boxes(layout, frames)):
-        gaps.append(np.maximum(low - upper[:, axis], lower[:, axis] - high))
-    apart = np.maximum(_box_separation(*gaps), _in_body_frame(world, layout, rollout, frames))
-    near = apart < reach
-    if np.count_nonzero(near) > _MANY:
-        near &= _nearest(apart, world)
-    row, obstacle = np.nonzero(near)
-    part, interval = np.divmod(row, layout.num_intervals)
-    return Pairs(interval, part, obstacle)
+    row, rock, apart = _by_world_boxes(world, _world_boxes(layout, frames), reach)
+    apart = np.maximum(apart, _in_body_frame(world, layout, rollout, frames, (row, rock)))
+    near = np.flatnonzero(apart < reach)
+    if near.size > _MANY:
+        near = near[_nearest(row[near], apart[near], world)]
+    part, interval = np.divmod(row[near], layout.num_intervals)
+    return Pairs(interval, part, rock[near])
 
 
 def _world_boxes(layout: Layout, frames: Frames) -> list[tuple[FloatArray, FloatArray]]:
-    """Along x and y: from where to where each part reaches in each interval, Shape (parts * intervals, 1) each."""
+    """Along x and y: from where to where each part reaches in each interval, Shape (parts * intervals,) each."""
     left, shape, found = layout.left, (-1, layout.num_nodes), []
     for values in (frames.corners.x, frames.corners.y):
         low, high = values.min(axis=0).reshape(shape), values.max(axis=0).reshape(shape)
         low, high = np.minimum(low[:, left], low[:, left + 1]), np.maximum(high[:, left], high[:, left + 1])
-        found.append((low.reshape(-1, 1), high.reshape(-1, 1)))
+        found.append((low.ravel(), high.ravel()))
     return found
+
+
+def _by_world_boxes(
+    world: World, boxes: list[tuple[FloatArray, FloatArray]], reach: float
+) -> tuple[IntArray, IntArray, FloatArray]:
+    """Rows of `boxes` and obstacles within `reach` [m], and their separation; some neighbouring rows at once first."""
+    lower, upper, count = world.obstacles.lower, world.obstacles.upper, boxes[0][0].size
+    starts = np.arange(0, count, _TOGETHER)
+    close: BoolArray = np.ones((starts.size, len(lower)), dtype=np.bool_)
+    for axis, (low, high) in enumerate(boxes):
+        close &= (np.minimum.reduceat(low, starts) - reach)[:, None] < upper[:, axis]
+        close &= (np.maximum.reduceat(high, starts) + reach)[:, None] > lower[:, axis]
+    group, rock = np.nonzero(close)
+    row = ((group * _TOGETHER)[:, None] + np.arange(_TOGETHER)).ravel()
+    rock = np.repeat(rock, _TOGETHER)
+    if count % _TOGETHER:
+        inside = row < count
+        row, rock = row[inside], rock[inside]
+    gaps = [
+        np.maximum(low[row] - upper[rock, axis], lower[rock, axis] - high[row])
+        for axis, (low, high) in enumerate(boxes)
+    ]
+    near = np.flatnonzero(np.maximum(*gaps) < reach)
+    return row[near], rock[near], _box_separation(*(gap[near] for gap in gaps))
 
 
 def _box_separation(x: FloatArray, y: FloatArray) -> FloatArray:
@@ -98,31 +119,38 @@ def _box_separation(x: FloatArray, y: FloatArray) -> FloatArray:
     return distance
 
 
-def _in_body_frame(world: World, layout: Layout, rollout: Rollout, frames: Frames) -> FloatArray:
+def _in_body_frame(
+    world: World, layout: Layout, rollout: Rollout, frames: Frames, pairs: tuple[IntArray, IntArray]
+) -> FloatArray:
     """Separation of obstacles and body in the frame of the body at the left node, by the box of all that it sweeps.
 
     Obstacles count as their world boxes, whose extent along a direction (c, s) is |c| x + |s| y.
 
+    Args:
+        world: Obstacles and body.
+        layout: Shape of the path.
+        rollout: The driven path.
+        frames: The body at the nodes.
+        pairs: Row (part and interval) and obstacle of each pair, Shape (p,) each.
+
     Returns:
-        Shape (parts * intervals, obstacles) [m].
+        Shape (p,) [m].
     """
+    row, rock = pairs
     middle, half = swept_boxes(world, layout, rollout, frames)
-    parts = len(world.body.vertices)
-    x, y, _ = np.tile(rollout.poses[layout.left], (parts, 1)).T
-    c, s = (np.tile(values[layout.left], parts) for values in (frames.cosine, frames.sine))
-    one = np.ones((1, len(world.obstacles)))
-    # Products of matrices instead of many passes over arrays of this size.
-    at, extent = np.vstack((*world.box_middle, one)), np.vstack((*world.box_half, one))
-    gaps = []
-    for (a, b), centre, reach in zip(((c, s), (-s, c)), middle, half, strict=True):
-        offset = a * x + b * y + centre[:, 0]
-        along = np.column_stack((a, b, -offset)) @ at
-        gaps.append(np.abs(along) - np.column_stack((np.abs(a), np.abs(b), reach)) @ extent)
-    return _box_separation(*gaps)
+    node = layout.left[row % layout.num_intervals]
+    c, s = frames.cosine[node], frames.sine[node]
+    dx = world.box_middle.x[0, rock] - rollout.poses[node, 0]
+    dy = world.box_middle.y[0, rock] - rollout.poses[node, 1]
+    along = np.abs(c * dx + s * dy - middle.x[row]) - half.x[row]
+    across = np.abs(c * dy - s * dx - middle.y[row]) - half.y[row]
+    wide, high = world.box_half.x[0, rock], world.box_half.y[0, rock]
+    c, s = np.abs(c), np.abs(s)
+    return _box_separation(along - (c * wide + s * high), across - (s * wide + c * high))
 
 
 def swept_boxes(world: World, layout: Layout, rollout: Rollout, frames: Frames) -> tuple[Points, Points]:
-    """Middle and half extent of what each part sweeps, in the left node's frame. Shape (parts * intervals, 1) [m]."""
+    """Middle and half extent of what each part sweeps, in the left node's frame. Shape (parts * intervals,) [m]."""
     left, shape = layout.left, (-1, len(world.body.vertices), layout.num_nodes)
     x = frames.corners.x.reshape(shape)[..., left + 1] - rollout.poses[left, 0]
     y = frames.corners.y.reshape(shape)[..., left + 1] - rollout.poses[left, 1]
@@ -135,21 +163,25 @@ def swept_boxes(world: World, layout: Layout, rollout: Rollout, frames: Frames) 
     for axis, at in ((0, c * x + s * y), (1, c * y - s * x)):
         low = np.minimum(at.min(axis=0), world.body.lower[:, axis, None]) - stray
         high = np.maximum(at.max(axis=0), world.body.upper[:, axis, None]) + stray
-        boxes.append((0.5 * (low + high).reshape(-1, 1), 0.5 * (high - low).reshape(-1, 1)))
+        boxes.append((0.5 * (low + high).ravel(), 0.5 * (high - low).ravel()))
     return Points(boxes[0][0], boxes[1][0]), Points(boxes[0][1], boxes[1][1])
 
 
-def _nearest(apart: FloatArray, world: World) -> BoolArray:
-    """The nearest few obstacles of every row.
+def _nearest(row: IntArray, apart: FloatArray, world: World) -> BoolArray:
+    """Which pairs are among the nearest few of their row.
 
     The bound is coarse, so more of those that might be too close are kept than of the others.
 
     Args:
-        apart: Separation of every interval and part, Shape (rows, obstacles) [m].
+        row: Interval and part of every pair, Shape (p,).
+        apart: Their separation, Shape (p,) [m].
         world: How many are wanted, and the required clearance.
     """
-    few, many = (min(count, apart.shape[1]) for count in (world.per_interval, 4 * world.per_interval))
-    ranked = np.partition(apart, (few - 1, many - 1), axis=1)
-    close = (apart < world.rule.required + _SURELY_KEPT) & (apart <= ranked[:, many - 1 : many])
-    nearest: BoolArray = (apart <= ranked[:, few - 1 : few]) | close
-    return nearest
+    order = np.lexsort((apart, row))
+    first = np.searchsorted(row[order], row)  # where the pairs of the same row begin
+    rank = np.empty(row.size, dtype=np.int64)
+    rank[order] = np.arange(row.size)
+    rank -= first
+    close = apart < world.rule.required + _SURELY_KEPT
+    kept: BoolArray = (rank < world.per_interval) | close & (rank < 4 * world.per_interval)
+    return kept

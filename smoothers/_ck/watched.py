@@ -18,7 +18,7 @@ _FEWEST_PLANES = 80  # pairs: where there are more, not all of them get planes
 _DEEP = 0.06  # of the body's width: overlap from which planes no longer tell the side
 _VERY_DEEP = 0.18
 _NEAR_DEEP = 0.15
-_CLEAR = 1e-3  # [m]: a smaller shortfall is left to the last step
+_CLEAR = 1e-3  # [m]: a path with a smaller shortfall counts as clear
 
 
 class Watched(NamedTuple):
@@ -29,7 +29,7 @@ class Watched(NamedTuple):
 
 
 def watched_pairs(world: World, found: Clearance, num_intervals: int, most: int) -> Watched:
-    """Choose.
+    """All near pairs, or of very many those that tell the most.
 
     While the path is not clear of many, a small obstacle gets planes only where a passing body comes closest: its rows
     in the neighbouring intervals say nearly the same, and would crowd out those of obstacles on the other side. Later,

@@ -22,6 +22,8 @@ from optdock.robot import Robot
 from optdock.testing.dense_check import dense_check
 from optdock.testing.families import FEASIBLE_FAMILIES, INFEASIBLE_FAMILIES, instance
 from optdock.verification import certify_path
+from smoothers._ck.anytime import Runner
+from smoothers._ck.kept import may_be_kept
 from smoothers._ck.scp import search
 from smoothers.casadi_smoother import CasadiSmoother
 
@@ -500,3 +502,15 @@ def test_a_side_that_rolls_around_a_corner_needs_fewer_steps_when_they_overshoot
     taken = first.smooth(case.raw_path, LONG, problem=case.problem).report["iterations"]
     monkeypatch.setattr("smoothers._ck.scp._NEARLY_CLEAR", 0.0)
     assert taken < first.smooth(case.raw_path, LONG, problem=case.problem).report["iterations"]
+
+
+def test_an_earlier_result_that_still_holds_is_better_than_none(smoother, monkeypatch):
+    case = instance("alcove", 0)
+    earlier = smoother.smooth(case.raw_path, LONG, problem=case.problem).path
+    gap = instance("gap_blocked", 0)
+    monkeypatch.setattr(Runner, "run", lambda self, _task: self.finished())
+    again = smoother.smooth(case.raw_path, LONG, problem=case.problem, warm_start=earlier)
+    assert again.report["status"] == "warm_start_kept"
+    assert again.path is earlier
+    moved = dataclasses.replace(case.problem, start=gap.problem.start)
+    assert not may_be_kept(earlier, moved)

@@ -20,6 +20,8 @@ from optdock.path import ClothoidSegment, Direction, Path, PolylineSegment
 from optdock.problem import ClearanceRule, DockingProblem
 from optdock.robot import Robot
 from optdock.verification import certify_path, pose_clearance, pose_clearances
+from optdock.verification.clearance import _Prover, never
+from optdock.verification.motion import PathMotion
 from optdock.verification.seams import joined_bodies
 
 ROBOT = Robot(Footprint.rectangle(0.45, 0.45, 0.6), MotionLimits())
@@ -450,3 +452,80 @@ def test_the_reported_minimum_is_true_however_far_the_obstacles_are(seed):
     certificate = certify_path(path, problem_for(path, obstacles, clearance=ClearanceRule(0.0, 0.0, 0.0)))
     if certificate.certified:
         assert truth - 0.0015 <= certificate.min_clearance <= truth + 1e-9
+
+
+def among_far_boxes(path, obstacle):
+    """The obstacle after five boxes that no proof looks at."""
+    far = ObstacleSet.from_polygons([square(50.0 + k, 50.0, 0.3) for k in range(5)])
+    return problem_for(path, far + ObstacleSet.from_polygons([obstacle], "near"))
+
+
+def test_obstacles_keep_their_names_when_far_ones_are_left_out():
+    path = clothoid([0.0, 3.0], [0.0, 0.0])
+    violated = certify_path(path, among_far_boxes(path, square(1.5, 0.3)))
+    assert violated.violations[0].where["obstacle"] == "near[0]"
+    kept = certify_path(path, among_far_boxes(path, square(1.5, 0.5)))
+    assert kept.certified
+    assert kept.nearest == "near[0]"
+
+
+@pytest.mark.parametrize("s", [0.4, 1.3, 2.2])
+def test_the_smallest_clearance_is_where_it_is_said_to_be(s):
+    path = curved_path()
+    problem = problem_for(path, beside(path, s, REQUIRED + 0.02, 1))
+    certificate = certify_path(path, problem)
+    clearance, _ = pose_clearance(path.pose_at(certificate.at_s), ROBOT.footprint, problem.all_obstacles)
+    assert clearance == pytest.approx(certificate.min_clearance, abs=0.006)
+
+
+@given(st.integers(0, 10_000))
+def test_the_requirement_of_a_cell_holds_for_all_of_its_poses(seed):
+    rng = np.random.default_rng(seed)
+    path = clothoid([0.0, 0.9], rng.uniform(-6.0, 6.0, 2))
+    rule = ClearanceRule(0.3, 0.0, float(rng.uniform(0.2, 1.5)))
+    problem = problem_for(path, ObstacleSet.from_polygons([square(5.0, 5.0)]), clearance=rule)
+    start_clearance = float(rng.uniform(0.0, 0.4))
+    prover = _Prover(PathMotion(path), problem, start_clearance, 0.0, never)
+    cells = prover.motion.cells(0.3)
+    ends = cells.ends()
+    nodes = prover.motion.nodes(ends.segment, ends.u)
+    bounds = prover.motion.bounds(cells, nodes.poses[ends.first], nodes.poses[ends.last])
+    required = prover._required_in_cells(prover._distances(nodes), ends, bounds)
+    for first, last, most in zip(cells.first, cells.last, required, strict=True):
+        at = path.poses_at(np.linspace(first, last, 40))[:, :2]
+        away = [np.hypot(*(at - np.array([end.x, end.y])).T) for end in (problem.goal, problem.start)]
+        assert rule.required_at(*away, start_clearance).max() <= most + 1e-12
+
+
+def test_a_curvature_beyond_all_numbers_is_never_certified():
+    blade = Footprint(np.array([[2.0, -0.005], [2.0, 0.005], [-0.1, 0.005], [-0.1, -0.005]]))
+    ell = Footprint(np.array([[2.0, -0.1], [2.0, 0.1], [0.1, 0.1], [0.1, 2.0], [-0.1, 2.0], [-0.1, -0.1]]))
+    path = clothoid([0.0, 1e-170], [1e170, 1e170])
+    touching_allowed = ClearanceRule(0.0, 0.0, 0.0)
+    for outline, angle, radius, half in ((blade, 0.011, 1.9, 0.001), (ell, 0.3, 1.5, 0.01)):
+        post = square(radius * np.cos(angle), radius * np.sin(angle), half)
+        problem = problem_for(path, ObstacleSet.from_polygons([post]), Robot(outline, MotionLimits()), touching_allowed)
+        with np.errstate(all="ignore"):
+            assert not certify_path(path, problem).certified
+
+
+@pytest.mark.parametrize("late", [False, True])
+def test_far_from_everything_the_clearance_is_a_bound(late):
+    """What is looked at first lies in a corner of the path's box; what is left out there is closer."""
+    path = clothoid([0.0, 6.0], [0.0, 0.0], Pose2(0.0, 0.0, np.pi / 4))
+    problem = problem_for(path, ObstacleSet.from_polygons([square(0.0, 4.2, 0.01), square(6.05, 4.2, 0.01)]))
+    certificate = certify_path(path, problem, is_late=late_after(0 if late else 99))
+    truth = dense_clearance(path, problem.all_obstacles, ROBOT.footprint)
+    assert certificate.certified
+    assert 1.0 <= certificate.min_clearance <= truth + 1e-9
+    assert certificate.margin <= truth - REQUIRED + 1e-9
+
+
+@pytest.mark.parametrize(("far", "runs"), [(0, 1), (9, 2)])
+def test_one_proof_is_enough_where_nothing_was_left_out(monkeypatch, far, runs):
+    path, made, run = curved_path(), [], _Prover.run
+    monkeypatch.setattr(_Prover, "run", lambda self, crop: made.append(crop) or run(self, crop))
+    boxes = [square(1.0, 3.0, 0.3), *(square(50.0 + k, 50.0, 0.3) for k in range(far))]
+    certificate = certify_path(path, problem_for(path, ObstacleSet.from_polygons(boxes)))
+    assert certificate.min_clearance > 1.0
+    assert len(made) == runs

@@ -84,3 +84,50 @@ def test_a_near_post_is_not_hidden_by_far_bars_whose_boxes_reach_closer():
     clearance, row = pose_clearance(Pose2(0.0, 0.0, 0.0), BAR, obstacles)
     assert row == len(bars)
     assert clearance == pytest.approx(0.49, abs=1e-9)
+
+
+def test_the_bound_falls_as_fast_as_a_point_on_a_circle():
+    """A body of a millimetre on a circle, a post inside it: the whole second-order term is needed."""
+    speck, width = Footprint.rectangle(0.0005, 0.0005, 0.001), 0.1
+    spline = ClothoidSpline(Pose2(0.0, 0.0, 0.0), [0.0, 2.0 * width], [2.5, 2.5])
+    wall = np.array([[-1.0, 0.05], [1.0, 0.05], [1.0, 0.06], [-1.0, 0.06]])
+    truth = dense_distance(spline, width, speck, [wall])
+    found = half_cell_bounds(speck, stretch_of(spline, width), ObstacleSet.from_polygons([wall]), np.array([1.0]))
+    assert truth - 5e-4 < found.bound[0] <= truth
+
+
+def test_what_is_not_a_number_proves_nothing():
+    one = stretch_of(ClothoidSpline(Pose2(0.0, 0.0, 0.0), [0.0, 0.1], [0.0, 0.0]), 0.05)
+    endless = one._replace(twist=np.array([np.inf]), width=np.array([0.0]))  # inf * 0
+    post = ObstacleSet.from_polygons([np.array([[1.2, 0.3], [1.3, 0.3], [1.3, 0.4]])])
+    with np.errstate(invalid="ignore"):
+        for footprint in (BAR, DART):
+            assert half_cell_bounds(footprint, endless, post, np.array([3.0])).bound.tolist() == [-np.inf]
+
+
+def test_the_smaller_of_two_bounds_is_kept_and_minus_infinity_first():
+    def bounds(*values):
+        count = len(values)
+        none = np.zeros(0, dtype=np.int64)
+        return half_cells.HalfBounds(np.array(values), np.arange(count), none, none, np.zeros(0))
+
+    first, second = bounds(1.0, -np.inf, 2.0), bounds(0.5, 3.0, -np.inf)
+    assert first.merged(second).bound.tolist() == [0.5, -np.inf, -np.inf]
+    assert second.merged(first).bound.tolist() == [0.5, -np.inf, -np.inf]
+
+
+def test_of_many_deep_overlaps_the_deepest_is_named():
+    half = np.arange(1.0, 13.0)
+    squares = ObstacleSet.from_rectangles(np.column_stack((-half, -half)), np.column_stack((half, half)), "square")
+    body = Footprint.rectangle(0.4, 0.4, 0.5)
+    assert pose_clearance(Pose2(0.0, 0.0, 0.0), body, squares) == (pytest.approx(-12.25), 11)
+    one = squares.subset(np.array([0]))
+    poses = np.array([[1.13, 0.0, 0.0]])
+    truth, _ = pose_clearance(Pose2.from_sequence(poses[0]), body, one)
+    assert -0.3 < truth < -0.2
+    for within in (truth + 1e-9, -0.1, 0):
+        distance, row = half_cells.pose_clearances(poses, body, one, within)
+        assert distance.tolist() == [truth]
+        assert row.tolist() == [0]
+    nothing_near, _ = half_cells.pose_clearances(poses + 5.0, body, one, 0)
+    assert nothing_near.dtype == np.float64
