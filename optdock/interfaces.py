@@ -104,6 +104,9 @@ class Smoother(Plugin):
             SmootherCancelled: `cancel_checker` returned True.
         """
 
+    def warm_up(self) -> None:
+        """Build and load in advance whatever makes a first call slower than the next."""
+
 
 class TimeParameterizer(Plugin):
     """Gives a path its time law."""

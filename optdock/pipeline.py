@@ -183,6 +183,7 @@ def _warm_once(planner: str, smoother: str, timing: str) -> None:
     )
     with contextlib.suppress(OptdockError):
         _Run(problem, _Clock(10.0), never_cancelled).plan(choices)
+        create_plugin(Smoother, smoother).warm_up()
 
 
 class _Clock:

@@ -132,10 +132,12 @@ class CasadiSmoother(Smoother):
     def warm_up(self) -> None:
         """Build what the first call would build, and load the solvers."""
         start, goal = Pose2(0.0, 0.0, 0.0), Pose2(3.0, 0.3, 0.0)
-        wall = ObstacleSet.from_polygons([[[0.0, 0.6], [4.0, 0.6], [4.0, 0.9], [0.0, 0.9]]])
+        low, high = np.array([[0.0, 0.6], [1.4, -0.2]]), np.array([[4.0, 0.9], [1.6, -0.1]])
         limits = MotionLimits(max_curvature=1.5, max_curvature_rate=6.0)
         robot = Robot(Footprint.rectangle(0.4, 0.4, 0.5), limits)
-        problem = DockingProblem(start, Dock(goal, final_straight=0.2), robot, wall)
+        # A wall beside the input and a post on it: pushing out is warmed up too.
+        obstacles = ObstacleSet.from_rectangles(low, high, "warm-up")
+        problem = DockingProblem(start, Dock(goal, final_straight=0.2), robot, obstacles)
         with contextlib.suppress(SmootherException):  # unusual parameters may fail here, and build all the same
             self.smooth(Path.from_poses([start, Pose2(1.5, 0.0, 0.1), goal]), 10.0, problem=problem)
         prepare_programs(pool_of_this_thread())

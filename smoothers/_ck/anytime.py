@@ -27,8 +27,8 @@ __all__ = ["Incumbent", "Outcome", "Runner"]
 _CERTIFY_GUESS = (0.0025, 1.2e-5, 8e-7)
 _ITERATION_GUESS = (0.0015, 2e-5, 0.0)
 _CERTIFY_PER_ITERATION = 1.2
-_GRACE = 0.002  # [s]: how late the only certificate may be expected to end
-_LATEST = 0.001  # [s] past the end of the budget: what a certificate has not proven by then it leaves
+_GRACE = 0.0015  # [s]: how late the only certificate may be expected to end
+_LATEST = 0.0005  # [s] past the end of the budget: what a certificate has not proven by then it leaves
 _NEARLY = 5e-3  # [m]: a shortfall that may be due to the cautious bound between nodes
 _REPAIRS = 2
 

@@ -81,9 +81,8 @@ def _part_rows(
     centres, radius = disc_centres(world.body.vertices[part])
     left = layout.left[found.pairs.interval[chosen]]
     both = np.concatenate((left, left + 1))
-    rock = np.tile(found.pairs.obstacle[chosen], 2)
-    unique = np.unique(np.column_stack((both, rock)), axis=0)
-    node, rock = unique[:, 0], unique[:, 1]
+    count = len(world.obstacles)
+    node, rock = np.divmod(np.unique(both * count + np.tile(found.pairs.obstacle[chosen], 2)), count)
     yaw = rollout.poses[node, 2][:, None]
     c, s = np.cos(yaw), np.sin(yaw)
     arm = np.stack((c * centres[:, 0] - s * centres[:, 1], s * centres[:, 0] + c * centres[:, 1]), axis=-1)

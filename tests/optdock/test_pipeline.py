@@ -28,7 +28,7 @@ from optdock.geometry.pose import Pose2
 from optdock.interfaces import Smoother, SmoothingResult
 from optdock.limits import MotionLimits, SpeedZone
 from optdock.obstacles import ObstacleSet
-from optdock.pipeline import PartialPlan, PluginChoice, PluginChoices, plan_dock
+from optdock.pipeline import PartialPlan, PluginChoice, PluginChoices, _warm_once, plan_dock, warm_up
 from optdock.problem import ClearanceRule, DockingProblem
 from optdock.robot import Robot
 from optdock.testing.dense_check import dense_check
@@ -219,3 +219,13 @@ def test_the_smoother_time_out_is_passed_on(monkeypatch):
     assert error.code == 502
     assert error.partial.raw_path is not None
     assert error.partial.path is None
+
+
+def test_warming_up_warms_the_smoother_itself(monkeypatch):
+    warmed = []
+    monkeypatch.setattr("smoothers.casadi_smoother.CasadiSmoother.warm_up", lambda self: warmed.append(self.parameters))
+    _warm_once.cache_clear()
+    warm_up()
+    warm_up()
+    assert len(warmed) == 1
+    _warm_once.cache_clear()

@@ -23,6 +23,7 @@ from optdock.testing.dense_check import dense_check
 from optdock.testing.families import FEASIBLE_FAMILIES, INFEASIBLE_FAMILIES, instance
 from optdock.verification import certify_path
 from smoothers._ck.anytime import Runner
+from smoothers._ck.discs import disc_rows
 from smoothers._ck.kept import may_be_kept
 from smoothers._ck.scp import search
 from smoothers.casadi_smoother import CasadiSmoother
@@ -469,6 +470,13 @@ def test_warm_up_leaves_nothing_to_build():
     plugin.warm_up()
     case = instance("open_s", 0)
     assert plugin.smooth(case.raw_path, LONG, problem=case.problem).report["build_s"] == 0.0
+
+
+def test_warm_up_pushes_out_of_an_obstacle_too(monkeypatch):
+    pushed = []
+    monkeypatch.setattr("smoothers._ck.steps.disc_rows", lambda *a: pushed.append(1) or disc_rows(*a))
+    CasadiSmoother().warm_up()
+    assert pushed
 
 
 def test_reverse_is_forward_seen_backwards(smoother, cases):
