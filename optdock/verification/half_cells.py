@@ -214,7 +214,8 @@ def pose_clearances(
         within: Where no obstacle is closer than this [m] the answer is (within, -1).
     """
     n, m = len(poses), len(obstacles)
-    best, row = np.full(n, float(within)), np.full(n, -1)
+    best: FloatArray = np.full(n, float(within))
+    row: IntArray = np.full(n, -1)
     for rounded in _rounded_bodies(footprint) if m else ():
         apart = _box_gaps(rounded, poses, obstacles)
         count = min(m, _NEAREST)

@@ -41,7 +41,11 @@ class Cells(NamedTuple):
     def last_halved(self) -> Cells:
         """The last cell cut in two."""
         last = self.rows(np.array([-1])).cut(2)
-        return Cells(*(np.concatenate((column[:-1], end)) for column, end in zip(self, last, strict=True)))
+        return Cells(
+            np.append(self.segment, last.segment[1:]),
+            np.concatenate((self.first[:-1], last.first)),
+            np.concatenate((self.last[:-1], last.last)),
+        )
 
     def ends(self) -> CellEnds:
         """Every place where a cell begins or ends, once."""

@@ -97,12 +97,10 @@ def _by_world_boxes(
     for axis, (low, high) in enumerate(boxes):
         close &= (np.minimum.reduceat(low, starts) - reach)[:, None] < upper[:, axis]
         close &= (np.maximum.reduceat(high, starts) + reach)[:, None] > lower[:, axis]
-    group, rock = np.nonzero(close)
-    row = ((group * _TOGETHER)[:, None] + np.arange(_TOGETHER)).ravel()
-    rock = np.repeat(rock, _TOGETHER)
-    if count % _TOGETHER:
-        inside = row < count
-        row, rock = row[inside], rock[inside]
+    group, each = np.nonzero(close)
+    expanded = ((group * _TOGETHER)[:, None] + np.arange(_TOGETHER)).ravel()
+    inside = np.flatnonzero(expanded < count)  # the last group may be smaller
+    row, rock = expanded[inside], np.repeat(each, _TOGETHER)[inside]
     gaps = [
         np.maximum(low[row] - upper[rock, axis], lower[rock, axis] - high[row])
         for axis, (low, high) in enumerate(boxes)
