@@ -81,6 +81,10 @@ class Pose2:
         """Distance between the two positions [m]; yaw plays no part."""
         return math.hypot(other.x - self.x, other.y - self.y)
 
+    def gap_to(self, other: Pose2) -> float:
+        """The larger of distance [m] and turn [rad] between two poses that should be one."""
+        return max(self.distance_to(other), abs(normalize_angle(self.yaw - other.yaw)))
+
     def in_frame_of(self, reference: Pose2) -> Pose2:
         """This pose seen from `reference`, yaw in (-pi, pi]: x is along, y is cross, yaw is the heading error."""
         relative = reference.inverse() @ self

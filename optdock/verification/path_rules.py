@@ -34,16 +34,12 @@ def path_violations(path: Path, problem: DockingProblem) -> tuple[Violation, ...
     return tuple(violation for rule in rules for violation in rule(path, problem))
 
 
-def _pose_error(found: Pose2, wanted: Pose2) -> float:
-    return max(found.distance_to(wanted), abs(normalize_angle(found.yaw - wanted.yaw)))
-
-
 def _ends(path: Path, problem: DockingProblem) -> Iterator[Violation]:
     for kind, found, wanted, s in (
         ("start", path.start, problem.start, 0.0),
         ("goal", path.end, problem.goal, path.length),
     ):
-        error = _pose_error(found, wanted)
+        error = found.gap_to(wanted)
         if not error <= POSE_TOLERANCE:
             away = found.distance_to(wanted)
             turned = normalize_angle(found.yaw - wanted.yaw)
@@ -54,9 +50,8 @@ def _ends(path: Path, problem: DockingProblem) -> Iterator[Violation]:
 def _joints(path: Path, problem: DockingProblem) -> Iterator[Violation]:  # noqa: ARG001 - one shape for all rules
     for i, s in enumerate(path.cusps):
         before, after = path.segments[i], path.segments[i + 1]
-        gap = _pose_error(
-            Pose2.from_sequence(before.poses_at(before.length)[0]), Pose2.from_sequence(_first_pose(after))
-        )
+        end = Pose2.from_sequence(before.poses_at(before.length)[0])
+        gap = end.gap_to(Pose2.from_sequence(_first_pose(after)))
         if not gap <= POSE_TOLERANCE:
             yield Violation("joint", f"the path jumps by {gap:.3g} at the cusp s = {s:.3f} m", s, gap)
 

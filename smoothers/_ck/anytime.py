@@ -117,9 +117,7 @@ class Runner:
 
     def offer(self, path: Path, cost: float, origin: str) -> None:
         """A first result from elsewhere, if it is certified."""
-        began = self.budget.elapsed
-        certificate = certify_path(path, self.problem, is_late=self._is_late)
-        self._note_certificate(began)
+        certificate = self._judged(path, self.budget.elapsed)
         if certificate.certified:
             self.outcome.incumbent = Incumbent(path, certificate, cost, origin)
             self.outcome.first_certified = self.budget.elapsed
@@ -129,9 +127,12 @@ class Runner:
         self.outcome.converged = True
         return self.outcome
 
-    def _note_certificate(self, began: float) -> None:
+    def _judged(self, path: Path, began: float) -> Certificate:
+        """The certificate of a path; what passed since `began` [s] counts as its time."""
+        certificate = certify_path(path, self.problem, is_late=self._is_late)
         self._certify = self.budget.elapsed - began
         self.outcome.certify_time += self._certify
+        return certificate
 
     def _search(self, task: Task) -> None:
         self.outcome.converged = False
@@ -177,8 +178,7 @@ class Runner:
             return None
         began = self.budget.elapsed
         path, _ = exact_path(task, candidate.variables, self.problem.dock.final_straight)
-        certificate = certify_path(path, self.problem, is_late=self._is_late)
-        self._note_certificate(began)
+        certificate = self._judged(path, began)
         if not certificate.certified and self._is_late():
             self.outcome.converged = False
             return None

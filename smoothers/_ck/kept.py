@@ -7,11 +7,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from optdock.geometry.clothoid import ClothoidSpline
-from optdock.geometry.pose import normalize_angle
 from optdock.path import ClothoidSegment, Path
 
 if TYPE_CHECKING:
-    from optdock.geometry.pose import Pose2
     from optdock.problem import DockingProblem
     from smoothers._ck.terms import CostModel
 
@@ -24,7 +22,7 @@ _STAGING = 0.05  # [m]
 
 def may_be_kept(path: Path, problem: DockingProblem) -> bool:
     """Whether it is a clothoid path between the right ends and within the limits; the certificate decides the rest."""
-    if not all(_same(*ends) for ends in ((path.start, problem.start), (path.end, problem.goal))):
+    if max(path.start.gap_to(problem.start), path.end.gap_to(problem.goal)) > _SAME_POSE:
         return False
     limits = problem.robot.limits
     for segment in path.segments:
@@ -35,10 +33,6 @@ def may_be_kept(path: Path, problem: DockingProblem) -> bool:
         if np.abs(curvature).max() > limits.max_curvature or rate > limits.max_curvature_rate:
             return False
     return True
-
-
-def _same(found: Pose2, wanted: Pose2) -> bool:
-    return max(found.distance_to(wanted), abs(normalize_angle(found.yaw - wanted.yaw))) <= _SAME_POSE
 
 
 def direct_line(path: Path, problem: DockingProblem) -> Path | None:

@@ -111,7 +111,6 @@ class _Controls:
 
         Where sides roll around a corner a step falls short by about as much as the one before it.
         """
-        self.found = self.found or current.feasible
         return current.shortfall if not self.found and current.shortfall < _NEARLY_CLEAR else 0.0
 
     def accept(self) -> None:
@@ -155,6 +154,7 @@ def search(task: Task, pool: ProgramPool, max_iterations: int = 60) -> Iterator[
     problem: StepProblem | None = None
     for iteration in range(1, max_iterations + 1):
         if problem is None:
+            controls.found = controls.found or current.feasible
             problem = _linearized(task, current, controls)
         step = solve_step(task, problem, pool, controls.trust, controls.prox, controls.penalties)
         finished = current.feasible and step is not None and step.gain < _SMALL_SHARE * current.cost

@@ -41,10 +41,11 @@ def watched_pairs(world: World, found: Clearance, num_intervals: int, most: int)
         num_intervals: Of the path; so many planes may always be.
         most: Planes are never more than this.
     """
-    deep = _deeply_overlapped(found.margin, world.body.width)
+    worst = float(found.margin.min())
+    deep = _deeply_overlapped(found.margin, worst, world.body.width)
     chosen = ~deep
     limit = min(most, max(_FEWEST_PLANES, num_intervals))
-    if world.is_thinned and float(found.margin.min()) < -_CLEAR and np.count_nonzero(chosen) > limit:
+    if world.is_thinned and worst < -_CLEAR and np.count_nonzero(chosen) > limit:
         small = 2.0 * np.maximum(world.box_half.x[0], world.box_half.y[0]) < world.body.width
         chosen &= ~small[found.pairs.obstacle] | local_minima(found.pairs, found.margin)
     planes = np.flatnonzero(chosen)
@@ -53,9 +54,8 @@ def watched_pairs(world: World, found: Clearance, num_intervals: int, most: int)
     return Watched(planes, np.flatnonzero(deep))
 
 
-def _deeply_overlapped(margin: FloatArray, width: float) -> BoolArray:
+def _deeply_overlapped(margin: FloatArray, worst: float, width: float) -> BoolArray:
     """Pairs without a side; while one is far inside an obstacle its neighbours count as such too. Shape (p,)."""
-    worst = float(margin.min())
     if worst >= -_DEEP * width:
         return np.zeros(margin.size, dtype=np.bool_)
     deep: BoolArray = margin < (-_DEEP if worst >= -_VERY_DEEP else _NEAR_DEEP) * width
@@ -65,8 +65,7 @@ def _deeply_overlapped(margin: FloatArray, width: float) -> BoolArray:
 def local_minima(pairs: Pairs, margin: FloatArray) -> BoolArray:
     """Pairs whose body part is nowhere closer to the same obstacle in the intervals before and after. Shape (p,)."""
     order = np.lexsort((pairs.interval, pairs.obstacle, pairs.part))
-    steps = (np.diff(column[order]) for column in pairs)
-    interval, part, obstacle = steps
+    interval, part, obstacle = (np.diff(column[order]) for column in pairs)
     neighbours = (interval == 1) & (part == 0) & (obstacle == 0)
     value = margin[order]
     lowest = np.ones(margin.size, dtype=np.bool_)
