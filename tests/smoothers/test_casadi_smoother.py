@@ -9,7 +9,7 @@ import pytest
 
 from optdock.costmap.costmap import Costmap
 from optdock.dock import Dock
-from optdock.errors import FailedToSmoothPath, SmootherCancelled, SmootherTimedOut
+from optdock.errors import FailedToSmoothPath, SmootherCancelled
 from optdock.geometry.footprint import Footprint
 from optdock.geometry.pose import Pose2
 from optdock.interfaces import PluginContext, Smoother
@@ -25,7 +25,6 @@ from optdock.verification import certify_path
 from smoothers._ck.anytime import Runner
 from smoothers._ck.discs import disc_rows
 from smoothers._ck.kept import may_be_kept
-from smoothers._ck.scp import search
 from smoothers.casadi_smoother import CasadiSmoother
 
 LONG = 30.0  # [s]: no deadline
@@ -36,18 +35,6 @@ GOAL = Pose2(3.2, 0.7, 0.0)
 @pytest.fixture(scope="module")
 def smoother():
     return CasadiSmoother()
-
-
-def ticking(seconds):
-    """A clock that advances by the same time at every look."""
-    looks = itertools.count()
-    return lambda: seconds * next(looks)
-
-
-def with_clock(clock, **parameters):
-    plugin = CasadiSmoother(**parameters)
-    plugin.configure(PluginContext(name="smoother", clock=clock))
-    return plugin
 
 
 @pytest.mark.parametrize("family", FEASIBLE_FAMILIES)
@@ -278,64 +265,6 @@ def test_every_part_of_a_concave_robot_keeps_clear(smoother, cases):
     raw = cases.kinked((0.0, 0.0), (2.0, 0.1), (4.0, 0.0))
     result = smoother.smooth(raw, LONG, problem=problem)
     assert dense_check(result.path, problem).faults == ()
-
-
-def test_the_cost_never_grows_with_the_budget():
-    case = instance("parallel", 0)
-    costs = []
-    for budget in (0.003, 0.005, 0.007, 0.009, 0.012, 0.05):
-        try:
-            # A certificate looks at the clock after every round: it takes no longer than expected of it.
-            result = with_clock(ticking(0.0005)).smooth(case.raw_path, budget, problem=case.problem)
-        except SmootherTimedOut:
-            costs.append(math.inf)
-            continue
-        assert certify_path(result.path, case.problem).certified
-        costs.append(result.report["cost"])
-    assert costs == sorted(costs, reverse=True)
-    assert costs[-1] < costs[0]
-    assert result.completed
-
-
-class HandClock:
-    """A clock that stands still until it is moved."""
-
-    now = 0.0
-
-    def __call__(self):
-        return self.now
-
-
-@pytest.mark.parametrize(("delay", "certified"), [(0.0, True), (1.0, False)])
-def test_a_certificate_that_takes_too_long_is_given_up_and_says_nothing_about_the_path(monkeypatch, delay, certified):
-    clock, case = HandClock(), instance("corridor", 1)
-
-    def slowly(path, problem, *, is_late):
-        clock.now += delay
-        return certify_path(path, problem, is_late=is_late)
-
-    searches = []
-    monkeypatch.setattr("smoothers._ck.anytime.certify_path", slowly)
-    monkeypatch.setattr("smoothers._ck.anytime.search", lambda *a: searches.append(a) or search(*a))
-    if certified:
-        assert with_clock(clock).smooth(case.raw_path, 0.5, problem=case.problem).completed
-    else:
-        with pytest.raises(SmootherTimedOut):
-            with_clock(clock).smooth(case.raw_path, 0.5, problem=case.problem)
-    assert len(searches) == 1
-
-
-def test_a_short_budget_returns_an_unfinished_certified_path():
-    case = instance("parallel", 0)
-    result = with_clock(ticking(0.001)).smooth(case.raw_path, 0.014, problem=case.problem)
-    assert not result.completed
-    assert certify_path(result.path, case.problem).certified
-
-
-def test_no_time_at_all_is_a_timeout():
-    case = instance("parallel", 0)
-    with pytest.raises(SmootherTimedOut):
-        with_clock(ticking(0.001)).smooth(case.raw_path, 0.002, problem=case.problem)
 
 
 def test_the_first_certified_path_can_be_asked_for():

@@ -19,7 +19,7 @@ from optdock.obstacles import ObstacleSet
 from optdock.path import ClothoidSegment, Direction, Path, PolylineSegment
 from optdock.problem import ClearanceRule, DockingProblem
 from optdock.robot import Robot
-from optdock.verification import certify_path, pose_clearance, pose_clearances
+from optdock.verification import certify_path, pose_clearance
 from optdock.verification.clearance import _Prover, never
 from optdock.verification.motion import PathMotion
 from optdock.verification.seams import joined_bodies
@@ -165,32 +165,6 @@ def test_a_violation_is_never_overlooked_in_a_hurry(rounds):
     for amount in (1e-5, 1e-3, 0.03):
         problem = problem_for(path, beside(path, 1.7, REQUIRED - amount, 1))
         assert not certify_path(path, problem, is_late=late_after(rounds)).certified
-
-
-@given(st.integers(0, 10_000))
-def test_clearances_of_many_poses_are_those_of_each(seed):
-    rng = np.random.default_rng(seed)
-    poses = rng.uniform(-2.0, 2.0, (int(rng.integers(1, 6)), 3))
-    rocks = [rng.normal(size=2) * 1.5 + rng.uniform(0.02, 0.5) * _convex(rng) for _ in range(int(rng.integers(1, 30)))]
-    obstacles = ObstacleSet.from_polygons(rocks)
-    dart = Footprint(np.array([[0.4, 0.0], [-0.4, 0.3], [-0.2, 0.0], [-0.4, -0.3]]))
-    distance, row = pose_clearances(poses, dart, obstacles)
-    outlines = shapely.polygons(transform_points(poses, dart.vertices))
-    truth = np.array([[outline.distance(shapely.Polygon(rock)) for rock in rocks] for outline in outlines])
-    assert np.maximum(distance, 0.0) == pytest.approx(truth.min(axis=1), abs=1e-9)
-    assert truth[np.arange(len(poses)), row] == pytest.approx(truth.min(axis=1), abs=1e-9)
-    alone = [pose_clearance(Pose2.from_sequence(pose), dart, obstacles) for pose in poses]
-    assert [(float(d), int(r)) for d, r in zip(distance, row, strict=True)] == alone
-    within = float(rng.uniform(0.0, 1.0))
-    capped, capped_row = pose_clearances(poses, dart, obstacles, within)
-    assert capped.tolist() == np.minimum(distance, within).tolist()
-    assert capped_row.tolist() == np.where(distance < within, row, -1).tolist()
-
-
-def test_a_pose_among_nothing_is_infinitely_clear():
-    distance, row = pose_clearances(np.zeros((2, 3)), ROBOT.footprint, ObstacleSet.empty())
-    assert distance.tolist() == [np.inf, np.inf]
-    assert row.tolist() == [-1, -1]
 
 
 @given(st.integers(0, 10_000))

@@ -11,7 +11,7 @@ from optdock.geometry.footprint import Footprint
 from optdock.geometry.pose import Pose2, transform_points
 from optdock.obstacles import ObstacleSet
 from optdock.verification import half_cells
-from optdock.verification.half_cells import HalfCells, half_cell_bounds, pose_clearance
+from optdock.verification.half_cells import HalfCells, half_cell_bounds, pose_clearance, pose_clearances
 
 BAR = Footprint.rectangle(0.9, 0.3, 0.4)
 DART = Footprint(np.array([[0.4, 0.0], [-0.4, 0.3], [-0.2, 0.0], [-0.4, -0.3]]))
@@ -126,8 +126,38 @@ def test_of_many_deep_overlaps_the_deepest_is_named():
     truth, _ = pose_clearance(Pose2.from_sequence(poses[0]), body, one)
     assert -0.3 < truth < -0.2
     for within in (truth + 1e-9, -0.1, 0):
-        distance, row = half_cells.pose_clearances(poses, body, one, within)
+        distance, row = pose_clearances(poses, body, one, within)
         assert distance.tolist() == [truth]
         assert row.tolist() == [0]
-    nothing_near, _ = half_cells.pose_clearances(poses + 5.0, body, one, 0)
+    nothing_near, _ = pose_clearances(poses + 5.0, body, one, 0)
     assert nothing_near.dtype == np.float64
+
+
+def convex(rng):
+    angles = np.sort(rng.uniform(0.0, 2.0 * np.pi, 6))
+    return np.column_stack((np.cos(angles), np.sin(angles)))
+
+
+@given(st.integers(0, 10_000))
+def test_clearances_of_many_poses_are_those_of_each(seed):
+    rng = np.random.default_rng(seed)
+    poses = rng.uniform(-2.0, 2.0, (int(rng.integers(1, 6)), 3))
+    rocks = [rng.normal(size=2) * 1.5 + rng.uniform(0.02, 0.5) * convex(rng) for _ in range(int(rng.integers(1, 30)))]
+    obstacles = ObstacleSet.from_polygons(rocks)
+    distance, row = pose_clearances(poses, DART, obstacles)
+    outlines = shapely.polygons(transform_points(poses, DART.vertices))
+    truth = np.array([[outline.distance(shapely.Polygon(rock)) for rock in rocks] for outline in outlines])
+    assert np.maximum(distance, 0.0) == pytest.approx(truth.min(axis=1), abs=1e-9)
+    assert truth[np.arange(len(poses)), row] == pytest.approx(truth.min(axis=1), abs=1e-9)
+    alone = [pose_clearance(Pose2.from_sequence(pose), DART, obstacles) for pose in poses]
+    assert [(float(d), int(r)) for d, r in zip(distance, row, strict=True)] == alone
+    within = float(rng.uniform(0.0, 1.0))
+    capped, capped_row = pose_clearances(poses, DART, obstacles, within)
+    assert capped.tolist() == np.minimum(distance, within).tolist()
+    assert capped_row.tolist() == np.where(distance < within, row, -1).tolist()
+
+
+def test_a_pose_among_nothing_is_infinitely_clear():
+    distance, row = pose_clearances(np.zeros((2, 3)), BAR, ObstacleSet.empty())
+    assert distance.tolist() == [np.inf, np.inf]
+    assert row.tolist() == [-1, -1]
