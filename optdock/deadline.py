@@ -1,0 +1,46 @@
+"""The one deadline of a call, handed down to every stage that may take long."""
+
+from __future__ import annotations
+
+import math
+import time
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+__all__ = ["Deadline"]
+
+
+class Deadline:
+    """A moment on a monotonic clock, counted from when this was made.
+
+    Args:
+        seconds: Wall-clock allowance [s]; infinite means no deadline.
+        clock: Monotonic seconds.
+
+    >>> now = iter([10.0, 10.2, 10.6])
+    >>> deadline = Deadline(0.5, lambda: next(now))
+    >>> deadline.passed(), deadline.passed()
+    (False, True)
+    """
+
+    __slots__ = ("_began", "_clock", "seconds")
+
+    def __init__(self, seconds: float = math.inf, clock: Callable[[], float] = time.monotonic) -> None:
+        self.seconds, self._clock = seconds, clock
+        self._began = clock()
+
+    @property
+    def elapsed(self) -> float:
+        """Seconds since the beginning."""
+        return self._clock() - self._began
+
+    @property
+    def left(self) -> float:
+        """Seconds left, negative when overdrawn."""
+        return self.seconds - self.elapsed
+
+    def passed(self) -> bool:
+        """Whether no time is left; a method, so that it serves as a `cancel_checker` or `is_late`."""
+        return self.elapsed >= self.seconds
