@@ -32,6 +32,8 @@ class Run:
         docked: Whether the goal checker said so.
         reason: Why not; empty when docked.
         min_clearance: Smallest clearance of the true poses [m]; None where no obstacles were given.
+        differs: In what the run's world is not the one that the trajectory was certified for: `footprint`, `limits`,
+            `obstacles`; empty where it is the same, or nobody certified the trajectory.
 
     Attributes:
         errors: True pose minus reference in the reference's frame: along, cross [m] and yaw [rad], Shape (n, 3).
@@ -48,6 +50,7 @@ class Run:
     docked: bool
     reason: str = ""
     min_clearance: float | None = None
+    differs: tuple[str, ...] = ()
     errors: FloatArray = field(init=False, repr=False)
     final_error: Pose2 = field(init=False)
 

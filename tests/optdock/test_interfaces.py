@@ -206,6 +206,7 @@ OWN = {
     "OptdockError": 0,
     "PluginError": 0,
     "SmootherCancelled": 0,
+    "TimingTimedOut": 601,
 }
 
 
