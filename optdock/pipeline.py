@@ -25,8 +25,18 @@ from optdock.errors import (
 )
 from optdock.geometry.footprint import Footprint
 from optdock.geometry.pose import Pose2
-from optdock.interfaces import GlobalPlanner, PluginContext, Smoother, TimeParameterizer, TimingStatus, never_cancelled
+from optdock.interfaces import (
+    GlobalPlanner,
+    PluginContext,
+    Smoother,
+    SmoothingResult,
+    TimeParameterizer,
+    TimingResult,
+    TimingStatus,
+    never_cancelled,
+)
 from optdock.limits import MotionLimits
+from optdock.path import Path
 from optdock.plugins import create_plugin
 from optdock.problem import DockingProblem
 from optdock.robot import Robot
@@ -36,9 +46,7 @@ from optdock.verification import certify_path, certify_trajectory
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping
 
-    from optdock.interfaces import SmoothingResult, TimingResult
     from optdock.lifecycle import Plugin
-    from optdock.path import Path
     from optdock.verification import Certificate, TrajectoryCertificate
 
 __all__ = ["DockPlan", "PartialPlan", "PluginChoice", "PluginChoices", "plan_dock", "warm_up"]
@@ -238,10 +246,10 @@ class _Run:
         return self.cancel_checker() or self.deadline.passed()
 
     def _raw_path(self, choice: PluginChoice) -> Path:
-        planner = self._configured(GlobalPlanner, choice)
         late = f"the planner used up the time budget of {self.deadline.seconds:.3g} s"
         try:
             with _typed(choice):
+                planner = self._configured(GlobalPlanner, choice)
                 path = planner.create_plan(self.problem.start, self.problem.goal, self._asked_to_stop)
         except PlannerCancelled as error:
             if self.deadline.passed():
@@ -249,15 +257,16 @@ class _Run:
             raise
         if self.deadline.passed():
             raise PlannerTimedOut(late)
-        return path
+        return _returned(path, Path, choice)
 
     def _smooth(self, choice: PluginChoice, raw: Path) -> SmoothingResult:
-        smoother = self._configured(Smoother, choice)
         allowance = self.deadline.left - _reserve(self.deadline.seconds)
         if allowance <= 0.0:
             raise SmootherTimedOut(f"nothing is left of the time budget of {self.deadline.seconds:.3g} s for smoothing")
         with _typed(choice):
-            return smoother.smooth(raw, allowance, problem=self.problem, cancel_checker=self.cancel_checker)
+            smoother = self._configured(Smoother, choice)
+            result = smoother.smooth(raw, allowance, problem=self.problem, cancel_checker=self.cancel_checker)
+        return _returned(result, SmoothingResult, choice)
 
     def _certified(self, path: Path) -> Certificate:
         certificate = certify_path(path, self.problem, is_late=self.deadline.passed)
@@ -289,9 +298,10 @@ class _Run:
         allowance = deadline.left - _PROOF
         if allowance <= 0.0:
             raise TimingTimedOut(f"nothing is left of the time budget of {deadline.seconds:.3g} s for timing the path")
-        parameterizer = self._configured(TimeParameterizer, choice)
         with _typed(choice):
+            parameterizer = self._configured(TimeParameterizer, choice)
             result = parameterizer.parameterize(path, robot.limits, dock.approach, start_speed=speed)
+        result = _returned(result, TimingResult, choice)
         if result.status is not TimingStatus.OK or result.trajectory is None:
             raise _timing_failure(result)
         trajectory = result.trajectory
@@ -337,6 +347,17 @@ def _typed(choice: PluginChoice) -> Iterator[None]:
         raise
     except Exception as error:
         raise PluginError(f"{choice.name} failed: {type(error).__name__}: {error}") from error
+
+
+def _returned(value: object, kind: type[_T], choice: PluginChoice) -> _T:
+    """What a plugin returned, of the type that its interface promises.
+
+    Raises:
+        PluginError: It is of another type.
+    """
+    if not isinstance(value, kind):
+        raise PluginError(f"{choice.name} must return a {kind.__name__}, got {type(value).__name__}")
+    return value
 
 
 def _timing_failure(result: TimingResult) -> FailedToTimePath:
