@@ -9,7 +9,7 @@ import math
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, NamedTuple, TypeVar
 
-from optdock.deadline import Deadline
+from optdock.deadline import Deadline, garbage_collection_paused
 from optdock.dock import Dock
 from optdock.end_poses import check_ends
 from optdock.errors import (
@@ -170,7 +170,8 @@ def plan_dock(
     warm_up(choices)
     run = _Run(problem, Deadline(time_budget), cancel_checker)
     try:
-        return run.plan(choices)
+        with garbage_collection_paused():
+            return run.plan(choices)
     except OptdockError as error:
         run.so_far.timing_ms["total"] = 1e3 * run.deadline.elapsed
         error.partial = run.so_far
