@@ -80,6 +80,7 @@ def time_path(
         if plans[-1].status >= TimingStatus.FAIL or not plans[-1].arrives:
             break
         state = State() if course is not None else state
+        allowance = allowance if plans[-1].status is TimingStatus.OK else allowance.refused
     return _proven(path, (limits, zone, start), gears, plans)
 
 

@@ -41,7 +41,7 @@ _KEPT = 1.0 + 1e-9
 _TIGHT = 3.0  # margins: a moving start whose braking is closer to the limits gets none there
 _RETRIES = 2
 _AROUND = 0.06  # [m]: tightened on both sides of a bad stretch
-_WORTHWHILE = 300.0  # [s]: the reference's knots grow with the duration, its gain over windows does not
+_WORTHWHILE = 150.0  # [s]: the reference's knots grow with the duration, its gain over windows does not
 _MOST_KNOTS = 5000  # of a reference: a few MB, and 10 ms for an iteration
 _EXTRA = 0.006  # tightened beyond the excess
 

@@ -120,11 +120,15 @@ def plans_from(course: Course, start: State, plan: GearPlanner, allowance: Allow
         yield GearPlan(TimingStatus.BAD_START, how="none", reason=reason, limit=limit, s=course.begin, arrives=False)
         return
     braking = Braking(course, start)
+    if not np.isfinite(braking.states).all():
+        reason = f"full braking from {start} is beyond all numbers"
+        yield GearPlan(TimingStatus.FAIL, how="none", reason=reason, s=course.begin, arrives=False)
+        return
     if braking.motion.end.s > course.length + _CLOSE:
         yield _overshooting(course, braking.motion)
         return
     if braking.ratios.max() > _KEPT:
-        yield _least_violation(course, braking, plan, allowance)
+        yield _least_violation(course, braking, plan, allowance.refused)
         return
     for found in plan(course, start, allowance):
         if found.status is TimingStatus.OK:

@@ -111,6 +111,7 @@ def _planned(course: Course, start: State, is_late: Callable[[], bool], paramete
     jerk = course.limits.max_jerk
     head: Phases = ((abs(start.a) / jerk, -math.copysign(jerk, start.a)),) if start.a else ()
     level = state_after(start, *head[0]) if head else start
+    level = level._replace(v=max(level.v, 0.0))  # below only by rounding: the start need not roll backwards
     if level.s >= course.length:
         reason = "no room to end the start acceleration"
         return GearPlan(TimingStatus.FAIL, how="windowed", reason=reason, limit="max_jerk", s=course.begin)
