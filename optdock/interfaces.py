@@ -5,6 +5,7 @@ Every interface is abstract and holds no data of its own beyond `Plugin`'s. Exce
 
 from __future__ import annotations
 
+import math
 from abc import abstractmethod
 from typing import TYPE_CHECKING
 
@@ -121,8 +122,11 @@ class TimeParameterizer(Plugin):
         *,
         start_speed: float = 0.0,
         start_acceleration: float = 0.0,
+        max_time: float = math.inf,
     ) -> TimingResult:
         """The time law of `path` under `limits`, at rest at every cusp and at the end.
+
+        What is OK passes `certify_trajectory`. Little time makes slower motions, too little none: TIMED_OUT.
 
         Args:
             path: Where to drive.
@@ -130,6 +134,10 @@ class TimeParameterizer(Plugin):
             zone: Slow stretch at the end of the path.
             start_speed: Speed along the travel at the start, >= 0 in either gear [m/s].
             start_acceleration: Acceleration along the travel at the start [m/s^2].
+            max_time: Wall-clock seconds for the whole call; none left, 0 or less, is TIMED_OUT.
+
+        Raises:
+            InvalidValue: `max_time` or the start state is no number.
         """
 
 
