@@ -320,7 +320,7 @@ class _Run:
         with _typed(choice):
             parameterizer = self._configured(TimeParameterizer, choice)
             result = parameterizer.parameterize(
-                path, robot.limits, dock.approach, start_speed=abs(self.problem.start_speed)
+                path, robot.limits, dock.approach, start_speed=abs(self.problem.start_speed), max_time=allowance
             )
         return _returned(result, TimingResult, choice)
 
@@ -366,11 +366,12 @@ def _returned(value: object, kind: type[_T], choice: PluginChoice) -> _T:
 
 def _timing_failure(result: TimingResult) -> FailedToTimePath:
     where = {"status": result.status.name, "worst_ratio": result.worst_ratio, "overshoot": result.overshoot}
-    return FailedToTimePath(
-        f"the path cannot be timed: {result.status.name}, worst ratio {result.worst_ratio:.4g}, "
-        f"overshoot {result.overshoot:.4g} m",
-        where=where,
-    )
+    if result.limit:
+        where["limit"] = result.limit
+    if result.at_s is not None:
+        where["s"] = result.at_s
+    kind = TimingTimedOut if result.status is TimingStatus.TIMED_OUT else FailedToTimePath
+    return kind(f"the path cannot be timed: {result.status.name}: {result.reason or 'no reason given'}", where=where)
 
 
 def _where(certificate: Certificate | TrajectoryCertificate) -> Mapping[str, object]:
