@@ -120,7 +120,7 @@ class CasadiSmoother(Smoother):
         pool = pool_of_this_thread()
         built = pool.build_time
         wanted = self._wanted(path, problem)
-        task = self._prepared(path, wanted, warm_start)
+        task = self._prepared(path, wanted, warm_start, budget)
         setup, chosen = budget.elapsed, self.parameters
         if chosen.backend == "ipopt":
             return self._reference(task, wanted, budget)
@@ -132,7 +132,7 @@ class CasadiSmoother(Smoother):
             runner.offer(line, input_cost(line, task.cost, wanted.dock.final_straight), "line")
         outcome = runner.run(task) if line is None or runner.outcome.incumbent is None else runner.finished()
         if outcome.incumbent is None and outcome.converged and len(task.world.obstacles) > _MANY_OBSTACLES:
-            task = self._prepared(path, wanted, warm_start, thoroughly=True)
+            task = self._prepared(path, wanted, warm_start, budget, thoroughly=True)
             outcome = runner.run(task)
         if outcome.incumbent is None and outcome.converged and warm_start and may_be_kept(warm_start, wanted):
             runner.offer(warm_start, input_cost(warm_start, task.cost, wanted.dock.final_straight), "warm_start")
@@ -155,19 +155,30 @@ class CasadiSmoother(Smoother):
             self.smooth(Path.from_poses([start, Pose2(1.5, 0.0, 0.1), goal]), 10.0, problem=problem)
         prepare_programs(pool_of_this_thread())
 
-    def _prepared(self, path: Path, problem: DockingProblem, earlier: Path | None, *, thoroughly: bool = False) -> Task:
+    def _prepared(
+        self,
+        path: Path,
+        problem: DockingProblem,
+        earlier: Path | None,
+        budget: Budget,
+        *,
+        thoroughly: bool = False,
+    ) -> Task:
+        budget.look()
         start_clearance, nearest = pose_clearance(problem.start, problem.robot.footprint, problem.all_obstacles)
         refusal = refuse_start(path, problem, start_clearance, nearest)
         if refusal is None:
             refusal = refuse_approach(path, problem, start_clearance)
         if refusal is not None:
             raise refusal.error()
+        budget.look()
         shares = np.linspace(0.0, 1.0, 40)
         positions = np.concatenate([segment.poses_at(shares * segment.length)[:, :2] for segment in path.segments])
         world = world_around(problem, positions, start_clearance)
         tuning = self._tuning(world, problem.robot.limits, 1.0 if thoroughly else _AMONG_MANY)
         if thoroughly:
             world = replace(world, is_thinned=False)
+        budget.look()
         return make_task(path, problem, world, tuning, remaining(earlier, path, problem))
 
     def _tuning(self, world: World, limits: MotionLimits, among_many: float) -> Tuning:
