@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, ClassVar, Literal
 import numpy as np
 from pydantic import Field
 
+from optdock.deadline import garbage_collection_paused
 from optdock.dock import Dock
 from optdock.errors import SmootherException, SmootherTimedOut
 from optdock.geometry.footprint import Footprint
@@ -105,7 +106,17 @@ class CasadiSmoother(Smoother):
             SmootherTimedOut: No certified path within `max_time`.
             SmootherCancelled: `cancel_checker` returned True.
         """
-        budget = Budget(max_time, self.context.clock)
+        with garbage_collection_paused():
+            return self._smoothed(path, Budget(max_time, self.context.clock), problem, warm_start, cancel_checker)
+
+    def _smoothed(
+        self,
+        path: Path,
+        budget: Budget,
+        problem: DockingProblem | None,
+        warm_start: Path | None,
+        cancel_checker: Callable[[], bool],
+    ) -> SmoothingResult:
         pool = pool_of_this_thread()
         built = pool.build_time
         wanted = self._wanted(path, problem)
@@ -126,7 +137,7 @@ class CasadiSmoother(Smoother):
         if outcome.incumbent is None and outcome.converged and warm_start and may_be_kept(warm_start, wanted):
             runner.offer(warm_start, input_cost(warm_start, task.cost, wanted.dock.final_straight), "warm_start")
         if outcome.incumbent is None:
-            raise _failure(task, outcome, max_time, wanted.dock.final_straight)
+            raise _failure(task, outcome, budget.max_time, wanted.dock.final_straight)
         if problem is None and self.context.problem is None and not covers(path, outcome.incumbent.path):
             self._confirm(outcome.incumbent.path)
         return _result(outcome, budget, setup, pool.build_time - built)
