@@ -40,6 +40,7 @@ _STRETCH_AT_LAST = 1.1  # beyond it the windowed method may be better
 _KEPT = 1.0 + 1e-9
 _TIGHT = 3.0  # margins: a moving start whose braking is closer to the limits gets none there
 _RETRIES = 2
+_WORTH_RETRYING = 60.0  # [s]: longer motions take 0.3 s and more for every attempt; they are stretched or windowed
 _AROUND = 0.06  # [m]: tightened on both sides of a bad stretch
 _WORTHWHILE = 150.0  # [s]: the reference's knots grow with the duration, its gain over windows does not
 _MOST_KNOTS = 5000  # of a reference: a few MB, and 10 ms for an iteration
@@ -79,7 +80,7 @@ def _references(
     moving = start.v > 0.0 or start.a > 0.0
     relief = Braking(course, start).tight_length(_TIGHT * margins.reference_speed) if moving else 0.0
     tightenings: tuple[Tightening, ...] = ()
-    for retry in range(_RETRIES + 1):
+    for retry in range(_RETRIES + 1 if expected_duration(course) <= _WORTH_RETRYING else 1):
         how = "reference" if retry == 0 else f"reference, retry {retry}"
         found = attempt(Bounds(course, margins, relief, tightenings), start, settings, search.passed)
         if found is None:
