@@ -158,8 +158,16 @@ class Controller(Plugin):
         """
 
     @abstractmethod
-    def set_speed_limit(self, limit: float, *, percentage: bool) -> None:
-        """Limit the speed to `limit` percent of the maximum, or to `limit` m/s; 0 removes the limit."""
+    def set_speed_limit(self, limit: float, percentage: bool) -> None:  # noqa: FBT001 - Nav2's order of arguments
+        """Limit the speed; 0 removes the limit. `set_speed_limit(50.0, True)` halves it, as Nav2 writes it.
+
+        Args:
+            limit: Percent of the maximum (100 and more: all of it), or m/s.
+            percentage: Whether `limit` is in percent.
+
+        Raises:
+            InvalidValue: `limit` is negative or not finite, or `percentage` is no bool.
+        """
 
     def reset(self) -> None:
         """Forget the task; called when it ends."""

@@ -12,12 +12,14 @@ from optdock.trajectory import Trajectory
 __all__ = ["checked_speed_limit", "checked_task"]
 
 
-def checked_speed_limit(limit: object, owner: str) -> float:
+def checked_speed_limit(limit: object, percentage: object, owner: str) -> float:
     """`limit`, in percent or m/s.
 
     Raises:
-        InvalidValue: It is not a finite number >= 0.
+        InvalidValue: It is not a finite number >= 0, or `percentage` does not say which of the two it is.
     """
+    if not isinstance(percentage, bool):
+        raise InvalidValue(f"{owner}: percentage must be True (percent) or False (m/s), got {percentage!r}")
     if isinstance(limit, bool) or not isinstance(limit, Real) or not (math.isfinite(limit) and float(limit) >= 0.0):
         raise InvalidValue(f"{owner}: the speed limit must be finite and >= 0, got {limit!r}")
     return float(limit)

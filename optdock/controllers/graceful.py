@@ -139,13 +139,13 @@ class GracefulController(Controller):
         self._last = self._braked() if self._cancelled else self._followed(pose, goal_checker)
         return self._last
 
-    def set_speed_limit(self, limit: float, *, percentage: bool) -> None:
+    def set_speed_limit(self, limit: float, percentage: bool) -> None:  # noqa: FBT001 - Nav2's order of arguments
         """Scale both speeds, to `limit` percent or to `limit` m/s; never below v_linear_min; 0 removes the limit.
 
         Raises:
-            InvalidValue: The limit is negative or not finite.
+            InvalidValue: The limit is negative or not finite, or `percentage` is no bool.
         """
-        limit = checked_speed_limit(limit, "GracefulController")
+        limit = checked_speed_limit(limit, percentage, "GracefulController")
         top = self.parameters.v_linear_max
         share = (limit / 100.0 if percentage else limit / top) if limit > 0.0 else 1.0
         self._speed_share = min(1.0, share)

@@ -138,13 +138,13 @@ class TrackingController(Controller):
         self._seen = (now, error.x * now.gear)
         return self._last
 
-    def set_speed_limit(self, limit: float, *, percentage: bool) -> None:
+    def set_speed_limit(self, limit: float, percentage: bool) -> None:  # noqa: FBT001 - Nav2's order of arguments
         """Slow the whole reference down, to `limit` percent or to a peak speed of `limit` m/s; 0 removes the limit.
 
         Raises:
-            InvalidValue: The limit is negative or not finite.
+            InvalidValue: The limit is negative or not finite, or `percentage` is no bool.
         """
-        limit = checked_speed_limit(limit, "TrackingController")
+        limit = checked_speed_limit(limit, percentage, "TrackingController")
         self._speed_limit = (limit, percentage) if limit > 0.0 else None
 
     def cancel(self) -> bool:

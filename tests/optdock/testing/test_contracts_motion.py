@@ -58,7 +58,7 @@ class HalfOfPaths(Tracking):
 
 
 class Unlimited(Tracking):
-    def set_speed_limit(self, limit, *, percentage):
+    def set_speed_limit(self, limit, percentage):
         pass
 
 
