@@ -5,22 +5,22 @@ It knows no obstacle, no curvature and no heading at the ends; it is here as a b
 
 from __future__ import annotations
 
-import time
 from typing import TYPE_CHECKING
 
 import numpy as np
 from pydantic import Field, model_validator
 
+from optdock.deadline import Deadline
 from optdock.errors import SmootherCancelled, SmootherTimedOut
 from optdock.interfaces import Smoother, SmoothingResult, never_cancelled
 from optdock.parameters import PluginParameters, checked_seconds
-from optdock.path import Path
-from smoothers._nav2_poses import directional_pieces, poses_of, with_travel_yaw
+from smoothers._nav2_poses import directional_pieces, path_of, poses_of, with_travel_yaw
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
     from optdock.geometry.arrays import FloatArray
+    from optdock.path import Path
     from optdock.problem import DockingProblem
 
 __all__ = ["SavitzkyGolayParameters", "SavitzkyGolaySmoother", "savitzky_golay_weights"]
@@ -71,7 +71,8 @@ class SavitzkyGolaySmoother(Smoother):
     """Polynomial fits in a moving window, as `nav2_smoother::SavitzkyGolaySmoother` does them.
 
     Each piece between cusps is filtered by itself: beyond its ends the end pose is repeated, its end points stay. Its
-    yaws become the directions of travel.
+    yaws become the directions of travel; start and goal keep theirs (Nav2's turns the start). `completed` is False
+    where the time limit came before the last piece, which then stays as it was.
 
     Args:
         **parameters: Fields of `SavitzkyGolayParameters`.
@@ -104,21 +105,25 @@ class SavitzkyGolaySmoother(Smoother):
         Raises:
             InvalidValue: `max_time` is not finite, or negative.
             InvalidPath: It is no path, or smoothing left fewer than two distinct poses.
-            SmootherTimedOut: The time is over; as in Nav2 the partial result is lost.
+            SmootherTimedOut: The time was over before the first piece. Nav2's raises after later ones as well.
             SmootherCancelled: `cancel_checker` returned True.
         """
-        began, allowed = time.monotonic(), checked_seconds(max_time, "max_time")
-        poses = poses_of(path)
+        deadline = Deadline(checked_seconds(max_time, "max_time"), self.context.clock)
+        poses, filtered, completed = poses_of(path), 0, True
         whole = [(0, len(poses) - 1)]
         for first, last in directional_pieces(poses) if self.parameters.enforce_path_inversion else whole:
             if last - first <= self.parameters.window_size + _SPARE_POSES:
                 continue
             if cancel_checker():
                 raise SmootherCancelled("smoothing was cancelled")
-            if time.monotonic() - began >= allowed:
-                raise SmootherTimedOut(f"smoothing took longer than the allowed {max_time} s; allow more max_time")
+            if deadline.passed():
+                completed = False
+                break
             poses[first : last + 1] = self._filtered(poses[first : last + 1])
-        return SmoothingResult(Path.from_poses(poses), report={"seconds": time.monotonic() - began})
+            filtered += 1
+        if not completed and filtered == 0:
+            raise SmootherTimedOut(f"no piece was filtered within the allowed {max_time} s; allow more max_time")
+        return SmoothingResult(path_of(poses, path), completed, {"pieces": filtered, "seconds": deadline.elapsed})
 
     def _filtered(self, poses: FloatArray) -> FloatArray:
         """One piece, Shape (n, 3), after all passes."""

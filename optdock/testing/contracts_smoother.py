@@ -36,14 +36,9 @@ def _numbers(path: Path) -> tuple[tuple[float, ...], ...]:
 
 
 class SmootherContract(PluginContract[Smoother]):
-    """`optdock.interfaces.Smoother`: makes a path smoother, within its time, between the same two poses.
-
-    Attributes:
-        keeps_start_yaw: The result begins at the input's yaw; Nav2's geometric smoothers turn it along the travel.
-    """
+    """`optdock.interfaces.Smoother`: makes a path smoother, within its time, between the same two poses."""
 
     interface: ClassVar[type[Smoother]] = Smoother
-    keeps_start_yaw: ClassVar[bool] = True
 
     def tasks(self) -> tuple[tuple[Path, DockingProblem | None], ...]:
         """Paths, and what must hold for them; None: whatever the configured surroundings say."""
@@ -164,5 +159,5 @@ class SmootherContract(PluginContract[Smoother]):
     def _require_same_ends(self, found: Path, wanted: Path) -> None:
         for what, mine, theirs in (("start", found.start, wanted.start), ("end", found.end, wanted.end)):
             apart, turn = mine.distance_to(theirs), abs(normalize_angle(mine.yaw - theirs.yaw))
-            turned = turn > _SAME and (what == "end" or self.keeps_start_yaw)
-            require(np.isfinite(apart) and apart <= _SAME and not turned, f"the {what} stays {theirs}, got {mine}")
+            same = np.isfinite(apart) and apart <= _SAME and turn <= _SAME
+            require(same, f"the {what} stays {theirs}, got {mine}")
