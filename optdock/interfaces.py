@@ -91,8 +91,9 @@ class Smoother(Plugin):
         Args:
             path: The raw path, from any source.
             max_time: Wall-clock seconds for the whole call.
-            problem: What must hold. None: from the first pose of `path` to its last, among the obstacles of the
-                configured costmap.
+            problem: What must hold; the configured costmap counts as well where the problem has none. None: the
+                configured problem, with the ends of `path` where they are others; where none is configured, from the
+                first pose of `path` to its last, among the obstacles of the configured costmap.
             warm_start: An earlier result for a problem much like this one.
             cancel_checker: Polled at least every 5 ms.
 

@@ -118,6 +118,11 @@ class ObstacleSet:
             vertices, self.names + other.names, np.concatenate((self.group, other.group + len(self.names)))
         )
 
+    def distinct(self) -> ObstacleSet:
+        """Every piece once: of equal ones the first."""
+        _, first = np.unique(self.vertices.reshape(len(self), -1), axis=0, return_index=True)
+        return self if first.size == len(self) else self.subset(np.sort(first))
+
     def subset(self, rows: IntArray | BoolArray) -> ObstacleSet:
         """The pieces at `rows`, under their old names."""
         return ObstacleSet(self.vertices[rows], self.names, self.group[rows])

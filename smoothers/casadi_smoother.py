@@ -30,7 +30,7 @@ from smoothers._ck.qp import pool_of_this_thread
 from smoothers._ck.refusals import refuse_approach, refuse_certificate, refuse_search, refuse_start
 from smoothers._ck.spline import exact_path
 from smoothers._ck.steps import prepare_programs
-from smoothers._ck.surroundings import covers, problem_between_ends
+from smoothers._ck.surroundings import configured_problem, covers, problem_between_ends
 from smoothers._ck.task import reference_scales
 from smoothers._ck.terms import Weights
 from smoothers._ck.warm import remaining
@@ -91,8 +91,10 @@ class CasadiSmoother(Smoother):
         Args:
             path: The input, from any source.
             max_time: Wall-clock seconds for the whole call.
-            problem: What must hold. None: from the first pose of `path` to its last, with the footprint and the costmap
-                of the context and the limits of the parameters.
+            problem: What must hold; the configured costmap counts as well where the problem has none. None: the
+                configured problem, with the ends of `path` where they are others; where none is configured, from the
+                first pose of `path` to its last, with the footprint and the costmap of the context and the limits of
+                the parameters.
             warm_start: An earlier result with the same gears; returned where it is an answer still and none is found.
             cancel_checker: Polled every iteration.
 
@@ -106,7 +108,7 @@ class CasadiSmoother(Smoother):
         budget = Budget(max_time, self.context.clock)
         pool = pool_of_this_thread()
         built = pool.build_time
-        wanted = problem if problem is not None else self._problem_of(path)
+        wanted = self._wanted(path, problem)
         task = self._prepared(path, wanted, warm_start)
         setup, chosen = budget.elapsed, self.parameters
         if chosen.backend == "ipopt":
@@ -125,7 +127,7 @@ class CasadiSmoother(Smoother):
             runner.offer(warm_start, input_cost(warm_start, task.cost, wanted.dock.final_straight), "warm_start")
         if outcome.incumbent is None:
             raise _failure(task, outcome, max_time, wanted.dock.final_straight)
-        if problem is None and not covers(path, outcome.incumbent.path):
+        if problem is None and self.context.problem is None and not covers(path, outcome.incumbent.path):
             self._confirm(outcome.incumbent.path)
         return _result(outcome, budget, setup, pool.build_time - built)
 
@@ -167,6 +169,12 @@ class CasadiSmoother(Smoother):
             chosen.length_weight, chosen.curvature_weight, chosen.curvature_rate_weight, chosen.tracking_weight
         )
         return Tuning(Resolution(chosen.spans, _LONGEST_SPAN / reference_scales(limits)[0], interval), weights)
+
+    def _wanted(self, path: Path, called_with: DockingProblem | None) -> DockingProblem:
+        problem = self.context.problem_at_hand(called_with)
+        if problem is None:
+            return self._problem_of(path)
+        return problem if called_with is not None else configured_problem(path, problem)
 
     def _problem_of(self, path: Path) -> DockingProblem:
         chosen = self.parameters

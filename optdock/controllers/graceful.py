@@ -16,6 +16,7 @@ from optdock.geometry.pose import Pose2, Twist2, normalize_angle
 from optdock.interfaces import Controller
 from optdock.parameters import PluginParameters
 from optdock.path import Direction, Path
+from optdock.surroundings import obstacles_near
 from optdock.trajectory import Trajectory
 from optdock.verification.sweep import free_motion
 
@@ -23,6 +24,7 @@ if TYPE_CHECKING:
     from typing_extensions import Self
 
     from optdock.interfaces import GoalChecker
+    from optdock.obstacles import ObstacleSet
 
 __all__ = ["GracefulController", "GracefulControllerParameters"]
 
@@ -214,7 +216,7 @@ class GracefulController(Controller):
 
     def _towards(self, pose: Pose2, gear: Direction, leg: list[Pose2]) -> Twist2:
         """The law towards the furthest pose within the lookahead whose rollout is free."""
-        p = self.parameters
+        p, obstacles = self.parameters, self._obstacles_around(pose)
         to_goal = sum(before.distance_to(after) for before, after in itertools.pairwise(leg))
         for waypoint in reversed(leg):
             distance = waypoint.distance_to(pose)
@@ -225,20 +227,28 @@ class GracefulController(Controller):
             target = waypoint
             if to_goal < p.max_lookahead and p.prefer_final_rotation:
                 target = _facing(waypoint, pose, gear)
-            if self._is_free(target, pose, gear):
+            if self._is_free(target, pose, gear, obstacles):
                 return self.law.command(target, pose, gear)
         raise NoValidControl("GracefulController: no target within the lookahead can be reached without a collision")
 
-    def _is_free(self, target: Pose2, pose: Pose2, gear: Direction) -> bool:
-        problem = self.context.problem
-        if problem is None or not self.parameters.use_collision_detection:
+    def _obstacles_around(self, pose: Pose2) -> ObstacleSet:
+        """All that a rollout can meet: it approaches a target within the lookahead, step by step."""
+        p, outline = self.parameters, self.context.footprint
+        reach = 2.0 * p.max_lookahead + _ROLLOUT_STEP * p.v_linear_max
+        reach += 0.0 if outline is None else outline.circumscribed_radius
+        centre = np.array([pose.x, pose.y])
+        return obstacles_near(self.context, centre - reach, centre + reach)
+
+    def _is_free(self, target: Pose2, pose: Pose2, gear: Direction, obstacles: ObstacleSet) -> bool:
+        footprint = self.context.footprint
+        if footprint is None or not self.parameters.use_collision_detection:
             return True
         law = self.law
         for _ in range(_ROLLOUT_STEPS):
             if target.distance_to(pose) < _AT_TARGET:
                 return True
             command = law.command(target, pose, gear)
-            if free_motion(problem.robot.footprint, problem.all_obstacles, pose, command, _ROLLOUT_STEP).row >= 0:
+            if free_motion(footprint, obstacles, pose, command, _ROLLOUT_STEP).row >= 0:
                 return False
             before, pose = pose, pose.moved(command, _ROLLOUT_STEP)
             if target.distance_to(pose) >= target.distance_to(before):

@@ -148,10 +148,22 @@ def test_a_dock_direction_that_contradicts_the_start():
 
 
 def test_ends_off_the_map():
-    costmap = Costmap(np.zeros((60, 100), dtype=np.uint8), 0.05, (0.0, 0.0))
+    costmap = Costmap(np.zeros((100, 120), dtype=np.uint8), 0.05, (-0.5, -1.5))
     assert plan_dock(problem(costmap=costmap), time_budget=BUDGET).certificate.certified
-    assert isinstance(failure(problem(start=Pose2(0.5, -0.1, 0.3), costmap=costmap)), StartOutsideMapBounds)
+    assert isinstance(failure(problem(start=Pose2(0.5, -1.6, 0.3), costmap=costmap)), StartOutsideMapBounds)
+    assert isinstance(failure(problem(start=Pose2(0.5, -1.3, 0.3), costmap=costmap)), StartOccupied)  # a corner is off
     assert isinstance(failure(problem(dock=dock(pose=Pose2(6.0, 1.0, 0.0)), costmap=costmap)), GoalOutsideMapBounds)
+
+
+def test_a_costmap_alone_is_an_obstacle():
+    free = Costmap(np.zeros((160, 160), dtype=np.uint8), 0.05, (-1.0, -4.0))
+    cells = np.array(free.data)
+    cells[:, 60:66] = 254  # x from 2.0 to 2.3 m, right across
+    walled = free.with_data(cells)
+    assert plan_dock(problem(costmap=free), time_budget=BUDGET).certificate.nearest == "dock"
+    error = failure(problem(costmap=walled))
+    assert isinstance(error, FailedToSmoothPath)
+    assert error.where["obstacle"] == "map"
 
 
 def test_a_curvature_the_robot_cannot_drive():
