@@ -184,7 +184,7 @@ class Behavior(Plugin):
     @property
     @abstractmethod
     def resource_info(self) -> CostmapInfoType:
-        """Which costmaps it needs."""
+        """Which costmaps it needs: its collision checks see these; the problem's obstacles count in any case."""
 
     @abstractmethod
     def on_run(self, command: Mapping[str, object]) -> BehaviorResult:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from optdock.costmap.costmap import Costmap
+from optdock.costmap.costmap import FREE_SPACE, LETHAL, Costmap
 from optdock.dock import Dock
 from optdock.geometry.footprint import Footprint
 from optdock.geometry.pose import Pose2
@@ -20,9 +20,11 @@ __all__ = [
     "ORIGIN",
     "ROBOT",
     "cusp_path",
+    "free_costmap",
     "moved_path",
     "raw_path",
     "room",
+    "room_costmap",
     "scene_context",
     "scene_problem",
 ]
@@ -43,9 +45,22 @@ def scene_problem(start: Pose2 = ORIGIN, goal: Pose2 = GOAL, obstacles: Obstacle
 
 def scene_context(problem: DockingProblem | None = None) -> PluginContext:
     """Surroundings with everything in them: a problem, a footprint, and a free map of 8 m x 6 m around it."""
-    free = Costmap(np.zeros((120, 160), dtype=np.uint8), resolution=0.05, origin=(-2.0, -3.0))
     found = problem or scene_problem()
-    return PluginContext(name="contract", costmap=free, footprint=found.robot.footprint, problem=found)
+    return PluginContext(name="contract", costmap=free_costmap(), footprint=found.robot.footprint, problem=found)
+
+
+def free_costmap() -> Costmap:
+    """A map of 8 m x 6 m around the scene with nothing in it."""
+    return Costmap(np.zeros((120, 160), dtype=np.uint8), resolution=0.05, origin=(-2.0, -3.0))
+
+
+def room_costmap() -> Costmap:
+    """The same map with the walls of `room` in it."""
+    free, walls = free_costmap(), room()
+    rows, columns = np.indices(free.data.shape)
+    centres = np.array(free.origin) + free.resolution * (np.column_stack((columns.ravel(), rows.ravel())) + 0.5)
+    inside = np.any(walls.box_distance(centres) == 0.0, axis=1).reshape(free.data.shape)
+    return free.with_data(np.where(inside, LETHAL, FREE_SPACE).astype(np.uint8))
 
 
 def room() -> ObstacleSet:

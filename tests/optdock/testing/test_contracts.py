@@ -37,7 +37,6 @@ DRIVE = {"target": 1.0, "speed": 0.3}
 SPIN = {"target_yaw": 1.5}
 SAMPLES = {
     "planners.DockPlanner": {"needs_context": True, "unitless": {"step", "alpha", "beta", "gamma"}},
-    # As in Nav2, the yaws follow the smoothed points; only the last one is kept.
     "smoothers.SimpleSmoother": {"unitless": {"w_data", "w_smooth"}},
     "timing.Windowed": {"unitless": {"cap_ratio", "yaw_share"}},
     "controllers.TrackingController": {"plugin_parameters": {"period": 0.05}, "unitless": {"damping"}},
@@ -87,6 +86,7 @@ SAMPLES = {
         "timeout_code": 907,
         "blocked_code": 903,
         "make_blocked_context": dock_blocked_from_staging,
+        "works_without_problem": False,
     },
     "layers.StaticLayer": {"feed": feed_map},
     "layers.ObstacleLayer": {"feed": feed_points},
