@@ -105,7 +105,7 @@ OTHERWISE = {
 }
 OWN = {
     "goal_checkers.AdaptiveToleranceGoalChecker": {"required_stagnation_cycles"},
-    "goal_checkers.AxisGoalChecker": {"axis_end"},
+    "goal_checkers.AxisGoalChecker": {"axis_end", "stopped", "trans_stopped_velocity", "rot_stopped_velocity"},
     "controllers.GracefulController": {"period"},
     "layers.InflationLayer": {"enabled"},
     "layers.StaticLayer": {"enabled", "footprint_clearing_enabled"},

@@ -30,6 +30,14 @@ def test_a_run_tells_its_final_error_in_the_frame_of_the_dock():
     assert rows["min clearance driven"] == "0.0200 m"
 
 
+def test_a_run_tells_what_every_goal_checker_said():
+    run = run_ending_at([1.0, 0.0, 0.2], docked=True, verdicts={"AxisGoalChecker": True, "DockGoalChecker": False})
+    rows = [(row.name, row.value) for row in run_rows(run)]
+    assert rows[1] == ("goal checkers", "AxisGoalChecker: reached, DockGoalChecker: not reached")
+    document = json.loads(run_json(run, 0))
+    assert document["goal_checkers"] == {"AxisGoalChecker": True, "DockGoalChecker": False}
+
+
 def test_a_run_that_failed_says_why_and_stays_strict_json():
     run = run_ending_at([0.5, 0.0, 0.0], docked=False, reason="timeout", min_clearance=math.inf)
     assert {row.name: row.value for row in run_rows(run)}["docked"] == "no: timeout"
