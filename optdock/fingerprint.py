@@ -23,8 +23,8 @@ class ProblemFingerprint(NamedTuple):
     """Digests of the parts of a docking problem, hexadecimal; `frame` is the name itself.
 
     `footprint`: the robot's outline. `limits`: its motion limits and drive. `obstacles`: everything that must not be
-    touched, but for the station. `clearance`: the rule. `dock`: pose, station, gear, straight, approach. `start`: pose,
-    speed and curvature.
+    touched, the station included. `clearance`: the rule. `dock`: pose, station, gear, straight and approach. `start`:
+    pose, speed and curvature.
     """
 
     footprint: str

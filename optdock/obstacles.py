@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from optdock.errors import InvalidValue
+from optdock.fingerprint import digest
 from optdock.geometry.arrays import readonly
 from optdock.geometry.polygon import convex_pieces, edge_normals, simple_polygon
 from optdock.geometry.pose import transform_points
@@ -60,6 +61,11 @@ class ObstacleSet:
         }
         for name, value in derived.items():
             object.__setattr__(self, name, readonly(value))
+
+    @functools.cached_property
+    def digest(self) -> str:
+        """Short digest of the polygons, in their order."""
+        return digest(self.vertices)
 
     def __len__(self) -> int:
         return int(self.vertices.shape[0])

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from optdock.errors import InvalidPath
+from optdock.fingerprint import digest
 from optdock.geometry.arrays import frozen_array, readonly
 from optdock.geometry.pose import Pose2, unwrap_yaw
 from optdock.segments import (
@@ -109,6 +110,11 @@ class Path:
         last = self.segments[-1]
         return Pose2.from_sequence(last.poses_at(last.length)[0])
 
+    @functools.cached_property
+    def digest(self) -> str:
+        """Short digest of its exact curves: equal for equal paths, whoever made them."""
+        return digest(*(part for segment in self.segments for part in _definition(segment)))
+
     def pose_at(self, s: float) -> Pose2:
         """Pose at arc length `s` [m], clipped to the path."""
         return Pose2.from_sequence(self.poses_at(s)[0])
@@ -154,6 +160,15 @@ class Path:
             block._replace(s=block.s + start) for block, start in zip(blocks, self.segment_starts[:-1], strict=True)
         )
         return _joined(list(shifted))
+
+
+def _definition(segment: Segment) -> tuple[ArrayLike, ...]:
+    """The numbers that define a segment; those of a kind that is not known are its poses at its knots."""
+    if isinstance(segment, ClothoidSegment):
+        spline = segment.spline
+        return spline.start.as_array(), spline.knots, spline.curvature, spline.sign
+    poses = segment.poses if isinstance(segment, PolylineSegment) else segment.poses_at(segment.knots)
+    return poses, int(segment.direction)
 
 
 def _first_pose(segment: Segment) -> FloatArray:

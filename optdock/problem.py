@@ -139,14 +139,13 @@ class DockingProblem:
     @functools.cached_property
     def fingerprint(self) -> ProblemFingerprint:
         """Digests of what a certificate for this problem is proven against."""
-        robot, dock, rule = self.robot, self.dock, self.clearance
+        dock, rule = self.dock, self.clearance
         station = digest("none") if dock.footprint is None else digest(dock.footprint.vertices)
         steered = "free" if self.start_curvature is None else str(float(self.start_curvature))
         zone, accepted = dock.approach, dock.tolerances
         return ProblemFingerprint(
-            footprint=digest(robot.footprint.vertices),
-            limits=digest(dataclasses.astuple(robot.limits), robot.drive.value),
-            obstacles=digest(self.all_obstacles.vertices),
+            *self.robot.fingerprint,
+            obstacles=self.all_obstacles.digest,
             clearance=digest(dataclasses.astuple(rule)),
             dock=digest(
                 dock.pose.as_array(),

@@ -107,6 +107,8 @@ def run_rows(run: Run) -> list[Row]:
         rows.insert(1, Row("goal checkers", ", ".join(said)))
     if run.min_clearance is not None:
         rows.append(Row("min clearance driven", f"{run.min_clearance:.4f} m"))
+    if run.differs:
+        rows.append(Row("certified for", f"another {' and '.join(run.differs)}"))
     return rows
 
 

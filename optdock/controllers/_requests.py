@@ -4,10 +4,14 @@ from __future__ import annotations
 
 import math
 from numbers import Real
+from typing import TYPE_CHECKING
 
 from optdock.errors import ControllerInvalidPath, InvalidValue
 from optdock.path import Path
 from optdock.trajectory import Trajectory
+
+if TYPE_CHECKING:
+    from optdock.lifecycle import PluginContext
 
 __all__ = ["checked_speed_limit", "checked_task"]
 
@@ -25,12 +29,24 @@ def checked_speed_limit(limit: object, percentage: object, owner: str) -> float:
     return float(limit)
 
 
-def checked_task(task: Path | Trajectory, owner: str) -> Path | Trajectory:
+def checked_task(task: Path | Trajectory, context: PluginContext, owner: str) -> Path | Trajectory:
     """`task`, what a controller is to follow.
 
+    A trajectory that was certified must have been certified for the problem that the controller is configured with. Its
+    start may be another: a new plan in motion begins where the robot is.
+
     Raises:
-        ControllerInvalidPath: It is neither a path nor a trajectory.
+        ControllerInvalidPath: It is neither a path nor a trajectory, or it was certified for another problem.
     """
     if not isinstance(task, Path | Trajectory):
         raise ControllerInvalidPath(f"{owner}: can follow a Path or a Trajectory, got {type(task).__name__}")
+    proven = task.certified_for if isinstance(task, Trajectory) else None
+    if proven is not None and context.problem is not None:
+        others = [name for name in proven.differences(context.problem.fingerprint) if name != "start"]
+        if others:
+            raise ControllerInvalidPath(
+                f"{owner}: the trajectory was certified for another problem than the configured one: "
+                f"{', '.join(others)} differ; configure the controller anew, or plan again",
+                where={"differences": others},
+            )
     return task

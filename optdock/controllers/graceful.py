@@ -114,10 +114,11 @@ class GracefulController(Controller):
         """Follow a path; the time law of a trajectory is ignored.
 
         Raises:
-            ControllerInvalidPath: It is neither a path nor a trajectory, or it has a reverse gear and allow_backward is
+            ControllerInvalidPath: It is neither a path nor a trajectory, it was certified for another problem than the
+                configured one, or it has a reverse gear and allow_backward is
                 off.
         """
-        path = checked_task(path, "GracefulController")
+        path = checked_task(path, self.context, "GracefulController")
         path = path.path if isinstance(path, Trajectory) else path
         legs = [
             (segment.direction, [Pose2.from_sequence(row) for row in Path((segment,)).sample(_SPACING).poses])

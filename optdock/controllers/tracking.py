@@ -102,11 +102,12 @@ class TrackingController(Controller):
         A path is timed from the speed of the last command, so that a new path in motion is taken up without a stop.
 
         Raises:
-            ControllerInvalidPath: It is neither a path nor a trajectory, or the path cannot be timed under the robot's
+            ControllerInvalidPath: It is neither a path nor a trajectory, it was certified for another problem than the
+                configured one, or the path cannot be timed under the robot's
                 limits.
             PluginError: The time parameterizer does not exist.
         """
-        path = checked_task(path, "TrackingController")
+        path = checked_task(path, self.context, "TrackingController")
         trajectory = path if isinstance(path, Trajectory) else self._timed(path)
         self._reference = Reference(trajectory)
         self._anchored = self._cancelled = False

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import math
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
@@ -24,6 +25,8 @@ if TYPE_CHECKING:
     from optdock.trajectory import Trajectory
 
 __all__ = ["SimulationSettings", "run_closed_loop"]
+
+logger = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True, eq=False)
@@ -172,6 +175,19 @@ class _Loop:
             goal=self.goal,
             docked=docked,
             reason=reason,
+            differs=_differences(self.trajectory, self.robot, obstacles),
             min_clearance=executed_clearance(self.robot.footprint, poses, obstacles) if obstacles else None,
             verdicts=verdicts,
         )
+
+
+def _differences(trajectory: Trajectory, robot: Robot, obstacles: ObstacleSet | None) -> tuple[str, ...]:
+    """In what the world of a run is not the one that the trajectory was certified for."""
+    proven = trajectory.certified_for
+    if proven is None:
+        return ()
+    here = robot.fingerprint._asdict() | ({} if obstacles is None else {"obstacles": obstacles.digest})
+    found = tuple(name for name, value in here.items() if value != getattr(proven, name))
+    if found:
+        logger.warning("simulated with another %s than the trajectory was certified for", " and ".join(found))
+    return found

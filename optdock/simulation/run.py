@@ -35,6 +35,8 @@ class Run:
         reason: Why not; empty when docked.
         verdicts: What each goal checker said at the end, the one that decides first, by name.
         min_clearance: Smallest clearance of the true poses [m]; None where no obstacles were given.
+        differs: In what the run's world is not the one that the trajectory was certified for: `footprint`, `limits`,
+            `obstacles`; empty where it is the same, or nobody certified the trajectory.
 
     Attributes:
         errors: True pose minus reference in the reference's frame: along, cross [m] and yaw [rad], Shape (n, 3).
@@ -52,6 +54,7 @@ class Run:
     reason: str = ""
     min_clearance: float | None = None
     verdicts: Mapping[str, bool] = field(default_factory=dict)
+    differs: tuple[str, ...] = ()
     errors: FloatArray = field(init=False, repr=False)
     final_error: Pose2 = field(init=False)
 

@@ -54,6 +54,8 @@ def certify_path(path: Path, problem: DockingProblem, *, is_late: Callable[[], b
         max_curvature_rate=max_curvature_rate(path),
         length=path.length,
         poses_checked=proof.poses,
+        problem=problem.fingerprint,
+        path=path.digest,
     )
 
 

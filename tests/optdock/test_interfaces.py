@@ -202,6 +202,7 @@ OWN = {
     "OptdockError": 0,
     "PluginError": 0,
     "SmootherCancelled": 0,
+    "TimingTimedOut": 601,
 }
 
 

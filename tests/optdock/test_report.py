@@ -4,6 +4,7 @@ import math
 import numpy as np
 
 from optdock.errors import NoValidPathCouldBeFound, OptdockError
+from optdock.fingerprint import ProblemFingerprint
 from optdock.geometry.pose import Pose2
 from optdock.path import Path
 from optdock.pipeline import PartialPlan
@@ -65,5 +66,6 @@ def test_a_failure_before_anything_exists_has_nothing_but_its_reason():
 
 
 def test_a_certificate_without_obstacles_has_no_clearance_to_tell():
-    certificate = Certificate((), math.inf, 0.0, 0.0, math.inf, "", 0.5, 1.0, 2.0, 3)
+    nothing = ProblemFingerprint(*"abcdefg")
+    certificate = Certificate((), math.inf, 0.0, 0.0, math.inf, "", 0.5, 1.0, 2.0, 3, nothing, "")
     assert [row.name for row in certificate_rows(certificate)] == ["length", "max curvature"]
