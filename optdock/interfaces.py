@@ -63,7 +63,7 @@ class GlobalPlanner(Plugin):
 
     @abstractmethod
     def create_plan(self, start: Pose2, goal: Pose2, cancel_checker: Callable[[], bool] = never_cancelled) -> Path:
-        """A path from `start` to `goal`, both in the costmap's frame.
+        """A path from `start` to `goal`, both in the costmap's frame, which the path names where it is known.
 
         Long work polls `cancel_checker` at least every 5 ms.
 
@@ -86,7 +86,7 @@ class Smoother(Plugin):
         warm_start: Path | None = None,
         cancel_checker: Callable[[], bool] = never_cancelled,
     ) -> SmoothingResult:
-        """A smoother path between the same two poses.
+        """A smoother path between the same two poses, in the same frame.
 
         Args:
             path: The raw path, from any source.
@@ -99,7 +99,7 @@ class Smoother(Plugin):
 
         Raises:
             InvalidValue: `max_time` is not finite, or negative.
-            InvalidPath: The path is too short to smooth.
+            InvalidPath: The path is too short to smooth, or names another frame than the problem.
             SmootherTimedOut: The time limit came before any usable result.
             FailedToSmoothPath: No result keeps every bound; the message names the one in the way.
             SmootherCancelled: `cancel_checker` returned True.

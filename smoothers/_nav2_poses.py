@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from optdock.errors import InvalidPath
 from optdock.geometry.pose import normalize_angle
 from optdock.path import Path, PolylineSegment
 
@@ -22,13 +21,7 @@ _CURVE_SPACING = 0.05  # of the poses taken from a curve [m]
 
 
 def poses_of(path: Path) -> FloatArray:
-    """The poses that a path was made of, each once; of a curve, samples 5 cm apart. Shape (n, 3).
-
-    Raises:
-        InvalidPath: It is no path.
-    """
-    if not isinstance(path, Path):
-        raise InvalidPath(f"path: must be a Path, got {type(path).__name__}")
+    """The poses that a path was made of, each once; of a curve, samples 5 cm apart. Shape (n, 3)."""
     blocks = [
         np.array(segment.poses)
         if isinstance(segment, PolylineSegment)
@@ -39,7 +32,7 @@ def poses_of(path: Path) -> FloatArray:
 
 
 def path_of(poses: FloatArray, like: Path) -> Path:
-    """The smoothed poses as a path that begins with the very pose that `like` begins with.
+    """The smoothed poses as a path in the frame of `like` that begins with the very pose that `like` begins with.
 
     Gears are read from headings along the travel. The start may look anywhere, as that of a raw path does, so its own
     heading, which Nav2's smoothers turn, is put back once the gears are known.
@@ -56,7 +49,7 @@ def path_of(poses: FloatArray, like: Path) -> Path:
     assert isinstance(first, PolylineSegment)
     turned = np.array(first.poses)
     turned[0, 2] += normalize_angle(like.start.yaw - turned[0, 2])
-    return Path((PolylineSegment(turned, first.direction), *path.segments[1:]))
+    return Path((PolylineSegment(turned, first.direction), *path.segments[1:]), like.frame)
 
 
 def directional_pieces(poses: FloatArray) -> list[tuple[int, int]]:

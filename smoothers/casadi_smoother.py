@@ -99,6 +99,7 @@ class CasadiSmoother(Smoother):
             cancel_checker: Polled every iteration.
 
         Raises:
+            InvalidPath: The path names another frame than the problem.
             FailedToSmoothPath: `where["reason"]` names the bound in the way: `start_in_collision`, `start_curvature`,
                 `direction`, `approach_blocked`, `goal_unreachable`, `clearance`; `s` [m], `amount` and `obstacle` say
                 where and by how much.
@@ -109,6 +110,7 @@ class CasadiSmoother(Smoother):
         pool = pool_of_this_thread()
         built = pool.build_time
         wanted = self._wanted(path, problem)
+        path = path.with_frame(wanted.frame)
         task = self._prepared(path, wanted, warm_start)
         setup, chosen = budget.elapsed, self.parameters
         if chosen.backend == "ipopt":
@@ -129,7 +131,7 @@ class CasadiSmoother(Smoother):
             raise _failure(task, outcome, max_time, wanted.dock.final_straight)
         if problem is None and self.context.problem is None and not covers(path, outcome.incumbent.path):
             self._confirm(outcome.incumbent.path)
-        return _result(outcome, budget, setup, pool.build_time - built)
+        return _result(outcome, wanted.frame, budget, setup, pool.build_time - built)
 
     def warm_up(self) -> None:
         """Build what the first call would build, and load the solvers."""
@@ -196,7 +198,7 @@ class CasadiSmoother(Smoother):
         if not certificate.certified:
             raise refuse_search(task, iterate, problem.dock.final_straight).error(certificate=certificate.reason)
         outcome = Outcome(Incumbent(path, certificate, iterate.cost), iterate, converged=settled)
-        return _result(outcome, budget, 0.0, 0.0)
+        return _result(outcome, problem.frame, budget, 0.0, 0.0)
 
 
 def _failure(task: Task, outcome: Outcome, max_time: float, final_straight: float) -> SmootherException:
@@ -208,7 +210,7 @@ def _failure(task: Task, outcome: Outcome, max_time: float, final_straight: floa
     return refuse_search(task, outcome.last, final_straight).error()
 
 
-def _result(outcome: Outcome, budget: Budget, setup: float, build: float) -> SmoothingResult:
+def _result(outcome: Outcome, frame: str, budget: Budget, setup: float, build: float) -> SmoothingResult:
     best = outcome.incumbent
     assert best is not None  # the caller has raised otherwise
     first = outcome.first_certified
@@ -225,4 +227,4 @@ def _result(outcome: Outcome, budget: Budget, setup: float, build: float) -> Smo
         "total_s": budget.elapsed,
         "certificate": best.certificate,
     }
-    return SmoothingResult(best.path, outcome.converged, report)
+    return SmoothingResult(best.path.with_frame(frame), outcome.converged, report)

@@ -1,6 +1,7 @@
 """Nav2's SimpleSmoother: every point is pulled towards its neighbours' middle and back to where it was.
 
-It knows no curvature, no footprint and no heading at the ends; it is here as a baseline and for old parameter files.
+It knows no curvature and no heading at the ends, and of obstacles only when it has hit one; it is here as a baseline
+and for old parameter files.
 """
 
 from __future__ import annotations
@@ -19,6 +20,7 @@ from optdock.errors import SmootherCancelled, SmootherTimedOut
 from optdock.interfaces import Smoother, SmoothingResult, never_cancelled
 from optdock.parameters import PluginParameters, checked_seconds
 from smoothers._nav2_poses import directional_pieces, path_of, poses_of, with_travel_yaw
+from smoothers._nav2_surroundings import task_of
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -45,6 +47,7 @@ class SimpleParameters(PluginParameters):
     do_refinement: bool = Field(default=True, description="smooth the smoothed path again")
     refinement_num: int = Field(2, ge=0, description="how often")
     enforce_path_inversion: bool = Field(default=True, description="keep cusps and turns in place where they are")
+    check_for_collisions: bool = Field(default=True, description="leave a piece that would touch something as it was")
 
     @model_validator(mode="after")
     def _converges(self) -> SimpleParameters:
@@ -86,6 +89,7 @@ class _End(str, Enum):
     OBSTACLE = "obstacle"
     MAX_ITS = "max_its"
     TIME = "time"
+    COLLISION = "collision"
 
 
 @dataclass
@@ -118,7 +122,9 @@ class SimpleSmoother(Smoother):
     of travel; start and goal keep theirs (Nav2's turns the start), so that the path may begin and end in a kink.
 
     `completed` is False where the time limit stopped the sweeps; the last whole sweep is returned then, which entered
-    nothing either. `report["ended_by"]` says for every piece what ended it: `tolerance`, `obstacle`, `max_its`, `time`.
+    nothing either. A piece whose poses would bring the footprint into something that they cleared before stays as it
+    was, unless `check_for_collisions` is off; what happens between the poses is not looked at. `report["ended_by"]`
+    says for every piece what ended it: `tolerance`, `obstacle`, `max_its`, `time`, `collision`.
 
     Args:
         **parameters: Fields of `SimpleParameters`.
@@ -144,24 +150,29 @@ class SimpleSmoother(Smoother):
         Args:
             path: The raw path, from any source.
             max_time: Wall-clock seconds for the whole call, looked at before every sweep.
-            problem: Only its costmap is read; None: the configured one. Without a costmap nothing stops a point.
+            problem: Where the costmap, the footprint and the obstacles come from; None: the context. Without a costmap
+                nothing stops a point, without a footprint no piece is taken back.
             warm_start: Not used.
             cancel_checker: Polled before every sweep.
 
         Raises:
             InvalidValue: `max_time` is not finite, or negative.
-            InvalidPath: It is no path, or smoothing left fewer than two distinct poses.
+            InvalidPath: It is no path, names another frame than the problem, or has too few distinct poses afterwards.
             SmootherTimedOut: The time was over before the first sweep. Nav2's raises after later ones as well.
             SmootherCancelled: `cancel_checker` returned True.
         """
         deadline = Deadline(checked_seconds(max_time, "max_time"), self.context.clock)
-        costmap = self.context.costmap if problem is None else problem.costmap
-        run = _Run(deadline, costmap, cancel_checker)
+        path, surroundings = task_of(path, problem, self.context)
+        run = _Run(deadline, surroundings.costmap, cancel_checker)
         poses = poses_of(path)
         whole = [(0, len(poses) - 1)]
         for first, last in directional_pieces(poses) if self.parameters.enforce_path_inversion else whole:
             if last - first + 1 > _UNTOUCHED_POSES:
-                poses[first : last + 1] = self._smooth_piece(poses[first : last + 1], run)
+                piece = poses[first : last + 1]
+                smoothed, end = self._smooth_piece(piece, run)
+                collides = self.parameters.check_for_collisions and surroundings.worsened(piece, smoothed)
+                poses[first : last + 1] = piece if collides else smoothed
+                run.ends.append(_End.COLLISION if collides and end is not _End.TIME else end)
         completed = _End.TIME not in run.ends
         if not completed and run.sweeps == 0:
             raise SmootherTimedOut(f"no sweep was finished within the allowed {max_time} s; allow more max_time")
@@ -169,15 +180,14 @@ class SimpleSmoother(Smoother):
         report = {"sweeps": run.sweeps, "ended_by": ended_by, "seconds": deadline.elapsed}
         return SmoothingResult(path_of(poses, path), completed, report)
 
-    def _smooth_piece(self, poses: FloatArray, run: _Run) -> FloatArray:
+    def _smooth_piece(self, poses: FloatArray, run: _Run) -> tuple[FloatArray, _End]:
         """One piece, Shape (n, 3), with its refinements; each begins only where the pass before it got still."""
         points, end = self._sweep_until_still(poses[:, :2], run)
         for _ in range(self.parameters.refinement_num if self.parameters.do_refinement else 0):
             if end is not _End.STILL:
                 break
             points, end = self._sweep_until_still(points, run)
-        run.ends.append(end)
-        return with_travel_yaw(np.column_stack((points, poses[:, 2])))
+        return with_travel_yaw(np.column_stack((points, poses[:, 2]))), end
 
     def _sweep_until_still(self, original: FloatArray, run: _Run) -> tuple[FloatArray, _End]:
         """Points after whole sweeps, Shape (n, 2) [m], and what ended these."""

@@ -7,7 +7,7 @@ from numbers import Real
 from typing import TYPE_CHECKING
 
 from optdock.errors import ControllerInvalidPath, InvalidValue
-from optdock.path import Path
+from optdock.path import Path, may_be_one_frame
 from optdock.trajectory import Trajectory
 
 if TYPE_CHECKING:
@@ -32,14 +32,22 @@ def checked_speed_limit(limit: object, percentage: object, owner: str) -> float:
 def checked_task(task: Path | Trajectory, context: PluginContext, owner: str) -> Path | Trajectory:
     """`task`, what a controller is to follow.
 
-    A trajectory that was certified must have been certified for the problem that the controller is configured with. Its
-    start may be another: a new plan in motion begins where the robot is.
+    It stands in the frame of the configured problem, as far as both are known: poses are measured there. A trajectory
+    that was certified must have been certified for the problem that the controller is configured with. Its start may be
+    another: a new plan in motion begins where the robot is.
 
     Raises:
-        ControllerInvalidPath: It is neither a path nor a trajectory, or it was certified for another problem.
+        ControllerInvalidPath: It is neither a path nor a trajectory, stands in another frame, or was certified for
+            another problem.
     """
     if not isinstance(task, Path | Trajectory):
         raise ControllerInvalidPath(f"{owner}: can follow a Path or a Trajectory, got {type(task).__name__}")
+    if context.problem is not None and not may_be_one_frame(task.frame, context.problem.frame):
+        raise ControllerInvalidPath(
+            f"{owner}: the path stands in frame {task.frame!r}, the configured problem in {context.problem.frame!r}; "
+            f"transform one of them",
+            where={"path": task.frame, "problem": context.problem.frame},
+        )
     proven = task.certified_for if isinstance(task, Trajectory) else None
     if proven is not None and context.problem is not None:
         others = [name for name in proven.differences(context.problem.fingerprint) if name != "start"]

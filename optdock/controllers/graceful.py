@@ -114,9 +114,8 @@ class GracefulController(Controller):
         """Follow a path; the time law of a trajectory is ignored.
 
         Raises:
-            ControllerInvalidPath: It is neither a path nor a trajectory, it was certified for another problem than the
-                configured one, or it has a reverse gear and allow_backward is
-                off.
+            ControllerInvalidPath: It is neither a path nor a trajectory, it stands in another frame than the configured
+                problem or was certified for another one, or it has a reverse gear and allow_backward is off.
         """
         path = checked_task(path, self.context, "GracefulController")
         path = path.path if isinstance(path, Trajectory) else path

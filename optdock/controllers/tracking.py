@@ -102,9 +102,8 @@ class TrackingController(Controller):
         A path is timed from the speed of the last command, so that a new path in motion is taken up without a stop.
 
         Raises:
-            ControllerInvalidPath: It is neither a path nor a trajectory, it was certified for another problem than the
-                configured one, or the path cannot be timed under the robot's
-                limits.
+            ControllerInvalidPath: It is neither a path nor a trajectory, it stands in another frame than the configured
+                problem or was certified for another one, or it cannot be timed under the robot's limits.
             PluginError: The time parameterizer does not exist.
         """
         path = checked_task(path, self.context, "TrackingController")

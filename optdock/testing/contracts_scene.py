@@ -19,9 +19,11 @@ __all__ = [
     "GOAL",
     "ORIGIN",
     "ROBOT",
+    "bent_path",
     "cusp_path",
     "free_costmap",
     "moved_path",
+    "post_inside_the_bend",
     "raw_path",
     "room",
     "room_costmap",
@@ -81,6 +83,20 @@ def raw_path(start: Pose2 = ORIGIN, goal: Pose2 = GOAL) -> Path:
     yaw = np.arctan2(np.gradient(y), np.gradient(x))
     yaw[0], yaw[-1] = 0.0, end.yaw
     return Path.from_poses([start @ Pose2(*row) for row in zip(x, y, yaw, strict=True)])
+
+
+def bent_path() -> Path:
+    """From the origin to the goal over a corner 1 m aside: whatever rounds it off drives nearer to its inside."""
+    x = np.linspace(0.0, GOAL.x, 61)
+    y = np.interp(x, [0.0, 0.4 * GOAL.x, GOAL.x], [0.0, 1.0, GOAL.y])
+    yaw = np.arctan2(np.diff(y, append=2.0 * y[-1] - y[-2]), np.diff(x, append=2.0 * x[-1] - x[-2]))
+    yaw[0], yaw[-1] = 0.0, GOAL.yaw
+    return Path.from_poses(np.column_stack((x, y, yaw)))
+
+
+def post_inside_the_bend() -> ObstacleSet:
+    """A post of 20 cm that the robot passes by less than a millimetre where it turns on `bent_path`."""
+    return ObstacleSet.from_rectangles(np.array([[1.2, 0.469]]), np.array([[1.4, 0.669]]), "post")
 
 
 def cusp_path() -> Path:

@@ -164,7 +164,9 @@ class Runner:
         if self._candidate is not None and (self.first_only or (short and self.outcome.incumbent is None)):
             self._settle(task)
             short = not self.budget.fits(step)
-        return short or (self.first_only and self.outcome.incumbent is not None)
+        found = self.first_only and self.outcome.incumbent is not None
+        self.outcome.converged = self.outcome.converged or found  # no more was asked for; no time limit ended it
+        return short or found
 
     def _settle(self, task: Task) -> Iterate | None:
         """Certify the candidate; returns it when it was refused."""

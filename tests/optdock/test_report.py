@@ -50,7 +50,7 @@ def test_a_run_that_failed_says_why_and_stays_strict_json():
 
 
 def test_a_failure_takes_along_whatever_exists():
-    raw = Path.from_poses(np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0]]))
+    raw = Path.from_poses(np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0]]), "depot")
     error = NoValidPathCouldBeFound("no way", where={"s": 1.0})
     error.partial = PartialPlan(raw_path=raw, timing_ms={"plan": 1.5})
     plan = failed_plan_file(error, "depot")
