@@ -286,44 +286,47 @@ class _Run:
     def _certified_motion(self, choice: PluginChoice, path: Path) -> _Motion:
         """The motion of the chosen method, or where that fails its proof, of the method that never needs repair."""
         try:
-            return self._timed("time", lambda: self._motion(choice, path))
+            return self._proven_motion(choice, path)
         except (CertificationFailed, PluginError) as error:
             if choice.name == _PLAIN_TIMING.name:
                 raise
             logger.warning("%s: %s; timed by %s instead", choice.name, error, _PLAIN_TIMING.name)
             try:
-                motion = self._timed("time", lambda: self._motion(_PLAIN_TIMING, path))
+                motion = self._proven_motion(_PLAIN_TIMING, path)
             except FailedToTimePath:
                 raise error from None
             return motion._replace(report={**motion.report, "replaced": f"{choice.name}: {error}"})
 
-    def _motion(self, choice: PluginChoice, path: Path) -> _Motion:
+    def _proven_motion(self, choice: PluginChoice, path: Path) -> _Motion:
         robot, dock, deadline = self.problem.robot, self.problem.dock, self.deadline
-        speed = abs(self.problem.start_speed)
-        allowance = deadline.left - _PROOF
-        if allowance <= 0.0:
-            raise TimingTimedOut(f"nothing is left of the time budget of {deadline.seconds:.3g} s for timing the path")
-        with _typed(choice):
-            parameterizer = self._configured(TimeParameterizer, choice)
-            result = parameterizer.parameterize(path, robot.limits, dock.approach, start_speed=speed)
-        result = _returned(result, TimingResult, choice)
+        result = self._timed("time", lambda: self._time(choice, path))
         if result.status is not TimingStatus.OK or result.trajectory is None:
             raise _timing_failure(result)
         trajectory = result.trajectory
         if trajectory.path is not path and trajectory.path.digest != path.digest:
-            raise CertificationFailed(
-                f"{choice.name} timed another path than the certified one", where={"kind": "path"}
-            )
+            message = f"{choice.name} timed another path than the certified one"
+            raise CertificationFailed(message, where={"kind": "path"})
+        speed = abs(self.problem.start_speed)
         proof = self._timed(
-            "certify",
-            lambda: certify_trajectory(trajectory, robot.limits, dock.approach, start_speed=speed),
+            "certify", lambda: certify_trajectory(trajectory, robot.limits, dock.approach, start_speed=speed)
         )
         if not proof.certified:
             if deadline.passed() and all(violation.kind == "unproven" for violation in proof.violations):
                 raise TimingTimedOut(f"the proof of the motion was cut short: {proof.reason}", where=_where(proof))
             raise CertificationFailed(f"the trajectory is not certified: {proof.reason}", where=_where(proof))
-        proven = Trajectory(path, trajectory.time_law, self.problem.fingerprint)
-        return _Motion(proven, proof, result.report)
+        return _Motion(Trajectory(path, trajectory.time_law, self.problem.fingerprint), proof, result.report)
+
+    def _time(self, choice: PluginChoice, path: Path) -> TimingResult:
+        robot, dock = self.problem.robot, self.problem.dock
+        allowance = self.deadline.left - _PROOF
+        if allowance <= 0.0:
+            raise TimingTimedOut(f"nothing is left of the time budget of {self.deadline.seconds:.3g} s for timing")
+        with _typed(choice):
+            parameterizer = self._configured(TimeParameterizer, choice)
+            result = parameterizer.parameterize(
+                path, robot.limits, dock.approach, start_speed=abs(self.problem.start_speed)
+            )
+        return _returned(result, TimingResult, choice)
 
 
 class _Motion(NamedTuple):

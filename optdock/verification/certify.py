@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import weakref
 from typing import TYPE_CHECKING
 
 from optdock.verification.certificate import Certificate, Violation
@@ -29,6 +30,9 @@ def certify_path(path: Path, problem: DockingProblem, *, is_late: Callable[[], b
 
     Wherever two segments meet, also two of one gear, the curvature may jump: the robot must rest there.
 
+    A whole proof is kept for as long as the path lives: paths and problems are frozen, so the same two have the same
+    verdict.
+
     It does NOT look at time: see `certify_trajectory`.
 
     Args:
@@ -41,6 +45,32 @@ def certify_path(path: Path, problem: DockingProblem, *, is_late: Callable[[], b
     Returns:
         The certificate; `certified` is True only if everything was proven.
     """
+    known = _PROVEN.get(path)
+    if known is not None and known[0]() is problem:
+        return known[1]
+    watch = _Watch(is_late)
+    certificate = _judged(path, problem, watch)
+    if not watch.was_late:
+        _PROVEN[path] = (weakref.ref(problem), certificate)
+    return certificate
+
+
+# The last whole proof of every path, and its problem. Held here, so that nobody can hand in a verdict of their own.
+_PROVEN: weakref.WeakKeyDictionary[Path, tuple[weakref.ref[DockingProblem], Certificate]] = weakref.WeakKeyDictionary()
+
+
+class _Watch:
+    """Asks whether it is late, and remembers that it was: a proof that was cut short is not kept."""
+
+    def __init__(self, is_late: Callable[[], bool]) -> None:
+        self._is_late, self.was_late = is_late, False
+
+    def __call__(self) -> bool:
+        self.was_late = self.was_late or self._is_late()
+        return self.was_late
+
+
+def _judged(path: Path, problem: DockingProblem, is_late: Callable[[], bool]) -> Certificate:
     proof = prove_clearance(path, problem, is_late)
     violations = (*path_violations(path, problem), *_clearance_violations(proof, problem))
     return Certificate(
