@@ -18,7 +18,7 @@ from optdock.interfaces import Smoother, SmoothingResult, never_cancelled
 from optdock.limits import MotionLimits
 from optdock.obstacles import ObstacleSet
 from optdock.parameters import PluginParameters
-from optdock.path import Path
+from optdock.path import Path, may_be_one_frame
 from optdock.problem import DockingProblem
 from optdock.robot import Robot
 from optdock.verification import certify_path, pose_clearance
@@ -110,7 +110,7 @@ class CasadiSmoother(Smoother):
         pool = pool_of_this_thread()
         built = pool.build_time
         wanted = self._wanted(path, problem)
-        path = path.with_frame(wanted.frame)
+        path, warm_start = path.with_frame(wanted.frame), _in_frame(warm_start, wanted.frame)
         task = self._prepared(path, wanted, warm_start)
         setup, chosen = budget.elapsed, self.parameters
         if chosen.backend == "ipopt":
@@ -131,7 +131,7 @@ class CasadiSmoother(Smoother):
             raise _failure(task, outcome, max_time, wanted.dock.final_straight)
         if problem is None and self.context.problem is None and not covers(path, outcome.incumbent.path):
             self._confirm(outcome.incumbent.path)
-        return _result(outcome, wanted.frame, budget, setup, pool.build_time - built)
+        return _result(outcome, budget, setup, pool.build_time - built)
 
     def warm_up(self) -> None:
         """Build what the first call would build, and load the solvers."""
@@ -193,12 +193,17 @@ class CasadiSmoother(Smoother):
         from smoothers._ck.ipopt_backend import solve_reference
 
         iterate, settled = solve_reference(task, budget)
-        path, _ = exact_path(task, iterate.variables, problem.dock.final_straight)
+        path = exact_path(task, iterate.variables, problem.dock.final_straight)[0].with_frame(problem.frame)
         certificate = certify_path(path, problem)
         if not certificate.certified:
             raise refuse_search(task, iterate, problem.dock.final_straight).error(certificate=certificate.reason)
         outcome = Outcome(Incumbent(path, certificate, iterate.cost), iterate, converged=settled)
-        return _result(outcome, problem.frame, budget, 0.0, 0.0)
+        return _result(outcome, budget, 0.0, 0.0)
+
+
+def _in_frame(earlier: Path | None, frame: str) -> Path | None:
+    """An earlier result, where it can stand in this frame; one that cannot is none for this problem."""
+    return earlier.with_frame(frame) if earlier is not None and may_be_one_frame(earlier.frame, frame) else None
 
 
 def _failure(task: Task, outcome: Outcome, max_time: float, final_straight: float) -> SmootherException:
@@ -210,7 +215,7 @@ def _failure(task: Task, outcome: Outcome, max_time: float, final_straight: floa
     return refuse_search(task, outcome.last, final_straight).error()
 
 
-def _result(outcome: Outcome, frame: str, budget: Budget, setup: float, build: float) -> SmoothingResult:
+def _result(outcome: Outcome, budget: Budget, setup: float, build: float) -> SmoothingResult:
     best = outcome.incumbent
     assert best is not None  # the caller has raised otherwise
     first = outcome.first_certified
@@ -227,4 +232,4 @@ def _result(outcome: Outcome, frame: str, budget: Budget, setup: float, build: f
         "total_s": budget.elapsed,
         "certificate": best.certificate,
     }
-    return SmoothingResult(best.path.with_frame(frame), outcome.converged, report)
+    return SmoothingResult(best.path, outcome.converged, report)

@@ -187,7 +187,7 @@ class Runner:
             self.outcome.converged = False
             return None
         began = self.budget.elapsed
-        path, _ = exact_path(task, candidate.variables, self.problem.dock.final_straight)
+        path = exact_path(task, candidate.variables, self.problem.dock.final_straight)[0].with_frame(self.problem.frame)
         certificate = self._judged(path, began)
         if not certificate.certified and self._is_late():
             self.outcome.converged = False
