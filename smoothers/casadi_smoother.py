@@ -19,7 +19,7 @@ from optdock.interfaces import Smoother, SmoothingResult, never_cancelled
 from optdock.limits import MotionLimits
 from optdock.obstacles import ObstacleSet
 from optdock.parameters import PluginParameters
-from optdock.path import Path
+from optdock.path import Path, may_be_one_frame
 from optdock.problem import DockingProblem
 from optdock.robot import Robot
 from optdock.verification import certify_path, pose_clearance
@@ -100,6 +100,7 @@ class CasadiSmoother(Smoother):
             cancel_checker: Polled every iteration.
 
         Raises:
+            InvalidPath: The path names another frame than the problem.
             FailedToSmoothPath: `where["reason"]` names the bound in the way: `start_in_collision`, `start_curvature`,
                 `direction`, `approach_blocked`, `goal_unreachable`, `clearance`; `s` [m], `amount` and `obstacle` say
                 where and by how much.
@@ -120,6 +121,7 @@ class CasadiSmoother(Smoother):
         pool = pool_of_this_thread()
         built = pool.build_time
         wanted = self._wanted(path, problem)
+        path, warm_start = path.with_frame(wanted.frame), _in_frame(warm_start, wanted.frame)
         task = self._prepared(path, wanted, warm_start, budget)
         setup, chosen = budget.elapsed, self.parameters
         if chosen.backend == "ipopt":
@@ -213,12 +215,17 @@ class CasadiSmoother(Smoother):
         from smoothers._ck.ipopt_backend import solve_reference
 
         iterate, settled = solve_reference(task, budget)
-        path, _ = exact_path(task, iterate.variables, problem.dock.final_straight)
+        path = exact_path(task, iterate.variables, problem.dock.final_straight)[0].with_frame(problem.frame)
         certificate = certify_path(path, problem)
         if not certificate.certified:
             raise refuse_search(task, iterate, problem.dock.final_straight).error(certificate=certificate.reason)
         outcome = Outcome(Incumbent(path, certificate, iterate.cost), iterate, converged=settled)
         return _result(outcome, budget, 0.0, 0.0)
+
+
+def _in_frame(earlier: Path | None, frame: str) -> Path | None:
+    """An earlier result, where it can stand in this frame; one that cannot is none for this problem."""
+    return earlier.with_frame(frame) if earlier is not None and may_be_one_frame(earlier.frame, frame) else None
 
 
 def _failure(task: Task, outcome: Outcome, max_time: float, final_straight: float) -> SmootherException:
