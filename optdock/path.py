@@ -15,7 +15,7 @@ import numpy as np
 
 from optdock.errors import InvalidPath
 from optdock.geometry.arrays import frozen_array, readonly
-from optdock.geometry.pose import Pose2, unwrap_yaw
+from optdock.geometry.pose import Pose2, check_range, unwrap_yaw
 from optdock.segments import (
     SAME_POSITION,
     SAME_YAW,
@@ -47,16 +47,21 @@ class Path:
         segment_starts: Arc length at which each segment begins, and the total: Shape (number of segments + 1,) [m].
 
     Raises:
-        InvalidPath: No segment.
+        InvalidPath: No segment, or one that is neither a clothoid nor a polyline segment.
     """
 
     segments: tuple[Segment, ...]
     segment_starts: FloatArray = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
+        object.__setattr__(self, "segments", tuple(self.segments))
         if not self.segments:
             raise InvalidPath("path: has no segment")
-        object.__setattr__(self, "segments", tuple(self.segments))
+        for i, segment in enumerate(self.segments):
+            # Subclasses too: what overrides a curve's poses is another curve, of which nothing is known.
+            if type(segment) not in (ClothoidSegment, PolylineSegment):
+                found = type(segment).__name__
+                raise InvalidPath(f"path: segment {i} must be a ClothoidSegment or a PolylineSegment, got {found}")
         lengths = [segment.length for segment in self.segments]
         object.__setattr__(self, "segment_starts", readonly(np.concatenate(([0.0], np.cumsum(lengths)))))
 
@@ -70,12 +75,13 @@ class Path:
             poses: Shape (n, 3) [m, m, rad] or poses.
 
         Raises:
-            InvalidPath: Fewer than two distinct poses, or a value that is not finite.
+            InvalidPath: Fewer than two distinct poses, a value that is not finite, or one out of range.
         """
         if not isinstance(poses, np.ndarray):
             poses = np.array([pose.as_array() if isinstance(pose, Pose2) else pose for pose in poses])
         try:
             array = np.array(frozen_array(poses, "path", columns=3))
+            check_range(array, "path")
         except ValueError as error:
             raise InvalidPath(str(error)) from error
         array[:, 2] = unwrap_yaw(array[:, 2])

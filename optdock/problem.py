@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from optdock.errors import InvalidValue
+from optdock.geometry.checked import number
 from optdock.obstacles import ObstacleSet
 
 if TYPE_CHECKING:
@@ -43,7 +44,8 @@ class ClearanceRule:
 
     def __post_init__(self) -> None:
         for name in ("required", "at_dock", "taper"):
-            value = getattr(self, name)
+            value = number(getattr(self, name), f"clearance.{name}")
+            object.__setattr__(self, name, value)
             if not (math.isfinite(value) and value >= 0.0):
                 raise InvalidValue(f"clearance.{name}: must be finite and >= 0 m, got {value}")
         if self.at_dock > self.required:
