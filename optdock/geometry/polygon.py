@@ -159,7 +159,8 @@ def edge_planes(vertices: FloatArray) -> tuple[FloatArray, FloatArray]:
 def convex_pieces(vertices: FloatArray) -> tuple[FloatArray, ...]:
     """A simple counter-clockwise polygon cut into convex counter-clockwise pieces that cover it.
 
-    They leave nothing out; where dents of at most a nanometre were filled they stick out by as much. Constrained Delaunay triangles, merged over shared edges while the union stays convex
+    They leave nothing out; where dents of at most a nanometre were filled they stick out by as much. Constrained
+    Delaunay triangles, merged over shared edges while the union stays convex
     ([Hertel1983]: at most four times the minimum number of pieces).
     """
     if is_convex(vertices):
