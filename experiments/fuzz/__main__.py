@@ -20,7 +20,9 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--kinds", default=",".join(ALL), help="names, separated by commas (default: %(default)s)")
     parser.add_argument("--jobs", type=int, default=1, help="processes (default: %(default)s)")
     parser.add_argument("--count", type=int, help="cases of every kind (default: until time is up)")
-    parser.add_argument("--out", type=Path, default=Path("fuzz"), help="where failing cases go (default: %(default)s)")
+    parser.add_argument(
+        "--out", type=Path, default=Path("results/fuzz"), help="where failing cases go (default: %(default)s)"
+    )
     parser.add_argument("--plant", help="make this mistake in the certificate, and stop when it is found")
     parser.add_argument("--replay", type=Path, help="judge the case in a file again")
     return parser

@@ -129,7 +129,7 @@ def _judged(case: Case) -> Verdict:
         return KINDS[case["kind"]].judge(case)
     except HangError:
         return Verdict("hang", f"more than {_HANG} s")
-    except Exception as error:  # noqa: BLE001 - untyped exceptions are what is looked for
+    except Exception as error:  # whatever it is, it is what is looked for
         return Verdict("untyped exception", f"{type(error).__name__}: {error}")
     finally:
         signal.alarm(0)
@@ -169,7 +169,7 @@ def _one(campaign: Campaign, kind: str, number: int, saved: collections.Counter[
     try:
         case = KINDS[kind].draw(rng_of(kind, campaign.seed, number))
         verdict = judge_once(case, campaign.plant)
-    except Exception as error:  # noqa: BLE001 - a generator that fails is a bug of ours, and must not end the run
+    except Exception as error:  # a generator that fails is a bug of ours, and must not end the run
         verdict = Verdict("generator failed", f"{type(error).__name__}: {error}")
     seconds, place = time.monotonic() - began, ""
     if verdict.is_fault or verdict.outcome == "generator failed":
@@ -196,44 +196,58 @@ def run(campaign: Campaign, jobs: int) -> Tally:
     """Run a campaign on `jobs` processes and print what it finds."""
     context = multiprocessing.get_context("spawn")
     reports: multiprocessing.Queue[object] = context.Queue()
-    stop, tally, began = context.Event(), Tally(), time.monotonic()
+    stop = context.Event()
     workers = [
         context.Process(target=_work, args=(campaign, job, jobs, reports, stop), daemon=True) for job in range(jobs)
     ]
     for worker in workers:
         worker.start()
-    running, begun, told = jobs, {}, began
-    while running:
-        try:
-            message = reports.get(timeout=2.0)
-        except queue.Empty:
-            if not any(worker.is_alive() for worker in workers):
-                _note_crashes(tally, workers, begun)
-                break
-            continue
-        elapsed = time.monotonic() - began
-        if message is None:
-            running -= 1
-        elif isinstance(message, _Report):
-            begun.pop((message.kind, message.number), None)
-            tally.add(message, elapsed)
-            if campaign.stop_at_fault and message.verdict.is_fault:
-                stop.set()
-        else:
-            begun[message] = elapsed
-        if time.monotonic() - told > _REPORT:
-            told = time.monotonic()
-            print(f"[{elapsed:7.1f} s] " + "; ".join(tally.lines()), flush=True)
+    listener = _Listener(campaign, reports, stop)
+    listener.listen(workers)
     for worker in workers:
         worker.join()
-    _note_crashes(tally, workers, begun)
-    return tally
+    dead = [worker.exitcode for worker in workers if worker.exitcode]
+    if dead:
+        unfinished = ", ".join(f"{kind} {number}" for kind, number in listener.begun)
+        verdict = Verdict("crash", f"processes ended with {dead}; unfinished: {unfinished}")
+        listener.tally.add(_Report("process", 0, verdict, 0.0, 0, "no file"), listener.elapsed)
+    return listener.tally
 
 
-def _note_crashes(tally: Tally, workers: list[multiprocessing.context.SpawnProcess], begun: dict[object, float]) -> None:
-    """Processes that died take their case with them: it is the fault."""
-    for worker in workers:
-        if worker.exitcode:
-            verdict = Verdict("crash", f"a process ended with {worker.exitcode}; unfinished: {list(begun)}")
-            tally.add(_Report("process", 0, verdict, 0.0, 0, "rerun these numbers"), 0.0)
-            begun.clear()
+class _Listener:
+    """Takes the reports of all workers until each has said that it is done, or has died."""
+
+    def __init__(self, campaign: Campaign, reports: multiprocessing.Queue[object], stop: Event) -> None:
+        self.campaign, self.reports, self.stop = campaign, reports, stop
+        self.tally, self.began, self.told = Tally(), time.monotonic(), 0.0
+        self.begun: set[tuple[str, int]] = set()
+
+    @property
+    def elapsed(self) -> float:
+        """Seconds since the start."""
+        return time.monotonic() - self.began
+
+    def listen(self, workers: list[multiprocessing.context.SpawnProcess]) -> None:
+        """Until nobody is left to report."""
+        running = len(workers)
+        while running:
+            try:
+                message = self.reports.get(timeout=2.0)
+            except queue.Empty:
+                if not any(worker.is_alive() for worker in workers):
+                    return
+                continue
+            running -= message is None
+            self._take(message)
+
+    def _take(self, message: object) -> None:
+        if isinstance(message, _Report):
+            self.begun.discard((message.kind, message.number))
+            self.tally.add(message, self.elapsed)
+            if self.campaign.stop_at_fault and message.verdict.is_fault:
+                self.stop.set()
+        elif isinstance(message, tuple):
+            self.begun.add(message)
+        if self.elapsed - self.told > _REPORT:
+            self.told = self.elapsed
+            print(f"[{self.elapsed:7.1f} s] " + "; ".join(self.tally.lines()), flush=True)

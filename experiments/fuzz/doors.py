@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import fields
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -22,7 +23,7 @@ from optdock.trajectory import TimeLaw
 if TYPE_CHECKING:
     from experiments.fuzz.case import Case
 
-__all__ = ["law_of", "path_of", "path_spec", "problem_of", "zone_of"]
+__all__ = ["law_of", "path_of", "path_spec", "problem_of", "problem_spec", "zone_of"]
 
 
 def path_of(gears: list[Case]) -> Path:
@@ -34,7 +35,9 @@ def _segment(gear: Case) -> ClothoidSegment | PolylineSegment:
     if gear["type"] == "polyline":
         return PolylineSegment(np.array(gear["poses"], dtype=float), Direction(gear["gear"]))
     spline = ClothoidSpline(
-        Pose2(*gear["start"]), np.array(gear["knots"], dtype=float), np.array(gear["curvature"], dtype=float),
+        Pose2(*gear["start"]),
+        np.array(gear["knots"], dtype=float),
+        np.array(gear["curvature"], dtype=float),
         gear["gear"],
     )
     return ClothoidSegment(spline)
@@ -100,3 +103,35 @@ def problem_of(case: Case) -> DockingProblem:
         start_curvature=case.get("start_curvature"),
         costmap=costmap,
     )
+
+
+def problem_spec(problem: DockingProblem) -> Case:
+    """The case of a problem that the library made; obstacles as convex pieces."""
+    dock, limits = problem.dock, problem.robot.limits
+    approach = dock.approach
+    grid = problem.costmap
+    return {
+        "footprint": {"polygon": problem.robot.footprint.vertices.tolist()},
+        "obstacles": [_ring(piece) for piece in problem.obstacles.vertices.tolist()],
+        "grid": None
+        if grid is None
+        else {"cells": grid.data.tolist(), "resolution": grid.resolution, "origin": list(grid.origin)},
+        "grid_alone": grid is not None,
+        "dock": {
+            "pose": dock.pose.as_array().tolist(),
+            "footprint": None if dock.footprint is None else dock.footprint.vertices.tolist(),
+            "direction": dock.direction.value,
+            "final_straight": dock.final_straight,
+        },
+        "start": problem.start.as_array().tolist(),
+        "start_speed": problem.start_speed,
+        "start_curvature": problem.start_curvature,
+        "clearance": [problem.clearance.required, problem.clearance.at_dock, problem.clearance.taper],
+        "limits": {spec.name: getattr(limits, spec.name) for spec in fields(limits)},
+        "zone": [approach.speed if np.isfinite(approach.speed) else None, approach.distance],
+    }
+
+
+def _ring(points: list[list[float]]) -> list[list[float]]:
+    """Corners without the repeated ones that pad a piece."""
+    return [point for i, point in enumerate(points) if point != points[i - 1]]

@@ -13,7 +13,6 @@ if TYPE_CHECKING:
 
 __all__ = ["minimised"]
 
-_LISTS = ("obstacles",)
 _MOST_TURNS = 400
 
 
@@ -43,7 +42,7 @@ def minimised(case: Case, wanted: Verdict, judge: Callable[[Case], Verdict], sec
 def _fails_alike(case: Case, wanted: Verdict, judge: Callable[[Case], Verdict]) -> bool:
     try:
         return judge(case).signature == wanted.signature
-    except Exception as error:  # noqa: BLE001 - the fault may be any exception
+    except Exception as error:  # the fault may be any exception
         return wanted.outcome == "untyped exception" and wanted.detail.split(":")[0] == type(error).__name__
 
 

@@ -87,7 +87,9 @@ def _double_s(length: float, v: float, a: float, j: float) -> tuple[list[tuple[f
     return [phase for phase in phases if phase[0] > 0.0], high
 
 
-def _from_speed(phases: list[tuple[float, float]], top: float, length: float) -> tuple[list[tuple[float, float]], float]:
+def _from_speed(
+    phases: list[tuple[float, float]], top: float, length: float
+) -> tuple[list[tuple[float, float]], float]:
     """The second half of a motion, after a cruise that covers the rest."""
     braking = phases[-3:] if len(phases) >= 6 else phases[-2:]
     way = 0.5 * top * sum(h for h, _ in braking)
@@ -113,12 +115,18 @@ def _wait(rng: Rng, law: Case) -> None:
 
 def _stretched(rng: Rng, law: Case) -> None:
     """One duration a little wrong."""
-    law["durations"][int(rng.integers(len(law["durations"])))] *= 1.0 + rng.choice([-1, 1]) * log_uniform(rng, 1e-9, 1e-2)
+    law["durations"][int(rng.integers(len(law["durations"])))] *= 1.0 + rng.choice([-1, 1]) * log_uniform(
+        rng, 1e-9, 1e-2
+    )
 
 
 def _kicked(rng: Rng, law: Case) -> None:
     """A short push that is taken back at once, too strong or just strong enough."""
-    i, width, jerk = int(rng.integers(len(law["durations"]) + 1)), log_uniform(rng, 1e-9, 1e-2), log_uniform(rng, 0.1, 1e4)
+    i, width, jerk = (
+        int(rng.integers(len(law["durations"]) + 1)),
+        log_uniform(rng, 1e-9, 1e-2),
+        log_uniform(rng, 0.1, 1e4),
+    )
     law["durations"][i:i] = [width, 2.0 * width, width]
     law["jerks"][i:i] = [jerk, -jerk, jerk]
 

@@ -89,7 +89,9 @@ def _bounds(rng: Rng, motion: Motion) -> Case:
     for name, values in seen.items():
         top = float(np.max(values))
         if math.isfinite(top) and top > 0.0 and rng.uniform() < 0.4:
-            limits[name] = top * float(rng.choice([1.0, 1.0 + 1e-9, 1.5, 1.0 - 3.5e-6, 0.9], p=[0.4, 0.2, 0.3, 0.05, 0.05]))
+            limits[name] = top * float(
+                rng.choice([1.0, 1.0 + 1e-9, 1.5, 1.0 - 3.5e-6, 0.9], p=[0.4, 0.15, 0.25, 0.15, 0.05])
+            )
     return limits
 
 
@@ -180,7 +182,10 @@ def _touching(rng: Rng, point: Floats, normal: Floats) -> list[Points]:
     """Two squares side by side whose seam points at the robot."""
     heading = math.atan2(float(normal[1]), float(normal[0])) - 0.5 * math.pi
     size = rng.uniform(0.1, 0.6)
-    halves = ([[-size, 0.0], [0.0, 0.0], [0.0, size], [-size, size]], [[0.0, 0.0], [size, 0.0], [size, size], [0.0, size]])
+    halves = (
+        [[-size, 0.0], [0.0, 0.0], [0.0, size], [-size, size]],
+        [[0.0, 0.0], [size, 0.0], [size, size], [0.0, size]],
+    )
     return [turned(half, heading, float(point[0]), float(point[1])) for half in halves]
 
 
@@ -196,7 +201,9 @@ def _add_grid(rng: Rng, case: Case, swept: _Swept) -> None:
     low, high = swept.corners.reshape(-1, 2).min(axis=0), swept.corners.reshape(-1, 2).max(axis=0)
     origin = low - log_uniform(rng, 1e-3, 0.6)
     size = np.minimum(np.ceil((high - origin + log_uniform(rng, 1e-3, 0.6)) / side), 160).astype(int)
-    drawn = rng.choice([0, 100, 253, 254, 255], size=(size[1], size[0]), p=[0.9, 0.02, 0.02, 0.03, 0.03])
+    dense = log_uniform(rng, 1e-3, 0.06)
+    shares = [0.96 - dense, 0.02, 0.02, 0.5 * dense, 0.5 * dense]
+    drawn = rng.choice([0, 100, 253, 254, 255], size=(size[1], size[0]), p=shares)
     if rng.uniform() < 0.05:
         origin, size, drawn = low + log_uniform(rng, 10.0, 3e4), np.array([30, 30]), np.zeros((30, 30), dtype=int)
     j, i = np.nonzero(drawn >= 254)

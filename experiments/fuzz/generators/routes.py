@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from typing import TYPE_CHECKING, TypeAlias
 
@@ -73,7 +74,7 @@ def _spiked(rng: Rng, knots: np.ndarray, curvature: np.ndarray) -> tuple[np.ndar
     if not (np.all(np.diff(inner) > 0.0) and inner[-1] < knots[where + 1]):
         return knots, curvature
     high = rng.uniform(-0.6, 0.6) / width if rng.uniform() < 0.5 else rng.uniform(-3.0, 3.0)
-    k = np.interp(inner, knots, curvature) + [0.0, high, 0.0]
+    k = np.interp(inner, knots, curvature) + np.array([0.0, high, 0.0])
     return np.insert(knots, where + 1, inner), np.insert(curvature, where + 1, k)
 
 
@@ -82,7 +83,7 @@ def _disjoint(rng: Rng, gears: list[Case]) -> None:
     if rng.uniform() < 0.5 and len(gears) > 1:
         gears[-1]["start"] = [value + log_uniform(rng, 1e-7, 1e-3) for value in gears[-1]["start"]]
         return
-    side, x, y, yaw = rng.uniform(0.5e-6, 0.95e-6), *gears[0]["start"]
+    side, (x, y, yaw) = rng.uniform(0.5e-6, 0.95e-6), gears[0]["start"]
     count = int(rng.integers(20, 200))
     c, s = math.cos(yaw), math.sin(yaw)
     gears[:] = [
@@ -113,7 +114,7 @@ def _sampled(gear: Case, spacing: float) -> Case:
 
 def _rejoined(gears: list[Case]) -> list[Case]:
     """Gears moved so that each begins where the one before it ends."""
-    for before, after in zip(gears, gears[1:], strict=False):
+    for before, after in itertools.pairwise(gears):
         shift = np.array(before["poses"][-1]) - np.array(after["poses"][0])
         after["poses"] = (np.array(after["poses"]) + shift).tolist()
     return gears
@@ -124,14 +125,15 @@ def _as_sampled(_: Rng, poses: np.ndarray) -> np.ndarray:
 
 
 def _rounded(rng: Rng, poses: np.ndarray) -> np.ndarray:
-    return np.round(poses, int(rng.choice([3, 4, 5, 6])))
+    rounded: np.ndarray = np.round(poses, int(rng.choice([3, 4, 5, 6])))
+    return rounded
 
 
 def _turning_in_place(rng: Rng, poses: np.ndarray) -> np.ndarray:
     at = int(rng.integers(0, len(poses)))
     spin = np.linspace(0.0, rng.uniform(-2.0, 2.0), int(rng.integers(2, 12)))[1:]
     inserted = np.column_stack((np.tile(poses[at, :2], (spin.size, 1)), poses[at, 2] + spin))
-    return np.vstack((poses[: at + 1], inserted, np.vstack((poses[at + 1 :] + [0, 0, 0], np.zeros((0, 3))))))
+    return np.vstack((poses[: at + 1], inserted, poses[at + 1 :]))
 
 
 def _thinned(rng: Rng, poses: np.ndarray) -> np.ndarray:

@@ -49,7 +49,9 @@ def refuted(case: Case, certificate: Certificate) -> Verdict | None:
     motion = motion_of(case["path"])
     for finding in findings(case, motion):
         if finding.is_broken:
-            text = f"{finding.kind}: {finding.ratio:.4g} times what is tolerated at s = {finding.s:.6g} m"
+            text = (
+                f"{finding.kind}, {_scene(case)}: {finding.ratio:.4g} times what is tolerated at s = {finding.s:.6g} m"
+            )
             return Verdict("false certificate", text)
     world = World.of(case)
     if world.is_empty:
@@ -58,7 +60,8 @@ def refuted(case: Case, certificate: Certificate) -> Verdict | None:
     k, least = seen.worst, int(np.argmin(seen.clearance))
     if not seen.margin[k] >= -_FORGIVEN:
         text = (
-            f"clearance: {-seen.margin[k]:.4g} m short at s = {seen.s[k]:.9g} m, pose {seen.poses[k].tolist()}; "
+            f"clearance, {_scene(case)}: {-seen.margin[k]:.4g} m short at s = {seen.s[k]:.9g} m, "
+            f"pose {seen.poses[k].tolist()}; "
             f"clearance there {seen.clearance[k]:.9g} m, proven {certificate.min_clearance:.9g} m"
         )
         return Verdict("false certificate", text)
@@ -67,7 +70,9 @@ def refuted(case: Case, certificate: Certificate) -> Verdict | None:
         ("margin", certificate.margin, seen.margin[k]),
     ):
         if not claimed <= found + _FORGIVEN:
-            return Verdict("overclaimed bound", f"{name}: claimed {claimed:.9g} m, a pose has {found:.9g} m")
+            return Verdict(
+                "overclaimed bound", f"{name}, {_scene(case)}: claimed {claimed:.9g} m, a pose has {found:.9g} m"
+            )
     return None
 
 
@@ -79,10 +84,18 @@ def _wrongly_refused(case: Case, certificate: Certificate) -> Verdict | None:
     unfounded = kinds - doubtful - {"clearance", "unproven"}
     if unfounded:
         message = next(v.message for v in certificate.violations if v.kind in unfounded)
-        return Verdict("false refusal", f"{sorted(unfounded)[0]}: {message}")
+        return Verdict("false refusal", f"{sorted(unfounded)[0]}, {_scene(case)}: {message}")
     if not kinds <= {"clearance", "unproven"} or _has_room(case) is False:
         return None
-    return Verdict("false refusal", f"clearance: {certificate.reason}")
+    return Verdict("false refusal", f"clearance, {_scene(case)}: {certificate.reason}")
+
+
+def _scene(case: Case) -> str:
+    """What tells apart failures of different origin: the path, the robot, and what it meets."""
+    path = "polyline" if any(gear["type"] == "polyline" for gear in case["path"]) else "clothoid"
+    grid = "" if case.get("grid") is None else (", grid alone" if case.get("grid_alone") else ", grid")
+    contact = ", contact" if case["clearance"][1] == 0.0 else ""
+    return path + (", disc" if "radius" in case["footprint"] else "") + grid + contact
 
 
 def _has_room(case: Case) -> bool:

@@ -71,12 +71,16 @@ class Motion:
     @property
     def turn(self) -> Floats:
         """Largest |change of yaw| within each piece, as a bound [rad]."""
-        return np.where(self.exact, self.h * np.maximum(np.abs(self.k0), np.abs(self.k1)), np.abs(self.step[:, 2]))
+        turn: Floats = np.where(
+            self.exact, self.h * np.maximum(np.abs(self.k0), np.abs(self.k1)), np.abs(self.step[:, 2])
+        )
+        return turn
 
     @property
     def way(self) -> Floats:
         """Distance that the origin moves within each piece [m]."""
-        return np.where(self.exact, self.h, np.hypot(self.step[:, 0], self.step[:, 1]))
+        way: Floats = np.where(self.exact, self.h, np.hypot(self.step[:, 0], self.step[:, 1]))
+        return way
 
     def poses_at(self, piece: Ints, share: Floats) -> Floats:
         """Poses, Shape (n, 3)."""
@@ -85,9 +89,7 @@ class Motion:
         rows = np.flatnonzero(self.exact[piece])
         if rows.size:
             u = share[rows, None] * _NODES
-            theta = base[rows, 2, None] + h[rows, None] * (
-                k0[rows, None] * u + 0.5 * (k1 - k0)[rows, None] * u * u
-            )
+            theta = base[rows, 2, None] + h[rows, None] * (k0[rows, None] * u + 0.5 * (k1 - k0)[rows, None] * u * u)
             reach = self.gear[piece[rows]] * h[rows] * share[rows]
             out[rows, 0] = base[rows, 0] + reach * (np.cos(theta) @ _WEIGHTS)
             out[rows, 1] = base[rows, 1] + reach * (np.sin(theta) @ _WEIGHTS)

@@ -6,6 +6,7 @@ half of it.
 
 from __future__ import annotations
 
+import itertools
 import math
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -65,7 +66,7 @@ def _ends(case: Case, motion: Motion) -> Iterator[Finding]:
 
 def _joints(_: Case, motion: Motion) -> Iterator[Finding]:
     jumps = []
-    for before, after in zip(motion.segments, motion.segments[1:], strict=False):
+    for before, after in itertools.pairwise(motion.segments):
         jumps.append(gap(motion.ends_of(before)[1], motion.ends_of(after)[0]))
         yield Finding("joint", jumps[-1] / _POSE, after.start_s)
     yield Finding("joint", sum(jumps) / (_ADDED_UP * _POSE), 0.0)

@@ -38,13 +38,15 @@ class Sweep:
 
 
 def required_at(case: Case, poses: Floats, start_clearance: float) -> Floats:
-    """The clearance rule: tapers towards the goal; near a start that is too close it grows from there. Shape (n,) [m]."""
+    """What the rule asks: a taper to the goal; near a start that is too close, growth from there. Shape (n,) [m]."""
     required, at_dock, taper = case["clearance"]
     goal, start = case["dock"]["pose"], case["start"]
     from_goal = np.hypot(poses[:, 0] - goal[0], poses[:, 1] - goal[1])
     from_start = np.hypot(poses[:, 0] - start[0], poses[:, 1] - start[1])
     share = np.clip(from_goal / taper, 0.0, 1.0) if taper > 0.0 else (from_goal > 0.0).astype(float)
-    return np.minimum(at_dock + (required - at_dock) * share, max(start_clearance, 0.0) + 0.5 * from_start)
+    relief = max(start_clearance, 0.0) + 0.5 * from_start
+    required_there: Floats = np.minimum(at_dock + (required - at_dock) * share, relief)
+    return required_there
 
 
 def sweep(case: Case, motion: Motion, world: World, *, refine: bool = True) -> Sweep:

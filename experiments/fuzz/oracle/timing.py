@@ -138,9 +138,7 @@ def _joined(first: _Instants, second: _Instants) -> _Instants:
     return _Instants(*(np.concatenate(columns) for columns in zip(first, second, strict=True)))
 
 
-def _zoomed(
-    law: _Law, motion: Motion, instants: _Instants, ratios: dict[str, Floats], spread: Floats
-) -> _Instants:
+def _zoomed(law: _Law, motion: Motion, instants: _Instants, ratios: dict[str, Floats], spread: Floats) -> _Instants:
     """More instants around the largest three values of every quantity."""
     at = np.unique(np.concatenate([np.argsort(np.nan_to_num(v, nan=-1.0))[-3:] for v in ratios.values()]))
     phase = np.repeat(instants.phase[at], _SPREAD.size)
@@ -175,9 +173,7 @@ def _ratios(case: Case, motion: Motion, law: _Law, instants: _Instants) -> dict[
 def _top_speed(case: Case, motion: Motion, s: Floats, piece: Ints) -> Floats:
     """Speed limit of the gear, and of the zone at the end where it is lower. Shape (n,) [m/s]."""
     limits, (zone_speed, zone_length) = case["limits"], case["zone"]
-    top: Floats = np.where(
-        motion.gear[piece] > 0, limits.get("max_speed", 0.5), limits.get("max_reverse_speed", 0.3)
-    )
+    top: Floats = np.where(motion.gear[piece] > 0, limits.get("max_speed", 0.5), limits.get("max_reverse_speed", 0.3))
     # A nanometre inside, where nobody disputes on which side of the border an instant is.
     inside = (s > motion.length - zone_length + 1e-9) & (zone_length > 0.0)
     return np.where(inside, np.minimum(top, zone_speed if zone_speed is not None else math.inf), top)
