@@ -125,24 +125,14 @@ def test_the_depth_of_an_overlap_is_never_overstated():
 
 
 def test_a_dip_between_samples_is_found_to_a_micrometre():
-    # the front left corner of a robot that turns around a circle passes a post; the closest approach is known
-    radius, heading = 1.0, 0.4
-    corner = math.hypot(0.4, radius - 0.3)
-    case = scene([clothoid([0.0, 1.5], [1.0 / radius, 1.0 / radius])])
-    at = np.array([0.0, radius]) + (corner - 1e-3) * np.array([math.sin(heading), -math.cos(heading)])
-    case["obstacles"] = [(at + 1e-7 * np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]])).tolist()]
-    outer = math.hypot(0.4, radius + 0.3)
-    found = sweep(case, motion_of(case["path"]), World.of(case))
-    assert found.margin.min() == pytest.approx(0.0, abs=1e-6) or found.margin.min() < 0.0
-    case["obstacles"] = [
-        (
-            np.array([0.0, radius])
-            + (outer + 5e-3) * np.array([math.sin(1.1), -math.cos(1.1)])
-            + 1e-9 * np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]])
-        ).tolist()  # fmt: skip
-    ]
-    found = sweep(case, motion_of(case["path"]), World.of(case))
-    assert found.margin.min() == pytest.approx(5e-3, abs=1e-6)
+    # the front right corner of a robot that turns left around a circle passes a tiny post outside of it
+    radius, outer = 1.0, math.hypot(0.4, 1.3)
+    for heading in np.linspace(0.5, 1.4, 7):
+        at = np.array([0.0, radius]) + (outer + 5e-3) * np.array([math.sin(heading), -math.cos(heading)])
+        post = (at + 1e-9 * np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]])).tolist()
+        case = scene([clothoid([0.0, 1.5], [1.0 / radius, 1.0 / radius])], obstacles=[post])
+        found = sweep(case, motion_of(case["path"]), World.of(case))
+        assert found.margin.min() == pytest.approx(5e-3, abs=1e-6)
 
 
 def test_the_oracle_shares_no_code_with_the_library():
@@ -250,4 +240,13 @@ def test_unknown_kinds_are_refused(capsys):
 
 
 # Chosen so that a mistake shows within a dozen cases; `--plant NAME` finds it from any seed.
-SEEDS = dict.fromkeys(PLANTS, 5)
+SEEDS = {
+    "tolerance_x5": 0,
+    "first_order_centimetre": 0,
+    "dropped_obstacle": 0,
+    "dropped_map_cell": 43,
+    "dropped_path_cell": 19,
+    "dropped_time_cell": 21,
+    "curvature_x5": 3,
+    "rest_x5": 0,
+}
