@@ -10,6 +10,7 @@ import shapely
 
 from experiments.fuzz.generators.routes import route
 from experiments.fuzz.generators.shapes import footprint, log_uniform, obstacle, rectangle, shallow_wall, turned
+from experiments.fuzz.generators.traps import trap
 from experiments.fuzz.oracle.motion import motion_of
 from experiments.fuzz.oracle.sweep import sweep
 from experiments.fuzz.oracle.world import World
@@ -24,11 +25,14 @@ __all__ = ["path_problem"]
 
 Rng: TypeAlias = np.random.Generator
 _POSES = 48  # of the swept area, for placing obstacles beside it
+_TRAPS = 0.06  # share of cases built around one weak spot
 _TRIES = 10  # points of the outline per obstacle, until one is at the border of the swept area
 
 
 def path_problem(rng: Rng) -> Case:
     """A path with a problem that it may solve, nearly solve or nearly miss."""
+    if rng.uniform() < _TRAPS:
+        return trap(rng)
     gears = route(rng)
     motion = motion_of(gears)
     case = _frame(rng, gears, motion)
@@ -261,8 +265,10 @@ def _shift(case: Case, found: Sweep, world: World, wanted: float) -> None:
         return
     move = (wanted - float(found.margin[k])) * way / length
     if near and min(near) <= length + 1e-9:
-        i = int(np.argmin(near))
-        case["obstacles"][i] = (np.array(case["obstacles"][i]) + move).tolist()
+        nearest = shapely.Polygon(case["obstacles"][int(np.argmin(near))])
+        for i, one in enumerate(case["obstacles"]):
+            if shapely.Polygon(one).distance(nearest) <= 1e-9:  # what touches it goes with it
+                case["obstacles"][i] = (np.array(one) + move).tolist()
     elif case["grid"] is not None:
         case["grid"]["origin"] = (np.array(case["grid"]["origin"]) + move).tolist()
 
