@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from optdock.errors import InvalidValue
+from optdock.fingerprint import digest
 from optdock.geometry.arrays import readonly
 from optdock.geometry.polygon import convex_pieces, edge_normals, simple_polygon
 from optdock.geometry.pose import transform_points
@@ -60,6 +61,11 @@ class ObstacleSet:
         }
         for name, value in derived.items():
             object.__setattr__(self, name, readonly(value))
+
+    @functools.cached_property
+    def digest(self) -> str:
+        """Short digest of the polygons, in their order."""
+        return digest(self.vertices)
 
     def __len__(self) -> int:
         return int(self.vertices.shape[0])
@@ -117,6 +123,11 @@ class ObstacleSet:
         return ObstacleSet(
             vertices, self.names + other.names, np.concatenate((self.group, other.group + len(self.names)))
         )
+
+    def distinct(self) -> ObstacleSet:
+        """Every piece once: of equal ones the first."""
+        _, first = np.unique(self.vertices.reshape(len(self), -1), axis=0, return_index=True)
+        return self if first.size == len(self) else self.subset(np.sort(first))
 
     def subset(self, rows: IntArray | BoolArray) -> ObstacleSet:
         """The pieces at `rows`, under their old names."""

@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+import dataclasses
+import functools
 import math
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 import numpy as np
 
+from optdock.costmap.cell_obstacles import mapped_obstacles
 from optdock.errors import InvalidValue
+from optdock.fingerprint import ProblemFingerprint, digest
 from optdock.obstacles import ObstacleSet
 
 if TYPE_CHECKING:
@@ -67,19 +71,24 @@ class ClearanceRule:
 class DockingProblem:
     """From where, to where, with what, among what.
 
+    What the robot must not touch is everything that is given: the obstacles, the occupied and unknown cells of the
+    costmap and the world beyond its edge, and the station. None of them replaces another.
+
     Args:
         start: Where the robot is.
-        dock: Where it must end.
+        dock: Where it must end; its station is an obstacle.
         robot: What drives.
-        obstacles: What it must not touch; the dock's own footprint is added to it.
+        obstacles: What it must not touch.
         clearance: How far it must stay away.
         start_speed: Speed at the start, signed, negative in reverse [m/s].
         start_curvature: Curvature at the start along the travel [1/m]; None leaves it free.
-        costmap: The grid that the obstacles came from, for planners that read costs; may be None.
+        costmap: What is known of the surroundings as a grid; None where only obstacles are. Read when the problem is
+            made, a grid that layers write into is copied.
         frame: Name of the coordinate frame.
+        unknown_is_obstacle: Whether the cells of the costmap that nobody has seen are obstacles.
 
     Attributes:
-        all_obstacles: The obstacles and the dock's footprint.
+        all_obstacles: The obstacles, the cells of the costmap, and the station last.
 
     Raises:
         InvalidValue: start_speed or start_curvature is not finite.
@@ -94,6 +103,7 @@ class DockingProblem:
     start_curvature: float | None = None
     costmap: Costmap | None = None
     frame: str = "map"
+    unknown_is_obstacle: bool = True
     all_obstacles: ObstacleSet = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
@@ -102,6 +112,12 @@ class DockingProblem:
         if self.start_curvature is not None and not math.isfinite(self.start_curvature):
             raise InvalidValue(f"start.curvature: must be finite, got {self.start_curvature}")
         everything = self.obstacles
+        if self.costmap is not None:
+            # A grid that can be written could change under the proof.
+            known = self.costmap.frozen() if self.costmap.data.flags.writeable else self.costmap
+            object.__setattr__(self, "costmap", known)
+            mapped = mapped_obstacles(known, unknown_is_obstacle=self.unknown_is_obstacle)
+            everything = (everything + mapped).distinct() if len(everything) else mapped
         if self.dock.footprint is not None:
             everything = everything + ObstacleSet.from_footprint(self.dock.footprint, self.dock.pose, "dock")
         object.__setattr__(self, "all_obstacles", everything)
@@ -110,3 +126,33 @@ class DockingProblem:
     def goal(self) -> Pose2:
         """The pose of the robot when docked."""
         return self.dock.pose
+
+    def among(self, costmap: Costmap) -> DockingProblem:
+        """The same problem with a costmap's cells among its obstacles, beside whatever it knows already."""
+        if costmap is self.costmap:
+            return self
+        if self.costmap is None:
+            return dataclasses.replace(self, costmap=costmap)
+        more = mapped_obstacles(costmap.frozen(), unknown_is_obstacle=self.unknown_is_obstacle)
+        return dataclasses.replace(self, obstacles=self.obstacles + more)
+
+    @functools.cached_property
+    def fingerprint(self) -> ProblemFingerprint:
+        """Digests of what a certificate for this problem is proven against."""
+        dock, rule = self.dock, self.clearance
+        station = digest("none") if dock.footprint is None else digest(dock.footprint.vertices)
+        steered = "free" if self.start_curvature is None else str(float(self.start_curvature))
+        zone, accepted = dock.approach, dock.tolerances
+        return ProblemFingerprint(
+            *self.robot.fingerprint,
+            obstacles=self.all_obstacles.digest,
+            clearance=digest(dataclasses.astuple(rule)),
+            dock=digest(
+                dock.pose.as_array(),
+                station,
+                dock.direction.value,
+                (dock.final_straight, zone.speed, zone.distance, accepted.along, accepted.cross, accepted.yaw),
+            ),
+            start=digest(self.start.as_array(), self.start_speed, steered),
+            frame=self.frame,
+        )

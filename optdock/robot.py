@@ -2,18 +2,20 @@
 
 from __future__ import annotations
 
+import functools
 import math
-from dataclasses import dataclass
+from dataclasses import astuple, dataclass
 from enum import Enum
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
+from optdock.fingerprint import digest
 from optdock.geometry.pose import Twist2
 
 if TYPE_CHECKING:
     from optdock.geometry.footprint import Footprint
     from optdock.limits import MotionLimits
 
-__all__ = ["Drive", "Robot", "admissible"]
+__all__ = ["Drive", "Robot", "RobotFingerprint", "admissible"]
 
 
 class Drive(str, Enum):
@@ -36,6 +38,19 @@ class Robot:
     footprint: Footprint
     limits: MotionLimits
     drive: Drive = Drive.DIFFERENTIAL
+
+    @functools.cached_property
+    def fingerprint(self) -> RobotFingerprint:
+        """Digests of its outline, and of its limits and drive."""
+        limits = digest(astuple(self.limits), self.drive.value)
+        return RobotFingerprint(digest(self.footprint.vertices), limits)
+
+
+class RobotFingerprint(NamedTuple):
+    """Digests of a robot's outline, and of its limits and drive; see `ProblemFingerprint`."""
+
+    footprint: str
+    limits: str
 
 
 def admissible(command: Twist2, limits: MotionLimits, drive: Drive = Drive.DIFFERENTIAL) -> Twist2:

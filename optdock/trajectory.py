@@ -14,6 +14,7 @@ from optdock.geometry.pose import Pose2, Twist2
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike
 
+    from optdock.fingerprint import ProblemFingerprint
     from optdock.geometry.arrays import FloatArray
     from optdock.path import Path
 
@@ -126,10 +127,17 @@ class Trajectory:
     Args:
         path: Where.
         time_law: When; its distance runs from 0 to the length of the path.
+        certified_for: Digests of the problem for which path and motion were proven; None where nobody proved them.
     """
 
     path: Path
     time_law: TimeLaw
+    certified_for: ProblemFingerprint | None = None
+
+    @property
+    def frame(self) -> str:
+        """Name of the coordinate frame that its poses stand in, its path's; empty where nobody said."""
+        return self.path.frame
 
     @property
     def duration(self) -> float:

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+import weakref
+from typing import TYPE_CHECKING, NamedTuple
 
 from optdock.verification.certificate import Certificate, Violation
 from optdock.verification.clearance import never, prove_clearance
@@ -29,6 +30,9 @@ def certify_path(path: Path, problem: DockingProblem, *, is_late: Callable[[], b
 
     Wherever two segments meet, also two of one gear, the curvature may jump: the robot must rest there.
 
+    A proof is kept for as long as the path lives: paths and problems are frozen, so the same two have the same verdict.
+    One that was cut short serves callers with a deadline, and only where it is certified all the same.
+
     It does NOT look at time: see `certify_trajectory`.
 
     Args:
@@ -41,6 +45,40 @@ def certify_path(path: Path, problem: DockingProblem, *, is_late: Callable[[], b
     Returns:
         The certificate; `certified` is True only if everything was proven.
     """
+    known = _PROVEN.get(path)
+    if known is not None and known.problem() is problem and (known.is_whole or is_late is not never):
+        return known.certificate
+    watch = _Watch(is_late)
+    certificate = _judged(path, problem, watch)
+    if certificate.certified or not watch.was_late:
+        _PROVEN[path] = _Proven(weakref.ref(problem), certificate, is_whole=not watch.was_late)
+    return certificate
+
+
+class _Proven(NamedTuple):
+    """A proof, its problem, and whether it was made to its end: one that was cut short may be certified, not sharp."""
+
+    problem: weakref.ref[DockingProblem]
+    certificate: Certificate
+    is_whole: bool
+
+
+# The last proof of every path. Held here, so that nobody can hand in a verdict of their own.
+_PROVEN: weakref.WeakKeyDictionary[Path, _Proven] = weakref.WeakKeyDictionary()
+
+
+class _Watch:
+    """Asks whether it is late, and remembers that it was: a proof that was cut short is not kept."""
+
+    def __init__(self, is_late: Callable[[], bool]) -> None:
+        self._is_late, self.was_late = is_late, False
+
+    def __call__(self) -> bool:
+        self.was_late = self.was_late or self._is_late()
+        return self.was_late
+
+
+def _judged(path: Path, problem: DockingProblem, is_late: Callable[[], bool]) -> Certificate:
     proof = prove_clearance(path, problem, is_late)
     violations = (*path_violations(path, problem), *_clearance_violations(proof, problem))
     return Certificate(
@@ -54,6 +92,8 @@ def certify_path(path: Path, problem: DockingProblem, *, is_late: Callable[[], b
         max_curvature_rate=max_curvature_rate(path),
         length=path.length,
         poses_checked=proof.poses,
+        problem=problem.fingerprint,
+        path=path.digest,
     )
 
 

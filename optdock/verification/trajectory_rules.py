@@ -50,13 +50,14 @@ def certify_trajectory(
     law = trajectory.time_law
     structure = (*_coverage(trajectory), *_rest(trajectory), *_start(law, start_speed, start_acceleration))
     if any(v.kind == "coverage" for v in structure):
-        return TrajectoryCertificate(structure, {}, law.duration)
+        return TrajectoryCertificate(structure, {}, law.duration, trajectory.path.digest)
     peaks = tuple(_stretch_peaks(trajectory, limits, zone))
     bounded = [*_speed(law, peaks), *_rates(law, limits)]
     ratios, curved = curved_limits(trajectory, limits)
     plain = {violation.kind: violation for violation in bounded}
     ratios = {**_plain_ratios(law, limits, peaks), **ratios}
-    return TrajectoryCertificate((*structure, *plain.values(), *curved), ratios, law.duration)
+    violations = (*structure, *plain.values(), *curved)
+    return TrajectoryCertificate(violations, ratios, law.duration, trajectory.path.digest)
 
 
 def _coverage(trajectory: Trajectory) -> Iterator[Violation]:

@@ -132,9 +132,9 @@ def test_the_problem_fills_what_parameters_leave_open():
     assert backward.axis.distance_min_c == pytest.approx(0.6)
 
 
-def test_the_context_goes_before_the_problem():
-    context = PluginContext(footprint=Footprint.from_radius(1.0), problem=problem())
-    assert configured(context).plan(START, GOAL).axis.safety_distance == pytest.approx(2.0)
+def test_two_footprints_are_not_chosen_from():
+    with pytest.raises(InvalidValue, match=r"context\.footprint: differs from context\.problem\.robot\.footprint"):
+        PluginContext(footprint=Footprint.from_radius(1.0), problem=problem())
 
 
 def test_the_costmap_of_the_context_is_checked_where_asked():

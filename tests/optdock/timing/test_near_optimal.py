@@ -36,7 +36,7 @@ def test_the_certificate_proves_every_limit(seed, smooth, make, dense, all_limit
     assert proof.certified, proof.violations
     assert max(dense.ratios(result.trajectory, all_limits, ZONE).values()) <= 1.0 + 1e-6
     assert dense.rests(result.trajectory)
-    assert result.worst_ratio <= 1.0 + 1e-9
+    assert result.worst_ratio <= 1.0 + 1e-6
 
 
 @pytest.mark.parametrize("length", [0.3, 1.5, 6.0])
@@ -179,7 +179,8 @@ def test_too_fast_for_the_bend_tells_by_how_much_and_where(make, all_limits):
     result = _timed(path, all_limits, NO_ZONE, (0.6, 0.0))
     assert result.status is TimingStatus.START_INFEASIBLE
     assert result.worst_ratio > 1.05
-    assert "times a limit at s = 0." in result.report["reason"]
+    assert "yaw acceleration 4.5 rad/s^2 at s = 0.0000 m is 3.75 times max_yaw_acceleration = 1.2" in result.reason
+    assert (result.limit, result.at_s) == ("max_yaw_acceleration", 0.0)
 
 
 def test_too_fast_to_stop_before_a_cusp_names_the_overshoot(make, all_limits):
@@ -201,7 +202,7 @@ def test_turn_in_place_fails_with_its_place_and_angle(all_limits):
     path = Path.from_poses(np.array([[0, 0, 0], [1, 0, 0], [1, 0, 0.7], [1.5, 0.42, 0.7]], dtype=float))
     result = _timed(path, all_limits)
     assert (result.status, result.trajectory) == (TimingStatus.FAIL, None)
-    assert "0.7 rad at s = 1 m" in result.report["reason"]
+    assert "0.7 rad at s = 1 m" in result.reason
 
 
 def test_the_result_needs_no_ruckig(make, all_limits, tmp_path):

@@ -142,9 +142,9 @@ def late_after(rounds):
 def test_a_late_certificate_counts_what_is_proven_and_refuses_the_rest():
     path = curved_path()
     tight = problem_for(path, beside(path, 1.7, REQUIRED + 0.0001, 1))
-    assert certify_path(path, tight).certified
     late = certify_path(path, tight, is_late=late_after(0))
     assert kinds(late) == {"unproven"}
+    assert certify_path(path, tight).certified
     roomy = problem_for(path, beside(path, 1.7, REQUIRED + 0.03, 1))
     unsharp, sharp = certify_path(path, roomy, is_late=late_after(0)), certify_path(path, roomy)
     assert unsharp.certified
