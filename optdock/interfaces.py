@@ -64,7 +64,7 @@ class GlobalPlanner(Plugin):
 
     @abstractmethod
     def create_plan(self, start: Pose2, goal: Pose2, cancel_checker: Callable[[], bool] = never_cancelled) -> Path:
-        """A path from `start` to `goal`, both in the costmap's frame.
+        """A path from `start` to `goal`, both in the costmap's frame, which the path names where it is known.
 
         Long work polls `cancel_checker` at least every 5 ms.
 
@@ -87,7 +87,7 @@ class Smoother(Plugin):
         warm_start: Path | None = None,
         cancel_checker: Callable[[], bool] = never_cancelled,
     ) -> SmoothingResult:
-        """A smoother path between the same two poses.
+        """A smoother path between the same two poses, in the same frame.
 
         Args:
             path: The raw path, from any source.
@@ -100,7 +100,7 @@ class Smoother(Plugin):
 
         Raises:
             InvalidValue: `max_time` is not finite, or negative.
-            InvalidPath: The path is too short to smooth.
+            InvalidPath: The path is too short to smooth, or names another frame than the problem.
             SmootherTimedOut: The time limit came before any usable result.
             FailedToSmoothPath: No result keeps every bound; the message names the one in the way.
             SmootherCancelled: `cancel_checker` returned True.
@@ -167,8 +167,16 @@ class Controller(Plugin):
         """
 
     @abstractmethod
-    def set_speed_limit(self, limit: float, *, percentage: bool) -> None:
-        """Limit the speed to `limit` percent of the maximum, or to `limit` m/s; 0 removes the limit."""
+    def set_speed_limit(self, limit: float, percentage: bool) -> None:  # noqa: FBT001 - Nav2's order of arguments
+        """Limit the speed; 0 removes the limit. `set_speed_limit(50.0, True)` halves it, as Nav2 writes it.
+
+        Args:
+            limit: Percent of the maximum (100 and more: all of it), or m/s.
+            percentage: Whether `limit` is in percent.
+
+        Raises:
+            InvalidValue: `limit` is negative or not finite, or `percentage` is no bool.
+        """
 
     def reset(self) -> None:
         """Forget the task; called when it ends."""
@@ -184,7 +192,7 @@ class Behavior(Plugin):
     @property
     @abstractmethod
     def resource_info(self) -> CostmapInfoType:
-        """Which costmaps it needs."""
+        """Which costmaps it needs: its collision checks see these; the problem's obstacles count in any case."""
 
     @abstractmethod
     def on_run(self, command: Mapping[str, object]) -> BehaviorResult:

@@ -111,6 +111,11 @@ class Plugin(ABC):
         self._state = LifecycleState.UNCONFIGURED
 
     @property
+    def name(self) -> str:
+        """Name of this instance: the context's, or the class's until it is configured."""
+        return self.context.name or type(self).__name__
+
+    @property
     def state(self) -> LifecycleState:
         """Where the plugin stands in its lifecycle."""
         return self._state

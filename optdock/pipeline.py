@@ -108,6 +108,11 @@ class DockPlan:
     smoothing_report: Mapping[str, object] = field(default_factory=dict)
     timing_report: Mapping[str, object] = field(default_factory=dict)
 
+    @property
+    def frame(self) -> str:
+        """Name of the coordinate frame that every pose of the plan stands in."""
+        return self.path.frame
+
 
 @dataclass(eq=False)
 class PartialPlan:
@@ -220,7 +225,7 @@ class _Run:
         raw = self._timed("plan", lambda: self._raw_path(choices.planner))
         self.so_far.raw_path = raw
         result = self._timed("smooth", lambda: self._smooth(choices.smoother, raw))
-        self.so_far.path = path = result.path
+        self.so_far.path = path = result.path.with_frame(self.problem.frame)
         certificate = self._timed("certify", lambda: self._certified(path))
         motion = self._certified_motion(choices.timing, path)
         completed = result.completed and not self.deadline.passed()
@@ -258,7 +263,7 @@ class _Run:
             raise
         if self.deadline.passed():
             raise PlannerTimedOut(late)
-        return _returned(path, Path, choice)
+        return _returned(path, Path, choice).with_frame(self.problem.frame)
 
     def _smooth(self, choice: PluginChoice, raw: Path) -> SmoothingResult:
         allowance = self.deadline.left - _reserve(self.deadline.seconds)

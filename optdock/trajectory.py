@@ -135,6 +135,11 @@ class Trajectory:
     certified_for: ProblemFingerprint | None = None
 
     @property
+    def frame(self) -> str:
+        """Name of the coordinate frame that its poses stand in, its path's; empty where nobody said."""
+        return self.path.frame
+
+    @property
     def duration(self) -> float:
         """Total time [s]."""
         return self.time_law.duration

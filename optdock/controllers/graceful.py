@@ -114,9 +114,8 @@ class GracefulController(Controller):
         """Follow a path; the time law of a trajectory is ignored.
 
         Raises:
-            ControllerInvalidPath: It is neither a path nor a trajectory, it was certified for another problem than the
-                configured one, or it has a reverse gear and allow_backward is
-                off.
+            ControllerInvalidPath: It is neither a path nor a trajectory, it stands in another frame than the configured
+                problem or was certified for another one, or it has a reverse gear and allow_backward is off.
         """
         path = checked_task(path, self.context, "GracefulController")
         path = path.path if isinstance(path, Trajectory) else path
@@ -142,13 +141,13 @@ class GracefulController(Controller):
         self._last = self._braked() if self._cancelled else self._followed(pose, goal_checker)
         return self._last
 
-    def set_speed_limit(self, limit: float, *, percentage: bool) -> None:
+    def set_speed_limit(self, limit: float, percentage: bool) -> None:  # noqa: FBT001 - Nav2's order of arguments
         """Scale both speeds, to `limit` percent or to `limit` m/s; never below v_linear_min; 0 removes the limit.
 
         Raises:
-            InvalidValue: The limit is negative or not finite.
+            InvalidValue: The limit is negative or not finite, or `percentage` is no bool.
         """
-        limit = checked_speed_limit(limit, "GracefulController")
+        limit = checked_speed_limit(limit, percentage, "GracefulController")
         top = self.parameters.v_linear_max
         share = (limit / 100.0 if percentage else limit / top) if limit > 0.0 else 1.0
         self._speed_share = min(1.0, share)

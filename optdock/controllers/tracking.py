@@ -102,9 +102,8 @@ class TrackingController(Controller):
         A path is timed from the speed of the last command, so that a new path in motion is taken up without a stop.
 
         Raises:
-            ControllerInvalidPath: It is neither a path nor a trajectory, it was certified for another problem than the
-                configured one, or the path cannot be timed under the robot's
-                limits.
+            ControllerInvalidPath: It is neither a path nor a trajectory, it stands in another frame than the configured
+                problem or was certified for another one, or it cannot be timed under the robot's limits.
             PluginError: The time parameterizer does not exist.
         """
         path = checked_task(path, self.context, "TrackingController")
@@ -139,13 +138,13 @@ class TrackingController(Controller):
         self._seen = (now, error.x * now.gear)
         return self._last
 
-    def set_speed_limit(self, limit: float, *, percentage: bool) -> None:
+    def set_speed_limit(self, limit: float, percentage: bool) -> None:  # noqa: FBT001 - Nav2's order of arguments
         """Slow the whole reference down, to `limit` percent or to a peak speed of `limit` m/s; 0 removes the limit.
 
         Raises:
-            InvalidValue: The limit is negative or not finite.
+            InvalidValue: The limit is negative or not finite, or `percentage` is no bool.
         """
-        limit = checked_speed_limit(limit, "TrackingController")
+        limit = checked_speed_limit(limit, percentage, "TrackingController")
         self._speed_limit = (limit, percentage) if limit > 0.0 else None
 
     def cancel(self) -> bool:

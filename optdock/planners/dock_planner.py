@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from typing import TYPE_CHECKING, ClassVar
 
 from optdock.dock import DockDirection
@@ -68,6 +69,8 @@ class DockPlanner(GlobalPlanner):
     def create_plan(self, start: Pose2, goal: Pose2, cancel_checker: Callable[[], bool] = never_cancelled) -> Path:
         """The raw docking path: polylines, one per gear, in the frame of `start` and `goal`.
 
+        The path names that frame where a problem is configured, which says so.
+
         It starts exactly at `start` and ends exactly at `goal`. Whether the robot fits there is not asked here.
 
         Raises:
@@ -96,7 +99,9 @@ class DockPlanner(GlobalPlanner):
                 f"{self.context.name}: cannot plan when {self.state.value}; call configure(PluginContext(...)) first"
             )
         geometry = DockGeometry.from_footprints(robot, self._dock_footprint())
-        return plan_two_segment(start, goal, geometry, self._effective(), self.context.costmap, cancel_checker)
+        plan = plan_two_segment(start, goal, geometry, self._effective(), self.context.costmap, cancel_checker)
+        frame = "" if self.context.problem is None else self.context.problem.frame
+        return dataclasses.replace(plan, path=plan.path.with_frame(frame))
 
     def _dock_footprint(self) -> Footprint | None:
         given = self.parameters.dock_outline

@@ -19,7 +19,7 @@ class Violation:
     """One broken rule.
 
     Args:
-        kind: Machine-readable name of the rule: `start`, `goal`, `joint`, `direction`, `slip`, `curvature`,
+        kind: Machine-readable name of the rule: `frame`, `start`, `goal`, `joint`, `direction`, `slip`, `curvature`,
             `curvature_rate`, `start_curvature`, `final_straight`, `clearance`, `unproven`; for trajectories the name of
             the limit, `rest`, `coverage` or `start_state`.
         message: What is wrong, where, by how much.

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import weakref
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 from optdock.verification.certificate import Certificate, Violation
 from optdock.verification.clearance import never, prove_clearance
@@ -30,8 +30,8 @@ def certify_path(path: Path, problem: DockingProblem, *, is_late: Callable[[], b
 
     Wherever two segments meet, also two of one gear, the curvature may jump: the robot must rest there.
 
-    A whole proof is kept for as long as the path lives: paths and problems are frozen, so the same two have the same
-    verdict.
+    A proof is kept for as long as the path lives: paths and problems are frozen, so the same two have the same verdict.
+    One that was cut short serves callers with a deadline, and only where it is certified all the same.
 
     It does NOT look at time: see `certify_trajectory`.
 
@@ -46,17 +46,25 @@ def certify_path(path: Path, problem: DockingProblem, *, is_late: Callable[[], b
         The certificate; `certified` is True only if everything was proven.
     """
     known = _PROVEN.get(path)
-    if known is not None and known[0]() is problem:
-        return known[1]
+    if known is not None and known.problem() is problem and (known.is_whole or is_late is not never):
+        return known.certificate
     watch = _Watch(is_late)
     certificate = _judged(path, problem, watch)
-    if not watch.was_late:
-        _PROVEN[path] = (weakref.ref(problem), certificate)
+    if certificate.certified or not watch.was_late:
+        _PROVEN[path] = _Proven(weakref.ref(problem), certificate, is_whole=not watch.was_late)
     return certificate
 
 
-# The last whole proof of every path, and its problem. Held here, so that nobody can hand in a verdict of their own.
-_PROVEN: weakref.WeakKeyDictionary[Path, tuple[weakref.ref[DockingProblem], Certificate]] = weakref.WeakKeyDictionary()
+class _Proven(NamedTuple):
+    """A proof, its problem, and whether it was made to its end: one that was cut short may be certified, not sharp."""
+
+    problem: weakref.ref[DockingProblem]
+    certificate: Certificate
+    is_whole: bool
+
+
+# The last proof of every path. Held here, so that nobody can hand in a verdict of their own.
+_PROVEN: weakref.WeakKeyDictionary[Path, _Proven] = weakref.WeakKeyDictionary()
 
 
 class _Watch:

@@ -172,7 +172,9 @@ class Runner:
         if self._candidate is not None and (self.first_only or (short and self.outcome.incumbent is None)):
             self._settle(task)
             short = not self.budget.fits(step)
-        return short or (self.first_only and self.outcome.incumbent is not None)
+        found = self.first_only and self.outcome.incumbent is not None
+        self.outcome.converged = self.outcome.converged or found  # no more was asked for; no time limit ended it
+        return short or found
 
     def _settle(self, task: Task) -> Iterate | None:
         """Certify the candidate; returns it when it was refused."""
@@ -185,7 +187,7 @@ class Runner:
             self.outcome.converged = False
             return None
         began = self.budget.elapsed
-        path, _ = exact_path(task, candidate.variables, self.problem.dock.final_straight)
+        path = exact_path(task, candidate.variables, self.problem.dock.final_straight)[0].with_frame(self.problem.frame)
         certificate = self._judged(path, began)
         if not certificate.certified and self._is_late():
             self.outcome.converged = False

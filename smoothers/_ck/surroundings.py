@@ -61,7 +61,7 @@ def problem_between_ends(
     rule = ClearanceRule(required=clearance, at_dock=0.0, taper=0.5 if clearance > 0.0 else 0.0)
     dock = Dock(path.end, final_straight=final_straight)
     robot = Robot(context.footprint, limits)
-    return DockingProblem(path.start, dock, robot, obstacles, rule)
+    return DockingProblem(path.start, dock, robot, obstacles, rule, frame=path.frame)
 
 
 def covers(path: Path, result: Path) -> bool:

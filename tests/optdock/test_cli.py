@@ -333,6 +333,7 @@ def test_simulate_says_how_exactly_the_robot_ends():
     assert len({len(column) for column in columns.values()}) == 1
     assert columns["t"][-1] == pytest.approx(document["duration"])
     assert "final error" in first.stdout
+    assert document["goal_checkers"] == {"DockGoalChecker": True}
     goal = load_scenario("bay.yaml").problem.goal
     last = Pose2(columns["x"][-1], columns["y"][-1], columns["yaw"][-1]).in_frame_of(goal)
     assert (last.x, last.y, last.yaw) == pytest.approx(
@@ -418,6 +419,8 @@ def test_demo_runs_from_start_to_finish(tmp_path):
     assert min(made.values()) > 1000
     document = json.loads((tmp_path / "demo" / "run.json").read_text())
     assert document["docked"] is True
+    assert document["goal_checkers"] == {"AxisGoalChecker": True, "DockGoalChecker": True}
+    assert "AxisGoalChecker: reached, DockGoalChecker: reached\n" in result.stdout
     assert max(abs(document["final_error"]["along"]), abs(document["final_error"]["cross"])) < 0.005
 
 

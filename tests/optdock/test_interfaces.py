@@ -131,13 +131,9 @@ def test_what_an_author_need_not_write_does_as_nav2s_defaults():
     assert never_cancelled() is False
 
 
-def test_flags_are_given_by_name():
-    kinds = {
-        name: parameter.kind
-        for method in (Controller.set_speed_limit, Smoother.smooth)
-        for name, parameter in inspect.signature(method).parameters.items()
-    }
-    for name in ("percentage", "problem", "warm_start", "cancel_checker"):
+def test_what_nav2_does_not_know_is_given_by_name():
+    kinds = {name: parameter.kind for name, parameter in inspect.signature(Smoother.smooth).parameters.items()}
+    for name in ("problem", "warm_start", "cancel_checker"):
         assert kinds[name] is inspect.Parameter.KEYWORD_ONLY
 
 

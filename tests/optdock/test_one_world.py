@@ -22,6 +22,7 @@ from optdock.robot import Drive, Robot
 from optdock.simulation import run_closed_loop
 from optdock.simulation.closed_loop import SimulationSettings
 from optdock.surroundings import obstacles_near
+from optdock.testing.contracts_scene import bent_path, post_inside_the_bend, scene_problem
 from optdock.verification import certify_path, pose_clearance
 
 LIMITS = MotionLimits(max_curvature=1.5, max_curvature_rate=6.0)
@@ -94,6 +95,51 @@ def worlds():
 
 
 WORLDS = dict(worlds())
+
+
+BENT = bent_path()
+
+
+def around_the_bend():
+    """The post inside the bend, given in every way that a smoother may hear of it."""
+    polygon, free = post_inside_the_bend(), scene_problem()
+    fine = Costmap(np.zeros((500, 600), dtype=np.uint8), 0.01, (-1.0, -1.331))  # has a cell border at 0.669 m
+    cells = fine.data.copy()
+    cells[180:200, 220:240] = 254
+    blocked = fine.with_data(cells)
+    outline = free.robot.footprint
+    yield "polygon, in the call", PluginContext(), scene_problem(obstacles=polygon)
+    yield "cells, in the call", PluginContext(), dataclasses.replace(free, costmap=blocked)
+    yield "polygon, configured", PluginContext(problem=scene_problem(obstacles=polygon)), None
+    yield "cells, configured", PluginContext(problem=free, costmap=blocked), None
+    yield "cells, configured beside the call", PluginContext(costmap=blocked), free
+    yield "cells and an outline", PluginContext(costmap=blocked, footprint=outline), None
+
+
+BENDS = {name: task for name, *task in around_the_bend()}
+
+
+@pytest.mark.parametrize("name", ["SimpleSmoother", "SavitzkyGolaySmoother"])
+@pytest.mark.parametrize("bend", BENDS)
+def test_nav2s_smoothers_take_back_what_would_collide(name, bend):
+    context, called_with = BENDS[bend]
+    known = scene_problem(obstacles=post_inside_the_bend())
+
+    def smoothed(**parameters):
+        smoother = create_plugin(Smoother, name, parameters)
+        smoother.configure(context)
+        return smoother.smooth(BENT, 10.0, problem=called_with).path
+
+    def deepest(path):
+        return min(
+            pose_clearance(Pose2.from_sequence(p), known.robot.footprint, known.all_obstacles)[0]
+            for p in path.segments[0].poses
+        )
+
+    assert 0.0 < deepest(BENT) < 0.001
+    assert deepest(smoothed(check_for_collisions=False)) < -0.001
+    kept = smoothed()
+    assert (kept.segments[0].poses == BENT.segments[0].poses).all()
 
 
 @pytest.mark.parametrize("context", WORLDS.values(), ids=WORLDS)
@@ -240,7 +286,7 @@ def test_a_simulation_names_a_mismatch(caplog):
 
 
 class _Done:
-    tolerances = None
+    name, tolerances = "done", None
 
     def reset(self):
         pass

@@ -31,6 +31,14 @@ def test_a_run_tells_its_final_error_in_the_frame_of_the_dock():
     assert rows["min clearance driven"] == "0.0200 m"
 
 
+def test_a_run_tells_what_every_goal_checker_said():
+    run = run_ending_at([1.0, 0.0, 0.2], docked=True, verdicts={"AxisGoalChecker": True, "DockGoalChecker": False})
+    rows = [(row.name, row.value) for row in run_rows(run)]
+    assert rows[1] == ("goal checkers", "AxisGoalChecker: reached, DockGoalChecker: not reached")
+    document = json.loads(run_json(run, 0))
+    assert document["goal_checkers"] == {"AxisGoalChecker": True, "DockGoalChecker": False}
+
+
 def test_a_run_that_failed_says_why_and_stays_strict_json():
     run = run_ending_at([0.5, 0.0, 0.0], docked=False, reason="timeout", min_clearance=math.inf)
     assert {row.name: row.value for row in run_rows(run)}["docked"] == "no: timeout"
@@ -42,7 +50,7 @@ def test_a_run_that_failed_says_why_and_stays_strict_json():
 
 
 def test_a_failure_takes_along_whatever_exists():
-    raw = Path.from_poses(np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0]]))
+    raw = Path.from_poses(np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0]]), "depot")
     error = NoValidPathCouldBeFound("no way", where={"s": 1.0})
     error.partial = PartialPlan(raw_path=raw, timing_ms={"plan": 1.5})
     plan = failed_plan_file(error, "depot")

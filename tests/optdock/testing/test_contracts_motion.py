@@ -6,12 +6,13 @@ import numpy as np
 import pytest
 from pydantic import Field
 
+from optdock.behaviors._collision import CollisionGate
 from optdock.behaviors.drive import DriveOnHeading
 from optdock.controllers.tracking import TrackingController
 from optdock.costmap.costs import LETHAL
 from optdock.errors import ControllerException
 from optdock.geometry.pose import Twist2
-from optdock.interfaces import BehaviorResult, BehaviorStatus, Bounds, Layer
+from optdock.interfaces import BehaviorResult, BehaviorStatus, Bounds, CostmapInfoType, Layer
 from optdock.parameters import PluginParameters
 from optdock.path import Path
 from optdock.testing.contracts import BehaviorContract, ContractBroken, ControllerContract, LayerContract
@@ -58,7 +59,7 @@ class HalfOfPaths(Tracking):
 
 
 class Unlimited(Tracking):
-    def set_speed_limit(self, limit, *, percentage):
+    def set_speed_limit(self, limit, percentage):
         pass
 
 
@@ -175,6 +176,15 @@ class Blind(DriveOnHeading):
         return super().on_run({**command, "disable_collision_checks": True})
 
 
+class Shortsighted(DriveOnHeading):
+    """Asks for the global costmap and looks at the local one."""
+
+    resource_info = CostmapInfoType.GLOBAL
+
+    def _gate(self):
+        return CollisionGate(self.context, 0.0, CostmapInfoType.LOCAL)
+
+
 def test_every_gate_of_behaviors_can_fail(every_gate):
     broken = {
         "test_it_says_which_costmaps_it_needs": type("Broken", (DriveOnHeading,), {"resource_info": "local"}),
@@ -186,6 +196,7 @@ def test_every_gate_of_behaviors_can_fail(every_gate):
         "test_numbers_in_commands_are_finite": TakesNan,
         "test_it_gives_up_when_its_time_is_over": Patient,
         "test_it_does_not_drive_into_obstacles": Blind,
+        "test_it_sees_the_costmap_that_it_asks_for": Shortsighted,
     }
     sample = {
         "needs_context": True,

@@ -73,3 +73,16 @@ def test_what_is_kept_keeps_nothing_alive():
     del path, task
     gc.collect()
     assert [one() for one in gone] == [None, None]
+
+
+def test_a_certified_proof_that_was_cut_short_serves_who_is_in_a_hurry(proofs):
+    curve = ClothoidSpline(Pose2(0.0, -1.2, 0.0), np.array([0.0, 3.0]), np.array([0.4, -0.4]))
+    path = Path((ClothoidSegment(curve),))
+    task = problem(path)
+    hurried = certify_path(path, task, is_late=lambda: True)
+    assert hurried.certified
+    assert certify_path(path, task, is_late=lambda: True) is hurried
+    whole = certify_path(path, task)
+    assert whole.min_clearance > hurried.min_clearance + 0.001
+    assert certify_path(path, task, is_late=lambda: True) is whole
+    assert len(proofs) == 2
