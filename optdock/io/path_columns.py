@@ -20,7 +20,7 @@ from optdock.path import ClothoidSegment, Direction, Path, PolylineSegment, Segm
 if TYPE_CHECKING:
     from optdock.geometry.arrays import FloatArray
 
-__all__ = ["PathColumns", "path_columns", "path_from_columns"]
+__all__ = ["Number", "PathColumns", "path_columns", "path_from_columns"]
 
 # Samples of an exact path may differ from it by this much [m, rad].
 AGREEMENT = 1e-6
