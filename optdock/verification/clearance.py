@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from optdock.verification.half_cells import HalfCells, half_cell_bounds, pose_clearances
+from optdock.verification.kept_proofs import never
 from optdock.verification.motion import PathMotion
 
 if TYPE_CHECKING:
@@ -25,7 +26,7 @@ if TYPE_CHECKING:
     from optdock.verification.half_cells import HalfBounds
     from optdock.verification.motion import CellEnds, CellMotion, Cells, Nodes
 
-__all__ = ["ClearanceProof", "never", "prove_clearance"]
+__all__ = ["ClearanceProof", "prove_clearance"]
 
 TOLERANCE = 1e-6  # [m], accepted shortfall; covers rounding where contact is allowed
 SHARPNESS = 1e-3  # [m]: the reported minimum is at most this far below a clearance that occurs
@@ -35,11 +36,6 @@ _CHEAP = 48  # cells: a round of fewer takes hardly less time, so few open ones 
 _MAX_POSES = 60_000  # added by refinement
 _WORTHWHILE = 0.7  # of the obstacles: where more are near, leaving out the rest costs more than it saves
 _CROP = 1.0  # [m]: obstacles further from the swept area than this are looked at only when nothing is as near
-
-
-def never() -> bool:
-    """There is no deadline."""
-    return False
 
 
 class ClearanceProof(NamedTuple):

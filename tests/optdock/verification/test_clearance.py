@@ -20,7 +20,8 @@ from optdock.path import ClothoidSegment, Direction, Path, PolylineSegment
 from optdock.problem import ClearanceRule, DockingProblem
 from optdock.robot import Robot
 from optdock.verification import certify_path, pose_clearance
-from optdock.verification.clearance import _Prover, never
+from optdock.verification.clearance import _Prover
+from optdock.verification.kept_proofs import never
 from optdock.verification.motion import PathMotion
 from optdock.verification.seams import joined_bodies
 
