@@ -41,6 +41,7 @@ __all__ = [
 
 
 _MAX_CIRCLES = 3  # that stand for a body before it is looked at exactly
+_NEARBY = 1.0  # [m]: obstacles further than this are looked at only when nothing is as near
 _NEAREST = 8  # obstacles of a pose that are looked at first
 _MAX_PAIRS = 300_000  # of a stretch and an obstacle looked at in one go; bounds the memory
 
@@ -234,6 +235,19 @@ def pose_clearances(
         obstacles: May be empty.
         within: Where no obstacle is closer than this [m] the answer is (within, -1).
     """
+    reach = footprint.circumscribed_radius + min(within, _NEARBY)
+    rows = obstacles.rows_in_box(poses[:, :2].min(axis=0) - reach, poses[:, :2].max(axis=0) + reach)
+    if rows.size < 0.5 * len(obstacles):
+        best, found = _nearest(poses, footprint, obstacles.subset(rows), within)
+        # What was left out is at least that far away.
+        if within <= _NEARBY or bool(np.all(best <= _NEARBY)):
+            return best, np.where(found >= 0, rows[found], -1) if rows.size else found
+    return _nearest(poses, footprint, obstacles, within)
+
+
+def _nearest(
+    poses: FloatArray, footprint: Footprint, obstacles: ObstacleSet, within: float
+) -> tuple[FloatArray, IntArray]:
     n, m = len(poses), len(obstacles)
     best: FloatArray = np.full(n, float(within))
     row: IntArray = np.full(n, -1)
