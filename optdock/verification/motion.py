@@ -168,7 +168,7 @@ def _polyline_bounds(segment: PolylineSegment, cells: Cells) -> CellMotion:
 def _clothoid_bounds(segment: ClothoidSegment, cells: Cells, first: FloatArray, last: FloatArray) -> CellMotion:
     width = cells.last - cells.first
     piece = np.searchsorted(segment.knots, 0.5 * (cells.first + cells.last)) - 1
-    rate = (np.diff(segment.spline.curvature) / np.diff(segment.knots))[piece]
+    rate = segment.spline.curvature_rates[piece]
     at_first = segment.spline.curvature[piece] + rate * (cells.first - segment.knots[piece])
     at_last = at_first + rate * width
     turn = np.maximum(np.abs(at_first), np.abs(at_last))
