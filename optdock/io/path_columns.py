@@ -1,11 +1,13 @@
 """Paths as columns of numbers: how plan files hold them.
 
 The samples alone make a polyline. Where the exact curves stand beside them (`segments`), they are the path, and the
-samples must lie on it.
+samples must lie on it. A program that rounds all numbers of a file rounds those of the curves too, and they miss their
+samples and their goal; then the samples are the path.
 """
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Annotated, Literal, TypeAlias
 
@@ -19,12 +21,17 @@ from optdock.path import ClothoidSegment, Direction, Path, PolylineSegment, Segm
 from optdock.verification.samples import half_unit
 
 if TYPE_CHECKING:
+    from collections.abc import Iterator, Sequence
+
     from optdock.geometry.arrays import FloatArray
 
 __all__ = ["Number", "PathColumns", "path_columns", "path_from_columns"]
 
+logger = logging.getLogger(__name__)
+
 # Samples of an exact path may differ from it by this much [m, rad].
 AGREEMENT = 1e-6
+_ROUNDED = 1e-4  # [m, rad]: where rounded curves may end beside their last sample
 _STILL = 1e-9  # [m]: shorter steps carry no direction
 _ALIGNED = 0.05  # sine of the angle between motion and heading; wheels roll within it
 
@@ -109,8 +116,29 @@ def path_from_columns(columns: PathColumns, name: str) -> Path:
         _check_directions(columns, poses, name)
         return Path.from_poses(poses)
     path = Path(tuple(_segment(curve) for curve in columns.segments))
-    _check_agreement(columns, poses, path, name)
+    try:
+        _check_agreement(columns, poses, path, name)
+    except InvalidFile as error:
+        if not _are_rounded(columns.segments, path, poses):
+            raise
+        logger.warning("%s; the segments are rounded, so the samples count", error)
+        return path_from_columns(columns.model_copy(update={"segments": None}), name)
     return path
+
+
+def _are_rounded(curves: Sequence[_Clothoid | _Polyline], path: Path, poses: FloatArray) -> bool:
+    """Whether all numbers of the curves have at most six decimals, and no more than that keeps them off the samples."""
+    numbers = np.fromiter((number for curve in curves for number in _numbers(curve)), dtype=np.float64)
+    ends = np.stack((path.start.as_array(), path.end.as_array())) - poses[[0, -1]]
+    ends[:, 2] = np.remainder(ends[:, 2] + np.pi, 2.0 * np.pi) - np.pi
+    return bool(np.array_equal(np.round(numbers, 6), numbers) and np.max(np.abs(ends)) <= _ROUNDED)
+
+
+def _numbers(curve: _Clothoid | _Polyline) -> Iterator[float]:
+    if isinstance(curve, _Clothoid):
+        yield from (*curve.start, *curve.knots, *curve.curvature)
+    else:
+        yield from (number for pose in curve.poses for number in pose)
 
 
 def _segment(curve: _Clothoid | _Polyline) -> Segment:

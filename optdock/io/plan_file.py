@@ -317,7 +317,10 @@ def _time_law(document: _TrajectoryDocument | None) -> TimeLaw | None:
     if document is None or document.phases is None:
         return None
     phases = document.phases
+    durations, jerks = np.array(phases.durations), np.array(phases.jerks)
+    if durations.size == jerks.size:  # rounding may have made nothing of a short phase
+        durations, jerks = durations[durations != 0.0], jerks[durations != 0.0]
     try:
-        return TimeLaw(np.array(phases.durations), np.array(phases.jerks), *phases.start)
+        return TimeLaw(durations, jerks, *phases.start)
     except InvalidValue as error:
         raise InvalidFile(f"trajectory.phases: {error}") from error

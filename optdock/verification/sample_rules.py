@@ -13,7 +13,7 @@ import numpy as np
 from optdock.path import ClothoidSegment, PolylineSegment
 from optdock.verification.certificate import Violation
 from optdock.verification.sample_places import step_lengths
-from optdock.verification.samples import half_unit
+from optdock.verification.samples import EXACT, half_unit
 from optdock.verification.trajectory_cells import SAMPLED_RTOL
 
 if TYPE_CHECKING:
@@ -177,10 +177,10 @@ def _curved(judged: Judged, limits: MotionLimits, bends: _Bends, v: FloatArray) 
 
 
 def _yaw_accelerations(judged: Judged, bends: _Bends) -> tuple[FloatArray, FloatArray]:
-    """The smallest and the largest a k + v^2 r that path and numbers allow, Shape (n,) each."""
+    """The smallest and the largest a k + v^2 r that path and numbers allow, k and r to 1e-6. Shape (n,) each."""
     k, r, v, rounding = bends.curvature, bends.rate, judged.v, judged.rounding
     rough = rounding.acceleration * np.abs(k) + (2.0 * np.abs(v) + rounding.speed) * rounding.speed * np.abs(r)
-    rough = rough + judged.slack * np.abs(judged.a * r)
+    rough = rough + judged.slack * np.abs(judged.a * r) + EXACT * (np.abs(judged.a) + v**2)
     value = judged.a * k + v**2 * r
     return (value - rough).min(axis=0), (value + rough).max(axis=0)
 
@@ -189,7 +189,7 @@ def _ties(judged: Judged, bends: _Bends) -> Iterator[Violation]:
     """Yaw rate is speed times curvature, yaw acceleration its rate of change."""
     motion, rounding = judged.motion, judged.rounding
     low, high = _curvature_range(judged, bends)
-    noise = _noise(judged)
+    noise = _noise(judged) + EXACT
     low, high = low - noise, high + noise
     ends = np.array([v * k for v in (judged.v - rounding.speed, judged.v + rounding.speed) for k in (low, high)])
     off = np.maximum(ends.min(axis=0) - motion.yaw_rate, motion.yaw_rate - ends.max(axis=0)) - rounding.yaw_rate
