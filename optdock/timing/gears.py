@@ -98,12 +98,19 @@ def _proven(
         result = _result(path, plans, (speed, acceleration))
         if result.status is not TimingStatus.OK or result.trajectory is None:
             return result
+        proof = certify_trajectory(
+            result.trajectory,
+            limits,
+            zone,
+            start_speed=speed,
+            start_acceleration=acceleration,
+            is_late=deadline.passed,
+        )
+        if proof.certified:
+            return replace(result, worst_ratio=max(proof.ratios.values()))
         if deadline.passed():
             reason = "the time was up before the motion was proven"
             return replace(result, status=TimingStatus.TIMED_OUT, trajectory=None, reason=reason)
-        proof = certify_trajectory(result.trajectory, limits, zone, start_speed=speed, start_acceleration=acceleration)
-        if proof.certified:
-            return replace(result, worst_ratio=max(proof.ratios.values()))
         first = proof.violations[0]
         i = int(np.clip(np.searchsorted(path.segment_starts, first.s, side="right") - 1, 0, len(plans) - 1))
         plans[i] = best_of(itertools.chain(gears[i], [_refused(plans[i], first)]))

@@ -218,12 +218,13 @@ class _Peak(NamedTuple):
 
 def _stretch_peaks(trajectory: Trajectory, limits: MotionLimits, zone: SpeedZone) -> Iterator[_Peak]:
     law = trajectory.time_law
-    found = _speed_extremes(law)
-    for begin, end, limit in _segment_limits(trajectory, limits, zone):
-        entry = crossings(law, np.array([begin, end]))
+    found, stretches = _speed_extremes(law), _segment_limits(trajectory, limits, zone)
+    entries = crossings(law, stretches[:, :2].ravel())
+    entry_times, entry_states = entries.times(law).reshape(-1, 2), entries.motion(law)[:, :2].reshape(-1, 2, 2)
+    for (begin, end, limit), when, states in zip(stretches, entry_times, entry_states, strict=True):
         inside = (found.s >= begin) & (found.s <= end)
-        t = np.concatenate((found.t[inside], entry.times(law)))
-        s, v = np.concatenate((np.column_stack((found.s, found.v))[inside], entry.motion(law)[:, :2])).T
+        t = np.concatenate((found.t[inside], when))
+        s, v = np.concatenate((np.column_stack((found.s, found.v))[inside], states)).T
         k = int(np.argmax(v))
         yield _Peak(float(limit), float(v[k]), float(t[k]), float(s[k]))
 
