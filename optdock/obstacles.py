@@ -133,7 +133,13 @@ class ObstacleSet:
     @classmethod
     def from_footprint(cls, footprint: Footprint, pose: Pose2, name: str) -> ObstacleSet:
         """The pieces of a footprint standing at a pose."""
-        pieces = [transform_points(pose.as_array()[None], body.vertices)[0] for body in footprint.bodies]
+        return cls.from_pieces(
+            [transform_points(pose.as_array()[None], body.vertices)[0] for body in footprint.bodies], name
+        )
+
+    @classmethod
+    def from_pieces(cls, pieces: Sequence[FloatArray], name: str) -> ObstacleSet:
+        """Convex counter-clockwise pieces, Shape (n, 2) [m] each, of one thing called `name`."""
         return cls._padded(pieces, (name,), np.zeros(len(pieces), dtype=np.int64))
 
     @classmethod

@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from optdock.path import Path as DockPath
     from optdock.problem import DockingProblem
     from optdock.trajectory import TimeLaw
+    from optdock.verification import SampledMotionVerdict
 
 __all__ = ["certify"]
 
@@ -49,7 +50,7 @@ class _Motion(NamedTuple):
 
 def _judged(plan: PlanFile, problem: DockingProblem) -> list[str]:
     """Every broken rule, printed with what was proven and what the file does not say."""
-    from optdock.cli.plan_claims import false_claims
+    from optdock.cli.plan_claims import false_claims, proven_against
     from optdock.report import certificate_rows, table
     from optdock.verification import certify_path
 
@@ -60,10 +61,11 @@ def _judged(plan: PlanFile, problem: DockingProblem) -> list[str]:
     certificate = certify_path(plan.path, problem)
     motion = _motion(plan, plan.path, problem)
     faults = [*(violation.message for violation in certificate.violations), *motion.faults]
-    claims = false_claims(plan, certificate)
+    claims, made_for = false_claims(plan, certificate), proven_against(plan, certificate)
     rows = [
         ("verdict", "not certified" if faults else motion.verdict),
         *certificate_rows(certificate),
+        *((("file proven for", made_for),) if made_for else ()),
         *(("false claim", claim) for claim in claims),
         ("motion", motion.row),
         *(("violation", fault) for fault in faults),
@@ -85,17 +87,26 @@ def _motion(plan: PlanFile, path: DockPath, problem: DockingProblem) -> _Motion:
 def _exact(motion: TrajectoryColumns, path: DockPath, law: TimeLaw, problem: DockingProblem) -> _Motion:
     """The proof of the phases, and whether the samples are those of them."""
     from optdock.trajectory import Trajectory
-    from optdock.verification import certify_trajectory, sample_disagreements
+    from optdock.verification import certify_trajectory, check_samples_of
 
     trajectory = Trajectory(path, law)
     proof = certify_trajectory(
         trajectory, problem.robot.limits, problem.dock.approach, start_speed=abs(problem.start_speed)
     )
-    faults = [violation.message for violation in (*proof.violations, *sample_disagreements(motion, trajectory))]
+    samples = check_samples_of(trajectory, motion, problem)
+    faults = [violation.message for violation in (*proof.violations, *samples.violations)]
     said = f"{law.durations.size} phases, {law.duration:.3f} s"
     if faults:
         return _Motion("not certified", f"{said}, refuted", faults)
-    return _Motion("certified", f"{said}, certified; {motion.t.size} samples agree with them", [])
+    return _Motion("certified", f"{said}, certified; {samples.samples} samples agree with them{_beside(samples)}", [])
+
+
+def _beside(verdict: SampledMotionVerdict) -> str:
+    """What is said of samples that lie beside the path."""
+    if not verdict.off_path:
+        return ""
+    apart, turned = verdict.offset
+    return f", with poses up to {apart:.2g} m and {turned:.2g} rad off it, which its clearance covers"
 
 
 def _sampled(motion: TrajectoryColumns, path: DockPath, problem: DockingProblem) -> _Motion:
@@ -108,12 +119,8 @@ def _sampled(motion: TrajectoryColumns, path: DockPath, problem: DockingProblem)
         return _Motion("not certified", f"{verdict.samples} samples, refuted", faults)
     units = {"speed": "m/s", "acceleration": "m/s^2", "place": "m", "yaw rate": "rad/s"}
     open_ = ", ".join(f"{name} to within {bound:.2g} {units[name]}" for name, bound in verdict.unproven.items())
-    off = ""
-    if verdict.off_path:
-        apart, turned = verdict.offset
-        off = f"; poses up to {apart:.2g} m and {turned:.2g} rad off the path, which its clearance covers"
     row = (
-        f"{verdict.samples} samples agree with each other, the path and the limits{off}; between samples "
+        f"{verdict.samples} samples agree with each other, the path and the limits{_beside(verdict)}; between samples "
         f"({1e3 * verdict.step:.3g} ms) unproven: the jerk, and if it keeps its limit {open_}"
     )
     return _Motion("path certified, motion not refuted", row, [])

@@ -16,6 +16,7 @@ from optdock.errors import InvalidFile
 from optdock.geometry.clothoid import ClothoidSpline
 from optdock.geometry.pose import Pose2
 from optdock.path import ClothoidSegment, Direction, Path, PolylineSegment, Segment
+from optdock.verification.samples import half_unit
 
 if TYPE_CHECKING:
     from optdock.geometry.arrays import FloatArray
@@ -135,7 +136,10 @@ def _check_arc_length(columns: PathColumns, poses: FloatArray, name: str) -> Non
     if abs(columns.s[0]) > AGREEMENT:
         raise InvalidFile(f"{name}.s: must start at 0 m, got {columns.s[0]}")
     chord = np.hypot(np.diff(poses[:, 0]), np.diff(poses[:, 1]))
-    short = np.flatnonzero(np.diff(columns.s) < chord - 2.0 * AGREEMENT)
+    rounding = AGREEMENT
+    if not columns.segments:  # samples are all there is, and may be rounded
+        rounding = half_unit(np.array(columns.s)) + np.sqrt(2.0) * half_unit(poses[:, 0], poses[:, 1])
+    short = np.flatnonzero(np.diff(columns.s) < chord - 2.0 * rounding)
     if short.size:
         i = int(short[0])
         step = columns.s[i + 1] - columns.s[i]

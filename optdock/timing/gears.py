@@ -72,7 +72,7 @@ def time_path(
     began = whole.elapsed, time.thread_time()
     courses = courses_of(path, limits, zone)
     # Of two clocks the smaller: one counts while the machine does something else, the other may tick coarsely.
-    allowance = Allowance.within(whole, min(whole.elapsed - began[0], time.thread_time() - began[1]))
+    allowance = Allowance(whole, min(whole.elapsed - began[0], time.thread_time() - began[1]))
     gears, plans = [], []
     state = State(0.0, *start)
     for course in courses:

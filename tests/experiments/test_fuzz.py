@@ -234,6 +234,15 @@ def _drawn(name, number):
     return KINDS["paths"].draw(rng_of("paths", SEEDS[name], number))
 
 
+def test_a_campaign_counts_its_cases_and_ends_by_count(tmp_path):
+    command = ["-m", "experiments.fuzz", "--kinds", "trajectories", "--count", "9", "--jobs", "2", "--seed", "0"]
+    done = subprocess.run(
+        [sys.executable, *command, "--out", str(tmp_path)], cwd=ROOT, capture_output=True, text=True, check=False
+    )
+    assert "trajectories: 9 cases" in done.stdout, done.stderr
+    assert done.returncode == (1 if list(tmp_path.iterdir()) else 0)
+
+
 def test_unknown_kinds_are_refused(capsys):
     assert main(["--kinds", "paths,pathes"]) == 2
     assert "pathes" in capsys.readouterr().err
