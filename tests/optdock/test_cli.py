@@ -480,6 +480,10 @@ time_budget: 5.0
 def test_a_run_that_touches_the_walls_ends_with_status_3_although_it_docks():
     noise = ("--position-noise", "0.03", "--yaw-noise", "0.05")
     assert run("simulate", write(CORRIDOR)).exit_code == 0
+    watched = run("simulate", "bay.yaml", *noise)
+    assert watched.exit_code == 3
+    assert "NoValidControl: TrackingController: collision ahead" in watched.stderr or "collided" in watched.stderr
+    write(CORRIDOR + "controller: {use_collision_detection: false}\n")
     result = run("simulate", "bay.yaml", "--out", "run.json", *noise)
     assert result.exit_code == 3
     assert result.stderr.startswith("collided: the footprint went 0.0")
