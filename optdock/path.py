@@ -17,7 +17,7 @@ import numpy as np
 from optdock.errors import InvalidPath
 from optdock.fingerprint import digest
 from optdock.geometry.arrays import frozen_array, readonly
-from optdock.geometry.pose import Pose2, unwrap_yaw
+from optdock.geometry.pose import Pose2, check_range, unwrap_yaw
 from optdock.segments import (
     SAME_POSITION,
     SAME_YAW,
@@ -50,7 +50,7 @@ class Path:
         segment_starts: Arc length at which each segment begins, and the total: Shape (number of segments + 1,) [m].
 
     Raises:
-        InvalidPath: No segment, or a frame that is no name.
+        InvalidPath: No segment, one that is neither a clothoid nor a polyline segment, or a frame that is no name.
     """
 
     segments: tuple[Segment, ...]
@@ -58,11 +58,16 @@ class Path:
     segment_starts: FloatArray = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
+        object.__setattr__(self, "segments", tuple(self.segments))
         if not self.segments:
             raise InvalidPath("path: has no segment")
         if not isinstance(self.frame, str):
             raise InvalidPath(f"path.frame: must be a name, got {self.frame!r}")
-        object.__setattr__(self, "segments", tuple(self.segments))
+        for i, segment in enumerate(self.segments):
+            # Subclasses too: what overrides a curve's poses is another curve, of which nothing is known.
+            if type(segment) not in (ClothoidSegment, PolylineSegment):
+                found = type(segment).__name__
+                raise InvalidPath(f"path: segment {i} must be a ClothoidSegment or a PolylineSegment, got {found}")
         lengths = [segment.length for segment in self.segments]
         object.__setattr__(self, "segment_starts", readonly(np.concatenate(([0.0], np.cumsum(lengths)))))
 
@@ -77,12 +82,13 @@ class Path:
             frame: Name of their coordinate frame.
 
         Raises:
-            InvalidPath: Fewer than two distinct poses, or a value that is not finite.
+            InvalidPath: Fewer than two distinct poses, a value that is not finite, or one out of range.
         """
         if not isinstance(poses, np.ndarray):
             poses = np.array([pose.as_array() if isinstance(pose, Pose2) else pose for pose in poses])
         try:
             array = np.array(frozen_array(poses, "path", columns=3))
+            check_range(array, "path")
         except ValueError as error:
             raise InvalidPath(str(error)) from error
         array[:, 2] = unwrap_yaw(array[:, 2])
@@ -187,12 +193,12 @@ def may_be_one_frame(first: str, second: str) -> bool:
 
 
 def _definition(segment: Segment) -> tuple[ArrayLike, ...]:
-    """The numbers that define a segment; those of a kind that is not known are its poses at its knots."""
+    """The numbers that define a segment."""
     if isinstance(segment, ClothoidSegment):
         spline = segment.spline
         return spline.start.as_array(), spline.knots, spline.curvature, spline.sign
-    poses = segment.poses if isinstance(segment, PolylineSegment) else segment.poses_at(segment.knots)
-    return poses, int(segment.direction)
+    assert isinstance(segment, PolylineSegment)  # a path holds no other kind
+    return segment.poses, int(segment.direction)
 
 
 def _first_pose(segment: Segment) -> FloatArray:

@@ -309,7 +309,15 @@ class _Run:
             raise CertificationFailed(message, where={"kind": "path"})
         speed = abs(self.problem.start_speed)
         proof = self._timed(
-            "certify", lambda: certify_trajectory(trajectory, robot.limits, dock.approach, start_speed=speed)
+            "certify",
+            lambda: certify_trajectory(
+                trajectory,
+                robot.limits,
+                dock.approach,
+                start_speed=speed,
+                start_acceleration=0.0,
+                is_late=deadline.passed,
+            ),
         )
         if not proof.certified:
             if deadline.passed() and all(violation.kind == "unproven" for violation in proof.violations):

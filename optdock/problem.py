@@ -11,16 +11,17 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from optdock.costmap.cell_obstacles import mapped_obstacles
+from optdock.costmap.costmap import Costmap
+from optdock.dock import Dock
 from optdock.errors import InvalidValue
 from optdock.fingerprint import ProblemFingerprint, digest
+from optdock.geometry.checked import finite_number, instance, number
+from optdock.geometry.pose import Pose2
 from optdock.obstacles import ObstacleSet
+from optdock.robot import Robot
 
 if TYPE_CHECKING:
-    from optdock.costmap.costmap import Costmap
-    from optdock.dock import Dock
     from optdock.geometry.arrays import FloatArray
-    from optdock.geometry.pose import Pose2
-    from optdock.robot import Robot
 
 __all__ = ["ClearanceRule", "DockingProblem"]
 
@@ -47,7 +48,8 @@ class ClearanceRule:
 
     def __post_init__(self) -> None:
         for name in ("required", "at_dock", "taper"):
-            value = getattr(self, name)
+            value = number(getattr(self, name), f"clearance.{name}")
+            object.__setattr__(self, name, value)
             if not (math.isfinite(value) and value >= 0.0):
                 raise InvalidValue(f"clearance.{name}: must be finite and >= 0 m, got {value}")
         if self.at_dock > self.required:
@@ -91,7 +93,7 @@ class DockingProblem:
         all_obstacles: The obstacles, the cells of the costmap, and the station last.
 
     Raises:
-        InvalidValue: start_speed or start_curvature is not finite.
+        InvalidValue: start_speed or start_curvature is not finite, or a part is of another class.
     """
 
     start: Pose2
@@ -107,10 +109,7 @@ class DockingProblem:
     all_obstacles: ObstacleSet = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
-        if not math.isfinite(self.start_speed):
-            raise InvalidValue(f"start.speed: must be finite, got {self.start_speed}")
-        if self.start_curvature is not None and not math.isfinite(self.start_curvature):
-            raise InvalidValue(f"start.curvature: must be finite, got {self.start_curvature}")
+        self._check_parts()
         everything = self.obstacles
         if self.costmap is not None:
             # A grid that can be written could change under the proof.
@@ -121,6 +120,24 @@ class DockingProblem:
         if self.dock.footprint is not None:
             everything = everything + ObstacleSet.from_footprint(self.dock.footprint, self.dock.pose, "dock")
         object.__setattr__(self, "all_obstacles", everything)
+
+    def _check_parts(self) -> None:
+        parts = (
+            (Pose2, "start"),
+            (Dock, "dock"),
+            (Robot, "robot"),
+            (ObstacleSet, "obstacles"),
+            (ClearanceRule, "clearance"),
+            (str, "frame"),
+            (bool, "unknown_is_obstacle"),
+        )
+        for kind, name in parts:
+            instance(kind, getattr(self, name), f"problem.{name}")
+        if self.costmap is not None:
+            instance(Costmap, self.costmap, "problem.costmap")
+        object.__setattr__(self, "start_speed", finite_number(self.start_speed, "start.speed"))
+        if self.start_curvature is not None:
+            object.__setattr__(self, "start_curvature", finite_number(self.start_curvature, "start.curvature"))
 
     @property
     def goal(self) -> Pose2:

@@ -50,6 +50,7 @@ def plan_file(plan: DockPlan, frame: str, period: float) -> PlanFile:
         raw_path=plan.raw_path,
         path=plan.path,
         trajectory=TrajectoryColumns.from_trajectory(plan.trajectory, period),
+        time_law=plan.trajectory.time_law,
         certificate=certificate,
         timing_ms=plan.timing_ms,
     )

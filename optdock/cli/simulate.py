@@ -123,7 +123,12 @@ def driven(scenario: Scenario, plan: DockPlan, seed: int, world: World = _USUAL)
 
 
 def _checked(world: World) -> World:
+    from optdock.io.units import unit_fault
+
     for name, value in world._asdict().items():
         if not (math.isfinite(value) and value >= 0.0):
             raise InvalidValue(f"--{name.replace('_', '-')}: must be finite and >= 0, got {value}")
+    fault = unit_fault(world.yaw_noise, "rad")
+    if fault:
+        raise InvalidValue(f"--yaw-noise: {fault}")
     return world

@@ -9,7 +9,8 @@ import numpy as np
 
 from optdock.errors import InvalidValue
 from optdock.geometry.arrays import frozen_array, readonly
-from optdock.geometry.pose import Pose2
+from optdock.geometry.checked import finite_number, instance
+from optdock.geometry.pose import Pose2, check_range
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike
@@ -52,7 +53,8 @@ class ClothoidSpline:
         sign: +1 forward, -1 reverse.
 
     Raises:
-        InvalidValue: Shapes differ, knots do not increase from 0, a value is not finite, or sign is not +-1.
+        InvalidValue: Shapes differ, knots do not increase from 0, a value is not finite, sign is not +-1, or the curve
+            leads beyond 1e8 m or 1e6 rad, or turns within a distance that floats cannot resolve.
     """
 
     start: Pose2
@@ -71,12 +73,19 @@ class ClothoidSpline:
             raise InvalidValue(f"clothoid: needs >= 2 knots, each with a curvature, got {knots.size}, {curvature.size}")
         if knots[0] != 0.0 or not np.all(np.diff(knots) > 0.0):
             raise InvalidValue("clothoid.knots: must start at 0 and increase strictly")
-        if self.sign not in (1, -1):
+        sign = finite_number(self.sign, "clothoid.sign")
+        if sign not in (1.0, -1.0):
             raise InvalidValue(f"clothoid.sign: must be 1 or -1, got {self.sign}")
+        object.__setattr__(self, "sign", int(sign))
+        instance(Pose2, self.start, "clothoid.start")
         breaks = _refined_breaks(knots, curvature)
+        if not np.all(np.diff(breaks) > 0.0):
+            raise InvalidValue("clothoid: turns within a distance that floats cannot resolve")
         for name, value in (("knots", knots), ("curvature", curvature), ("_breaks", readonly(breaks))):
             object.__setattr__(self, name, value)
-        object.__setattr__(self, "_break_states", readonly(self._integrate_breaks()))
+        states = self._integrate_breaks()
+        check_range(states, "clothoid")
+        object.__setattr__(self, "_break_states", readonly(states))
 
     def _integrate_breaks(self) -> FloatArray:
         steps = np.diff(self._breaks)

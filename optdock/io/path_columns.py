@@ -16,15 +16,17 @@ from optdock.errors import InvalidFile
 from optdock.geometry.clothoid import ClothoidSpline
 from optdock.geometry.pose import Pose2
 from optdock.path import ClothoidSegment, Direction, Path, PolylineSegment, Segment
+from optdock.verification.samples import half_unit
 
 if TYPE_CHECKING:
     from optdock.geometry.arrays import FloatArray
 
-__all__ = ["PathColumns", "path_columns", "path_from_columns"]
+__all__ = ["Number", "PathColumns", "path_columns", "path_from_columns"]
 
 # Samples of an exact path may differ from it by this much [m, rad].
 AGREEMENT = 1e-6
 _STILL = 1e-9  # [m]: shorter steps carry no direction
+_ALIGNED = 0.05  # sine of the angle between motion and heading; wheels roll within it
 
 Gear: TypeAlias = Literal[1, -1]
 # Numbers beyond this are no plan of anything; a polyline that turns in place has this curvature.
@@ -102,6 +104,7 @@ def path_from_columns(columns: PathColumns, name: str) -> Path:
     _check_lengths(columns, name)
     poses = np.column_stack((columns.x, columns.y, columns.yaw))
     _check_arc_length(columns, poses, name)
+    _check_radians(poses, name)
     if not columns.segments:
         _check_directions(columns, poses, name)
         return Path.from_poses(poses)
@@ -133,11 +136,33 @@ def _check_arc_length(columns: PathColumns, poses: FloatArray, name: str) -> Non
     if abs(columns.s[0]) > AGREEMENT:
         raise InvalidFile(f"{name}.s: must start at 0 m, got {columns.s[0]}")
     chord = np.hypot(np.diff(poses[:, 0]), np.diff(poses[:, 1]))
-    short = np.flatnonzero(np.diff(columns.s) < chord - 2.0 * AGREEMENT)
+    rounding = AGREEMENT
+    if not columns.segments:  # samples are all there is, and may be rounded
+        rounding = half_unit(np.array(columns.s)) + np.sqrt(2.0) * half_unit(poses[:, 0], poses[:, 1])
+    short = np.flatnonzero(np.diff(columns.s) < chord - 2.0 * rounding)
     if short.size:
         i = int(short[0])
         step = columns.s[i + 1] - columns.s[i]
         raise InvalidFile(f"{name}.s: grows by {step:.6g} m over {chord[i]:.6g} m from sample {i} to {i + 1}")
+
+
+def _check_radians(poses: FloatArray, name: str) -> None:
+    """Yaws may have turned on beyond 2 pi; those that only as degrees point along the motion are in degrees."""
+    step = np.diff(poses[:, :2], axis=0)
+    moving = np.hypot(step[:, 0], step[:, 1]) > _STILL
+    if not moving.any() or np.max(np.abs(poses[:, 2])) <= 2.0 * np.pi:
+        return
+    way = np.arctan2(step[moving, 1], step[moving, 0])
+    ends = poses[:-1, 2][moving], poses[1:, 2][moving]
+    # Along the motion or against it, whichever gear that is.
+    in_radians, in_degrees = (
+        float(np.median(np.abs(np.sin(way - 0.5 * factor * (ends[0] + ends[1]))))) for factor in (1.0, np.pi / 180.0)
+    )
+    if in_degrees < _ALIGNED < in_radians:
+        worst = float(poses[np.argmax(np.abs(poses[:, 2])), 2])
+        raise InvalidFile(
+            f"{name}.yaw: {worst:g} is beyond 2 pi, and the robot moves along its yaws in degrees; write radians"
+        )
 
 
 def _check_directions(columns: PathColumns, poses: FloatArray, name: str) -> None:

@@ -71,11 +71,15 @@ class DockPlanner(GlobalPlanner):
 
         The path names that frame where a problem is configured, which says so.
 
-        It starts exactly at `start` and ends exactly at `goal`. Whether the robot fits there is not asked here.
+        It starts exactly at `start` and ends exactly at `goal`. With `check_free_space` both must lie on free cells of
+        the map; whether the whole robot fits there is asked by `plan_dock`, not here.
 
         Raises:
             LifecycleError: The planner is not configured. That is the caller's mistake: no other goal, retry or
                 recovery can help, so it is not a PlannerException.
+            PlannerException: `check_free_space` is on, and there is no costmap to check.
+            StartOutsideMapBounds: Also StartOccupied, GoalOutsideMapBounds, GoalOccupied: `check_free_space` is on, and
+                an end is not free.
             NoValidPathCouldBeFound: A rule of the method is broken; the message says in which step and by how much.
             PlannerCancelled: `cancel_checker` returned True.
         """
@@ -90,8 +94,7 @@ class DockPlanner(GlobalPlanner):
 
         Raises:
             LifecycleError: As `create_plan`.
-            NoValidPathCouldBeFound: As `create_plan`.
-            PlannerCancelled: As `create_plan`.
+            PlannerException: As `create_plan`, and all its children.
         """
         robot = self.context.footprint
         if self.state not in (LifecycleState.INACTIVE, LifecycleState.ACTIVE) or robot is None:

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 __all__ = ["Course", "CoursePoints", "Slowness", "course_of"]
 
 _EXACT_SPACING = 0.005  # [m]: a clothoid is exact between nodes, they only carry the checks
-_SAMPLED_SPACING = 0.002  # [m]: linear interpolation of another curve's curvature rate errs by spacing^2 k''' / 8
+_SAMPLED_SPACING = 0.002  # [m]: a polyline's curvature is that between its poses
 _MAX_NODES = 6000
 _LEFT_OF_NODE = 1e-7  # of a cell: where the curvature rate to the left of a node is read
 
@@ -185,7 +185,7 @@ def course_of(segment: Segment, drive: Slowness, zone_start: float, zone_speed: 
     """The course of one gear segment.
 
     Args:
-        segment: Clothoid spline, polyline or any other curve; its curvature is smooth between its knots.
+        segment: Clothoid spline or polyline.
         drive: Speed caps by curvature.
         zone_start: Where the speed zone begins in this segment; at or beyond its length: not here [m].
         zone_speed: Speed limit from there on [m/s].

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 import math
+import time
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
@@ -31,7 +32,6 @@ if TYPE_CHECKING:
 
 __all__ = ["courses_of", "time_path"]
 
-_RESERVE = 10.0  # times what the courses took: the windowed method and the proof; see the timing benchmark
 _NO_LENGTH = 1e-11  # [m]: the knots of a shorter gear are one
 
 
@@ -69,9 +69,10 @@ def time_path(
         return TimingResult(TimingStatus.FAIL, None, math.inf, reason=fault)
     if whole.passed():
         return TimingResult(TimingStatus.TIMED_OUT, None, reason=f"no time: max_time is {whole.seconds:.3g} s")
-    began = whole.elapsed
+    began = whole.elapsed, time.thread_time()
     courses = courses_of(path, limits, zone)
-    allowance = Allowance.within(whole, _RESERVE * (whole.elapsed - began))
+    # Of two clocks the smaller: one counts while the machine does something else, the other may tick coarsely.
+    allowance = Allowance(whole, min(whole.elapsed - began[0], time.thread_time() - began[1]))
     gears, plans = [], []
     state = State(0.0, *start)
     for course in courses:
@@ -81,7 +82,7 @@ def time_path(
             break
         state = State() if course is not None else state
         allowance = allowance if plans[-1].status is TimingStatus.OK else allowance.refused
-    return _proven(path, (limits, zone, start), gears, plans)
+    return _proven(path, (limits, zone, start), gears, plans, whole)
 
 
 def _proven(
@@ -89,6 +90,7 @@ def _proven(
     task: tuple[MotionLimits, SpeedZone, tuple[float, float]],
     gears: list[Iterator[GearPlan]],
     plans: list[GearPlan],
+    deadline: Deadline,
 ) -> TimingResult:
     """The result once every refused gear has another plan, or none is left."""
     limits, zone, (speed, acceleration) = task
@@ -96,6 +98,9 @@ def _proven(
         result = _result(path, plans, (speed, acceleration))
         if result.status is not TimingStatus.OK or result.trajectory is None:
             return result
+        if deadline.passed():
+            reason = "the time was up before the motion was proven"
+            return replace(result, status=TimingStatus.TIMED_OUT, trajectory=None, reason=reason)
         proof = certify_trajectory(result.trajectory, limits, zone, start_speed=speed, start_acceleration=acceleration)
         if proof.certified:
             return replace(result, worst_ratio=max(proof.ratios.values()))

@@ -27,9 +27,8 @@ from optdock.timing.start import GearPlan, arrived_plan, checked_plan, judged_pl
 from optdock.timing.windowed import plan_windows
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Callable, Iterator
 
-    from optdock.deadline import Deadline
     from optdock.timing.allowance import Allowance
     from optdock.timing.course import Course
 
@@ -66,14 +65,14 @@ def plan_gear(course: Course, start: State, settings: Settings, allowance: Allow
         try:
             if not settings.smooth:
                 yield from _if_ok(quick_plan(course, start))
-            yield from _references(course, start, settings, allowance.search, tried)
+            yield from _references(course, start, settings, allowance.search_is_over, tried)
         except OutOfTime:
             pass
     yield from _last_resort(course, start, tried, allowance)
 
 
 def _references(
-    course: Course, start: State, settings: Settings, search: Deadline, tried: list[_Tried]
+    course: Course, start: State, settings: Settings, is_late: Callable[[], bool], tried: list[_Tried]
 ) -> Iterator[GearPlan]:
     """Attempts, each tighter than the one before, as they are or stretched a little; `tried` gets the refused ones."""
     margins = Margins()
@@ -82,13 +81,13 @@ def _references(
     tightenings: tuple[Tightening, ...] = ()
     for retry in range(_RETRIES + 1 if expected_duration(course) <= _WORTH_RETRYING else 1):
         how = "reference" if retry == 0 else f"reference, retry {retry}"
-        found = attempt(Bounds(course, margins, relief, tightenings), start, settings, search.passed)
+        found = attempt(Bounds(course, margins, relief, tightenings), start, settings, is_late)
         if found is None:
             return
         motion = Motion.of(start, found.phases)
         if found.sound:
             yield from _if_ok(arrived_plan(course, motion, how))
-        look(search.passed)
+        look(is_late)
         tried.append(_Tried(found.phases, worst_ratio(course, motion), found))
         yield from _repaired(course, start, tried[-1], margins, how)
         tightenings += _tightened(tried[-1])

@@ -177,7 +177,7 @@ def _stop_and_go(course: Course, brake: Motion, plan: GearPlanner, allowance: Al
     motion = Motion.of(brake.start, phases)
     worst = worst_ratio(course, motion)
     if motion.end.s < course.length - _CLOSE:
-        look(allowance.last.passed)
+        look(allowance.is_over)
         reason = "no plan from rest after full braking"
         return GearPlan(TimingStatus.FAIL, phases, worst.ratio, 0.0, "stop", reason, s=course.begin + motion.end.s)
     if worst.ratio <= _KEPT:

@@ -104,7 +104,7 @@ def plan_windows(
     Raises:
         OutOfTime: Before anything was found.
     """
-    yield _planned(course, start, allowance.last.passed, parameters)
+    yield _planned(course, start, allowance.is_over, parameters)
 
 
 def _planned(course: Course, start: State, is_late: Callable[[], bool], parameters: WindowedParameters) -> GearPlan:

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import weakref
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING
 
 from optdock.verification.certificate import Certificate, Violation
-from optdock.verification.clearance import never, prove_clearance
+from optdock.verification.clearance import prove_clearance
+from optdock.verification.kept_proofs import KeptProofs, never
 from optdock.verification.path_rules import max_curvature, max_curvature_rate, path_violations
 
 if TYPE_CHECKING:
@@ -45,37 +46,10 @@ def certify_path(path: Path, problem: DockingProblem, *, is_late: Callable[[], b
     Returns:
         The certificate; `certified` is True only if everything was proven.
     """
-    known = _PROVEN.get(path)
-    if known is not None and known.problem() is problem and (known.is_whole or is_late is not never):
-        return known.certificate
-    watch = _Watch(is_late)
-    certificate = _judged(path, problem, watch)
-    if certificate.certified or not watch.was_late:
-        _PROVEN[path] = _Proven(weakref.ref(problem), certificate, is_whole=not watch.was_late)
-    return certificate
+    return _PROOFS.verdict(path, weakref.ref(problem), is_late, lambda asked: _judged(path, problem, asked))
 
 
-class _Proven(NamedTuple):
-    """A proof, its problem, and whether it was made to its end: one that was cut short may be certified, not sharp."""
-
-    problem: weakref.ref[DockingProblem]
-    certificate: Certificate
-    is_whole: bool
-
-
-# The last proof of every path. Held here, so that nobody can hand in a verdict of their own.
-_PROVEN: weakref.WeakKeyDictionary[Path, _Proven] = weakref.WeakKeyDictionary()
-
-
-class _Watch:
-    """Asks whether it is late, and remembers that it was: a proof that was cut short is not kept."""
-
-    def __init__(self, is_late: Callable[[], bool]) -> None:
-        self._is_late, self.was_late = is_late, False
-
-    def __call__(self) -> bool:
-        self.was_late = self.was_late or self._is_late()
-        return self.was_late
+_PROOFS: KeptProofs[Path, Certificate] = KeptProofs()
 
 
 def _judged(path: Path, problem: DockingProblem, is_late: Callable[[], bool]) -> Certificate:

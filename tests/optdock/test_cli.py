@@ -118,6 +118,14 @@ def test_certify_judges_a_path_that_optdock_did_not_make(planned):
     assert result.stderr.count("\n") == 1
 
 
+def test_certify_names_what_a_file_was_proven_against(planned):
+    folder, _ = planned
+    (folder / "nearer.yaml").write_text(SCENARIO.replace("max_speed: 0.5", "max_speed: 0.6").replace("0.05", "0.04"))
+    done = run("certify", folder / "plan.json", folder / "nearer.yaml")
+    assert done.exit_code == 0
+    assert "another problem: limits, clearance differ" in done.stdout
+
+
 def test_certify_refuses_a_plan_of_another_frame(planned):
     folder, _ = planned
     document = json.loads((folder / "plan.json").read_text())

@@ -11,7 +11,7 @@ import pytest
 from optdock.errors import InvalidValue
 from optdock.interfaces import TimeParameterizer, TimingStatus
 from optdock.limits import MotionLimits, SpeedZone
-from optdock.path import Direction, Path
+from optdock.path import Path
 from optdock.plugins import create_plugin
 from optdock.timing.near_optimal import NearOptimal
 from optdock.timing.windowed import Windowed
@@ -234,28 +234,6 @@ def test_found_as_a_plugin_that_refuses_what_it_does_not_know(make, all_limits):
     assert result.status is TimingStatus.OK
     with pytest.raises(InvalidValue, match="did you mean smooth"):
         NearOptimal(smoth=True)
-
-
-class _Wave:
-    """A curve that is neither spline nor polyline: curvature 1.5 sin(2 s)."""
-
-    direction, length, knots = Direction.FORWARD, 4.0, np.array([0.0, 4.0])
-
-    def curvature_at(self, s):
-        return 1.5 * np.sin(2.0 * np.atleast_1d(s))
-
-    def curvature_rate_at(self, s):
-        return 3.0 * np.cos(2.0 * np.atleast_1d(s))
-
-    def poses_at(self, s):
-        return np.zeros((np.atleast_1d(s).size, 3))
-
-
-def test_any_segment_with_curvature_can_be_timed(dense, all_limits):
-    for method in (NearOptimal(), NearOptimal(smooth=True), Windowed()):
-        result = method.parameterize(Path((_Wave(),)), all_limits, ZONE)
-        assert result.status is TimingStatus.OK
-        assert max(dense.ratios(result.trajectory, all_limits, ZONE).values()) <= 1.0 + 1e-6
 
 
 def test_configuring_imports_what_the_first_call_needs():
