@@ -22,6 +22,8 @@ from optdock.geometry.separation import separation
 from optdock.verification.contact import DEPTH, deepest
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from optdock.geometry.arrays import FloatArray, IntArray
     from optdock.geometry.footprint import Footprint
     from optdock.geometry.pose import Pose2
@@ -34,6 +36,7 @@ __all__ = [
     "RoundedBody",
     "body_bounds",
     "half_cell_bounds",
+    "never",
     "pose_clearance",
     "pose_clearances",
     "rounded",
@@ -43,7 +46,7 @@ __all__ = [
 _MAX_CIRCLES = 3  # that stand for a body before it is looked at exactly
 _NEARBY = 1.0  # [m]: obstacles further than this are looked at only when nothing is as near
 _NEAREST = 8  # obstacles of a pose that are looked at first
-_MAX_PAIRS = 300_000  # of a stretch and an obstacle looked at in one go; bounds the memory
+_MAX_PAIRS = 200_000  # of a stretch and an obstacle looked at in one go; bounds memory and time
 
 
 class HalfCells(NamedTuple):
@@ -93,8 +96,17 @@ class HalfBounds(NamedTuple):
         )
 
 
+def never() -> bool:
+    """There is no deadline."""
+    return False
+
+
 def half_cell_bounds(
-    footprint: Footprint, stretches: HalfCells, obstacles: ObstacleSet, care: FloatArray
+    footprint: Footprint,
+    stretches: HalfCells,
+    obstacles: ObstacleSet,
+    care: FloatArray,
+    is_late: Callable[[], bool] = never,
 ) -> HalfBounds:
     """Bounds over all pieces of the footprint and all obstacles.
 
@@ -103,24 +115,41 @@ def half_cell_bounds(
         stretches: Where it moves.
         obstacles: At least one.
         care: Shape (n,) [m]: whatever may come closer than this is looked at exactly; the rest by box and circle.
+        is_late: Asked between blocks of some milliseconds.
     """
-    return body_bounds(_rounded_footprint(footprint), stretches, obstacles, care)
+    return body_bounds(_rounded_footprint(footprint), stretches, obstacles, care, is_late)
 
 
 def body_bounds(
-    bodies: tuple[RoundedBody, ...], stretches: HalfCells, obstacles: ObstacleSet, care: FloatArray
+    bodies: tuple[RoundedBody, ...],
+    stretches: HalfCells,
+    obstacles: ObstacleSet,
+    care: FloatArray,
+    is_late: Callable[[], bool] = never,
 ) -> HalfBounds:
-    """Likewise over bodies that move together, at least one."""
+    """Likewise over bodies that move together, at least one; once `is_late()` bounds not begun with are -inf."""
     n, block = stretches.width.size, max(1, _MAX_PAIRS // len(obstacles))
     if n <= block:
-        parts = [_body_bounds(body, stretches, obstacles, care) for body in bodies]
+        parts: list[HalfBounds] = []
+        for body in bodies:
+            if parts and is_late():
+                return functools.reduce(HalfBounds.merged, [*parts, _nothing_known(n)])
+            parts.append(_body_bounds(body, stretches, obstacles, care))
         return functools.reduce(HalfBounds.merged, parts)
-    blocks = []
+    blocks: list[HalfBounds] = []
     for rows in (slice(start, start + block) for start in range(0, n, block)):
+        if blocks and is_late():
+            blocks.append(_nothing_known(n - rows.start))
+            break
         some, used = stretches.rows(rows)
-        found = body_bounds(bodies, some, obstacles, care[rows])
+        found = body_bounds(bodies, some, obstacles, care[rows], is_late)
         blocks.append(found._replace(pose=used[found.pose]))
     return HalfBounds(*(np.concatenate(columns) for columns in zip(*blocks, strict=True)))
+
+
+def _nothing_known(count: int) -> HalfBounds:
+    none = np.zeros(0, dtype=np.int64)
+    return HalfBounds(np.full(count, -np.inf), np.zeros(count, dtype=np.int64), none, none, np.zeros(0))
 
 
 class RoundedBody(NamedTuple):

@@ -20,6 +20,8 @@ from optdock.errors import InvalidPath
 from optdock.path import ClothoidSegment, PolylineSegment
 
 if TYPE_CHECKING:
+    from collections.abc import Iterator
+
     from optdock.geometry.arrays import FloatArray, IntArray
     from optdock.path import Path, Segment
 
@@ -59,7 +61,15 @@ class Cells(NamedTuple):
         chosen = order[new]
         return CellEnds(segment[chosen], u[chosen], place[: self.first.size], place[self.first.size :])
 
-    def rows(self, keep: FloatArray | IntArray) -> Cells:
+    def blocks(self, most: int) -> Iterator[Cells]:
+        """The cells in groups of `most`."""
+        if self.first.size <= most:
+            yield self
+            return
+        for start in range(0, self.first.size, most):
+            yield self.rows(slice(start, start + most))
+
+    def rows(self, keep: FloatArray | IntArray | slice) -> Cells:
         """The cells at `keep`."""
         return Cells(self.segment[keep], self.first[keep], self.last[keep])
 
