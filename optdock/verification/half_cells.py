@@ -20,6 +20,7 @@ import numpy as np
 from optdock.geometry.pose import transform_points
 from optdock.geometry.separation import separation
 from optdock.verification.contact import DEPTH, deepest
+from optdock.verification.kept_proofs import never
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -36,7 +37,6 @@ __all__ = [
     "RoundedBody",
     "body_bounds",
     "half_cell_bounds",
-    "never",
     "pose_clearance",
     "pose_clearances",
     "rounded",
@@ -94,11 +94,6 @@ class HalfBounds(NamedTuple):
             np.concatenate((self.obstacle, other.obstacle)),
             np.concatenate((self.distance, other.distance)),
         )
-
-
-def never() -> bool:
-    """There is no deadline."""
-    return False
 
 
 def half_cell_bounds(
