@@ -148,7 +148,8 @@ class _Prover:
             proven = (result.bound >= result.required - TOLERANCE) & (sharp | is_last)
             violations.append(result.violations)
             settled.append(result.settled(proven))
-            forgiven.append(cells.rows(np.flatnonzero(proven & (result.bound < 0.0))))
+            if np.any(touching := proven & (result.bound < 0.0)):
+                forgiven.append(cells.rows(np.flatnonzero(touching)))
             open_cells = np.flatnonzero(~(proven | self._touches_violation(ends, nodes, result)))
             if open_cells.size and is_last:
                 given_up.append(result.settled(open_cells))
@@ -156,10 +157,10 @@ class _Prover:
                 halvings = max(1, int(np.log2(_CHEAP / open_cells.size)))
                 finer = cells.rows(open_cells).cut(2**halvings)
                 waiting.extend((level + halvings, block) for block in finer.blocks(_BLOCK))
-        if not sum(map(len, violations)) and any(cells.first.size for cells in forgiven):
-            deep, open_deep = self._look_deep(Cells(*map(np.concatenate, zip(*forgiven, strict=True))))
-            violations.append(deep)
-            given_up.append(open_deep)
+        if forgiven and not sum(map(len, violations)):
+            deep = self._look_deep(Cells(*map(np.concatenate, zip(*forgiven, strict=True))))
+            for rows, more in zip((violations, given_up), deep, strict=True):
+                rows.append(more)
         return self._summary(np.concatenate(settled), np.concatenate(violations), np.concatenate(given_up))
 
     def _look_deep(self, cells: Cells) -> tuple[FloatArray, FloatArray]:

@@ -47,6 +47,7 @@ _MAX_CIRCLES = 3  # that stand for a body before it is looked at exactly
 _NEARBY = 1.0  # [m]: obstacles further than this are looked at only when nothing is as near
 _NEAREST = 8  # obstacles of a pose that are looked at first
 _MAX_PAIRS = 200_000  # of a stretch and an obstacle looked at in one go; bounds memory and time
+_MAX_CORNERS = 50_000  # of a body and an obstacle, met at all stretches looked at in one go; likewise
 
 
 class HalfCells(NamedTuple):
@@ -123,7 +124,9 @@ def body_bounds(
     is_late: Callable[[], bool] = never,
 ) -> HalfBounds:
     """Likewise over bodies that move together, at least one; once `is_late()` bounds not begun with are -inf."""
-    n, block = stretches.width.size, max(1, _MAX_PAIRS // len(obstacles))
+    n = stretches.width.size
+    corners = max(len(one.body.vertices) for one in bodies) + obstacles.vertices.shape[1]
+    block = max(1, min(_MAX_PAIRS // len(obstacles), _MAX_CORNERS // corners))
     if n <= block:
         parts: list[HalfBounds] = []
         for body in bodies:
