@@ -5,14 +5,12 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, field
 from enum import Enum
-from typing import TYPE_CHECKING
 
 from optdock.errors import InvalidValue
+from optdock.geometry.checked import finite_number, instance, member, number
+from optdock.geometry.footprint import Footprint
+from optdock.geometry.pose import Pose2
 from optdock.limits import SpeedZone
-
-if TYPE_CHECKING:
-    from optdock.geometry.footprint import Footprint
-    from optdock.geometry.pose import Pose2
 
 __all__ = ["Dock", "DockDirection", "DockTolerances"]
 
@@ -44,7 +42,8 @@ class DockTolerances:
 
     def __post_init__(self) -> None:
         for name in ("along", "cross", "yaw"):
-            value = getattr(self, name)
+            value = number(getattr(self, name), f"dock.tolerances.{name}")
+            object.__setattr__(self, name, value)
             if not (math.isfinite(value) and value > 0.0):
                 raise InvalidValue(f"dock.tolerances.{name}: must be finite and > 0, got {value}")
 
@@ -56,13 +55,14 @@ class Dock:
     Args:
         pose: The pose of the robot when docked.
         footprint: Outline of the station in the docked robot's frame, or None; it is an obstacle.
-        direction: Gear of the last motion; AUTO lets the planner choose by the side of the start.
+        direction: Gear of the last motion, a `DockDirection` or its word; AUTO lets the planner choose by the side of
+            the start.
         final_straight: Length of the straight run at the end [m].
         approach: Slow stretch at the end of the path.
         tolerances: When the robot counts as docked.
 
     Raises:
-        InvalidValue: final_straight is not finite and >= 0.
+        InvalidValue: final_straight is not finite and >= 0, the direction is none, or a part is of another class.
     """
 
     pose: Pose2
@@ -73,5 +73,12 @@ class Dock:
     tolerances: DockTolerances = field(default_factory=DockTolerances)
 
     def __post_init__(self) -> None:
-        if not (math.isfinite(self.final_straight) and self.final_straight >= 0.0):
+        instance(Pose2, self.pose, "dock.pose")
+        if self.footprint is not None:
+            instance(Footprint, self.footprint, "dock.footprint")
+        object.__setattr__(self, "direction", member(DockDirection, self.direction, "dock.direction"))
+        instance(SpeedZone, self.approach, "dock.approach")
+        instance(DockTolerances, self.tolerances, "dock.tolerances")
+        object.__setattr__(self, "final_straight", finite_number(self.final_straight, "dock.final_straight"))
+        if not self.final_straight >= 0.0:
             raise InvalidValue(f"dock.final_straight: must be finite and >= 0 m, got {self.final_straight}")

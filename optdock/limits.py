@@ -6,6 +6,7 @@ import math
 from dataclasses import dataclass, fields
 
 from optdock.errors import InvalidValue
+from optdock.geometry.checked import number
 
 __all__ = ["MotionLimits", "SpeedZone"]
 
@@ -47,7 +48,7 @@ class MotionLimits:
 
     def __post_init__(self) -> None:
         for spec in fields(self):
-            value = float(getattr(self, spec.name))
+            value = number(getattr(self, spec.name), f"limits.{spec.name}")
             object.__setattr__(self, spec.name, value)
             rule, holds = _rule(spec.name, value)
             if not holds:
@@ -95,6 +96,8 @@ class SpeedZone:
     distance: float = 0.0
 
     def __post_init__(self) -> None:
+        object.__setattr__(self, "speed", number(self.speed, "speed zone: approach_speed"))
+        object.__setattr__(self, "distance", number(self.distance, "speed zone: approach_distance"))
         if not self.speed > 0.0:
             raise InvalidValue(f"speed zone: approach_speed must be > 0 m/s, got {self.speed}")
         if not (math.isfinite(self.distance) and self.distance >= 0.0):

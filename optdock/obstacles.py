@@ -9,8 +9,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from optdock.errors import InvalidValue
+from optdock.fingerprint import digest
 from optdock.geometry.arrays import readonly
-from optdock.geometry.polygon import convex_pieces, edge_normals, simple_polygon
+from optdock.geometry.polygon import convex_pieces, edge_planes, simple_polygon
 from optdock.geometry.pose import transform_points
 from optdock.geometry.separation import ConvexPieces
 
@@ -38,8 +39,13 @@ class ObstacleSet:
         group: Shape (m,), index of each piece's group in `names`.
 
     Attributes:
+        normals: Shape (m, k, 2), outward unit normals of the edges.
+        offsets: Shape (m, k) [m], how far the piece reaches along each normal.
         lower: Shape (m, 2) [m], lower corner of each bounding box.
         upper: Shape (m, 2) [m], upper corner.
+
+    Raises:
+        InvalidValue: Shapes do not fit, a vertex is not finite, or a group has no name.
     """
 
     vertices: FloatArray
@@ -51,15 +57,40 @@ class ObstacleSet:
     upper: FloatArray = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
-        normals = edge_normals(self.vertices)
-        derived = {
-            "normals": normals,
-            "offsets": np.sum(normals * self.vertices, axis=2),
-            "lower": self.vertices.min(axis=1, initial=np.inf),
-            "upper": self.vertices.max(axis=1, initial=-np.inf),
-        }
-        for name, value in derived.items():
+        vertices = np.array(self.vertices, dtype=np.float64)
+        group = np.array(self.group, dtype=np.int64)
+        if vertices.ndim != 3 or vertices.shape[1] < 3 or vertices.shape[2] != 2 or group.shape != vertices.shape[:1]:
+            raise InvalidValue(
+                f"obstacles: need vertices of shape (m, k >= 3, 2) and m groups, got {vertices.shape}, {group.shape}"
+            )
+        if not np.all(np.isfinite(vertices)):
+            raise InvalidValue("obstacles.vertices: must be finite")
+        if group.size and not 0 <= group.min() <= group.max() < len(self.names):
+            raise InvalidValue(
+                f"obstacles.group: must be in 0..{len(self.names) - 1}, got {group.min()}..{group.max()}"
+            )
+        normals, offsets = edge_planes(vertices)
+        self._hold(
+            vertices=vertices,
+            names=tuple(self.names),
+            group=group,
+            normals=normals,
+            offsets=offsets,
+            lower=vertices.min(axis=1, initial=np.inf),
+            upper=vertices.max(axis=1, initial=-np.inf),
+        )
+
+    def _hold(self, names: tuple[str, ...], **arrays: FloatArray | IntArray) -> ObstacleSet:
+        """Set every field, once; nobody else may hold the arrays."""
+        object.__setattr__(self, "names", names)
+        for name, value in arrays.items():
             object.__setattr__(self, name, readonly(value))
+        return self
+
+    @functools.cached_property
+    def digest(self) -> str:
+        """Short digest of the polygons, in their order."""
+        return digest(self.vertices)
 
     def __len__(self) -> int:
         return int(self.vertices.shape[0])
@@ -102,7 +133,13 @@ class ObstacleSet:
     @classmethod
     def from_footprint(cls, footprint: Footprint, pose: Pose2, name: str) -> ObstacleSet:
         """The pieces of a footprint standing at a pose."""
-        pieces = [transform_points(pose.as_array()[None], body.vertices)[0] for body in footprint.bodies]
+        return cls.from_pieces(
+            [transform_points(pose.as_array()[None], body.vertices)[0] for body in footprint.bodies], name
+        )
+
+    @classmethod
+    def from_pieces(cls, pieces: Sequence[FloatArray], name: str) -> ObstacleSet:
+        """Convex counter-clockwise pieces, Shape (n, 2) [m] each, of one thing called `name`."""
         return cls._padded(pieces, (name,), np.zeros(len(pieces), dtype=np.int64))
 
     @classmethod
@@ -118,9 +155,15 @@ class ObstacleSet:
             vertices, self.names + other.names, np.concatenate((self.group, other.group + len(self.names)))
         )
 
+    def distinct(self) -> ObstacleSet:
+        """Every piece once: of equal ones the first."""
+        _, first = np.unique(self.vertices.reshape(len(self), -1), axis=0, return_index=True)
+        return self if first.size == len(self) else self.subset(np.sort(first))
+
     def subset(self, rows: IntArray | BoolArray) -> ObstacleSet:
         """The pieces at `rows`, under their old names."""
-        return ObstacleSet(self.vertices[rows], self.names, self.group[rows])
+        parts = ("vertices", "group", "normals", "offsets", "lower", "upper")
+        return object.__new__(ObstacleSet)._hold(self.names, **{part: getattr(self, part)[rows] for part in parts})
 
     def in_box(self, lower: FloatArray, upper: FloatArray) -> ObstacleSet:
         """The pieces whose bounding boxes meet the box from `lower` to `upper`, Shape (2,) [m] each."""
@@ -143,7 +186,7 @@ class ObstacleSet:
     def _columns(self) -> FloatArray:
         """Vertices, normals and offsets with the pieces along the last axis, Shape (5, k, m)."""
         parts = (self.vertices[..., 0], self.vertices[..., 1], self.normals[..., 0], self.normals[..., 1], self.offsets)
-        return np.stack([np.ascontiguousarray(part.T) for part in parts])
+        return readonly(np.stack([np.ascontiguousarray(part.T) for part in parts]))
 
     def box_distance(self, points: FloatArray) -> FloatArray:
         """Distance of every point, Shape (n, 2) [m], to every bounding box. Shape (n, m) [m]."""

@@ -2,18 +2,19 @@
 
 from __future__ import annotations
 
+import functools
 import math
-from dataclasses import dataclass
+from dataclasses import astuple, dataclass
 from enum import Enum
-from typing import TYPE_CHECKING
+from typing import NamedTuple
 
+from optdock.fingerprint import digest
+from optdock.geometry.checked import instance, member
+from optdock.geometry.footprint import Footprint
 from optdock.geometry.pose import Twist2
+from optdock.limits import MotionLimits
 
-if TYPE_CHECKING:
-    from optdock.geometry.footprint import Footprint
-    from optdock.limits import MotionLimits
-
-__all__ = ["Drive", "Robot", "admissible"]
+__all__ = ["Drive", "Robot", "RobotFingerprint", "admissible"]
 
 
 class Drive(str, Enum):
@@ -30,12 +31,33 @@ class Robot:
     Args:
         footprint: Outline in the robot's frame; the frame's origin is the point that follows the path.
         limits: Bounds on its motion.
-        drive: How it steers.
+        drive: How it steers, a `Drive` or its word.
+
+    Raises:
+        InvalidValue: The drive is none, or a part is of another class.
     """
 
     footprint: Footprint
     limits: MotionLimits
     drive: Drive = Drive.DIFFERENTIAL
+
+    def __post_init__(self) -> None:
+        instance(Footprint, self.footprint, "robot.footprint")
+        instance(MotionLimits, self.limits, "robot.limits")
+        object.__setattr__(self, "drive", member(Drive, self.drive, "robot.drive"))
+
+    @functools.cached_property
+    def fingerprint(self) -> RobotFingerprint:
+        """Digests of its outline, and of its limits and drive."""
+        limits = digest(astuple(self.limits), self.drive.value)
+        return RobotFingerprint(digest(self.footprint.vertices), limits)
+
+
+class RobotFingerprint(NamedTuple):
+    """Digests of a robot's outline, and of its limits and drive; see `ProblemFingerprint`."""
+
+    footprint: str
+    limits: str
 
 
 def admissible(command: Twist2, limits: MotionLimits, drive: Drive = Drive.DIFFERENTIAL) -> Twist2:

@@ -10,13 +10,14 @@ import numpy as np
 
 from optdock.errors import InvalidPath
 from optdock.geometry.arrays import frozen_array, readonly
-from optdock.geometry.pose import unwrap_yaw
+from optdock.geometry.checked import instance, member
+from optdock.geometry.clothoid import ClothoidSpline
+from optdock.geometry.pose import check_range, unwrap_yaw
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike
 
     from optdock.geometry.arrays import FloatArray, IntArray
-    from optdock.geometry.clothoid import ClothoidSpline
 
 __all__ = ["SAME_POSITION", "SAME_YAW", "ClothoidSegment", "Direction", "PathSamples", "PolylineSegment", "Segment"]
 
@@ -84,6 +85,9 @@ class ClothoidSegment:
 
     spline: ClothoidSpline
 
+    def __post_init__(self) -> None:
+        instance(ClothoidSpline, self.spline, "path: a clothoid segment's spline")
+
     @property
     def direction(self) -> Direction:
         """Gear."""
@@ -125,7 +129,8 @@ class PolylineSegment:
         direction: Gear.
 
     Raises:
-        InvalidPath: Fewer than two poses, or all of them the same.
+        InvalidPath: Fewer than two poses.
+        InvalidValue: Poses that are not finite or beyond 1e8 m or 1e6 rad, or a direction that is none.
     """
 
     poses: FloatArray
@@ -137,6 +142,8 @@ class PolylineSegment:
         poses = np.array(frozen_array(self.poses, "path", columns=3))
         if len(poses) < 2:
             raise InvalidPath(f"path: a segment needs at least 2 poses, got {len(poses)}")
+        object.__setattr__(self, "direction", member(Direction, self.direction, "path: a segment's direction"))
+        check_range(poses, "path")
         poses[:, 2] = unwrap_yaw(poses[:, 2])
         turn, arc = _step_arcs(poses)
         with np.errstate(divide="ignore", invalid="ignore"):

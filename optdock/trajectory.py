@@ -9,13 +9,15 @@ import numpy as np
 
 from optdock.errors import InvalidValue
 from optdock.geometry.arrays import frozen_array, readonly
+from optdock.geometry.checked import finite_number, instance
 from optdock.geometry.pose import Pose2, Twist2
+from optdock.path import Path
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike
 
+    from optdock.fingerprint import ProblemFingerprint
     from optdock.geometry.arrays import FloatArray
-    from optdock.path import Path
 
 __all__ = ["TimeLaw", "Trajectory", "TrajectorySamples", "TrajectoryState"]
 
@@ -57,9 +59,9 @@ class TimeLaw:
             raise InvalidValue(f"time law: needs >= 1 phase with a jerk each, got {durations.size}, {jerks.size}")
         if not np.all(durations > 0.0):
             raise InvalidValue("time law.durations: must be > 0 s")
+        for name in ("start_s", "start_speed", "start_acceleration"):
+            object.__setattr__(self, name, finite_number(getattr(self, name), f"time law.{name}"))
         first = np.array([self.start_s, self.start_speed, self.start_acceleration], dtype=np.float64)
-        if not np.all(np.isfinite(first)):
-            raise InvalidValue(f"time law: the start state must be finite, got {first.tolist()}")
         for name, value in (("durations", durations), ("jerks", jerks)):
             object.__setattr__(self, name, value)
         object.__setattr__(self, "times", readonly(np.concatenate(([0.0], np.cumsum(durations)))))
@@ -126,10 +128,24 @@ class Trajectory:
     Args:
         path: Where.
         time_law: When; its distance runs from 0 to the length of the path.
+        certified_for: Digests of the problem for which path and motion were proven; None where nobody proved them.
+
+    Raises:
+        InvalidValue: Path or time law is of another class.
     """
 
     path: Path
     time_law: TimeLaw
+    certified_for: ProblemFingerprint | None = None
+
+    def __post_init__(self) -> None:
+        instance(Path, self.path, "trajectory.path")
+        instance(TimeLaw, self.time_law, "trajectory.time_law")
+
+    @property
+    def frame(self) -> str:
+        """Name of the coordinate frame that its poses stand in, its path's; empty where nobody said."""
+        return self.path.frame
 
     @property
     def duration(self) -> float:

@@ -21,7 +21,7 @@ def reversed_path(path: Path) -> Path:
 
     With s' = length - s the gear changes its sign and so does the curvature along the travel.
     """
-    return Path(tuple(_reversed_segment(segment) for segment in reversed(path.segments)))
+    return Path(tuple(_reversed_segment(segment) for segment in reversed(path.segments)), path.frame)
 
 
 def _reversed_segment(segment: Segment) -> Segment:

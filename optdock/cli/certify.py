@@ -50,7 +50,7 @@ class _Motion(NamedTuple):
 
 def _judged(plan: PlanFile, problem: DockingProblem) -> list[str]:
     """Every broken rule, printed with what was proven and what the file does not say."""
-    from optdock.cli.plan_claims import false_claims
+    from optdock.cli.plan_claims import false_claims, proven_against
     from optdock.report import certificate_rows, table
     from optdock.verification import certify_path
 
@@ -61,10 +61,11 @@ def _judged(plan: PlanFile, problem: DockingProblem) -> list[str]:
     certificate = certify_path(plan.path, problem)
     motion = _motion(plan, plan.path, problem)
     faults = [*(violation.message for violation in certificate.violations), *motion.faults]
-    claims = false_claims(plan, certificate)
+    claims, made_for = false_claims(plan, certificate), proven_against(plan, certificate)
     rows = [
         ("verdict", "not certified" if faults else motion.verdict),
         *certificate_rows(certificate),
+        *((("file proven for", made_for),) if made_for else ()),
         *(("false claim", claim) for claim in claims),
         ("motion", motion.row),
         *(("violation", fault) for fault in faults),

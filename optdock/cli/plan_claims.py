@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from optdock.io.plan_file import PlanFile
     from optdock.verification import Certificate
 
-__all__ = ["false_claims"]
+__all__ = ["false_claims", "proven_against"]
 
 _SAME = 1e-6  # relative, and [m] or [1/m]
 _SAMPLED = 0.01  # relative, of the curvature of a path that is known by samples
@@ -29,6 +29,21 @@ def false_claims(plan: PlanFile, certificate: Certificate) -> list[str]:
         certificate: What was proven of its path, just now.
     """
     return list(_claims(plan, certificate))
+
+
+def proven_against(plan: PlanFile, certificate: Certificate) -> str:
+    """In what the problem that the file's certificate was made for is another one; empty where it does not say so.
+
+    Args:
+        plan: The file.
+        certificate: What was proven of its path, just now.
+    """
+    claimed = (plan.certificate or {}).get("problem")
+    if not isinstance(claimed, dict):
+        return ""
+    here = certificate.problem._asdict()
+    others = [name for name, value in here.items() if name in claimed and claimed[name] != value]
+    return f"another problem: {', '.join(others)} differ; judged here for this one" if others else ""
 
 
 def _claims(plan: PlanFile, certificate: Certificate) -> Iterator[str]:

@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING
 from optdock.config.faults import Fault
 from optdock.config.plugin_sections import plugin_choice
 from optdock.config.scenario import Scenario
-from optdock.costmap import obstacles_from_costmap
 from optdock.dock import Dock
 from optdock.errors import DockNotInDB, DockNotValid, InvalidFile, InvalidValue
 from optdock.geometry.pose import Pose2
@@ -85,7 +84,6 @@ def nav2_scenario(
         start=_start(start),
         dock=Dock(dock.pose, direction=dock_type.dock_direction, approach=_approach(params, dock_type)),
         robot=Robot(costmap_params.outline, nav2_limits(params)),
-        obstacles=obstacles_from_costmap(costmap),
         costmap=costmap,
         frame=dock.frame,
     )

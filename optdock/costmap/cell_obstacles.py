@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
@@ -9,6 +10,7 @@ import numpy as np
 from optdock.costmap.costs import LETHAL, NO_INFORMATION
 from optdock.errors import InvalidValue
 from optdock.geometry.arrays import frozen_array
+from optdock.geometry.pose import FARTHEST
 from optdock.obstacles import ObstacleSet
 
 if TYPE_CHECKING:
@@ -17,11 +19,13 @@ if TYPE_CHECKING:
     from optdock.costmap.costmap import Costmap
     from optdock.geometry.arrays import BoolArray, FloatArray, IntArray
 
-__all__ = ["Region", "cell_rectangles", "obstacles_from_costmap"]
+__all__ = ["Region", "cell_rectangles", "mapped_obstacles", "obstacles_from_costmap"]
 
 Region: TypeAlias = "tuple[ArrayLike, ArrayLike]"
 
-_BORDER_WIDTH = 1000.0  # [m]; wide enough that the nearest way out of the border leads back onto the map
+_BORDER_END = (
+    10.0 * FARTHEST
+)  # [m]: a pose cannot be further off than `FARTHEST`, nor a footprint longer than 1.5 of it
 
 
 def obstacles_from_costmap(
@@ -32,10 +36,11 @@ def obstacles_from_costmap(
     region: Region | None = None,
     border: bool = True,
 ) -> ObstacleSet:
-    """The occupied cells as exact, disjoint, axis-aligned rectangles.
+    """The occupied cells as exact, disjoint, axis-aligned rectangles, and the world off the map.
 
     Occupied cells are called `map`, unknown ones `unknown`, the outside of the map `map border`. The border is an
     obstacle by default: nobody has seen what lies beyond it, and Nav2's collision checkers refuse poses off the map.
+    It is four half-planes, so that everything off the map is an obstacle, however far.
 
     Args:
         costmap: The grid.
@@ -67,6 +72,17 @@ def obstacles_from_costmap(
         outside = _border(costmap)
         obstacles = obstacles + (outside if box is None else outside.in_box(box[0], box[1]))
     return obstacles
+
+
+@functools.lru_cache(maxsize=16)
+def mapped_obstacles(costmap: Costmap, *, unknown_is_obstacle: bool = True) -> ObstacleSet:
+    """All that a frozen costmap says must not be touched: `obstacles_from_costmap` of the whole map, found once.
+
+    Args:
+        costmap: Frozen; the answer is kept for as long as few other maps are asked for.
+        unknown_is_obstacle: As there.
+    """
+    return obstacles_from_costmap(costmap, unknown_is_obstacle=unknown_is_obstacle)
 
 
 def cell_rectangles(occupied: BoolArray) -> IntArray:
@@ -127,8 +143,14 @@ def _cell_window(costmap: Costmap, box: tuple[FloatArray, FloatArray] | None) ->
 
 
 def _border(costmap: Costmap) -> ObstacleSet:
-    """Four disjoint rectangles around the map."""
-    (x0, y0), (x1, y1), w = costmap.lower, costmap.upper, _BORDER_WIDTH
-    lower = np.array([[x0 - w, y0 - w], [x0 - w, y1], [x0 - w, y0], [x1, y0]])
-    upper = np.array([[x1 + w, y0], [x1 + w, y1 + w], [x0, y1], [x1 + w, y1]])
+    """Four half-planes around the map, which overlap beyond its corners.
+
+    Each is a rectangle whose other sides lie beyond every point that a footprint can reach at any pose. Their distance
+    costs no precision: the normal of the near side is exactly an axis, so the distance from it is one subtraction.
+    """
+    (x0, y0), (x1, y1) = costmap.lower, costmap.upper
+    left, low = min(x0 - 1.0, -_BORDER_END), min(y0 - 1.0, -_BORDER_END)
+    right, high = max(x1 + 1.0, _BORDER_END), max(y1 + 1.0, _BORDER_END)
+    lower = np.array([[left, low], [left, y1], [left, low], [x1, low]])
+    upper = np.array([[right, y0], [right, high], [x0, high], [right, high]])
     return ObstacleSet.from_rectangles(lower, upper, "map border")

@@ -20,6 +20,7 @@ from optdock.costmap.costs import (
     occupancy_from_costs,
 )
 from optdock.errors import InvalidValue
+from optdock.geometry.checked import number
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike
@@ -52,11 +53,11 @@ class Costmap:
     origin: tuple[float, float] = (0.0, 0.0)
 
     def __post_init__(self) -> None:
+        object.__setattr__(self, "resolution", number(self.resolution, "costmap.resolution"))
         if not (math.isfinite(self.resolution) and self.resolution > 0.0):
             raise InvalidValue(f"costmap.resolution: must be finite and > 0 m, got {self.resolution}")
-        if len(self.origin) != 2 or not all(math.isfinite(value) for value in self.origin):
+        if len(self.origin) != 2 or not all(math.isfinite(number(value, "costmap.origin")) for value in self.origin):
             raise InvalidValue(f"costmap.origin: must be two finite numbers [m], got {self.origin}")
-        object.__setattr__(self, "resolution", float(self.resolution))
         object.__setattr__(self, "origin", (float(self.origin[0]), float(self.origin[1])))
         object.__setattr__(self, "data", _checked_costs(self.data))
         if not all(math.isfinite(value) for value in self.upper):

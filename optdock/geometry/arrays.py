@@ -1,8 +1,8 @@
-"""The one array alias and the one way to freeze an array."""
+"""The array aliases, and what a frozen value does with the arrays that it is given."""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, TypeAlias
+from typing import TYPE_CHECKING, TypeAlias, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,19 +10,27 @@ from numpy.typing import NDArray
 from optdock.errors import InvalidValue
 
 if TYPE_CHECKING:
+    from collections.abc import Iterable
+
     from numpy.typing import ArrayLike
 
 FloatArray: TypeAlias = NDArray[np.float64]
 IntArray: TypeAlias = NDArray[np.int64]
 BoolArray: TypeAlias = NDArray[np.bool_]
 
+_Array = TypeVar("_Array", bound="NDArray[np.generic]")
+
 __all__ = ["BoolArray", "FloatArray", "IntArray", "frozen_array", "readonly"]
 
 
-def readonly(array: FloatArray) -> FloatArray:
-    """Mark an array that nobody else holds as read-only and return it."""
-    array.setflags(write=False)
-    return array
+def readonly(array: _Array) -> _Array:
+    """A read-only array that no one can write to: the given one where nobody else holds it, a copy of a view.
+
+    The memory of a view belongs to another array, through which it could still be changed.
+    """
+    frozen = array if array.base is None else array.copy()
+    frozen.setflags(write=False)
+    return frozen
 
 
 def frozen_array(values: ArrayLike, name: str, columns: int | None = None) -> FloatArray:
@@ -34,10 +42,13 @@ def frozen_array(values: ArrayLike, name: str, columns: int | None = None) -> Fl
         columns: Number of columns of a two-dimensional array; None for one dimension.
 
     Raises:
-        InvalidValue: Wrong shape, not numbers, NaN or infinity.
+        InvalidValue: Wrong shape, not numbers (text and switches are none), NaN or infinity.
     """
     try:
-        array = np.array(values, dtype=np.float64, copy=True)
+        given = np.asarray(values)
+        if given.dtype.kind not in "iufO" or any(isinstance(one, str | bool) for one in _objects(given)):
+            raise TypeError(given.dtype)
+        array = np.array(given, dtype=np.float64, copy=True)
     except (TypeError, ValueError, OverflowError) as error:
         raise InvalidValue(f"{name}: must be numbers, got {values!r}") from error
     wanted = "(n,)" if columns is None else f"(n, {columns})"
@@ -47,3 +58,8 @@ def frozen_array(values: ArrayLike, name: str, columns: int | None = None) -> Fl
     if bad.size:
         raise InvalidValue(f"{name}: must be finite, got {array[tuple(bad[0])]} at index {bad[0].tolist()}")
     return readonly(array)
+
+
+def _objects(array: NDArray[np.generic]) -> Iterable[object]:
+    """The elements of an array that numpy found no type for."""
+    return array.ravel().tolist() if array.dtype.kind == "O" else ()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
@@ -9,7 +10,8 @@ import numpy as np
 
 from optdock.errors import InvalidValue
 from optdock.geometry.arrays import frozen_array, readonly
-from optdock.geometry.pose import Pose2
+from optdock.geometry.checked import finite_number, instance
+from optdock.geometry.pose import Pose2, check_range
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike
@@ -52,7 +54,8 @@ class ClothoidSpline:
         sign: +1 forward, -1 reverse.
 
     Raises:
-        InvalidValue: Shapes differ, knots do not increase from 0, a value is not finite, or sign is not +-1.
+        InvalidValue: Shapes differ, knots do not increase from 0, a value is not finite, sign is not +-1, or the curve
+            leads beyond 1e8 m or 1e6 rad, or turns within a distance that floats cannot resolve.
     """
 
     start: Pose2
@@ -71,12 +74,22 @@ class ClothoidSpline:
             raise InvalidValue(f"clothoid: needs >= 2 knots, each with a curvature, got {knots.size}, {curvature.size}")
         if knots[0] != 0.0 or not np.all(np.diff(knots) > 0.0):
             raise InvalidValue("clothoid.knots: must start at 0 and increase strictly")
-        if self.sign not in (1, -1):
+        sign = finite_number(self.sign, "clothoid.sign")
+        if sign not in (1.0, -1.0):
             raise InvalidValue(f"clothoid.sign: must be 1 or -1, got {self.sign}")
+        object.__setattr__(self, "sign", int(sign))
+        instance(Pose2, self.start, "clothoid.start")
         breaks = _refined_breaks(knots, curvature)
+        if not np.all(np.diff(breaks) > 0.0):
+            raise InvalidValue("clothoid: turns within a distance that floats cannot resolve")
         for name, value in (("knots", knots), ("curvature", curvature), ("_breaks", readonly(breaks))):
             object.__setattr__(self, name, value)
-        object.__setattr__(self, "_break_states", readonly(self._integrate_breaks()))
+        with np.errstate(over="ignore", invalid="ignore"):
+            states = self._integrate_breaks()
+        if not np.all(np.isfinite(states)):
+            raise InvalidValue("clothoid: turns within a distance that floats cannot resolve")
+        check_range(states, "clothoid")
+        object.__setattr__(self, "_break_states", readonly(states))
 
     def _integrate_breaks(self) -> FloatArray:
         steps = np.diff(self._breaks)
@@ -101,14 +114,19 @@ class ClothoidSpline:
         points = np.clip(np.atleast_1d(np.asarray(s, dtype=np.float64)), 0.0, self.length)
         cell = self._cells(points)
         base, step = self._break_states[cell], points - self._breaks[cell]
-        rate = self._cell_rates()[cell]
+        rate = self._cell_rates[cell]
         move = _displacements(step, base[:, 2], base[:, 3], rate)
         yaw = base[:, 2] + step * (base[:, 3] + 0.5 * step * rate)
         return np.column_stack((base[:, 0] + self.sign * move[:, 0], base[:, 1] + self.sign * move[:, 1], yaw))
 
+    @functools.cached_property
     def _cell_rates(self) -> FloatArray:
-        rates: FloatArray = np.diff(self._break_states[:, 3]) / np.diff(self._breaks)
-        return rates
+        return readonly(np.diff(self._break_states[:, 3]) / np.diff(self._breaks))
+
+    @functools.cached_property
+    def curvature_rates(self) -> FloatArray:
+        """D curvature / ds between the knots, Shape (n - 1,) [1/m^2]."""
+        return readonly(np.diff(self.curvature) / np.diff(self.knots))
 
     def curvature_at(self, s: ArrayLike) -> FloatArray:
         """Curvature at arc lengths `s`, Shape (n,) [1/m]."""
@@ -118,7 +136,7 @@ class ClothoidSpline:
         """D curvature / ds at `s`, Shape (n,) [1/m^2]; at a knot the value to its right, at the end to its left."""
         points = np.clip(np.atleast_1d(np.asarray(s, dtype=np.float64)), 0.0, self.length)
         piece = np.clip(np.searchsorted(self.knots, points, side="right") - 1, 0, self.knots.size - 2)
-        rates: FloatArray = (np.diff(self.curvature) / np.diff(self.knots))[piece]
+        rates: FloatArray = self.curvature_rates[piece]
         return rates
 
     @property

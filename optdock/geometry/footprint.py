@@ -10,7 +10,8 @@ import numpy as np
 
 from optdock.errors import InvalidValue
 from optdock.geometry.arrays import readonly
-from optdock.geometry.polygon import convex_pieces, edge_normals, simple_polygon
+from optdock.geometry.checked import number
+from optdock.geometry.polygon import convex_pieces, edge_planes, simple_polygon
 from optdock.geometry.separation import ConvexBody
 
 if TYPE_CHECKING:
@@ -18,11 +19,11 @@ if TYPE_CHECKING:
 
     from optdock.geometry.arrays import FloatArray
 
-__all__ = ["Footprint"]
+__all__ = ["Footprint", "convex_body"]
 
 _NUMBER = r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?"
 _POINT = re.compile(rf"\[\s*({_NUMBER})[\s,]+({_NUMBER})\s*\]")
-_RADIUS_SIDES = 16
+_RADIUS_SIDES = 32  # of the polygon around a circle: it sticks out by at most 0.5 % of the radius
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,19 +46,26 @@ class Footprint:
     def __post_init__(self) -> None:
         vertices = simple_polygon(self.vertices, "footprint")
         object.__setattr__(self, "vertices", vertices)
-        object.__setattr__(self, "bodies", tuple(_body(piece) for piece in convex_pieces(vertices)))
+        object.__setattr__(self, "bodies", tuple(convex_body(piece) for piece in convex_pieces(vertices)))
 
     @classmethod
     def from_radius(cls, radius: float) -> Footprint:
-        """Nav2's circle: a 16-gon with its vertices at `radius` [m].
+        """A round robot: the regular polygon of 32 sides around the circle of `radius` [m].
+
+        The circle is inside and touches the middle of every side; at the corners the polygon sticks out by 0.5 % of
+        the radius. Sides face forward, left, backward and right, so length and width are those of the circle, and
+        padding moves every side outwards by at least the padding. (Nav2's polygon has its corners on the circle and is
+        smaller than the robot.)
 
         Raises:
             InvalidValue: The radius is not a positive number.
         """
-        if not (np.isfinite(radius) and radius > 0.0):
+        checked = number(radius, "footprint.radius")
+        if not (np.isfinite(checked) and checked > 0.0):
             raise InvalidValue(f"footprint.radius: must be > 0 m, got {radius}")
-        angle = 2.0 * np.pi * np.arange(_RADIUS_SIDES) / _RADIUS_SIDES
-        return cls(radius * np.column_stack((np.cos(angle), np.sin(angle))))
+        angle = 2.0 * np.pi * (np.arange(_RADIUS_SIDES) + 0.5) / _RADIUS_SIDES
+        corner = checked * (1.0 + 1e-15) / np.cos(np.pi / _RADIUS_SIDES)  # beyond what rounding takes away
+        return cls(corner * np.column_stack((np.cos(angle), np.sin(angle))))
 
     @classmethod
     def from_string(cls, text: str) -> Footprint:
@@ -107,8 +115,8 @@ class Footprint:
         return float(np.min(np.hypot(nearest[:, 0], nearest[:, 1])))
 
 
-def _body(piece: ArrayLike) -> ConvexBody:
+def convex_body(piece: ArrayLike) -> ConvexBody:
+    """A convex piece, Shape (n, 2) [m], with the planes of its edges."""
     vertices = np.array(piece, dtype=np.float64)
-    normals = edge_normals(vertices)
-    offsets = np.sum(normals * vertices, axis=1)
+    normals, offsets = edge_planes(vertices)
     return ConvexBody(readonly(vertices), readonly(normals), readonly(offsets))

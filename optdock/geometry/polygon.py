@@ -8,17 +8,21 @@ import numpy as np
 
 from optdock.errors import InvalidValue
 from optdock.geometry.arrays import frozen_array, readonly
+from optdock.geometry.pose import FARTHEST
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from numpy.typing import ArrayLike
+    from shapely.geometry.base import BaseGeometry
 
-    from optdock.geometry.arrays import FloatArray
+    from optdock.geometry.arrays import FloatArray, IntArray
 
-__all__ = ["convex_pieces", "edge_normals", "is_convex", "signed_area", "simple_polygon"]
+__all__ = ["convex_cover", "convex_pieces", "edge_normals", "edge_planes", "is_convex", "signed_area", "simple_polygon"]
 
 _Point: TypeAlias = "tuple[float, float]"
 _Ring: TypeAlias = "list[_Point]"
-_FARTHEST = 1e8  # [m]: beyond it squares overflow or millimetres vanish; no map on earth is that large
+_DENT = 1e-9  # [m]: a polygon that is convex but for dents no deeper counts as its hull; far below what is accepted
 
 
 def signed_area(vertices: FloatArray) -> float:
@@ -31,23 +35,60 @@ def signed_area(vertices: FloatArray) -> float:
     return 0.5 * float(np.dot(x, np.roll(y, -1)) - np.dot(y, np.roll(x, -1)))
 
 
-def _turns(vertices: FloatArray) -> FloatArray:
-    """Cross product of the edges before and after every vertex."""
-    before = vertices - np.roll(vertices, 1, axis=0)
-    after = np.roll(vertices, -1, axis=0) - vertices
-    turns: FloatArray = before[:, 0] * after[:, 1] - before[:, 1] * after[:, 0]
-    return turns
-
-
 def is_convex(vertices: FloatArray) -> bool:
-    """Whether counter-clockwise vertices form a simple convex polygon (straight angles allowed)."""
-    edges = np.roll(vertices, -1, axis=0) - vertices
-    scale = float(np.max(np.sum(edges**2, axis=1)))
-    if np.any(_turns(vertices) < -1e-12 * scale):
+    """Whether counter-clockwise vertices form a simple polygon that is convex, but for dents of at most a nanometre.
+
+    Straight angles are allowed. How deep a dent is goes by the convex hull of all vertices, so that many dents that are
+    flat one by one cannot add up.
+    """
+    before, after = _edges_at(vertices)
+    cross = before[:, 0] * after[:, 1] - before[:, 1] * after[:, 0]
+    dot = np.sum(before * after, axis=1)
+    if abs(float(np.sum(np.arctan2(cross, dot))) - 2.0 * np.pi) > 1e-6 or np.any((cross <= 0.0) & (dot < 0.0)):
         return False
-    heading = np.arctan2(edges[:, 1], edges[:, 0])
-    turned = np.sum(np.mod(np.roll(heading, -1) - heading + 1e-9, 2.0 * np.pi) - 1e-9)
-    return bool(abs(turned - 2.0 * np.pi) < 1e-6)
+    dents = cross < 0.0
+    if not dents.any():
+        return True
+    across = before + after  # from the vertex before to the one after
+    if np.any(-cross[dents] > _DENT * np.hypot(across[dents, 0], across[dents, 1])):
+        return False
+    return _depth_of_dents(vertices) <= _DENT
+
+
+def _edges_at(vertices: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """The edges before and after every vertex."""
+    return vertices - np.roll(vertices, 1, axis=0), np.roll(vertices, -1, axis=0) - vertices
+
+
+def _hull_members(vertices: FloatArray) -> IntArray:
+    """Indices of the corners of the convex hull, ascending ([Andrew1979])."""
+    points = vertices.tolist()
+    order = sorted(range(len(points)), key=points.__getitem__)
+    members: set[int] = set()
+    for chain in (order, order[::-1]):
+        kept: list[int] = []
+        for i in chain:
+            while len(kept) > 1 and _cross(points[kept[-2]], points[kept[-1]], points[i]) <= 0.0:
+                kept.pop()
+            kept.append(i)
+        members.update(kept)
+    return np.array(sorted(members))
+
+
+def _cross(a: Sequence[float], b: Sequence[float], c: Sequence[float]) -> float:
+    return (b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0])
+
+
+def _depth_of_dents(vertices: FloatArray) -> float:
+    """Largest distance of a vertex from the hull's edge across its pocket [m]; no point of the hull is further out."""
+    corners = _hull_members(vertices)
+    index = np.arange(len(vertices))
+    nearest = np.searchsorted(corners, index, side="right") - 1
+    first = vertices[corners[nearest]]
+    edge = vertices[corners[(nearest + 1) % corners.size]] - first
+    arm = vertices - first
+    depth = (edge[:, 0] * arm[:, 1] - edge[:, 1] * arm[:, 0]) / np.hypot(edge[:, 0], edge[:, 1])
+    return float(np.max(np.abs(depth)))
 
 
 def simple_polygon(vertices: ArrayLike, name: str) -> FloatArray:
@@ -61,8 +102,8 @@ def simple_polygon(vertices: ArrayLike, name: str) -> FloatArray:
         InvalidValue: Fewer than three distinct vertices, no area, edges that cross or touch, NaN, beyond 1e8 m.
     """
     points = frozen_array(vertices, name, columns=2)
-    if points.size and np.max(np.abs(points)) > _FARTHEST:
-        raise InvalidValue(f"{name}: coordinates must be within +-{_FARTHEST:g} m, got {np.max(np.abs(points)):g}")
+    if points.size and np.max(np.abs(points)) > FARTHEST:
+        raise InvalidValue(f"{name}: coordinates must be within +-{FARTHEST:g} m, got {np.max(np.abs(points)):g}")
     if points.shape[0]:
         points = points[np.any(points != np.roll(points, 1, axis=0), axis=1)]
     if points.shape[0] < 3:
@@ -91,28 +132,60 @@ def edge_normals(vertices: FloatArray) -> FloatArray:
     An edge of length zero, as padding makes, takes the normal of the edge before it.
     """
     edges = np.roll(vertices, -1, axis=-2) - vertices
-    length = np.hypot(edges[..., 0], edges[..., 1])
+    size = np.max(np.abs(edges), axis=-1)
     for i in range(1, vertices.shape[-2]):
-        empty = length[..., i] <= 0.0
+        empty = size[..., i] <= 0.0
         edges[..., i, :] = np.where(empty[..., None], edges[..., i - 1, :], edges[..., i, :])
-        length[..., i] = np.where(empty, length[..., i - 1], length[..., i])
+        size[..., i] = np.where(empty, size[..., i - 1], size[..., i])
+    edges = edges / size[..., None]  # the length of a denormal edge has no digits left to divide by
+    length = np.hypot(edges[..., 0], edges[..., 1])
     normals: FloatArray = np.stack((edges[..., 1], -edges[..., 0]), axis=-1) / length[..., None]
     return normals
 
 
-def convex_pieces(vertices: FloatArray) -> tuple[FloatArray, ...]:
-    """A simple counter-clockwise polygon cut into convex counter-clockwise pieces that cover exactly it.
+def edge_planes(vertices: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Outward unit normals of the edges, Shape (..., n, 2), and how far the polygon reaches along each, Shape (..., n).
 
-    Constrained Delaunay triangles, merged over shared edges while the union stays convex
+    The reach is that of the furthest vertex, not of the edge itself. So whatever rounding made of the normals, and
+    however flat a dent beside the edge is, no part of the polygon lies beyond any of its planes.
+    """
+    normals = edge_normals(vertices)
+    reach = np.full(vertices.shape[:-1], -np.inf)
+    for i in range(vertices.shape[-2]):
+        corner = vertices[..., i : i + 1, :]
+        np.maximum(reach, np.sum(normals * corner, axis=-1), out=reach)
+    return normals, reach
+
+
+def convex_pieces(vertices: FloatArray) -> tuple[FloatArray, ...]:
+    """A simple counter-clockwise polygon cut into convex counter-clockwise pieces that cover it.
+
+    They leave nothing out; where dents of at most a nanometre were filled they stick out by as much. Constrained
+    Delaunay triangles, merged over shared edges while the union stays convex
     ([Hertel1983]: at most four times the minimum number of pieces).
     """
     if is_convex(vertices):
-        return (vertices,)
+        return (_without_dents(vertices),)
     import shapely
 
-    triangles = shapely.constrained_delaunay_triangles(shapely.Polygon(vertices)).geoms
+    return convex_cover(shapely.Polygon(vertices))
+
+
+def convex_cover(shape: BaseGeometry) -> tuple[FloatArray, ...]:
+    """Convex counter-clockwise pieces that cover a shapely polygon, or several; holes are allowed."""
+    import shapely
+
+    triangles = shapely.constrained_delaunay_triangles(shape).geoms
     pieces = _merge_convex([_oriented(np.asarray(triangle.exterior.coords)[:-1]) for triangle in triangles])
-    return tuple(readonly(np.array(piece)) for piece in pieces)
+    return tuple(_without_dents(np.array(piece)) for piece in pieces)
+
+
+def _without_dents(vertices: FloatArray) -> FloatArray:
+    """The hull of a polygon that is convex but for dents, straight angles kept where there is no dent."""
+    before, after = _edges_at(vertices)
+    if np.all(before[:, 0] * after[:, 1] >= before[:, 1] * after[:, 0]):
+        return readonly(np.array(vertices))
+    return readonly(vertices[_hull_members(vertices)])
 
 
 def _oriented(points: FloatArray) -> _Ring:

@@ -13,13 +13,39 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from optdock.errors import InvalidValue
+from optdock.geometry.checked import finite_number
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from optdock.geometry.arrays import FloatArray
 
-__all__ = ["Pose2", "Twist2", "normalize_angle", "transform_points", "unwrap_yaw"]
+__all__ = [
+    "FARTHEST",
+    "MOST_TURNED",
+    "Pose2",
+    "Twist2",
+    "check_range",
+    "normalize_angle",
+    "transform_points",
+    "unwrap_yaw",
+]
+
+FARTHEST = 1e8  # [m] of any coordinate: beyond it squares overflow or millimetres vanish; no map on earth is that large
+MOST_TURNED = 1e6  # [rad] of any yaw: its last digit is then 1e-10 rad, a tenth of a nanometre at one metre
+
+
+def check_range(poses: FloatArray, name: str) -> None:
+    """Refuse poses, Shape (n, 3), so far off or turned so often that floats cannot tell them apart.
+
+    Raises:
+        InvalidValue: A coordinate beyond 1e8 m or a yaw beyond 1e6 rad.
+    """
+    for column, most, unit in ((poses[:, :2], FARTHEST, "m"), (poses[:, 2], MOST_TURNED, "rad")):
+        found = float(np.max(np.abs(column), initial=0.0))
+        if not found <= most:
+            what = "coordinates" if unit == "m" else "yaws"
+            raise InvalidValue(f"{name}: {what} must be within +-{most:g} {unit}, got {found:g}")
 
 
 def normalize_angle(angle: float) -> float:
@@ -37,23 +63,17 @@ def unwrap_yaw(yaw: FloatArray) -> FloatArray:
     return np.asarray(np.unwrap(yaw), dtype=np.float64)
 
 
-def _check_finite(owner: str, **values: float) -> None:
-    for name, value in values.items():
-        if not math.isfinite(value):
-            raise InvalidValue(f"{owner}.{name}: must be finite, got {value}")
-
-
 @dataclass(frozen=True, slots=True)
 class Pose2:
     """A pose in the plane; `a @ b` is b expressed through a (compose), as with matrices.
 
     Args:
-        x: Forward [m].
-        y: Left [m].
-        yaw: Counter-clockwise heading [rad]; kept as given, not normalized.
+        x: Forward [m], within +-1e8.
+        y: Left [m], within +-1e8.
+        yaw: Counter-clockwise heading [rad]; kept as given, not normalized; within +-1e6.
 
     Raises:
-        InvalidValue: A component is NaN or infinite.
+        InvalidValue: A component is no number, NaN, infinite or out of range.
 
     >>> Pose2(1.0, 0.0, math.pi / 2) @ Pose2(1.0, 0.0, 0.0)
     Pose2(x=1.0, y=1.0, yaw=1.5707963267948966)
@@ -64,9 +84,11 @@ class Pose2:
     yaw: float
 
     def __post_init__(self) -> None:
-        for name in ("x", "y", "yaw"):
-            object.__setattr__(self, name, float(getattr(self, name)))
-        _check_finite("pose", x=self.x, y=self.y, yaw=self.yaw)
+        for name, most, unit in (("x", FARTHEST, "m"), ("y", FARTHEST, "m"), ("yaw", MOST_TURNED, "rad")):
+            value = finite_number(getattr(self, name), f"pose.{name}")
+            if abs(value) > most:
+                raise InvalidValue(f"pose.{name}: must be within +-{most:g} {unit}, got {value:g}")
+            object.__setattr__(self, name, value)
 
     def __matmul__(self, other: Pose2) -> Pose2:
         c, s = math.cos(self.yaw), math.sin(self.yaw)
@@ -117,7 +139,7 @@ class Pose2:
         """
         if len(values) != 3:
             raise InvalidValue(f"pose: must be [x, y, yaw], got {len(values)} values")
-        return cls(float(values[0]), float(values[1]), float(values[2]))
+        return cls(values[0], values[1], values[2])
 
 
 @dataclass(frozen=True, slots=True)
@@ -130,7 +152,7 @@ class Twist2:
         lateral: Leftward speed [m/s].
 
     Raises:
-        InvalidValue: A component is NaN or infinite.
+        InvalidValue: A component is no number, NaN or infinite.
     """
 
     linear: float = 0.0
@@ -139,8 +161,7 @@ class Twist2:
 
     def __post_init__(self) -> None:
         for name in ("linear", "angular", "lateral"):
-            object.__setattr__(self, name, float(getattr(self, name)))
-        _check_finite("twist", linear=self.linear, angular=self.angular, lateral=self.lateral)
+            object.__setattr__(self, name, finite_number(getattr(self, name), f"twist.{name}"))
 
 
 def transform_points(poses: FloatArray, points: FloatArray) -> FloatArray:

@@ -86,6 +86,9 @@ class PlanFile:
         certificate: The proof in numbers, as `Certificate.as_dict` gives it.
         timing_ms: Milliseconds per stage.
         error: Why there is no certified plan.
+
+    Raises:
+        InvalidPath: A path names another frame.
     """
 
     status: str = CERTIFIED
@@ -98,6 +101,11 @@ class PlanFile:
     certificate: Mapping[str, object] | None = None
     timing_ms: Mapping[str, float] = field(default_factory=dict)
     error: PlanError | None = None
+
+    def __post_init__(self) -> None:
+        for name in ("raw_path", "path"):
+            path: Path | None = getattr(self, name)
+            object.__setattr__(self, name, None if path is None else path.with_frame(self.frame))
 
     def as_json(self, *, spacing: float = DEFAULT_SPACING) -> str:
         """The file's text.

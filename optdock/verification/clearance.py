@@ -2,7 +2,8 @@
 
 The path is cut into cells. A cell is cleared when its first half is cleared from its first pose and its last half
 from its last pose (`half_cells`); a cell that is not is cut in two, until it is cleared, a pose in it breaks the rule,
-or it is given up, which counts as broken.
+or it is given up, which counts as broken. Cells that are cleared by the tolerance only are proven a second time: there
+nothing may lie deep inside anything (`contact`).
 """
 
 from __future__ import annotations
@@ -11,8 +12,10 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from optdock.verification.half_cells import HalfCells, half_cell_bounds, pose_clearances
-from optdock.verification.motion import PathMotion
+from optdock.verification.contact import DEPTH, wholes
+from optdock.verification.half_cells import HalfCells, body_bounds, half_cell_bounds, pose_clearances, rounded
+from optdock.verification.kept_proofs import never
+from optdock.verification.motion import Cells, PathMotion
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -22,10 +25,10 @@ if TYPE_CHECKING:
     from optdock.obstacles import ObstacleSet
     from optdock.path import Path
     from optdock.problem import DockingProblem
-    from optdock.verification.half_cells import HalfBounds
-    from optdock.verification.motion import CellEnds, CellMotion, Cells, Nodes
+    from optdock.verification.half_cells import HalfBounds, RoundedBody
+    from optdock.verification.motion import CellEnds, CellMotion, Nodes
 
-__all__ = ["ClearanceProof", "never", "prove_clearance"]
+__all__ = ["ClearanceProof", "prove_clearance"]
 
 TOLERANCE = 1e-6  # [m], accepted shortfall; covers rounding where contact is allowed
 SHARPNESS = 1e-3  # [m]: the reported minimum is at most this far below a clearance that occurs
@@ -35,11 +38,6 @@ _CHEAP = 48  # cells: a round of fewer takes hardly less time, so few open ones 
 _MAX_POSES = 60_000  # added by refinement
 _WORTHWHILE = 0.7  # of the obstacles: where more are near, leaving out the rest costs more than it saves
 _CROP = 1.0  # [m]: obstacles further from the swept area than this are looked at only when nothing is as near
-
-
-def never() -> bool:
-    """There is no deadline."""
-    return False
 
 
 class ClearanceProof(NamedTuple):
@@ -131,6 +129,7 @@ class _Prover:
         settled: list[FloatArray] = []
         violations: list[FloatArray] = []
         given_up: FloatArray = np.zeros((0, 4))
+        forgiven: list[Cells] = []
         level = 0
         while True:
             ends = cells.ends()
@@ -144,6 +143,7 @@ class _Prover:
             proven = (result.bound >= result.required - TOLERANCE) & (sharp | is_last)
             violations.append(result.violations)
             settled.append(result.settled(proven))
+            forgiven.append(cells.rows(np.flatnonzero(proven & (result.bound < 0.0))))
             open_cells = np.flatnonzero(~(proven | self._touches_violation(ends, nodes, result)))
             if open_cells.size == 0:
                 break
@@ -152,7 +152,54 @@ class _Prover:
                 break
             halvings = max(1, int(np.log2(_CHEAP / open_cells.size)))
             cells, level = cells.rows(open_cells).cut(2**halvings), level + halvings
+        if not sum(map(len, violations)) and any(cells.first.size for cells in forgiven):
+            deep, open_deep = self._look_deep(Cells(*map(np.concatenate, zip(*forgiven, strict=True))))
+            violations.append(deep)
+            given_up = np.concatenate((given_up, open_deep))
         return self._summary(np.concatenate(settled), np.concatenate(violations), given_up)
+
+    def _look_deep(self, cells: Cells) -> tuple[FloatArray, FloatArray]:
+        """Poses at which something lies deep inside something, and what cannot be proven; as `run` collects them."""
+        robot = self.problem.robot.footprint
+        at = self.motion.nodes(*cells.ends()[:2]).poses[:, :2]
+        reach = robot.circumscribed_radius + _MAX_STEP
+        core = wholes(robot, self.near, at.min(axis=0) - reach, at.max(axis=0) + reach)
+        pairs = ((core.bodies, self.near), (robot.bodies, core.obstacles))
+        found = [self._apart(rounded(bodies), rocks, cells) for bodies, rocks in pairs if bodies and len(rocks)]
+        violations, given_up = zip(*found, strict=True) if found else ((), ())
+        return np.concatenate((np.zeros((0, 7)), *violations)), np.concatenate((np.zeros((0, 4)), *given_up))
+
+    def _apart(
+        self, bodies: tuple[RoundedBody, ...], rocks: ObstacleSet, cells: Cells
+    ) -> tuple[FloatArray, FloatArray]:
+        """Prove that bodies and obstacles share no interior in any of the cells."""
+        level, budget = 0, self.poses + _MAX_POSES
+        while True:
+            ends = cells.ends()
+            nodes = self.motion.nodes(ends.segment, ends.u)
+            self.poses += nodes.s.size
+            bounds = self.motion.bounds(cells, nodes.poses[ends.first], nodes.poses[ends.last])
+            halves = body_bounds(bodies, _halves(nodes, ends, bounds), rocks, np.zeros(2 * cells.first.size))
+            n = cells.first.size
+            bound = np.minimum(halves.bound[:n], halves.bound[n:])
+            bad = np.flatnonzero(halves.distance < 0.0)
+            if bad.size:
+                k = bad[np.argmin(halves.distance[bad])]
+                return self._deep_violation(nodes, int(halves.pose[k]), float(halves.distance[k])), np.zeros((0, 4))
+            open_cells = np.flatnonzero(~(bound >= 0.0))
+            if open_cells.size == 0:
+                return np.zeros((0, 7)), np.zeros((0, 4))
+            if level >= _MAX_LEVELS or self.poses > budget or self.is_late():
+                s = nodes.s[ends.first[open_cells]]
+                return np.zeros((0, 7)), np.column_stack((bound[open_cells] - DEPTH, s, 0.0 * s, 0.0 * s))
+            halvings = max(1, int(np.log2(_CHEAP / open_cells.size)))
+            cells, level = cells.rows(open_cells).cut(2**halvings), level + halvings
+
+    def _deep_violation(self, nodes: Nodes, at: int, distance: float) -> FloatArray:
+        """The pose as `ClearanceProof.violations` has it, with the obstacle piece that is nearest by itself."""
+        pose = nodes.poses[at]
+        _, row = pose_clearances(pose[None], self.problem.robot.footprint, self.near)
+        return np.array([[nodes.s[at], distance - DEPTH, 0.0, row[0], *pose]])
 
     def _crop(self, nodes: Nodes, crop: float) -> tuple[ObstacleSet, IntArray]:
         """The obstacles near the swept area, or all of them where none is near; and their rows in the problem."""

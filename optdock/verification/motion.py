@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
+from optdock.errors import InvalidPath
 from optdock.path import ClothoidSegment, PolylineSegment
 
 if TYPE_CHECKING:
@@ -155,7 +156,7 @@ def _segment_bounds(segment: Segment, cells: Cells, first: FloatArray, last: Flo
         return _polyline_bounds(segment, cells)
     if isinstance(segment, ClothoidSegment):
         return _clothoid_bounds(segment, cells, first, last)
-    raise TypeError(f"cannot verify a segment of type {type(segment).__name__}")
+    raise InvalidPath(f"cannot verify a segment of type {type(segment).__name__}")
 
 
 def _polyline_bounds(segment: PolylineSegment, cells: Cells) -> CellMotion:
@@ -167,7 +168,7 @@ def _polyline_bounds(segment: PolylineSegment, cells: Cells) -> CellMotion:
 def _clothoid_bounds(segment: ClothoidSegment, cells: Cells, first: FloatArray, last: FloatArray) -> CellMotion:
     width = cells.last - cells.first
     piece = np.searchsorted(segment.knots, 0.5 * (cells.first + cells.last)) - 1
-    rate = (np.diff(segment.spline.curvature) / np.diff(segment.knots))[piece]
+    rate = segment.spline.curvature_rates[piece]
     at_first = segment.spline.curvature[piece] + rate * (cells.first - segment.knots[piece])
     at_last = at_first + rate * width
     turn = np.maximum(np.abs(at_first), np.abs(at_last))

@@ -1,14 +1,15 @@
-"""The rules of a path other than clearance: ends, joints, gears, curvature, final straight."""
+"""The rules of a path other than clearance: frame, ends, joints, gears, curvature, final straight."""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
 from optdock.dock import DockDirection
 from optdock.geometry.pose import Pose2, normalize_angle
-from optdock.path import Direction, PolylineSegment
+from optdock.path import Direction, PolylineSegment, may_be_one_frame
+from optdock.segments import SAME_YAW
 from optdock.verification.certificate import Violation
 
 if TYPE_CHECKING:
@@ -25,13 +26,26 @@ EXACT_RTOL = 1e-6  # curvature bounds on clothoid splines
 SAMPLED_RTOL = 1e-3  # curvature bounds on polylines, whose curvature is a difference quotient
 SLIP_TOLERANCE = 0.01  # [rad] between heading and motion of a polyline step
 BULGE_TOLERANCE = 0.005  # [m] between the straight motion of a polyline step and the arc that wheels would drive
+DRIFT_TOLERANCE, DRIFT_PER_METRE = 1e-3, 1e-4  # [m], [m/m] sideways in all; yaws rounded to 1e-4 rad drift as much
+LONGEST_STEP = 0.2  # [m] of sampling for which one step of full slip is allowed on top
+ROUNDING = 1e-6  # [m], [rad] of sampled poses: coordinates of files
 STRAIGHT_TOLERANCE = 1e-4  # [m], [rad]: a polyline's final straight
 
 
 def path_violations(path: Path, problem: DockingProblem) -> tuple[Violation, ...]:
     """Every broken rule but clearance, in driving order of the rules below."""
-    rules = (_ends, _joints, _gears, _slip, _curvature, _curvature_rate, _start_curvature, _final_straight)
+    rules = (
+        *(_frame, _ends, _joints, _gears, _slip, _drift, _creep),
+        *(_curvature, _winding, _curvature_rate, _start_curvature, _final_straight),
+    )
     return tuple(violation for rule in rules for violation in rule(path, problem))
+
+
+def _frame(path: Path, problem: DockingProblem) -> Iterator[Violation]:
+    """Numbers of one frame say nothing about obstacles in another; a path that names no frame is taken at its word."""
+    if not may_be_one_frame(path.frame, problem.frame):
+        message = f"the path stands in frame {path.frame!r}, the problem in {problem.frame!r}; transform one of them"
+        yield Violation("frame", message, 0.0, 1.0, {"path": path.frame, "problem": problem.frame})
 
 
 def _ends(path: Path, problem: DockingProblem) -> Iterator[Violation]:
@@ -48,12 +62,17 @@ def _ends(path: Path, problem: DockingProblem) -> Iterator[Violation]:
 
 
 def _joints(path: Path, problem: DockingProblem) -> Iterator[Violation]:  # noqa: ARG001 - one shape for all rules
+    """All jumps together stay within the tolerance: a thousand small ones are a large one."""
+    total = 0.0
     for i, s in enumerate(path.cusps):
         before, after = path.segments[i], path.segments[i + 1]
         end = Pose2.from_sequence(before.poses_at(before.length)[0])
         gap = end.gap_to(Pose2.from_sequence(_first_pose(after)))
-        if not gap <= POSE_TOLERANCE:
-            yield Violation("joint", f"the path jumps by {gap:.3g} at the cusp s = {s:.3f} m", s, gap)
+        total += gap
+        if not total <= POSE_TOLERANCE:
+            in_all = "" if total == gap else f", {total:.3g} in all so far"
+            yield Violation("joint", f"the path jumps by {gap:.3g} at the cusp s = {s:.3f} m{in_all}", s, total)
+            return
 
 
 def _first_pose(segment: Segment) -> FloatArray:
@@ -79,31 +98,124 @@ def _moving_segments(path: Path) -> Sequence[Segment]:
     return [segment for segment in path.segments if segment.length > POSE_TOLERANCE] or path.segments
 
 
+class _Steps(NamedTuple):
+    """The steps of a polyline segment, Shape (n,) each.
+
+    `s`: arc length of the path where it begins [m]; `chord`, `arc` [m]; `turn` [rad]; `motion`: direction in which it
+    moves [rad]; `slip`: from its middle heading along the travel to that, within +-pi [rad].
+    """
+
+    s: FloatArray
+    chord: FloatArray
+    arc: FloatArray
+    turn: FloatArray
+    motion: FloatArray
+    slip: FloatArray
+
+    def moving(self) -> _Steps:
+        """Those that lead anywhere."""
+        return _Steps(*(column[self.arc > 0.0] for column in self))
+
+
+def _steps(segment: PolylineSegment, start: float) -> _Steps:
+    step = np.diff(segment.poses, axis=0)
+    heading = segment.poses[:-1, 2] + 0.5 * step[:, 2] + (np.pi if segment.direction is Direction.REVERSE else 0.0)
+    motion = np.arctan2(step[:, 1], step[:, 0])
+    slip = np.remainder(motion - heading + np.pi, 2.0 * np.pi) - np.pi
+    chord = np.hypot(step[:, 0], step[:, 1])
+    return _Steps(start + segment.knots[:-1], chord, np.diff(segment.knots), step[:, 2], motion, slip)
+
+
+def _polylines(path: Path) -> Iterator[tuple[PolylineSegment, _Steps]]:
+    for segment, start in zip(path.segments, path.segment_starts[:-1], strict=True):
+        if isinstance(segment, PolylineSegment):
+            yield segment, _steps(segment, float(start))
+
+
 def _slip(path: Path, problem: DockingProblem) -> Iterator[Violation]:  # noqa: ARG001 - one shape for all rules
     """A wheeled robot moves along its heading; a clothoid does so by construction."""
-    for segment, start in zip(path.segments, path.segment_starts[:-1], strict=True):
-        if not isinstance(segment, PolylineSegment):
-            continue
-        step = np.diff(segment.poses, axis=0)
-        heading = segment.poses[:-1, 2] + 0.5 * step[:, 2]
-        if segment.direction is Direction.REVERSE:
-            heading = heading + np.pi
-        error = np.abs(np.remainder(np.arctan2(step[:, 1], step[:, 0]) - heading + np.pi, 2.0 * np.pi) - np.pi)
-        error = np.where(np.diff(segment.knots) > 0.0, error, 0.0)
+    for _, steps in _polylines(path):
+        error = np.where(steps.arc > 0.0, np.abs(steps.slip), 0.0)
         k = int(np.argmax(error))
         if not error[k] <= SLIP_TOLERANCE:
-            s = float(start + segment.knots[k])
+            s = float(steps.s[k])
             message = f"the path slips sideways: motion and heading differ by {error[k]:.3g} rad at s = {s:.3f} m"
             yield Violation("slip", message, s, float(error[k]))
         # Position moves with acceleration arc * turn along the arc, in units of the step, and with none straight on.
-        bulge = np.diff(segment.knots) * np.abs(step[:, 2]) / 8.0
+        bulge = steps.arc * np.abs(steps.turn) / 8.0
         k = int(np.argmax(bulge))
         if not bulge[k] <= BULGE_TOLERANCE:
-            s = float(start + segment.knots[k])
+            s = float(steps.s[k])
             message = (
                 f"the step at s = {s:.3f} m is too long to tell its motion: arc and chord are {bulge[k]:.3g} m apart"
             )
             yield Violation("slip", message, s, float(bulge[k]))
+
+
+def _drift(path: Path, problem: DockingProblem) -> Iterator[Violation]:  # noqa: ARG001 - one shape for all rules
+    """What each step may slip sideways must not add up, over no stretch of the path.
+
+    A step of length h on a smooth curve moves by h^2 / 12 times its change of curvature to the side of its middle
+    heading: sampling alone does that, and it is not counted.
+    """
+    sideways = [np.zeros(1)]
+    places = [np.zeros(1)]
+    for segment, steps in _polylines(path):
+        moving = steps.moving()
+        found = moving.chord * np.sin(moving.slip) + moving.arc**2 / 12.0 * _curvature_changes(moving)
+        sideways.append(float(segment.direction) * found)  # to the left of the body
+        places.append(moving.s)
+    total = np.cumsum(np.concatenate(sideways))
+    drift = np.maximum(total - np.minimum.accumulate(total), np.maximum.accumulate(total) - total)
+    longest = max((float(np.max(steps.arc)) for _, steps in _polylines(path)), default=0.0)
+    one_step = SLIP_TOLERANCE * min(longest, LONGEST_STEP)  # what a step across a kink of the curvature may slip
+    allowed = DRIFT_TOLERANCE + DRIFT_PER_METRE * path.length + one_step
+    k = int(np.argmax(drift))
+    if not drift[k] <= allowed:
+        s = float(np.concatenate(places)[k])
+        message = (
+            f"the path drifts sideways by {drift[k]:.3g} m in all up to s = {s:.3f} m, {allowed:.3g} m are allowed"
+        )
+        yield Violation("slip", message, s, float(drift[k] - allowed))
+
+
+def _curvature_changes(steps: _Steps) -> FloatArray:
+    """Change of curvature over each step of a sampled curve, from the steps beside it. Shape (n,) [1/m]."""
+    if steps.arc.size < 2:
+        return np.zeros(steps.arc.size)
+    curvature = steps.turn / steps.arc
+    inner = 0.5 * (curvature[:-1] + curvature[1:])
+    ends = 2.0 * curvature[[0, -1]] - inner[[0, -1]]
+    changes: FloatArray = np.diff(np.concatenate((ends[:1], inner, ends[1:])))
+    return changes
+
+
+def _creep(path: Path, problem: DockingProblem) -> Iterator[Violation]:  # noqa: ARG001 - one shape for all rules
+    """Steps too short to have a direction, and turns too small to count, must not add up to a motion."""
+    moved = turned = 0.0
+    for _, steps in _polylines(path):
+        still = steps.arc <= 0.0
+        moved += float(np.sum(steps.chord[still]))
+        turned += float(np.sum(np.abs(steps.turn[still & (np.abs(steps.turn) <= SAME_YAW)])))
+    if not max(moved, turned) <= POSE_TOLERANCE:
+        message = f"steps too short to count lead {moved:.3g} m and {turned:.3g} rad away in all"
+        yield Violation("slip", message, 0.0, max(moved, turned))
+
+
+def _winding(path: Path, problem: DockingProblem) -> Iterator[Violation]:
+    """The direction of motion of a polyline turns no faster than its heading may, but for what rounding makes of it."""
+    limit = problem.robot.limits.max_curvature
+    for _, steps in _polylines(path) if np.isfinite(limit) else ():
+        moving = steps.moving()
+        turn = np.abs(np.remainder(np.diff(moving.motion) + np.pi, 2.0 * np.pi) - np.pi)
+        between = 0.5 * (moving.arc[:-1] + moving.arc[1:])
+        rounding = 2.0 * ROUNDING * (1.0 / moving.chord[:-1] + 1.0 / moving.chord[1:])
+        excess = turn - limit * (1.0 + SAMPLED_RTOL) * between - rounding
+        k = int(np.argmax(excess)) if excess.size else -1
+        if k >= 0 and not excess[k] <= 0.0:
+            s, found = float(moving.s[k + 1]), float(turn[k] / between[k])
+            message = f"the direction of motion turns by {found:.4g} 1/m at s = {s:.3f} m, beyond {limit:.4g} 1/m"
+            yield Violation("curvature", message, s, found - limit)
 
 
 def _curvature_samples(segment: Segment) -> tuple[FloatArray, FloatArray]:

@@ -212,6 +212,14 @@ def test_certify_judges_a_path_that_optdock_did_not_make(planned):
     assert result.stderr.count("\n") == 1
 
 
+def test_certify_names_what_a_file_was_proven_against(planned):
+    folder, _ = planned
+    (folder / "nearer.yaml").write_text(SCENARIO.replace("max_speed: 0.5", "max_speed: 0.6").replace("0.05", "0.04"))
+    done = run("certify", folder / "plan.json", folder / "nearer.yaml")
+    assert done.exit_code == 0
+    assert "another problem: limits, clearance differ" in done.stdout
+
+
 def test_certify_refuses_a_plan_of_another_frame(planned):
     folder, _ = planned
     document = json.loads((folder / "plan.json").read_text())
@@ -431,6 +439,7 @@ def test_simulate_says_how_exactly_the_robot_ends():
     assert len({len(column) for column in columns.values()}) == 1
     assert columns["t"][-1] == pytest.approx(document["duration"])
     assert "final error" in first.stdout
+    assert document["goal_checkers"] == {"DockGoalChecker": True}
     goal = load_scenario("bay.yaml").problem.goal
     last = Pose2(columns["x"][-1], columns["y"][-1], columns["yaw"][-1]).in_frame_of(goal)
     assert (last.x, last.y, last.yaw) == pytest.approx(
@@ -471,6 +480,10 @@ time_budget: 5.0
 def test_a_run_that_touches_the_walls_ends_with_status_3_although_it_docks():
     noise = ("--position-noise", "0.03", "--yaw-noise", "0.05")
     assert run("simulate", write(CORRIDOR)).exit_code == 0
+    watched = run("simulate", "bay.yaml", *noise)
+    assert watched.exit_code == 3
+    assert "NoValidControl: TrackingController: collision ahead" in watched.stderr or "collided" in watched.stderr
+    write(CORRIDOR + "controller: {use_collision_detection: false}\n")
     result = run("simulate", "bay.yaml", "--out", "run.json", *noise)
     assert result.exit_code == 3
     assert result.stderr.startswith("collided: the footprint went 0.0")
@@ -516,6 +529,8 @@ def test_demo_runs_from_start_to_finish(tmp_path):
     assert min(made.values()) > 1000
     document = json.loads((tmp_path / "demo" / "run.json").read_text())
     assert document["docked"] is True
+    assert document["goal_checkers"] == {"AxisGoalChecker": True, "DockGoalChecker": True}
+    assert "AxisGoalChecker: reached, DockGoalChecker: reached\n" in result.stdout
     assert max(abs(document["final_error"]["along"]), abs(document["final_error"]["cross"])) < 0.005
 
 

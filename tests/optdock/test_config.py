@@ -1,6 +1,7 @@
 import math
 import struct
 import zlib
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -96,6 +97,15 @@ def test_defaults_hold_where_the_file_is_silent(tmp_path):
     assert names == ["DockPlanner", "CasadiSmoother", "DockGoalChecker"]
 
 
+def test_the_scenario_of_the_readme_is_one_and_ends_by_the_axis_goal_checker(tmp_path):
+    readme = (Path(__file__).parents[2] / "README.md").read_text()
+    snippet = readme.split("A scenario file:\n\n```yaml\n")[1].split("```")[0]
+    write_map(tmp_path / "maps", np.full((4, 4), 254))
+    loaded = scenario(tmp_path, snippet)
+    assert loaded.goal_checker.name == "AxisGoalChecker"
+    assert loaded.goal_checker.parameters["stopped"] is True
+
+
 @pytest.mark.parametrize(
     ("start", "curvature"),
     [
@@ -141,8 +151,9 @@ def test_a_map_is_found_relative_to_the_scenario(tmp_path):
     write_map(tmp_path / "maps", grey)
     problem = scenario(tmp_path, MINIMAL + "map: maps/hall.yaml\n").problem
     assert (problem.costmap.rows, problem.costmap.columns, problem.costmap.resolution) == (30, 40, 0.1)
-    occupied = [i for i in range(len(problem.obstacles)) if problem.obstacles.name_of(i) == "map"]
-    lower, upper = problem.obstacles.lower[occupied].min(axis=0), problem.obstacles.upper[occupied].max(axis=0)
+    obstacles = problem.all_obstacles
+    occupied = [i for i in range(len(obstacles)) if obstacles.name_of(i) == "map"]
+    lower, upper = obstacles.lower[occupied].min(axis=0), obstacles.upper[occupied].max(axis=0)
     np.testing.assert_allclose([*lower, *upper], [0.0, 2.5, 4.0, 3.0], atol=1e-12)
 
 
@@ -288,4 +299,4 @@ def test_a_real_map_becomes_obstacles_with_its_border(tmp_path, real_data):
     text = MINIMAL + f"map: {real_data / 'nav2' / 'maps' / 'depot.yaml'}\n"
     problem = scenario(tmp_path, text).problem
     assert (problem.costmap.columns, problem.costmap.rows) == (604, 307)
-    assert "map border" in problem.obstacles.names
+    assert "map border" in problem.all_obstacles.names

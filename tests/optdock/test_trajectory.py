@@ -51,7 +51,7 @@ def test_times_are_clipped():
         (([1.0], [1.0, 2.0]), "a jerk each"),
         (([0.0], [1.0]), "must be > 0 s"),
         (([np.nan], [1.0]), "must be finite"),
-        (([1.0], [1.0], np.inf), "start state must be finite"),
+        (([1.0], [1.0], np.inf), "time law.start_s: must be finite"),
         (([1e200], [1e200]), "beyond all numbers"),
         (([1e150, 1.0], [1e10, -1.0]), "beyond all numbers"),
     ],

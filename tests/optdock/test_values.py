@@ -1,6 +1,7 @@
 """The small frozen values: limits, dock, clearance rule, problem, obstacles."""
 
 import math
+from enum import Enum
 
 import numpy as np
 import pytest
@@ -8,14 +9,18 @@ import shapely
 from hypothesis import given
 from hypothesis import strategies as st
 
-from optdock.dock import Dock, DockTolerances
-from optdock.errors import InvalidValue
+from optdock.costmap import Costmap
+from optdock.dock import Dock, DockDirection, DockTolerances
+from optdock.errors import InvalidPath, InvalidValue
+from optdock.geometry.clothoid import ClothoidSpline
 from optdock.geometry.footprint import Footprint
 from optdock.geometry.pose import Pose2
 from optdock.limits import MotionLimits, SpeedZone
 from optdock.obstacles import ObstacleSet
+from optdock.path import ClothoidSegment, Direction, Path, PolylineSegment
 from optdock.problem import ClearanceRule, DockingProblem
-from optdock.robot import Robot
+from optdock.robot import Drive, Robot
+from optdock.trajectory import TimeLaw, Trajectory
 
 
 @pytest.mark.parametrize(
@@ -107,3 +112,132 @@ def test_box_distance_agrees_with_shapely(seed):
     points = rng.normal(size=(6, 2)) * 2.0
     truth = shapely.distance(shapely.points(points)[:, None], shapely.polygons(obstacles.vertices)[None])
     assert np.allclose(obstacles.box_distance(points), truth, atol=1e-12)
+
+
+POSE = Pose2(0.0, 0.0, 0.0)
+SQUARE = [[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]]
+POSES = [[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [2.0, 0.1, 0.1]]
+
+
+def frozen_values():
+    """One of every kind that holds arrays, each made of a list of arrays that the caller keeps."""
+    square, poses = np.array(SQUARE), np.array(POSES)
+    knots, curvature = np.array([0.0, 1.0]), np.array([0.0, 0.5])
+    vertices, group = np.array([SQUARE, SQUARE]), np.array([0, 0])
+    spline = ClothoidSpline(POSE, knots, curvature)
+    path = Path((ClothoidSegment(spline),))
+    durations, jerks = np.array([1.0, 1.0]), np.array([1.0, -1.0])
+    whole = ObstacleSet(vertices, ("rock",), group)
+    return [
+        (Footprint(square), [square]),
+        (Footprint(np.array([*SQUARE, [0.2, 0.5]])), []),
+        (Footprint.from_radius(0.3), []),
+        (whole, [vertices, group]),
+        (whole + ObstacleSet.from_polygons([[[0, 0], [1, 0], [0, 1]]]), []),
+        (whole.subset(np.array([1])), []),
+        (whole.subset(slice(0, 1)), []),
+        (ObstacleSet.from_rectangles(np.zeros((1, 2)), np.ones((1, 2)), "box"), []),
+        (ObstacleSet.from_footprint(Footprint(square), POSE, "dock"), []),
+        (PolylineSegment(poses), [poses]),
+        (spline, [knots, curvature]),
+        (path, []),
+        (TimeLaw(durations, jerks), [durations, jerks]),
+        (Costmap(np.zeros((2, 2), dtype=np.uint8), 0.1), []),
+    ]
+
+
+def arrays_of(value):
+    if isinstance(value, np.ndarray):
+        return [value]
+    if isinstance(value, tuple):
+        return [array for part in value for array in arrays_of(part)]
+    parts = () if isinstance(value, Enum) else getattr(value, "__dict__", {}).values()
+    return [array for part in parts for array in arrays_of(part)]
+
+
+@pytest.mark.parametrize("which", range(len(frozen_values())))
+def test_no_array_of_a_frozen_value_can_be_written_to(which):
+    value, given = frozen_values()[which]
+    if isinstance(value, ObstacleSet):
+        value.pieces(np.array([0]))  # what is computed at the first use is frozen as well
+    arrays = arrays_of(value)
+    assert arrays
+    for array in arrays:
+        assert not array.flags.writeable
+        assert array.base is None  # nobody else's memory, through which it could be changed
+        assert not any(np.shares_memory(array, one) for one in given)
+
+
+@pytest.mark.parametrize(
+    ("made", "message"),
+    [
+        (
+            lambda: Dock(POSE, direction="reverse"),
+            "dock.direction: must be one of forward, backward, auto, got 'reverse'",
+        ),
+        (lambda: Dock(POSE, direction="BACKWARD"), "dock.direction"),
+        (lambda: Dock(POSE, direction=None), "dock.direction"),
+        (lambda: Dock([0.0, 0.0, 0.0]), "dock.pose: must be a Pose2"),
+        (lambda: Dock(POSE, footprint=SQUARE), "dock.footprint: must be a Footprint"),
+        (lambda: Dock(POSE, final_straight="0.3"), "dock.final_straight: must be a number"),
+        (lambda: Dock(POSE, final_straight=True), "dock.final_straight: must be a number"),
+        (lambda: Dock(POSE, approach=0.1), "dock.approach: must be a SpeedZone"),
+        (lambda: Dock(POSE, tolerances=0.1), "dock.tolerances: must be a DockTolerances"),
+        (lambda: DockTolerances(along="1"), "dock.tolerances.along: must be a number"),
+        (lambda: Robot(SQUARE, MotionLimits()), "robot.footprint: must be a Footprint"),
+        (lambda: Robot(Footprint(SQUARE), {}), "robot.limits: must be a MotionLimits"),
+        (
+            lambda: Robot(Footprint(SQUARE), MotionLimits(), "tank"),
+            "robot.drive: must be one of differential, ackermann",
+        ),
+        (lambda: MotionLimits(max_speed="1.0"), "limits.max_speed: must be a number"),
+        (lambda: MotionLimits(max_curvature=True), "limits.max_curvature: must be a number"),
+        (lambda: SpeedZone("0.1", 1.0), "approach_speed: must be a number"),
+        (lambda: SpeedZone(0.1, None), "approach_distance: must be a number"),
+        (lambda: ClearanceRule(True, 0.0, 0.5), "clearance.required: must be a number"),
+        (lambda: ClearanceRule("0.05"), "clearance.required: must be a number"),
+        (lambda: PolylineSegment(POSES, 5), "direction: must be one of 1, -1, got 5"),
+        (lambda: PolylineSegment(POSES, True), "direction: must be one of 1, -1, got True"),
+        (lambda: PolylineSegment(POSES, "reverse"), "direction: must be one of 1, -1"),
+        (lambda: PolylineSegment([["0", "0", "0"], ["1", "0", "0"]]), "path: must be numbers"),
+        (lambda: PolylineSegment([[0.0, 0.0, 0.0], [2e8, 0.0, 0.0]]), "path: coordinates must be within"),
+        (lambda: PolylineSegment([[0.0, 0.0, 1e14], [1.0, 0.0, 1e14]]), "path: yaws must be within"),
+        (lambda: ClothoidSegment(None), "spline: must be a ClothoidSpline"),
+        (lambda: TimeLaw([True], [1.0]), "time law.durations: must be numbers"),
+        (lambda: TimeLaw([1.0], [1.0], start_speed="0"), "time law.start_speed: must be a number"),
+        (lambda: Trajectory(POSES, TimeLaw([1.0], [1.0])), "trajectory.path: must be a Path"),
+        (lambda: ObstacleSet(np.zeros((1, 4)), ("a",), np.zeros(1)), "obstacles: need vertices of shape"),
+        (lambda: ObstacleSet(np.full((1, 3, 2), np.nan), ("a",), np.zeros(1)), "obstacles.vertices: must be finite"),
+        (lambda: ObstacleSet(np.array([SQUARE]), ("a",), np.ones(1)), "obstacles.group: must be in"),
+        (lambda: Costmap(np.zeros((2, 2), dtype=int), "0.1"), "costmap.resolution: must be a number"),
+        (lambda: Costmap(np.zeros((2, 2), dtype=int), 0.1, ("0", "0")), "costmap.origin: must be a number"),
+    ],
+)
+def test_what_only_looks_like_the_thing_is_refused(made, message):
+    with pytest.raises(InvalidValue, match=message):
+        made()
+
+
+def test_exact_words_become_members():
+    assert Dock(POSE, direction="backward").direction is DockDirection.BACKWARD
+    assert Robot(Footprint(SQUARE), MotionLimits(), "ackermann").drive is Drive.ACKERMANN
+    assert PolylineSegment(POSES, -1).direction is Direction.REVERSE
+
+
+class Detour(PolylineSegment):
+    """Claims other poses than those that it was made of."""
+
+    def poses_at(self, s):
+        return super().poses_at(s) + 1.0
+
+
+@pytest.mark.parametrize("segment", [object(), ClothoidSpline(POSE, [0.0, 1.0], [0.0, 0.0]), Detour(POSES)])
+def test_a_path_is_made_of_segments_that_can_be_judged(segment):
+    with pytest.raises(InvalidPath, match="path: segment 1 must be a ClothoidSegment or a PolylineSegment"):
+        Path((PolylineSegment(POSES), segment))
+
+
+@pytest.mark.parametrize("poses", [[[0.0, 0.0, 0.0], [3e8, 0.0, 0.0]], [[0.0, 0.0, 2e6], [1.0, 0.0, 2e6]]])
+def test_poses_out_of_range_make_no_path(poses):
+    with pytest.raises(InvalidPath, match="path: (coordinates|yaws) must be within"):
+        Path.from_poses(np.array(poses))

@@ -8,6 +8,9 @@ from hypothesis.extra import numpy as hnp
 from optdock.costmap import Costmap, obstacles_from_costmap
 from optdock.costmap.cell_obstacles import cell_rectangles
 from optdock.errors import InvalidValue
+from optdock.geometry.footprint import Footprint
+from optdock.geometry.pose import Pose2, transform_points
+from optdock.verification import pose_clearance
 
 masks = hnp.arrays(np.bool_, st.tuples(st.integers(1, 12), st.integers(1, 12)))
 cost_grids = hnp.arrays(
@@ -76,8 +79,20 @@ def test_the_border_surrounds_the_map_without_covering_it():
     border = shapely.union_all([shapely.Polygon(v) for v in obstacles_from_costmap(costmap).vertices])
     inside = shapely.box(1.0, 2.0, *costmap.upper)
     assert border.intersection(inside).area == pytest.approx(0.0, abs=1e-9)
-    assert border.union(inside).buffer(0).contains(shapely.box(-100.0, -100.0, 100.0, 100.0))
+    assert border.union(inside).buffer(0).contains(shapely.box(-3e8, -3e8, 3e8, 3e8))
     assert len(obstacles_from_costmap(costmap, border=False)) == 0
+
+
+@given(st.floats(-8.0, 8.0), st.floats(-8.0, 8.0), st.floats(0.0, 6.5), st.integers(-4, 7))
+def test_everything_off_the_map_is_an_obstacle_however_far(x, y, yaw, power):
+    """Inside the map the clearance is the distance to its edge; outside it is how deep the robot is in, and exact."""
+    costmap = Costmap(np.zeros((100, 120), dtype=int), 0.1, (-6.0, -5.0))
+    pose = Pose2(x * 10.0**power, y * 10.0**power, yaw)
+    robot = Footprint.rectangle(0.4, 0.2, 0.5)
+    clearance, _ = pose_clearance(pose, robot, obstacles_from_costmap(costmap))
+    corners = transform_points(pose.as_array()[None], robot.vertices)[0]
+    spare = np.minimum(corners - np.array(costmap.lower), np.array(costmap.upper) - corners).min()
+    assert clearance == pytest.approx(spare, abs=1e-12 + 1e-15 * abs(spare))
 
 
 @given(cost_grids, hnp.arrays(int, (2, 2), elements=st.integers(-500, 1500)))

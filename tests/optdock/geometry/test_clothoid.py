@@ -139,3 +139,23 @@ def test_a_change_of_sign_within_a_cell_costs_less_than_a_billionth_of_the_lengt
         knots = np.linspace(0.0, width, 65)
         fine = ClothoidSpline(coarse.start, knots, 1.0 - 2.0 * knots / width)
         assert coarse.end.distance_to(fine.end) < 1e-9 * width
+
+
+@pytest.mark.parametrize(
+    ("start", "knots", "curvature", "message"),
+    [
+        (Pose2(0.0, 0.0, 9e5), [0.0, 1.0], [2.5e5, 2.5e5], "clothoid: (yaws must be within|turns by)"),
+        (Pose2(9e7, 0.0, 0.0), [0.0, 1e7, 1e8], [0.0, 0.0, 0.0], "clothoid: coordinates must be within"),
+        (Pose2(0.0, 0.0, 0.0), [0.0, 1.0, 1.0 + 2.5e-16], [0.0, 0.0, 1e16], "floats cannot resolve"),
+        ([0.0, 0.0, 0.0], [0.0, 1.0], [0.0, 0.0], "clothoid.start: must be a Pose2"),
+    ],
+)
+def test_what_floats_cannot_resolve_is_refused(start, knots, curvature, message):
+    with pytest.raises(InvalidValue, match=message):
+        ClothoidSpline(start, knots, curvature)
+
+
+@pytest.mark.parametrize("sign", [True, 0, 2, "1", 1.5, np.nan])
+def test_a_sign_is_one_or_minus_one(sign):
+    with pytest.raises(InvalidValue, match="clothoid.sign"):
+        ClothoidSpline(Pose2(0.0, 0.0, 0.0), [0.0, 1.0], [0.0, 0.0], sign)

@@ -2,6 +2,8 @@
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from optdock.errors import InvalidValue
 from optdock.geometry.footprint import Footprint
@@ -32,16 +34,20 @@ def test_anything_else_is_refused(text):
         Footprint.from_string(text)
 
 
-def test_a_radius_is_nav2s_16_gon_and_padding_moves_by_sign():
-    padded = Footprint.from_radius(0.22).padded(0.01)
-    assert len(padded.vertices) == 16
-    assert padded.inscribed_radius == pytest.approx(0.2255, abs=5e-5)
-    assert padded.circumscribed_radius == pytest.approx(0.2341, abs=5e-5)
+@given(st.floats(1e-3, 50.0), st.floats(0.0, 1.0))
+def test_a_round_robot_is_the_polygon_around_its_circle(radius, padding):
+    footprint = Footprint.from_radius(radius)
+    assert radius <= footprint.inscribed_radius <= radius * (1.0 + 1e-12)
+    assert footprint.circumscribed_radius <= 1.005 * radius
+    assert footprint.length == pytest.approx(2.0 * radius, rel=1e-12)
+    assert footprint.width == pytest.approx(2.0 * radius, rel=1e-12)
+    # Padding by the signs of the coordinates keeps at least its distance from the circle, in every direction.
+    assert footprint.padded(padding).inscribed_radius >= (radius + padding) * (1.0 - 1e-12)
 
 
-@pytest.mark.parametrize("radius", [0.0, -1.0, np.nan, np.inf])
+@pytest.mark.parametrize("radius", [0.0, -1.0, np.nan, np.inf, True, "0.3", None])
 def test_a_radius_is_a_positive_number(radius):
-    with pytest.raises(InvalidValue, match="footprint.radius: must be > 0 m"):
+    with pytest.raises(InvalidValue, match="footprint.radius: must be (> 0 m|a number)"):
         Footprint.from_radius(radius)
 
 

@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from optdock.errors import InvalidValue
-from optdock.geometry.polygon import convex_pieces, edge_normals, is_convex, signed_area, simple_polygon
+from optdock.geometry.polygon import convex_pieces, edge_normals, edge_planes, is_convex, signed_area, simple_polygon
 
 L_SHAPE = np.array([[0.0, 0.0], [2.0, 0.0], [2.0, 1.0], [1.0, 1.0], [1.0, 2.0], [0.0, 2.0]])
 
@@ -97,3 +97,52 @@ def test_a_star_of_many_points_is_cut_at_once_and_few_pieces_cover_it():
     assert len(pieces) <= count // 2 + 1
     assert all(is_convex(piece) for piece in pieces)
     assert sum(signed_area(piece) for piece in pieces) == pytest.approx(signed_area(star), rel=1e-12)
+
+
+def dented_wall(length, dents, depth):
+    """A square block whose upper side sags by `depth` along a parabola of reflex vertices."""
+    x = np.linspace(0.5 * length, -0.5 * length, dents + 2)
+    top = np.column_stack((x, depth * ((2.0 * x / length) ** 2 - 1.0)))
+    return np.vstack((top, [[-0.5 * length, -length], [0.5 * length, -length]]))
+
+
+@pytest.mark.parametrize(("length", "dents"), [(4000.0, 1), (100.0, 200), (100.0, 1000), (1e6, 1)])
+def test_flat_dents_do_not_add_up(length, dents):
+    """Every single turn is below a billionth of a radian, their sum is not: such a wall is not convex."""
+    wall = simple_polygon(dented_wall(length, dents, 0.4e-9 * length * max(dents, 2) / 4.0), "wall")
+    assert not is_convex(wall)
+    pieces = convex_pieces(wall)
+    assert sum(signed_area(piece) for piece in pieces) == pytest.approx(signed_area(wall), rel=1e-9)
+
+
+@given(st.integers(0, 1000), st.floats(0.0, 3e-9))
+def test_pieces_leave_nothing_out_and_stick_out_by_a_nanometre_at_most(seed, depth):
+    rng = np.random.default_rng(seed)
+    wall = dented_wall(float(rng.uniform(0.5, 20.0)), int(rng.integers(1, 9)), depth) @ _turned(rng.uniform(0.0, 7.0))
+    pieces = convex_pieces(simple_polygon(wall, "wall"))
+    reach = [edge_planes(piece) for piece in pieces]
+    inside = rng.dirichlet(np.ones(len(wall)), 50) @ wall
+    inside = inside[shapely.contains_xy(shapely.Polygon(wall), inside)]
+    for point in np.vstack((inside, wall)):
+        assert min(float(np.max(normals @ point - offsets)) for normals, offsets in reach) <= 1e-13 * len(wall) * 20.0
+    outline = shapely.Polygon(wall)
+    for piece in pieces:
+        assert max(outline.distance(shapely.Point(corner)) for corner in piece) <= 1.1e-9
+
+
+def _turned(angle):
+    return np.array([[np.cos(angle), np.sin(angle)], [-np.sin(angle), np.cos(angle)]])
+
+
+def test_the_normal_of_a_denormal_edge_is_a_unit_vector():
+    normals, offsets = edge_planes(np.array([[0.0, 0.0], [1e-323, 5e-324], [1.0, 1.0], [-1.0, 1.0]]))
+    assert np.hypot(*normals.T) == pytest.approx(1.0, abs=1e-15)
+    assert np.all(normals @ np.array([0.3, 0.9]) <= offsets)
+
+
+@given(st.integers(0, 3000))
+def test_no_vertex_lies_beyond_a_plane(seed):
+    rng = np.random.default_rng(seed)
+    points = rng.normal(size=(6, 2)) * 10.0 ** rng.uniform(-3.0, 5.0)
+    normals, offsets = edge_planes(points)
+    assert np.all(np.max(normals @ points.T, axis=1) <= offsets + 1e-14 * np.max(np.abs(points)))

@@ -61,3 +61,24 @@ def test_values_that_are_not_finite_are_refused_by_name(bad):
 def test_a_pose_is_made_of_three_numbers(values):
     with pytest.raises(InvalidValue, match=r"must be \[x, y, yaw\]"):
         Pose2.from_sequence(values)
+
+
+@pytest.mark.parametrize(
+    ("values", "message"),
+    [
+        ((1e9, 0.0, 0.0), "pose.x: must be within"),
+        ((0.0, -1.1e8, 0.0), "pose.y: must be within"),
+        ((0.0, 0.0, 1e14), "pose.yaw: must be within"),
+        ((0.0, 0.0, "1"), "pose.yaw: must be a number"),
+        ((True, 0.0, 0.0), "pose.x: must be a number"),
+        ((0.0, np.nan, 0.0), "pose.y: must be finite"),
+        ((10**400, 0.0, 0.0), "pose.x: must be finite"),
+    ],
+)
+def test_a_pose_that_floats_cannot_resolve_is_refused(values, message):
+    with pytest.raises(InvalidValue, match=message):
+        Pose2(*values)
+
+
+def test_any_number_makes_a_pose():
+    assert Pose2(np.float32(0.5), np.int64(2), np.array(3)) == Pose2(0.5, 2.0, 3.0)

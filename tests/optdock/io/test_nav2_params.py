@@ -73,9 +73,9 @@ def test_the_costmaps_nested_twice_are_read(real):
     costmap = costmaps["global_costmap"]
     assert (costmap.robot_radius, costmap.footprint_padding, costmap.resolution) == (0.22, 0.01, 0.05)
     assert costmap.layers == ("static_layer", "obstacle_layer", "inflation_layer")
-    # The padded 16-gon of nav2.md 5.5: 0.22 m and 0.01 m give 0.2255 m and 0.2341 m.
-    assert costmap.outline.inscribed_radius == pytest.approx(0.2255, abs=1e-4)
-    assert costmap.outline.circumscribed_radius == pytest.approx(0.2341, abs=1e-4)
+    # The polygon around the circle, padded: Nav2's own has its corners on the circle, 0.2255 m inside.
+    assert costmap.outline.inscribed_radius == pytest.approx(0.23, abs=1e-9)
+    assert costmap.outline.circumscribed_radius == pytest.approx(0.2351, abs=1e-4)
 
 
 def test_a_bare_costmap_file_is_one_costmap(real):
@@ -112,7 +112,7 @@ def test_without_a_footprint_the_radius_holds(tmp_path, text):
     source = f"a_costmap:\n  a_costmap:\n    ros__parameters:\n      robot_radius: 0.5\n{body}"
     costmap = loaded(tmp_path, source).costmaps["a_costmap"]
     assert costmap.footprint is None
-    assert costmap.outline.circumscribed_radius == pytest.approx(math.hypot(0.5, 0.0) + 0.01, abs=5e-3)
+    assert costmap.outline.inscribed_radius == pytest.approx(0.5 + 0.01, abs=1e-9)
 
 
 def test_all_faults_are_listed_at_once(tmp_path):

@@ -5,7 +5,14 @@ import pytest
 
 from optdock.costmap.costmap import Costmap
 from optdock.dock import Dock, DockDirection
-from optdock.errors import InvalidValue, LifecycleError, NoValidPathCouldBeFound, PlannerCancelled, PlannerException
+from optdock.errors import (
+    InvalidValue,
+    LifecycleError,
+    NoValidPathCouldBeFound,
+    PlannerCancelled,
+    PlannerException,
+    StartOutsideMapBounds,
+)
 from optdock.geometry.footprint import Footprint
 from optdock.geometry.pose import Pose2
 from optdock.interfaces import GlobalPlanner, LifecycleState, PluginContext
@@ -132,17 +139,23 @@ def test_the_problem_fills_what_parameters_leave_open():
     assert backward.axis.distance_min_c == pytest.approx(0.6)
 
 
-def test_the_context_goes_before_the_problem():
-    context = PluginContext(footprint=Footprint.from_radius(1.0), problem=problem())
-    assert configured(context).plan(START, GOAL).axis.safety_distance == pytest.approx(2.0)
+def test_two_footprints_are_not_chosen_from():
+    with pytest.raises(InvalidValue, match=r"context\.footprint: differs from context\.problem\.robot\.footprint"):
+        PluginContext(footprint=Footprint.from_radius(1.0), problem=problem())
 
 
 def test_the_costmap_of_the_context_is_checked_where_asked():
     blocked = Costmap(np.full((10, 10), 254, dtype=np.uint8), 0.1, (-0.5, -0.5))
     context = PluginContext(footprint=ROBOT, costmap=blocked)
     assert configured(context).create_plan(START, GOAL).end == GOAL
-    with pytest.raises(NoValidPathCouldBeFound, match="blocked"):
+    with pytest.raises(StartOutsideMapBounds, match="the start .* lies off the map"):
         configured(context, check_free_space=True).create_plan(START, GOAL)
+
+
+def test_the_check_of_free_space_is_not_skipped_in_silence_where_there_is_no_map():
+    for context in (PluginContext(footprint=ROBOT), PluginContext(problem=problem())):
+        with pytest.raises(PlannerException, match="check_free_space is true, but there is no costmap"):
+            configured(context, check_free_space=True).create_plan(START, GOAL)
 
 
 def test_changed_parameters_hold_from_the_next_plan_on():

@@ -108,7 +108,7 @@ def test_turn_in_place_fails_with_its_place_and_angle(all_limits):
     path = Path.from_poses(np.array([[0, 0, 0], [1, 0, 0], [1, 0, 0.7], [1.5, 0.42, 0.7]], dtype=float))
     result = Windowed().parameterize(path, all_limits, NO_ZONE)
     assert (result.status, result.trajectory) == (TimingStatus.FAIL, None)
-    assert "0.7 rad at s = 1 m" in result.report["reason"]
+    assert "0.7 rad at s = 1 m" in result.reason
 
 
 def test_found_as_a_plugin(make, all_limits):

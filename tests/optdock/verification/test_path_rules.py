@@ -4,6 +4,8 @@ import dataclasses
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from optdock.dock import Dock, DockDirection
 from optdock.geometry.clothoid import ClothoidSpline
@@ -190,7 +192,7 @@ def test_a_half_circle_in_one_step_is_no_motion_of_wheels():
 
 def test_sliding_sideways_is_a_slip():
     path = Path.from_poses(np.array([[0.0, 0.0, 0.0], [0.5, 0.5, 0.0], [1.0, 1.0, 0.0]]))
-    assert kinds(path, problem(path, final_straight=0.0)) == ["slip"]
+    assert set(kinds(path, problem(path, final_straight=0.0))) == {"slip"}
 
 
 def test_a_certificate_is_plain_data():
@@ -199,3 +201,73 @@ def test_a_certificate_is_plain_data():
     assert data["certified"] is False
     assert data["min_clearance"] is None
     assert data["violations"][0]["kind"] == "final_straight"
+
+
+def test_joints_do_not_add_up():
+    """A hundred jumps of a hundredth of what one may jump are fine, of three hundredths they are not."""
+    for jump, expected in ((0.9e-8, []), (3e-8, ["joint"])):
+        pieces = [spline((0.0, 0.01), (0.0, 0.0), Pose2(0.01 * k, jump * k, 0.0)) for k in range(101)]
+        path = path_of(*pieces)
+        assert kinds(path, problem(path, final_straight=0.0)) == expected
+
+
+def polyline(x, y, yaw=0.0):
+    return Path((PolylineSegment(np.column_stack((x, y, np.zeros(len(x)) + yaw))),))
+
+
+@pytest.mark.parametrize(("slope", "expected"), [(0.0099, ["slip"]), (-0.0099, ["slip"]), (0.0003, [])])
+def test_slips_do_not_add_up(slope, expected):
+    """Every step slips by less than it may; all together they would carry the robot 3 cm to the side."""
+    x = np.linspace(0.0, 3.0, 301)
+    path = polyline(x, slope * x)
+    assert kinds(path, problem(path, final_straight=0.0)) == expected
+    there_and_back = polyline(x, slope * 1.5 / np.pi * np.sin(np.pi * x / 3.0) * 2.0)
+    assert kinds(there_and_back, problem(there_and_back, final_straight=0.0)) == expected
+
+
+def test_slips_of_several_gears_add_up():
+    x = np.linspace(0.0, 0.1, 11)
+    gears = []
+    for k in range(30):  # forth and back, always to the same side of the body
+        y = 0.0099 * (0.1 * k + x)
+        along = x if k % 2 == 0 else x[::-1]
+        gears.append(PolylineSegment(np.column_stack((along, y, 0.0 * x)), Direction(1 if k % 2 == 0 else -1)))
+    path = Path(tuple(gears))
+    assert kinds(path, problem(path, final_straight=0.0)) == ["slip"]
+
+
+def test_creeping_in_steps_too_short_to_count_is_a_slip():
+    step, count = 0.95e-9, 2000
+    y = np.concatenate((np.zeros(100), step * np.arange(count), np.full(100, step * (count - 1))))
+    x = np.concatenate((np.linspace(0.0, 1.0, 100), np.ones(count), np.linspace(1.0, 2.0, 100)))
+    path = polyline(x, y)
+    assert kinds(path, problem(path, final_straight=0.0)) == ["slip"]
+    turning = polyline(x, 0.0 * x, y)
+    assert "slip" in kinds(turning, problem(turning, MotionLimits(), final_straight=0.0))
+    few = polyline(x[:400], y[:400])
+    assert kinds(few, problem(few, final_straight=0.0)) == []
+
+
+@pytest.mark.parametrize(("spacing", "aside"), [(1e-3, 9.9e-6), (5e-3, 40e-6), (0.02, 160e-6)])
+def test_a_zigzag_of_motion_is_a_curvature(spacing, aside):
+    """The heading stays, the direction of motion turns back and forth: by 20, 3 and 0.8 1/m with a limit of 0.5."""
+    count = int(2.0 / spacing) + 1
+    path = polyline(spacing * np.arange(count), np.where(np.arange(count) % 2, aside, 0.0))
+    tight = problem(path, dataclasses.replace(LIMITS, max_curvature=0.5), final_straight=0.0)
+    assert kinds(path, tight) == ["curvature"]
+    assert kinds(path, problem(path, MotionLimits(), final_straight=0.0)) == []
+
+
+@given(st.integers(0, 100_000), st.sampled_from([0.01, 0.02, 0.05, 0.1, 0.2]), st.sampled_from([0.0, 1e-9, 1e-6]))
+def test_honest_samples_keep_the_rules_of_sums(seed, spacing, rounding):
+    rng = np.random.default_rng(seed)
+    knots = np.concatenate(([0.0], np.cumsum(rng.uniform(0.3, 1.0, rng.integers(2, 9)))))
+    curvature = rng.uniform(0.1, 1.5) * rng.uniform(-1.0, 1.0, knots.size)
+    exact = path_of(spline(knots, curvature, Pose2(*rng.uniform(-9.0, 9.0, 2), 1.0), int(rng.choice([1, -1]))))
+    poses = exact.sample(spacing).poses
+    poses = np.round(poses / rounding) * rounding if rounding else poses
+    path = Path((PolylineSegment(poses, exact.segments[0].direction),))
+    limits = MotionLimits(max_curvature=float(np.max(np.abs(curvature))))
+    found = certify_path(path, problem(path, limits, final_straight=0.0)).violations
+    # A coarse step across a kink may still slip or bulge by itself.
+    assert [v.message for v in found if "in all" in v.message or "direction of motion" in v.message] == []

@@ -13,7 +13,7 @@ from optdock.geometry.pose import Pose2
 from optdock.limits import MotionLimits, SpeedZone
 from optdock.path import ClothoidSegment, Path, PolylineSegment
 from optdock.trajectory import TimeLaw, Trajectory
-from optdock.verification import certify_trajectory
+from optdock.verification import certify_trajectory, trajectory_cells
 
 OPEN = MotionLimits(1.0, 1.0, 1.0, 1.0, 4.0, track_width=0.5)
 QUANTITIES = {
@@ -252,3 +252,77 @@ def test_sampling_a_curve_does_not_raise_its_yaw_rate_beyond_the_tolerance_of_sa
         for one in (exact, sampled)
     ]
     assert 0.95 * ratios[0]["yaw_rate"] < ratios[1]["yaw_rate"] <= ratios[0]["yaw_rate"]
+
+
+TURNING = dataclasses.replace(OPEN, max_yaw_rate=0.6, max_yaw_acceleration=1.0)
+
+
+def spike(width, at=1.0, turn=0.4):
+    """A path that turns at once: curvature rises to a peak and falls again within twice `width`."""
+    knots = [0.0, at, at + width, at + 2.0 * width, 3.0]
+    return Path((ClothoidSegment(ClothoidSpline(Pose2(0.0, 0.0, 0.0), knots, [0.0, 0.0, turn / width, 0.0, 0.0])),))
+
+
+@pytest.mark.parametrize("width", [1e-2, 1e-6, 1e-10, 2e-14, 2.3e-16])
+@pytest.mark.parametrize("resting", [False, True])
+def test_a_turn_within_any_distance_is_seen(width, resting):
+    motion = Trajectory(spike(width), law(move(1.0), move(2.0)) if resting else law(move(3.0)))
+    found = kinds(motion, TURNING)
+    assert "yaw_acceleration" in found
+    assert kinds(motion, dataclasses.replace(TURNING, max_yaw_acceleration=np.inf)) == ["yaw_rate"]
+
+
+@pytest.mark.parametrize("width", [1e-1, 1e-3, 1e-8, 4e-14, 2.3e-16])
+def test_a_jump_of_curvature_within_any_distance_is_a_jump_of_yaw_rate(width):
+    knots = [0.0, 1.0, 1.0 + width, 2.0, 3.0]
+    jump = Path((ClothoidSegment(ClothoidSpline(Pose2(0.0, 0.0, 0.0), knots, [0.0, 0.0, 1.0, 1.0, 1.0])),))
+    assert "yaw_acceleration" in kinds(Trajectory(jump, law(move(3.0))), TURNING)
+
+
+@pytest.mark.parametrize("wait", [1.0, 1e9, 1e15, 1e17])
+def test_what_follows_a_wait_of_any_length_is_judged(wait):
+    circle = Path((ClothoidSegment(ClothoidSpline(Pose2(0.0, 0.0, 0.0), [0.0, 3.0], [2.0, 2.0])),))
+    motion = Trajectory(circle, law(([wait], [0.0]), move(3.0)))
+    assert kinds(motion, dataclasses.replace(OPEN, max_yaw_rate=0.9)) == ["yaw_rate"]
+    assert kinds(motion, dataclasses.replace(OPEN, max_yaw_rate=1.1)) == []
+    assert kinds(motion, OPEN, SpeedZone(0.1, 1.5)) == ["speed"]
+    assert kinds(motion, dataclasses.replace(OPEN, max_speed=0.4)) == ["speed"]
+
+
+@pytest.mark.parametrize("at_end", [True, False])
+def test_a_turn_beyond_the_ends_of_the_motion_is_not_left_out(at_end):
+    width, short = 1e-9, 0.9e-6
+    knots = [0.0, width, 3.0] if not at_end else [0.0, 3.0 - width, 3.0]
+    curvature = [0.8 / width, 0.0, 0.0] if not at_end else [0.0, 0.0, 0.8 / width]
+    turning = Path((ClothoidSegment(ClothoidSpline(Pose2(0.0, 0.0, 0.0), knots, curvature)),))
+    t, j = move(3.0 - short)
+    assert "coverage" in kinds(Trajectory(turning, TimeLaw(t, j, start_s=0.0 if at_end else short)), TURNING)
+
+
+def test_when_time_is_up_nothing_more_is_proven():
+    motion, asked = Trajectory(path(), law(move(3.0))), []
+    limits = dataclasses.replace(OPEN, max_yaw_rate=2.0)
+    late = certify_trajectory(motion, limits, SpeedZone(), is_late=lambda: asked.append(1) is None)
+    assert [violation.kind for violation in late.violations] == ["unproven"]
+    assert late.ratios["yaw_rate"] == np.inf
+    assert certify_trajectory(motion, limits, SpeedZone(), is_late=lambda: False).certified
+
+
+def test_too_many_cells_are_given_up(monkeypatch):
+    """The lateral acceleration has its limit where speed and curvature still rise: no coarse cell can be cleared."""
+    motion = Trajectory(path((0.0, 2.0)), law(move(3.0)))
+    peak = float(np.max(motion.sample(1e-4).speed ** 2 * motion.path.curvature_at(motion.sample(1e-4).s)))
+    limits = dataclasses.replace(OPEN, max_lateral_acceleration=peak * (1.0 + 1e-6))
+    assert certify_trajectory(motion, limits, SpeedZone()).certified
+    monkeypatch.setattr(trajectory_cells, "_MAX_CELLS", -1)
+    assert kinds(Trajectory(motion.path, motion.time_law), limits) == ["unproven"]
+
+
+def test_blocks_of_cells_change_nothing(monkeypatch):
+    motion = trajectory()
+    limits = dataclasses.replace(OPEN, max_yaw_rate=0.7, max_yaw_acceleration=0.8, max_lateral_acceleration=0.3)
+    whole = certify_trajectory(motion, limits, SpeedZone())
+    monkeypatch.setattr(trajectory_cells, "_BLOCK", 7)
+    parts = certify_trajectory(motion, limits, SpeedZone())
+    assert parts.ratios == whole.ratios
+    assert [one.message for one in parts.violations] == [one.message for one in whole.violations]
