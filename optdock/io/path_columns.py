@@ -33,6 +33,7 @@ logger = logging.getLogger(__name__)
 AGREEMENT = 1e-6
 _ROUNDED = 1e-4  # [m, rad]: where rounded curves may end beside their last sample
 _STILL = 1e-9  # [m]: shorter steps carry no direction
+_ENOUGH = 3  # steps that show which unit yaws are in
 _ALIGNED = 0.05  # sine of the angle between motion and heading; wheels roll within it
 
 Gear: TypeAlias = Literal[1, -1]
@@ -111,8 +112,8 @@ def path_from_columns(columns: PathColumns, name: str) -> Path:
     _check_lengths(columns, name)
     poses = np.column_stack((columns.x, columns.y, columns.yaw))
     _check_arc_length(columns, poses, name)
-    _check_radians(poses, name)
     if not columns.segments:
+        _check_radians(poses, name)
         _check_directions(columns, poses, name)
         return Path.from_poses(poses)
     path = Path(tuple(_segment(curve) for curve in columns.segments))
@@ -178,7 +179,7 @@ def _check_radians(poses: FloatArray, name: str) -> None:
     """Yaws may have turned on beyond 2 pi; those that only as degrees point along the motion are in degrees."""
     step = np.diff(poses[:, :2], axis=0)
     moving = np.hypot(step[:, 0], step[:, 1]) > _STILL
-    if not moving.any() or np.max(np.abs(poses[:, 2])) <= 2.0 * np.pi:
+    if np.count_nonzero(moving) < _ENOUGH or np.max(np.abs(poses[:, 2])) <= 2.0 * np.pi:
         return
     way = np.arctan2(step[moving, 1], step[moving, 0])
     ends = poses[:-1, 2][moving], poses[1:, 2][moving]
