@@ -254,7 +254,7 @@ SEEDS = {
     "dropped_obstacle": 0,
     "dropped_map_cell": 33,
     "dropped_path_cell": 5,
-    "dropped_time_cell": 21,
+    "dropped_time_cell": 24,
     "curvature_x5": 1,
     "rest_x5": 0,
 }
