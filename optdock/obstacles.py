@@ -174,6 +174,15 @@ class ObstacleSet:
         """The rows of those pieces, ascending."""
         return np.flatnonzero(np.all((self.lower <= upper) & (self.upper >= lower), axis=1))
 
+    def rows_at(self, points: FloatArray) -> IntArray:
+        """The piece in which each point lies, Shape (n, 2) [m], its outline included; -1 in none. Shape (n,)."""
+        found = np.full(len(points), -1)
+        near = self.rows_in_box(points.min(axis=0), points.max(axis=0)) if len(points) else np.zeros(0, dtype=np.int64)
+        for row in near.tolist():
+            heights = points @ self.normals[row].T - self.offsets[row]
+            found[np.all(heights <= 0.0, axis=1)] = row
+        return found
+
     def name_of(self, row: int) -> str:
         """What to call piece `row` in a message."""
         return self.names[int(self.group[row])]

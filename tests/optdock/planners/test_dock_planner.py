@@ -1,3 +1,4 @@
+import dataclasses
 import math
 
 import numpy as np
@@ -17,6 +18,7 @@ from optdock.geometry.footprint import Footprint
 from optdock.geometry.pose import Pose2
 from optdock.interfaces import GlobalPlanner, LifecycleState, PluginContext
 from optdock.limits import MotionLimits
+from optdock.obstacles import ObstacleSet
 from optdock.path import Direction
 from optdock.planners.dock_planner import DockPlanner, DockPlannerParameters
 from optdock.plugins import create_plugin
@@ -156,6 +158,18 @@ def test_the_check_of_free_space_is_not_skipped_in_silence_where_there_is_no_map
     for context in (PluginContext(footprint=ROBOT), PluginContext(problem=problem())):
         with pytest.raises(PlannerException, match="check_free_space is true, but there is no costmap"):
             configured(context, check_free_space=True).create_plan(START, GOAL)
+
+
+def test_a_problems_obstacles_are_checked_with_its_costmap():
+    free = Costmap(np.zeros((200, 200), dtype=np.uint8), 0.1, (-10.0, -10.0))
+    middle = configured(PluginContext(problem=problem(), costmap=free)).create_plan(START, GOAL).pose_at(0.5)
+    rock = [[middle.x + dx, middle.y + dy] for dx, dy in ((-0.2, -0.2), (0.2, -0.2), (0.2, 0.2), (-0.2, 0.2))]
+    blocked = dataclasses.replace(problem(), obstacles=ObstacleSet.from_polygons([rock]))
+    context = PluginContext(problem=blocked, costmap=free)
+    assert configured(context).create_plan(START, GOAL).end == GOAL  # by default nothing is checked
+    with pytest.raises(NoValidPathCouldBeFound, match=r"blocked at .* by obstacles\[0\]"):
+        configured(context, check_free_space=True).create_plan(START, GOAL)
+    assert configured(PluginContext(problem=problem(), costmap=free), check_free_space=True).create_plan(START, GOAL)
 
 
 def test_changed_parameters_hold_from_the_next_plan_on():
