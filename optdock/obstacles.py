@@ -10,7 +10,7 @@ import numpy as np
 
 from optdock.errors import InvalidValue
 from optdock.fingerprint import digest
-from optdock.geometry.arrays import readonly
+from optdock.geometry.arrays import frozen_array, readonly
 from optdock.geometry.polygon import convex_pieces, edge_planes, simple_polygon
 from optdock.geometry.pose import transform_points
 from optdock.geometry.separation import ConvexPieces
@@ -122,8 +122,11 @@ class ObstacleSet:
         """Axis-aligned rectangles from their corners, Shape (m, 2) [m] each, all called `name`.
 
         Raises:
-            InvalidValue: An upper corner is not above its lower corner.
+            InvalidValue: Not two lists of as many corners, or an upper corner is not above its lower corner.
         """
+        lower, upper = (frozen_array(corners, name, columns=2) for corners in (lower, upper))
+        if lower.shape != upper.shape:
+            raise InvalidValue(f"{name}: needs as many lower as upper corners, got {len(lower)}, {len(upper)}")
         if not np.all(upper > lower):
             raise InvalidValue(f"{name}: every rectangle needs upper > lower")
         x0, y0, x1, y1 = lower[:, 0], lower[:, 1], upper[:, 0], upper[:, 1]
