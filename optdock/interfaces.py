@@ -1,6 +1,7 @@
 """Nav2's plugin interfaces in Python: method names in snake case, results returned instead of written out.
 
-Every interface is abstract and holds no data of its own beyond `Plugin`'s. Exceptions keep Nav2's nouns (`errors`).
+Every interface is abstract and holds no data of its own beyond `Plugin`'s, but for the flag that `Layer.set_current`
+sets. Exceptions keep Nav2's nouns (`errors`).
 """
 
 from __future__ import annotations
@@ -206,6 +207,8 @@ class Behavior(Plugin):
 class Layer(Plugin):
     """One source of costs in a layered costmap."""
 
+    _is_said_current = True
+
     @abstractmethod
     def reset(self) -> None:
         """Forget everything observed."""
@@ -223,8 +226,15 @@ class Layer(Plugin):
         return False
 
     def is_current(self) -> bool:
-        """Whether what it writes is up to date; servers wait while it is not."""
-        return True
+        """Whether what it writes is up to date; servers wait while it is not.
+
+        A layer that knows better, from its sensors or its map, asks this as well: `set_current(False)` holds.
+        """
+        return self._is_said_current
+
+    def set_current(self, current: bool) -> None:  # noqa: FBT001 - Nav2's only argument
+        """Say from outside that what it writes is out of date, until said otherwise."""
+        self._is_said_current = bool(current)
 
     def is_enabled(self) -> bool:
         """Whether it takes part."""

@@ -23,6 +23,7 @@ from optdock.errors import (
     SmootherTimedOut,
     TimingTimedOut,
 )
+from optdock.geometry.checked import number
 from optdock.geometry.footprint import Footprint
 from optdock.geometry.pose import Pose2
 from optdock.interfaces import (
@@ -169,6 +170,7 @@ def plan_dock(
 
     Every error carries `partial`, a `PartialPlan`.
     """
+    time_budget = number(time_budget, "time_budget")
     if not (math.isfinite(time_budget) and time_budget > 0.0):
         raise InvalidValue(f"time_budget: must be finite and > 0 s, got {time_budget}")
     choices = plugins or PluginChoices()

@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from optdock.path import Path as DockPath
     from optdock.problem import DockingProblem
     from optdock.trajectory import TimeLaw
+    from optdock.verification import SampledMotionVerdict
 
 __all__ = ["certify"]
 
@@ -85,18 +86,32 @@ def _motion(plan: PlanFile, path: DockPath, problem: DockingProblem) -> _Motion:
 
 def _exact(motion: TrajectoryColumns, path: DockPath, law: TimeLaw, problem: DockingProblem) -> _Motion:
     """The proof of the phases, and whether the samples are those of them."""
+    import numpy as np
+
     from optdock.trajectory import Trajectory
-    from optdock.verification import certify_trajectory, sample_disagreements
+    from optdock.verification import certify_trajectory, check_samples_of
 
     trajectory = Trajectory(path, law)
     proof = certify_trajectory(
         trajectory, problem.robot.limits, problem.dock.approach, start_speed=abs(problem.start_speed)
     )
-    faults = [violation.message for violation in (*proof.violations, *sample_disagreements(motion, trajectory))]
+    samples = check_samples_of(trajectory, motion, problem)
+    faults = [violation.message for violation in (*proof.violations, *samples.violations)]
     said = f"{law.durations.size} phases, {law.duration:.3f} s"
+    if faults and np.array_equal(np.round(law.durations, 6), law.durations):
+        judged = _sampled(motion, path, problem)
+        return judged._replace(row=f"the phases are rounded and prove nothing; {judged.row}")
     if faults:
         return _Motion("not certified", f"{said}, refuted", faults)
-    return _Motion("certified", f"{said}, certified; {motion.t.size} samples agree with them", [])
+    return _Motion("certified", f"{said}, certified; {samples.samples} samples agree with them{_beside(samples)}", [])
+
+
+def _beside(verdict: SampledMotionVerdict) -> str:
+    """What is said of samples that lie beside the path."""
+    if not verdict.off_path:
+        return ""
+    apart, turned = verdict.offset
+    return f", with poses up to {apart:.2g} m and {turned:.2g} rad off it, which its clearance covers"
 
 
 def _sampled(motion: TrajectoryColumns, path: DockPath, problem: DockingProblem) -> _Motion:
@@ -109,12 +124,8 @@ def _sampled(motion: TrajectoryColumns, path: DockPath, problem: DockingProblem)
         return _Motion("not certified", f"{verdict.samples} samples, refuted", faults)
     units = {"speed": "m/s", "acceleration": "m/s^2", "place": "m", "yaw rate": "rad/s"}
     open_ = ", ".join(f"{name} to within {bound:.2g} {units[name]}" for name, bound in verdict.unproven.items())
-    off = ""
-    if verdict.off_path:
-        apart, turned = verdict.offset
-        off = f"; poses up to {apart:.2g} m and {turned:.2g} rad off the path, which its clearance covers"
     row = (
-        f"{verdict.samples} samples agree with each other, the path and the limits{off}; between samples "
+        f"{verdict.samples} samples agree with each other, the path and the limits{_beside(verdict)}; between samples "
         f"({1e3 * verdict.step:.3g} ms) unproven: the jerk, and if it keeps its limit {open_}"
     )
     return _Motion("path certified, motion not refuted", row, [])

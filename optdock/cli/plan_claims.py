@@ -15,7 +15,8 @@ if TYPE_CHECKING:
 
 __all__ = ["false_claims", "proven_against"]
 
-_SAME = 1e-6  # relative, and [m]
+_SAME = 1e-6  # relative, and [m] or [1/m]
+_SAMPLED = 0.01  # relative, of the curvature of a path that is known by samples
 # The proven minimum lies at most this far below a clearance that occurs, see `certify_path` [m].
 _SHARPNESS = 1e-3
 
@@ -59,7 +60,7 @@ def _claims(plan: PlanFile, certificate: Certificate) -> Iterator[str]:
         ("max_curvature_rate", certificate.max_curvature_rate, "1/m^2"),
     ):
         value = claimed.get(name)
-        if is_number(value) and value < least * (1.0 - _SAME) - _SAME:
+        if is_number(value) and value < least * (1.0 - _SAMPLED) - _SAME:
             yield f"certificate.{name} is {value:.6g} {unit}, the path has {least:.6g} {unit}"
     length = claimed.get("length")
     if is_number(length) and not abs(length - certificate.length) <= _SAME * (1.0 + certificate.length):

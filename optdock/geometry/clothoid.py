@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
@@ -83,7 +84,10 @@ class ClothoidSpline:
             raise InvalidValue("clothoid: turns within a distance that floats cannot resolve")
         for name, value in (("knots", knots), ("curvature", curvature), ("_breaks", readonly(breaks))):
             object.__setattr__(self, name, value)
-        states = self._integrate_breaks()
+        with np.errstate(over="ignore", invalid="ignore"):
+            states = self._integrate_breaks()
+        if not np.all(np.isfinite(states)):
+            raise InvalidValue("clothoid: turns within a distance that floats cannot resolve")
         check_range(states, "clothoid")
         object.__setattr__(self, "_break_states", readonly(states))
 
@@ -110,14 +114,19 @@ class ClothoidSpline:
         points = np.clip(np.atleast_1d(np.asarray(s, dtype=np.float64)), 0.0, self.length)
         cell = self._cells(points)
         base, step = self._break_states[cell], points - self._breaks[cell]
-        rate = self._cell_rates()[cell]
+        rate = self._cell_rates[cell]
         move = _displacements(step, base[:, 2], base[:, 3], rate)
         yaw = base[:, 2] + step * (base[:, 3] + 0.5 * step * rate)
         return np.column_stack((base[:, 0] + self.sign * move[:, 0], base[:, 1] + self.sign * move[:, 1], yaw))
 
+    @functools.cached_property
     def _cell_rates(self) -> FloatArray:
-        rates: FloatArray = np.diff(self._break_states[:, 3]) / np.diff(self._breaks)
-        return rates
+        return readonly(np.diff(self._break_states[:, 3]) / np.diff(self._breaks))
+
+    @functools.cached_property
+    def curvature_rates(self) -> FloatArray:
+        """D curvature / ds between the knots, Shape (n - 1,) [1/m^2]."""
+        return readonly(np.diff(self.curvature) / np.diff(self.knots))
 
     def curvature_at(self, s: ArrayLike) -> FloatArray:
         """Curvature at arc lengths `s`, Shape (n,) [1/m]."""
@@ -127,7 +136,7 @@ class ClothoidSpline:
         """D curvature / ds at `s`, Shape (n,) [1/m^2]; at a knot the value to its right, at the end to its left."""
         points = np.clip(np.atleast_1d(np.asarray(s, dtype=np.float64)), 0.0, self.length)
         piece = np.clip(np.searchsorted(self.knots, points, side="right") - 1, 0, self.knots.size - 2)
-        rates: FloatArray = (np.diff(self.curvature) / np.diff(self.knots))[piece]
+        rates: FloatArray = self.curvature_rates[piece]
         return rates
 
     @property

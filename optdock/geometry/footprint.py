@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
     from optdock.geometry.arrays import FloatArray
 
-__all__ = ["Footprint"]
+__all__ = ["Footprint", "convex_body"]
 
 _NUMBER = r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?"
 _POINT = re.compile(rf"\[\s*({_NUMBER})[\s,]+({_NUMBER})\s*\]")
@@ -46,7 +46,7 @@ class Footprint:
     def __post_init__(self) -> None:
         vertices = simple_polygon(self.vertices, "footprint")
         object.__setattr__(self, "vertices", vertices)
-        object.__setattr__(self, "bodies", tuple(_body(piece) for piece in convex_pieces(vertices)))
+        object.__setattr__(self, "bodies", tuple(convex_body(piece) for piece in convex_pieces(vertices)))
 
     @classmethod
     def from_radius(cls, radius: float) -> Footprint:
@@ -115,7 +115,8 @@ class Footprint:
         return float(np.min(np.hypot(nearest[:, 0], nearest[:, 1])))
 
 
-def _body(piece: ArrayLike) -> ConvexBody:
+def convex_body(piece: ArrayLike) -> ConvexBody:
+    """A convex piece, Shape (n, 2) [m], with the planes of its edges."""
     vertices = np.array(piece, dtype=np.float64)
     normals, offsets = edge_planes(vertices)
     return ConvexBody(readonly(vertices), readonly(normals), readonly(offsets))

@@ -14,10 +14,11 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from numpy.typing import ArrayLike
+    from shapely.geometry.base import BaseGeometry
 
     from optdock.geometry.arrays import FloatArray, IntArray
 
-__all__ = ["convex_pieces", "edge_normals", "edge_planes", "is_convex", "signed_area", "simple_polygon"]
+__all__ = ["convex_cover", "convex_pieces", "edge_normals", "edge_planes", "is_convex", "signed_area", "simple_polygon"]
 
 _Point: TypeAlias = "tuple[float, float]"
 _Ring: TypeAlias = "list[_Point]"
@@ -167,7 +168,14 @@ def convex_pieces(vertices: FloatArray) -> tuple[FloatArray, ...]:
         return (_without_dents(vertices),)
     import shapely
 
-    triangles = shapely.constrained_delaunay_triangles(shapely.Polygon(vertices)).geoms
+    return convex_cover(shapely.Polygon(vertices))
+
+
+def convex_cover(shape: BaseGeometry) -> tuple[FloatArray, ...]:
+    """Convex counter-clockwise pieces that cover a shapely polygon, or several; holes are allowed."""
+    import shapely
+
+    triangles = shapely.constrained_delaunay_triangles(shape).geoms
     pieces = _merge_convex([_oriented(np.asarray(triangle.exterior.coords)[:-1]) for triangle in triangles])
     return tuple(_without_dents(np.array(piece)) for piece in pieces)
 

@@ -34,6 +34,7 @@ DEFAULT_SPACING = 0.02
 DEFAULT_PERIOD = 0.02
 CERTIFIED = "certified"
 MAX_SAMPLES = 1_000_000  # of a path or a trajectory in a file, about 100 MB
+MAX_FAULTS = 20  # that a message lists
 MAX_PHASES = 10_000  # of a time law; ours have some ten per gear
 
 T = TypeVar("T")
@@ -282,13 +283,20 @@ def _parsed(source: FilePath) -> _PlanDocument:
     except json.JSONDecodeError as error:
         raise InvalidFile(f"{source}:{error.lineno}: not JSON: {error.msg}") from error
     except ValidationError as error:
-        raise InvalidFile("\n".join(_fault(source, item) for item in error.errors())) from error
+        raise InvalidFile(_faults(source, error)) from error
     except (ValueError, RecursionError) as error:
         raise InvalidFile(f"{source}: not a plan file: {error}") from error
 
 
 def _refuse_constant(name: str) -> NoReturn:
     raise ValueError(f"{name} is not JSON; numbers must be finite")
+
+
+def _faults(source: FilePath, error: ValidationError) -> str:
+    """One line each, and how many more there are: a column may hold a million wrong values."""
+    items = error.errors(include_url=False)
+    more = [f"{source}: and {len(items) - MAX_FAULTS} more faults"] if len(items) > MAX_FAULTS else []
+    return "\n".join([*(_fault(source, item) for item in items[:MAX_FAULTS]), *more])
 
 
 def _fault(source: FilePath, item: Mapping[str, object]) -> str:
@@ -317,7 +325,10 @@ def _time_law(document: _TrajectoryDocument | None) -> TimeLaw | None:
     if document is None or document.phases is None:
         return None
     phases = document.phases
+    durations, jerks = np.array(phases.durations), np.array(phases.jerks)
+    if durations.size == jerks.size:  # rounding may have made nothing of a short phase
+        durations, jerks = durations[durations != 0.0], jerks[durations != 0.0]
     try:
-        return TimeLaw(np.array(phases.durations), np.array(phases.jerks), *phases.start)
+        return TimeLaw(durations, jerks, *phases.start)
     except InvalidValue as error:
         raise InvalidFile(f"trajectory.phases: {error}") from error

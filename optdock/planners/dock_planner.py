@@ -5,8 +5,10 @@ from __future__ import annotations
 import dataclasses
 from typing import TYPE_CHECKING, ClassVar
 
+import numpy as np
+
 from optdock.dock import DockDirection
-from optdock.errors import InvalidValue, LifecycleError
+from optdock.errors import InvalidValue, LifecycleError, NoValidPathCouldBeFound
 from optdock.interfaces import GlobalPlanner, LifecycleState, PluginContext, never_cancelled
 from optdock.planners.approach_axis import DockGeometry
 from optdock.planners.dock_parameters import DockPlannerParameters
@@ -17,6 +19,7 @@ if TYPE_CHECKING:
 
     from optdock.geometry.footprint import Footprint
     from optdock.geometry.pose import Pose2
+    from optdock.obstacles import ObstacleSet
     from optdock.parameters import PluginParameters
     from optdock.path import Path
 
@@ -71,11 +74,16 @@ class DockPlanner(GlobalPlanner):
 
         The path names that frame where a problem is configured, which says so.
 
-        It starts exactly at `start` and ends exactly at `goal`. Whether the robot fits there is not asked here.
+        It starts exactly at `start` and ends exactly at `goal`. With `check_free_space` both must lie on free cells of
+        the map, and no obstacle of the configured problem under the path; whether the whole robot fits there is asked
+        by `plan_dock`, not here.
 
         Raises:
             LifecycleError: The planner is not configured. That is the caller's mistake: no other goal, retry or
                 recovery can help, so it is not a PlannerException.
+            PlannerException: `check_free_space` is on, and there is no costmap to check.
+            StartOutsideMapBounds: Also StartOccupied, GoalOutsideMapBounds, GoalOccupied: `check_free_space` is on, and
+                an end is not free.
             NoValidPathCouldBeFound: A rule of the method is broken; the message says in which step and by how much.
             PlannerCancelled: `cancel_checker` returned True.
         """
@@ -90,8 +98,7 @@ class DockPlanner(GlobalPlanner):
 
         Raises:
             LifecycleError: As `create_plan`.
-            NoValidPathCouldBeFound: As `create_plan`.
-            PlannerCancelled: As `create_plan`.
+            PlannerException: As `create_plan`, and all its children.
         """
         robot = self.context.footprint
         if self.state not in (LifecycleState.INACTIVE, LifecycleState.ACTIVE) or robot is None:
@@ -100,8 +107,12 @@ class DockPlanner(GlobalPlanner):
             )
         geometry = DockGeometry.from_footprints(robot, self._dock_footprint())
         plan = plan_two_segment(start, goal, geometry, self._effective(), self.context.costmap, cancel_checker)
-        frame = "" if self.context.problem is None else self.context.problem.frame
-        return dataclasses.replace(plan, path=plan.path.with_frame(frame))
+        problem = self.context.problem
+        if problem is None:
+            return plan
+        if self.parameters.check_free_space:
+            _check_free(plan.path, problem.all_obstacles)
+        return dataclasses.replace(plan, path=plan.path.with_frame(problem.frame))
 
     def _dock_footprint(self) -> Footprint | None:
         given = self.parameters.dock_outline
@@ -114,6 +125,24 @@ class DockPlanner(GlobalPlanner):
         if problem is None or self.parameters.direction is not DockDirection.AUTO:
             return self.parameters
         return self.parameters.model_copy(update={"direction": problem.dock.direction})
+
+
+def _check_free(path: Path, obstacles: ObstacleSet) -> None:
+    """As the costmap under the robot's centre must be free, no obstacle may lie there.
+
+    Raises:
+        NoValidPathCouldBeFound: One does.
+    """
+    points = np.concatenate([segment.poses_at(segment.knots)[:, :2] for segment in path.segments])
+    rows = obstacles.rows_at(points)
+    blocked = np.flatnonzero(rows >= 0)
+    if blocked.size:
+        x, y = (float(value) for value in points[blocked[0]])
+        name = obstacles.name_of(int(rows[blocked[0]]))
+        raise NoValidPathCouldBeFound(
+            f"dock planner: the path is blocked at ({x:.3f}, {y:.3f}) by {name}",
+            where={"x": x, "y": y, "obstacle": name},
+        )
 
 
 def _same(known: PluginContext, offered: PluginContext) -> bool:

@@ -46,14 +46,14 @@ def scene_problem(start: Pose2 = ORIGIN, goal: Pose2 = GOAL, obstacles: Obstacle
 
 
 def scene_context(problem: DockingProblem | None = None) -> PluginContext:
-    """Surroundings with everything in them: a problem, a footprint, and a free map of 8 m x 6 m around it."""
+    """Surroundings with everything in them: a problem, a footprint, and a free map of 10 m x 6 m around it."""
     found = problem or scene_problem()
     return PluginContext(name="contract", costmap=free_costmap(), footprint=found.robot.footprint, problem=found)
 
 
 def free_costmap() -> Costmap:
-    """A map of 8 m x 6 m around the scene with nothing in it."""
-    return Costmap(np.zeros((120, 160), dtype=np.uint8), resolution=0.05, origin=(-2.0, -3.0))
+    """A map of 10 m x 6 m around the scene with nothing in it."""
+    return Costmap(np.zeros((120, 200), dtype=np.uint8), resolution=0.05, origin=(-4.0, -3.0))
 
 
 def room_costmap() -> Costmap:

@@ -11,7 +11,8 @@ import numpy as np
 
 from optdock.errors import InvalidValue, SmootherCancelled, SmootherException, SmootherTimedOut
 from optdock.geometry.pose import Pose2, normalize_angle
-from optdock.interfaces import Smoother, SmoothingResult
+from optdock.interfaces import PluginContext, Smoother, SmoothingResult
+from optdock.obstacles import ObstacleSet
 from optdock.path import Path
 from optdock.testing.contracts_plugin import PluginContract
 from optdock.testing.contracts_polls import PollGaps, poll_gaps, require_cancellable
@@ -25,7 +26,7 @@ from optdock.testing.contracts_scene import (
     scene_context,
     scene_problem,
 )
-from optdock.verification import pose_clearances
+from optdock.verification import Certificate, certify_path, pose_clearances
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -88,6 +89,29 @@ class SmootherContract(PluginContract[Smoother]):
             else:
                 after = self._deepest(result, with_post)
                 require(after >= before - _SAME, f"a path that cleared all obstacles touches one by {-after:.4f} m")
+
+    def test_a_problem_counts_the_same_configured_and_in_the_call(self) -> None:
+        """`problem`: None means the configured one, with all its obstacles; a certificate in the report is true."""
+        for top in (-0.08, 0.12):  # beside the path, and in its way
+            rock = [[1.4, -0.3], [1.6, -0.3], [1.6, top], [1.4, top]]
+            problem = scene_problem(obstacles=ObstacleSet.from_polygons([rock]))
+            configured, called = self.make_plugin(), self.make_plugin()
+            configured.configure(PluginContext(name="contract", problem=problem))
+            called.configure(PluginContext(name="contract", footprint=problem.robot.footprint))
+            mine, theirs = self._smoothed(configured, problem, None), self._smoothed(called, problem, problem)
+            require(mine == theirs, f"a configured problem gives {theirs}, as in the call; got {mine}")
+
+    def _smoothed(self, smoother: Smoother, problem: DockingProblem, in_call: DockingProblem | None) -> object:
+        """What comes out between the ends of `problem`, comparable; where it claims a certificate, that must hold."""
+        try:
+            result = smoother.smooth(raw_path(), _AMPLE, problem=in_call)
+        except SmootherException as error:
+            return type(error), str(error)
+        claim = result.report.get("certificate")
+        if isinstance(claim, Certificate) and claim.certified:
+            verdict = certify_path(result.path, problem)
+            require(verdict.certified, f"what is reported as certified is: {verdict.reason}")
+        return _numbers(result.path)
 
     def test_a_rigid_motion_of_the_task_moves_the_result(self) -> None:
         """`smooth`: path and problem in one frame, whichever: moved together they give the same path there."""

@@ -6,12 +6,8 @@ Knows nothing of solvers: it reads the finished path and the problem, and nothin
 from optdock.verification.certificate import Certificate, TrajectoryCertificate, Violation
 from optdock.verification.certify import certify_path
 from optdock.verification.half_cells import pose_clearance, pose_clearances
-from optdock.verification.sampled_motion import (
-    SampledMotion,
-    SampledMotionVerdict,
-    check_sampled_motion,
-    sample_disagreements,
-)
+from optdock.verification.sampled_motion import SampledMotionVerdict, check_sampled_motion, check_samples_of
+from optdock.verification.samples import SampledMotion
 from optdock.verification.trajectory_rules import certify_trajectory
 
 __all__ = [
@@ -23,7 +19,7 @@ __all__ = [
     "certify_path",
     "certify_trajectory",
     "check_sampled_motion",
+    "check_samples_of",
     "pose_clearance",
     "pose_clearances",
-    "sample_disagreements",
 ]

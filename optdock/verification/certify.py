@@ -27,7 +27,11 @@ def certify_path(path: Path, problem: DockingProblem, *, is_late: Callable[[], b
     Proven for every point of the continuous path: footprint clearance (second-order conservative advancement, see
     `clearance`). Checked exactly: start and goal pose (1e-6 m, rad), joints, gears, curvature, curvature rate, start
     curvature, final straight. A polyline is judged as linear motion between its poses, turning the short way, with the
-    curvature of the arcs through them; a step whose arc is more than 5 mm from that motion is refused.
+    curvature of the arcs through them; a step whose arc is more than 5 mm from that motion is refused, and so are slips
+    and jumps that are small one by one but add up.
+
+    Where no clearance is required contact may overlap by a micrometre, and nothing lies deeper than two micrometres
+    inside anything, however the shapes are made of pieces (see `contact`).
 
     Wherever two segments meet, also two of one gear, the curvature may jump: the robot must rest there.
 
@@ -40,8 +44,8 @@ def certify_path(path: Path, problem: DockingProblem, *, is_late: Callable[[], b
         path: The path to judge, from any source.
         problem: What must hold.
         is_late: For callers with a deadline, asked after every round of the proof, each below a millisecond for a path
-            of some metres among a hundred obstacles. Once it is True whatever is not proven yet is refused as
-            `unproven`, and the reported clearance is a bound that may be far from sharp.
+            of some metres among a hundred obstacles, and between the blocks of long rounds. Once it is True whatever is
+            not proven yet is refused as `unproven`, and the reported clearance is a bound that may be far from sharp.
 
     Returns:
         The certificate; `certified` is True only if everything was proven.

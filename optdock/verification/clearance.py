@@ -2,18 +2,21 @@
 
 The path is cut into cells. A cell is cleared when its first half is cleared from its first pose and its last half
 from its last pose (`half_cells`); a cell that is not is cut in two, until it is cleared, a pose in it breaks the rule,
-or it is given up, which counts as broken.
+or it is given up, which counts as broken. Cells that are cleared by the tolerance only are proven a second time: there
+nothing may lie deep inside anything (`contact`).
 """
 
 from __future__ import annotations
 
+from collections import deque
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from optdock.verification.half_cells import HalfCells, half_cell_bounds, pose_clearances
+from optdock.verification.contact import DEPTH, wholes
+from optdock.verification.half_cells import HalfCells, body_bounds, half_cell_bounds, pose_clearances, rounded
 from optdock.verification.kept_proofs import never
-from optdock.verification.motion import PathMotion
+from optdock.verification.motion import Cells, PathMotion
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -23,13 +26,14 @@ if TYPE_CHECKING:
     from optdock.obstacles import ObstacleSet
     from optdock.path import Path
     from optdock.problem import DockingProblem
-    from optdock.verification.half_cells import HalfBounds
-    from optdock.verification.motion import CellEnds, CellMotion, Cells, Nodes
+    from optdock.verification.half_cells import HalfBounds, RoundedBody
+    from optdock.verification.motion import CellEnds, CellMotion, Nodes
 
 __all__ = ["ClearanceProof", "prove_clearance"]
 
 TOLERANCE = 1e-6  # [m], accepted shortfall; covers rounding where contact is allowed
 SHARPNESS = 1e-3  # [m]: the reported minimum is at most this far below a clearance that occurs
+_BLOCK = 4000  # cells looked at in one go, some milliseconds; a deadline is looked at in between
 _MAX_STEP = 0.08  # [m], first cells
 _MAX_LEVELS = 24  # of halving
 _CHEAP = 48  # cells: a round of fewer takes hardly less time, so few open ones are cut into many parts at once
@@ -126,13 +130,17 @@ class _Prover:
         budget = _MAX_POSES + cells.first.size
         settled: list[FloatArray] = []
         violations: list[FloatArray] = []
-        given_up: FloatArray = np.zeros((0, 4))
-        level = 0
-        while True:
-            ends = cells.ends()
-            nodes = self.motion.nodes(ends.segment, ends.u)
-            if level == 0:
-                self.near, self.original = self._crop(nodes, crop)
+        forgiven: list[Cells] = []
+        given_up: list[FloatArray] = [np.zeros((0, 4))]
+        whole, at_first = cells, self._ends(cells)
+        self.near, self.original = self._crop(at_first[1], crop)
+        waiting = deque((0, block) for block in cells.blocks(_BLOCK))
+        while waiting:
+            level, cells = waiting.popleft()
+            ends, nodes = at_first if cells is whole else self._ends(cells)
+            if settled and level == 0 and self.is_late():
+                given_up.append(_unknown(nodes.s[ends.first]))  # of a long path this was not begun with
+                continue
             result = self._round(cells, ends, nodes)
             self.attained = min(self.attained, result.attained)
             is_last = level >= _MAX_LEVELS or self.poses > budget or self.is_late()
@@ -140,15 +148,68 @@ class _Prover:
             proven = (result.bound >= result.required - TOLERANCE) & (sharp | is_last)
             violations.append(result.violations)
             settled.append(result.settled(proven))
+            if np.any(touching := proven & (result.bound < 0.0)):
+                forgiven.append(cells.rows(np.flatnonzero(touching)))
             open_cells = np.flatnonzero(~(proven | self._touches_violation(ends, nodes, result)))
+            if open_cells.size and is_last:
+                given_up.append(result.settled(open_cells))
+            elif open_cells.size:
+                halvings = max(1, int(np.log2(_CHEAP / open_cells.size)))
+                finer = cells.rows(open_cells).cut(2**halvings)
+                waiting.extend((level + halvings, block) for block in finer.blocks(_BLOCK))
+        if forgiven and not sum(map(len, violations)):
+            deep = self._look_deep(Cells(*map(np.concatenate, zip(*forgiven, strict=True))))
+            for rows, more in zip((violations, given_up), deep, strict=True):
+                rows.append(more)
+        return self._summary(np.concatenate(settled), np.concatenate(violations), np.concatenate(given_up))
+
+    def _look_deep(self, cells: Cells) -> tuple[FloatArray, FloatArray]:
+        """Poses at which something lies deep inside something, and what cannot be proven; as `run` collects them."""
+        robot = self.problem.robot.footprint
+        at = self._ends(cells)[1].poses[:, :2]
+        reach = robot.circumscribed_radius + _MAX_STEP
+        core = wholes(robot, self.near, at.min(axis=0) - reach, at.max(axis=0) + reach)
+        pairs = ((core.bodies, self.near), (robot.bodies, core.obstacles))
+        found = [self._apart(rounded(bodies), rocks, cells) for bodies, rocks in pairs if bodies and len(rocks)]
+        violations, given_up = zip(*found, strict=True) if found else ((), ())
+        return np.concatenate((np.zeros((0, 7)), *violations)), np.concatenate((np.zeros((0, 4)), *given_up))
+
+    def _apart(
+        self, bodies: tuple[RoundedBody, ...], rocks: ObstacleSet, cells: Cells
+    ) -> tuple[FloatArray, FloatArray]:
+        """Prove that bodies and obstacles share no interior in any of the cells."""
+        level, budget = 0, self.poses + _MAX_POSES
+        while True:
+            ends, nodes = self._ends(cells)
+            self.poses += nodes.s.size
+            bounds = self.motion.bounds(cells, nodes.poses[ends.first], nodes.poses[ends.last])
+            halves = body_bounds(
+                bodies, _halves(nodes, ends, bounds), rocks, np.zeros(2 * cells.first.size), self.is_late
+            )
+            n = cells.first.size
+            bound = np.minimum(halves.bound[:n], halves.bound[n:])
+            bad = np.flatnonzero(halves.distance < 0.0)
+            if bad.size:
+                k = bad[np.argmin(halves.distance[bad])]
+                return self._deep_violation(nodes, int(halves.pose[k]), float(halves.distance[k])), np.zeros((0, 4))
+            open_cells = np.flatnonzero(~(bound >= 0.0))
             if open_cells.size == 0:
-                break
-            if is_last:
-                given_up = result.settled(open_cells)
-                break
+                return np.zeros((0, 7)), np.zeros((0, 4))
+            if level >= _MAX_LEVELS or self.poses > budget or self.is_late():
+                s = nodes.s[ends.first[open_cells]]
+                return np.zeros((0, 7)), np.column_stack((bound[open_cells] - DEPTH, s, 0.0 * s, 0.0 * s))
             halvings = max(1, int(np.log2(_CHEAP / open_cells.size)))
             cells, level = cells.rows(open_cells).cut(2**halvings), level + halvings
-        return self._summary(np.concatenate(settled), np.concatenate(violations), given_up)
+
+    def _deep_violation(self, nodes: Nodes, at: int, distance: float) -> FloatArray:
+        """The pose as `ClearanceProof.violations` has it, with the obstacle piece that is nearest by itself."""
+        pose = nodes.poses[at]
+        _, row = pose_clearances(pose[None], self.problem.robot.footprint, self.near)
+        return np.array([[nodes.s[at], distance - DEPTH, 0.0, row[0], *pose]])
+
+    def _ends(self, cells: Cells) -> tuple[CellEnds, Nodes]:
+        ends = cells.ends()
+        return ends, self.motion.nodes(ends.segment, ends.u)
 
     def _crop(self, nodes: Nodes, crop: float) -> tuple[ObstacleSet, IntArray]:
         """The obstacles near the swept area, or all of them where none is near; and their rows in the problem."""
@@ -177,7 +238,7 @@ class _Prover:
         required = self._required_in_cells(distances, ends, bounds)
         care = np.maximum(required, self.attained)
         stretches = _halves(nodes, ends, bounds)
-        halves = half_cell_bounds(self.problem.robot.footprint, stretches, self.near, np.tile(care, 2))
+        halves = half_cell_bounds(self.problem.robot.footprint, stretches, self.near, np.tile(care, 2), self.is_late)
         earlier = halves.bound[:n] <= halves.bound[n:]
         pick = np.where(earlier, np.arange(n), np.arange(n) + n)
         violations = self._violations(nodes, halves, self._required(*distances))
@@ -217,6 +278,11 @@ class _Prover:
         return ClearanceProof(
             proven, s, required, int(self.original[int(row)]), margin, violations, unproven, self.poses
         )
+
+
+def _unknown(s: FloatArray) -> FloatArray:
+    """Rows of cells of which nothing is known, as `_Round.settled` has them."""
+    return np.column_stack((np.full(s.size, -np.inf), s, 0.0 * s, 0.0 * s))
 
 
 def _distance(nodes: Nodes, point: Pose2) -> FloatArray:

@@ -19,21 +19,35 @@ import numpy as np
 
 from optdock.geometry.pose import transform_points
 from optdock.geometry.separation import separation
-from optdock.verification.seams import joined_bodies
+from optdock.verification.contact import DEPTH, deepest
+from optdock.verification.kept_proofs import never
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from optdock.geometry.arrays import FloatArray, IntArray
     from optdock.geometry.footprint import Footprint
     from optdock.geometry.pose import Pose2
     from optdock.geometry.separation import ConvexBody
     from optdock.obstacles import ObstacleSet
 
-__all__ = ["HalfBounds", "HalfCells", "half_cell_bounds", "pose_clearance", "pose_clearances"]
+__all__ = [
+    "HalfBounds",
+    "HalfCells",
+    "RoundedBody",
+    "body_bounds",
+    "half_cell_bounds",
+    "pose_clearance",
+    "pose_clearances",
+    "rounded",
+]
 
 
 _MAX_CIRCLES = 3  # that stand for a body before it is looked at exactly
+_NEARBY = 1.0  # [m]: obstacles further than this are looked at only when nothing is as near
 _NEAREST = 8  # obstacles of a pose that are looked at first
-_MAX_PAIRS = 300_000  # of a stretch and an obstacle looked at in one go; bounds the memory
+_MAX_PAIRS = 200_000  # of a stretch and an obstacle looked at in one go; bounds memory and time
+_MAX_CORNERS = 50_000  # of a body and an obstacle, met at all stretches looked at in one go; likewise
 
 
 class HalfCells(NamedTuple):
@@ -84,7 +98,11 @@ class HalfBounds(NamedTuple):
 
 
 def half_cell_bounds(
-    footprint: Footprint, stretches: HalfCells, obstacles: ObstacleSet, care: FloatArray
+    footprint: Footprint,
+    stretches: HalfCells,
+    obstacles: ObstacleSet,
+    care: FloatArray,
+    is_late: Callable[[], bool] = never,
 ) -> HalfBounds:
     """Bounds over all pieces of the footprint and all obstacles.
 
@@ -93,20 +111,46 @@ def half_cell_bounds(
         stretches: Where it moves.
         obstacles: At least one.
         care: Shape (n,) [m]: whatever may come closer than this is looked at exactly; the rest by box and circle.
+        is_late: Asked between blocks of some milliseconds.
     """
-    n, block = stretches.width.size, max(1, _MAX_PAIRS // len(obstacles))
+    return body_bounds(_rounded_footprint(footprint), stretches, obstacles, care, is_late)
+
+
+def body_bounds(
+    bodies: tuple[RoundedBody, ...],
+    stretches: HalfCells,
+    obstacles: ObstacleSet,
+    care: FloatArray,
+    is_late: Callable[[], bool] = never,
+) -> HalfBounds:
+    """Likewise over bodies that move together, at least one; once `is_late()` bounds not begun with are -inf."""
+    n = stretches.width.size
+    corners = max(len(one.body.vertices) for one in bodies) + obstacles.vertices.shape[1]
+    block = max(1, min(_MAX_PAIRS // len(obstacles), _MAX_CORNERS // corners))
     if n <= block:
-        parts = [_body_bounds(body, stretches, obstacles, care) for body in _rounded_bodies(footprint)]
+        parts: list[HalfBounds] = []
+        for body in bodies:
+            if parts and is_late():
+                return functools.reduce(HalfBounds.merged, [*parts, _nothing_known(n)])
+            parts.append(_body_bounds(body, stretches, obstacles, care))
         return functools.reduce(HalfBounds.merged, parts)
-    blocks = []
+    blocks: list[HalfBounds] = []
     for rows in (slice(start, start + block) for start in range(0, n, block)):
+        if blocks and is_late():
+            blocks.append(_nothing_known(n - rows.start))
+            break
         some, used = stretches.rows(rows)
-        found = half_cell_bounds(footprint, some, obstacles, care[rows])
+        found = body_bounds(bodies, some, obstacles, care[rows], is_late)
         blocks.append(found._replace(pose=used[found.pose]))
     return HalfBounds(*(np.concatenate(columns) for columns in zip(*blocks, strict=True)))
 
 
-class _RoundedBody(NamedTuple):
+def _nothing_known(count: int) -> HalfBounds:
+    none = np.zeros(0, dtype=np.int64)
+    return HalfBounds(np.full(count, -np.inf), np.zeros(count, dtype=np.int64), none, none, np.zeros(0))
+
+
+class RoundedBody(NamedTuple):
     """A convex body and circles that cover it: centres (k, 2) [m], common radius [m]; `reach` from the origin [m]."""
 
     body: ConvexBody
@@ -115,14 +159,18 @@ class _RoundedBody(NamedTuple):
     reach: float
 
 
-@functools.lru_cache(maxsize=64)
-def _rounded_bodies(footprint: Footprint) -> tuple[_RoundedBody, ...]:
-    bodies = joined_bodies(footprint)
+def rounded(bodies: tuple[ConvexBody, ...]) -> tuple[RoundedBody, ...]:
+    """Bodies with what is needed to leave most obstacles out."""
     reach = (float(np.max(np.hypot(*body.vertices.T))) for body in bodies)
-    return tuple(_RoundedBody(body, *_covering_circles(body), far) for body, far in zip(bodies, reach, strict=True))
+    return tuple(RoundedBody(body, *_covering_circles(body), far) for body, far in zip(bodies, reach, strict=True))
 
 
-def _body_bounds(rounded: _RoundedBody, stretches: HalfCells, obstacles: ObstacleSet, care: FloatArray) -> HalfBounds:
+@functools.lru_cache(maxsize=64)
+def _rounded_footprint(footprint: Footprint) -> tuple[RoundedBody, ...]:
+    return rounded(footprint.bodies)
+
+
+def _body_bounds(rounded: RoundedBody, stretches: HalfCells, obstacles: ObstacleSet, care: FloatArray) -> HalfBounds:
     body, reach = rounded.body, rounded.reach
     poses, width, n = stretches.poses, stretches.width, stretches.width.size
     travel = width * (stretches.speed + reach * stretches.turn)
@@ -170,7 +218,7 @@ def _directional(
     return change
 
 
-def _box_gaps(rounded: _RoundedBody, poses: FloatArray, obstacles: ObstacleSet) -> FloatArray:
+def _box_gaps(rounded: RoundedBody, poses: FloatArray, obstacles: ObstacleSet) -> FloatArray:
     """Lower bound of the clearance of every pose's body from every obstacle, by circles and boxes. Shape (n, m) [m].
 
     Where it is not positive the body may overlap the obstacle by more.
@@ -205,7 +253,8 @@ def pose_clearances(
 ) -> tuple[FloatArray, IntArray]:
     """Signed clearances of poses and the rows of their nearest obstacles, Shape (n,) [m] and (n,).
 
-    The nearest few by box and circle are looked at first, then whatever else may be nearer than they are.
+    The nearest few by box and circle are looked at first, then whatever else may be nearer than they are. Where a
+    shallow overlap of pieces may hide a deep one of the wholes, that is looked for as well (see `contact`).
 
     Args:
         poses: Shape (n, 3).
@@ -213,11 +262,24 @@ def pose_clearances(
         obstacles: May be empty.
         within: Where no obstacle is closer than this [m] the answer is (within, -1).
     """
+    reach = footprint.circumscribed_radius + min(within, _NEARBY)
+    rows = obstacles.rows_in_box(poses[:, :2].min(axis=0) - reach, poses[:, :2].max(axis=0) + reach)
+    if rows.size < 0.5 * len(obstacles):
+        best, found = _nearest(poses, footprint, obstacles.subset(rows), within)
+        # What was left out is at least that far away.
+        if within <= _NEARBY or bool(np.all(best <= _NEARBY)):
+            return best, np.where(found >= 0, rows[found], -1) if rows.size else found
+    return _nearest(poses, footprint, obstacles, within)
+
+
+def _nearest(
+    poses: FloatArray, footprint: Footprint, obstacles: ObstacleSet, within: float
+) -> tuple[FloatArray, IntArray]:
     n, m = len(poses), len(obstacles)
     best: FloatArray = np.full(n, float(within))
     row: IntArray = np.full(n, -1)
-    for rounded in _rounded_bodies(footprint) if m else ():
-        apart = _box_gaps(rounded, poses, obstacles)
+    for one in _rounded_footprint(footprint) if m else ():
+        apart = _box_gaps(one, poses, obstacles)
         count = min(m, _NEAREST)
         nearest = np.zeros((n, m), dtype=np.bool_)
         nearest[np.arange(n)[:, None], np.argpartition(apart, count - 1, axis=1)[:, :count]] = True
@@ -226,8 +288,10 @@ def pose_clearances(
             if i.size == 0:
                 continue
             found = np.full((n, m), np.inf)
-            found[i, o] = separation(rounded.body, poses[i], obstacles.pieces(o)).distance
+            found[i, o] = separation(one.body, poses[i], obstacles.pieces(o)).distance
             k = np.argmin(found, axis=1)
             smallest = found[np.arange(n), k]
             row, best = np.where(smallest < best, k, row), np.minimum(smallest, best)
+    for shallow in np.flatnonzero((best < 0.0) & (best > -DEPTH)).tolist():
+        best[shallow] = min(best[shallow], deepest(footprint, poses[shallow], obstacles))
     return best, row

@@ -20,6 +20,8 @@ from optdock.errors import InvalidPath
 from optdock.path import ClothoidSegment, PolylineSegment
 
 if TYPE_CHECKING:
+    from collections.abc import Iterator
+
     from optdock.geometry.arrays import FloatArray, IntArray
     from optdock.path import Path, Segment
 
@@ -59,7 +61,15 @@ class Cells(NamedTuple):
         chosen = order[new]
         return CellEnds(segment[chosen], u[chosen], place[: self.first.size], place[self.first.size :])
 
-    def rows(self, keep: FloatArray | IntArray) -> Cells:
+    def blocks(self, most: int) -> Iterator[Cells]:
+        """The cells in groups of `most`."""
+        if self.first.size <= most:
+            yield self
+            return
+        for start in range(0, self.first.size, most):
+            yield self.rows(slice(start, start + most))
+
+    def rows(self, keep: FloatArray | IntArray | slice) -> Cells:
         """The cells at `keep`."""
         return Cells(self.segment[keep], self.first[keep], self.last[keep])
 
@@ -168,7 +178,7 @@ def _polyline_bounds(segment: PolylineSegment, cells: Cells) -> CellMotion:
 def _clothoid_bounds(segment: ClothoidSegment, cells: Cells, first: FloatArray, last: FloatArray) -> CellMotion:
     width = cells.last - cells.first
     piece = np.searchsorted(segment.knots, 0.5 * (cells.first + cells.last)) - 1
-    rate = (np.diff(segment.spline.curvature) / np.diff(segment.knots))[piece]
+    rate = segment.spline.curvature_rates[piece]
     at_first = segment.spline.curvature[piece] + rate * (cells.first - segment.knots[piece])
     at_last = at_first + rate * width
     turn = np.maximum(np.abs(at_first), np.abs(at_last))

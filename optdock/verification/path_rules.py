@@ -7,8 +7,9 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from optdock.dock import DockDirection
+from optdock.errors import InvalidPath
 from optdock.geometry.pose import Pose2, normalize_angle
-from optdock.path import Direction, PolylineSegment, may_be_one_frame
+from optdock.path import ClothoidSegment, Direction, PolylineSegment, may_be_one_frame
 from optdock.segments import SAME_YAW
 from optdock.verification.certificate import Violation
 
@@ -222,7 +223,9 @@ def _curvature_samples(segment: Segment) -> tuple[FloatArray, FloatArray]:
     """Arc lengths and curvatures among which the segment's extreme curvature is."""
     if isinstance(segment, PolylineSegment):
         return segment.knots[:-1], segment.step_curvature
-    return segment.knots, segment.curvature_at(segment.knots)
+    if isinstance(segment, ClothoidSegment):
+        return segment.knots, segment.spline.curvature
+    raise InvalidPath(f"cannot verify a segment of type {type(segment).__name__}")
 
 
 def _rate_samples(segment: Segment) -> tuple[FloatArray, FloatArray]:
@@ -233,8 +236,9 @@ def _rate_samples(segment: Segment) -> tuple[FloatArray, FloatArray]:
         with np.errstate(divide="ignore", invalid="ignore"):
             rate = np.where(np.diff(curvature) == 0.0, 0.0, np.diff(curvature) / between)
         return segment.knots[1:-1], np.where(np.isnan(rate), np.inf, rate)
-    # The rate is constant between knots, and takes its right-hand value at one.
-    return segment.knots[:-1], segment.curvature_rate_at(segment.knots[:-1])
+    if isinstance(segment, ClothoidSegment):
+        return segment.knots[:-1], segment.spline.curvature_rates
+    raise InvalidPath(f"cannot verify a segment of type {type(segment).__name__}")
 
 
 def max_curvature(path: Path) -> float:

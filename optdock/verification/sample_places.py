@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from optdock.geometry.arrays import BoolArray, FloatArray, IntArray
     from optdock.limits import MotionLimits
     from optdock.path import Path
-    from optdock.verification.sampled_motion import SampledMotion
+    from optdock.verification.samples import SampledMotion
 
 __all__ = ["CORRECTED_TRAPEZOID", "REACH", "Places", "Steps", "places_of", "step_lengths"]
 
@@ -34,18 +34,15 @@ _BESIDE = 1e-10  # [m]: such a sample needs no further projection
 
 
 class Places(NamedTuple):
-    """Where the samples are, Shape (n,) each: arc length `s` [m] and gear, 1 or -1.
+    """Where the samples are, Shape (n,) each: arc length `s` [m] and gear, 1 or -1; `poses` of the path there, (n, 3).
 
     `sure`: False where a sample rests between two gears and accelerates, so that it may be on either side of the cusp.
     """
 
     s: FloatArray
     gear: FloatArray
+    poses: FloatArray
     sure: BoolArray
-
-    def rows(self, keep: BoolArray) -> Places:
-        """The places at `keep`."""
-        return Places(self.s[keep], self.gear[keep], self.sure[keep])
 
 
 class Steps(NamedTuple):
@@ -100,7 +97,7 @@ def places_of(motion: SampledMotion, path: Path, limits: MotionLimits, rest: tup
     run = _runs(motion, gears, limits, still)
     if isinstance(run, Violation):
         return run
-    s, sign = np.empty(motion.t.size), np.empty(motion.t.size)
+    s, sign, poses = np.empty(motion.t.size), np.empty(motion.t.size), np.empty((motion.t.size, 3))
     for index, (first, last) in _spans(run):
         gear, rows = gears[index], slice(first, last)
         sign[rows] = gear.direction
@@ -116,12 +113,12 @@ def places_of(motion: SampledMotion, path: Path, limits: MotionLimits, rest: tup
         for a, b in blocks:
             part = slice(first + a, first + b)
             expected = np.clip(at + travelled[a:b] - travelled[a], gear.begin, gear.end)
-            s[part] = _beside(path, gear, expected, motion.x[part], motion.y[part])
+            s[part], poses[part] = _beside(path, gear, expected, motion.x[part], motion.y[part])
             at = s[first + b - 1]
     unsure = (
         (np.abs(motion.speed) <= still) & (np.abs(motion.acceleration) > steady) & _between_gears(motion, run, still)
     )
-    return Places(s, sign, ~unsure)
+    return Places(s, sign, poses, ~unsure)
 
 
 def _gears(path: Path) -> list[_Gear]:
@@ -203,16 +200,18 @@ def _blocks(steps: Steps, rounding: FloatArray) -> list[tuple[int, int]]:
     return [(a, b + 1) for a, b in itertools.pairwise(borders)]
 
 
-def _beside(path: Path, gear: _Gear, s: FloatArray, x: FloatArray, y: FloatArray) -> FloatArray:
-    """Arc lengths near `s`, Shape (n,), at which the path has the points beside it."""
+def _beside(path: Path, gear: _Gear, s: FloatArray, x: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Arc lengths near `s`, Shape (n,), at which the path has the points beside it, and its poses there, (n, 3)."""
     s, rows = s.copy(), np.arange(s.size)
+    poses = path.poses_at(s)
     for _ in range(_PROJECTIONS):
-        poses = path.poses_at(s[rows])
-        ahead = (x[rows] - poses[:, 0]) * np.cos(poses[:, 2]) + (y[rows] - poses[:, 1]) * np.sin(poses[:, 2])
+        here = poses[rows]
+        ahead = (x[rows] - here[:, 0]) * np.cos(here[:, 2]) + (y[rows] - here[:, 1]) * np.sin(here[:, 2])
         moved = np.clip(s[rows] + gear.direction * np.clip(ahead, -2.0 * REACH, 2.0 * REACH), gear.begin, gear.end)
         changed = np.abs(moved - s[rows]) > _BESIDE
-        s[rows] = moved
         rows = rows[changed]
         if rows.size == 0:
             break
-    return s
+        s[rows] = moved[changed]
+        poses[rows] = path.poses_at(s[rows])
+    return s, poses

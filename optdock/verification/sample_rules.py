@@ -10,9 +10,11 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from optdock.path import ClothoidSegment
+from optdock.path import ClothoidSegment, PolylineSegment
 from optdock.verification.certificate import Violation
 from optdock.verification.sample_places import step_lengths
+from optdock.verification.samples import EXACT, half_unit
+from optdock.verification.trajectory_cells import SAMPLED_RTOL
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -21,7 +23,7 @@ if TYPE_CHECKING:
     from optdock.limits import MotionLimits
     from optdock.path import Path
     from optdock.problem import DockingProblem
-    from optdock.verification.sampled_motion import Rounding, SampledMotion
+    from optdock.verification.samples import Rounding, SampledMotion
 
 __all__ = ["Judged", "Sums", "at_knots", "at_samples", "between_samples", "explained_rates", "rests"]
 
@@ -76,6 +78,21 @@ class Judged(NamedTuple):
     rounding: Rounding
     slack: float
 
+    def rows(self, keep: BoolArray, limits: MotionLimits) -> Judged:
+        """The samples at `keep`."""
+        motion = type(self.motion)(*(column[keep] for column in self.motion))
+        v, a = self.v[keep], self.a[keep]
+        return self._replace(
+            motion=motion,
+            s=self.s[keep],
+            v=v,
+            a=a,
+            j=self.j[keep],
+            apart=self.apart[keep],
+            turned=self.turned[keep],
+            sums=Sums.of(motion, v, a, limits),
+        )
+
 
 class _Bends(NamedTuple):
     """Curvature [1/m] and its rate [1/m^2] just before, at and just after the samples, Shape (3, n) each."""
@@ -85,18 +102,33 @@ class _Bends(NamedTuple):
 
 
 def _worst(
-    judged: Judged, kind: str, values: FloatArray, limit: FloatArray | float, at: FloatArray | None = None
+    judged: Judged,
+    kind: str,
+    values: FloatArray,
+    limit: FloatArray | float,
+    rough: FloatArray | float = 0.0,
+    at: FloatArray | None = None,
 ) -> Iterator[Violation]:
-    """The value furthest beyond its limit, if any is; times and places are those of the first samples."""
-    limits = np.broadcast_to(np.asarray(limit, dtype=np.float64), values.shape)
+    """The value furthest beyond its limit, if any is by more than rounding explains.
+
+    Args:
+        judged: Says when and where, unless `at` does.
+        kind: What the values are, with their unit.
+        values: Shape (m,).
+        limit: Likewise, or one for all.
+        rough: By how much rounding may have raised the values, likewise.
+        at: Times and arc lengths of the values, Shape (m, 2); None: those of the samples.
+    """
     if values.size == 0:
         return
-    beyond = np.where(np.isnan(values), np.inf, values - limits * (1.0 + _RELATIVE) - _ARITHMETIC)
+    limits = np.broadcast_to(np.asarray(limit, dtype=np.float64), values.shape)
+    beyond = values - rough - limits * (1.0 + _RELATIVE) - _ARITHMETIC
+    beyond = np.where(np.isnan(beyond), np.inf, beyond)
     i = int(np.argmax(beyond))
     if beyond[i] > 0.0:
         t, s = (judged.motion.t[i], judged.s[i]) if at is None else (at[i, 0], at[i, 1])
         message = f"{kind}: {values[i]:.6g} at t = {t:.3f} s, limit {limits[i]:.6g}"
-        yield Violation(kind.partition(" [")[0].replace(" ", "_"), message, float(s), float(values[i] - limits[i]))
+        yield Violation(kind.partition(" [")[0].replace(" ", "_"), message, float(s), float(beyond[i]))
 
 
 def _bends(judged: Judged) -> _Bends:
@@ -111,17 +143,17 @@ def _bends(judged: Judged) -> _Bends:
 def at_samples(judged: Judged, problem: DockingProblem) -> Iterator[Violation]:
     """Every column within its limit, and as the path has it at its place."""
     limits, zone, rounding = problem.robot.limits, problem.dock.approach, judged.rounding
-    v = np.maximum(judged.v - rounding.speed, 0.0)
+    v = np.maximum(judged.v, 0.0)
     fastest = np.where(judged.motion.speed >= 0.0, limits.max_speed, limits.max_reverse_speed)
-    yield from _worst(judged, "speed [m/s]", v, fastest)
+    yield from _worst(judged, "speed [m/s]", v, fastest, rounding.speed)
     slow = judged.s > judged.path.length - zone.distance + judged.slack + _ARITHMETIC
-    yield from _worst(judged, "approach speed [m/s]", np.where(slow, v, 0.0), zone.speed)
+    yield from _worst(judged, "approach speed [m/s]", np.where(slow, v, 0.0), zone.speed, rounding.speed)
     a, allowed = judged.a, rounding.acceleration
-    yield from _worst(judged, "acceleration [m/s^2]", a - allowed, limits.max_acceleration)
-    yield from _worst(judged, "deceleration [m/s^2]", -a - allowed, limits.max_deceleration)
-    yield from _worst(judged, "jerk [m/s^3]", np.abs(judged.j) - rounding.jerk, limits.max_jerk)
+    yield from _worst(judged, "acceleration [m/s^2]", a, limits.max_acceleration, allowed)
+    yield from _worst(judged, "deceleration [m/s^2]", -a, limits.max_deceleration, allowed)
+    yield from _worst(judged, "jerk [m/s^3]", np.abs(judged.j), limits.max_jerk, rounding.jerk)
     bends = _bends(judged)
-    yield from _curved(judged, limits, bends, v)
+    yield from _curved(judged, limits, bends, np.maximum(v - rounding.speed, 0.0))
     yield from _ties(judged, bends)
 
 
@@ -131,21 +163,24 @@ def _curved(judged: Judged, limits: MotionLimits, bends: _Bends, v: FloatArray) 
     k = np.min(np.abs(bends.curvature), axis=0)
     straight = bends.curvature.min(axis=0) * bends.curvature.max(axis=0) <= 0.0
     k = np.where(straight, 0.0, k)
+    exact = _on_clothoids(judged)
+    # Of a polyline the curvature is a difference quotient: as for time laws, 5 % beyond a limit are accepted.
+    k = np.where(exact, k, np.maximum(k - _noise(judged), 0.0) / (1.0 + SAMPLED_RTOL))
     turning = np.maximum(np.abs(motion.yaw_rate) - rounding.yaw_rate, v * k)
     yield from _worst(judged, "yaw rate [rad/s]", turning, limits.max_yaw_rate)
     stated = np.abs(motion.yaw_acceleration) - rounding.yaw_acceleration
     low, high = _yaw_accelerations(judged, bends)
-    by_path = np.maximum(np.maximum(low, -high), 0.0)
+    by_path = np.where(exact, np.maximum(np.maximum(low, -high), 0.0), 0.0)
     yield from _worst(judged, "yaw acceleration [rad/s^2]", np.maximum(stated, by_path), limits.max_yaw_acceleration)
     yield from _worst(judged, "lateral acceleration [m/s^2]", v**2 * k, limits.max_lateral_acceleration)
     yield from _worst(judged, "wheel speed [m/s]", v * (1.0 + 0.5 * limits.track_width * k), limits.max_wheel_speed)
 
 
 def _yaw_accelerations(judged: Judged, bends: _Bends) -> tuple[FloatArray, FloatArray]:
-    """The smallest and the largest a k + v^2 r that path and numbers allow, Shape (n,) each."""
+    """The smallest and the largest a k + v^2 r that path and numbers allow, k and r to 1e-6. Shape (n,) each."""
     k, r, v, rounding = bends.curvature, bends.rate, judged.v, judged.rounding
     rough = rounding.acceleration * np.abs(k) + (2.0 * np.abs(v) + rounding.speed) * rounding.speed * np.abs(r)
-    rough = rough + judged.slack * np.abs(judged.a * r)
+    rough = rough + judged.slack * np.abs(judged.a * r) + EXACT * (np.abs(judged.a) + v**2)
     value = judged.a * k + v**2 * r
     return (value - rough).min(axis=0), (value + rough).max(axis=0)
 
@@ -154,6 +189,8 @@ def _ties(judged: Judged, bends: _Bends) -> Iterator[Violation]:
     """Yaw rate is speed times curvature, yaw acceleration its rate of change."""
     motion, rounding = judged.motion, judged.rounding
     low, high = _curvature_range(judged, bends)
+    noise = _noise(judged) + EXACT
+    low, high = low - noise, high + noise
     ends = np.array([v * k for v in (judged.v - rounding.speed, judged.v + rounding.speed) for k in (low, high)])
     off = np.maximum(ends.min(axis=0) - motion.yaw_rate, motion.yaw_rate - ends.max(axis=0)) - rounding.yaw_rate
     yield from _worst(judged, "yaw rate off speed times curvature [rad/s]", off, 0.0)
@@ -175,23 +212,44 @@ def _on_clothoids(judged: Judged) -> BoolArray:
     return on
 
 
+def _noise(judged: Judged) -> FloatArray:
+    """What the rounding of a polyline's poses makes of the curvature of its steps, Shape (n,) [1/m]; 0 on clothoids."""
+    noise, owners = np.zeros(judged.s.size), _owners(judged)
+    for i, segment in enumerate(judged.path.segments):
+        if isinstance(segment, PolylineSegment):
+            step = _step_of(judged, segment, rows := np.flatnonzero(owners == i), i)
+            turn = half_unit(segment.poses[:, 2])
+            longer = np.sqrt(2.0) * half_unit(segment.poses[:, 0], segment.poses[:, 1])
+            rough = 2.0 * (turn + longer * np.abs(segment.step_curvature)) / np.diff(segment.knots)
+            noise[rows] = rough[step]
+    return noise
+
+
+def _step_of(judged: Judged, segment: PolylineSegment, rows: IntArray, i: int) -> IntArray:
+    """The step of segment number `i` on which each of these samples lies."""
+    local = judged.s[rows] - judged.path.segment_starts[i]
+    found: IntArray = np.clip(np.searchsorted(segment.knots, local, side="right") - 1, 0, segment.knots.size - 2)
+    return found
+
+
 def _curvature_range(judged: Judged, bends: _Bends) -> tuple[FloatArray, FloatArray]:
     """Smallest and largest curvature that a sample may have used, Shape (n,) each.
 
-    A polyline says it by the turns of its steps only, so whatever the neighbouring steps and poses have counts.
+    A polyline says it by the turns of its steps only, which are means: whatever the neighbouring steps and poses have
+    counts, and as much again as these differ, by which the curve that was sampled may go beyond its means.
     """
     low, high = bends.curvature.min(axis=0), bends.curvature.max(axis=0)
     owners = _owners(judged)
     for i, segment in enumerate(judged.path.segments):
-        if isinstance(segment, ClothoidSegment):
+        if not isinstance(segment, PolylineSegment):
             continue
-        rows = np.flatnonzero(owners == i)
-        local = judged.s[rows] - judged.path.segment_starts[i]
-        step = np.clip(np.searchsorted(segment.knots, local, side="right") - 1, 0, segment.knots.size - 2)
-        turn = np.diff(segment.poses_at(segment.knots)[:, 2]) / np.diff(segment.knots)
+        step = _step_of(judged, segment, rows := np.flatnonzero(owners == i), i)
+        turn = segment.step_curvature
         for shift in (-1, 0, 1):
             k = turn[np.clip(step + shift, 0, turn.size - 1)]
             low[rows], high[rows] = np.minimum(low[rows], k), np.maximum(high[rows], k)
+        spread = high[rows] - low[rows]
+        low[rows], high[rows] = low[rows] - spread, high[rows] + spread
     return low, high
 
 
@@ -227,31 +285,31 @@ def _means(judged: Judged, limits: MotionLimits, rows: IntArray, lag: int) -> It
         return change(column) / t, (2.0 * half_unit + (early * slope if early else 0.0)) / t
 
     gain, rough = mean(judged.v, rounding.speed, steepest)
-    yield from _worst(judged, "mean acceleration [m/s^2]", gain - rough, limits.max_acceleration, at)
-    yield from _worst(judged, "mean deceleration [m/s^2]", -gain - rough, limits.max_deceleration, at)
-    bent = np.abs(gain[lag:] - gain[:-lag]) - rough[lag:] - rough[:-lag]
+    yield from _worst(judged, "mean acceleration [m/s^2]", gain, limits.max_acceleration, rough, at)
+    yield from _worst(judged, "mean deceleration [m/s^2]", -gain, limits.max_deceleration, rough, at)
+    bent, both = np.abs(gain[lag:] - gain[:-lag]), rough[lag:] + rough[:-lag]
     apart = 0.5 * (t[lag:] + t[:-lag])
-    yield from _worst(judged, "jerk of the speeds [m/s^3]", bent / apart, limits.max_jerk, at)
+    yield from _worst(judged, "jerk of the speeds [m/s^3]", bent / apart, limits.max_jerk, both / apart, at)
     gain, rough = mean(judged.a, rounding.acceleration, limits.max_jerk)
-    yield from _worst(judged, "mean jerk [m/s^3]", np.abs(gain) - rough, limits.max_jerk, at)
+    yield from _worst(judged, "mean jerk [m/s^3]", np.abs(gain), limits.max_jerk, rough, at)
     if np.isfinite(limits.max_yaw_acceleration):
         gain, rough = mean(motion.yaw_rate, rounding.yaw_rate, limits.max_yaw_acceleration)
         yield from _worst(
-            judged, "mean yaw acceleration [rad/s^2]", np.abs(gain) - rough, limits.max_yaw_acceleration, at
+            judged, "mean yaw acceleration [rad/s^2]", np.abs(gain), limits.max_yaw_acceleration, rough, at
         )
     if np.isfinite(limits.max_yaw_rate):
         gain, rough = mean(judged.sums.yaw, rounding.yaw, limits.max_yaw_rate)
-        yield from _worst(judged, "mean yaw rate [rad/s]", np.abs(gain) - rough, limits.max_yaw_rate, at)
+        yield from _worst(judged, "mean yaw rate [rad/s]", np.abs(gain), limits.max_yaw_rate, rough, at)
     sums = judged.sums
     off = np.abs(change(judged.v) - change(sums.speed))
     allowed = change(sums.speed_error) + 2.0 * rounding.speed + rounding.acceleration * t + early * steepest
-    yield from _worst(judged, "speed off its accelerations [m/s]", off - allowed, 0.0, at)
+    yield from _worst(judged, "speed off its accelerations [m/s]", off, allowed, at=at)
     off = np.abs(change(judged.s) - change(sums.place))
     fastest = max(limits.max_speed, limits.max_reverse_speed)
     allowed = change(sums.place_error) + 2.0 * judged.slack + rounding.speed * t + early * fastest
     # Beside a curve the way is longer or shorter than on it.
     allowed = allowed + float(np.max(judged.apart)) * change(sums.turn)
-    yield from _worst(judged, "distance off its speeds [m]", off - allowed, 0.0, at)
+    yield from _worst(judged, "distance off its speeds [m]", off, allowed, at=at)
 
 
 def at_knots(judged: Judged, problem: DockingProblem) -> Iterator[Violation]:
@@ -261,7 +319,7 @@ def at_knots(judged: Judged, problem: DockingProblem) -> Iterator[Violation]:
     of theirs plus J h / 2; the path has its curvature and one of its two rates at every knot.
     """
     limits, motion = problem.robot.limits, judged.motion
-    s = np.maximum.accumulate(judged.s)
+    s, steepest = np.maximum.accumulate(judged.s), max(limits.max_acceleration, limits.max_deceleration)
     for segment, start in zip(judged.path.segments, judged.path.segment_starts[:-1], strict=True):
         if not isinstance(segment, ClothoidSegment):
             continue
@@ -271,22 +329,23 @@ def at_knots(judged: Judged, problem: DockingProblem) -> Iterator[Violation]:
         knots, i = np.flatnonzero(inside), i[inside]
         h = motion.t[i + 1] - motion.t[i]
         v = np.minimum(judged.v[i], judged.v[i + 1]) - judged.rounding.speed - limits.max_jerk * h**2 / 8.0
-        v = np.maximum(v, 0.0)
+        # The knot may be passed a little before or after it seems to be: v^2 changes by 2 a ds.
+        v = np.sqrt(np.maximum(np.maximum(v, 0.0) ** 2 - 4.0 * steepest * judged.slack, 0.0))
         a = np.maximum(np.abs(judged.a[i]), np.abs(judged.a[i + 1]))
         a = a + judged.rounding.acceleration + limits.max_jerk * h / 2.0
         k = np.abs(segment.curvature_at(segment.knots))[knots]
         rate = np.diff(segment.curvature_at(segment.knots)) / np.diff(segment.knots)
         rate = np.maximum(np.abs(np.append(rate[:1], rate)), np.abs(np.append(rate, rate[-1:])))[knots]
         at = np.column_stack((motion.t[i], places[knots]))
-        yield from _worst(judged, "yaw rate at a knot [rad/s]", v * k, limits.max_yaw_rate, at)
+        yield from _worst(judged, "yaw rate at a knot [rad/s]", v * k, limits.max_yaw_rate, at=at)
         turning = v**2 * rate - a * k
-        yield from _worst(judged, "yaw acceleration at a knot [rad/s^2]", turning, limits.max_yaw_acceleration, at)
+        yield from _worst(judged, "yaw acceleration at a knot [rad/s^2]", turning, limits.max_yaw_acceleration, at=at)
         sideways = v**2 * k
         yield from _worst(
-            judged, "lateral acceleration at a knot [m/s^2]", sideways, limits.max_lateral_acceleration, at
+            judged, "lateral acceleration at a knot [m/s^2]", sideways, limits.max_lateral_acceleration, at=at
         )
         rim = v * (1.0 + 0.5 * limits.track_width * k)
-        yield from _worst(judged, "wheel speed at a knot [m/s]", rim, limits.max_wheel_speed, at)
+        yield from _worst(judged, "wheel speed at a knot [m/s]", rim, limits.max_wheel_speed, at=at)
 
 
 def rests(judged: Judged, problem: DockingProblem) -> Iterator[Violation]:

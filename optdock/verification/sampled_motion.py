@@ -29,7 +29,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -48,82 +48,23 @@ from optdock.verification.sample_rules import (
     explained_rates,
     rests,
 )
+from optdock.verification.samples import EXACT, Rounding, SampledMotion
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping
+    from collections.abc import Mapping
 
-    from optdock.geometry.arrays import BoolArray, FloatArray
     from optdock.limits import MotionLimits
     from optdock.path import Path
     from optdock.problem import DockingProblem
     from optdock.trajectory import Trajectory
 
-__all__ = ["Rounding", "SampledMotion", "SampledMotionVerdict", "check_sampled_motion", "sample_disagreements"]
+__all__ = ["SampledMotionVerdict", "check_sampled_motion", "check_samples_of"]
 
-EXACT = 1e-6  # [m], [rad], ...: numbers with more decimals than five are taken to this
 ON_PATH = math.sqrt(2.0) * EXACT  # [m], [rad]: x and y each to that
 _STEEPEST = 10.0  # [1/m]: no more of a curvature counts for that
 # [m], [rad]: how far poses may be off the path, where the clearance covers it. Three decimals move a pose by 0.7 mm;
 # along a curve of 2 1/m that is 1.4e-3 rad.
 OFF_PATH = 2e-3
-
-
-class SampledMotion(NamedTuple):
-    """A timed motion in columns of Shape (n,), n >= 2, SI units, finite; t increases.
-
-    Speed, acceleration and jerk are negative in reverse.
-    """
-
-    t: FloatArray
-    x: FloatArray
-    y: FloatArray
-    yaw: FloatArray
-    speed: FloatArray
-    acceleration: FloatArray
-    jerk: FloatArray
-    yaw_rate: FloatArray
-    yaw_acceleration: FloatArray
-
-    def rows(self, keep: BoolArray) -> SampledMotion:
-        """The samples at `keep`."""
-        return SampledMotion(*(column[keep] for column in self))
-
-
-class Rounding(NamedTuple):
-    """By how much a number of each kind may differ from what it stands for."""
-
-    place: float
-    yaw: float
-    speed: float
-    acceleration: float
-    jerk: float
-    yaw_rate: float
-    yaw_acceleration: float
-    time: float
-
-    @classmethod
-    def of(cls, motion: SampledMotion) -> Rounding:
-        """Half a unit of the last decimal of each kind of column; times on an even grid are exact."""
-        steps = np.diff(motion.t)
-        even = bool(np.ptp(steps) <= 1e-9 * steps[0])
-        resolution = float(np.spacing(np.max(np.abs(motion.t))))
-        return cls(
-            place=_rounding(motion.x, motion.y),
-            yaw=_rounding(motion.yaw),
-            speed=_rounding(motion.speed),
-            acceleration=_rounding(motion.acceleration),
-            jerk=_rounding(motion.jerk),
-            yaw_rate=_rounding(motion.yaw_rate),
-            yaw_acceleration=_rounding(motion.yaw_acceleration),
-            time=resolution if even else max(resolution, _rounding(motion.t, most=0.0)),
-        )
-
-
-def _rounding(*columns: FloatArray, most: float = EXACT) -> float:
-    for decimals in (3, 4, 5):
-        if all(np.array_equal(np.round(column, decimals), column) for column in columns):
-            return 0.5 * 10.0**-decimals
-    return most
 
 
 @dataclass(frozen=True)
@@ -185,7 +126,7 @@ def check_sampled_motion(motion: SampledMotion, path: Path, problem: DockingProb
         violations = tuple(off)
         if max(offset) <= OFF_PATH:
             violations += tuple(at_samples(judged, problem))
-            sure = _judged(motion.rows(places.sure), path, problem, places.rows(places.sure), rounding)
+            sure = judged if places.sure.all() else judged.rows(places.sure, limits)
             rules = (between_samples, at_knots, rests, explained_rates)
             violations += tuple(violation for rule in rules for violation in rule(sure, problem))
     return SampledMotionVerdict(violations, motion.t.size, step, offset, _unproven(judged, limits))
@@ -213,15 +154,14 @@ def _turn_in_place(path: Path) -> Violation | None:
 
 
 def _judged(motion: SampledMotion, path: Path, problem: DockingProblem, places: Places, rounding: Rounding) -> Judged:
-    slack = np.sqrt(2.0) * rounding.place
-    poses = path.poses_at(places.s)
+    poses = places.poses
     apart = np.hypot(motion.x - poses[:, 0], motion.y - poses[:, 1])
     turned = np.abs(np.remainder(motion.yaw - poses[:, 2] + np.pi, 2.0 * np.pi) - np.pi)
     # A pose that is on the path but `ON_PATH` further along it has turned by that much.
     turned = np.maximum(turned - ON_PATH * np.minimum(np.abs(path.curvature_at(places.s)), _STEEPEST), 0.0)
     v, a, j = (places.gear * column for column in (motion.speed, motion.acceleration, motion.jerk))
     sums = Sums.of(motion, v, a, problem.robot.limits)
-    return Judged(motion, path, places.s, v, a, j, apart, turned, sums, rounding, slack)
+    return Judged(motion, path, places.s, v, a, j, apart, turned, sums, rounding, math.sqrt(2.0) * rounding.place)
 
 
 def _off_path(judged: Judged, problem: DockingProblem) -> tuple[tuple[float, float], list[Violation]]:
@@ -272,31 +212,44 @@ def _unproven(judged: Judged, limits: MotionLimits) -> dict[str, float]:
     return bounds
 
 
-def sample_disagreements(motion: SampledMotion, trajectory: Trajectory) -> Iterator[Violation]:
-    """Samples that are not those of `trajectory` to 1e-6, or to the rounding of their columns; the worst of each kind.
+def check_samples_of(trajectory: Trajectory, motion: SampledMotion, problem: DockingProblem) -> SampledMotionVerdict:
+    """Whether samples are those of `trajectory`, to 1e-6 or to the rounding of their columns.
 
-    Where jerk or yaw acceleration jump, the values on both sides count.
+    Poses that are further off than 1e-6 need the clearance to cover that. Where jerk and yaw acceleration jump, the
+    values on both sides count, and whatever lies between them.
+
+    Args:
+        trajectory: The motion; see `certify_trajectory` for its own verdict.
+        motion: The samples.
+        problem: What must hold.
     """
-    rounding = Rounding.of(motion)
-    for name, found, wanted in (
-        ("begin", motion.t[0], 0.0),
-        ("end", motion.t[-1], trajectory.duration),
-    ):
+    step, count, rounding = float(np.max(np.diff(motion.t))), motion.t.size, Rounding.of(motion)
+    for name, found, wanted in (("begin", motion.t[0], 0.0), ("end", motion.t[-1], trajectory.duration)):
         if not abs(found - wanted) <= EXACT + rounding.time:
             message = f"the samples {name} at t = {found:.6g} s, the phases at {wanted:.6g} s"
-            yield Violation("phases", message, 0.0, abs(float(found - wanted)))
-            return
+            violation = Violation("phases", message, 0.0, abs(float(found - wanted)))
+            return SampledMotionVerdict((violation,), count, step)
     near = EXACT + rounding.time
-    exact = [trajectory.sample_at(motion.t + shift) for shift in (0.0, -near, near)]
+    exact, *sides = (trajectory.sample_at(motion.t + shift) for shift in (0.0, -near, near))
+    violations = []
     for name in SampledMotion._fields[1:]:
-        sides = np.array([getattr(samples, name) for samples in exact])
         found = getattr(motion, name)
+        around = np.array([getattr(samples, name) for samples in (exact, *sides)])
         if name == "yaw":
-            sides = found + np.remainder(sides - found + np.pi, 2.0 * np.pi) - np.pi
-        off = np.maximum(sides.min(axis=0) - found, found - sides.max(axis=0))
-        allowed = max(EXACT, rounding.place if name in ("x", "y") else getattr(rounding, name))
-        allowed = allowed * np.maximum(1.0, 1e-3 * np.abs(found))
-        i = int(np.argmax(off - allowed))
-        if not off[i] <= allowed[i]:
-            message = f"{name} at t = {motion.t[i]:.3f} s is {found[i]:.6g}, by the phases {sides[0, i]:.6g}"
-            yield Violation("phases", message, float(exact[0].s[i]), float(off[i]))
+            around = found + np.remainder(around - found + np.pi, 2.0 * np.pi) - np.pi
+        off = np.maximum(around.min(axis=0) - found, found - around.max(axis=0))
+        allowed = rounding.place if name in ("x", "y") else getattr(rounding, name)
+        off = off - 4.0 * np.spacing(np.abs(found)) - allowed
+        i = int(np.argmax(off))
+        if not off[i] <= 0.0:
+            message = f"{name} at t = {motion.t[i]:.3f} s is {found[i]:.6g}, by the phases {around[0, i]:.6g}"
+            violations.append(Violation("phases", message, float(exact.s[i]), float(off[i] + allowed)))
+    apart = float(np.max(np.hypot(motion.x - exact.x, motion.y - exact.y)))
+    turned = float(np.max(np.abs(np.remainder(motion.yaw - exact.yaw + np.pi, 2.0 * np.pi) - np.pi)))
+    offset = (apart, turned)
+    if not violations and max(offset) > ON_PATH and not _covers(trajectory.path, problem, offset):
+        message = (
+            f"samples are up to {apart:.3g} m and {turned:.3g} rad off the path, and the clearance does not cover it"
+        )
+        violations.append(Violation("off_path", message, 0.0, max(offset)))
+    return SampledMotionVerdict(tuple(violations), count, step, offset)

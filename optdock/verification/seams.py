@@ -11,14 +11,14 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from optdock.geometry.polygon import edge_normals
-from optdock.geometry.separation import ConvexBody
+from optdock.geometry.footprint import convex_body
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
     from optdock.geometry.arrays import FloatArray
     from optdock.geometry.footprint import Footprint
+    from optdock.geometry.separation import ConvexBody
 
 __all__ = ["joined_bodies"]
 
@@ -26,7 +26,7 @@ __all__ = ["joined_bodies"]
 @functools.lru_cache(maxsize=64)
 def joined_bodies(footprint: Footprint) -> tuple[ConvexBody, ...]:
     """The footprint's convex pieces and a kite over each of their seams; together they cover exactly the footprint."""
-    return (*footprint.bodies, *(_body(kite) for kite in _kites(footprint.bodies)))
+    return (*footprint.bodies, *(convex_body(kite) for kite in _kites(footprint.bodies)))
 
 
 def _kites(bodies: tuple[ConvexBody, ...]) -> Iterator[FloatArray]:
@@ -51,8 +51,3 @@ def _into(piece: FloatArray, a: FloatArray, b: FloatArray) -> FloatArray:
     height = float(edge[0] * arm[1] - edge[1] * arm[0]) / squared
     point: FloatArray = 0.5 * (a + b) + 0.5 * height / max(along, 1.0 - along) * np.array([-edge[1], edge[0]])
     return point
-
-
-def _body(vertices: FloatArray) -> ConvexBody:
-    normals = edge_normals(vertices)
-    return ConvexBody(vertices, normals, np.sum(normals * vertices, axis=1))

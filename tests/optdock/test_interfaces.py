@@ -34,6 +34,7 @@ from optdock.plugins import INTERFACES
 
 # Interface, Nav2's method, ours, whether an author must write it, its parameters after self.
 METHODS = [
+    (Plugin, "getName", "name", False, None),
     (Plugin, "configure", "configure", False, ["context"]),
     (Plugin, "activate", "activate", False, []),
     (Plugin, "deactivate", "deactivate", False, []),
@@ -61,6 +62,7 @@ METHODS = [
     (Layer, "matchSize", "match_size", False, []),
     (Layer, "onFootprintChanged", "on_footprint_changed", False, []),
     (Layer, "isCurrent", "is_current", False, []),
+    (Layer, "setCurrent", "set_current", False, ["current"]),
     (Layer, "isEnabled", "is_enabled", False, []),
     (GoalChecker, "reset", "reset", False, []),
     (
@@ -127,6 +129,14 @@ def test_what_an_author_need_not_write_does_as_nav2s_defaults():
     assert layer.is_clearable() is False
     assert layer.is_current() is True
     assert layer.is_enabled() is True
+    layer.set_current(False)
+    assert layer.is_current() is False
+    assert minimal(Layer).is_current() is True
+    layer.set_current(True)
+    assert layer.is_current() is True
+    assert (layer.name, controller.name) == ("Minimal", "Minimal")
+    layer.configure(PluginContext(name="obstacles"))
+    assert layer.name == "obstacles"
     assert layer.match_size() is layer.on_footprint_changed() is minimal(GoalChecker).reset() is None
     assert never_cancelled() is False
 

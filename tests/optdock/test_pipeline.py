@@ -114,6 +114,17 @@ def test_a_budget_is_a_positive_number(budget):
         plan_dock(problem(), time_budget=budget)
 
 
+def test_a_budget_beyond_all_floats_is_refused():
+    with pytest.raises(InvalidValue, match="time_budget: must be finite"):
+        plan_dock(problem(), time_budget=10**400)
+
+
+@pytest.mark.parametrize("lower", [[0.0, 0.0], [[0.0, 0.0, 0.0]], [[0.0, 0.0], [0.0, 0.0]], [[math.nan, 0.0]]])
+def test_corners_of_rectangles_come_in_pairs(lower):
+    with pytest.raises(InvalidValue, match="posts"):
+        ObstacleSet.from_rectangles(np.array(lower), np.array([[1.0, 1.0]]), "posts")
+
+
 def test_a_budget_too_small_for_anything_is_a_time_out():
     assert isinstance(failure(problem(), time_budget=1e-9), OptdockError)
     error = failure(problem(), time_budget=1e-6)

@@ -96,6 +96,9 @@ def _moving(rng: Rng, case: Case) -> None:
     gear = 1 if rng.uniform() < 0.7 else -1
     top = case["limits"]["max_speed" if gear > 0 else "max_reverse_speed"]
     case["start_speed"] = gear * top * float(rng.uniform(0.05, 1.02))
+    if rng.uniform() < 0.3:  # the wheels turn faster already than they may
+        case["limits"]["max_wheel_speed"] = abs(case["start_speed"]) * float(rng.uniform(0.3, 1.1))
+        case["limits"]["track_width"] = float(rng.uniform(0.2, 0.9))
     if rng.uniform() < 0.2:
         case["start_curvature"] = float(rng.uniform(-1, 1)) * case["limits"].get("max_curvature", 1.0)
 

@@ -40,7 +40,8 @@ def clothoid_route(rng: Rng) -> list[Case]:
     for _ in range(count):
         knots, curvature = _profile(rng, steep)
         gears.append({"type": "clothoid", "start": at, "knots": knots, "curvature": curvature, "gear": gear})
-        at = motion_of(gears[-1:]).end.tolist()
+        if len(gears) < count:
+            at = motion_of(gears[-1:]).end.tolist()
         gear = -gear if rng.uniform() < 0.95 else gear
     if rng.uniform() < 0.04:
         _disjoint(rng, gears)
@@ -84,7 +85,7 @@ def _disjoint(rng: Rng, gears: list[Case]) -> None:
         gears[-1]["start"] = [value + log_uniform(rng, 1e-7, 1e-3) for value in gears[-1]["start"]]
         return
     side, (x, y, yaw) = rng.uniform(0.5e-6, 0.95e-6), gears[0]["start"]
-    count = int(rng.integers(20, 200))
+    count = int(rng.integers(20, 80))
     c, s = math.cos(yaw), math.sin(yaw)
     gears[:] = [
         {"type": "clothoid", "start": [x + 5e-3 * i * c - side * i * s, y + 5e-3 * i * s + side * i * c, yaw],

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, NamedTuple
 
-from experiments.fuzz.kinds import files, paths, plans, trajectories, values
+from experiments.fuzz.kinds import files, paths, plans, timings, trajectories, values
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -26,6 +26,7 @@ class Kind(NamedTuple):
 KINDS: dict[str, Kind] = {
     "paths": Kind(paths.draw, paths.judge),
     "trajectories": Kind(trajectories.draw, trajectories.judge),
+    "timings": Kind(timings.draw, timings.judge),
     "plans": Kind(plans.draw, plans.judge),
     "files": Kind(files.draw, files.judge),
     "values": Kind(values.draw, values.judge),

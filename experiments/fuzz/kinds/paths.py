@@ -18,6 +18,7 @@ from optdock.verification import certify_path
 
 if TYPE_CHECKING:
     from experiments.fuzz.case import Case
+    from experiments.fuzz.oracle.motion import Motion
     from optdock.verification import Certificate
 
 __all__ = ["draw", "judge", "refuted"]
@@ -85,7 +86,7 @@ def _wrongly_refused(case: Case, certificate: Certificate) -> Verdict | None:
     if unfounded:
         message = next(v.message for v in certificate.violations if v.kind in unfounded)
         return Verdict("false refusal", f"{sorted(unfounded)[0]}, {_scene(case)}: {message}")
-    if not kinds <= {"clearance", "unproven"} or _has_room(case) is False:
+    if not kinds <= {"clearance", "unproven"} or not _has_room(case, motion):
         return None
     return Verdict("false refusal", f"clearance, {_scene(case)}: {certificate.reason}")
 
@@ -98,9 +99,9 @@ def _scene(case: Case) -> str:
     return path + (", disc" if "radius" in case["footprint"] else "") + grid + contact
 
 
-def _has_room(case: Case) -> bool:
+def _has_room(case: Case, motion: Motion) -> bool:
     """Whether the margin is above a millimetre everywhere."""
-    motion, world = motion_of(case["path"]), World.of(case)
+    world = World.of(case)
     spare = _SPARE + _ROUND * world.radius
     if float(sweep(case, motion, world, refine=False).margin.min()) <= spare:
         return False

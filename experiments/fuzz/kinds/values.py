@@ -23,7 +23,7 @@ from optdock.path import ClothoidSegment, Direction, Path, PolylineSegment
 from optdock.pipeline import plan_dock
 from optdock.plugins import INTERFACES, available_plugins, create_plugin, load_plugin
 from optdock.problem import ClearanceRule, DockingProblem
-from optdock.robot import Robot
+from optdock.robot import Drive, Robot
 from optdock.trajectory import TimeLaw, Trajectory
 from optdock.verification import certify_path, certify_trajectory
 
@@ -149,7 +149,7 @@ _DOORS: dict[str, _Door] = {
         lambda: {
             "pose": Pose2(2, 0, 0),
             "footprint": Footprint(np.array(_SQUARE)),
-            "direction": "auto",
+            "direction": DockDirection.AUTO,
             "final_straight": 0.1,
             "approach": SpeedZone(0.1, 0.2),
             "tolerances": DockTolerances(),
@@ -184,7 +184,7 @@ _DOORS: dict[str, _Door] = {
     ),
     "Robot": _Door(
         Robot,
-        lambda: {"footprint": Footprint(np.array(_SQUARE)), "limits": MotionLimits(), "drive": "differential"},
+        lambda: {"footprint": Footprint(np.array(_SQUARE)), "limits": MotionLimits(), "drive": Drive.DIFFERENTIAL},
         lambda robot: _certified(_problem(robot=robot)),
     ),
     "ObstacleSet": _Door(

@@ -71,9 +71,9 @@ class Motion:
     @property
     def turn(self) -> Floats:
         """Largest |change of yaw| within each piece, as a bound [rad]."""
-        turn: Floats = np.where(
-            self.exact, self.h * np.maximum(np.abs(self.k0), np.abs(self.k1)), np.abs(self.step[:, 2])
-        )
+        with np.errstate(invalid="ignore"):  # a turn in place has no length and infinite curvature
+            bent = self.h * np.maximum(np.abs(self.k0), np.abs(self.k1))
+        turn: Floats = np.where(self.exact, bent, np.abs(self.step[:, 2]))
         return turn
 
     @property
@@ -114,8 +114,8 @@ class Motion:
     def ends_of(self, segment: Segment) -> tuple[Floats, Floats]:
         """First and last pose of a gear."""
         places = np.array([segment.first, segment.stop - 1])
-        first, last = self.poses_at(places, np.array([0.0, 1.0]))
-        return first, last
+        both = self.poses_at(places, np.array([0.0, 1.0]))
+        return both[0], both[1]
 
 
 @dataclass(frozen=True)

@@ -24,7 +24,8 @@ _POSE = 1e-6  # [m], [rad]: start, goal, joints
 _ADDED_UP = 10.0  # times the tolerance of one joint: what all of them may jump in sum
 _EXACT, _SAMPLED = 1e-6, 1e-3  # relative: curvature of clothoids, of polylines
 _SLIP, _BULGE, _STRAIGHT = 0.01, 0.005, 1e-4  # [rad], [m], [m] and [rad]
-_DRIFT = 0.01  # [m]: sideways motion of a polyline, summed over any stretch
+_DRIFT, _DRIFT_PER_METRE, _LONGEST = 1e-3, 1e-4, 0.2  # [m], [m/m], [m]: sideways motion of a polyline, summed up
+_ROUNDING = 1e-6  # [m] of a polyline's positions
 _MOVING = 1e-6  # [m]: shorter gears have no direction
 
 
@@ -54,7 +55,7 @@ def gap(first: Floats, second: Floats) -> float:
 
 def findings(case: Case, motion: Motion) -> list[Finding]:
     """Every rule but clearance. Where the ratio is a limit's, 1 is the limit with its tolerance."""
-    rules = (_ends, _joints, _gears, _slip, _curvature, _start_curvature, _straight)
+    rules = (_ends, _joints, _gears, _slip, _sums, _winding, _curvature, _start_curvature, _straight)
     with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
         return [finding for rule in rules for finding in rule(case, motion)]
 
@@ -79,20 +80,75 @@ def _gears(case: Case, motion: Motion) -> Iterator[Finding]:
     yield Finding("direction", math.inf if case["start_speed"] * moving[0].gear < 0.0 else 0.0, 0.0)
 
 
+class _Steps(NamedTuple):
+    """Steps of a polyline that move, Shape (n,): chord, arc [m]; turn, slip against the heading, direction [rad]."""
+
+    chord: Floats
+    arc: Floats
+    turn: Floats
+    slip: Floats
+    direction: Floats
+
+
+def _steps(segment: Segment) -> _Steps:
+    step, arc = np.diff(segment.poses, axis=0), np.diff(segment.knots)
+    moves = arc > 0.0
+    step, heading = step[moves], (segment.poses[:-1, 2] + 0.5 * np.diff(segment.poses[:, 2]))[moves]
+    direction = np.arctan2(step[:, 1], step[:, 0])
+    slip = _wrapped(direction - heading - (0.0 if segment.gear > 0 else math.pi))
+    return _Steps(np.hypot(step[:, 0], step[:, 1]), arc[moves], step[:, 2], slip, direction)
+
+
+def _wrapped(angle: Floats) -> Floats:
+    wrapped: Floats = np.remainder(angle + math.pi, 2.0 * math.pi) - math.pi
+    return wrapped
+
+
 def _slip(_: Case, motion: Motion) -> Iterator[Finding]:
+    """Every step along its heading, and short enough to tell its arc."""
     for segment in motion.segments:
         if segment.exact:
             continue
-        step = np.diff(segment.poses, axis=0)
-        chord = np.hypot(step[:, 0], step[:, 1])
-        heading = segment.poses[:-1, 2] + 0.5 * step[:, 2] + (0.0 if segment.gear > 0 else math.pi)
-        error = np.remainder(np.arctan2(step[:, 1], step[:, 0]) - heading + math.pi, 2.0 * math.pi) - math.pi
-        moves = chord > 1e-9
-        yield Finding("slip", float(np.max(np.abs(error) * moves)) / _SLIP, segment.start_s)
-        bulge = np.diff(segment.knots) * np.abs(step[:, 2]) / 8.0
-        yield Finding("slip", float(np.max(bulge)) / _BULGE, segment.start_s)
-        sideways = np.concatenate(([0.0], np.cumsum(chord * np.sin(np.where(moves, error, 0.5 * math.pi)))))
-        yield Finding("slip", float(np.ptp(sideways)) / _DRIFT, segment.start_s)
+        steps = _steps(segment)
+        yield Finding("slip", float(np.max(np.abs(steps.slip), initial=0.0)) / _SLIP, segment.start_s)
+        bulge = steps.arc * np.abs(steps.turn) / 8.0
+        yield Finding("slip", float(np.max(bulge, initial=0.0)) / _BULGE, segment.start_s)
+
+
+def _sums(_: Case, motion: Motion) -> Iterator[Finding]:
+    """What single steps may do must not add up: slipping sideways, and steps too short to have a direction."""
+    polylines = [segment for segment in motion.segments if not segment.exact]
+    if not polylines:
+        return
+    sideways, sampling, longest, still = [np.zeros(1)], 0.0, 0.0, 0.0
+    for segment in polylines:
+        steps = _steps(segment)
+        sideways.append(segment.gear * steps.chord * np.sin(steps.slip))
+        bends = np.abs(np.diff(steps.turn / steps.arc, prepend=steps.turn[:1] / steps.arc[:1]))
+        sampling += float(np.sum(steps.arc**2 * np.maximum(bends, np.append(bends[1:], 0.0)))) / 12.0
+        longest = max(longest, float(np.max(steps.arc, initial=0.0)))
+        chords = np.hypot(*np.diff(segment.poses[:, :2], axis=0).T)
+        still += float(np.sum(chords[np.diff(segment.knots) <= 0.0]))
+    drift = float(np.ptp(np.cumsum(np.concatenate(sideways))))
+    allowed = _DRIFT + _DRIFT_PER_METRE * motion.length + _SLIP * min(longest, _LONGEST)
+    # Sampling a smooth curve makes steps drift by themselves: whether that counts is not for us to judge.
+    least, most = (drift - sampling) / allowed, (drift + sampling) / allowed
+    yield Finding("slip", least if least > 2.0 else min(most, 2.0), 0.0)
+    yield Finding("slip", still / _POSE, 0.0)
+
+
+def _winding(case: Case, motion: Motion) -> Iterator[Finding]:
+    """The direction of motion of a polyline turns no faster than the heading may, but for rounding."""
+    limit = case["limits"].get("max_curvature", math.inf)
+    for segment in motion.segments if math.isfinite(limit) else ():
+        if segment.exact or segment.knots.size < 3:
+            continue
+        steps = _steps(segment)
+        turn = np.abs(_wrapped(np.diff(steps.direction)))
+        may = limit * 0.5 * (steps.arc[:-1] + steps.arc[1:])
+        rounding = 2.0 * _ROUNDING * (1.0 / steps.chord[:-1] + 1.0 / steps.chord[1:])
+        excess = np.maximum(turn - may, 0.0) / (_SAMPLED * may + rounding)
+        yield Finding("curvature", float(np.max(excess, initial=0.0)), segment.start_s)
 
 
 def _curvature(case: Case, motion: Motion) -> Iterator[Finding]:

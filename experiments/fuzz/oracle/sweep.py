@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -77,11 +77,12 @@ class _Search:
         piece, low, high = self._first()
         share = np.concatenate((low, [1.0]))
         at = np.concatenate((piece, piece[-1:]))
-        clearance, margin, poses, s = self._measured(at, share)
-        found = [(s, poses, clearance, margin)]
+        first = self._measured(at, share)
+        clearance, margin = first.clearance, first.margin
+        found = [first]
         # The end of an interval is the start of the next: pieces are joined, but gears may jump, so measure those.
         last = np.append(clearance[1:-1], clearance[-1]), np.append(margin[1:-1], margin[-1])
-        table = (piece, low, high, clearance[:-1], last[0], margin[:-1], last[1])
+        table: tuple[Floats, ...] = (piece.astype(float), low, high, clearance[:-1], last[0], margin[:-1], last[1])
         best = float(margin.min())
         for _ in range(rounds):
             chosen = self._promising(table, best)
@@ -89,9 +90,10 @@ class _Search:
                 break
             table, measured = self._refined(tuple(column[chosen] for column in table))
             found.append(measured)
-            best = min(best, float(measured[3].min()))
-        columns = [np.concatenate(parts) for parts in zip(*found, strict=True)]
-        return Sweep(columns[0], columns[1], columns[2], columns[3])
+            best = min(best, float(measured.margin.min()))
+        return Sweep(
+            *(np.concatenate([getattr(one, spec.name) for one in found]) for spec in fields(Sweep)),
+        )
 
     def _first(self) -> tuple[Ints, Floats, Floats]:
         way, turn = self.motion.way, self.motion.turn
@@ -104,11 +106,11 @@ class _Search:
         high = np.where(rank + 1 == parts[piece], 1.0, (rank + 1) / parts[piece])
         return piece, low, high
 
-    def _measured(self, piece: Ints, share: Floats) -> tuple[Floats, Floats, Floats, Floats]:
+    def _measured(self, piece: Ints, share: Floats) -> Sweep:
         poses = self.motion.poses_at(piece, share)
         clearance = self.world.clearances(poses)
         margin = clearance - required_at(self.case, poses, self.start_clearance)
-        return clearance, margin, poses, self.motion.s_at(piece, share)
+        return Sweep(self.motion.s_at(piece, share), poses, clearance, margin)
 
     def _promising(self, table: tuple[Floats, ...], best: float) -> Ints:
         """Intervals that could hold less than `best`, those that could hold least first."""
@@ -131,14 +133,14 @@ class _Search:
         required, at_dock, taper = self.case["clearance"]
         return (required - at_dock) / taper if taper > 0.0 else 0.0
 
-    def _refined(self, rows: tuple[Floats, ...]) -> tuple[tuple[Floats, ...], tuple[Floats, ...]]:
+    def _refined(self, rows: tuple[Floats, ...]) -> tuple[tuple[Floats, ...], Sweep]:
         """Every interval cut into parts: the new table of intervals, and the samples."""
         piece, low, high, c0, c1, m0, m1 = rows
         inner = low[:, None] + (high - low)[:, None] * (np.arange(1, _PARTS) / _PARTS)
         owner = np.repeat(piece.astype(np.int64), _PARTS - 1)
-        clearance, margin, poses, s = self._measured(owner, inner.ravel())
+        measured = self._measured(owner, inner.ravel())
         edges = np.column_stack((low, inner, high))
-        c = np.column_stack((c0, clearance.reshape(inner.shape), c1))
-        m = np.column_stack((m0, margin.reshape(inner.shape), m1))
+        c = np.column_stack((c0, measured.clearance.reshape(inner.shape), c1))
+        m = np.column_stack((m0, measured.margin.reshape(inner.shape), m1))
         table = (np.repeat(piece, _PARTS), *(block.ravel() for a in (edges, c, m) for block in (a[:, :-1], a[:, 1:])))
-        return table, (s, poses, clearance, margin)
+        return table, measured

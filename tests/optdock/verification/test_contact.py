@@ -1,0 +1,145 @@
+"""Where no clearance is required: nothing deep hides in the seams of footprints, obstacles and maps."""
+
+import numpy as np
+import pytest
+import shapely
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from optdock.costmap import Costmap, obstacles_from_costmap
+from optdock.dock import Dock
+from optdock.geometry.clothoid import ClothoidSpline
+from optdock.geometry.footprint import Footprint
+from optdock.geometry.pose import Pose2, transform_points
+from optdock.limits import MotionLimits
+from optdock.obstacles import ObstacleSet
+from optdock.path import ClothoidSegment, Path
+from optdock.problem import ClearanceRule, DockingProblem
+from optdock.robot import Robot
+from optdock.verification import certify_path, pose_clearance
+
+TOUCHING = ClearanceRule(0.0, 0.0, 0.0)
+
+
+def box(x0, y0, x1, y1):
+    return np.array([[x0, y0], [x1, y0], [x1, y1], [x0, y1]])
+
+
+def map_with(rows):
+    """Cells of 1 m, row 0 the lowest; two rectangles meet where runs of one row end otherwise than in the next."""
+    return obstacles_from_costmap(Costmap(np.array(rows) * 254, 1.0, (0.0, -1.0)), border=False)
+
+
+# Walls whose front is x = 0 around the origin, each with a seam there.
+FRONTS = {
+    "two boxes": ObstacleSet.from_polygons([box(0, -1, 1, 0), box(0, 0, 1, 1)]),
+    "a crack of rounding": ObstacleSet.from_polygons([box(0, -1, 1, -1e-15), box(0, 1e-15, 1, 1)]),
+    "boxes of two sets": ObstacleSet.from_polygons([box(0, -1, 1, 0)]) + ObstacleSet.from_polygons([box(0, 0, 1, 1)]),
+    "rows of a map": map_with([[1, 1], [1, 0]]),
+    "thin plates": ObstacleSet.from_polygons([box(0, 1e-5 * k, 1, 1e-5 * (k + 1)) for k in range(-20, 20)]),
+    "one that is not convex": ObstacleSet.from_polygons([[[0, -1], [1, -1], [1, 1], [0.5, 1], [0.5, 0.3], [0, 0.3]]]),
+}
+
+
+def straight_in(depth, footprint, obstacles, y=0.0):
+    """A certificate of driving forward until the body's x = 0.3 is `depth` behind the front."""
+    spline = ClothoidSpline(Pose2(-1.3 + depth, y, 0.0), [0.0, 1.0], [0.0, 0.0])
+    path = Path((ClothoidSegment(spline),))
+    return certify_path(
+        path, DockingProblem(path.start, Dock(path.end), Robot(footprint, MotionLimits()), obstacles, TOUCHING)
+    )
+
+
+def needle(degrees):
+    half = 0.3 * np.tan(np.radians(degrees) / 2.0)
+    return Footprint([[0.3, 0.0], [0.0, half], [-0.3, 0.2], [-0.3, -0.2], [0.0, -half]])
+
+
+@pytest.mark.parametrize("degrees", [90.0, 2.0, 0.01])
+@pytest.mark.parametrize("front", sorted(FRONTS))
+def test_no_needle_enters_along_a_seam(front, degrees):
+    for y in (0.0,) if front != "one that is not convex" else (0.0, 0.2999, -0.3333):
+        assert straight_in(0.0, needle(degrees), FRONTS[front], y).certified
+        assert straight_in(0.9e-6, needle(degrees), FRONTS[front], y).certified
+        refused = straight_in(3e-6, needle(degrees), FRONTS[front], y)
+        assert [violation.kind for violation in refused.violations] == ["clearance"]
+        assert refused.violations[0].where["obstacle"]
+        assert pose_clearance(refused_pose(refused), needle(degrees), FRONTS[front])[0] < -1e-6
+
+
+def refused_pose(certificate):
+    return Pose2(*certificate.violations[0].where["pose"])
+
+
+def test_a_needle_that_only_passes_a_seam_is_seen_on_its_way():
+    """It swings through the seam and out again: deep at no end of the path."""
+    thin = Footprint([[1.0, 0.0], [0.0, 2e-7], [-0.1, 0.1], [-0.1, -0.1], [0.0, -2e-7]])
+    spline = ClothoidSpline(Pose2(0.0, -0.01, -0.2), [0.0, 0.02], [20.0, 20.0])
+    path = Path((ClothoidSegment(spline),))
+    rocks = ObstacleSet.from_polygons([box(0.9999, -0.3, 1.5, -0.1), box(0.9999, -0.1, 1.5, 0.1)])
+    problem = DockingProblem(path.start, Dock(path.end), Robot(thin, MotionLimits()), rocks, TOUCHING)
+    assert "clearance" in [violation.kind for violation in certify_path(path, problem).violations]
+
+
+@pytest.mark.parametrize("count", [8, 60])
+def test_no_post_hides_in_a_fan_of_slivers(count):
+    """A notch opposite a far corner cuts the footprint into thin triangles that all meet there."""
+    angle = np.linspace(-0.4, 0.4, count)
+    arc = np.column_stack((3.0 - 2.6 * np.cos(angle), 2.6 * np.sin(angle)))
+    fan = Footprint(np.vstack((arc, [[-0.5, arc[-1, 1]], [-0.5, arc[0, 1]]])))
+    outline = shapely.Polygon(fan.vertices)
+    rng = np.random.default_rng(count)
+    tried = 0
+    for corner in fan.vertices[[0, count - 1, count, count + 1]]:
+        for _ in range(25):
+            post = corner + 10.0 ** rng.uniform(-5.0, -2.0) * rng.normal(size=2)
+            if outline.contains(shapely.Point(post)) and outline.exterior.distance(shapely.Point(post)) > 3e-6:
+                rock = ObstacleSet.from_polygons([post + 10.0 ** rng.uniform(-9.0, -6.0) * box(-0.5, -0.5, 0.5, 0.5)])
+                assert pose_clearance(Pose2(0.0, 0.0, 0.0), fan, rock)[0] < -1e-6
+                tried += 1
+    assert tried > 8
+
+
+@pytest.mark.parametrize("front", sorted(FRONTS))
+@pytest.mark.parametrize("into", [0.0, 0.9e-6])
+def test_contact_with_a_front_is_no_overlap(front, into):
+    """The side slides along the front, with corners and seams passing by."""
+    body = Footprint.rectangle(0.2, 0.2, 0.4)
+    ell = Footprint([[0.2, 0.2], [-0.2, 0.2], [-0.2, -0.2], [0.1, -0.2], [0.1, 0.0], [0.2, 0.0]])
+    for footprint in (body, ell):
+        spline = ClothoidSpline(Pose2(-0.2 + into, -0.5, np.pi / 2), [0.0, 0.6], [0.0, 0.0])
+        path = Path((ClothoidSegment(spline),))
+        problem = DockingProblem(path.start, Dock(path.end), Robot(footprint, MotionLimits()), FRONTS[front], TOUCHING)
+        certificate = certify_path(path, problem)
+        assert certificate.certified, certificate.reason
+
+
+@settings(max_examples=12)
+@given(st.integers(0, 1_000_000))
+def test_what_counts_as_free_is_nowhere_deep(seed):
+    """Random touching triangles and a star that just touches them, by the other library's offset curves."""
+    rng = np.random.default_rng(seed)
+    centre, ring = rng.uniform(-0.2, 0.2, 2), rng.uniform(0.0, 2.0 * np.pi, 5)
+    corners = (
+        centre + rng.uniform(0.3, 1.0, 5)[:, None] * np.column_stack((np.cos(ring), np.sin(ring)))[np.argsort(ring)]
+    )
+    rocks = [np.array([centre, a, b]) for a, b in zip(corners, np.roll(corners, -1, axis=0), strict=True)]
+    rocks = [rock for rock in rocks if shapely.Polygon(rock).area > 1e-4]
+    if not rocks:
+        return
+    angle = np.sort(rng.uniform(0.0, 2.0 * np.pi, 7))
+    star = rng.uniform(0.1, 0.6, 7)[:, None] * np.column_stack((np.cos(angle), np.sin(angle)))
+    if not shapely.Polygon(star).is_valid or shapely.Polygon(star).area < 1e-3:
+        return
+    footprint, obstacles = Footprint(star), ObstacleSet.from_polygons(rocks)
+    heading, yaw = rng.uniform(0.0, 2.0 * np.pi), rng.uniform(0.0, 2.0 * np.pi)
+    low, high = 0.0, 3.0  # distance from the middle of the rocks along the heading, until just free
+    for _ in range(28):
+        middle = 0.5 * (low + high)
+        pose = Pose2(*(centre + middle * np.array([np.cos(heading), np.sin(heading)])), yaw)
+        low, high = (low, middle) if pose_clearance(pose, footprint, obstacles)[0] >= -1e-6 else (middle, high)
+    pose = Pose2(*(centre + high * np.array([np.cos(heading), np.sin(heading)])), yaw)
+    robot = shapely.Polygon(transform_points(pose.as_array()[None], footprint.vertices)[0])
+    rock = shapely.union_all([shapely.Polygon(one).buffer(1e-8, join_style="mitre") for one in rocks])
+    assert robot.buffer(-2.2e-6).intersection(rock.buffer(-1e-8)).area < 1e-18
+    assert robot.intersection(rock.buffer(-2.3e-6)).area < 1e-18
