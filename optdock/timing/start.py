@@ -20,7 +20,8 @@ if TYPE_CHECKING:
 __all__ = ["GearPlan", "GearPlanner", "arrived_plan", "best_of", "checked_plan", "judged_plan", "plans_from"]
 
 _KEPT = 1.0 + 1e-9
-_REACHED = 1e-9  # [m, m/s, m/s^2]
+_REACHED = 1e-7  # [m, m/s, m/s^2]: rounding over kilometres and hours; `certify_trajectory` accepts 1e-6
+_REACHED_SHARE = 1e-3  # of a gear shorter than that
 _CLOSE = 1e-9  # [m]: nothing is left to plan
 
 
@@ -78,11 +79,16 @@ def checked_plan(course: Course, start: State, phases: Phases, how: str) -> Gear
 
 def arrived_plan(course: Course, motion: Motion, how: str) -> GearPlan:
     """A motion over one gear as a plan, OK where it ends at rest at the end of the gear; its limits are unproven."""
-    missing = max(abs(motion.end.s - course.length), abs(motion.end.v), abs(motion.end.a))
-    if missing <= _REACHED:  # false of NaN as well
+    slack = _slack(course)
+    if abs(motion.end.s - course.length) <= slack and max(abs(motion.end.v), abs(motion.end.a)) <= _REACHED:
         return GearPlan(TimingStatus.OK, motion.phases, how=how)
     reason = f"ends at {motion.end}, not at rest after {course.length:.6g} m"
     return GearPlan(TimingStatus.FAIL, motion.phases, how=how, reason=reason)
+
+
+def _slack(course: Course) -> float:
+    """How far from the end of the gear a motion may end [m]."""
+    return min(_REACHED, _REACHED_SHARE * course.length)
 
 
 def judged_plan(course: Course, motion: Motion, worst: Worst, how: str) -> GearPlan:
@@ -159,7 +165,7 @@ def _least_violation(course: Course, braking: Braking, plan: GearPlanner, allowa
     phases = head + rest if rest else brake.phases + _resumed(course, State(brake.end.s), plan, allowance)
     motion = Motion.of(brake.start, phases)
     ratio = max(ratio, worst_ratio(course, motion).ratio)
-    arrives = motion.end.s > course.length - _CLOSE
+    arrives = motion.end.s > course.length - _slack(course)
     return GearPlan(TimingStatus.START_INFEASIBLE, phases, ratio, 0.0, "brake", reason, limit, where, arrives)
 
 
@@ -176,7 +182,7 @@ def _stop_and_go(course: Course, brake: Motion, plan: GearPlanner, allowance: Al
     phases = brake.phases + _resumed(course, State(brake.end.s), plan, allowance)
     motion = Motion.of(brake.start, phases)
     worst = worst_ratio(course, motion)
-    if motion.end.s < course.length - _CLOSE:
+    if motion.end.s < course.length - _slack(course):
         look(allowance.is_over)
         reason = "no plan from rest after full braking"
         return GearPlan(TimingStatus.FAIL, phases, worst.ratio, 0.0, "stop", reason, s=course.begin + motion.end.s)

@@ -196,10 +196,14 @@ def _reachable(window: Window, slow: float, acceleration: float, wanted: float) 
     full = acceleration * acceleration / jerk
     if _ramp_length(slow, slow + full, acceleration, jerk) <= length:
         # (v1^2 - v0^2) / (2 A) + (v0 + v1) A / (2 J) = length
-        return math.sqrt((slow - 0.5 * full) ** 2 + 2.0 * acceleration * length) - 0.5 * full
-    # (2 v0 + g) sqrt(g / J) = length with g = v1 - v0: u^3 + p u = q with u = sqrt(g)
-    root = _cubic_root(2.0 * slow, length * math.sqrt(jerk))
-    return slow + root * root
+        found = math.sqrt((slow - 0.5 * full) ** 2 + 2.0 * acceleration * length) - 0.5 * full
+    else:
+        # (2 v0 + g) sqrt(g / J) = length with g = v1 - v0: u^3 + p u = q with u = sqrt(g)
+        root = _cubic_root(2.0 * slow, length * math.sqrt(jerk))
+        found = slow + root * root
+    while found > slow and _ramp_length(slow, found, acceleration, jerk) > length:  # a few roundings of a small gain
+        found = math.nextafter(found, slow)
+    return found
 
 
 def _cubic_root(p: float, q: float) -> float:

@@ -180,12 +180,20 @@ def test_every_gate_of_smoothers_can_fail(every_gate):
 class Delegating(TimeParameterizer):
     """The built-in method, with a place to spoil question and answer."""
 
-    def parameterize(self, path, limits, zone, *, start_speed=0.0, start_acceleration=0.0):
+    def parameterize(self, path, limits, zone, *, start_speed=0.0, start_acceleration=0.0, max_time=math.inf):
         limits, start_speed = self.question(path, limits, start_speed)
         result = create_plugin(TimeParameterizer, "Windowed").parameterize(
-            path, limits, zone, start_speed=start_speed, start_acceleration=start_acceleration
+            path,
+            limits,
+            zone,
+            start_speed=start_speed,
+            start_acceleration=start_acceleration,
+            max_time=self.patience(max_time),
         )
         return self.answer(result)
+
+    def patience(self, max_time):
+        return max_time
 
     def question(self, path, limits, start_speed):
         return limits, start_speed
@@ -236,6 +244,8 @@ def test_every_gate_of_time_parameterizers_can_fail(every_gate):
             question=lambda self, path, limits, v: (limits, v if math.isfinite(v) else 0.0)
         ),
         "test_trajectories_can_be_sent": timing(answer=lossy),
+        "test_what_is_not_ok_says_why": timing(answer=lambda self, result: dataclasses.replace(result, reason="")),
+        "test_little_time_is_a_status": timing(patience=lambda self, max_time: math.inf),
     }
     every_gate(TimeParameterizerContract, Delegating, broken)
 
