@@ -35,6 +35,8 @@ if TYPE_CHECKING:
 
 __all__ = ["ClothoidSegment", "Direction", "Path", "PathSamples", "PolylineSegment", "Segment"]
 
+_SEGMENT = ("direction", "length", "knots", "poses_at", "curvature_at", "curvature_rate_at")
+
 
 @dataclass(frozen=True, eq=False)
 class Path:
@@ -47,7 +49,7 @@ class Path:
         segment_starts: Arc length at which each segment begins, and the total: Shape (number of segments + 1,) [m].
 
     Raises:
-        InvalidPath: No segment, or one that is neither a clothoid nor a polyline segment.
+        InvalidPath: No segment, or one that lacks what a `Segment` has.
     """
 
     segments: tuple[Segment, ...]
@@ -58,10 +60,9 @@ class Path:
         if not self.segments:
             raise InvalidPath("path: has no segment")
         for i, segment in enumerate(self.segments):
-            # Subclasses too: what overrides a curve's poses is another curve, of which nothing is known.
-            if type(segment) not in (ClothoidSegment, PolylineSegment):
-                found = type(segment).__name__
-                raise InvalidPath(f"path: segment {i} must be a ClothoidSegment or a PolylineSegment, got {found}")
+            lacking = [name for name in _SEGMENT if not hasattr(segment, name)]
+            if lacking:
+                raise InvalidPath(f"path: segment {i} is a {type(segment).__name__} and has no {', '.join(lacking)}")
         lengths = [segment.length for segment in self.segments]
         object.__setattr__(self, "segment_starts", readonly(np.concatenate(([0.0], np.cumsum(lengths)))))
 
