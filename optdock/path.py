@@ -35,8 +35,6 @@ if TYPE_CHECKING:
 
 __all__ = ["ClothoidSegment", "Direction", "Path", "PathSamples", "PolylineSegment", "Segment"]
 
-_SEGMENT = ("direction", "length", "knots", "poses_at", "curvature_at", "curvature_rate_at")
-
 
 @dataclass(frozen=True, eq=False)
 class Path:
@@ -49,7 +47,7 @@ class Path:
         segment_starts: Arc length at which each segment begins, and the total: Shape (number of segments + 1,) [m].
 
     Raises:
-        InvalidPath: No segment, or one that lacks what a `Segment` has.
+        InvalidPath: No segment, or one that is neither a clothoid nor a polyline segment.
     """
 
     segments: tuple[Segment, ...]
@@ -60,9 +58,10 @@ class Path:
         if not self.segments:
             raise InvalidPath("path: has no segment")
         for i, segment in enumerate(self.segments):
-            lacking = [name for name in _SEGMENT if not hasattr(segment, name)]
-            if lacking:
-                raise InvalidPath(f"path: segment {i} is a {type(segment).__name__} and has no {', '.join(lacking)}")
+            # Subclasses too: what overrides a curve's poses is another curve, of which nothing is known.
+            if type(segment) not in (ClothoidSegment, PolylineSegment):
+                found = type(segment).__name__
+                raise InvalidPath(f"path: segment {i} must be a ClothoidSegment or a PolylineSegment, got {found}")
         lengths = [segment.length for segment in self.segments]
         object.__setattr__(self, "segment_starts", readonly(np.concatenate(([0.0], np.cumsum(lengths)))))
 

@@ -6,7 +6,6 @@ from typing import TYPE_CHECKING
 
 from optdock.verification.certificate import Certificate, Violation
 from optdock.verification.clearance import never, prove_clearance
-from optdock.verification.motion import check_known
 from optdock.verification.path_rules import max_curvature, max_curvature_rate, path_violations
 
 if TYPE_CHECKING:
@@ -45,11 +44,7 @@ def certify_path(path: Path, problem: DockingProblem, *, is_late: Callable[[], b
 
     Returns:
         The certificate; `certified` is True only if everything was proven.
-
-    Raises:
-        InvalidPath: A segment is neither a clothoid nor a polyline segment.
     """
-    check_known(path)
     proof = prove_clearance(path, problem, is_late)
     violations = (*path_violations(path, problem), *_clearance_violations(proof, problem))
     return Certificate(

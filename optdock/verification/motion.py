@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from optdock.geometry.arrays import FloatArray, IntArray
     from optdock.path import Path, Segment
 
-__all__ = ["CellEnds", "CellMotion", "Cells", "Nodes", "PathMotion", "check_known"]
+__all__ = ["CellEnds", "CellMotion", "Cells", "Nodes", "PathMotion"]
 
 
 class Cells(NamedTuple):
@@ -104,20 +104,6 @@ class CellMotion(NamedTuple):
     turn: FloatArray
     bend: FloatArray
     twist: FloatArray
-
-
-def check_known(path: Path) -> None:
-    """Refuse segments of which nothing can be proven.
-
-    Subclasses too: what overrides a curve's poses is another curve.
-
-    Raises:
-        InvalidPath: A segment is neither a `ClothoidSegment` nor a `PolylineSegment`.
-    """
-    for i, segment in enumerate(path.segments):
-        if type(segment) not in (ClothoidSegment, PolylineSegment):
-            found = type(segment).__name__
-            raise InvalidPath(f"path: segment {i} must be a ClothoidSegment or a PolylineSegment, got {found}")
 
 
 @dataclass(frozen=True, eq=False)

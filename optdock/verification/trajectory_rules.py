@@ -9,7 +9,6 @@ import numpy as np
 from optdock.path import Direction, PolylineSegment
 from optdock.verification.certificate import TrajectoryCertificate, Violation
 from optdock.verification.clearance import never
-from optdock.verification.motion import check_known
 from optdock.verification.trajectory_cells import RTOL, Instants, crossings, curved_limits
 
 if TYPE_CHECKING:
@@ -52,11 +51,7 @@ def certify_trajectory(
 
     Returns:
         The certificate; `certified` is True only if everything was proven.
-
-    Raises:
-        InvalidPath: A segment is neither a clothoid nor a polyline segment.
     """
-    check_known(trajectory.path)
     law = trajectory.time_law
     structure = (*_coverage(trajectory), *_rest(trajectory), *_start(law, start_speed, start_acceleration))
     if any(v.kind == "coverage" for v in structure):

@@ -90,7 +90,7 @@ def test_defaults_hold_where_the_file_is_silent(tmp_path):
     loaded = scenario(tmp_path, MINIMAL)
     assert loaded.time_budget == 0.1
     assert loaded.problem.frame == "map"
-    assert loaded.problem.robot.footprint.inscribed_radius == pytest.approx(0.3)
+    assert loaded.problem.robot.footprint.circumscribed_radius == pytest.approx(0.3)
     assert loaded.problem.dock.direction is DockDirection.AUTO
     names = [choice.name for choice in (loaded.plugins.planner, loaded.plugins.smoother, loaded.goal_checker)]
     assert names == ["DockPlanner", "CasadiSmoother", "DockGoalChecker"]
@@ -126,7 +126,7 @@ def test_a_footprint_is_a_list_or_navs_text_in_either_orientation(tmp_path, robo
 
 def test_a_radius_may_stand_under_footprint(tmp_path):
     loaded = scenario(tmp_path, with_change("radius: 0.3", "footprint: {radius: 0.2}", MINIMAL))
-    assert loaded.problem.robot.footprint.inscribed_radius == pytest.approx(0.2)
+    assert loaded.problem.robot.footprint.circumscribed_radius == pytest.approx(0.2)
 
 
 def test_one_number_is_the_clearance_everywhere(tmp_path):

@@ -188,7 +188,7 @@ def test_reset_and_clear_and_resize_reach_the_layers():
     assert costmap.update(HERE).data.shape == (10, 20)
     costmap.set_footprint(Footprint.from_radius(0.1))
     assert stamp.footprints == 1
-    assert stamp.context.footprint.inscribed_radius == pytest.approx(0.1)
+    assert stamp.context.footprint.circumscribed_radius == pytest.approx(0.1)
 
 
 def test_a_refused_resize_changes_nothing():

@@ -133,10 +133,8 @@ def test_the_problem_fills_what_parameters_leave_open():
 
 
 def test_the_context_goes_before_the_problem():
-    footprint = Footprint.from_radius(1.0)
-    context = PluginContext(footprint=footprint, problem=problem())
-    found = configured(context).plan(START, GOAL).axis.safety_distance
-    assert found == pytest.approx(2.0 * footprint.circumscribed_radius)
+    context = PluginContext(footprint=Footprint.from_radius(1.0), problem=problem())
+    assert configured(context).plan(START, GOAL).axis.safety_distance == pytest.approx(2.0)
 
 
 def test_the_costmap_of_the_context_is_checked_where_asked():
