@@ -1,13 +1,17 @@
-# make demo | test | bench | experiments; everything runs in .venv, made on first use with PYTHON.
+# make demo | test | fuzz | bench | experiments; everything runs in .venv, made on first use with PYTHON.
 PYTHON ?= python3
 VENV := .venv
+SECONDS := 600
+SEED := 1
+JOBS := 1
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
 
-.PHONY: help demo test check unit bench experiments clean
+.PHONY: help demo test check unit fuzz bench experiments clean
 help:
 	@echo "make demo         built-in docking scenario, start to finish, pictures in demo/"
 	@echo "make test         the whole check: ruff, mypy, import-linter, pytest with doctests"
+	@echo "make fuzz         random problems against an independent oracle; SECONDS=600 SEED=1 JOBS=1, failures in results/fuzz/"
 	@echo "make bench        benchmarks, tables on stdout"
 	@echo "make experiments  every numbered script in experiments/, results in results/"
 
@@ -30,6 +34,9 @@ unit: $(STAMP)
 	$(BIN)/python -m pytest -q
 
 test: check unit
+
+fuzz: $(STAMP)
+	$(BIN)/python -m experiments.fuzz --seconds $(SECONDS) --seed $(SEED) --jobs $(JOBS)
 
 bench: $(STAMP)
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check -e '.[bench]'

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Literal, NamedTuple
 
 from pydantic import Field
 
+from checkers._errors import is_stopped
 from checkers._plan import longer_than
 from optdock.errors import InvalidValue
 from optdock.interfaces import GoalChecker, Tolerances
@@ -19,18 +20,21 @@ if TYPE_CHECKING:
 
 __all__ = ["AxisGoalChecker", "AxisGoalCheckerParameters"]
 
-_AT_GOAL = 1e-6  # [m]: nearer than this the direction to the goal means nothing
+_AT_GOAL = 1e-6  # [m]: nearer than this Nav2's variants call the goal reached whatever the tolerances
 _DISTINCT = 1e-6  # [m]: poses nearer than this to each other give no direction
 
 
 class AxisGoalCheckerParameters(PluginParameters):
     """Nav2's parameters of the AxisGoalChecker; the defaults give the documented behaviour.
 
-    The last three are Nav2's later repairs. `direction_estimation_distance` 0 takes the axis from the last two
+    Three are Nav2's later repairs. `direction_estimation_distance` 0 takes the axis from the last two
     distinct poses; above 0 from the first pose, walking back, at least that far away, and the axis found is kept
     for when the remaining path has become too short. Nav2 as merged in #5746: axis_end goal and a radial fallback of
     hypot(along, cross). In #6345: axis_end goal and a baseline of 0.15 m, `reset` before every call. In #6420: the
     same without the resets; #6513 adds the radial parameter.
+
+    The document's checker looks at positions only, so a robot may pass through the goal at speed; `stopped` and the two
+    velocities, named as in Nav2's StoppedGoalChecker, make it wait for rest: what a dock needs.
     """
 
     along_path_tolerance: float = Field(default=0.25, ge=0.0, description="accepted error along the axis [m]")
@@ -44,6 +48,9 @@ class AxisGoalCheckerParameters(PluginParameters):
     axis_end: Literal["path", "goal"] = Field(
         default="path", description="the axis ends at the last pose of the path, or (Nav2 since #5746) at the goal"
     )
+    stopped: bool = Field(default=False, description="the robot must also stand still")
+    trans_stopped_velocity: float = Field(default=0.01, ge=0.0, description="largest speed at rest [m/s]")
+    rot_stopped_velocity: float = Field(default=0.02, ge=0.0, description="largest yaw rate at rest [rad/s]")
 
 
 class _Axis(NamedTuple):
@@ -58,10 +65,13 @@ class AxisGoalChecker(GoalChecker):
 
     With u the unit vector of the path's end and g the vector from the robot to the goal, along = g . u (positive
     short of the goal) and cross = g x u: the two dot products that Nav2 writes as d cos(angle) and d sin(angle).
-    Every comparison is strict; at exactly a tolerance the goal is not reached. Yaw and velocity are not looked at.
+    Every comparison is strict; at exactly a tolerance the goal is not reached. Yaw is not looked at, and velocity only
+    if `stopped`.
 
     In order: a remaining path longer than `path_length_tolerance` is not judged; without an axis (a single pose)
-    the distance must be below the radial fallback; nearer than 1e-6 m is reached; else along and cross decide.
+    the distance must be below the radial fallback; else along and cross decide. With `axis_end: goal`, as in every
+    release of Nav2, a robot within 1e-6 m of the goal is there before any tolerance is asked. Poses that repeat the
+    last one give no direction, so the axis comes from the last pose that differs.
 
     Args:
         **parameters: Fields of `AxisGoalCheckerParameters`.
@@ -91,10 +101,22 @@ class AxisGoalChecker(GoalChecker):
         self,
         query_pose: Pose2,
         goal_pose: Pose2,
+        velocity: Twist2,
+        path: Sequence[Pose2],
+    ) -> bool:
+        """Whether the robot is at the goal, judged along and across the end of `path`, and at rest if `stopped`."""
+        p = self.parameters
+        in_position = self.is_goal_xy_reached(query_pose, goal_pose, velocity, path)
+        return in_position and (not p.stopped or is_stopped(velocity, p.trans_stopped_velocity, p.rot_stopped_velocity))
+
+    def is_goal_xy_reached(
+        self,
+        query_pose: Pose2,
+        goal_pose: Pose2,
         velocity: Twist2,  # noqa: ARG002 - part of the interface
         path: Sequence[Pose2],
     ) -> bool:
-        """Whether the robot at `query_pose` is at the goal, judged along and across the end of `path`."""
+        """Whether its position is, at any speed."""
         p = self.parameters
         if longer_than(path, p.path_length_tolerance):
             return False
@@ -103,7 +125,7 @@ class AxisGoalChecker(GoalChecker):
         axis = self._axis(goal_pose, path)
         if axis is None:
             return distance < self._radial_tolerance
-        if distance < _AT_GOAL:
+        if p.axis_end == "goal" and distance < _AT_GOAL:
             return True
         along, cross = dx * axis.x + dy * axis.y, dx * axis.y - dy * axis.x
         near_enough = along if p.is_overshoot_valid else abs(along)
@@ -111,10 +133,16 @@ class AxisGoalChecker(GoalChecker):
 
     @property
     def tolerances(self) -> Tolerances:
-        """The smaller tolerance in x and y, as Nav2 reports it; yaw and speed are not measured."""
+        """The smaller tolerance in x and y, as Nav2 reports it; yaw is not measured, speed only if `stopped`."""
         p = self.parameters
         radius = min(p.along_path_tolerance, p.cross_track_tolerance)
-        return Tolerances(x=radius, y=radius, path_length=p.path_length_tolerance)
+        return Tolerances(
+            x=radius,
+            y=radius,
+            linear_speed=p.trans_stopped_velocity if p.stopped else None,
+            angular_speed=p.rot_stopped_velocity if p.stopped else None,
+            path_length=p.path_length_tolerance,
+        )
 
     def reset(self) -> None:
         """A new path begins: forget the kept axis."""

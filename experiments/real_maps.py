@@ -14,7 +14,6 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from optdock.costmap.cell_obstacles import obstacles_from_costmap
 from optdock.dock import Dock, DockDirection
 from optdock.geometry.footprint import Footprint
 from optdock.geometry.pose import Pose2
@@ -28,7 +27,6 @@ if TYPE_CHECKING:
 
 __all__ = ["SCENARIOS", "MapScenario", "maps_folder", "problem_of"]
 
-_MARGIN = 3.0  # [m] of map around start and goal that counts
 
 ROBOT = Robot(
     Footprint.rectangle(0.45, 0.45, 0.6),
@@ -111,7 +109,7 @@ def _costmap(name: str) -> Costmap:
 
 
 def problem_of(scenario: MapScenario) -> DockingProblem:
-    """The docking problem of a scenario, with the part of its map that matters.
+    """The docking problem of a scenario, among its whole map.
 
     Raises:
         InvalidFile: The map is missing or broken.
@@ -120,7 +118,6 @@ def problem_of(scenario: MapScenario) -> DockingProblem:
     x, y, degrees = scenario.goal
     goal = Pose2(x, y, math.radians(degrees))
     start = goal @ Pose2(scenario.start[0], scenario.start[1], math.radians(scenario.start[2]))
-    ends = np.array([[goal.x, goal.y], [start.x, start.y]])
     outline = (REAR_CHARGER if scenario.backward else FRONT_CHARGER) if scenario.charger else None
     dock = Dock(
         goal,
@@ -133,7 +130,6 @@ def problem_of(scenario: MapScenario) -> DockingProblem:
         start=start,
         dock=dock,
         robot=ROBOT,
-        obstacles=obstacles_from_costmap(costmap, region=(ends.min(axis=0) - _MARGIN, ends.max(axis=0) + _MARGIN)),
         clearance=ClearanceRule(required=0.05, at_dock=0.0, taper=0.5),
         costmap=costmap,
     )

@@ -46,6 +46,7 @@ __all__ = [
     "SmootherTimedOut",
     "StartOccupied",
     "StartOutsideMapBounds",
+    "TimingTimedOut",
 ]
 
 
@@ -108,6 +109,12 @@ class FailedToTimePath(OptdockError):
     """No time law keeps the motion limits on this path from this start state."""
 
     code = 600
+
+
+class TimingTimedOut(FailedToTimePath):
+    """The deadline came before the time law; the path is certified and hangs on the error."""
+
+    code = 601
 
 
 class PlannerException(OptdockError):

@@ -1,10 +1,12 @@
 """Nav2's plugin interfaces in Python: method names in snake case, results returned instead of written out.
 
-Every interface is abstract and holds no data of its own beyond `Plugin`'s. Exceptions keep Nav2's nouns (`errors`).
+Every interface is abstract and holds no data of its own beyond `Plugin`'s, but for the flag that `Layer.set_current`
+sets. Exceptions keep Nav2's nouns (`errors`).
 """
 
 from __future__ import annotations
 
+import math
 from abc import abstractmethod
 from typing import TYPE_CHECKING
 
@@ -63,7 +65,7 @@ class GlobalPlanner(Plugin):
 
     @abstractmethod
     def create_plan(self, start: Pose2, goal: Pose2, cancel_checker: Callable[[], bool] = never_cancelled) -> Path:
-        """A path from `start` to `goal`, both in the costmap's frame.
+        """A path from `start` to `goal`, both in the costmap's frame, which the path names where it is known.
 
         Long work polls `cancel_checker` at least every 5 ms.
 
@@ -86,19 +88,20 @@ class Smoother(Plugin):
         warm_start: Path | None = None,
         cancel_checker: Callable[[], bool] = never_cancelled,
     ) -> SmoothingResult:
-        """A smoother path between the same two poses.
+        """A smoother path between the same two poses, in the same frame.
 
         Args:
             path: The raw path, from any source.
             max_time: Wall-clock seconds for the whole call.
-            problem: What must hold. None: from the first pose of `path` to its last, among the obstacles of the
-                configured costmap.
+            problem: What must hold; the configured costmap counts as well where the problem has none. None: the
+                configured problem, with the ends of `path` where they are others; where none is configured, from the
+                first pose of `path` to its last, among the obstacles of the configured costmap.
             warm_start: An earlier result for a problem much like this one.
             cancel_checker: Polled at least every 5 ms.
 
         Raises:
             InvalidValue: `max_time` is not finite, or negative.
-            InvalidPath: The path is too short to smooth.
+            InvalidPath: The path is too short to smooth, or names another frame than the problem.
             SmootherTimedOut: The time limit came before any usable result.
             FailedToSmoothPath: No result keeps every bound; the message names the one in the way.
             SmootherCancelled: `cancel_checker` returned True.
@@ -120,8 +123,11 @@ class TimeParameterizer(Plugin):
         *,
         start_speed: float = 0.0,
         start_acceleration: float = 0.0,
+        max_time: float = math.inf,
     ) -> TimingResult:
         """The time law of `path` under `limits`, at rest at every cusp and at the end.
+
+        What is OK passes `certify_trajectory`. Little time makes slower motions, too little none: TIMED_OUT.
 
         Args:
             path: Where to drive.
@@ -129,6 +135,10 @@ class TimeParameterizer(Plugin):
             zone: Slow stretch at the end of the path.
             start_speed: Speed along the travel at the start, >= 0 in either gear [m/s].
             start_acceleration: Acceleration along the travel at the start [m/s^2].
+            max_time: Wall-clock seconds for the whole call; none left, 0 or less, is TIMED_OUT.
+
+        Raises:
+            InvalidValue: `max_time` or the start state is no number.
         """
 
 
@@ -158,8 +168,16 @@ class Controller(Plugin):
         """
 
     @abstractmethod
-    def set_speed_limit(self, limit: float, *, percentage: bool) -> None:
-        """Limit the speed to `limit` percent of the maximum, or to `limit` m/s; 0 removes the limit."""
+    def set_speed_limit(self, limit: float, percentage: bool) -> None:  # noqa: FBT001 - Nav2's order of arguments
+        """Limit the speed; 0 removes the limit. `set_speed_limit(50.0, True)` halves it, as Nav2 writes it.
+
+        Args:
+            limit: Percent of the maximum (100 and more: all of it), or m/s.
+            percentage: Whether `limit` is in percent.
+
+        Raises:
+            InvalidValue: `limit` is negative or not finite, or `percentage` is no bool.
+        """
 
     def reset(self) -> None:
         """Forget the task; called when it ends."""
@@ -175,7 +193,7 @@ class Behavior(Plugin):
     @property
     @abstractmethod
     def resource_info(self) -> CostmapInfoType:
-        """Which costmaps it needs."""
+        """Which costmaps it needs: its collision checks see these; the problem's obstacles count in any case."""
 
     @abstractmethod
     def on_run(self, command: Mapping[str, object]) -> BehaviorResult:
@@ -188,6 +206,8 @@ class Behavior(Plugin):
 
 class Layer(Plugin):
     """One source of costs in a layered costmap."""
+
+    _is_said_current = True
 
     @abstractmethod
     def reset(self) -> None:
@@ -206,8 +226,15 @@ class Layer(Plugin):
         return False
 
     def is_current(self) -> bool:
-        """Whether what it writes is up to date; servers wait while it is not."""
-        return True
+        """Whether what it writes is up to date; servers wait while it is not.
+
+        A layer that knows better, from its sensors or its map, asks this as well: `set_current(False)` holds.
+        """
+        return self._is_said_current
+
+    def set_current(self, current: bool) -> None:  # noqa: FBT001 - Nav2's only argument
+        """Say from outside that what it writes is out of date, until said otherwise."""
+        self._is_said_current = bool(current)
 
     def is_enabled(self) -> bool:
         """Whether it takes part."""

@@ -13,6 +13,8 @@ from dataclasses import dataclass, field
 from enum import Enum
 from typing import TYPE_CHECKING, ClassVar
 
+import numpy as np
+
 from optdock.errors import InvalidValue, LifecycleError
 from optdock.parameters import PluginParameters, parse_parameters
 
@@ -37,15 +39,23 @@ class LifecycleState(str, Enum):
 
 @dataclass(frozen=True, eq=False)
 class PluginContext:
-    """What a server hands to a plugin when it configures it.
+    """What a server hands to a plugin when it configures it: one world, however it is given.
+
+    What a problem says and what stands beside it are joined here, so that a plugin may read either and misses nothing:
+    afterwards `footprint` and `costmap` are the problem's where only it has them, and the problem's obstacles hold the
+    cells of `costmap` whichever brought it.
 
     Args:
         name: Name of the plugin instance.
-        costmap: Grid to read, or None.
+        costmap: Grid to read, the global one where there are two, or None.
         footprint: Robot outline, or None.
         problem: The docking problem at hand, or None outside a docking pipeline.
         clock: Monotonic seconds.
         logger: Where the plugin reports.
+        local_costmap: The grid around the robot, for behaviors that ask for a local one; None: `costmap` serves both.
+
+    Raises:
+        InvalidValue: `footprint` is not the outline of the problem's robot.
     """
 
     name: str = ""
@@ -54,6 +64,30 @@ class PluginContext:
     problem: DockingProblem | None = None
     clock: Callable[[], float] = time.monotonic
     logger: logging.Logger = field(default_factory=lambda: logging.getLogger("optdock"))
+    local_costmap: Costmap | None = None
+
+    def __post_init__(self) -> None:
+        if self.problem is None:
+            return
+        outline = self.problem.robot.footprint
+        if self.footprint is not None and not np.array_equal(self.footprint.vertices, outline.vertices):
+            raise InvalidValue("context.footprint: differs from context.problem.robot.footprint; give one of them")
+        object.__setattr__(self, "footprint", outline)
+        if self.costmap is not None:
+            object.__setattr__(self, "problem", self.problem.among(self.costmap))
+        else:
+            object.__setattr__(self, "costmap", self.problem.costmap)
+
+    def problem_at_hand(self, called_with: DockingProblem | None) -> DockingProblem | None:
+        """The problem that a call is about, among everything that it and the context hold.
+
+        Args:
+            called_with: The problem of the call; None: the configured one. Where it brings a costmap of its own, that
+                is the newer picture of the same surroundings and replaces the configured one.
+        """
+        if called_with is None or called_with.costmap is not None or self.costmap is None:
+            return called_with or self.problem
+        return called_with.among(self.costmap)
 
 
 class Plugin(ABC):
@@ -75,6 +109,11 @@ class Plugin(ABC):
         self.parameters = parse_parameters(self.Parameters, parameters, type(self).__name__)
         self.context = PluginContext(name=type(self).__name__)
         self._state = LifecycleState.UNCONFIGURED
+
+    @property
+    def name(self) -> str:
+        """Name of this instance: the context's, or the class's until it is configured."""
+        return self.context.name or type(self).__name__
 
     @property
     def state(self) -> LifecycleState:

@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from optdock.errors import InvalidValue
-from optdock.geometry.arrays import readonly
+from optdock.fingerprint import digest
+from optdock.geometry.arrays import frozen_array, readonly
 from optdock.geometry.polygon import convex_pieces, edge_planes, simple_polygon
 from optdock.geometry.pose import transform_points
 from optdock.geometry.separation import ConvexPieces
@@ -86,6 +87,11 @@ class ObstacleSet:
             object.__setattr__(self, name, readonly(value))
         return self
 
+    @functools.cached_property
+    def digest(self) -> str:
+        """Short digest of the polygons, in their order."""
+        return digest(self.vertices)
+
     def __len__(self) -> int:
         return int(self.vertices.shape[0])
 
@@ -116,8 +122,11 @@ class ObstacleSet:
         """Axis-aligned rectangles from their corners, Shape (m, 2) [m] each, all called `name`.
 
         Raises:
-            InvalidValue: An upper corner is not above its lower corner.
+            InvalidValue: Not two lists of as many corners, or an upper corner is not above its lower corner.
         """
+        lower, upper = (frozen_array(corners, name, columns=2) for corners in (lower, upper))
+        if lower.shape != upper.shape:
+            raise InvalidValue(f"{name}: needs as many lower as upper corners, got {len(lower)}, {len(upper)}")
         if not np.all(upper > lower):
             raise InvalidValue(f"{name}: every rectangle needs upper > lower")
         x0, y0, x1, y1 = lower[:, 0], lower[:, 1], upper[:, 0], upper[:, 1]
@@ -149,6 +158,11 @@ class ObstacleSet:
             vertices, self.names + other.names, np.concatenate((self.group, other.group + len(self.names)))
         )
 
+    def distinct(self) -> ObstacleSet:
+        """Every piece once: of equal ones the first."""
+        _, first = np.unique(self.vertices.reshape(len(self), -1), axis=0, return_index=True)
+        return self if first.size == len(self) else self.subset(np.sort(first))
+
     def subset(self, rows: IntArray | BoolArray) -> ObstacleSet:
         """The pieces at `rows`, under their old names."""
         parts = ("vertices", "group", "normals", "offsets", "lower", "upper")
@@ -162,6 +176,15 @@ class ObstacleSet:
     def rows_in_box(self, lower: FloatArray, upper: FloatArray) -> IntArray:
         """The rows of those pieces, ascending."""
         return np.flatnonzero(np.all((self.lower <= upper) & (self.upper >= lower), axis=1))
+
+    def rows_at(self, points: FloatArray) -> IntArray:
+        """The piece in which each point lies, Shape (n, 2) [m], its outline included; -1 in none. Shape (n,)."""
+        found = np.full(len(points), -1)
+        near = self.rows_in_box(points.min(axis=0), points.max(axis=0)) if len(points) else np.zeros(0, dtype=np.int64)
+        for row in near.tolist():
+            heights = points @ self.normals[row].T - self.offsets[row]
+            found[np.all(heights <= 0.0, axis=1)] = row
+        return found
 
     def name_of(self, row: int) -> str:
         """What to call piece `row` in a message."""

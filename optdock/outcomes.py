@@ -47,6 +47,7 @@ class TimingStatus(IntEnum):
     CANNOT_STOP = 2
     BAD_START = 3
     FAIL = 4
+    TIMED_OUT = 5
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,10 +59,13 @@ class TimingResult:
         trajectory: The timed motion. OK: the whole path. START_INFEASIBLE: full braking, which violates the limits
             least, until past the last violation, then on to the end (to rest, where nothing more can be planned).
             CANNOT_STOP: full braking on the gear at hand; its distance runs on beyond that gear's end. None where
-            there is no motion to offer.
+            there is no motion to offer: BAD_START, FAIL, TIMED_OUT.
         worst_ratio: Largest quotient of a quantity and its limit; at most 1 when OK.
         overshoot: Distance that full braking needs beyond the end of the gear segment [m]; 0 unless CANNOT_STOP.
         report: Numbers about the work.
+        reason: Why it is not OK, one sentence with numbers; empty when OK.
+        limit: The limit in the way, by its name in `MotionLimits`, or `approach_speed`; empty where no single one is.
+        at_s: Where along the path that is decided [m]; None where it is not one place.
     """
 
     status: TimingStatus
@@ -69,6 +73,9 @@ class TimingResult:
     worst_ratio: float = 0.0
     overshoot: float = 0.0
     report: Mapping[str, object] = field(default_factory=dict)
+    reason: str = ""
+    limit: str = ""
+    at_s: float | None = None
 
 
 class CostmapInfoType(IntEnum):

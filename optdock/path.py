@@ -6,6 +6,7 @@ is positive. A path has no time; see `trajectory` for that.
 
 from __future__ import annotations
 
+import dataclasses
 import functools
 import itertools
 from dataclasses import dataclass, field
@@ -14,6 +15,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from optdock.errors import InvalidPath
+from optdock.fingerprint import digest
 from optdock.geometry.arrays import frozen_array, readonly
 from optdock.geometry.pose import Pose2, check_range, unwrap_yaw
 from optdock.segments import (
@@ -33,7 +35,7 @@ if TYPE_CHECKING:
 
     from optdock.geometry.arrays import FloatArray, IntArray
 
-__all__ = ["ClothoidSegment", "Direction", "Path", "PathSamples", "PolylineSegment", "Segment"]
+__all__ = ["ClothoidSegment", "Direction", "Path", "PathSamples", "PolylineSegment", "Segment", "may_be_one_frame"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,21 +44,25 @@ class Path:
 
     Args:
         segments: At least one; each begins where the one before it ends.
+        frame: Name of the coordinate frame; empty where nobody said.
 
     Attributes:
         segment_starts: Arc length at which each segment begins, and the total: Shape (number of segments + 1,) [m].
 
     Raises:
-        InvalidPath: No segment, or one that is neither a clothoid nor a polyline segment.
+        InvalidPath: No segment, one that is neither a clothoid nor a polyline segment, or a frame that is no name.
     """
 
     segments: tuple[Segment, ...]
+    frame: str = ""
     segment_starts: FloatArray = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "segments", tuple(self.segments))
         if not self.segments:
             raise InvalidPath("path: has no segment")
+        if not isinstance(self.frame, str):
+            raise InvalidPath(f"path.frame: must be a name, got {self.frame!r}")
         for i, segment in enumerate(self.segments):
             # Subclasses too: what overrides a curve's poses is another curve, of which nothing is known.
             if type(segment) not in (ClothoidSegment, PolylineSegment):
@@ -66,13 +72,14 @@ class Path:
         object.__setattr__(self, "segment_starts", readonly(np.concatenate(([0.0], np.cumsum(lengths)))))
 
     @classmethod
-    def from_poses(cls, poses: FloatArray | Iterable[Pose2 | Sequence[float]]) -> Path:
+    def from_poses(cls, poses: FloatArray | Iterable[Pose2 | Sequence[float]], frame: str = "") -> Path:
         """A polyline path; the gear of a step is the sign of (motion . heading), a change of it is a cusp.
 
         Repeated poses are dropped. A step that only turns belongs to the gear before it.
 
         Args:
             poses: Shape (n, 3) [m, m, rad] or poses.
+            frame: Name of their coordinate frame.
 
         Raises:
             InvalidPath: Fewer than two distinct poses, a value that is not finite, or one out of range.
@@ -91,8 +98,21 @@ class Path:
         gears = _step_gears(array)
         cuts = np.concatenate(([0], np.flatnonzero(np.diff(gears)) + 1, [len(gears)]))
         return cls(
-            tuple(PolylineSegment(array[a : b + 1], Direction(int(gears[a]))) for a, b in itertools.pairwise(cuts))
+            tuple(PolylineSegment(array[a : b + 1], Direction(int(gears[a]))) for a, b in itertools.pairwise(cuts)),
+            frame,
         )
+
+    def with_frame(self, frame: str) -> Path:
+        """The same path, of which it is now known that it stands in `frame`; an empty name tells nothing.
+
+        Raises:
+            InvalidPath: It is known to stand in another frame. Nothing here transforms one into the other.
+        """
+        if frame in ("", self.frame):
+            return self
+        if not may_be_one_frame(self.frame, frame):
+            raise InvalidPath(f"path: stands in frame {self.frame!r}, not in {frame!r}; transform it first")
+        return dataclasses.replace(self, frame=frame)
 
     @property
     def length(self) -> float:
@@ -114,6 +134,11 @@ class Path:
         """Pose at s = length."""
         last = self.segments[-1]
         return Pose2.from_sequence(last.poses_at(last.length)[0])
+
+    @functools.cached_property
+    def digest(self) -> str:
+        """Short digest of its exact curves: equal for equal paths, whoever made them."""
+        return digest(*(part for segment in self.segments for part in _definition(segment)))
 
     def pose_at(self, s: float) -> Pose2:
         """Pose at arc length `s` [m], clipped to the path."""
@@ -160,6 +185,20 @@ class Path:
             block._replace(s=block.s + start) for block, start in zip(blocks, self.segment_starts[:-1], strict=True)
         )
         return _joined(list(shifted))
+
+
+def may_be_one_frame(first: str, second: str) -> bool:
+    """Whether two names can mean the same frame: they are equal, or one of them is unknown."""
+    return first == second or "" in (first, second)
+
+
+def _definition(segment: Segment) -> tuple[ArrayLike, ...]:
+    """The numbers that define a segment."""
+    if isinstance(segment, ClothoidSegment):
+        spline = segment.spline
+        return spline.start.as_array(), spline.knots, spline.curvature, spline.sign
+    assert isinstance(segment, PolylineSegment)  # a path holds no other kind
+    return segment.poses, int(segment.direction)
 
 
 def _first_pose(segment: Segment) -> FloatArray:

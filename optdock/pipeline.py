@@ -6,10 +6,10 @@ import contextlib
 import functools
 import logging
 import math
-import time
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, TypeVar
+from typing import TYPE_CHECKING, NamedTuple, TypeVar
 
+from optdock.deadline import Deadline, garbage_collection_paused
 from optdock.dock import Dock
 from optdock.end_poses import check_ends
 from optdock.errors import (
@@ -17,25 +17,37 @@ from optdock.errors import (
     FailedToTimePath,
     InvalidValue,
     OptdockError,
+    PlannerCancelled,
     PlannerTimedOut,
+    PluginError,
     SmootherTimedOut,
+    TimingTimedOut,
 )
+from optdock.geometry.checked import number
 from optdock.geometry.footprint import Footprint
 from optdock.geometry.pose import Pose2
-from optdock.interfaces import GlobalPlanner, PluginContext, Smoother, TimeParameterizer, TimingStatus, never_cancelled
+from optdock.interfaces import (
+    GlobalPlanner,
+    PluginContext,
+    Smoother,
+    SmoothingResult,
+    TimeParameterizer,
+    TimingResult,
+    TimingStatus,
+    never_cancelled,
+)
 from optdock.limits import MotionLimits
+from optdock.path import Path
 from optdock.plugins import create_plugin
 from optdock.problem import DockingProblem
 from optdock.robot import Robot
+from optdock.trajectory import Trajectory
 from optdock.verification import certify_path, certify_trajectory
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping
+    from collections.abc import Callable, Iterator, Mapping
 
-    from optdock.interfaces import SmoothingResult
     from optdock.lifecycle import Plugin
-    from optdock.path import Path
-    from optdock.trajectory import Trajectory
     from optdock.verification import Certificate, TrajectoryCertificate
 
 __all__ = ["DockPlan", "PartialPlan", "PluginChoice", "PluginChoices", "plan_dock", "warm_up"]
@@ -43,8 +55,9 @@ __all__ = ["DockPlan", "PartialPlan", "PluginChoice", "PluginChoices", "plan_doc
 logger = logging.getLogger(__name__)
 
 DEFAULT_TIME_BUDGET = 0.1  # [s]
-# Share of the budget, and its most, kept back from the smoother for timing the path and proving the result.
-_RESERVED_SHARE, _RESERVED_MOST = 0.3, 0.03
+# Share of the budget, its least and most [s], kept back from the smoother for timing the path and proving the motion.
+_RESERVED_SHARE, _RESERVED_LEAST, _RESERVED_MOST = 0.3, 0.004, 0.03
+_PROOF = 0.001  # [s], kept back from the time parameterizer for the proof of its motion
 
 P = TypeVar("P", bound="Plugin")
 _T = TypeVar("_T")
@@ -56,6 +69,9 @@ class PluginChoice:
 
     name: str
     parameters: Mapping[str, object] = field(default_factory=dict)
+
+
+_PLAIN_TIMING = PluginChoice("Windowed")
 
 
 @dataclass(frozen=True)
@@ -92,6 +108,11 @@ class DockPlan:
     timing_ms: Mapping[str, float]
     smoothing_report: Mapping[str, object] = field(default_factory=dict)
     timing_report: Mapping[str, object] = field(default_factory=dict)
+
+    @property
+    def frame(self) -> str:
+        """Name of the coordinate frame that every pose of the plan stands in."""
+        return self.path.frame
 
 
 @dataclass(eq=False)
@@ -142,21 +163,26 @@ def plan_dock(
         FailedToSmoothPath: No path near the raw one keeps every bound.
         SmootherTimedOut: The deadline came before the first certified path.
         FailedToTimePath: No time law keeps the motion limits.
+        TimingTimedOut: The deadline came before the time law, or before its proof.
+        PlannerTimedOut: The deadline came before the raw path.
         CertificationFailed: A plugin returned something that cannot be proven.
+        PluginError: A plugin raised something that is no error of ours; it is the cause.
 
     Every error carries `partial`, a `PartialPlan`.
     """
+    time_budget = number(time_budget, "time_budget")
     if not (math.isfinite(time_budget) and time_budget > 0.0):
         raise InvalidValue(f"time_budget: must be finite and > 0 s, got {time_budget}")
     choices = plugins or PluginChoices()
     warm_up(choices)
-    run = _Run(problem, _Clock(time_budget), cancel_checker)
+    run = _Run(problem, Deadline(time_budget), cancel_checker)
     try:
-        return run.plan(choices)
+        with garbage_collection_paused():
+            return run.plan(choices)
     except OptdockError as error:
-        run.so_far.timing_ms["total"] = run.clock.elapsed_ms()
+        run.so_far.timing_ms["total"] = 1e3 * run.deadline.elapsed
         error.partial = run.so_far
-        logger.info("no plan after %.1f ms: %s", run.clock.elapsed_ms(), error)
+        logger.info("no plan after %.1f ms: %s", 1e3 * run.deadline.elapsed, error)
         raise
 
 
@@ -182,23 +208,8 @@ def _warm_once(planner: str, smoother: str, timing: str) -> None:
         Pose2(-2.0, 0.1, 0.1), Dock(Pose2(0.0, 0.0, 0.0), outline), Robot(Footprint.rectangle(0.3, 0.3, 0.5), limits)
     )
     with contextlib.suppress(OptdockError):
-        _Run(problem, _Clock(10.0), never_cancelled).plan(choices)
+        _Run(problem, Deadline(10.0), never_cancelled).plan(choices)
         create_plugin(Smoother, smoother).warm_up()
-
-
-class _Clock:
-    """Monotonic time since the call began, against its budget."""
-
-    def __init__(self, budget: float) -> None:
-        self.began, self.budget = time.monotonic(), budget
-
-    def elapsed_ms(self) -> float:
-        """Milliseconds since the call began."""
-        return 1e3 * (time.monotonic() - self.began)
-
-    def left(self) -> float:
-        """Seconds left of the budget; negative when it is overdrawn."""
-        return self.budget - (time.monotonic() - self.began)
 
 
 @dataclass(eq=False)
@@ -206,7 +217,7 @@ class _Run:
     """One call of `plan_dock`."""
 
     problem: DockingProblem
-    clock: _Clock
+    deadline: Deadline
     cancel_checker: Callable[[], bool]
     so_far: PartialPlan = field(default_factory=PartialPlan)
 
@@ -216,77 +227,166 @@ class _Run:
         raw = self._timed("plan", lambda: self._raw_path(choices.planner))
         self.so_far.raw_path = raw
         result = self._timed("smooth", lambda: self._smooth(choices.smoother, raw))
-        self.so_far.path = path = result.path
-        certificate = self._timed("certify", lambda: certify_path(path, self.problem))
-        self.so_far.certificate = certificate
-        if not certificate.certified:
-            raise CertificationFailed(
-                f"the smoothed path is not certified: {certificate.reason}", where=_where(certificate)
-            )
-        trajectory, timing_report = self._timed("time", lambda: self._time(choices.timing, path))
-        proof = self._timed("certify", lambda: self._prove(trajectory))
-        completed = result.completed and self.clock.left() >= 0.0
-        timing = {**self.so_far.timing_ms, "total": self.clock.elapsed_ms()}
-        logger.info("certified plan: %.2f m, %.2f s, after %.1f ms", path.length, trajectory.duration, timing["total"])
-        return DockPlan(raw, path, trajectory, certificate, proof, completed, timing, result.report, timing_report)
+        self.so_far.path = path = result.path.with_frame(self.problem.frame)
+        certificate = self._timed("certify", lambda: self._certified(path))
+        motion = self._certified_motion(choices.timing, path)
+        completed = result.completed and not self.deadline.passed()
+        timing = {**self.so_far.timing_ms, "total": 1e3 * self.deadline.elapsed}
+        logger.info("certified plan: %.2f m, %.2f s, %.1f ms", path.length, motion.proof.duration, timing["total"])
+        return DockPlan(
+            raw, path, motion.trajectory, certificate, motion.proof, completed, timing, result.report, motion.report
+        )
 
     def _timed(self, stage: str, work: Callable[[], _T]) -> _T:
-        began = self.clock.elapsed_ms()
+        began = self.deadline.elapsed
         try:
             return work()
         finally:
             spent = self.so_far.timing_ms.get(stage, 0.0)
-            self.so_far.timing_ms[stage] = spent + self.clock.elapsed_ms() - began
+            self.so_far.timing_ms[stage] = spent + 1e3 * (self.deadline.elapsed - began)
 
     def _configured(self, interface: type[P], choice: PluginChoice) -> P:
         plugin = create_plugin(interface, choice.name, choice.parameters)
-        plugin.configure(
-            PluginContext(
-                name=choice.name,
-                costmap=self.problem.costmap,
-                footprint=self.problem.robot.footprint,
-                problem=self.problem,
-            )
-        )
+        plugin.configure(PluginContext(name=choice.name, problem=self.problem))
         return plugin
 
+    def _asked_to_stop(self) -> bool:
+        return self.cancel_checker() or self.deadline.passed()
+
     def _raw_path(self, choice: PluginChoice) -> Path:
-        planner = self._configured(GlobalPlanner, choice)
-        path = planner.create_plan(self.problem.start, self.problem.goal, self.cancel_checker)
-        if self.clock.left() <= 0.0:
-            raise PlannerTimedOut(f"the planner used up the time budget of {self.clock.budget:.3g} s")
-        return path
+        late = f"the planner used up the time budget of {self.deadline.seconds:.3g} s"
+        try:
+            with _typed(choice):
+                planner = self._configured(GlobalPlanner, choice)
+                path = planner.create_plan(self.problem.start, self.problem.goal, self._asked_to_stop)
+        except PlannerCancelled as error:
+            if self.deadline.passed():
+                raise PlannerTimedOut(late) from error
+            raise
+        if self.deadline.passed():
+            raise PlannerTimedOut(late)
+        return _returned(path, Path, choice).with_frame(self.problem.frame)
 
     def _smooth(self, choice: PluginChoice, raw: Path) -> SmoothingResult:
-        smoother = self._configured(Smoother, choice)
-        allowance = self.clock.left() - min(_RESERVED_SHARE * self.clock.budget, _RESERVED_MOST)
+        allowance = self.deadline.left - _reserve(self.deadline.seconds)
         if allowance <= 0.0:
-            raise SmootherTimedOut(f"nothing is left of the time budget of {self.clock.budget:.3g} s for smoothing")
-        return smoother.smooth(raw, allowance, problem=self.problem, cancel_checker=self.cancel_checker)
+            raise SmootherTimedOut(f"nothing is left of the time budget of {self.deadline.seconds:.3g} s for smoothing")
+        with _typed(choice):
+            smoother = self._configured(Smoother, choice)
+            result = smoother.smooth(raw, allowance, problem=self.problem, cancel_checker=self.cancel_checker)
+        return _returned(result, SmoothingResult, choice)
 
-    def _time(self, choice: PluginChoice, path: Path) -> tuple[Trajectory, Mapping[str, object]]:
-        parameterizer = self._configured(TimeParameterizer, choice)
-        result = parameterizer.parameterize(
-            path, self.problem.robot.limits, self.problem.dock.approach, start_speed=abs(self.problem.start_speed)
-        )
+    def _certified(self, path: Path) -> Certificate:
+        certificate = certify_path(path, self.problem, is_late=self.deadline.passed)
+        self.so_far.certificate = certificate
+        if certificate.certified:
+            return certificate
+        reason, where = certificate.reason, _where(certificate)
+        if self.deadline.passed() and all(violation.kind == "unproven" for violation in certificate.violations):
+            raise SmootherTimedOut(f"the proof of the smoothed path was cut short: {reason}", where=where)
+        raise CertificationFailed(f"the smoothed path is not certified: {reason}", where=where)
+
+    def _certified_motion(self, choice: PluginChoice, path: Path) -> _Motion:
+        """The motion of the chosen method, or where that fails its proof, of the method that never needs repair."""
+        try:
+            return self._proven_motion(choice, path)
+        except (CertificationFailed, PluginError) as error:
+            if choice.name == _PLAIN_TIMING.name:
+                raise
+            logger.warning("%s: %s; timed by %s instead", choice.name, error, _PLAIN_TIMING.name)
+            try:
+                motion = self._proven_motion(_PLAIN_TIMING, path)
+            except FailedToTimePath:
+                raise error from None
+            return motion._replace(report={**motion.report, "replaced": f"{choice.name}: {error}"})
+
+    def _proven_motion(self, choice: PluginChoice, path: Path) -> _Motion:
+        robot, dock, deadline = self.problem.robot, self.problem.dock, self.deadline
+        result = self._timed("time", lambda: self._time(choice, path))
         if result.status is not TimingStatus.OK or result.trajectory is None:
-            raise FailedToTimePath(
-                f"the path cannot be timed: {result.status.name}, worst ratio {result.worst_ratio:.4g}, "
-                f"overshoot {result.overshoot:.4g} m",
-                where={"status": result.status.name, "worst_ratio": result.worst_ratio, "overshoot": result.overshoot},
-            )
-        return result.trajectory, result.report
-
-    def _prove(self, trajectory: Trajectory) -> TrajectoryCertificate:
-        proof = certify_trajectory(
-            trajectory,
-            self.problem.robot.limits,
-            self.problem.dock.approach,
-            start_speed=abs(self.problem.start_speed),
+            raise _timing_failure(result)
+        trajectory = result.trajectory
+        if trajectory.path is not path and trajectory.path.digest != path.digest:
+            message = f"{choice.name} timed another path than the certified one"
+            raise CertificationFailed(message, where={"kind": "path"})
+        speed = abs(self.problem.start_speed)
+        proof = self._timed(
+            "certify",
+            lambda: certify_trajectory(
+                trajectory,
+                robot.limits,
+                dock.approach,
+                start_speed=speed,
+                start_acceleration=0.0,
+                is_late=deadline.passed,
+            ),
         )
         if not proof.certified:
+            if deadline.passed() and all(violation.kind == "unproven" for violation in proof.violations):
+                raise TimingTimedOut(f"the proof of the motion was cut short: {proof.reason}", where=_where(proof))
             raise CertificationFailed(f"the trajectory is not certified: {proof.reason}", where=_where(proof))
-        return proof
+        return _Motion(Trajectory(path, trajectory.time_law, self.problem.fingerprint), proof, result.report)
+
+    def _time(self, choice: PluginChoice, path: Path) -> TimingResult:
+        robot, dock = self.problem.robot, self.problem.dock
+        allowance = self.deadline.left - _PROOF
+        if allowance <= 0.0:
+            raise TimingTimedOut(f"nothing is left of the time budget of {self.deadline.seconds:.3g} s for timing")
+        with _typed(choice):
+            parameterizer = self._configured(TimeParameterizer, choice)
+            result = parameterizer.parameterize(
+                path, robot.limits, dock.approach, start_speed=abs(self.problem.start_speed), max_time=allowance
+            )
+        return _returned(result, TimingResult, choice)
+
+
+class _Motion(NamedTuple):
+    """A certified trajectory, its proof, and what the time parameterizer says about its work."""
+
+    trajectory: Trajectory
+    proof: TrajectoryCertificate
+    report: Mapping[str, object]
+
+
+def _reserve(budget: float) -> float:
+    """Seconds kept back from the smoother for timing the path and proving the motion."""
+    return min(max(_RESERVED_SHARE * budget, _RESERVED_LEAST), _RESERVED_MOST)
+
+
+@contextlib.contextmanager
+def _typed(choice: PluginChoice) -> Iterator[None]:
+    """Whatever a plugin raises that is no error of ours is an error of the plugin.
+
+    Raises:
+        PluginError: With the foreign exception as its cause.
+    """
+    try:
+        yield
+    except OptdockError:
+        raise
+    except Exception as error:
+        raise PluginError(f"{choice.name} failed: {type(error).__name__}: {error}") from error
+
+
+def _returned(value: object, kind: type[_T], choice: PluginChoice) -> _T:
+    """What a plugin returned, of the type that its interface promises.
+
+    Raises:
+        PluginError: It is of another type.
+    """
+    if not isinstance(value, kind):
+        raise PluginError(f"{choice.name} must return a {kind.__name__}, got {type(value).__name__}")
+    return value
+
+
+def _timing_failure(result: TimingResult) -> FailedToTimePath:
+    where = {"status": result.status.name, "worst_ratio": result.worst_ratio, "overshoot": result.overshoot}
+    if result.limit:
+        where["limit"] = result.limit
+    if result.at_s is not None:
+        where["s"] = result.at_s
+    kind = TimingTimedOut if result.status is TimingStatus.TIMED_OUT else FailedToTimePath
+    return kind(f"the path cannot be timed: {result.status.name}: {result.reason or 'no reason given'}", where=where)
 
 
 def _where(certificate: Certificate | TrajectoryCertificate) -> Mapping[str, object]:

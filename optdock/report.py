@@ -50,6 +50,7 @@ def plan_file(plan: DockPlan, frame: str, period: float) -> PlanFile:
         raw_path=plan.raw_path,
         path=plan.path,
         trajectory=TrajectoryColumns.from_trajectory(plan.trajectory, period),
+        time_law=plan.trajectory.time_law,
         certificate=certificate,
         timing_ms=plan.timing_ms,
     )
@@ -102,8 +103,13 @@ def run_rows(run: Run) -> list[Row]:
         Row("largest error", _largest_error(run.errors)),
         Row("driving time", f"{run.duration:.2f} s"),
     ]
+    if run.verdicts:
+        said = (f"{name}: {'reached' if reached else 'not reached'}" for name, reached in run.verdicts.items())
+        rows.insert(1, Row("goal checkers", ", ".join(said)))
     if run.min_clearance is not None:
         rows.append(Row("min clearance driven", f"{run.min_clearance:.4f} m"))
+    if run.differs:
+        rows.append(Row("certified for", f"another {' and '.join(run.differs)}"))
     return rows
 
 
@@ -126,7 +132,7 @@ def run_json(run: Run, seed: int) -> str:
     ):
         columns.update({f"{name}{part}": table_[:, i] for i, part in enumerate(parts)})
     head = {"format": RUN_FORMAT, "docked": run.docked, "reason": run.reason, "seed": seed, "duration": run.duration}
-    head["collided"] = run.collided
+    head["collided"], head["goal_checkers"] = run.collided, dict(run.verdicts)
     final = {"along": error.x, "cross": error.y, "yaw": error.yaw}
     body = {"final_error": final, "min_clearance": run.min_clearance, "columns": columns}
     return strict_json({key: finite_or_null(value) for key, value in {**head, **body}.items()})

@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
+import functools
 import math
-from dataclasses import dataclass
+from dataclasses import astuple, dataclass
 from enum import Enum
+from typing import NamedTuple
 
+from optdock.fingerprint import digest
 from optdock.geometry.checked import instance, member
 from optdock.geometry.footprint import Footprint
 from optdock.geometry.pose import Twist2
 from optdock.limits import MotionLimits
 
-__all__ = ["Drive", "Robot", "admissible"]
+__all__ = ["Drive", "Robot", "RobotFingerprint", "admissible"]
 
 
 class Drive(str, Enum):
@@ -42,6 +45,19 @@ class Robot:
         instance(Footprint, self.footprint, "robot.footprint")
         instance(MotionLimits, self.limits, "robot.limits")
         object.__setattr__(self, "drive", member(Drive, self.drive, "robot.drive"))
+
+    @functools.cached_property
+    def fingerprint(self) -> RobotFingerprint:
+        """Digests of its outline, and of its limits and drive."""
+        limits = digest(astuple(self.limits), self.drive.value)
+        return RobotFingerprint(digest(self.footprint.vertices), limits)
+
+
+class RobotFingerprint(NamedTuple):
+    """Digests of a robot's outline, and of its limits and drive; see `ProblemFingerprint`."""
+
+    footprint: str
+    limits: str
 
 
 def admissible(command: Twist2, limits: MotionLimits, drive: Drive = Drive.DIFFERENTIAL) -> Twist2:

@@ -16,6 +16,7 @@ from optdock.path import Path
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike
 
+    from optdock.fingerprint import ProblemFingerprint
     from optdock.geometry.arrays import FloatArray
 
 __all__ = ["TimeLaw", "Trajectory", "TrajectorySamples", "TrajectoryState"]
@@ -127,17 +128,24 @@ class Trajectory:
     Args:
         path: Where.
         time_law: When; its distance runs from 0 to the length of the path.
+        certified_for: Digests of the problem for which path and motion were proven; None where nobody proved them.
 
     Raises:
-        InvalidValue: Either is of another class.
+        InvalidValue: Path or time law is of another class.
     """
 
     path: Path
     time_law: TimeLaw
+    certified_for: ProblemFingerprint | None = None
 
     def __post_init__(self) -> None:
         instance(Path, self.path, "trajectory.path")
         instance(TimeLaw, self.time_law, "trajectory.time_law")
+
+    @property
+    def frame(self) -> str:
+        """Name of the coordinate frame that its poses stand in, its path's; empty where nobody said."""
+        return self.path.frame
 
     @property
     def duration(self) -> float:

@@ -7,13 +7,13 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from optdock.errors import InvalidPath
+from optdock.geometry.pose import normalize_angle
 from optdock.path import Path, PolylineSegment
 
 if TYPE_CHECKING:
     from optdock.geometry.arrays import FloatArray
 
-__all__ = ["directional_pieces", "poses_of", "with_travel_yaw"]
+__all__ = ["directional_pieces", "path_of", "poses_of", "with_travel_yaw"]
 
 _SAME_PLACE = 1e-4  # [m], along each axis
 _TURNED = 1e-4  # [rad]
@@ -21,13 +21,7 @@ _CURVE_SPACING = 0.05  # of the poses taken from a curve [m]
 
 
 def poses_of(path: Path) -> FloatArray:
-    """The poses that a path was made of, each once; of a curve, samples 5 cm apart. Shape (n, 3).
-
-    Raises:
-        InvalidPath: It is no path.
-    """
-    if not isinstance(path, Path):
-        raise InvalidPath(f"path: must be a Path, got {type(path).__name__}")
+    """The poses that a path was made of, each once; of a curve, samples 5 cm apart. Shape (n, 3)."""
     blocks = [
         np.array(segment.poses)
         if isinstance(segment, PolylineSegment)
@@ -35,6 +29,27 @@ def poses_of(path: Path) -> FloatArray:
         for segment in path.segments
     ]
     return np.vstack([blocks[0], *(block[1:] for block in blocks[1:])])
+
+
+def path_of(poses: FloatArray, like: Path) -> Path:
+    """The smoothed poses as a path in the frame of `like` that begins with the very pose that `like` begins with.
+
+    Gears are read from headings along the travel. The start may look anywhere, as that of a raw path does, so its own
+    heading, which Nav2's smoothers turn, is put back once the gears are known.
+
+    Args:
+        poses: Shape (n, 3), headings as `with_travel_yaw` makes them.
+        like: The path that was smoothed.
+
+    Raises:
+        InvalidPath: Fewer than two distinct poses are left.
+    """
+    path = Path.from_poses(poses)
+    first = path.segments[0]
+    assert isinstance(first, PolylineSegment)
+    turned = np.array(first.poses)
+    turned[0, 2] += normalize_angle(like.start.yaw - turned[0, 2])
+    return Path((PolylineSegment(turned, first.direction), *path.segments[1:]), like.frame)
 
 
 def directional_pieces(poses: FloatArray) -> list[tuple[int, int]]:

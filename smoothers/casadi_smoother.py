@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, ClassVar, Literal
 import numpy as np
 from pydantic import Field
 
+from optdock.deadline import garbage_collection_paused
 from optdock.dock import Dock
 from optdock.errors import SmootherException, SmootherTimedOut
 from optdock.geometry.footprint import Footprint
@@ -18,7 +19,7 @@ from optdock.interfaces import Smoother, SmoothingResult, never_cancelled
 from optdock.limits import MotionLimits
 from optdock.obstacles import ObstacleSet
 from optdock.parameters import PluginParameters
-from optdock.path import Path
+from optdock.path import Path, may_be_one_frame
 from optdock.problem import DockingProblem
 from optdock.robot import Robot
 from optdock.verification import certify_path, pose_clearance
@@ -30,7 +31,7 @@ from smoothers._ck.qp import pool_of_this_thread
 from smoothers._ck.refusals import refuse_approach, refuse_certificate, refuse_search, refuse_start
 from smoothers._ck.spline import exact_path
 from smoothers._ck.steps import prepare_programs
-from smoothers._ck.surroundings import covers, problem_between_ends
+from smoothers._ck.surroundings import configured_problem, covers, problem_between_ends
 from smoothers._ck.task import reference_scales
 from smoothers._ck.terms import Weights
 from smoothers._ck.warm import remaining
@@ -91,23 +92,37 @@ class CasadiSmoother(Smoother):
         Args:
             path: The input, from any source.
             max_time: Wall-clock seconds for the whole call.
-            problem: What must hold. None: from the first pose of `path` to its last, with the footprint and the costmap
-                of the context and the limits of the parameters.
+            problem: What must hold; the configured costmap counts as well where the problem has none. None: the
+                configured problem, with the ends of `path` where they are others; where none is configured, from the
+                first pose of `path` to its last, with the footprint and the costmap of the context and the limits of
+                the parameters.
             warm_start: An earlier result with the same gears; returned where it is an answer still and none is found.
             cancel_checker: Polled every iteration.
 
         Raises:
+            InvalidPath: The path names another frame than the problem.
             FailedToSmoothPath: `where["reason"]` names the bound in the way: `start_in_collision`, `start_curvature`,
                 `direction`, `approach_blocked`, `goal_unreachable`, `clearance`; `s` [m], `amount` and `obstacle` say
                 where and by how much.
             SmootherTimedOut: No certified path within `max_time`.
             SmootherCancelled: `cancel_checker` returned True.
         """
-        budget = Budget(max_time, self.context.clock)
+        with garbage_collection_paused():
+            return self._smoothed(path, Budget(max_time, self.context.clock), problem, warm_start, cancel_checker)
+
+    def _smoothed(
+        self,
+        path: Path,
+        budget: Budget,
+        problem: DockingProblem | None,
+        warm_start: Path | None,
+        cancel_checker: Callable[[], bool],
+    ) -> SmoothingResult:
         pool = pool_of_this_thread()
         built = pool.build_time
-        wanted = problem if problem is not None else self._problem_of(path)
-        task = self._prepared(path, wanted, warm_start)
+        wanted = self._wanted(path, problem)
+        path, warm_start = path.with_frame(wanted.frame), _in_frame(warm_start, wanted.frame)
+        task = self._prepared(path, wanted, warm_start, budget)
         setup, chosen = budget.elapsed, self.parameters
         if chosen.backend == "ipopt":
             return self._reference(task, wanted, budget)
@@ -119,13 +134,13 @@ class CasadiSmoother(Smoother):
             runner.offer(line, input_cost(line, task.cost, wanted.dock.final_straight), "line")
         outcome = runner.run(task) if line is None or runner.outcome.incumbent is None else runner.finished()
         if outcome.incumbent is None and outcome.converged and len(task.world.obstacles) > _MANY_OBSTACLES:
-            task = self._prepared(path, wanted, warm_start, thoroughly=True)
+            task = self._prepared(path, wanted, warm_start, budget, thoroughly=True)
             outcome = runner.run(task)
         if outcome.incumbent is None and outcome.converged and warm_start and may_be_kept(warm_start, wanted):
             runner.offer(warm_start, input_cost(warm_start, task.cost, wanted.dock.final_straight), "warm_start")
         if outcome.incumbent is None:
-            raise _failure(task, outcome, max_time, wanted.dock.final_straight)
-        if problem is None and not covers(path, outcome.incumbent.path):
+            raise _failure(task, outcome, budget.max_time, wanted.dock.final_straight)
+        if problem is None and self.context.problem is None and not covers(path, outcome.incumbent.path):
             self._confirm(outcome.incumbent.path)
         return _result(outcome, budget, setup, pool.build_time - built)
 
@@ -142,19 +157,30 @@ class CasadiSmoother(Smoother):
             self.smooth(Path.from_poses([start, Pose2(1.5, 0.0, 0.1), goal]), 10.0, problem=problem)
         prepare_programs(pool_of_this_thread())
 
-    def _prepared(self, path: Path, problem: DockingProblem, earlier: Path | None, *, thoroughly: bool = False) -> Task:
+    def _prepared(
+        self,
+        path: Path,
+        problem: DockingProblem,
+        earlier: Path | None,
+        budget: Budget,
+        *,
+        thoroughly: bool = False,
+    ) -> Task:
+        budget.look()
         start_clearance, nearest = pose_clearance(problem.start, problem.robot.footprint, problem.all_obstacles)
         refusal = refuse_start(path, problem, start_clearance, nearest)
         if refusal is None:
             refusal = refuse_approach(path, problem, start_clearance)
         if refusal is not None:
             raise refusal.error()
+        budget.look()
         shares = np.linspace(0.0, 1.0, 40)
         positions = np.concatenate([segment.poses_at(shares * segment.length)[:, :2] for segment in path.segments])
         world = world_around(problem, positions, start_clearance)
         tuning = self._tuning(world, problem.robot.limits, 1.0 if thoroughly else _AMONG_MANY)
         if thoroughly:
             world = replace(world, is_thinned=False)
+        budget.look()
         return make_task(path, problem, world, tuning, remaining(earlier, path, problem))
 
     def _tuning(self, world: World, limits: MotionLimits, among_many: float) -> Tuning:
@@ -167,6 +193,12 @@ class CasadiSmoother(Smoother):
             chosen.length_weight, chosen.curvature_weight, chosen.curvature_rate_weight, chosen.tracking_weight
         )
         return Tuning(Resolution(chosen.spans, _LONGEST_SPAN / reference_scales(limits)[0], interval), weights)
+
+    def _wanted(self, path: Path, called_with: DockingProblem | None) -> DockingProblem:
+        problem = self.context.problem_at_hand(called_with)
+        if problem is None:
+            return self._problem_of(path)
+        return problem if called_with is not None else configured_problem(path, problem)
 
     def _problem_of(self, path: Path) -> DockingProblem:
         chosen = self.parameters
@@ -183,12 +215,17 @@ class CasadiSmoother(Smoother):
         from smoothers._ck.ipopt_backend import solve_reference
 
         iterate, settled = solve_reference(task, budget)
-        path, _ = exact_path(task, iterate.variables, problem.dock.final_straight)
+        path = exact_path(task, iterate.variables, problem.dock.final_straight)[0].with_frame(problem.frame)
         certificate = certify_path(path, problem)
         if not certificate.certified:
             raise refuse_search(task, iterate, problem.dock.final_straight).error(certificate=certificate.reason)
         outcome = Outcome(Incumbent(path, certificate, iterate.cost), iterate, converged=settled)
         return _result(outcome, budget, 0.0, 0.0)
+
+
+def _in_frame(earlier: Path | None, frame: str) -> Path | None:
+    """An earlier result, where it can stand in this frame; one that cannot is none for this problem."""
+    return earlier.with_frame(frame) if earlier is not None and may_be_one_frame(earlier.frame, frame) else None
 
 
 def _failure(task: Task, outcome: Outcome, max_time: float, final_straight: float) -> SmootherException:

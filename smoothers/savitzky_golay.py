@@ -1,26 +1,28 @@
 """Nav2's SavitzkyGolaySmoother: every point becomes the value of a polynomial fitted to the points around it.
 
-It knows no obstacle, no curvature and no heading at the ends; it is here as a baseline and for old parameter files.
+It knows no curvature and no heading at the ends, and of obstacles only when it has hit one; it is here as a baseline
+and for old parameter files.
 """
 
 from __future__ import annotations
 
-import time
 from typing import TYPE_CHECKING
 
 import numpy as np
 from pydantic import Field, model_validator
 
+from optdock.deadline import Deadline
 from optdock.errors import SmootherCancelled, SmootherTimedOut
 from optdock.interfaces import Smoother, SmoothingResult, never_cancelled
 from optdock.parameters import PluginParameters, checked_seconds
-from optdock.path import Path
-from smoothers._nav2_poses import directional_pieces, poses_of, with_travel_yaw
+from smoothers._nav2_poses import directional_pieces, path_of, poses_of, with_travel_yaw
+from smoothers._nav2_surroundings import task_of
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
     from optdock.geometry.arrays import FloatArray
+    from optdock.path import Path
     from optdock.problem import DockingProblem
 
 __all__ = ["SavitzkyGolayParameters", "SavitzkyGolaySmoother", "savitzky_golay_weights"]
@@ -36,6 +38,7 @@ class SavitzkyGolayParameters(PluginParameters):
     do_refinement: bool = Field(default=True, description="filter the filtered path again")
     refinement_num: int = Field(2, ge=0, description="how often")
     enforce_path_inversion: bool = Field(default=True, description="keep cusps and turns in place where they are")
+    check_for_collisions: bool = Field(default=True, description="leave a piece that would touch something as it was")
 
     @model_validator(mode="after")
     def _window_fits(self) -> SavitzkyGolayParameters:
@@ -71,7 +74,10 @@ class SavitzkyGolaySmoother(Smoother):
     """Polynomial fits in a moving window, as `nav2_smoother::SavitzkyGolaySmoother` does them.
 
     Each piece between cusps is filtered by itself: beyond its ends the end pose is repeated, its end points stay. Its
-    yaws become the directions of travel.
+    yaws become the directions of travel; start and goal keep theirs (Nav2's turns the start). `completed` is False
+    where the time limit came before the last piece, which then stays as it was. So does a piece whose poses would bring
+    the footprint into something that they cleared before, unless `check_for_collisions` is off; what happens between
+    the poses is not looked at.
 
     Args:
         **parameters: Fields of `SavitzkyGolayParameters`.
@@ -88,7 +94,7 @@ class SavitzkyGolaySmoother(Smoother):
         path: Path,
         max_time: float,
         *,
-        problem: DockingProblem | None = None,  # noqa: ARG002 - the interface's; the filter sees points only
+        problem: DockingProblem | None = None,
         warm_start: Path | None = None,  # noqa: ARG002 - the interface's; a filter has no first guess
         cancel_checker: Callable[[], bool] = never_cancelled,
     ) -> SmoothingResult:
@@ -97,28 +103,37 @@ class SavitzkyGolaySmoother(Smoother):
         Args:
             path: The raw path, from any source.
             max_time: Wall-clock seconds for the whole call, looked at before every piece; one takes microseconds.
-            problem: Not used.
+            problem: Where the footprint and the obstacles come from; None: the context.
             warm_start: Not used.
             cancel_checker: Polled before every piece.
 
         Raises:
             InvalidValue: `max_time` is not finite, or negative.
-            InvalidPath: It is no path, or smoothing left fewer than two distinct poses.
-            SmootherTimedOut: The time is over; as in Nav2 the partial result is lost.
+            InvalidPath: It is no path, names another frame than the problem, or has too few distinct poses afterwards.
+            SmootherTimedOut: The time was over before the first piece. Nav2's raises after later ones as well.
             SmootherCancelled: `cancel_checker` returned True.
         """
-        began, allowed = time.monotonic(), checked_seconds(max_time, "max_time")
-        poses = poses_of(path)
+        deadline = Deadline(checked_seconds(max_time, "max_time"), self.context.clock)
+        path, surroundings = task_of(path, problem, self.context)
+        poses, filtered, kept, completed = poses_of(path), 0, 0, True
         whole = [(0, len(poses) - 1)]
         for first, last in directional_pieces(poses) if self.parameters.enforce_path_inversion else whole:
             if last - first <= self.parameters.window_size + _SPARE_POSES:
                 continue
             if cancel_checker():
                 raise SmootherCancelled("smoothing was cancelled")
-            if time.monotonic() - began >= allowed:
-                raise SmootherTimedOut(f"smoothing took longer than the allowed {max_time} s; allow more max_time")
-            poses[first : last + 1] = self._filtered(poses[first : last + 1])
-        return SmoothingResult(Path.from_poses(poses), report={"seconds": time.monotonic() - began})
+            if deadline.passed():
+                completed = False
+                break
+            piece = poses[first : last + 1]
+            smoothed = self._filtered(piece)
+            collides = self.parameters.check_for_collisions and surroundings.worsened(piece, smoothed)
+            poses[first : last + 1] = piece if collides else smoothed
+            filtered, kept = filtered + 1, kept + collides
+        if not completed and filtered == 0:
+            raise SmootherTimedOut(f"no piece was filtered within the allowed {max_time} s; allow more max_time")
+        report = {"pieces": filtered, "kept": kept, "seconds": deadline.elapsed}
+        return SmoothingResult(path_of(poses, path), completed, report)
 
     def _filtered(self, poses: FloatArray) -> FloatArray:
         """One piece, Shape (n, 3), after all passes."""

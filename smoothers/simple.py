@@ -1,30 +1,33 @@
 """Nav2's SimpleSmoother: every point is pulled towards its neighbours' middle and back to where it was.
 
-It knows no curvature, no footprint and no heading at the ends; it is here as a baseline and for old parameter files.
+It knows no curvature and no heading at the ends, and of obstacles only when it has hit one; it is here as a baseline
+and for old parameter files.
 """
 
 from __future__ import annotations
 
 import logging
-import time
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from enum import Enum
 from typing import TYPE_CHECKING
 
 import numpy as np
 from pydantic import Field, model_validator
 
 from optdock.costmap.costs import MAX_NON_OBSTACLE, NO_INFORMATION
+from optdock.deadline import Deadline
 from optdock.errors import SmootherCancelled, SmootherTimedOut
 from optdock.interfaces import Smoother, SmoothingResult, never_cancelled
 from optdock.parameters import PluginParameters, checked_seconds
-from optdock.path import Path
-from smoothers._nav2_poses import directional_pieces, poses_of, with_travel_yaw
+from smoothers._nav2_poses import directional_pieces, path_of, poses_of, with_travel_yaw
+from smoothers._nav2_surroundings import task_of
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
     from optdock.costmap.costmap import Costmap
     from optdock.geometry.arrays import FloatArray
+    from optdock.path import Path
     from optdock.problem import DockingProblem
 
 __all__ = ["SimpleParameters", "SimpleSmoother"]
@@ -44,6 +47,7 @@ class SimpleParameters(PluginParameters):
     do_refinement: bool = Field(default=True, description="smooth the smoothed path again")
     refinement_num: int = Field(2, ge=0, description="how often")
     enforce_path_inversion: bool = Field(default=True, description="keep cusps and turns in place where they are")
+    check_for_collisions: bool = Field(default=True, description="leave a piece that would touch something as it was")
 
     @model_validator(mode="after")
     def _converges(self) -> SimpleParameters:
@@ -78,21 +82,35 @@ class _Sweep:
         return moved
 
 
+class _End(str, Enum):
+    """What ended the sweeps over a piece."""
+
+    STILL = "tolerance"
+    OBSTACLE = "obstacle"
+    MAX_ITS = "max_its"
+    TIME = "time"
+    COLLISION = "collision"
+
+
 @dataclass
 class _Run:
-    """One call of `smooth`: when it ends, what it must not enter, who may stop it, and the sweeps done so far."""
+    """One call of `smooth`: when it ends, what it must not enter, who may stop it, the sweeps and ends so far."""
 
-    deadline: float
-    max_time: float
+    deadline: Deadline
     costmap: Costmap | None
     cancel_checker: Callable[[], bool]
     sweeps: int = 0
+    ends: list[_End] = field(default_factory=list)
 
-    def check(self) -> None:
+    def out_of_time(self) -> bool:
+        """Whether the time is over, asked before every sweep.
+
+        Raises:
+            SmootherCancelled: The caller does not want it any more.
+        """
         if self.cancel_checker():
             raise SmootherCancelled("smoothing was cancelled")
-        if time.monotonic() >= self.deadline:
-            raise SmootherTimedOut(f"smoothing took longer than the allowed {self.max_time} s; allow more max_time")
+        return self.deadline.passed()
 
 
 class SimpleSmoother(Smoother):
@@ -100,10 +118,13 @@ class SimpleSmoother(Smoother):
 
     A sweep moves each inner point, in order, by `w_data (original - current) + w_smooth (next + previous - 2 current)`
     until a sweep changes less than `tolerance` in sum. A sweep that puts a point into an occupied cell is undone and
-    ends the work. Each piece between cusps is smoothed by itself, its end points stay; its yaws become the directions
-    of travel, so that the goal's heading may end in a kink.
+    ends the work. Each piece between cusps is smoothed by itself, its end points stay. Its yaws become the directions
+    of travel; start and goal keep theirs (Nav2's turns the start), so that the path may begin and end in a kink.
 
-    `completed` is False where a piece was stopped by an obstacle or by `max_its`.
+    `completed` is False where the time limit stopped the sweeps; the last whole sweep is returned then, which entered
+    nothing either. A piece whose poses would bring the footprint into something that they cleared before stays as it
+    was, unless `check_for_collisions` is off; what happens between the poses is not looked at. `report["ended_by"]`
+    says for every piece what ended it: `tolerance`, `obstacle`, `max_its`, `time`, `collision`.
 
     Args:
         **parameters: Fields of `SimpleParameters`.
@@ -129,56 +150,63 @@ class SimpleSmoother(Smoother):
         Args:
             path: The raw path, from any source.
             max_time: Wall-clock seconds for the whole call, looked at before every sweep.
-            problem: Only its costmap is read; None: the configured one. Without a costmap nothing stops a point.
+            problem: Where the costmap, the footprint and the obstacles come from; None: the context. Without a costmap
+                nothing stops a point, without a footprint no piece is taken back.
             warm_start: Not used.
             cancel_checker: Polled before every sweep.
 
         Raises:
             InvalidValue: `max_time` is not finite, or negative.
-            InvalidPath: It is no path, or smoothing left fewer than two distinct poses.
-            SmootherTimedOut: The time is over; as in Nav2 the partial result is lost.
+            InvalidPath: It is no path, names another frame than the problem, or has too few distinct poses afterwards.
+            SmootherTimedOut: The time was over before the first sweep. Nav2's raises after later ones as well.
             SmootherCancelled: `cancel_checker` returned True.
         """
-        began = time.monotonic()
-        costmap = self.context.costmap if problem is None else problem.costmap
-        run = _Run(began + checked_seconds(max_time, "max_time"), max_time, costmap, cancel_checker)
-        poses, completed = poses_of(path), True
+        deadline = Deadline(checked_seconds(max_time, "max_time"), self.context.clock)
+        path, surroundings = task_of(path, problem, self.context)
+        run = _Run(deadline, surroundings.costmap, cancel_checker)
+        poses = poses_of(path)
         whole = [(0, len(poses) - 1)]
         for first, last in directional_pieces(poses) if self.parameters.enforce_path_inversion else whole:
             if last - first + 1 > _UNTOUCHED_POSES:
-                piece, finished = self._smooth_piece(poses[first : last + 1], run)
-                poses[first : last + 1] = piece
-                completed = completed and finished
-        report = {"sweeps": run.sweeps, "seconds": time.monotonic() - began}
-        return SmoothingResult(Path.from_poses(poses), completed, report)
+                piece = poses[first : last + 1]
+                smoothed, end = self._smooth_piece(piece, run)
+                collides = self.parameters.check_for_collisions and surroundings.worsened(piece, smoothed)
+                poses[first : last + 1] = piece if collides else smoothed
+                run.ends.append(_End.COLLISION if collides and end is not _End.TIME else end)
+        completed = _End.TIME not in run.ends
+        if not completed and run.sweeps == 0:
+            raise SmootherTimedOut(f"no sweep was finished within the allowed {max_time} s; allow more max_time")
+        ended_by = tuple(end.value for end in run.ends)
+        report = {"sweeps": run.sweeps, "ended_by": ended_by, "seconds": deadline.elapsed}
+        return SmoothingResult(path_of(poses, path), completed, report)
 
-    def _smooth_piece(self, poses: FloatArray, run: _Run) -> tuple[FloatArray, bool]:
-        """One piece, Shape (n, 3), with its refinements; only the first pass decides whether it was finished."""
-        points, finished = self._sweep_until_still(poses[:, :2], run)
-        rounds = self.parameters.refinement_num if self.parameters.do_refinement and finished else 0
-        for _ in range(rounds):
-            points, refined = self._sweep_until_still(points, run)
-            if not refined:
+    def _smooth_piece(self, poses: FloatArray, run: _Run) -> tuple[FloatArray, _End]:
+        """One piece, Shape (n, 3), with its refinements; each begins only where the pass before it got still."""
+        points, end = self._sweep_until_still(poses[:, :2], run)
+        for _ in range(self.parameters.refinement_num if self.parameters.do_refinement else 0):
+            if end is not _End.STILL:
                 break
-        return with_travel_yaw(np.column_stack((points, poses[:, 2]))), finished
+            points, end = self._sweep_until_still(points, run)
+        return with_travel_yaw(np.column_stack((points, poses[:, 2]))), end
 
-    def _sweep_until_still(self, original: FloatArray, run: _Run) -> tuple[FloatArray, bool]:
-        """Points, Shape (n, 2) [m], and False where an obstacle or the number of sweeps ended the work."""
+    def _sweep_until_still(self, original: FloatArray, run: _Run) -> tuple[FloatArray, _End]:
+        """Points after whole sweeps, Shape (n, 2) [m], and what ended these."""
         sweep = _Sweep(original, self.parameters.w_data, self.parameters.w_smooth)
         points = original
         for _ in range(1, self.parameters.max_its):
-            run.check()
+            if run.out_of_time():
+                return points, _End.TIME
             moved = sweep(points)
             if _hits(moved[1:-1], run.costmap):
                 logger.debug("%s: a sweep would enter an obstacle; keeping the one before", self.context.name)
-                return points, False
+                return points, _End.OBSTACLE
             change = float(np.abs(moved - points).sum())
             points = moved
             run.sweeps += 1
             if change < self.parameters.tolerance:
-                return points, True
+                return points, _End.STILL
         logger.warning("%s: still moving after %d sweeps", self.context.name, self.parameters.max_its)
-        return points, False
+        return points, _End.MAX_ITS
 
 
 def _hits(points: FloatArray, costmap: Costmap | None) -> bool:

@@ -10,6 +10,7 @@ from experiments.benchmarks.tables import Table, Timer, percentile, yardstick
 from experiments.real_maps import SCENARIOS, maps_folder, problem_of
 from optdock.errors import OptdockError
 from optdock.interfaces import Smoother
+from optdock.path import Path
 from optdock.pipeline import plan_dock
 from optdock.plugins import create_plugin
 from optdock.testing.families import FEASIBLE_FAMILIES, instance
@@ -18,7 +19,6 @@ from optdock.verification import certify_path
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
-    from optdock.path import Path
     from optdock.problem import DockingProblem
 
 __all__ = ["main"]
@@ -65,8 +65,9 @@ def _row(group: str, cases: Sequence[_Case], unit: float) -> tuple[object, ...]:
 def _fastest(case: _Case) -> float:
     times = []
     for _ in range(_REPEATS):
+        path = Path(case.path.segments)  # a new one: whole proofs are kept
         timer = Timer()
-        certify_path(case.path, case.problem)
+        certify_path(path, case.problem)
         times.append(timer.cpu)
     return min(times)
 

@@ -118,7 +118,9 @@ def _baselines(
     name: str, runs: Sequence[Run], feasible: Sequence[str], asked: argparse.Namespace
 ) -> dict[str, Sequence[Run]]:
     others = ("SimpleSmoother", "SavitzkyGolaySmoother")
-    measured = {other: solved(create_plugin(Smoother, other), feasible, asked.seeds, asked.repeats) for other in others}
+    as_in_nav2 = {"check_for_collisions": False}
+    plain = {other: create_plugin(Smoother, other, as_in_nav2) for other in others}
+    measured = {other: solved(plugin, feasible, asked.seeds, asked.repeats) for other, plugin in plain.items()}
     return {
         "raw": [_untouched(family, seed) for family in feasible for seed in range(asked.seeds)],
         **measured,

@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from experiments.benchmarks.tables import Table, Timer, yardstick
-from experiments.benchmarks.timing_paths import clothoid_case, random_case, sampled, suite
+from experiments.benchmarks.timing_paths import clothoid_case, random_case, suite
 from optdock.interfaces import TimingStatus
 from optdock.timing.near_optimal import NearOptimal
 from optdock.timing.windowed import Windowed
@@ -160,10 +160,10 @@ def _jerk_steps(runs: list[Run]) -> float:
 def cost_table(count: int) -> Table:
     """CPU time of paths of 5 m, as clothoid splines."""
     kinds: dict[str, Callable[[int], Case]] = {
-        "standard": lambda i: sampled(random_case(501, i, length=5.0, gears=1)),
-        "hard": lambda i: sampled(random_case(502, i, length=5.0, gears=1, hard=True)),
+        "standard": lambda i: random_case(501, i, length=5.0, gears=1),
+        "hard": lambda i: random_case(502, i, length=5.0, gears=1, hard=True),
         "knots 8 cm apart": lambda i: clothoid_case(503, i, length=5.0, hard=i % 2 == 1),
-        "standard, one cusp": lambda i: sampled(random_case(504, i, length=5.0, gears=2)),
+        "standard, one cusp": lambda i: random_case(504, i, length=5.0, gears=2),
     }
     rows = []
     for kind, make in kinds.items():

@@ -17,9 +17,8 @@ from optdock.path import ClothoidSegment, Direction, Path
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike
 
-    from optdock.path import Segment
 
-__all__ = ["Case", "GaussianSegment", "clothoid_case", "random_case", "sampled", "suite"]
+__all__ = ["Case", "GaussianSegment", "clothoid_case", "random_case", "suite"]
 
 _MAX_CURVATURE = 2.5  # [1/m]
 _POSE_SPACING = 0.005  # [m]
@@ -87,13 +86,14 @@ class GaussianSegment:
 
 
 class Case(NamedTuple):
-    """One timing problem."""
+    """One timing problem; `curves` holds the analytic curves, one per gear, that the path samples if it does."""
 
     name: str
     path: Path
     limits: MotionLimits
     zone: SpeedZone
     start: tuple[float, float] = (0.0, 0.0)
+    curves: tuple[GaussianSegment, ...] = ()
 
 
 def _limits(speed: float, rise: float, fall: float, jerk: float, turning: tuple[float, float, float]) -> MotionLimits:
@@ -128,7 +128,7 @@ _HARD = (
 
 def _gaussian_segment(
     rng: np.random.Generator, length: float, *, hard: bool, last: bool, start: Pose2, gear: int
-) -> Segment:
+) -> GaussianSegment:
     count = max(2, int(length * (2.0 if hard else 1.2)))
     widths = rng.uniform(0.12, 0.4 if hard else 0.8, count)
     top = 4.5 if hard else 2.5
@@ -146,7 +146,7 @@ def _gaussian_segment(
 def random_case(
     seed: int, index: int, *, hard: bool = False, length: float | None = None, gears: int | None = None
 ) -> Case:
-    """One random path with its limits: analytic curvature, 1 to 3 gears, a quarter of the starts in motion."""
+    """One random path with its limits: analytic curves, sampled, 1 to 3 gears, a quarter of the starts in motion."""
     rng = np.random.default_rng((seed, index))
     total = float(rng.uniform(1.0, 12.0)) if length is None else length
     parts = int(rng.choice((1, 2, 3), p=(0.5, 0.3, 0.2))) if gears is None else gears
@@ -161,7 +161,8 @@ def random_case(
     start = (0.0, 0.0)
     if rng.random() < 0.25:
         start = (float(rng.uniform(0.02, 0.12 if hard else 0.25)), float(rng.uniform(-0.05, 0.1)))
-    return Case(f"{'hard' if hard else 'std'}-{seed}-{index}", Path(tuple(segments)), limits, zone, start)
+    name, path = f"{'hard' if hard else 'std'}-{seed}-{index}", Path(tuple(_sampled(curve) for curve in segments))
+    return Case(name, path, limits, zone, start, tuple(segments))
 
 
 def clothoid_case(seed: int, index: int, *, length: float | None = None, hard: bool = False) -> Case:
@@ -177,14 +178,10 @@ def clothoid_case(seed: int, index: int, *, length: float | None = None, hard: b
     return Case(f"clothoid-{seed}-{index}", Path((ClothoidSegment(spline),)), limits, zone)
 
 
-def sampled(case: Case, spacing: float = _POSE_SPACING) -> Case:
-    """The same case with its path as clothoid splines, knots `spacing` [m] apart."""
-    segments = []
-    for segment in case.path.segments:
-        knots = np.linspace(0.0, segment.length, max(2, int(np.ceil(segment.length / spacing)) + 1))
-        start = Pose2.from_sequence(segment.poses_at(0.0)[0])
-        segments.append(ClothoidSegment(ClothoidSpline(start, knots, segment.curvature_at(knots), segment.direction)))
-    return case._replace(path=Path(tuple(segments)))
+def _sampled(curve: GaussianSegment) -> ClothoidSegment:
+    """The curve as a clothoid spline, knots 5 mm apart."""
+    knots = np.linspace(0.0, curve.length, max(2, int(np.ceil(curve.length / _POSE_SPACING)) + 1))
+    return ClothoidSegment(ClothoidSpline(curve.start, knots, curve.curvature_at(knots), curve.direction))
 
 
 def suite(name: str) -> list[Case]:

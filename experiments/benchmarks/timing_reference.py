@@ -52,7 +52,8 @@ def jerk_limited_optimum(case: Case, guess: TimeLaw, intervals: int = 300) -> fl
         RuntimeError: IPOPT does not converge.
     """
     total, start = 0.0, case.start
-    for segment, begin in zip(case.path.segments, case.path.segment_starts[:-1], strict=True):
+    curves = case.curves or case.path.segments
+    for segment, begin in zip(curves, case.path.segment_starts[:-1], strict=True):
         stretches = _stretches(case, segment, float(begin))
         total += _gear_optimum(stretches, case.limits, start, _shifted(guess, float(begin), segment.length), intervals)
         start = (0.0, 0.0)

@@ -13,15 +13,13 @@ if TYPE_CHECKING:
 
 __all__ = ["reversed_path"]
 
-_SPACING = 0.02  # [m], for kinds of segments that are not known here
-
 
 def reversed_path(path: Path) -> Path:
     """The path from its end to its start; every pose is the same, so its clearance is too.
 
     With s' = length - s the gear changes its sign and so does the curvature along the travel.
     """
-    return Path(tuple(_reversed_segment(segment) for segment in reversed(path.segments)))
+    return Path(tuple(_reversed_segment(segment) for segment in reversed(path.segments)), path.frame)
 
 
 def _reversed_segment(segment: Segment) -> Segment:
@@ -29,7 +27,5 @@ def _reversed_segment(segment: Segment) -> Segment:
         spline = segment.spline
         knots = (spline.length - spline.knots)[::-1]
         return ClothoidSegment(ClothoidSpline(spline.end, knots, -spline.curvature[::-1], -spline.sign))
-    gear = Direction(-segment.direction)
-    if isinstance(segment, PolylineSegment):
-        return PolylineSegment(segment.poses[::-1], gear)
-    return PolylineSegment(Path((segment,)).sample(_SPACING).poses[::-1], gear)
+    assert isinstance(segment, PolylineSegment)  # a path holds no other kind
+    return PolylineSegment(segment.poses[::-1], Direction(-segment.direction))

@@ -53,7 +53,7 @@ class _StraightBehavior(Behavior, ABC):
         except InvalidValue as error:
             return failed(self.codes.invalid_input, str(error))
         try:
-            gate = None if parsed.disable_collision_checks else CollisionGate(self.context, self.parameters.clearance)
+            gate = None if parsed.disable_collision_checks else self._gate()
         except BehaviorException as error:
             return failed(self.codes.unknown, str(error))
         deadline = Deadline(self.context.clock, parsed.time_allowance)
@@ -69,6 +69,9 @@ class _StraightBehavior(Behavior, ABC):
         if self._motion is None:
             raise BehaviorException(f"{type(self).__name__}: on_run must succeed before the cycles begin")
         return self._motion.cycle(pose, velocity)
+
+    def _gate(self) -> CollisionGate:
+        return CollisionGate(self.context, self.parameters.clearance, self.resource_info)
 
 
 class DriveOnHeading(_StraightBehavior):

@@ -77,7 +77,7 @@ class Spin(Behavior):
         self._turn = None
         try:
             parsed = parse_parameters(SpinCommand, command, "Spin")
-            gate = None if parsed.disable_collision_checks else CollisionGate(self.context, self.parameters.clearance)
+            gate = None if parsed.disable_collision_checks else self._gate()
         except (InvalidValue, BehaviorException) as error:
             return failed(SPIN.unknown, str(error))
         self._turn = _Turn(parsed, Deadline(self.context.clock, parsed.time_allowance), gate)
@@ -102,6 +102,9 @@ class Spin(Behavior):
         twist = Twist2(0.0, math.copysign(self._rate(remaining), turn.command.target_yaw))
         refusal = turn.gate.refusal(pose, twist, self._look_ahead(remaining, twist)) if turn.gate else ""
         return stopped(failed(SPIN.collision_ahead, refusal)) if refusal else (RUNNING, twist)
+
+    def _gate(self) -> CollisionGate:
+        return CollisionGate(self.context, self.parameters.clearance, self.resource_info)
 
     def _rate(self, remaining: float) -> float:
         """Yaw rate [rad/s] from which the robot can stop within what remains; never one a drive may ignore."""

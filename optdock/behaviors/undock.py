@@ -115,7 +115,7 @@ class Undock(Behavior):
         )
         controller.configure(self.context)
         controller.set_path(plan.trajectory)
-        return _Drive(self.parameters, plan, controller, deadline, CollisionGate(self.context, 0.0))
+        return _Drive(self.parameters, plan, controller, deadline, CollisionGate(self.context, 0.0, self.resource_info))
 
 
 def _understood(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, NamedTuple
 
 import typer
 
@@ -11,8 +11,11 @@ from optdock.cli.exits import NOT_CERTIFIED, reported
 from optdock.cli.options import ScenarioArgument
 
 if TYPE_CHECKING:
-    from optdock.io.plan_file import PlanFile
+    from optdock.io.plan_file import PlanFile, TrajectoryColumns
+    from optdock.path import Path as DockPath
     from optdock.problem import DockingProblem
+    from optdock.trajectory import TimeLaw
+    from optdock.verification import SampledMotionVerdict
 
 __all__ = ["certify"]
 
@@ -21,7 +24,11 @@ def certify(
     plan: Annotated[Path, typer.Argument(help="Plan file (JSON), by whomever.", show_default=False)],
     scenario: ScenarioArgument,
 ) -> None:
-    """Judge a plan file, also one that optdock did not make: prove it, or name every rule it breaks."""
+    """Judge a plan file, also one that optdock did not make: prove it, or name every rule it breaks.
+
+    The path is proven or refused. The motion is proven where the file holds its phases; samples alone can be refuted,
+    never proven, and what they leave open is said. Exit status 0: path certified and motion certified or not refuted.
+    """
     with reported():
         from optdock.config import load_scenario
         from optdock.io.plan_file import load_plan
@@ -33,9 +40,17 @@ def certify(
         raise typer.Exit(NOT_CERTIFIED)
 
 
+class _Motion(NamedTuple):
+    """What is said of a motion: in the verdict, in its own row, and every fault."""
+
+    verdict: str
+    row: str
+    faults: list[str]
+
+
 def _judged(plan: PlanFile, problem: DockingProblem) -> list[str]:
     """Every broken rule, printed with what was proven and what the file does not say."""
-    from optdock.cli.motion_samples import motion_faults
+    from optdock.cli.plan_claims import false_claims, proven_against
     from optdock.report import certificate_rows, table
     from optdock.verification import certify_path
 
@@ -44,13 +59,73 @@ def _judged(plan: PlanFile, problem: DockingProblem) -> list[str]:
     if plan.frame != problem.frame:
         return [f"the plan stands in frame {plan.frame!r}, the scenario in {problem.frame!r}; transform one of them"]
     certificate = certify_path(plan.path, problem)
-    faults = [violation.message for violation in certificate.violations]
-    motion = "none in the file, the path alone is judged"
-    if plan.trajectory is not None:
-        broken = motion_faults(plan.trajectory, plan.path, problem)
-        motion = f"{plan.trajectory.t.size} samples, {'refuted' if broken else 'none breaks a limit'}"
-        faults += broken
-    verdict = "not certified" if faults else "certified"
-    rows = [("verdict", verdict), *certificate_rows(certificate), ("motion", motion)]
-    typer.echo(table([*rows, *(("violation", fault) for fault in faults)]))
+    motion = _motion(plan, plan.path, problem)
+    faults = [*(violation.message for violation in certificate.violations), *motion.faults]
+    claims, made_for = false_claims(plan, certificate), proven_against(plan, certificate)
+    rows = [
+        ("verdict", "not certified" if faults else motion.verdict),
+        *certificate_rows(certificate),
+        *((("file proven for", made_for),) if made_for else ()),
+        *(("false claim", claim) for claim in claims),
+        ("motion", motion.row),
+        *(("violation", fault) for fault in faults),
+    ]
+    typer.echo(table(rows))
+    for claim in claims:
+        typer.echo(f"false claim: {claim}", err=True)
     return faults
+
+
+def _motion(plan: PlanFile, path: DockPath, problem: DockingProblem) -> _Motion:
+    if plan.trajectory is None:
+        return _Motion("path certified", "none in the file, the path alone is judged", [])
+    if plan.time_law is None:
+        return _sampled(plan.trajectory, path, problem)
+    return _exact(plan.trajectory, path, plan.time_law, problem)
+
+
+def _exact(motion: TrajectoryColumns, path: DockPath, law: TimeLaw, problem: DockingProblem) -> _Motion:
+    """The proof of the phases, and whether the samples are those of them."""
+    import numpy as np
+
+    from optdock.trajectory import Trajectory
+    from optdock.verification import certify_trajectory, check_samples_of
+
+    trajectory = Trajectory(path, law)
+    proof = certify_trajectory(
+        trajectory, problem.robot.limits, problem.dock.approach, start_speed=abs(problem.start_speed)
+    )
+    samples = check_samples_of(trajectory, motion, problem)
+    faults = [violation.message for violation in (*proof.violations, *samples.violations)]
+    said = f"{law.durations.size} phases, {law.duration:.3f} s"
+    if faults and np.array_equal(np.round(law.durations, 6), law.durations):
+        judged = _sampled(motion, path, problem)
+        return judged._replace(row=f"the phases are rounded and prove nothing; {judged.row}")
+    if faults:
+        return _Motion("not certified", f"{said}, refuted", faults)
+    return _Motion("certified", f"{said}, certified; {samples.samples} samples agree with them{_beside(samples)}", [])
+
+
+def _beside(verdict: SampledMotionVerdict) -> str:
+    """What is said of samples that lie beside the path."""
+    if not verdict.off_path:
+        return ""
+    apart, turned = verdict.offset
+    return f", with poses up to {apart:.2g} m and {turned:.2g} rad off it, which its clearance covers"
+
+
+def _sampled(motion: TrajectoryColumns, path: DockPath, problem: DockingProblem) -> _Motion:
+    """What the samples refute, and what they leave open."""
+    from optdock.verification import check_sampled_motion
+
+    verdict = check_sampled_motion(motion, path, problem)
+    if verdict.refuted:
+        faults = [violation.message for violation in verdict.violations]
+        return _Motion("not certified", f"{verdict.samples} samples, refuted", faults)
+    units = {"speed": "m/s", "acceleration": "m/s^2", "place": "m", "yaw rate": "rad/s"}
+    open_ = ", ".join(f"{name} to within {bound:.2g} {units[name]}" for name, bound in verdict.unproven.items())
+    row = (
+        f"{verdict.samples} samples agree with each other, the path and the limits{_beside(verdict)}; between samples "
+        f"({1e3 * verdict.step:.3g} ms) unproven: the jerk, and if it keeps its limit {open_}"
+    )
+    return _Motion("path certified, motion not refuted", row, [])

@@ -84,7 +84,9 @@ def refuse_fault(run: Run) -> None:
 
 
 def driven(scenario: Scenario, plan: DockPlan, seed: int, world: World = _USUAL) -> Run:
-    """The plan driven in closed loop by the scenario's controller.
+    """The plan driven in closed loop by the scenario's controller until its goal checker says docked.
+
+    What the DockGoalChecker says at the end stands beside it: it alone judges the heading as well.
 
     Args:
         scenario: Names controller and goal checker.
@@ -103,8 +105,10 @@ def driven(scenario: Scenario, plan: DockPlan, seed: int, world: World = _USUAL)
     problem = scenario.problem
     controller = create_plugin(Controller, scenario.controller.name, scenario.controller.parameters)
     checker = create_plugin(GoalChecker, scenario.goal_checker.name, scenario.goal_checker.parameters)
-    for name, plugin in (("controller", controller), ("goal_checker", checker)):
-        plugin.configure(PluginContext(name, problem.costmap, problem.robot.footprint, problem))
+    second = create_plugin(GoalChecker, "DockGoalChecker")
+    beside = [] if isinstance(checker, type(second)) else [second]
+    for plugin in (controller, checker, *beside):
+        plugin.configure(PluginContext(type(plugin).__name__, problem=problem))
     period = float(controller.parameters.model_dump().get("period", 0.02))
     step = period / Actuation().substeps
     settings = SimulationSettings(
@@ -115,11 +119,16 @@ def driven(scenario: Scenario, plan: DockPlan, seed: int, world: World = _USUAL)
         seed=seed,
         obstacles=problem.all_obstacles,
     )
-    return run_closed_loop(plan.trajectory, problem.robot, problem.goal, controller, checker, settings)
+    return run_closed_loop(plan.trajectory, problem.robot, problem.goal, controller, checker, settings, beside=beside)
 
 
 def _checked(world: World) -> World:
+    from optdock.io.units import unit_fault
+
     for name, value in world._asdict().items():
         if not (math.isfinite(value) and value >= 0.0):
             raise InvalidValue(f"--{name.replace('_', '-')}: must be finite and >= 0, got {value}")
+    fault = unit_fault(world.yaw_noise, "rad")
+    if fault:
+        raise InvalidValue(f"--yaw-noise: {fault}")
     return world

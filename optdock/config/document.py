@@ -29,6 +29,7 @@ from optdock.geometry.footprint import Footprint
 from optdock.geometry.polygon import simple_polygon
 from optdock.geometry.pose import Pose2
 from optdock.io.numbers import is_number
+from optdock.io.units import check_outline, check_speed, check_yaw
 from optdock.limits import MotionLimits, SpeedZone
 from optdock.pipeline import DEFAULT_TIME_BUDGET
 from optdock.problem import ClearanceRule
@@ -45,7 +46,20 @@ def _pose(value: object) -> Pose2:
         raise InvalidValue(f"must be [x, y, yaw] in m, m, rad, got {value!r}")
     if any(math.isfinite(part) and abs(part) > _FARTHEST for part in value):
         raise InvalidValue(f"must be within +-{_FARTHEST:g} m, got {value!r}")
-    return Pose2.from_sequence(value)
+    pose = Pose2.from_sequence(value)
+    check_yaw(pose.yaw)
+    return pose
+
+
+def _outline(value: object) -> Footprint:
+    footprint = _footprint(value)
+    check_outline(footprint)
+    return footprint
+
+
+def _speed(value: float) -> float:
+    check_speed(value)
+    return value
 
 
 def _footprint(value: object) -> Footprint:
@@ -83,7 +97,8 @@ class _Parsed:
 Number = Annotated[float, Field(strict=True)]
 Distance = Annotated[Number, AfterValidator(_distance)]
 PoseValue = Annotated[Pose2, _Parsed(_pose)]
-FootprintValue = Annotated[Footprint, _Parsed(_footprint)]
+FootprintValue = Annotated[Footprint, _Parsed(_outline)]
+Speed = Annotated[Number, AfterValidator(_speed)]
 PolygonValue = Annotated[list[list[float]], _Parsed(_polygon)]
 Section = dict[str, object]
 
@@ -98,15 +113,15 @@ _LIMITS = MotionLimits()
 class LimitsDocument(_Part):
     """`robot.limits`; what is not given keeps the default of `MotionLimits`."""
 
-    max_speed: Number = _LIMITS.max_speed
-    max_reverse_speed: Number = _LIMITS.max_reverse_speed
+    max_speed: Speed = _LIMITS.max_speed
+    max_reverse_speed: Speed = _LIMITS.max_reverse_speed
     max_acceleration: Number = _LIMITS.max_acceleration
     max_deceleration: Number = _LIMITS.max_deceleration
     max_jerk: Number = _LIMITS.max_jerk
     max_yaw_rate: Number = _LIMITS.max_yaw_rate
     max_yaw_acceleration: Number = _LIMITS.max_yaw_acceleration
     max_lateral_acceleration: Number = _LIMITS.max_lateral_acceleration
-    max_wheel_speed: Number = _LIMITS.max_wheel_speed
+    max_wheel_speed: Speed = _LIMITS.max_wheel_speed
     track_width: Number = _LIMITS.track_width
     max_curvature: Number = _LIMITS.max_curvature
     max_curvature_rate: Number = _LIMITS.max_curvature_rate
@@ -134,7 +149,7 @@ class RobotDocument(_Part):
     @classmethod
     def _positive(cls, value: float | None) -> float | None:
         if value is not None:
-            Footprint.from_radius(value)
+            check_outline(Footprint.from_radius(value))
         return value
 
     @model_validator(mode="after")
@@ -156,7 +171,7 @@ class DockDocument(_Part):
     footprint: FootprintValue | None = None
     direction: DockDirection = DockDirection.AUTO
     final_straight: Number = 0.0
-    approach_speed: Number = math.inf
+    approach_speed: Speed = math.inf
     approach_distance: Distance = 0.0
 
     @field_validator("final_straight")
@@ -188,7 +203,7 @@ class StartDocument(_Part):
     """`start`."""
 
     pose: PoseValue
-    speed: Annotated[Number, Field(allow_inf_nan=False)] = 0.0
+    speed: Annotated[Speed, Field(allow_inf_nan=False)] = 0.0
     curvature: Annotated[Number, Field(allow_inf_nan=False)] | None = None
 
     @property

@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING
 from optdock.config.faults import Fault
 from optdock.config.plugin_sections import plugin_choice
 from optdock.config.scenario import Scenario
-from optdock.costmap import obstacles_from_costmap
 from optdock.dock import Dock
 from optdock.errors import DockNotInDB, DockNotValid, InvalidFile, InvalidValue
 from optdock.geometry.pose import Pose2
@@ -19,6 +18,7 @@ from optdock.io.maps import load_map
 from optdock.io.nav2_docking import DockType
 from optdock.io.nav2_params import Nav2Params, load_nav2_params
 from optdock.io.numbers import is_number
+from optdock.io.units import unit_fault
 from optdock.limits import MotionLimits, SpeedZone
 from optdock.parameters import closest
 from optdock.pipeline import DEFAULT_TIME_BUDGET, PluginChoices
@@ -41,6 +41,8 @@ _SMOOTHER_LIMITS = (
     ("max_yaw_acceleration", "max_accel", "yaw", 1),
     ("max_yaw_acceleration", "max_decel", "yaw", -1),
 )
+# Units of components that are asked about where they are implausible.
+_UNITS = {("max_velocity", "x"): "m/s", ("min_velocity", "x"): "m/s"}
 
 
 def nav2_scenario(
@@ -82,7 +84,6 @@ def nav2_scenario(
         start=_start(start),
         dock=Dock(dock.pose, direction=dock_type.dock_direction, approach=_approach(params, dock_type)),
         robot=Robot(costmap_params.outline, nav2_limits(params)),
-        obstacles=obstacles_from_costmap(costmap),
         costmap=costmap,
         frame=dock.frame,
     )
@@ -128,9 +129,13 @@ def _check_frame(dock: DockEntry, costmap: CostmapParams, source: str) -> None:
 
 def _start(text: str) -> Pose2:
     try:
-        return Pose2.from_sequence([float(part) for part in text.split(",")])
+        pose = Pose2.from_sequence([float(part) for part in text.split(",")])
     except ValueError as error:
         raise InvalidValue(f"--start: must be x,y,yaw in m, m, rad, got {text!r}") from error
+    fault = unit_fault(pose.yaw, "rad")
+    if fault:
+        raise InvalidValue(f"--start: yaw {fault}")
+    return pose
 
 
 def nav2_limits(params: Nav2Params) -> MotionLimits:
@@ -163,6 +168,10 @@ def _entry(values: Mapping[str, object], name: str, axis: str, sign: int) -> flo
     if not (math.isfinite(value) and sign * value > 0.0):
         no_reverse = "; a robot that cannot reverse is not known here" if name == "min_velocity" else ""
         raise InvalidValue(f"{name}: {axis} must be finite and {'>' if sign > 0 else '<'} 0, got {value}{no_reverse}")
+    unit = _UNITS.get((name, axis))
+    fault = unit_fault(value, unit) if unit else ""
+    if fault:
+        raise InvalidValue(f"{name}: {axis} {fault}")
     return sign * value
 
 
@@ -175,4 +184,7 @@ def _approach(params: Nav2Params, dock_type: DockType) -> SpeedZone:
     speed = controller.get("v_linear_max", 0.25)
     if not (is_number(speed) and 0.0 < speed < math.inf):
         raise InvalidFile(f"{place}.v_linear_max: must be finite and > 0 m/s, got {speed!r}")
+    fault = unit_fault(speed, "m/s")
+    if fault:
+        raise InvalidFile(f"{place}.v_linear_max: {fault}")
     return SpeedZone(float(speed), abs(dock_type.staging_x_offset))

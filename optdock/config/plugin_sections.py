@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
 from typing import TYPE_CHECKING
 
@@ -9,6 +10,8 @@ from pydantic import ValidationError
 
 from optdock.config.faults import Fault, faults_of
 from optdock.errors import PluginError
+from optdock.io.numbers import is_number
+from optdock.io.units import unit_fault
 from optdock.pipeline import PluginChoice, PluginChoices
 from optdock.plugins import INTERFACES, load_plugin
 
@@ -25,6 +28,7 @@ PLUGIN_DEFAULTS: Mapping[str, str] = {
     "controller": "TrackingController",
     "goal_checker": "DockGoalChecker",
 }
+_UNIT = re.compile(r"\[(rad|m/s)\]$")
 
 
 def plugin_choice(kind: str, section: object, faults: list[Fault]) -> PluginChoice:
@@ -56,11 +60,15 @@ def plugin_choice(kind: str, section: object, faults: list[Fault]) -> PluginChoi
 
 def parameter_faults(plugin: type[Plugin], parameters: Mapping[str, object], base: tuple[str, ...]) -> list[Fault]:
     """What a plugin's parameter model finds wrong with `parameters`."""
+    fields = plugin.Parameters.model_fields
     try:
         plugin.Parameters.model_validate(dict(parameters))
     except ValidationError as error:
-        return faults_of(error, lambda key: plugin.Parameters.model_fields if not key else (), base)
-    return []
+        return faults_of(error, lambda key: fields if not key else (), base)
+    # Every field's description ends in its unit.
+    given = ((name, value, _UNIT.search(fields[name].description or "")) for name, value in parameters.items())
+    asked = ((name, unit_fault(value, unit[1])) for name, value, unit in given if unit and is_number(value))
+    return [Fault((*base, name), fault) for name, fault in asked if fault]
 
 
 def _plural(kind: str) -> str:

@@ -12,7 +12,6 @@ from pydantic import ValidationError
 from optdock.config.document import SECTIONS, ScenarioDocument, known_keys
 from optdock.config.faults import Fault, faults_of, report
 from optdock.config.plugin_sections import plugin_choice
-from optdock.costmap import obstacles_from_costmap
 from optdock.errors import InvalidFile, OptdockError
 from optdock.io.maps import load_map
 from optdock.io.yaml_lines import load_yaml
@@ -94,14 +93,11 @@ def _costmap(source: Path, name: object, faults: list[Fault]) -> Costmap | None:
 
 
 def _problem(document: ScenarioDocument, costmap: Costmap | None) -> DockingProblem:
-    obstacles = ObstacleSet.from_polygons(document.obstacles)
-    if costmap is not None:
-        obstacles = obstacles + obstacles_from_costmap(costmap)
     return DockingProblem(
         start=document.start.pose,
         dock=document.dock.value(),
         robot=document.robot.value(),
-        obstacles=obstacles,
+        obstacles=ObstacleSet.from_polygons(document.obstacles),
         clearance=document.clearance.value(),
         start_speed=document.start.speed,
         start_curvature=document.start.known_curvature,

@@ -16,6 +16,7 @@ from optdock.geometry.pose import Pose2, Twist2, normalize_angle
 from optdock.interfaces import Controller
 from optdock.parameters import PluginParameters
 from optdock.path import Direction, Path
+from optdock.surroundings import obstacles_near
 from optdock.trajectory import Trajectory
 from optdock.verification.sweep import free_motion
 
@@ -23,6 +24,7 @@ if TYPE_CHECKING:
     from typing_extensions import Self
 
     from optdock.interfaces import GoalChecker
+    from optdock.obstacles import ObstacleSet
 
 __all__ = ["GracefulController", "GracefulControllerParameters"]
 
@@ -112,10 +114,10 @@ class GracefulController(Controller):
         """Follow a path; the time law of a trajectory is ignored.
 
         Raises:
-            ControllerInvalidPath: It is neither a path nor a trajectory, or it has a reverse gear and allow_backward is
-                off.
+            ControllerInvalidPath: It is neither a path nor a trajectory, it stands in another frame than the configured
+                problem or was certified for another one, or it has a reverse gear and allow_backward is off.
         """
-        path = checked_task(path, "GracefulController")
+        path = checked_task(path, self.context, "GracefulController")
         path = path.path if isinstance(path, Trajectory) else path
         legs = [
             (segment.direction, [Pose2.from_sequence(row) for row in Path((segment,)).sample(_SPACING).poses])
@@ -139,13 +141,13 @@ class GracefulController(Controller):
         self._last = self._braked() if self._cancelled else self._followed(pose, goal_checker)
         return self._last
 
-    def set_speed_limit(self, limit: float, *, percentage: bool) -> None:
+    def set_speed_limit(self, limit: float, percentage: bool) -> None:  # noqa: FBT001 - Nav2's order of arguments
         """Scale both speeds, to `limit` percent or to `limit` m/s; never below v_linear_min; 0 removes the limit.
 
         Raises:
-            InvalidValue: The limit is negative or not finite.
+            InvalidValue: The limit is negative or not finite, or `percentage` is no bool.
         """
-        limit = checked_speed_limit(limit, "GracefulController")
+        limit = checked_speed_limit(limit, percentage, "GracefulController")
         top = self.parameters.v_linear_max
         share = (limit / 100.0 if percentage else limit / top) if limit > 0.0 else 1.0
         self._speed_share = min(1.0, share)
@@ -214,7 +216,7 @@ class GracefulController(Controller):
 
     def _towards(self, pose: Pose2, gear: Direction, leg: list[Pose2]) -> Twist2:
         """The law towards the furthest pose within the lookahead whose rollout is free."""
-        p = self.parameters
+        p, obstacles = self.parameters, self._obstacles_around(pose)
         to_goal = sum(before.distance_to(after) for before, after in itertools.pairwise(leg))
         for waypoint in reversed(leg):
             distance = waypoint.distance_to(pose)
@@ -225,20 +227,28 @@ class GracefulController(Controller):
             target = waypoint
             if to_goal < p.max_lookahead and p.prefer_final_rotation:
                 target = _facing(waypoint, pose, gear)
-            if self._is_free(target, pose, gear):
+            if self._is_free(target, pose, gear, obstacles):
                 return self.law.command(target, pose, gear)
         raise NoValidControl("GracefulController: no target within the lookahead can be reached without a collision")
 
-    def _is_free(self, target: Pose2, pose: Pose2, gear: Direction) -> bool:
-        problem = self.context.problem
-        if problem is None or not self.parameters.use_collision_detection:
+    def _obstacles_around(self, pose: Pose2) -> ObstacleSet:
+        """All that a rollout can meet: it approaches a target within the lookahead, step by step."""
+        p, outline = self.parameters, self.context.footprint
+        reach = 2.0 * p.max_lookahead + _ROLLOUT_STEP * p.v_linear_max
+        reach += 0.0 if outline is None else outline.circumscribed_radius
+        centre = np.array([pose.x, pose.y])
+        return obstacles_near(self.context, centre - reach, centre + reach)
+
+    def _is_free(self, target: Pose2, pose: Pose2, gear: Direction, obstacles: ObstacleSet) -> bool:
+        footprint = self.context.footprint
+        if footprint is None or not self.parameters.use_collision_detection:
             return True
         law = self.law
         for _ in range(_ROLLOUT_STEPS):
             if target.distance_to(pose) < _AT_TARGET:
                 return True
             command = law.command(target, pose, gear)
-            if free_motion(problem.robot.footprint, problem.all_obstacles, pose, command, _ROLLOUT_STEP).row >= 0:
+            if free_motion(footprint, obstacles, pose, command, _ROLLOUT_STEP).row >= 0:
                 return False
             before, pose = pose, pose.moved(command, _ROLLOUT_STEP)
             if target.distance_to(pose) >= target.distance_to(before):

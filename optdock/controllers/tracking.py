@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 from pydantic import Field
 
+from optdock.controllers._ahead import require_free_stop
 from optdock.controllers._delay import DelayEstimate
 from optdock.controllers._law import Gains, tracking_command
 from optdock.controllers._limiter import rate_limited
@@ -52,6 +53,10 @@ class TrackingControllerParameters(PluginParameters):
     min_yaw_rate: float = Field(default=0.0, ge=0.0, description="smallest yaw rate it executes [rad/s]")
     finish_tolerance: float = Field(default=0.002, gt=0.0, description="the smallest speed is used beyond this [m]")
     finish_yaw_tolerance: float = Field(default=0.005, gt=0.0, description="as finish_tolerance, for yaw [rad]")
+    use_collision_detection: bool = Field(default=True, description="look for obstacles on the way to a stop")
+    collision_tolerance: float = Field(
+        default=0.01, ge=0.0, description="depth of contact that noise and a pressed bumper may show [m]"
+    )
     time_parameterizer: str = Field(default="NearOptimal", description="plugin that times a path handed over untimed")
 
 
@@ -72,6 +77,11 @@ class TrackingController(Controller):
     **Finish.** At the trajectory's end the same law holds the last pose: errors along and in yaw decay exponentially
     to zero, without a dead band of its own. A drive that ignores small commands is given at least `min_speed`
     (`min_yaw_rate`) until within `finish_tolerance`. An error across cannot be removed by a wheeled robot in place.
+
+    **Collisions.** A command after which the robot could no longer stop before it is `collision_tolerance` deep in
+    something is refused: NoValidControl, and the server stops the robot. The certified path needs no such check; an
+    obstacle that has come since, or a robot off its path, does. What counts is what the context holds: the problem, and
+    the costmaps as they are now; without either nothing is checked.
 
     **Limits.** Those of the context's robot. Without one: the defaults of `MotionLimits`, widened to 1.2 times the
     peaks of the trajectory. Commands are admissible for the drive and change no faster than it can accelerate.
@@ -102,11 +112,11 @@ class TrackingController(Controller):
         A path is timed from the speed of the last command, so that a new path in motion is taken up without a stop.
 
         Raises:
-            ControllerInvalidPath: It is neither a path nor a trajectory, or the path cannot be timed under the robot's
-                limits.
+            ControllerInvalidPath: It is neither a path nor a trajectory, it stands in another frame than the configured
+                problem or was certified for another one, or it cannot be timed under the robot's limits.
             PluginError: The time parameterizer does not exist.
         """
-        path = checked_task(path, "TrackingController")
+        path = checked_task(path, self.context, "TrackingController")
         trajectory = path if isinstance(path, Trajectory) else self._timed(path)
         self._reference = Reference(trajectory)
         self._anchored = self._cancelled = False
@@ -122,7 +132,8 @@ class TrackingController(Controller):
 
         Raises:
             ControllerInvalidPath: There is no path.
-            NoValidControl: The robot is further than `max_error` or `max_yaw_error` from the reference.
+            NoValidControl: The robot is further than `max_error` or `max_yaw_error` from the reference, or would
+                collide.
         """
         if self._reference is None:
             raise ControllerInvalidPath("TrackingController: has no path; call set_path first")
@@ -134,17 +145,21 @@ class TrackingController(Controller):
         error = now.pose.in_frame_of(pose)
         self._check_error(error)
         wanted = self._wanted(self._reference, now, error, goal_checker)
-        self._last = admissible(rate_limited(self._last, wanted, self._limits, p.period), self._limits, self._drive)
+        command = admissible(rate_limited(self._last, wanted, self._limits, p.period), self._limits, self._drive)
         self._seen = (now, error.x * now.gear)
-        return self._last
+        self._last = Twist2()  # what a refusal leaves the robot with
+        if p.use_collision_detection:
+            require_free_stop(self.context, pose, command, self._limits, p.period, p.collision_tolerance)
+        self._last = command
+        return command
 
-    def set_speed_limit(self, limit: float, *, percentage: bool) -> None:
+    def set_speed_limit(self, limit: float, percentage: bool) -> None:  # noqa: FBT001 - Nav2's order of arguments
         """Slow the whole reference down, to `limit` percent or to a peak speed of `limit` m/s; 0 removes the limit.
 
         Raises:
-            InvalidValue: The limit is negative or not finite.
+            InvalidValue: The limit is negative or not finite, or `percentage` is no bool.
         """
-        limit = checked_speed_limit(limit, "TrackingController")
+        limit = checked_speed_limit(limit, percentage, "TrackingController")
         self._speed_limit = (limit, percentage) if limit > 0.0 else None
 
     def cancel(self) -> bool:

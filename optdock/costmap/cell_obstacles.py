@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
@@ -18,7 +19,7 @@ if TYPE_CHECKING:
     from optdock.costmap.costmap import Costmap
     from optdock.geometry.arrays import BoolArray, FloatArray, IntArray
 
-__all__ = ["Region", "cell_rectangles", "obstacles_from_costmap"]
+__all__ = ["Region", "cell_rectangles", "mapped_obstacles", "obstacles_from_costmap"]
 
 Region: TypeAlias = "tuple[ArrayLike, ArrayLike]"
 
@@ -71,6 +72,17 @@ def obstacles_from_costmap(
         outside = _border(costmap)
         obstacles = obstacles + (outside if box is None else outside.in_box(box[0], box[1]))
     return obstacles
+
+
+@functools.lru_cache(maxsize=16)
+def mapped_obstacles(costmap: Costmap, *, unknown_is_obstacle: bool = True) -> ObstacleSet:
+    """All that a frozen costmap says must not be touched: `obstacles_from_costmap` of the whole map, found once.
+
+    Args:
+        costmap: Frozen; the answer is kept for as long as few other maps are asked for.
+        unknown_is_obstacle: As there.
+    """
+    return obstacles_from_costmap(costmap, unknown_is_obstacle=unknown_is_obstacle)
 
 
 def cell_rectangles(occupied: BoolArray) -> IntArray:

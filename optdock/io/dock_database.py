@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 from optdock.errors import InvalidFile, InvalidValue
 from optdock.geometry.pose import Pose2
 from optdock.io.numbers import is_number
+from optdock.io.units import check_yaw
 from optdock.io.yaml_lines import load_yaml
 from optdock.parameters import closest
 
@@ -119,10 +120,12 @@ def _checked_pose(document: Document, keys: Keys, values: Sequence[object], faul
     if bad:
         return None
     try:
-        return Pose2(*(float(str(value)) for value in values))
+        pose = Pose2(*(float(str(value)) for value in values))
+        check_yaw(pose.yaw)
     except InvalidValue as error:
         faults.append(document.fault(keys, str(error)))
         return None
+    return pose
 
 
 def _missing(document: Document, keys: Keys, block: Mapping[str, object], key: str, what: str) -> str:

@@ -15,6 +15,7 @@ from optdock.costmap.costs import OCCUPANCY_UNKNOWN, OccupancyArray
 from optdock.costmap.occupancy import OccupancyGrid
 from optdock.errors import InvalidFile, InvalidValue
 from optdock.io.map_image import GreyImage, load_grey_image
+from optdock.io.units import unit_fault
 from optdock.io.yaml_lines import Document, load_yaml
 
 if TYPE_CHECKING:
@@ -208,7 +209,9 @@ class _InfoReader:
             return None
         if numbers[2] != 0.0:
             reason = "the cells of a costmap run along x and y, and Nav2's costmap ignores the yaw; rotate the image"
-            self.refuse("origin", f"yaw must be 0, got {numbers[2]}: {reason}")
+            implausible = unit_fault(numbers[2], "rad")
+            got = f"yaw {implausible}; but it must be 0" if implausible else f"yaw must be 0, got {numbers[2]}"
+            self.refuse("origin", f"{got}: {reason}")
             return None
         return numbers[0], numbers[1]
 

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 from optdock.errors import InvalidValue
 from optdock.geometry.footprint import Footprint
 from optdock.io.nav2_numbers import NumberReader
+from optdock.io.units import check_outline
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -58,8 +59,8 @@ def read_costmap(
     costmap = CostmapParams(
         name=name,
         footprint=_footprint(values.get("footprint", "[]"), read),
-        robot_radius=read.number("robot_radius", 0.1, positive=True),
-        footprint_padding=read.number("footprint_padding", 0.01),
+        robot_radius=read.number("robot_radius", 0.1, positive=True, unit="m"),
+        footprint_padding=read.number("footprint_padding", 0.01, unit="m"),
         resolution=read.number("resolution", 0.1, positive=True),
         global_frame=read.text("global_frame", "map"),
         layers=_names(values.get("plugins")),
@@ -78,10 +79,12 @@ def _footprint(value: object, read: NumberReader) -> Footprint | None:
     if text in _NO_FOOTPRINT:
         return None
     try:
-        return Footprint.from_string(text)
+        footprint = Footprint.from_string(text)
+        check_outline(footprint)
     except InvalidValue as error:
         read.fault("footprint", str(error).removeprefix("footprint: "))
         return None
+    return footprint
 
 
 def _names(value: object) -> tuple[str, ...]:

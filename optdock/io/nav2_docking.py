@@ -58,6 +58,6 @@ def read_dock_type(
         name=name,
         dock_direction=DockDirection(direction),
         staging_x_offset=read.number("staging_x_offset", -0.7),
-        staging_yaw_offset=read.number("staging_yaw_offset", 0.0),
+        staging_yaw_offset=read.number("staging_yaw_offset", 0.0, unit="rad"),
         docking_threshold=read.number("docking_threshold", 0.05, positive=True),
     )

@@ -6,6 +6,7 @@ import math
 from typing import TYPE_CHECKING
 
 from optdock.io.numbers import is_number
+from optdock.io.units import unit_fault
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -28,12 +29,16 @@ class NumberReader:
     def __init__(self, document: Document, keys: Keys, values: Mapping[str, object], faults: list[str]) -> None:
         self._document, self._keys, self._values, self._faults = document, keys, values, faults
 
-    def number(self, name: str, default: float, *, positive: bool = False) -> float:
-        """The finite number called `name`, or its default where it is absent or wrong."""
+    def number(self, name: str, default: float, *, positive: bool = False, unit: str = "") -> float:
+        """The finite number called `name`, or its default where it is absent, wrong, or implausible in its `unit`."""
         value = self._values.get(name, default)
         rule = "a number > 0" if positive else "a finite number"
         if not (is_number(value) and math.isfinite(value) and (value > 0.0 or not positive)):
             self.fault(name, f"must be {rule}, got {value!r}")
+            return default
+        implausible = unit_fault(value, unit)
+        if implausible:
+            self.fault(name, implausible)
             return default
         return float(value)
 

@@ -1,11 +1,13 @@
 """Paths as columns of numbers: how plan files hold them.
 
 The samples alone make a polyline. Where the exact curves stand beside them (`segments`), they are the path, and the
-samples must lie on it.
+samples must lie on it. A program that rounds all numbers of a file rounds those of the curves too, and they miss their
+samples and their goal; then the samples are the path.
 """
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Annotated, Literal, TypeAlias
 
@@ -16,15 +18,23 @@ from optdock.errors import InvalidFile
 from optdock.geometry.clothoid import ClothoidSpline
 from optdock.geometry.pose import Pose2
 from optdock.path import ClothoidSegment, Direction, Path, PolylineSegment, Segment
+from optdock.verification.samples import half_unit
 
 if TYPE_CHECKING:
+    from collections.abc import Iterator, Sequence
+
     from optdock.geometry.arrays import FloatArray
 
-__all__ = ["PathColumns", "path_columns", "path_from_columns"]
+__all__ = ["Number", "PathColumns", "path_columns", "path_from_columns"]
+
+logger = logging.getLogger(__name__)
 
 # Samples of an exact path may differ from it by this much [m, rad].
 AGREEMENT = 1e-6
+_ROUNDED = 1e-4  # [m, rad]: where rounded curves may end beside their last sample
 _STILL = 1e-9  # [m]: shorter steps carry no direction
+_ENOUGH = 3  # steps that show which unit yaws are in
+_ALIGNED = 0.05  # sine of the angle between motion and heading; wheels roll within it
 
 Gear: TypeAlias = Literal[1, -1]
 # Numbers beyond this are no plan of anything; a polyline that turns in place has this curvature.
@@ -103,11 +113,33 @@ def path_from_columns(columns: PathColumns, name: str) -> Path:
     poses = np.column_stack((columns.x, columns.y, columns.yaw))
     _check_arc_length(columns, poses, name)
     if not columns.segments:
+        _check_radians(poses, name)
         _check_directions(columns, poses, name)
         return Path.from_poses(poses)
     path = Path(tuple(_segment(curve) for curve in columns.segments))
-    _check_agreement(columns, poses, path, name)
+    try:
+        _check_agreement(columns, poses, path, name)
+    except InvalidFile as error:
+        if not _are_rounded(columns.segments, path, poses):
+            raise
+        logger.warning("%s; the segments are rounded, so the samples count", error)
+        return path_from_columns(columns.model_copy(update={"segments": None}), name)
     return path
+
+
+def _are_rounded(curves: Sequence[_Clothoid | _Polyline], path: Path, poses: FloatArray) -> bool:
+    """Whether all numbers of the curves have at most six decimals, and no more than that keeps them off the samples."""
+    numbers = np.fromiter((number for curve in curves for number in _numbers(curve)), dtype=np.float64)
+    ends = np.stack((path.start.as_array(), path.end.as_array())) - poses[[0, -1]]
+    ends[:, 2] = np.remainder(ends[:, 2] + np.pi, 2.0 * np.pi) - np.pi
+    return bool(np.array_equal(np.round(numbers, 6), numbers) and np.max(np.abs(ends)) <= _ROUNDED)
+
+
+def _numbers(curve: _Clothoid | _Polyline) -> Iterator[float]:
+    if isinstance(curve, _Clothoid):
+        yield from (*curve.start, *curve.knots, *curve.curvature)
+    else:
+        yield from (number for pose in curve.poses for number in pose)
 
 
 def _segment(curve: _Clothoid | _Polyline) -> Segment:
@@ -133,11 +165,33 @@ def _check_arc_length(columns: PathColumns, poses: FloatArray, name: str) -> Non
     if abs(columns.s[0]) > AGREEMENT:
         raise InvalidFile(f"{name}.s: must start at 0 m, got {columns.s[0]}")
     chord = np.hypot(np.diff(poses[:, 0]), np.diff(poses[:, 1]))
-    short = np.flatnonzero(np.diff(columns.s) < chord - 2.0 * AGREEMENT)
+    rounding = AGREEMENT
+    if not columns.segments:  # samples are all there is, and may be rounded
+        rounding = half_unit(np.array(columns.s)) + np.sqrt(2.0) * half_unit(poses[:, 0], poses[:, 1])
+    short = np.flatnonzero(np.diff(columns.s) < chord - 2.0 * rounding)
     if short.size:
         i = int(short[0])
         step = columns.s[i + 1] - columns.s[i]
         raise InvalidFile(f"{name}.s: grows by {step:.6g} m over {chord[i]:.6g} m from sample {i} to {i + 1}")
+
+
+def _check_radians(poses: FloatArray, name: str) -> None:
+    """Yaws may have turned on beyond 2 pi; those that only as degrees point along the motion are in degrees."""
+    step = np.diff(poses[:, :2], axis=0)
+    moving = np.hypot(step[:, 0], step[:, 1]) > _STILL
+    if np.count_nonzero(moving) < _ENOUGH or np.max(np.abs(poses[:, 2])) <= 2.0 * np.pi:
+        return
+    way = np.arctan2(step[moving, 1], step[moving, 0])
+    ends = poses[:-1, 2][moving], poses[1:, 2][moving]
+    # Along the motion or against it, whichever gear that is.
+    in_radians, in_degrees = (
+        float(np.median(np.abs(np.sin(way - 0.5 * factor * (ends[0] + ends[1]))))) for factor in (1.0, np.pi / 180.0)
+    )
+    if in_degrees < _ALIGNED < in_radians:
+        worst = float(poses[np.argmax(np.abs(poses[:, 2])), 2])
+        raise InvalidFile(
+            f"{name}.yaw: {worst:g} is beyond 2 pi, and the robot moves along its yaws in degrees; write radians"
+        )
 
 
 def _check_directions(columns: PathColumns, poses: FloatArray, name: str) -> None:

@@ -7,22 +7,23 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path as FilePath
-from typing import TYPE_CHECKING, Literal, NamedTuple, NoReturn, TypeVar
+from typing import TYPE_CHECKING, Annotated, Literal, NamedTuple, NoReturn, TypeAlias, TypeVar
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, JsonValue, ValidationError
+from pydantic import BaseModel, ConfigDict, Field, JsonValue, ValidationError
 
 from optdock.errors import InvalidFile, InvalidPath, InvalidValue
 from optdock.geometry.arrays import frozen_array
 from optdock.io.atomic_file import write_text
-from optdock.io.path_columns import PathColumns, path_columns, path_from_columns
+from optdock.io.path_columns import Number, PathColumns, path_columns, path_from_columns
 from optdock.io.yaml_lines import printable
+from optdock.trajectory import TimeLaw
+from optdock.verification import SampledMotion
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
     from optdock.errors import OptdockError
-    from optdock.geometry.arrays import FloatArray
     from optdock.path import Path
     from optdock.trajectory import Trajectory
 
@@ -33,22 +34,17 @@ DEFAULT_SPACING = 0.02
 DEFAULT_PERIOD = 0.02
 CERTIFIED = "certified"
 MAX_SAMPLES = 1_000_000  # of a path or a trajectory in a file, about 100 MB
+MAX_FAULTS = 20  # that a message lists
+MAX_PHASES = 10_000  # of a time law; ours have some ten per gear
 
 T = TypeVar("T")
+Time: TypeAlias = Annotated[float, Field(ge=-1e11, le=1e11)]  # [s], some thousand years
 
 
-class TrajectoryColumns(NamedTuple):
-    """A timed motion in columns of Shape (n,), SI units; speed, acceleration and jerk are negative in reverse."""
+class TrajectoryColumns(SampledMotion):
+    """The samples of a timed motion, as a plan file holds them."""
 
-    t: FloatArray
-    x: FloatArray
-    y: FloatArray
-    yaw: FloatArray
-    speed: FloatArray
-    acceleration: FloatArray
-    jerk: FloatArray
-    yaw_rate: FloatArray
-    yaw_acceleration: FloatArray
+    __slots__ = ()
 
     @classmethod
     def from_trajectory(cls, trajectory: Trajectory, period: float) -> TrajectoryColumns:
@@ -85,10 +81,14 @@ class PlanFile:
         frame: Name of the coordinate frame.
         raw_path: What the planner proposed.
         path: What the smoother made of it.
-        trajectory: The timed motion.
+        trajectory: The timed motion, sampled.
+        time_law: The exact motion that the samples are of; None: they are all that is known.
         certificate: The proof in numbers, as `Certificate.as_dict` gives it.
         timing_ms: Milliseconds per stage.
         error: Why there is no certified plan.
+
+    Raises:
+        InvalidPath: A path names another frame.
     """
 
     status: str = CERTIFIED
@@ -97,9 +97,15 @@ class PlanFile:
     raw_path: Path | None = None
     path: Path | None = None
     trajectory: TrajectoryColumns | None = None
+    time_law: TimeLaw | None = None
     certificate: Mapping[str, object] | None = None
     timing_ms: Mapping[str, float] = field(default_factory=dict)
     error: PlanError | None = None
+
+    def __post_init__(self) -> None:
+        for name in ("raw_path", "path"):
+            path: Path | None = getattr(self, name)
+            object.__setattr__(self, name, None if path is None else path.with_frame(self.frame))
 
     def as_json(self, *, spacing: float = DEFAULT_SPACING) -> str:
         """The file's text.
@@ -116,12 +122,19 @@ class PlanFile:
         head = {"format": PLAN_FORMAT, "status": self.status, "completed": self.completed, "frame": self.frame}
         body: dict[str, object] = {name: path_columns(path, spacing) for name, path in paths.items()}
         if self.trajectory is not None:
-            body["trajectory"] = {name: column.tolist() for name, column in self.trajectory._asdict().items()}
+            columns = {name: column.tolist() for name, column in self.trajectory._asdict().items()}
+            body["trajectory"] = columns if self.time_law is None else {**columns, "phases": _phases(self.time_law)}
         if self.certificate is not None:
             body["certificate"] = finite_or_null(self.certificate)
         if self.error is not None:
             body["error"] = finite_or_null(self.error._asdict())
         return strict_json({**head, **body, "timing_ms": finite_or_null(self.timing_ms)})
+
+
+def _phases(law: TimeLaw) -> Mapping[str, object]:
+    """A time law as plain JSON values."""
+    start = [law.start_s, law.start_speed, law.start_acceleration]
+    return {"start": start, "durations": law.durations.tolist(), "jerks": law.jerks.tolist()}
 
 
 def _check_step(name: str, step: float, unit: str, extent: float) -> None:
@@ -179,16 +192,25 @@ class _Model(BaseModel):
     model_config = ConfigDict(strict=True, frozen=True, extra="ignore", allow_inf_nan=False)
 
 
+class _PhasesDocument(_Model):
+    """Phases of constant jerk along the travel: start [m, m/s, m/s^2], durations [s], jerks [m/s^3]."""
+
+    start: Annotated[list[Number], Field(min_length=3, max_length=3)]
+    durations: Annotated[list[Number], Field(max_length=MAX_PHASES)]
+    jerks: Annotated[list[Number], Field(max_length=MAX_PHASES)]
+
+
 class _TrajectoryDocument(_Model):
-    t: list[float]
-    x: list[float]
-    y: list[float]
-    yaw: list[float]
-    speed: list[float]
-    acceleration: list[float]
-    jerk: list[float]
-    yaw_rate: list[float]
-    yaw_acceleration: list[float]
+    t: list[Time]
+    x: list[Number]
+    y: list[Number]
+    yaw: list[Number]
+    speed: list[Number]
+    acceleration: list[Number]
+    jerk: list[Number]
+    yaw_rate: list[Number]
+    yaw_acceleration: list[Number]
+    phases: _PhasesDocument | None = None
 
 
 class _ErrorDocument(_Model):
@@ -222,6 +244,7 @@ def load_plan(source: FilePath) -> PlanFile:
     raw_path = _built(lambda: _path(document.raw_path, "raw_path"), faults)
     path = _built(lambda: _path(document.path, "path"), faults)
     trajectory = _built(lambda: _trajectory(document.trajectory), faults)
+    time_law = _built(lambda: _time_law(document.trajectory), faults)
     if faults:
         raise InvalidFile("\n".join(f"{source}: {fault}" for fault in faults))
     return PlanFile(
@@ -231,6 +254,7 @@ def load_plan(source: FilePath) -> PlanFile:
         raw_path=raw_path,
         path=path,
         trajectory=trajectory,
+        time_law=time_law,
         certificate=document.certificate,
         timing_ms={key: value for key, value in document.timing_ms.items() if value is not None},
         error=None if document.error is None else PlanError(*document.error.model_dump().values()),
@@ -259,13 +283,20 @@ def _parsed(source: FilePath) -> _PlanDocument:
     except json.JSONDecodeError as error:
         raise InvalidFile(f"{source}:{error.lineno}: not JSON: {error.msg}") from error
     except ValidationError as error:
-        raise InvalidFile("\n".join(_fault(source, item) for item in error.errors())) from error
+        raise InvalidFile(_faults(source, error)) from error
     except (ValueError, RecursionError) as error:
         raise InvalidFile(f"{source}: not a plan file: {error}") from error
 
 
 def _refuse_constant(name: str) -> NoReturn:
     raise ValueError(f"{name} is not JSON; numbers must be finite")
+
+
+def _faults(source: FilePath, error: ValidationError) -> str:
+    """One line each, and how many more there are: a column may hold a million wrong values."""
+    items = error.errors(include_url=False)
+    more = [f"{source}: and {len(items) - MAX_FAULTS} more faults"] if len(items) > MAX_FAULTS else []
+    return "\n".join([*(_fault(source, item) for item in items[:MAX_FAULTS]), *more])
 
 
 def _fault(source: FilePath, item: Mapping[str, object]) -> str:
@@ -288,3 +319,16 @@ def _trajectory(document: _TrajectoryDocument | None) -> TrajectoryColumns | Non
     if count < 2 or not np.all(np.diff(values["t"]) > 0.0):
         raise InvalidFile("trajectory.t: needs at least 2 samples, strictly increasing")
     return TrajectoryColumns(**values)
+
+
+def _time_law(document: _TrajectoryDocument | None) -> TimeLaw | None:
+    if document is None or document.phases is None:
+        return None
+    phases = document.phases
+    durations, jerks = np.array(phases.durations), np.array(phases.jerks)
+    if durations.size == jerks.size:  # rounding may have made nothing of a short phase
+        durations, jerks = durations[durations != 0.0], jerks[durations != 0.0]
+    try:
+        return TimeLaw(durations, jerks, *phases.start)
+    except InvalidValue as error:
+        raise InvalidFile(f"trajectory.phases: {error}") from error

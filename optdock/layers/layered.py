@@ -7,6 +7,7 @@ import math
 import time
 from typing import TYPE_CHECKING
 
+import numpy as np
 from pydantic import Field
 
 from optdock.costmap.costmap import Costmap
@@ -21,6 +22,7 @@ from optdock.parameters import PluginParameters, parse_parameters
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
 
+    from optdock.costmap.costs import CostArray
     from optdock.costmap.occupancy import OccupancyGrid
     from optdock.geometry.footprint import Footprint
     from optdock.geometry.pose import Pose2
@@ -124,7 +126,7 @@ class LayeredCostmap:
             The costs, read-only.
 
         Raises:
-            PluginError: A layer shrinks the bounds or returns NaN.
+            PluginError: A layer shrinks the bounds, returns NaN, or writes outside of its window.
             OptdockError: Whatever a layer raises.
         """
         active = self._active()
@@ -137,8 +139,10 @@ class LayeredCostmap:
         min_i, min_j, max_i, max_j = window_of(scratch, bounds)
         if min_i < max_i and min_j < max_j:
             scratch.data[min_j:max_j, min_i:max_i] = self._fill
-            for layer in active.values():
+            around = [part.copy() for part in _outside(scratch, (min_i, min_j, max_i, max_j))]
+            for name, layer in active.items():
                 layer.update_costs(scratch, min_i, min_j, max_i, max_j)
+                _require_untouched(name, around, scratch, (min_i, min_j, max_i, max_j))
         self._master, self._enabled, self._is_whole_stale = scratch, tuple(active), False
         self._snapshot = scratch.frozen()
         return self._snapshot
@@ -240,6 +244,23 @@ def _start(layers: Mapping[str, Layer], footprint: Footprint | None, clock: Call
                 layer.deactivate()
             layer.cleanup()
         raise
+
+
+def _outside(grid: Costmap, window: tuple[int, int, int, int]) -> list[CostArray]:
+    """The cells above, below, left and right of a window: views."""
+    min_i, min_j, max_i, max_j = window
+    rows = grid.data[min_j:max_j]
+    return [grid.data[:min_j], grid.data[max_j:], rows[:, :min_i], rows[:, max_i:]]
+
+
+def _require_untouched(name: str, around: list[CostArray], grid: Costmap, window: tuple[int, int, int, int]) -> None:
+    pairs = zip(around, _outside(grid, window), strict=True)
+    changed = sum(int(np.count_nonzero(before != after)) for before, after in pairs)
+    if changed:
+        raise PluginError(
+            f"layer {name}: update_costs must write inside of its window {window} only, but changed {changed} cells "
+            "outside of it"
+        )
 
 
 def _grown(name: str, before: Bounds, after: Bounds) -> Bounds:

@@ -115,8 +115,8 @@ class ObstacleLayer(Layer):
         return True
 
     def is_current(self) -> bool:
-        """False from a reset until the next update, and while a source is silent for too long."""
-        return not self._was_reset and not self._silent_sources()
+        """False from a reset until the next update, while a source is silent for too long, and where said so."""
+        return super().is_current() and not self._was_reset and not self._silent_sources()
 
     def is_enabled(self) -> bool:
         """Parameter `enabled`."""

@@ -112,8 +112,8 @@ class StaticLayer(Layer):
         self._pending = NOWHERE
 
     def is_current(self) -> bool:
-        """Whether it has a map."""
-        return self._map is not None
+        """Whether it has a map, and nobody said that it is out of date."""
+        return super().is_current() and self._map is not None
 
     def is_enabled(self) -> bool:
         """Parameter `enabled`."""

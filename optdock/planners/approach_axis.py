@@ -81,7 +81,11 @@ class ApproachAxis:
 
     @property
     def distance_df(self) -> float:
-        """From D to F [m]: room for a run-in from beyond the start."""
+        """From D to F [m], which the source does not give: the safety distance, or the start's distance if longer.
+
+        It leaves room for the turn away from the dock (`dir` -1) up to about 0.6 safety distances beside the axis. From
+        further aside the arc no longer fits before F, and where it does not fit before C either a corner is left.
+        """
         return max(self.safety_distance, self.distance_ad)
 
     def point_at(self, distance: float) -> FloatArray:

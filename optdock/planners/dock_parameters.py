@@ -17,7 +17,9 @@ class DockPlannerParameters(PluginParameters):
 
     cost_threshold: int = Field(200, ge=0, le=255, description="a cell with a cost at or above this blocks the curve")
     calib_safety_distance: float = Field(0.0, description="added to the robot's circumscribed radius [m]")
-    check_free_space: bool = Field(default=False, description="check the costmap under the centre of the robot")
+    check_free_space: bool = Field(
+        default=False, description="the costmap must be free under the robot's centre; needs one"
+    )
     degree: int = Field(2, ge=1, le=2, description="NURBS degree; three control points carry at most 2")
     step: float = Field(0.02, gt=0.0, le=1.0, description="coarsest sampling step of u")
     footprint_dock: tuple[tuple[float, float], ...] | None = Field(

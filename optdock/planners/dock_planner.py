@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import dataclasses
 from typing import TYPE_CHECKING, ClassVar
 
+import numpy as np
+
 from optdock.dock import DockDirection
-from optdock.errors import InvalidValue, LifecycleError
+from optdock.errors import InvalidValue, LifecycleError, NoValidPathCouldBeFound
 from optdock.interfaces import GlobalPlanner, LifecycleState, PluginContext, never_cancelled
 from optdock.planners.approach_axis import DockGeometry
 from optdock.planners.dock_parameters import DockPlannerParameters
@@ -14,9 +17,9 @@ from optdock.planners.two_segment import TwoSegmentPlan, plan_two_segment
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from optdock.costmap.costmap import Costmap
     from optdock.geometry.footprint import Footprint
     from optdock.geometry.pose import Pose2
+    from optdock.obstacles import ObstacleSet
     from optdock.parameters import PluginParameters
     from optdock.path import Path
 
@@ -60,7 +63,7 @@ class DockPlanner(GlobalPlanner):
         """
         import scipy.interpolate  # noqa: F401 - loaded for its side effect on the first plan's duration
 
-        if self._robot_footprint() is None:
+        if self.context.footprint is None:
             raise InvalidValue(
                 f"{self.context.name}: needs the robot's footprint; configure it with "
                 "PluginContext(footprint=...) or PluginContext(problem=...)"
@@ -69,11 +72,18 @@ class DockPlanner(GlobalPlanner):
     def create_plan(self, start: Pose2, goal: Pose2, cancel_checker: Callable[[], bool] = never_cancelled) -> Path:
         """The raw docking path: polylines, one per gear, in the frame of `start` and `goal`.
 
-        It starts exactly at `start` and ends exactly at `goal`. Whether the robot fits there is not asked here.
+        The path names that frame where a problem is configured, which says so.
+
+        It starts exactly at `start` and ends exactly at `goal`. With `check_free_space` both must lie on free cells of
+        the map, and no obstacle of the configured problem under the path; whether the whole robot fits there is asked
+        by `plan_dock`, not here.
 
         Raises:
             LifecycleError: The planner is not configured. That is the caller's mistake: no other goal, retry or
                 recovery can help, so it is not a PlannerException.
+            PlannerException: `check_free_space` is on, and there is no costmap to check.
+            StartOutsideMapBounds: Also StartOccupied, GoalOutsideMapBounds, GoalOccupied: `check_free_space` is on, and
+                an end is not free.
             NoValidPathCouldBeFound: A rule of the method is broken; the message says in which step and by how much.
             PlannerCancelled: `cancel_checker` returned True.
         """
@@ -88,32 +98,27 @@ class DockPlanner(GlobalPlanner):
 
         Raises:
             LifecycleError: As `create_plan`.
-            NoValidPathCouldBeFound: As `create_plan`.
-            PlannerCancelled: As `create_plan`.
+            PlannerException: As `create_plan`, and all its children.
         """
-        robot = self._robot_footprint()
+        robot = self.context.footprint
         if self.state not in (LifecycleState.INACTIVE, LifecycleState.ACTIVE) or robot is None:
             raise LifecycleError(
                 f"{self.context.name}: cannot plan when {self.state.value}; call configure(PluginContext(...)) first"
             )
         geometry = DockGeometry.from_footprints(robot, self._dock_footprint())
-        return plan_two_segment(start, goal, geometry, self._effective(), self._costmap(), cancel_checker)
-
-    def _robot_footprint(self) -> Footprint | None:
-        if self.context.footprint is not None or self.context.problem is None:
-            return self.context.footprint
-        return self.context.problem.robot.footprint
+        plan = plan_two_segment(start, goal, geometry, self._effective(), self.context.costmap, cancel_checker)
+        problem = self.context.problem
+        if problem is None:
+            return plan
+        if self.parameters.check_free_space:
+            _check_free(plan.path, problem.all_obstacles)
+        return dataclasses.replace(plan, path=plan.path.with_frame(problem.frame))
 
     def _dock_footprint(self) -> Footprint | None:
         given = self.parameters.dock_outline
         if given is not None or self.context.problem is None:
             return given
         return self.context.problem.dock.footprint
-
-    def _costmap(self) -> Costmap | None:
-        if self.context.costmap is not None or self.context.problem is None:
-            return self.context.costmap
-        return self.context.problem.costmap
 
     def _effective(self) -> DockPlannerParameters:
         problem = self.context.problem
@@ -122,10 +127,26 @@ class DockPlanner(GlobalPlanner):
         return self.parameters.model_copy(update={"direction": problem.dock.direction})
 
 
+def _check_free(path: Path, obstacles: ObstacleSet) -> None:
+    """As the costmap under the robot's centre must be free, no obstacle may lie there.
+
+    Raises:
+        NoValidPathCouldBeFound: One does.
+    """
+    points = np.concatenate([segment.poses_at(segment.knots)[:, :2] for segment in path.segments])
+    rows = obstacles.rows_at(points)
+    blocked = np.flatnonzero(rows >= 0)
+    if blocked.size:
+        x, y = (float(value) for value in points[blocked[0]])
+        name = obstacles.name_of(int(rows[blocked[0]]))
+        raise NoValidPathCouldBeFound(
+            f"dock planner: the path is blocked at ({x:.3f}, {y:.3f}) by {name}",
+            where={"x": x, "y": y, "obstacle": name},
+        )
+
+
 def _same(known: PluginContext, offered: PluginContext) -> bool:
-    pairs = (
-        (known.costmap, offered.costmap),
-        (known.footprint, offered.footprint),
-        (known.problem, offered.problem),
-    )
-    return all(mine is theirs for mine, theirs in pairs)
+    if known.costmap is not offered.costmap or known.footprint is not offered.footprint:
+        return False
+    mine, theirs = known.problem, offered.problem
+    return mine is theirs or (mine is not None and theirs is not None and mine.fingerprint == theirs.fingerprint)

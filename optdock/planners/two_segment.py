@@ -13,7 +13,14 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from optdock.errors import PlannerCancelled
+from optdock.errors import (
+    GoalOccupied,
+    GoalOutsideMapBounds,
+    PlannerCancelled,
+    PlannerException,
+    StartOccupied,
+    StartOutsideMapBounds,
+)
 from optdock.geometry.arrays import readonly
 from optdock.geometry.pose import unwrap_yaw
 from optdock.interfaces import never_cancelled
@@ -82,15 +89,19 @@ def plan_two_segment(
         geometry: Sizes of robot and dock.
         parameters: Of the dock planner.
         costmap: Its resolution bounds the spacing of poses (without one, `parameters.resolution` does), and with
-            `parameters.check_free_space` the cells under the curves must be free. Off the map nothing is free.
+            `parameters.check_free_space` the cells under start, goal and curves must be free. Off the map nothing is.
         cancel_checker: Polled at least every 5 ms.
 
     Raises:
+        PlannerException: `parameters.check_free_space` is on, and there is no costmap to check.
+        StartOutsideMapBounds: Also StartOccupied, GoalOutsideMapBounds, GoalOccupied: an end is not free.
         NoValidPathCouldBeFound: A rule of the method is broken; the message says in which step and by how much.
         PlannerCancelled: `cancel_checker` returned True.
     """
     if cancel_checker():
         raise PlannerCancelled("dock planner: cancelled before it began")
+    if parameters.check_free_space:
+        _check_free_ends(start, goal, costmap, parameters.cost_threshold)
     axis = approach_axis(start, goal, geometry, parameters)
     sampler = _sampler(parameters, costmap, cancel_checker)
     middle = 0.5 * (axis.point_c + axis.point_f)
@@ -109,6 +120,30 @@ def plan_two_segment(
         control_points_1=readonly(joint.control_points),
         control_points_2=readonly(control_points_2),
     )
+
+
+def _check_free_ends(start: Pose2, goal: Pose2, costmap: Costmap | None, threshold: int) -> None:
+    if costmap is None:
+        raise PlannerException(
+            "dock planner: check_free_space is true, but there is no costmap to check; configure the planner with one, "
+            "or set check_free_space: false",
+            where={"parameter": "check_free_space"},
+        )
+    for name, pose, off_map, occupied in (
+        ("start", start, StartOutsideMapBounds, StartOccupied),
+        ("goal", goal, GoalOutsideMapBounds, GoalOccupied),
+    ):
+        point = np.array([[pose.x, pose.y]])
+        where: dict[str, object] = {"pose": [pose.x, pose.y]}
+        if not bool(costmap.contains(point)[0]):
+            raise off_map(f"dock planner: the {name} ({pose.x:.3f}, {pose.y:.3f}) lies off the map", where=where)
+        cost = int(costmap.cost_at(point)[0])
+        if cost >= threshold:
+            raise occupied(
+                f"dock planner: the {name} ({pose.x:.3f}, {pose.y:.3f}) has cost {cost}, must be < cost_threshold = "
+                f"{threshold}",
+                where={**where, "cost": cost, "cost_threshold": threshold},
+            )
 
 
 def _sampler(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import math
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
@@ -16,12 +17,16 @@ from optdock.simulation.remainder import RemainingPath
 from optdock.simulation.run import Run
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from optdock.interfaces import Controller, GoalChecker
     from optdock.obstacles import ObstacleSet
     from optdock.robot import Robot
     from optdock.trajectory import Trajectory
 
 __all__ = ["SimulationSettings", "run_closed_loop"]
+
+logger = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,13 +65,15 @@ class SimulationSettings:
                 raise InvalidValue(f"simulation.{name}: must be finite and >= 0, got {value}")
 
 
-def run_closed_loop(
+def run_closed_loop(  # noqa: PLR0913 - one parameter for each part of the loop
     trajectory: Trajectory,
     robot: Robot,
     goal: Pose2,
     controller: Controller,
     goal_checker: GoalChecker,
     settings: SimulationSettings | None = None,
+    *,
+    beside: Sequence[GoalChecker] = (),
 ) -> Run:
     """Drive `trajectory` in simulation until the goal checker says docked, the controller gives up, or time is out.
 
@@ -80,12 +87,19 @@ def run_closed_loop(
         controller: Ready to use; its own period must be that of the settings.
         goal_checker: Decides.
         settings: The world; perfect by default.
+        beside: Goal checkers that are asked once, when the run has ended; they decide nothing.
+
+    Raises:
+        InvalidValue: Two goal checkers have the same name.
     """
     settings = settings or SimulationSettings()
+    if len({checker.name for checker in (goal_checker, *beside)}) <= len(beside):
+        raise InvalidValue(f"simulation: the goal checkers beside {goal_checker.name} need names of their own")
     controller.reset()
-    goal_checker.reset()
+    for checker in (goal_checker, *beside):
+        checker.reset()
     controller.set_path(trajectory)
-    loop = _Loop(trajectory, robot, goal, controller, goal_checker, settings)
+    loop = _Loop(trajectory, robot, goal, controller, (goal_checker, *beside), settings)
     docked, reason = loop.run()
     return loop.result(docked=docked, reason=reason)
 
@@ -99,11 +113,11 @@ class _Loop:
         robot: Robot,
         goal: Pose2,
         controller: Controller,
-        goal_checker: GoalChecker,
+        goal_checkers: Sequence[GoalChecker],
         settings: SimulationSettings,
     ) -> None:
         self.trajectory, self.robot, self.goal = trajectory, robot, goal
-        self.controller, self.goal_checker, self.settings = controller, goal_checker, settings
+        self.controller, self.goal_checkers, self.settings = controller, goal_checkers, settings
         self.plant = DifferentialDrive(robot, settings.actuation, settings.period)
         self.remaining = RemainingPath(trajectory.path)
         self.noise = np.random.default_rng(settings.seed)
@@ -115,12 +129,13 @@ class _Loop:
         state = self.plant.moving(self.settings.start or first.pose, first.twist)
         timeout = self.settings.timeout
         timeout = 1.5 * self.trajectory.duration + 10.0 if timeout is None else timeout
+        decisive = self.goal_checkers[0]
         for _ in range(math.ceil(timeout / self.settings.period) + 1):
             measured = self._measured(state.pose)
-            if self._reached(measured, state.twist):
+            if self._reached(decisive, measured, state.twist):
                 return self._end(state, measured, docked=True, reason="")
             try:
-                command = self.controller.compute_velocity_commands(measured, state.twist, self.goal_checker)
+                command = self.controller.compute_velocity_commands(measured, state.twist, decisive)
             except ControllerException as error:
                 return self._end(state, measured, docked=False, reason=f"{type(error).__name__}: {error}")
             self.rows.append((state.pose, measured, command, state.twist))
@@ -132,9 +147,9 @@ class _Loop:
         position, turn = self.settings.position_noise, self.settings.yaw_noise
         return Pose2(pose.x + position * float(x), pose.y + position * float(y), pose.yaw + turn * float(yaw))
 
-    def _reached(self, measured: Pose2, twist: Twist2) -> bool:
+    def _reached(self, checker: GoalChecker, measured: Pose2, twist: Twist2) -> bool:
         path = self.remaining.from_pose(measured)
-        return self.goal_checker.is_goal_reached(measured, self.goal, twist, path)
+        return checker.is_goal_reached(measured, self.goal, twist, path)
 
     def _end(self, state: PlantState, measured: Pose2, *, docked: bool, reason: str) -> tuple[bool, str]:
         self.rows.append((state.pose, measured, Twist2(), state.twist))
@@ -143,6 +158,9 @@ class _Loop:
     def result(self, *, docked: bool, reason: str) -> Run:
         """The run's record."""
         true, measured, commands, twists = zip(*self.rows, strict=True)
+        others = self.goal_checkers[1:]
+        verdicts = {self.goal_checkers[0].name: docked}
+        verdicts |= {checker.name: self._reached(checker, measured[-1], twists[-1]) for checker in others}
         times = self.settings.period * np.arange(len(self.rows), dtype=np.float64)
         reference = self.trajectory.sample_at(times)
         poses = np.array([pose.as_array() for pose in true])
@@ -157,5 +175,19 @@ class _Loop:
             goal=self.goal,
             docked=docked,
             reason=reason,
+            differs=_differences(self.trajectory, self.robot, obstacles),
             min_clearance=executed_clearance(self.robot.footprint, poses, obstacles) if obstacles else None,
+            verdicts=verdicts,
         )
+
+
+def _differences(trajectory: Trajectory, robot: Robot, obstacles: ObstacleSet | None) -> tuple[str, ...]:
+    """In what the world of a run is not the one that the trajectory was certified for."""
+    proven = trajectory.certified_for
+    if proven is None:
+        return ()
+    here = robot.fingerprint._asdict() | ({} if obstacles is None else {"obstacles": obstacles.digest})
+    found = tuple(name for name, value in here.items() if value != getattr(proven, name))
+    if found:
+        logger.warning("simulated with another %s than the trajectory was certified for", " and ".join(found))
+    return found

@@ -10,6 +10,8 @@ import numpy as np
 from optdock.geometry.arrays import FloatArray, frozen_array, readonly
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping
+
     from optdock.geometry.pose import Pose2
 
 __all__ = ["Run", "pose_errors"]
@@ -31,7 +33,10 @@ class Run:
         goal: Where the robot should end.
         docked: Whether the goal checker said so.
         reason: Why not; empty when docked.
+        verdicts: What each goal checker said at the end, the one that decides first, by name.
         min_clearance: Smallest clearance of the true poses [m]; None where no obstacles were given.
+        differs: In what the run's world is not the one that the trajectory was certified for: `footprint`, `limits`,
+            `obstacles`; empty where it is the same, or nobody certified the trajectory.
 
     Attributes:
         errors: True pose minus reference in the reference's frame: along, cross [m] and yaw [rad], Shape (n, 3).
@@ -48,6 +53,8 @@ class Run:
     docked: bool
     reason: str = ""
     min_clearance: float | None = None
+    verdicts: Mapping[str, bool] = field(default_factory=dict)
+    differs: tuple[str, ...] = ()
     errors: FloatArray = field(init=False, repr=False)
     final_error: Pose2 = field(init=False)
 

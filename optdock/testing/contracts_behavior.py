@@ -8,15 +8,21 @@ from typing import TYPE_CHECKING, ClassVar
 
 from optdock.errors import BehaviorException
 from optdock.geometry.pose import Pose2, Twist2
-from optdock.interfaces import Behavior, BehaviorResult, BehaviorStatus, CostmapInfoType
+from optdock.interfaces import Behavior, BehaviorResult, BehaviorStatus, CostmapInfoType, PluginContext
 from optdock.testing.contracts_plugin import PluginContract
 from optdock.testing.contracts_rules import refused, require
-from optdock.testing.contracts_scene import ORIGIN, room, scene_context, scene_problem
+from optdock.testing.contracts_scene import (
+    ORIGIN,
+    ROBOT,
+    free_costmap,
+    room,
+    room_costmap,
+    scene_context,
+    scene_problem,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
-
-    from optdock.lifecycle import PluginContext
 
 __all__ = ["BehaviorContract"]
 
@@ -51,6 +57,7 @@ class BehaviorContract(PluginContract[Behavior]):
         timed_command: As `command`, with a time allowance that a robot that is stuck exceeds; None: it has none.
         timeout_code: Nav2's error code for that.
         blocked_code: Nav2's error code in the narrow `room`; None: it does not look for collisions.
+        works_without_problem: A costmap and a footprint are all the surroundings that it needs.
         period: Time between two cycles [s]; build the plugin for it.
         cycles: Cycles within which it ends.
     """
@@ -62,6 +69,7 @@ class BehaviorContract(PluginContract[Behavior]):
     timed_command: ClassVar[Mapping[str, object] | None] = None
     timeout_code: ClassVar[int] = 0
     blocked_code: ClassVar[int | None] = None
+    works_without_problem: ClassVar[bool] = True
     period: ClassVar[float] = 0.1
     cycles: ClassVar[int] = 400
 
@@ -152,6 +160,27 @@ class BehaviorContract(PluginContract[Behavior]):
         result = self._run(behavior, world) if begun.status is BehaviorStatus.SUCCEEDED else begun
         self._require_failure(result, self.blocked_code, "a blocked way")
         require(world.commands[-1:] in ([], [_REST]), f"the last command is to stand still, got {world.twist}")
+
+    def test_it_sees_the_costmap_that_it_asks_for(self) -> None:
+        """`resource_info`: LOCAL heeds the local costmap alone, GLOBAL the global one, BOTH both, NONE neither.
+
+        Without a problem: its obstacles always count.
+        """
+        if self.blocked_code is None or not self.works_without_problem:
+            return
+        needs = self.make_plugin().resource_info
+        for wall_is_local in (True, False):
+            walls, free = room_costmap(), free_costmap()
+            local, around = (walls, free) if wall_is_local else (free, walls)
+            context = PluginContext("contract", around, ROBOT.footprint, local_costmap=local)
+            asked = CostmapInfoType.LOCAL if wall_is_local else CostmapInfoType.GLOBAL
+            behavior, world = self.make_plugin(), _World(context, self.start())
+            behavior.configure(world.context)
+            begun = behavior.on_run(self.command)
+            result = self._run(behavior, world) if begun.status is BehaviorStatus.SUCCEEDED else begun
+            heeded = result.status is BehaviorStatus.FAILED
+            which = "local" if wall_is_local else "global"
+            require(heeded == bool(needs & asked), f"asking for {needs.name}, a wall in the {which} one: got {result}")
 
     def _begun(
         self, context: PluginContext, command: Mapping[str, object] | None = None, *, stuck: bool = False

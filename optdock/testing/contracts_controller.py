@@ -139,12 +139,12 @@ class ControllerContract(PluginContract[Controller]):
         require(missed <= self.arrival_tolerance, f"a path is followed to its end, missed by {missed} m")
 
     def test_a_speed_limit_holds_until_it_is_removed(self) -> None:
-        """`set_speed_limit`: percent of the maximum, or m/s; 0 removes the limit."""
+        """`set_speed_limit`: percent of the maximum, or m/s, by place or by name; 0 removes the limit."""
         free, top = self._peak_after(lambda _: None), ROBOT.limits.max_speed
         slow = 0.4 * free
-        by_speed = self._peak_after(lambda c: c.set_speed_limit(slow, percentage=False))
+        by_speed = self._peak_after(lambda c: c.set_speed_limit(slow, False))  # noqa: FBT003 - as Nav2 writes it
         require(by_speed <= _LIMIT_SLACK * slow, f"a limit of {slow:.3f} m/s holds, got {by_speed:.3f} m/s")
-        by_share = self._peak_after(lambda c: c.set_speed_limit(40.0, percentage=True))
+        by_share = self._peak_after(lambda c: c.set_speed_limit(40.0, True))  # noqa: FBT003 - as Nav2 writes it
         require(by_share <= _LIMIT_SLACK * 0.4 * top, f"40 percent of {top} m/s hold, got {by_share:.3f} m/s")
 
         def limited_and_freed(controller: Controller) -> None:
@@ -160,6 +160,9 @@ class ControllerContract(PluginContract[Controller]):
                 controller = self.ready_plugin()
                 rule = f"a speed limit of {bad} is refused"
                 refused(partial(controller.set_speed_limit, bad, percentage=percentage), InvalidValue, rule)
+        for wrong in (50.0, None, "true"):
+            call = partial(self.ready_plugin().set_speed_limit, 0.2, wrong)  # type: ignore[arg-type]
+            refused(call, InvalidValue, f"percentage is a bool, not {wrong!r}")
 
     def test_cancelling_ends_in_a_stop(self) -> None:
         """`cancel`: a graceful stop: True when stopped; False to be asked again after more, slower, commands."""

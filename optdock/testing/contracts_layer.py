@@ -131,6 +131,15 @@ class LayerContract(PluginContract[Layer]):
         self._written(layer)
         require(layer.is_current(), "fed and updated, it is current")
 
+    def test_it_can_be_said_to_be_out_of_date(self) -> None:
+        """`set_current`: out of date until said otherwise, whatever the layer itself knows."""
+        layer = self.ready_plugin()
+        self.feed(layer)
+        for said in (False, True):
+            layer.set_current(said)
+            self._written(layer)
+            require(layer.is_current() is said, f"after set_current({said}) is_current() is {said}")
+
     def test_a_disabled_layer_takes_no_part(self) -> None:
         """`is_enabled`: whether it takes part: a layered costmap with it alone stays empty.
 

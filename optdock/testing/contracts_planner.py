@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 from typing import TYPE_CHECKING, ClassVar
 
@@ -14,7 +15,7 @@ from optdock.path import Path
 from optdock.testing.contracts_plugin import PluginContract
 from optdock.testing.contracts_polls import PollGaps, poll_gaps, require_cancellable
 from optdock.testing.contracts_rules import require
-from optdock.testing.contracts_scene import GOAL, ORIGIN
+from optdock.testing.contracts_scene import GOAL, ORIGIN, scene_context, scene_problem
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -66,6 +67,14 @@ class GlobalPlannerContract(PluginContract[GlobalPlanner]):
             require(isinstance(path, Path) and path.length > 0.0, f"a Path with a length, got {path!r}")
             _require_same_pose(path.start, start, "begins")
             _require_same_pose(path.end, goal, "ends")
+
+    def test_the_path_stands_in_the_frame_of_the_problem(self) -> None:
+        """`create_plan`: in the frame of start and goal; a path that names its frame names that of the problem."""
+        planner = self.make_plugin()
+        planner.configure(scene_context(dataclasses.replace(scene_problem(), frame="contract frame")))
+        for start, goal in self.queries():
+            found = planner.create_plan(start, goal).frame
+            require(found in ("", "contract frame"), f"the path names no other frame than the problem, got {found!r}")
 
     def test_yaws_a_full_turn_apart_are_the_same(self) -> None:
         """`create_plan`: yaw is a direction: full turns added to start or goal change no position."""

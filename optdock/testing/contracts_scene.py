@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from optdock.costmap.costmap import Costmap
+from optdock.costmap.costmap import FREE_SPACE, LETHAL, Costmap
 from optdock.dock import Dock
 from optdock.geometry.footprint import Footprint
 from optdock.geometry.pose import Pose2
@@ -19,10 +19,14 @@ __all__ = [
     "GOAL",
     "ORIGIN",
     "ROBOT",
+    "bent_path",
     "cusp_path",
+    "free_costmap",
     "moved_path",
+    "post_inside_the_bend",
     "raw_path",
     "room",
+    "room_costmap",
     "scene_context",
     "scene_problem",
 ]
@@ -42,10 +46,23 @@ def scene_problem(start: Pose2 = ORIGIN, goal: Pose2 = GOAL, obstacles: Obstacle
 
 
 def scene_context(problem: DockingProblem | None = None) -> PluginContext:
-    """Surroundings with everything in them: a problem, a footprint, and a free map of 8 m x 6 m around it."""
-    free = Costmap(np.zeros((120, 160), dtype=np.uint8), resolution=0.05, origin=(-2.0, -3.0))
+    """Surroundings with everything in them: a problem, a footprint, and a free map of 10 m x 6 m around it."""
     found = problem or scene_problem()
-    return PluginContext(name="contract", costmap=free, footprint=found.robot.footprint, problem=found)
+    return PluginContext(name="contract", costmap=free_costmap(), footprint=found.robot.footprint, problem=found)
+
+
+def free_costmap() -> Costmap:
+    """A map of 10 m x 6 m around the scene with nothing in it."""
+    return Costmap(np.zeros((120, 200), dtype=np.uint8), resolution=0.05, origin=(-4.0, -3.0))
+
+
+def room_costmap() -> Costmap:
+    """The same map with the walls of `room` in it."""
+    free, walls = free_costmap(), room()
+    rows, columns = np.indices(free.data.shape)
+    centres = np.array(free.origin) + free.resolution * (np.column_stack((columns.ravel(), rows.ravel())) + 0.5)
+    inside = np.any(walls.box_distance(centres) == 0.0, axis=1).reshape(free.data.shape)
+    return free.with_data(np.where(inside, LETHAL, FREE_SPACE).astype(np.uint8))
 
 
 def room() -> ObstacleSet:
@@ -66,6 +83,20 @@ def raw_path(start: Pose2 = ORIGIN, goal: Pose2 = GOAL) -> Path:
     yaw = np.arctan2(np.gradient(y), np.gradient(x))
     yaw[0], yaw[-1] = 0.0, end.yaw
     return Path.from_poses([start @ Pose2(*row) for row in zip(x, y, yaw, strict=True)])
+
+
+def bent_path() -> Path:
+    """From the origin to the goal over a corner 1 m aside: whatever rounds it off drives nearer to its inside."""
+    x = np.linspace(0.0, GOAL.x, 61)
+    y = np.interp(x, [0.0, 0.4 * GOAL.x, GOAL.x], [0.0, 1.0, GOAL.y])
+    yaw = np.arctan2(np.diff(y, append=2.0 * y[-1] - y[-2]), np.diff(x, append=2.0 * x[-1] - x[-2]))
+    yaw[0], yaw[-1] = 0.0, GOAL.yaw
+    return Path.from_poses(np.column_stack((x, y, yaw)))
+
+
+def post_inside_the_bend() -> ObstacleSet:
+    """A post of 20 cm that the robot passes by less than a millimetre where it turns on `bent_path`."""
+    return ObstacleSet.from_rectangles(np.array([[1.2, 0.469]]), np.array([[1.4, 0.669]]), "post")
 
 
 def cusp_path() -> Path:

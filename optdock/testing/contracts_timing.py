@@ -141,6 +141,29 @@ class TimeParameterizerContract(PluginContract[TimeParameterizer]):
                     continue
                 require(status is TimingStatus.BAD_START, f"{start} is a bad start, got {status!r}")
 
+    def test_what_is_not_ok_says_why(self) -> None:
+        """`TimingResult`: a `reason` where it is not OK; of an impossible start `limit` and `at_s` too."""
+        plugin, path, limits = self.ready_plugin(), straight_drive(ORIGIN).path, MotionLimits()
+        done = plugin.parameterize(path, limits, SpeedZone())
+        require(done.reason == "", f"OK needs no reason, got {done.reason!r}")
+        fast = plugin.parameterize(path, limits, SpeedZone(), start_speed=1.2 * limits.max_speed)
+        require(bool(fast.reason), f"{fast.status!r} has a reason")
+        require(fast.limit == "max_speed", f"too fast for max_speed, got {fast.limit!r}")
+        inside = fast.at_s is not None and 0.0 <= fast.at_s <= path.length
+        require(inside, f"at a place on the path, got {fast.at_s}")
+
+    def test_little_time_is_a_status(self) -> None:
+        """`max_time`: none left is TIMED_OUT, without a motion; whatever is OK in little time is certified."""
+        plugin = self.ready_plugin()
+        for path, limits, zone, _start in self.cases():
+            for max_time in (0.0, 0.001, 0.01):
+                result = plugin.parameterize(path, limits, zone, max_time=max_time)
+                late = result.status is TimingStatus.TIMED_OUT
+                require(late or max_time > 0.0, f"no time is TIMED_OUT, got {result.status!r}")
+                require(not late or result.trajectory is None, "TIMED_OUT offers no motion")
+                if result.status is TimingStatus.OK:
+                    _require_certified(result, path, limits, zone)
+
     def test_trajectories_can_be_sent(self) -> None:
         """`TimingResult.trajectory`: a plain value; pickled and back it is the same motion."""
         for path in self.paths():

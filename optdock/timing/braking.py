@@ -49,7 +49,7 @@ class Braking:
     def __init__(self, course: Course, start: State) -> None:
         self.motion = Motion.of(start, full_stop(start, stop_box(course)))
         inside = course.s[(course.s > 0.0) & (course.s < self.motion.end.s)]
-        grid = np.union1d(self.motion.times, np.arange(0.0, self.motion.duration, _PERIOD))
+        grid = self.motion.sample_times(_PERIOD)
         self.times = np.union1d(grid, self.motion.crossing_times(inside)) if inside.size else grid
         self.states = self.motion.at(self.times)
         s, v, a = self.states
@@ -57,9 +57,25 @@ class Braking:
         self._yaw = np.abs(a * points.curvature + v * v * points.rate) * (1.0 / limits.max_yaw_acceleration)
         relief = np.where(points.curvature * points.rate > 0.0, limits.max_deceleration, limits.max_acceleration)
         spare = limits.max_yaw_acceleration + np.abs(points.curvature) * relief
-        self.path_ratios = np.maximum(v * points.slowness, v * np.sqrt(np.abs(points.rate) / spare))
+        self._course, self._cap_ratios = course, v * points.slowness
+        self.path_ratios = np.maximum(self._cap_ratios, v * np.sqrt(np.abs(points.rate) / spare))
         self.path_ratios[0] = max(self.path_ratios[0], self._yaw[0])
         self.drive_ratios = np.maximum(a / limits.max_acceleration, -a / limits.max_deceleration)
+
+    def broken_limit(self, k: int) -> tuple[str, str]:
+        """The limit that decides at the k-th of `times`: its name, and in words by how much and where it is broken."""
+        s, v, a = (float(value) for value in self.states[:, k])
+        ratio, limits = float(self.ratios[k]), self._course.limits
+        place = f"at s = {self._course.begin + s:.4f} m is {ratio:.4g} times"
+        if self.drive_ratios[k] > self.path_ratios[k]:
+            name = "max_acceleration" if a > 0.0 else "max_deceleration"
+            return name, f"acceleration {a:.4g} m/s^2 {place} {name} = {getattr(limits, name):.4g} m/s^2"
+        name, words = "max_yaw_acceleration", f"max_yaw_acceleration = {limits.max_yaw_acceleration:.4g} rad/s^2"
+        if k == 0 and self._yaw[0] >= ratio:
+            return name, f"yaw acceleration {self._yaw[0] * limits.max_yaw_acceleration:.4g} rad/s^2 {place} {words}"
+        if self._cap_ratios[k] >= ratio:
+            name, words = self._course.cap_at(min(max(s, 0.0), self._course.length))
+        return name, f"speed {v:.4g} m/s {place} what {words} allows"
 
     @property
     def ratios(self) -> FloatArray:

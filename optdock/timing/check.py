@@ -26,12 +26,14 @@ class Worst(NamedTuple):
         s: Where [m].
         path: Factor on time that keeps speeds and yaw acceleration, whose limits depend on the path.
         drive: Factor on time that keeps acceleration and jerk.
+        limit: Name of the limit where the ratio is above 1; empty where it is not.
     """
 
     ratio: float
     s: float
     path: float
     drive: float
+    limit: str = ""
 
     @property
     def stretch(self) -> float:
@@ -58,7 +60,7 @@ def motion_ratios(course: Course, motion: Motion, times: FloatArray | None = Non
     time sampling; time samples alone would miss narrow features. At the nodes speed and acceleration are interpolated
     between time samples, wrong by at most period^2 * jerk / 8. Jerk is the caller's: it is the phases themselves.
     """
-    t = _grid(motion) if times is None else times
+    t = motion.sample_times(_PERIOD) if times is None else times
     s, v, a = motion.at(t)
     s = np.minimum(np.maximum.accumulate(s), course.length)
     inner = course.s[1:-1]
@@ -94,13 +96,9 @@ def _drive_ratio(course: Course, a: FloatArray) -> FloatArray:
     return np.maximum(a * (1.0 / course.limits.max_acceleration), a * (-1.0 / course.limits.max_deceleration))
 
 
-def _grid(motion: Motion) -> FloatArray:
-    return np.union1d(motion.times, np.arange(0.0, motion.duration, _PERIOD))
-
-
 def refined_times(course: Course, motion: Motion, close: float) -> FloatArray:
     """The usual times, and half a millisecond apart wherever a limit of the path is used up to `close` or more."""
-    t = _grid(motion)
+    t = motion.sample_times(_PERIOD)
     ratios = motion_ratios(course, motion, t)
     near = ratios.s[np.maximum(ratios.speed, np.sqrt(ratios.yaw)) > close]
     first = np.clip(np.searchsorted(motion.at(t)[0], near) - 1, 0, t.size - 2)
@@ -120,5 +118,14 @@ def worst_ratio(course: Course, motion: Motion, times: FloatArray | None = None)
     path = max(float(ratios.speed.max()), math.sqrt(float(ratios.yaw.max())))
     drive = max(math.sqrt(max(0.0, float(ratios.drive.max()))), jerk ** (1.0 / 3.0))
     if jerk > largest[worst] * (1.0 + 1e-9):
-        return Worst(jerk, float(motion.states[0, steepest]), path, drive)
-    return Worst(float(largest[worst]), float(ratios.s[worst]), path, drive)
+        return Worst(jerk, float(motion.states[0, steepest]), path, drive, "max_jerk" if jerk > 1.0 else "")
+    limit = _limit_name(course, motion, ratios, worst) if largest[worst] > 1.0 else ""
+    return Worst(float(largest[worst]), float(ratios.s[worst]), path, drive, limit)
+
+
+def _limit_name(course: Course, motion: Motion, ratios: Ratios, k: int) -> str:
+    """The limit of which the k-th quotients, the largest of all, use most."""
+    if k < ratios.drive.size and ratios.drive[k] >= max(ratios.speed[k], ratios.yaw[k]):
+        rising = float(motion.states[2].max()) / course.limits.max_acceleration >= ratios.drive[k] * (1.0 - 1e-9)
+        return "max_acceleration" if rising else "max_deceleration"
+    return "max_yaw_acceleration" if ratios.yaw[k] >= ratios.speed[k] else course.cap_at(float(ratios.s[k]))[0]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -18,7 +19,7 @@ if TYPE_CHECKING:
 __all__ = ["Course", "CoursePoints", "Slowness", "course_of"]
 
 _EXACT_SPACING = 0.005  # [m]: a clothoid is exact between nodes, they only carry the checks
-_SAMPLED_SPACING = 0.002  # [m]: linear interpolation of another curve's curvature rate errs by spacing^2 k''' / 8
+_SAMPLED_SPACING = 0.002  # [m]: a polyline's curvature is that between its poses
 _MAX_NODES = 6000
 _LEFT_OF_NODE = 1e-7  # of a cell: where the curvature rate to the left of a node is read
 
@@ -61,6 +62,19 @@ class Slowness:
             slowness = np.maximum(slowness, (1.0 + 0.5 * limits.track_width * bend) / limits.max_wheel_speed)
         return slowness
 
+    def tightest(self, bend: float) -> tuple[str, str]:
+        """The limit that decides at |curvature| `bend` [1/m]: its name in `MotionLimits`, and that with its value."""
+        limits = self.limits
+        speed = "max_speed" if self.direction > 0 else "max_reverse_speed"
+        table = (
+            (1.0 / self.max_speed, speed, "m/s"),
+            (bend / limits.max_yaw_rate, "max_yaw_rate", "rad/s"),
+            (math.sqrt(bend / limits.max_lateral_acceleration), "max_lateral_acceleration", "m/s^2"),
+            ((1.0 + 0.5 * limits.track_width * bend) / limits.max_wheel_speed, "max_wheel_speed", "m/s"),
+        )
+        _slowness, name, unit = max(table)
+        return name, f"{name} = {getattr(limits, name):.4g} {unit}"
+
 
 @dataclass(frozen=True, eq=False)
 class Course:
@@ -72,9 +86,10 @@ class Course:
         rate_left: d curvature / ds just right of every cell's left node, Shape (n - 1,) [1/m^2].
         rate_right: Just left of every cell's right node, Shape (n - 1,) [1/m^2].
         drive: Speed caps by curvature.
-        zone_start: Where the speed zone begins, `length` or more without one [m].
+        zone_start: Where the speed zone begins: exactly a node; `length` without a zone [m].
         zone_speed: Speed limit from there on [m/s].
         excess: What the speed caps add to |curvature| at the nodes, Shape (n,) [1/m]; None: nothing.
+        begin: Where this course begins on the whole path [m]; messages count from there.
 
     Attributes:
         slowness: 1 / speed cap at the nodes, zone not included, Shape (n,) [s/m].
@@ -89,6 +104,7 @@ class Course:
     zone_start: float
     zone_speed: float
     excess: FloatArray | None = None
+    begin: float = 0.0
     slowness: FloatArray = field(init=False, repr=False)
     length: float = field(init=False)
 
@@ -135,6 +151,13 @@ class Course:
             slowness = np.where(s >= self.zone_start, np.maximum(slowness, 1.0 / self.zone_speed), slowness)
         return CoursePoints(curvature, rate, slowness)
 
+    def cap_at(self, s: float) -> tuple[str, str]:
+        """The speed cap that decides at `s` [m]: the name of its limit, and that with its value."""
+        point = self.points_at(np.array([s]))
+        name, words = self.drive.tightest(abs(float(point.curvature[0])))
+        zone = self.has_zone and s >= self.zone_start and float(point.slowness[0]) <= 1.0 / self.zone_speed
+        return ("approach_speed", f"approach_speed = {self.zone_speed:.4g} m/s") if zone else (name, words)
+
     def after(self, start: float) -> Course:
         """The rest of the course from `start` [m], 0 <= start < length, renumbered from 0."""
         if start <= 0.0:
@@ -144,30 +167,34 @@ class Course:
             cell += 1
         point = self.points_at(np.array([start]))
         keep = slice(cell + 1, None)
+        zone_start = self.zone_start - start if self.zone_start > self.s[cell] else 0.0
         return Course(
             s=readonly(np.concatenate(([0.0], self.s[keep] - start))),
             curvature=readonly(np.concatenate((point.curvature, self.curvature[keep]))),
             rate_left=readonly(np.concatenate((point.rate, self.rate_left[keep]))),
             rate_right=self.rate_right[cell:],
             drive=self.drive,
-            zone_start=max(0.0, self.zone_start - start),
+            zone_start=max(0.0, zone_start),
             zone_speed=self.zone_speed,
             excess=None if self.excess is None else np.append(np.interp(start, self.s, self.excess), self.excess[keep]),
+            begin=self.begin + start,
         )
 
 
-def course_of(segment: Segment, drive: Slowness, zone_start: float, zone_speed: float) -> Course:
+def course_of(segment: Segment, drive: Slowness, zone_start: float, zone_speed: float, begin: float = 0.0) -> Course:
     """The course of one gear segment.
 
     Args:
-        segment: Clothoid spline, polyline or any other curve; its curvature is smooth between its knots.
+        segment: Clothoid spline or polyline.
         drive: Speed caps by curvature.
         zone_start: Where the speed zone begins in this segment; at or beyond its length: not here [m].
         zone_speed: Speed limit from there on [m/s].
+        begin: Where the segment begins on the whole path [m].
     """
     spacing = _EXACT_SPACING if isinstance(segment, ClothoidSegment) else _SAMPLED_SPACING
     zone_start = min(max(zone_start, 0.0), segment.length)
     s = _nodes(segment, max(spacing, segment.length / _MAX_NODES), zone_start)
+    zone_start = float(s[np.argmin(np.abs(s - zone_start))])  # of a knot and a zone within rounding one node is left
     cells = np.diff(s)
     return Course(
         s=readonly(s),
@@ -178,6 +205,7 @@ def course_of(segment: Segment, drive: Slowness, zone_start: float, zone_speed: 
         zone_start=zone_start,
         zone_speed=zone_speed,
         excess=_step_excess(segment, s) if isinstance(segment, PolylineSegment) else None,
+        begin=begin,
     )
 
 

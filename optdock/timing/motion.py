@@ -16,6 +16,8 @@ __all__ = ["Motion", "Phases", "State", "braking_slack", "state_after", "stretch
 Phases: TypeAlias = "tuple[tuple[float, float], ...]"
 """Duration [s] and jerk [m/s^3] of every phase, in order."""
 
+_MOST_SAMPLES = 40_000  # of a motion, 320 kB a column: slower motions are sampled more coarsely, never in more memory
+
 
 class State(NamedTuple):
     """Distance [m], speed [m/s], acceleration [m/s^2] along the travel."""
@@ -100,12 +102,17 @@ class Motion(NamedTuple):
         half = 0.5 * dt * jerk
         return np.stack((s + dt * (v + dt * (0.5 * a + half / 3.0)), v + dt * (a + half), a + dt * jerk))
 
+    def sample_times(self, period: float) -> FloatArray:
+        """All phase borders, and times at most `period` [s] apart; further where that were beyond `_MOST_SAMPLES`."""
+        count = int(min(self.duration / period, _MOST_SAMPLES)) + 1
+        return np.union1d(self.times, np.minimum(np.arange(count) * max(period, self.duration / count), self.duration))
+
     def crossing_times(self, s: FloatArray) -> FloatArray:
         """When each distance `s`, Shape (n,) [m], is reached first; speeds must not be negative. Shape (n,) [s].
 
         Linear interpolation on a 10 ms grid, then two Newton steps.
         """
-        grid = np.union1d(self.times, np.arange(0.0, self.duration, 0.01))
+        grid = self.sample_times(0.01)
         t = np.interp(s, np.maximum.accumulate(self.at(grid)[0]), grid)
         for _ in range(2):
             distance, speed, _a = self.at(t)

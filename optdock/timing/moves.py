@@ -1,4 +1,4 @@
-"""State-to-state motions and full braking by ruckig's community edition, offline.
+"""State-to-state motions by ruckig's community edition, offline, and full braking.
 
 ruckig happily drives backwards and accepts start states beyond its limits; both are seen to here. It never gets an
 intermediate position: with one, the community edition would call a cloud service.
@@ -53,8 +53,24 @@ def move(start: State, target: State, box: Box, longest: float = math.inf) -> Ph
 
 
 def full_stop(start: State, box: Box) -> Phases:
-    """Full braking to rest, wherever that is; starts with speed > 0, or at rest with no acceleration."""
-    return _tool().stop_move(start, box)
+    """Full braking to rest, wherever that is, in closed form: -J to the deceleration, hold, +J to rest.
+
+    From a state that need not roll backwards: v >= 0, and v >= a^2 / (2 J) where a < 0. Leading the acceleration from a
+    to -b and on to 0 changes the speed by (a^2 - 2 b^2) / (2 J); the largest b is the deceleration, and what is left of
+    the speed then is braked off at b. A deceleration beyond it is led back first.
+    """
+    _s, v, a = start
+    jerk, most = box.jerk, box.deceleration
+    if a < -most:
+        spare = max(0.0, v - 0.5 * a * a / jerk)  # after +J straight to rest; held at -D, where +J passes it
+        return _timed(((-most - a) / jerk, jerk), (spare / most, 0.0), (most / jerk, jerk))
+    brake = min(most, math.sqrt(max(0.0, jerk * v + 0.5 * a * a)))
+    hold = max(0.0, v + (0.5 * a * a - brake * brake) / jerk) / most if brake == most else 0.0
+    return _timed(((a + brake) / jerk, -jerk), (hold, 0.0), (brake / jerk, jerk))
+
+
+def _timed(*phases: tuple[float, float]) -> Phases:
+    return tuple(phase for phase in phases if phase[0] > 0.0)
 
 
 def _drives_forward(start: State, phases: Phases | None) -> bool:
@@ -80,7 +96,6 @@ class _Tool:
         self.input: Any = ruckig.InputParameter(1)
         self.output: Any = ruckig.Trajectory(1)
         self.error: type[Exception] = ruckig.RuckigError
-        self.position, self.velocity = ruckig.ControlInterface.Position, ruckig.ControlInterface.Velocity
 
     def position_move(self, start: State, target: State, box: Box, speed: float, longest: float) -> Phases | None:
         """From state to state; inputs are copies inside ruckig, so lists are assigned, never changed."""
@@ -90,14 +105,6 @@ class _Tool:
         given.max_velocity, given.max_jerk = [speed], [box.jerk]
         given.max_acceleration, given.min_acceleration = [box.acceleration], [-box.deceleration]
         return self._calculated(longest)
-
-    def stop_move(self, start: State, box: Box) -> Phases:
-        """To rest by the velocity interface, which ignores positions and the speed bound."""
-        self.input.control_interface = self.velocity
-        try:
-            return self.position_move(start, State(start.s), box, box.speed, math.inf) or ()
-        finally:
-            self.input.control_interface = self.position
 
     def _calculated(self, longest: float) -> Phases | None:
         """The phases of the motion that the inputs ask for, brake phases first; None where ruckig finds none."""

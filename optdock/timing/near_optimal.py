@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import math
 from typing import TYPE_CHECKING
 
 from pydantic import Field
 
+from optdock.deadline import Deadline
 from optdock.interfaces import TimeParameterizer
 from optdock.parameters import PluginParameters
 from optdock.timing.attempt import Settings
@@ -15,9 +17,12 @@ from optdock.timing.reference import load_lapack
 from optdock.timing.repair import plan_gear
 
 if TYPE_CHECKING:
+    from collections.abc import Iterator
+
     from optdock.interfaces import TimingResult
     from optdock.limits import MotionLimits, SpeedZone
     from optdock.path import Path
+    from optdock.timing.allowance import Allowance
     from optdock.timing.course import Course
     from optdock.timing.motion import State
     from optdock.timing.start import GearPlan
@@ -55,14 +60,16 @@ class NearOptimal(TimeParameterizer):
         *,
         start_speed: float = 0.0,
         start_acceleration: float = 0.0,
+        max_time: float = math.inf,
     ) -> TimingResult:
         """See `TimeParameterizer.parameterize`.
 
         Raises:
-            InvalidValue: The start state is not finite.
+            InvalidValue: The start state is not finite, or `max_time` is NaN.
             PluginError: The package ruckig is not installed.
         """
-        return time_path(path, limits, zone, (start_speed, start_acceleration), self._plan)
+        deadline = Deadline(max_time)
+        return time_path(path, limits, zone, (start_speed, start_acceleration), self._plan, deadline)
 
-    def _plan(self, course: Course, start: State) -> GearPlan:
-        return plan_gear(course, start, Settings(self.parameters.step, self.parameters.smooth))
+    def _plan(self, course: Course, start: State, allowance: Allowance) -> Iterator[GearPlan]:
+        return plan_gear(course, start, Settings(self.parameters.step, self.parameters.smooth), allowance)

@@ -19,6 +19,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
+from optdock.timing.allowance import look, never_late
 from optdock.timing.spline import Spline, applied, coefficients_of, limit_rows, ripple_bands, spline_of
 
 if TYPE_CHECKING:
@@ -58,9 +59,19 @@ class Reference(NamedTuple):
     curve: FloatArray
     iterations: int
 
+    @property
+    def duration(self) -> float:
+        """From the first knot to the last [s]."""
+        return float(np.sum(2.0 * np.diff(self.s) / (self.v[:-1] + self.v[1:])))
+
 
 def solve_reference(
-    grid: Grid, bounds: Bounds, guess: FloatArray, ends: tuple[State, State], ripple: float
+    grid: Grid,
+    bounds: Bounds,
+    guess: FloatArray,
+    ends: tuple[State, State],
+    ripple: float,
+    is_late: Callable[[], bool] = never_late,
 ) -> Reference:
     """The fastest spline between two states.
 
@@ -70,6 +81,10 @@ def solve_reference(
         guess: Initial v^2 at the knots, Shape (M + 1,) [m^2/s^2].
         ends: States at the first and the last knot.
         ripple: Price of a full swing of the jerk between neighbouring cells [s].
+        is_late: Asked between iterations.
+
+    Raises:
+        OutOfTime: `is_late` said so.
     """
     first, last = ends
     spline = spline_of(grid.steps)
@@ -78,7 +93,7 @@ def solve_reference(
     bands = ripple_bands(spline, np.sqrt(0.5 * ripple * guess[1:-1]) / (4.0 * bounds.jerk))
     program = _Program(grid.steps, spline, rows, 2.0 * bounds.jerk, bands)
     with np.errstate(over="ignore", invalid="ignore", divide="ignore"):  # of slacks, where no spline keeps the limits
-        c, iterations = _interior_point(program, coefficients_of(grid.steps, guess, first, last))
+        c, iterations = _interior_point(program, coefficients_of(grid.steps, guess, first, last), is_late)
     x, a = np.append(0.0, applied(spline.right_value, c)), np.append(0.0, applied(spline.right_slope, c))
     v = np.sqrt(np.maximum(x, 1e-12))
     np.clip(a, -bounds.course.limits.max_deceleration, bounds.course.limits.max_acceleration, out=a)
@@ -150,7 +165,7 @@ class _Program:
         return change
 
 
-def _interior_point(program: _Program, c: FloatArray) -> tuple[FloatArray, int]:
+def _interior_point(program: _Program, c: FloatArray, is_late: Callable[[], bool]) -> tuple[FloatArray, int]:
     """Primal-dual iterations with slacks: S + G = 0, S Z = mu, and separate steps for both."""
     program.move_to(c, frozen=False)
     slack = np.maximum(-program.value, _SMALLEST_SLACK)
@@ -158,6 +173,7 @@ def _interior_point(program: _Program, c: FloatArray) -> tuple[FloatArray, int]:
     dual = mu / slack
     iteration = 0
     for iteration in range(1, _MAX_ITERATIONS + 1):
+        look(is_late)
         primal = program.value + slack
         weight = dual / slack
         change = program.newton_change(weight, mu / slack + weight * primal)

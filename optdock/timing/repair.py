@@ -1,9 +1,12 @@
-"""One gear, near-optimally: quick exits, an attempt, the check that decides, and repair in a fixed order.
+"""One gear, near-optimally: every method in its order, each tried only where the one before was refused.
 
-1. The whole motion is checked against the true limits.
-2. From rest, a small excess is cured by stretching time: exact, always possible.
-3. Otherwise the bad stretches are tightened and the attempt repeated, at most twice; the best is kept.
-4. The windowed method. A moving start for which that fails too brakes to rest first; see `start`.
+1. One move, where that is all it takes.
+2. The reference and the moves along it, as they are.
+3. From rest, a small excess is cured by stretching time: exact, always possible.
+4. Otherwise the bad stretches are tightened and the attempt repeated, at most twice.
+5. From rest, the best attempt stretched as far as it takes; the windowed method, before that where it is quicker.
+
+A moving start for which all that fails brakes to rest first; see `start`. The proof that decides is in `gears`.
 """
 
 from __future__ import annotations
@@ -12,6 +15,7 @@ import math
 from typing import TYPE_CHECKING, NamedTuple
 
 from optdock.interfaces import TimingStatus
+from optdock.timing.allowance import OutOfTime, look
 from optdock.timing.attempt import Attempt, Settings, attempt
 from optdock.timing.bounds import Bounds, Margins, Tightening
 from optdock.timing.braking import Braking
@@ -19,10 +23,13 @@ from optdock.timing.check import Worst, refined_times, worst_ratio
 from optdock.timing.motion import Motion, Phases, State, stretched
 from optdock.timing.pace import expected_duration
 from optdock.timing.quick import quick_plan
-from optdock.timing.start import GearPlan, checked_plan, judged_plan
+from optdock.timing.start import GearPlan, arrived_plan, checked_plan, judged_plan
 from optdock.timing.windowed import plan_windows
 
 if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator
+
+    from optdock.timing.allowance import Allowance
     from optdock.timing.course import Course
 
 __all__ = ["plan_gear"]
@@ -32,8 +39,10 @@ _STRETCH_AT_LAST = 1.1  # beyond it the windowed method may be better
 _KEPT = 1.0 + 1e-9
 _TIGHT = 3.0  # margins: a moving start whose braking is closer to the limits gets none there
 _RETRIES = 2
+_WORTH_RETRYING = 60.0  # [s]: longer motions take 0.3 s and more for every attempt; they are stretched or windowed
 _AROUND = 0.06  # [m]: tightened on both sides of a bad stretch
-_WORTHWHILE = 300.0  # [s]: the reference's knots grow with the duration, its gain over windows does not
+_WORTHWHILE = 150.0  # [s]: the reference's knots grow with the duration, its gain over windows does not
+_MOST_KNOTS = 5000  # of a reference: a few MB, and 10 ms for an iteration
 _EXTRA = 0.006  # tightened beyond the excess
 
 
@@ -43,57 +52,67 @@ class _Tried(NamedTuple):
     attempt: Attempt
 
 
-def plan_gear(course: Course, start: State, settings: Settings) -> GearPlan:
-    """A plan of one gear from a state from which the speed caps can be kept; status OK or FAIL."""
-    if expected_duration(course) > _WORTHWHILE:
-        return plan_windows(course, start)
-    if not settings.smooth:
-        quick = quick_plan(course, start)
-        if quick is not None:
-            return quick
-    moving = start.v > 0.0 or start.a > 0.0
+def plan_gear(course: Course, start: State, settings: Settings, allowance: Allowance) -> Iterator[GearPlan]:
+    """Plans of one gear from a state from which the speed caps can be kept: every method, in order.
+
+    A plan is made only when the one before was refused. The windowed method's may be FAIL.
+
+    Raises:
+        OutOfTime: Time is up and no method is left that would need none.
+    """
+    tried: list[_Tried] = []
+    if expected_duration(course) <= min(_WORTHWHILE, _MOST_KNOTS * settings.step):
+        try:
+            if not settings.smooth:
+                yield from _if_ok(quick_plan(course, start))
+            yield from _references(course, start, settings, allowance.search_is_over, tried)
+        except OutOfTime:
+            pass
+    yield from _last_resort(course, start, tried, allowance)
+
+
+def _references(
+    course: Course, start: State, settings: Settings, is_late: Callable[[], bool], tried: list[_Tried]
+) -> Iterator[GearPlan]:
+    """Attempts, each tighter than the one before, as they are or stretched a little; `tried` gets the refused ones."""
     margins = Margins()
+    moving = start.v > 0.0 or start.a > 0.0
     relief = Braking(course, start).tight_length(_TIGHT * margins.reference_speed) if moving else 0.0
-    best: _Tried | None = None
     tightenings: tuple[Tightening, ...] = ()
-    for retry in range(_RETRIES + 1):
-        tried = _try(Bounds(course, margins, relief, tightenings), start, settings)
-        if tried is None:
-            break
-        best = tried if best is None or tried.worst.stretch < best.worst.stretch else best
-        plan = _accepted(course, start, best, margins, retry)
-        if plan is not None:
-            return plan
-        tightenings += _tightened(tried)
-    return _last_resort(course, start, best, margins)
+    for retry in range(_RETRIES + 1 if expected_duration(course) <= _WORTH_RETRYING else 1):
+        how = "reference" if retry == 0 else f"reference, retry {retry}"
+        found = attempt(Bounds(course, margins, relief, tightenings), start, settings, is_late)
+        if found is None:
+            return
+        motion = Motion.of(start, found.phases)
+        if found.sound:
+            yield from _if_ok(arrived_plan(course, motion, how))
+        look(is_late)
+        tried.append(_Tried(found.phases, worst_ratio(course, motion), found))
+        yield from _repaired(course, start, tried[-1], margins, how)
+        tightenings += _tightened(tried[-1])
 
 
-def _try(bounds: Bounds, start: State, settings: Settings) -> _Tried | None:
-    found = attempt(bounds, start, settings)
-    if found is None:
-        return None
-    return _Tried(found.phases, worst_ratio(bounds.course, Motion.of(start, found.phases)), found)
-
-
-def _accepted(course: Course, start: State, tried: _Tried, margins: Margins, retry: int) -> GearPlan | None:
-    """A plan where the check is passed, or passed once time is stretched a little."""
-    how = "reference" if retry == 0 else f"reference, retry {retry}"
+def _repaired(course: Course, start: State, tried: _Tried, margins: Margins, how: str) -> Iterator[GearPlan]:
+    """Plans where the dense check is passed, or passed once time is stretched a little."""
     worst, motion = tried.worst, Motion.of(start, tried.phases)
-    if worst.ratio <= _KEPT and worst.path <= 1.0 - 0.5 * margins.check:
-        return _if_ok(judged_plan(course, motion, worst, how))
-    if start == State():
-        return _stretched_plan(course, start, tried, margins, how) if worst.stretch <= _STRETCH_AT_ONCE else None
-    worst = worst_ratio(course, motion, refined_times(course, motion, 1.0 - margins.check))
-    return _if_ok(judged_plan(course, motion, worst, how))
+    if not tried.attempt.sound:
+        if worst.ratio <= _KEPT and worst.path <= 1.0 - 0.5 * margins.check:
+            yield from _if_ok(judged_plan(course, motion, worst, how))
+        elif start != State():
+            worst = worst_ratio(course, motion, refined_times(course, motion, 1.0 - margins.check))
+            yield from _if_ok(judged_plan(course, motion, worst, how))
+    if start == State() and worst.stretch <= _STRETCH_AT_ONCE:
+        yield from _if_ok(_stretched_plan(course, tried, margins, how))
 
 
-def _stretched_plan(course: Course, start: State, tried: _Tried, margins: Margins, how: str) -> GearPlan | None:
+def _stretched_plan(course: Course, tried: _Tried, margins: Margins, how: str) -> GearPlan:
     factor = max(tried.worst.path + 0.5 * margins.check, tried.worst.drive)
-    return _if_ok(checked_plan(course, start, stretched(tried.phases, factor), f"{how}, stretched"))
+    return checked_plan(course, State(), stretched(tried.phases, factor), f"{how}, stretched")
 
 
-def _if_ok(plan: GearPlan) -> GearPlan | None:
-    return plan if plan.status is TimingStatus.OK else None
+def _if_ok(plan: GearPlan | None) -> tuple[GearPlan, ...]:
+    return (plan,) if plan is not None and plan.status is TimingStatus.OK else ()
 
 
 def _tightened(tried: _Tried) -> tuple[Tightening, ...]:
@@ -104,14 +123,18 @@ def _tightened(tried: _Tried) -> tuple[Tightening, ...]:
     )
 
 
-def _last_resort(course: Course, start: State, best: _Tried | None, margins: Margins) -> GearPlan:
-    windowed = plan_windows(course, start)
-    if best is None or start.v > 0.0 or start.a > 0.0:
-        return windowed
-    plan = _stretched_plan(course, start, best, margins, "reference")
-    if plan is None or (best.worst.stretch > _STRETCH_AT_LAST and _duration(windowed) < _duration(plan)):
-        return windowed
-    return plan
+def _last_resort(course: Course, start: State, tried: list[_Tried], allowance: Allowance) -> Iterator[GearPlan]:
+    """The best reference stretched in time, which only a start at rest allows, and windows; the quicker one first."""
+    best = min(tried, key=lambda one: one.worst.stretch, default=None)
+    slow = _stretched_plan(course, best, Margins(), "reference") if best is not None and start == State() else None
+    if slow is None or slow.status is not TimingStatus.OK:
+        yield from plan_windows(course, start, allowance)
+        return
+    if best is None or best.worst.stretch <= _STRETCH_AT_LAST:
+        yield slow
+        yield from plan_windows(course, start, allowance)
+        return
+    yield from sorted((*plan_windows(course, start, allowance), slow), key=_duration)
 
 
 def _duration(plan: GearPlan) -> float:

@@ -11,11 +11,14 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
+from optdock.timing.allowance import look, never_late
 from optdock.timing.motion import Phases, State
 from optdock.timing.moves import Box, move
 from optdock.timing.smooth import cell_phases
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from optdock.geometry.arrays import FloatArray, IntArray
     from optdock.timing.bounds import Bounds
     from optdock.timing.reference import Reference
@@ -109,12 +112,16 @@ def nodes_of(reference: Reference, start: State, end: State, arcs: tuple[float, 
     return Nodes(s_all, v_all, a_all, times, jerks, zone + len(head) if zone else 0)
 
 
-def split_into_moves(nodes: Nodes, bounds: Bounds) -> Split:
-    """The moves that drive the reference within the checked limits, wherever there are such."""
+def split_into_moves(nodes: Nodes, bounds: Bounds, is_late: Callable[[], bool] = never_late) -> Split:
+    """The moves that drive the reference within the checked limits, wherever there are such.
+
+    Raises:
+        OutOfTime: `is_late` said so.
+    """
     active = _first_pieces(nodes, bounds)
     done: list[Piece] = []
     while active:
-        tried = _try_pieces(nodes, bounds, active)
+        tried = _try_pieces(nodes, bounds, active, is_late)
         active = []
         for (i, j), best in tried.items():
             if best is not None and (best.excess <= 1.0 or j - i == 1):
@@ -184,13 +191,16 @@ def _short_enough(nodes: Nodes, i: int, j: int, box: Box) -> Phases | None:
     return move(nodes.state(i), nodes.state(j), box, _LONGEST[0] * (nodes.time[j] - nodes.time[i]) + _LONGEST[1])
 
 
-def _try_pieces(nodes: Nodes, bounds: Bounds, active: list[tuple[int, int]]) -> dict[tuple[int, int], Piece | None]:
+def _try_pieces(
+    nodes: Nodes, bounds: Bounds, active: list[tuple[int, int]], is_late: Callable[[], bool]
+) -> dict[tuple[int, int], Piece | None]:
     """The best move of every piece; the time-optimal one only where the gentle one is missing or the last hope.
 
     A single cell without a move, by rounding, is driven as the reference drives it.
     """
     moves: list[tuple[tuple[int, int], Phases]] = []
     for i, j in active:
+        look(is_late)
         gentle = _gentle_move(nodes, bounds, i, j)
         full = None if gentle and j - i > 1 else _full_move(nodes, bounds, i, j)
         own = _reference_motion(nodes, i) if j - i == 1 and not (gentle or full) else None

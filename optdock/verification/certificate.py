@@ -9,6 +9,8 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
+    from optdock.fingerprint import ProblemFingerprint
+
 __all__ = ["Certificate", "TrajectoryCertificate", "Violation"]
 
 
@@ -17,7 +19,7 @@ class Violation:
     """One broken rule.
 
     Args:
-        kind: Machine-readable name of the rule: `start`, `goal`, `joint`, `direction`, `slip`, `curvature`,
+        kind: Machine-readable name of the rule: `frame`, `start`, `goal`, `joint`, `direction`, `slip`, `curvature`,
             `curvature_rate`, `start_curvature`, `final_straight`, `clearance`, `unproven`; for trajectories the name of
             the limit, `rest`, `coverage` or `start_state`.
         message: What is wrong, where, by how much.
@@ -50,6 +52,8 @@ class Certificate:
         max_curvature_rate: Largest |d curvature / ds| [1/m^2].
         length: Arc length of the path [m].
         poses_checked: How many poses the proof looked at.
+        problem: Digests of what it was proven against; a certificate says nothing about any other problem.
+        path: Digest of the path that was judged.
     """
 
     violations: tuple[Violation, ...]
@@ -62,6 +66,8 @@ class Certificate:
     max_curvature_rate: float
     length: float
     poses_checked: int
+    problem: ProblemFingerprint
+    path: str
 
     @property
     def certified(self) -> bool:
@@ -90,6 +96,8 @@ class Certificate:
             **numbers,
             "poses_checked": self.poses_checked,
             "nearest": self.nearest,
+            "problem": self.problem._asdict(),
+            "path": self.path,
             "violations": _rows(self.violations),
         }
 
@@ -102,11 +110,13 @@ class TrajectoryCertificate:
         violations: Every broken rule; empty when certified.
         ratios: Proven upper bound of each quantity over its limit; at most 1 (+ 1e-6) when certified.
         duration: Total time [s].
+        path: Digest of the path that the motion follows.
     """
 
     violations: tuple[Violation, ...]
     ratios: Mapping[str, float]
     duration: float
+    path: str
 
     @property
     def certified(self) -> bool:
@@ -125,6 +135,7 @@ class TrajectoryCertificate:
             "certified": self.certified,
             "duration": self.duration,
             "ratios": ratios,
+            "path": self.path,
             "violations": _rows(self.violations),
         }
 

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import weakref
 from typing import TYPE_CHECKING
 
 from optdock.verification.certificate import Certificate, Violation
-from optdock.verification.clearance import never, prove_clearance
+from optdock.verification.clearance import prove_clearance
+from optdock.verification.kept_proofs import KeptProofs, never
 from optdock.verification.path_rules import max_curvature, max_curvature_rate, path_violations
 
 if TYPE_CHECKING:
@@ -33,6 +35,9 @@ def certify_path(path: Path, problem: DockingProblem, *, is_late: Callable[[], b
 
     Wherever two segments meet, also two of one gear, the curvature may jump: the robot must rest there.
 
+    A proof is kept for as long as the path lives: paths and problems are frozen, so the same two have the same verdict.
+    One that was cut short serves callers with a deadline, and only where it is certified all the same.
+
     It does NOT look at time: see `certify_trajectory`.
 
     Args:
@@ -45,6 +50,13 @@ def certify_path(path: Path, problem: DockingProblem, *, is_late: Callable[[], b
     Returns:
         The certificate; `certified` is True only if everything was proven.
     """
+    return _PROOFS.verdict(path, weakref.ref(problem), is_late, lambda asked: _judged(path, problem, asked))
+
+
+_PROOFS: KeptProofs[Path, Certificate] = KeptProofs()
+
+
+def _judged(path: Path, problem: DockingProblem, is_late: Callable[[], bool]) -> Certificate:
     proof = prove_clearance(path, problem, is_late)
     violations = (*path_violations(path, problem), *_clearance_violations(proof, problem))
     return Certificate(
@@ -58,6 +70,8 @@ def certify_path(path: Path, problem: DockingProblem, *, is_late: Callable[[], b
         max_curvature_rate=max_curvature_rate(path),
         length=path.length,
         poses_checked=proof.poses,
+        problem=problem.fingerprint,
+        path=path.digest,
     )
 
 

@@ -14,14 +14,8 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from optdock.verification.contact import DEPTH, wholes
-from optdock.verification.half_cells import (
-    HalfCells,
-    body_bounds,
-    half_cell_bounds,
-    never,
-    pose_clearances,
-    rounded,
-)
+from optdock.verification.half_cells import HalfCells, body_bounds, half_cell_bounds, pose_clearances, rounded
+from optdock.verification.kept_proofs import never
 from optdock.verification.motion import Cells, PathMotion
 
 if TYPE_CHECKING:
@@ -35,7 +29,7 @@ if TYPE_CHECKING:
     from optdock.verification.half_cells import HalfBounds, RoundedBody
     from optdock.verification.motion import CellEnds, CellMotion, Nodes
 
-__all__ = ["ClearanceProof", "never", "prove_clearance"]
+__all__ = ["ClearanceProof", "prove_clearance"]
 
 TOLERANCE = 1e-6  # [m], accepted shortfall; covers rounding where contact is allowed
 SHARPNESS = 1e-3  # [m]: the reported minimum is at most this far below a clearance that occurs

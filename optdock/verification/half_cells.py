@@ -20,6 +20,7 @@ import numpy as np
 from optdock.geometry.pose import transform_points
 from optdock.geometry.separation import separation
 from optdock.verification.contact import DEPTH, deepest
+from optdock.verification.kept_proofs import never
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -36,7 +37,6 @@ __all__ = [
     "RoundedBody",
     "body_bounds",
     "half_cell_bounds",
-    "never",
     "pose_clearance",
     "pose_clearances",
     "rounded",
@@ -44,6 +44,7 @@ __all__ = [
 
 
 _MAX_CIRCLES = 3  # that stand for a body before it is looked at exactly
+_NEARBY = 1.0  # [m]: obstacles further than this are looked at only when nothing is as near
 _NEAREST = 8  # obstacles of a pose that are looked at first
 _MAX_PAIRS = 200_000  # of a stretch and an obstacle looked at in one go; bounds memory and time
 _MAX_CORNERS = 50_000  # of a body and an obstacle, met at all stretches looked at in one go; likewise
@@ -94,11 +95,6 @@ class HalfBounds(NamedTuple):
             np.concatenate((self.obstacle, other.obstacle)),
             np.concatenate((self.distance, other.distance)),
         )
-
-
-def never() -> bool:
-    """There is no deadline."""
-    return False
 
 
 def half_cell_bounds(
@@ -266,6 +262,19 @@ def pose_clearances(
         obstacles: May be empty.
         within: Where no obstacle is closer than this [m] the answer is (within, -1).
     """
+    reach = footprint.circumscribed_radius + min(within, _NEARBY)
+    rows = obstacles.rows_in_box(poses[:, :2].min(axis=0) - reach, poses[:, :2].max(axis=0) + reach)
+    if rows.size < 0.5 * len(obstacles):
+        best, found = _nearest(poses, footprint, obstacles.subset(rows), within)
+        # What was left out is at least that far away.
+        if within <= _NEARBY or bool(np.all(best <= _NEARBY)):
+            return best, np.where(found >= 0, rows[found], -1) if rows.size else found
+    return _nearest(poses, footprint, obstacles, within)
+
+
+def _nearest(
+    poses: FloatArray, footprint: Footprint, obstacles: ObstacleSet, within: float
+) -> tuple[FloatArray, IntArray]:
     n, m = len(poses), len(obstacles)
     best: FloatArray = np.full(n, float(within))
     row: IntArray = np.full(n, -1)

@@ -1,4 +1,4 @@
-"""The rules of a path other than clearance: ends, joints, gears, curvature, final straight."""
+"""The rules of a path other than clearance: frame, ends, joints, gears, curvature, final straight."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import numpy as np
 from optdock.dock import DockDirection
 from optdock.errors import InvalidPath
 from optdock.geometry.pose import Pose2, normalize_angle
-from optdock.path import ClothoidSegment, Direction, PolylineSegment
+from optdock.path import ClothoidSegment, Direction, PolylineSegment, may_be_one_frame
 from optdock.segments import SAME_YAW
 from optdock.verification.certificate import Violation
 
@@ -36,10 +36,17 @@ STRAIGHT_TOLERANCE = 1e-4  # [m], [rad]: a polyline's final straight
 def path_violations(path: Path, problem: DockingProblem) -> tuple[Violation, ...]:
     """Every broken rule but clearance, in driving order of the rules below."""
     rules = (
-        *(_ends, _joints, _gears, _slip, _drift, _creep),
+        *(_frame, _ends, _joints, _gears, _slip, _drift, _creep),
         *(_curvature, _winding, _curvature_rate, _start_curvature, _final_straight),
     )
     return tuple(violation for rule in rules for violation in rule(path, problem))
+
+
+def _frame(path: Path, problem: DockingProblem) -> Iterator[Violation]:
+    """Numbers of one frame say nothing about obstacles in another; a path that names no frame is taken at its word."""
+    if not may_be_one_frame(path.frame, problem.frame):
+        message = f"the path stands in frame {path.frame!r}, the problem in {problem.frame!r}; transform one of them"
+        yield Violation("frame", message, 0.0, 1.0, {"path": path.frame, "problem": problem.frame})
 
 
 def _ends(path: Path, problem: DockingProblem) -> Iterator[Violation]:

@@ -8,7 +8,7 @@ import numpy as np
 
 from optdock.path import Direction, PolylineSegment
 from optdock.verification.certificate import TrajectoryCertificate, Violation
-from optdock.verification.clearance import never
+from optdock.verification.kept_proofs import KeptProofs, never
 from optdock.verification.trajectory_cells import RTOL, Instants, crossings, curved_limits
 
 if TYPE_CHECKING:
@@ -38,6 +38,8 @@ def certify_trajectory(
 
     Within a step of a polyline, whose curvature is a difference quotient, 5 % beyond a limit on turning are accepted.
 
+    A proof is kept for as long as the trajectory lives, as those of paths are.
+
     It does NOT look at clearance or at the path's own curvature bounds: see `certify_path`.
 
     Args:
@@ -52,16 +54,33 @@ def certify_trajectory(
     Returns:
         The certificate; `certified` is True only if everything was proven.
     """
+    start = (start_speed, start_acceleration)
+    return _PROOFS.verdict(
+        trajectory, (limits, zone, start), is_late, lambda asked: _judged(trajectory, limits, zone, start, asked)
+    )
+
+
+_PROOFS: KeptProofs[Trajectory, TrajectoryCertificate] = KeptProofs()
+
+
+def _judged(
+    trajectory: Trajectory,
+    limits: MotionLimits,
+    zone: SpeedZone,
+    start: tuple[float | None, float | None],
+    is_late: Callable[[], bool],
+) -> TrajectoryCertificate:
     law = trajectory.time_law
-    structure = (*_coverage(trajectory), *_rest(trajectory), *_start(law, start_speed, start_acceleration))
+    structure = (*_coverage(trajectory), *_rest(trajectory), *_start(law, *start))
     if any(v.kind == "coverage" for v in structure):
-        return TrajectoryCertificate(structure, {}, law.duration)
+        return TrajectoryCertificate(structure, {}, law.duration, trajectory.path.digest)
     peaks = tuple(_stretch_peaks(trajectory, limits, zone))
     bounded = [*_speed(peaks), *_rates(law, limits)]
     ratios, curved = curved_limits(trajectory, limits, is_late)
     plain = {violation.kind: violation for violation in bounded}
     ratios = {**_plain_ratios(law, limits, peaks), **ratios}
-    return TrajectoryCertificate((*structure, *plain.values(), *curved), ratios, law.duration)
+    violations = (*structure, *plain.values(), *curved)
+    return TrajectoryCertificate(violations, ratios, law.duration, trajectory.path.digest)
 
 
 def _coverage(trajectory: Trajectory) -> Iterator[Violation]:
@@ -199,12 +218,13 @@ class _Peak(NamedTuple):
 
 def _stretch_peaks(trajectory: Trajectory, limits: MotionLimits, zone: SpeedZone) -> Iterator[_Peak]:
     law = trajectory.time_law
-    found = _speed_extremes(law)
-    for begin, end, limit in _segment_limits(trajectory, limits, zone):
-        entry = crossings(law, np.array([begin, end]))
+    found, stretches = _speed_extremes(law), _segment_limits(trajectory, limits, zone)
+    entries = crossings(law, stretches[:, :2].ravel())
+    entry_times, entry_states = entries.times(law).reshape(-1, 2), entries.motion(law)[:, :2].reshape(-1, 2, 2)
+    for (begin, end, limit), when, states in zip(stretches, entry_times, entry_states, strict=True):
         inside = (found.s >= begin) & (found.s <= end)
-        t = np.concatenate((found.t[inside], entry.times(law)))
-        s, v = np.concatenate((np.column_stack((found.s, found.v))[inside], entry.motion(law)[:, :2])).T
+        t = np.concatenate((found.t[inside], when))
+        s, v = np.concatenate((np.column_stack((found.s, found.v))[inside], states)).T
         k = int(np.argmax(v))
         yield _Peak(float(limit), float(v[k]), float(t[k]), float(s[k]))
 

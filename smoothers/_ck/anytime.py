@@ -137,7 +137,7 @@ class Runner:
     def _search(self, task: Task) -> None:
         self.outcome.converged = False
         before = self.budget.elapsed
-        for progress in search(task, self.pool, self.max_iterations):
+        for progress in search(task, self.pool, self.max_iterations, self._must_settle):
             if self.cancelled():
                 raise SmootherCancelled("the smoother was cancelled")
             self.outcome.last, self.outcome.converged = progress.iterate, progress.finished
@@ -150,6 +150,15 @@ class Runner:
                 return
             before = self.budget.elapsed
 
+    def _must_settle(self) -> bool:
+        """Whether a step that takes longer than any before must be left unfinished for the sake of what is at hand."""
+        return not self.budget.fits(self._reserve)
+
+    @property
+    def _reserve(self) -> float:
+        """Seconds for the certificate of the candidate, where there is one."""
+        return 1.2 * self._certify if self._candidate is not None else 0.0
+
     def _consider(self, iterate: Iterate) -> None:
         best = self._candidate.cost if self._candidate is not None else float("inf")
         held = self.outcome.incumbent.cost if self.outcome.incumbent is not None else float("inf")
@@ -159,12 +168,13 @@ class Runner:
     def _enough(self, task: Task) -> bool:
         """Whether to stop; certifies the candidate when time becomes short."""
         step = 1.1 * self._longest
-        reserve = 1.2 * self._certify if self._candidate is not None else 0.0
-        short = not self.budget.fits(step + reserve)
+        short = not self.budget.fits(step + self._reserve)
         if self._candidate is not None and (self.first_only or (short and self.outcome.incumbent is None)):
             self._settle(task)
             short = not self.budget.fits(step)
-        return short or (self.first_only and self.outcome.incumbent is not None)
+        found = self.first_only and self.outcome.incumbent is not None
+        self.outcome.converged = self.outcome.converged or found  # no more was asked for; no time limit ended it
+        return short or found
 
     def _settle(self, task: Task) -> Iterate | None:
         """Certify the candidate; returns it when it was refused."""
@@ -177,7 +187,7 @@ class Runner:
             self.outcome.converged = False
             return None
         began = self.budget.elapsed
-        path, _ = exact_path(task, candidate.variables, self.problem.dock.final_straight)
+        path = exact_path(task, candidate.variables, self.problem.dock.final_straight)[0].with_frame(self.problem.frame)
         certificate = self._judged(path, began)
         if not certificate.certified and self._is_late():
             self.outcome.converged = False

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
+from optdock.errors import SmootherTimedOut
 from optdock.parameters import checked_seconds
 
 if TYPE_CHECKING:
@@ -42,6 +43,15 @@ class Budget:
     def remaining(self) -> float:
         """Seconds left, negative when overrun."""
         return self.max_time - self.elapsed
+
+    def look(self) -> None:
+        """Go on only while there is time.
+
+        Raises:
+            SmootherTimedOut: There is none left.
+        """
+        if self.remaining <= 0.0:
+            raise SmootherTimedOut(f"no certified path within {1e3 * self.max_time:.1f} ms", where={"iterations": 0})
 
     def fits(self, seconds: float) -> bool:
         """Whether work of this length ends in time."""

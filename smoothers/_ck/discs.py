@@ -22,10 +22,11 @@ if TYPE_CHECKING:
 __all__ = ["disc_centres", "disc_rows"]
 
 _DEEPEST = 2  # discs per node and obstacle
+_MOST_DISCS = 32  # of a part; the discs of a thinner one leave gaps between them, which the planes see when it is out
 
 
 def disc_centres(vertices: FloatArray) -> tuple[FloatArray, float]:
-    """Centres (d, 2) [m] along the longer side of a body part's box, and their radius [m].
+    """Centres (d, 2) [m] along the longer side of a body part's box, at most `_MOST_DISCS`, and their radius [m].
 
     Args:
         vertices: Shape (v, 2) [m].
@@ -35,7 +36,7 @@ def disc_centres(vertices: FloatArray) -> tuple[FloatArray, float]:
     long = int(np.argmax(extent))
     radius = 0.5 * float(extent.min())
     half = 0.5 * float(extent.max()) - radius
-    count = max(1, int(np.ceil(2.0 * half / radius)) + 1)
+    count = int(np.clip(np.ceil(2.0 * half / max(radius, 1e-9)) + 1.0, 1, _MOST_DISCS))
     centres = np.tile(middle, (count, 1))
     centres[:, long] += np.linspace(-half, half, count)
     return centres, radius

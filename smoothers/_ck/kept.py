@@ -49,7 +49,7 @@ def direct_line(path: Path, problem: DockingProblem) -> Path | None:
     if off_axis or not 0.0 < length < problem.dock.final_straight + _STAGING:
         return None
     line = ClothoidSpline(problem.start, np.array([0.0, length]), np.zeros(2), sign)
-    return Path((ClothoidSegment(line),))
+    return Path((ClothoidSegment(line),), problem.frame)
 
 
 def input_cost(path: Path, cost: CostModel, final_straight: float) -> float:

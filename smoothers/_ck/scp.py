@@ -19,7 +19,7 @@ from smoothers._ck.rollout import Variables, roll_out, sensitivity
 from smoothers._ck.steps import ZONES, Penalties, Step, StepProblem, solve_step, zone_of
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Callable, Iterator
 
     from optdock.geometry.arrays import FloatArray
     from smoothers._ck.planes import Clearance
@@ -145,10 +145,21 @@ def merit(iterate: Iterate, penalties: Penalties) -> float:
     return iterate.cost + penalties.clearance * short + penalties.goal * missed
 
 
-def search(task: Task, pool: ProgramPool, max_iterations: int = 60) -> Iterator[Progress]:
-    """Yield after every iteration, the initial iterate first; the last one is `finished`."""
+def search(
+    task: Task, pool: ProgramPool, max_iterations: int = 60, is_late: Callable[[], bool] = lambda: False
+) -> Iterator[Progress]:
+    """Yield after every iteration, the initial iterate first; the last one is `finished`.
+
+    Args:
+        task: What to search for.
+        pool: Convex programs.
+        max_iterations: Steps at most.
+        is_late: Asked within every iteration; once it is True the search ends without a further word.
+    """
     controls = _Controls(task.trust, task.prox, task.patience)
     variables, rollout = _closed(task, task.initial)
+    if is_late():
+        return
     current = evaluate(task, variables, rollout, _REACH)
     yield Progress(current, 0, finished=False, accepted=True)
     problem: StepProblem | None = None
@@ -156,7 +167,11 @@ def search(task: Task, pool: ProgramPool, max_iterations: int = 60) -> Iterator[
         if problem is None:
             controls.found = controls.found or current.feasible
             problem = _linearized(task, current, controls)
+            if is_late():
+                return
         step = solve_step(task, problem, pool, controls.trust, controls.prox, controls.penalties)
+        if is_late():
+            return
         finished = current.feasible and step is not None and step.gain < _SMALL_SHARE * current.cost
         better = None if finished else _improved(task, current, step, controls)
         if better is not None:

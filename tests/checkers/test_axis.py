@@ -114,8 +114,15 @@ def test_coincident_poses_only_are_judged_by_distance():
     assert not reached(checker, Pose2(0.0, 0.2, 0.0), [ORIGIN, ORIGIN])
 
 
-def test_at_the_goal_wins_over_zero_tolerances_but_not_in_the_radial_fallback():
+@given(st.floats(-4.0, 4.0))
+def test_as_documented_nothing_lies_within_a_zero_tolerance(yaw):
     checker = AxisGoalChecker(along_path_tolerance=0.0, cross_track_tolerance=0.0)
+    assert not reached(checker, Pose2(0.0, 0.0, yaw))
+    assert document_form(ORIGIN, AHEAD, 0.0, 0.0, overshoot=False)[0] is False
+
+
+def test_in_nav2s_variants_at_the_goal_wins_over_zero_tolerances_but_not_in_the_radial_fallback():
+    checker = AxisGoalChecker(along_path_tolerance=0.0, cross_track_tolerance=0.0, axis_end="goal")
     assert reached(checker, Pose2(9e-7, 0.0, 0.0))
     assert not reached(checker, Pose2(1e-6, 0.0, 0.0))
     assert not reached(checker, ORIGIN, [ORIGIN])
@@ -250,6 +257,17 @@ def test_one_negative_value_rejects_the_whole_change():
 def test_it_is_found_under_nav2s_name():
     checker = create_plugin(GoalChecker, "nav2_controller::AxisGoalChecker", {"along_path_tolerance": 0.2})
     assert isinstance(checker, AxisGoalChecker)
+
+
+@given(poses, st.floats(-0.03, 0.03), st.floats(-0.05, 0.05))
+def test_if_stopped_it_waits_for_rest_and_for_nothing_else(robot, linear, angular):
+    twist = Twist2(linear, angular)
+    plain, stopped = AxisGoalChecker(), AxisGoalChecker(stopped=True)
+    at_rest = abs(linear) <= 0.01 and abs(angular) <= 0.02
+    in_position = plain.is_goal_reached(robot, ORIGIN, twist, AHEAD)
+    assert stopped.is_goal_reached(robot, ORIGIN, twist, AHEAD) is (in_position and at_rest)
+    assert stopped.is_goal_xy_reached(robot, ORIGIN, twist, AHEAD) is in_position
+    assert (stopped.tolerances.linear_speed, stopped.tolerances.angular_speed) == (0.01, 0.02)
 
 
 @given(poses, st.booleans())

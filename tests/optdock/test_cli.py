@@ -1,6 +1,7 @@
 import csv
 import json
 import pathlib
+import re
 import subprocess
 import sys
 
@@ -95,7 +96,100 @@ def test_certify_accepts_what_plan_wrote(planned):
     assert (result.exit_code, result.stderr) == (0, "")
     lines = result.stdout.splitlines()
     assert lines[0].split() == ["verdict", "certified"]
-    assert lines[-1].endswith("samples, none breaks a limit")
+    assert re.search(r"^motion +12 phases, 9\.883 s, certified; 10\d samples agree with them$", lines[-1])
+
+
+def without_phases(document):
+    """The document as a program writes it that knows samples only."""
+    changed = json.loads(json.dumps(document))
+    del changed["trajectory"]["phases"]
+    return changed
+
+
+def rounded(value, decimals):
+    """Every number of a JSON value rounded."""
+    if isinstance(value, dict):
+        return {key: rounded(item, decimals) for key, item in value.items()}
+    if isinstance(value, list):
+        return [rounded(item, decimals) for item in value]
+    return round(value, decimals) if isinstance(value, float) else value
+
+
+def test_samples_alone_are_not_called_certified(planned):
+    folder, _ = planned
+    document = json.loads((folder / "plan.json").read_text())
+    for changed in (without_phases(document), rounded(without_phases(document), 6)):
+        pathlib.Path("samples.json").write_text(json.dumps(changed))
+        result = run("certify", "samples.json", folder / "bay.yaml")
+        assert result.exit_code == 0
+        lines = result.stdout.splitlines()
+        assert lines[0].split(maxsplit=1) == ["verdict", "path certified, motion not refuted"]
+        assert "samples agree with each other, the path and the limits" in lines[-1]
+        assert (
+            "between samples (100 ms) unproven: the jerk, and if it keeps its limit speed to within 0.0025 m/s"
+            in lines[-1]
+        )
+        assert result.stdout.count("certified") == 1
+
+
+def test_poses_beside_the_path_are_said_to_be(planned):
+    folder, _ = planned
+    document = without_phases(json.loads((folder / "plan.json").read_text()))
+    document["trajectory"] = rounded(document["trajectory"], 4)
+    pathlib.Path("samples.json").write_text(json.dumps(document))
+    result = run("certify", "samples.json", folder / "bay.yaml")
+    assert result.exit_code == 0
+    assert re.search(r"with poses up to \S+e-05 m and \S+e-05 rad off it, which its clearance covers", result.stdout)
+
+
+def test_rounded_phases_prove_nothing_and_refute_nothing(planned):
+    folder, _ = planned
+    document = json.loads((folder / "plan.json").read_text())
+    document["trajectory"] = rounded(document["trajectory"], 6)
+    document["trajectory"]["phases"]["durations"][0] += 1e-5
+    pathlib.Path("rounded.json").write_text(json.dumps(rounded(document, 6)))
+    result = run("certify", "rounded.json", folder / "bay.yaml")
+    assert result.exit_code == 0
+    assert "the phases are rounded and prove nothing; " in result.stdout.splitlines()[-1]
+
+
+def test_phases_that_break_a_limit_are_refuted(planned):
+    folder, _ = planned
+    document = json.loads((folder / "plan.json").read_text())
+    document["trajectory"]["phases"]["jerks"][0] *= 1.1
+    pathlib.Path("jerk.json").write_text(json.dumps(document))
+    result = run("certify", "jerk.json", folder / "bay.yaml")
+    assert result.exit_code == 3
+    assert "12 phases" in result.stdout
+    assert "refuted" in result.stdout
+
+
+@pytest.mark.parametrize(
+    ("key", "value", "claim"),
+    [
+        ("min_clearance", 0.5, "certificate.min_clearance is 0.5 m, proven are 0.02 m"),
+        ("max_curvature", 0.1, "certificate.max_curvature is 0.1 1/m, the path has 0.39"),
+        ("length", 2.0, "certificate.length is 2 m, the path is 3.13"),
+    ],
+)
+def test_a_false_claim_is_named(planned, key, value, claim):
+    folder, _ = planned
+    document = json.loads((folder / "plan.json").read_text())
+    document["certificate"][key] = value
+    pathlib.Path("claim.json").write_text(json.dumps(document))
+    result = run("certify", "claim.json", folder / "bay.yaml")
+    assert result.exit_code == 0
+    assert result.stderr.startswith(f"false claim: {claim}")
+    assert re.search(r"^false claim +" + re.escape(claim), result.stdout, re.MULTILINE)
+
+
+def test_a_path_that_only_says_it_is_certified_is_named(planned):
+    folder, _ = planned
+    moved = write(SCENARIO, "[[1.0, 1.4], [2.0, 1.4], [2.0, 2.4], [1.0, 2.4]]", "[[2, 0], [2.2, 0], [2.2, 1], [2, 1]]")
+    result = run("certify", folder / "plan.json", moved)
+    assert result.exit_code == 3
+    assert "false claim: status is 'certified', the path is not\n" in result.stderr
+    assert "false claim: certificate.certified is true, the path is not certified\n" in result.stderr
 
 
 def test_certify_says_that_a_file_holds_no_motion(planned):
@@ -116,6 +210,14 @@ def test_certify_judges_a_path_that_optdock_did_not_make(planned):
     assert result.exit_code == 3
     assert result.stderr.startswith("not certified: ")
     assert result.stderr.count("\n") == 1
+
+
+def test_certify_names_what_a_file_was_proven_against(planned):
+    folder, _ = planned
+    (folder / "nearer.yaml").write_text(SCENARIO.replace("max_speed: 0.5", "max_speed: 0.6").replace("0.05", "0.04"))
+    done = run("certify", folder / "plan.json", folder / "nearer.yaml")
+    assert done.exit_code == 0
+    assert "another problem: limits, clearance differ" in done.stdout
 
 
 def test_certify_refuses_a_plan_of_another_frame(planned):
@@ -141,11 +243,11 @@ def test_certify_notices_a_path_through_an_obstacle(planned):
 @pytest.mark.parametrize(
     ("column", "change", "fault"),
     [
-        ("speed", lambda v: [2.0 * x for x in v], "speed [m/s]: "),
+        ("speed", lambda v: [1.02 * x for x in v], "distance off its speeds [m]: "),
         ("acceleration", lambda v: [x + 1.0 for x in v], "acceleration [m/s^2]: "),
         ("jerk", lambda v: [3.0 for x in v], "jerk [m/s^3]: 3 at t = 0.000 s, limit 2"),
         ("x", lambda v: [*v[:9], v[9] + 0.01, *v[10:]], "pose at t = 0.900 s is 0.00"),
-        ("speed", lambda v: [*v[:-1], 0.05], "end: 0.05 m/s"),
+        ("speed", lambda v: [*v[:-1], 0.05], "end: speed 0.05 m/s"),
         ("speed", lambda v: [0.05, *v[1:]], "start speed: 0.05 m/s, the robot drives 0 m/s"),
     ],
 )
@@ -154,6 +256,10 @@ def test_certify_notices_a_motion_that_breaks_its_limits(planned, column, change
     document = json.loads((folder / "plan.json").read_text())
     document["trajectory"][column] = change(document["trajectory"][column])
     pathlib.Path("changed.json").write_text(json.dumps(document))
+    result = run("certify", "changed.json", folder / "bay.yaml")
+    assert result.exit_code == 3
+    assert re.search(rf"^violation +{column} at t = \S+ s is ", result.stdout, re.MULTILINE)
+    pathlib.Path("changed.json").write_text(json.dumps(without_phases(document)))
     result = run("certify", "changed.json", folder / "bay.yaml")
     assert result.exit_code == 3
     assert fault in result.stdout
@@ -333,6 +439,7 @@ def test_simulate_says_how_exactly_the_robot_ends():
     assert len({len(column) for column in columns.values()}) == 1
     assert columns["t"][-1] == pytest.approx(document["duration"])
     assert "final error" in first.stdout
+    assert document["goal_checkers"] == {"DockGoalChecker": True}
     goal = load_scenario("bay.yaml").problem.goal
     last = Pose2(columns["x"][-1], columns["y"][-1], columns["yaw"][-1]).in_frame_of(goal)
     assert (last.x, last.y, last.yaw) == pytest.approx(
@@ -373,6 +480,10 @@ time_budget: 5.0
 def test_a_run_that_touches_the_walls_ends_with_status_3_although_it_docks():
     noise = ("--position-noise", "0.03", "--yaw-noise", "0.05")
     assert run("simulate", write(CORRIDOR)).exit_code == 0
+    watched = run("simulate", "bay.yaml", *noise)
+    assert watched.exit_code == 3
+    assert "NoValidControl: TrackingController: collision ahead" in watched.stderr or "collided" in watched.stderr
+    write(CORRIDOR + "controller: {use_collision_detection: false}\n")
     result = run("simulate", "bay.yaml", "--out", "run.json", *noise)
     assert result.exit_code == 3
     assert result.stderr.startswith("collided: the footprint went 0.0")
@@ -418,6 +529,8 @@ def test_demo_runs_from_start_to_finish(tmp_path):
     assert min(made.values()) > 1000
     document = json.loads((tmp_path / "demo" / "run.json").read_text())
     assert document["docked"] is True
+    assert document["goal_checkers"] == {"AxisGoalChecker": True, "DockGoalChecker": True}
+    assert "AxisGoalChecker: reached, DockGoalChecker: reached\n" in result.stdout
     assert max(abs(document["final_error"]["along"]), abs(document["final_error"]["cross"])) < 0.005
 
 

@@ -1,6 +1,7 @@
 import math
 import struct
 import zlib
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -90,10 +91,19 @@ def test_defaults_hold_where_the_file_is_silent(tmp_path):
     loaded = scenario(tmp_path, MINIMAL)
     assert loaded.time_budget == 0.1
     assert loaded.problem.frame == "map"
-    assert loaded.problem.robot.footprint.circumscribed_radius == pytest.approx(0.3)
+    assert loaded.problem.robot.footprint.inscribed_radius == pytest.approx(0.3)
     assert loaded.problem.dock.direction is DockDirection.AUTO
     names = [choice.name for choice in (loaded.plugins.planner, loaded.plugins.smoother, loaded.goal_checker)]
     assert names == ["DockPlanner", "CasadiSmoother", "DockGoalChecker"]
+
+
+def test_the_scenario_of_the_readme_is_one_and_ends_by_the_axis_goal_checker(tmp_path):
+    readme = (Path(__file__).parents[2] / "README.md").read_text()
+    snippet = readme.split("A scenario file:\n\n```yaml\n")[1].split("```")[0]
+    write_map(tmp_path / "maps", np.full((4, 4), 254))
+    loaded = scenario(tmp_path, snippet)
+    assert loaded.goal_checker.name == "AxisGoalChecker"
+    assert loaded.goal_checker.parameters["stopped"] is True
 
 
 @pytest.mark.parametrize(
@@ -126,7 +136,7 @@ def test_a_footprint_is_a_list_or_navs_text_in_either_orientation(tmp_path, robo
 
 def test_a_radius_may_stand_under_footprint(tmp_path):
     loaded = scenario(tmp_path, with_change("radius: 0.3", "footprint: {radius: 0.2}", MINIMAL))
-    assert loaded.problem.robot.footprint.circumscribed_radius == pytest.approx(0.2)
+    assert loaded.problem.robot.footprint.inscribed_radius == pytest.approx(0.2)
 
 
 def test_one_number_is_the_clearance_everywhere(tmp_path):
@@ -141,8 +151,9 @@ def test_a_map_is_found_relative_to_the_scenario(tmp_path):
     write_map(tmp_path / "maps", grey)
     problem = scenario(tmp_path, MINIMAL + "map: maps/hall.yaml\n").problem
     assert (problem.costmap.rows, problem.costmap.columns, problem.costmap.resolution) == (30, 40, 0.1)
-    occupied = [i for i in range(len(problem.obstacles)) if problem.obstacles.name_of(i) == "map"]
-    lower, upper = problem.obstacles.lower[occupied].min(axis=0), problem.obstacles.upper[occupied].max(axis=0)
+    obstacles = problem.all_obstacles
+    occupied = [i for i in range(len(obstacles)) if obstacles.name_of(i) == "map"]
+    lower, upper = obstacles.lower[occupied].min(axis=0), obstacles.upper[occupied].max(axis=0)
     np.testing.assert_allclose([*lower, *upper], [0.0, 2.5, 4.0, 3.0], atol=1e-12)
 
 
@@ -288,4 +299,4 @@ def test_a_real_map_becomes_obstacles_with_its_border(tmp_path, real_data):
     text = MINIMAL + f"map: {real_data / 'nav2' / 'maps' / 'depot.yaml'}\n"
     problem = scenario(tmp_path, text).problem
     assert (problem.costmap.columns, problem.costmap.rows) == (604, 307)
-    assert "map border" in problem.obstacles.names
+    assert "map border" in problem.all_obstacles.names

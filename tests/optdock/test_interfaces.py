@@ -34,6 +34,7 @@ from optdock.plugins import INTERFACES
 
 # Interface, Nav2's method, ours, whether an author must write it, its parameters after self.
 METHODS = [
+    (Plugin, "getName", "name", False, None),
     (Plugin, "configure", "configure", False, ["context"]),
     (Plugin, "activate", "activate", False, []),
     (Plugin, "deactivate", "deactivate", False, []),
@@ -61,6 +62,7 @@ METHODS = [
     (Layer, "matchSize", "match_size", False, []),
     (Layer, "onFootprintChanged", "on_footprint_changed", False, []),
     (Layer, "isCurrent", "is_current", False, []),
+    (Layer, "setCurrent", "set_current", False, ["current"]),
     (Layer, "isEnabled", "is_enabled", False, []),
     (GoalChecker, "reset", "reset", False, []),
     (
@@ -127,17 +129,21 @@ def test_what_an_author_need_not_write_does_as_nav2s_defaults():
     assert layer.is_clearable() is False
     assert layer.is_current() is True
     assert layer.is_enabled() is True
+    layer.set_current(False)
+    assert layer.is_current() is False
+    assert minimal(Layer).is_current() is True
+    layer.set_current(True)
+    assert layer.is_current() is True
+    assert (layer.name, controller.name) == ("Minimal", "Minimal")
+    layer.configure(PluginContext(name="obstacles"))
+    assert layer.name == "obstacles"
     assert layer.match_size() is layer.on_footprint_changed() is minimal(GoalChecker).reset() is None
     assert never_cancelled() is False
 
 
-def test_flags_are_given_by_name():
-    kinds = {
-        name: parameter.kind
-        for method in (Controller.set_speed_limit, Smoother.smooth)
-        for name, parameter in inspect.signature(method).parameters.items()
-    }
-    for name in ("percentage", "problem", "warm_start", "cancel_checker"):
+def test_what_nav2_does_not_know_is_given_by_name():
+    kinds = {name: parameter.kind for name, parameter in inspect.signature(Smoother.smooth).parameters.items()}
+    for name in ("problem", "warm_start", "cancel_checker"):
         assert kinds[name] is inspect.Parameter.KEYWORD_ONLY
 
 
@@ -206,6 +212,7 @@ OWN = {
     "OptdockError": 0,
     "PluginError": 0,
     "SmootherCancelled": 0,
+    "TimingTimedOut": 601,
 }
 
 

@@ -105,8 +105,10 @@ OTHERWISE = {
 }
 OWN = {
     "goal_checkers.AdaptiveToleranceGoalChecker": {"required_stagnation_cycles"},
-    "goal_checkers.AxisGoalChecker": {"axis_end"},
+    "goal_checkers.AxisGoalChecker": {"axis_end", "stopped", "trans_stopped_velocity", "rot_stopped_velocity"},
     "controllers.GracefulController": {"period"},
+    "smoothers.SimpleSmoother": {"check_for_collisions"},
+    "smoothers.SavitzkyGolaySmoother": {"check_for_collisions"},
     "layers.InflationLayer": {"enabled"},
     "layers.StaticLayer": {"enabled", "footprint_clearing_enabled"},
     "behaviors.Undock": {"dock_tolerance", "time_budget", "simulate_ahead_time", "controller"},

@@ -25,10 +25,12 @@ from optdock.errors import (
 )
 from optdock.geometry.footprint import Footprint
 from optdock.geometry.pose import Pose2
-from optdock.interfaces import Smoother, SmoothingResult
+from optdock.interfaces import Smoother, SmoothingResult, TimeParameterizer
 from optdock.limits import MotionLimits, SpeedZone
 from optdock.obstacles import ObstacleSet
+from optdock.path import Path
 from optdock.pipeline import PartialPlan, PluginChoice, PluginChoices, _warm_once, plan_dock, warm_up
+from optdock.plugins import create_plugin
 from optdock.problem import ClearanceRule, DockingProblem
 from optdock.robot import Robot
 from optdock.testing.dense_check import dense_check
@@ -112,6 +114,17 @@ def test_a_budget_is_a_positive_number(budget):
         plan_dock(problem(), time_budget=budget)
 
 
+def test_a_budget_beyond_all_floats_is_refused():
+    with pytest.raises(InvalidValue, match="time_budget: must be finite"):
+        plan_dock(problem(), time_budget=10**400)
+
+
+@pytest.mark.parametrize("lower", [[0.0, 0.0], [[0.0, 0.0, 0.0]], [[0.0, 0.0], [0.0, 0.0]], [[math.nan, 0.0]]])
+def test_corners_of_rectangles_come_in_pairs(lower):
+    with pytest.raises(InvalidValue, match="posts"):
+        ObstacleSet.from_rectangles(np.array(lower), np.array([[1.0, 1.0]]), "posts")
+
+
 def test_a_budget_too_small_for_anything_is_a_time_out():
     assert isinstance(failure(problem(), time_budget=1e-9), OptdockError)
     error = failure(problem(), time_budget=1e-6)
@@ -148,10 +161,22 @@ def test_a_dock_direction_that_contradicts_the_start():
 
 
 def test_ends_off_the_map():
-    costmap = Costmap(np.zeros((60, 100), dtype=np.uint8), 0.05, (0.0, 0.0))
+    costmap = Costmap(np.zeros((100, 120), dtype=np.uint8), 0.05, (-0.5, -1.5))
     assert plan_dock(problem(costmap=costmap), time_budget=BUDGET).certificate.certified
-    assert isinstance(failure(problem(start=Pose2(0.5, -0.1, 0.3), costmap=costmap)), StartOutsideMapBounds)
+    assert isinstance(failure(problem(start=Pose2(0.5, -1.6, 0.3), costmap=costmap)), StartOutsideMapBounds)
+    assert isinstance(failure(problem(start=Pose2(0.5, -1.3, 0.3), costmap=costmap)), StartOccupied)  # a corner is off
     assert isinstance(failure(problem(dock=dock(pose=Pose2(6.0, 1.0, 0.0)), costmap=costmap)), GoalOutsideMapBounds)
+
+
+def test_a_costmap_alone_is_an_obstacle():
+    free = Costmap(np.zeros((160, 160), dtype=np.uint8), 0.05, (-1.0, -4.0))
+    cells = np.array(free.data)
+    cells[:, 60:66] = 254  # x from 2.0 to 2.3 m, right across
+    walled = free.with_data(cells)
+    assert plan_dock(problem(costmap=free), time_budget=BUDGET).certificate.nearest == "dock"
+    error = failure(problem(costmap=walled))
+    assert isinstance(error, FailedToSmoothPath)
+    assert error.where["obstacle"] == "map"
 
 
 def test_a_curvature_the_robot_cannot_drive():
@@ -199,8 +224,6 @@ def test_a_smoother_is_never_believed(monkeypatch):
 
 
 def _with_liar(interface, name, parameters=None):
-    from optdock.plugins import create_plugin
-
     return Liar() if interface is Smoother else create_plugin(interface, name, parameters)
 
 
@@ -219,6 +242,65 @@ def test_the_smoother_time_out_is_passed_on(monkeypatch):
     assert error.code == 502
     assert error.partial.raw_path is not None
     assert error.partial.path is None
+
+
+class Shortcut(TimeParameterizer):
+    """Times the chord from start to goal instead of the path."""
+
+    def parameterize(self, path, limits, zone, **start):
+        chord = Path.from_poses(np.linspace(path.start.as_array(), path.end.as_array(), 50))
+        return create_plugin(TimeParameterizer, "Windowed").parameterize(chord, limits, zone, **start)
+
+
+class Hasty(TimeParameterizer):
+    """Times the path for a drive twice as fast as it is."""
+
+    def parameterize(self, path, limits, zone, **start):
+        faster = dataclasses.replace(limits, max_speed=2.0 * limits.max_speed)
+        return create_plugin(TimeParameterizer, "Windowed").parameterize(path, faster, zone, **start)
+
+
+class Broken(TimeParameterizer):
+    def parameterize(self, path, limits, zone, **start):
+        raise ZeroDivisionError("no time at all")
+
+
+@pytest.mark.parametrize(
+    ("timing", "why"),
+    [
+        (Shortcut, "timed another path than the certified one"),
+        (Hasty, "the trajectory is not certified: speed"),
+        (Broken, "failed: ZeroDivisionError: no time at all"),
+    ],
+)
+def test_a_timing_plugin_is_never_believed_and_never_the_end(monkeypatch, timing, why):
+    def made(interface, name, parameters=None):
+        wrong = interface is TimeParameterizer and name != "Windowed"
+        return timing() if wrong else create_plugin(interface, name, parameters)
+
+    monkeypatch.setattr("optdock.pipeline.create_plugin", made)
+    plan = plan_dock(problem(), time_budget=BUDGET)
+    assert plan.trajectory.path is plan.path
+    assert plan.trajectory_certificate.certified
+    assert certify_trajectory(plan.trajectory, LIMITS, dock().approach).certified
+    assert why in str(plan.timing_report["replaced"])
+
+
+def test_whatever_a_plugin_raises_is_typed(monkeypatch):
+    class Careless(Liar):
+        def smooth(self, path, max_time, *, problem=None, warm_start=None, cancel_checker=None):
+            return path.segments[99]
+
+    def made(interface, name, parameters=None):
+        return Careless() if interface is Smoother else create_plugin(interface, name, parameters)
+
+    monkeypatch.setattr("optdock.pipeline.create_plugin", made)
+    error = failure(problem())
+    assert isinstance(error, PluginError)
+    assert "IndexError" in str(error)
+    assert isinstance(error.__cause__, IndexError)
+    monkeypatch.setattr(Careless, "smooth", lambda self, path, max_time, **rest: path)
+    assert "must return a SmoothingResult, got Path" in str(failure(problem()))
 
 
 def test_warming_up_warms_the_smoother_itself(monkeypatch):

@@ -4,6 +4,7 @@ import math
 import numpy as np
 
 from optdock.errors import NoValidPathCouldBeFound, OptdockError
+from optdock.fingerprint import ProblemFingerprint
 from optdock.geometry.pose import Pose2
 from optdock.path import Path
 from optdock.pipeline import PartialPlan
@@ -30,6 +31,14 @@ def test_a_run_tells_its_final_error_in_the_frame_of_the_dock():
     assert rows["min clearance driven"] == "0.0200 m"
 
 
+def test_a_run_tells_what_every_goal_checker_said():
+    run = run_ending_at([1.0, 0.0, 0.2], docked=True, verdicts={"AxisGoalChecker": True, "DockGoalChecker": False})
+    rows = [(row.name, row.value) for row in run_rows(run)]
+    assert rows[1] == ("goal checkers", "AxisGoalChecker: reached, DockGoalChecker: not reached")
+    document = json.loads(run_json(run, 0))
+    assert document["goal_checkers"] == {"AxisGoalChecker": True, "DockGoalChecker": False}
+
+
 def test_a_run_that_failed_says_why_and_stays_strict_json():
     run = run_ending_at([0.5, 0.0, 0.0], docked=False, reason="timeout", min_clearance=math.inf)
     assert {row.name: row.value for row in run_rows(run)}["docked"] == "no: timeout"
@@ -41,7 +50,7 @@ def test_a_run_that_failed_says_why_and_stays_strict_json():
 
 
 def test_a_failure_takes_along_whatever_exists():
-    raw = Path.from_poses(np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0]]))
+    raw = Path.from_poses(np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0]]), "depot")
     error = NoValidPathCouldBeFound("no way", where={"s": 1.0})
     error.partial = PartialPlan(raw_path=raw, timing_ms={"plan": 1.5})
     plan = failed_plan_file(error, "depot")
@@ -57,5 +66,6 @@ def test_a_failure_before_anything_exists_has_nothing_but_its_reason():
 
 
 def test_a_certificate_without_obstacles_has_no_clearance_to_tell():
-    certificate = Certificate((), math.inf, 0.0, 0.0, math.inf, "", 0.5, 1.0, 2.0, 3)
+    nothing = ProblemFingerprint(*"abcdefg")
+    certificate = Certificate((), math.inf, 0.0, 0.0, math.inf, "", 0.5, 1.0, 2.0, 3, nothing, "")
     assert [row.name for row in certificate_rows(certificate)] == ["length", "max curvature"]

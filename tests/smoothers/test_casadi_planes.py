@@ -177,6 +177,13 @@ def test_discs_lie_inside_a_rectangle():
         assert outline.buffer(1e-9).contains(shapely.Point(centre).buffer(radius))
 
 
+def test_discs_of_a_needle_are_few():
+    centres, radius = disc_centres(Footprint.rectangle(1.5, 1.5, 2e-4).vertices)
+    assert len(centres) <= 32
+    assert radius == pytest.approx(1e-4)
+    assert np.abs(centres[:, 0]).max() <= 1.5
+
+
 @pytest.mark.parametrize("seed", range(4))
 def test_disc_rows_are_exact_to_first_order(cases, seed):
     layout, variables, problem, world, signs = random_case(cases, seed)

@@ -170,11 +170,29 @@ def test_a_certified_clothoid_is_never_exchanged_for_a_costlier_path(smoother):
         assert third.report["cost"] < again.report["cost"]
 
 
+def test_the_first_certified_path_is_complete_where_no_more_was_asked_for():
+    """`completed` False means the time limit and nothing else."""
+    case = instance("reverse_cusp", 0)
+    for parameters in ({"stop_at_first": True}, {"max_iterations": 3}):
+        result = CasadiSmoother(**parameters).smooth(case.raw_path, LONG, problem=case.problem)
+        assert result.completed
+        assert result.report["total_s"] < 0.5 * LONG
+
+
+def test_an_earlier_result_in_another_frame_is_none(smoother):
+    case = instance("open_s", 0)
+    earlier = smoother.smooth(case.raw_path, LONG, problem=case.problem).path
+    elsewhere = Path(earlier.segments, "odom")
+    result = smoother.smooth(case.raw_path, LONG, problem=case.problem, warm_start=elsewhere)
+    assert result.path.frame == case.problem.frame
+    assert certify_path(result.path, case.problem).certified
+
+
 def test_a_straight_line_is_kept_as_it_is(smoother, cases):
     from optdock.geometry.clothoid import ClothoidSpline
 
     goal = Pose2(3.0, 0.0, 0.0)
-    line = Path((ClothoidSegment(ClothoidSpline(Pose2(0.0, 0.0, 0.0), [0.0, 3.0], [0.0, 0.0])),))
+    line = Path((ClothoidSegment(ClothoidSpline(Pose2(0.0, 0.0, 0.0), [0.0, 3.0], [0.0, 0.0])),), "map")
     result = smoother.smooth(line, LONG, problem=cases.open_problem(goal))
     assert result.path is line
     assert result.report["status"] == "input_kept"

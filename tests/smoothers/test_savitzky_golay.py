@@ -1,3 +1,4 @@
+import itertools
 import math
 
 import numpy as np
@@ -6,8 +7,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from optdock.errors import InvalidPath, InvalidValue, SmootherCancelled, SmootherTimedOut
-from optdock.interfaces import Smoother
-from optdock.path import Direction, Path
+from optdock.interfaces import PluginContext, Smoother
+from optdock.path import Direction, Path, PolylineSegment
 from optdock.plugins import create_plugin
 from smoothers._nav2_poses import poses_of
 from smoothers.savitzky_golay import SavitzkyGolaySmoother, savitzky_golay_weights
@@ -105,6 +106,32 @@ def test_no_time_throws_only_where_there_is_work():
     with pytest.raises(SmootherTimedOut, match="allowed 0"):
         SavitzkyGolaySmoother().smooth(Path.from_poses(noisy()), 0.0)
     assert SavitzkyGolaySmoother().smooth(Path.from_poses(noisy()[:10]), 0.0).completed
+
+
+def test_a_time_limit_leaves_later_pieces_as_they_were_and_says_so():
+    ticks = itertools.count()
+    smoother = SavitzkyGolaySmoother()
+    smoother.configure(PluginContext(clock=lambda: float(next(ticks))))
+    before = there_and_back()
+    result = smoother.smooth(Path.from_poses(before), 1.5)  # made, asked before the first piece: 1; the second: 2
+    after, whole = poses_of(result.path), smoothed(before)
+    assert not result.completed
+    assert result.report["pieces"] == 1
+    assert after[: COUNT - 1] == pytest.approx(whole[: COUNT - 1], abs=1e-15)
+    assert (after[COUNT:] == poses_of(Path.from_poses(before))[COUNT:]).all()
+    assert smoother.smooth(Path.from_poses(before), 2.5).completed
+
+
+@pytest.mark.parametrize("yaw", [-3.0, 0.4, math.pi, 9.0])
+def test_start_and_goal_keep_their_headings_whatever_the_travel(yaw):
+    raw = Path.from_poses(there_and_back())
+    turned = np.array(raw.segments[0].poses)
+    turned[0, 2] = yaw
+    path = Path((PolylineSegment(turned, Direction.FORWARD), *raw.segments[1:]))
+    result = SavitzkyGolaySmoother().smooth(path, 10.0).path
+    assert math.cos(result.start.yaw - yaw) == pytest.approx(1.0, abs=1e-15)
+    assert math.cos(result.end.yaw - path.end.yaw) == pytest.approx(1.0, abs=1e-15)
+    assert [segment.direction for segment in result.segments] == [Direction.FORWARD, Direction.REVERSE]
 
 
 def test_cancelling_stops_it():

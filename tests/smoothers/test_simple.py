@@ -1,3 +1,4 @@
+import itertools
 import logging
 import math
 
@@ -10,7 +11,7 @@ from optdock.costmap.costmap import FREE_SPACE, INSCRIBED, LETHAL, NO_INFORMATIO
 from optdock.errors import InvalidValue, SmootherCancelled, SmootherTimedOut
 from optdock.geometry.pose import Pose2
 from optdock.interfaces import PluginContext, Smoother
-from optdock.path import Direction, Path
+from optdock.path import Direction, Path, PolylineSegment
 from optdock.plugins import create_plugin
 from smoothers._nav2_poses import poses_of
 from smoothers.simple import SimpleSmoother, _Sweep
@@ -139,7 +140,7 @@ def test_four_poses_are_left_alone_and_five_are_not():
 
 
 def test_refinement_goes_on_where_the_first_pass_stopped():
-    turns = [np.abs(np.diff(np.unwrap(smoothed(corner(), refinement_num=n)[:-1, 2]))).max() for n in (0, 2, 5)]
+    turns = [np.abs(np.diff(np.unwrap(smoothed(corner(), refinement_num=n)[1:-1, 2]))).max() for n in (0, 2, 5)]
     assert turns[0] > turns[1] > turns[2]
     plain = smoothed(corner(), do_refinement=False)
     assert (plain == smoothed(corner(), refinement_num=0)).all()
@@ -165,8 +166,8 @@ def grid(cost, centre):
     return empty.with_data(data)
 
 
-def stopped_by(costmap):
-    smoother = SimpleSmoother()
+def stopped_by(costmap, **parameters):
+    smoother = SimpleSmoother(**parameters)
     smoother.configure(PluginContext(name="simple", costmap=costmap))
     return smoother.smooth(Path.from_poses(corner()), 10.0)
 
@@ -177,7 +178,8 @@ def test_a_sweep_into_an_obstacle_is_undone_and_ends_the_work(cost):
     after_nine = poses_of(SimpleSmoother(max_its=10, do_refinement=False).smooth(Path.from_poses(corner()), 10.0).path)
     in_the_way = Costmap(np.full((1, 1), cost, dtype=np.uint8), 1e-9, tuple(after_nine[5, :2] - 5e-10))
     result = stopped_by(in_the_way)
-    assert not result.completed
+    assert result.completed  # False would mean the time limit
+    assert result.report["ended_by"] == ("obstacle",)
     assert poses_of(result.path) == pytest.approx(poses_of(after_eight.path), abs=1e-15)
 
 
@@ -196,9 +198,59 @@ def test_off_the_map_nothing_stops_it():
 def test_too_few_sweeps_are_reported_and_warned_about(caplog):
     with caplog.at_level(logging.WARNING):
         result = SimpleSmoother(max_its=5).smooth(Path.from_poses(corner()), 10.0)
-    assert not result.completed
-    assert result.report["sweeps"] == 4
+    assert result.completed
+    assert (result.report["sweeps"], result.report["ended_by"]) == (4, ("max_its",))
     assert "still moving after 5 sweeps" in caplog.text
+
+
+def limited_to(sweeps, poses, costmap=None):
+    """A result whose time is over after so many sweeps, on a clock that counts how often it is asked."""
+    ticks = itertools.count()
+    smoother = SimpleSmoother()
+    smoother.configure(PluginContext(costmap=costmap, clock=lambda: float(next(ticks))))
+    return smoother.smooth(Path.from_poses(poses), sweeps + 0.5)
+
+
+@pytest.mark.parametrize("sweeps", [1, 4, 8])
+def test_a_time_limit_returns_the_last_whole_sweep_and_says_so(sweeps):
+    result = limited_to(sweeps, corner())
+    whole = SimpleSmoother(max_its=sweeps + 1, do_refinement=False).smooth(Path.from_poses(corner()), 10.0)
+    assert not result.completed
+    assert result.report["ended_by"] == ("time",)
+    assert poses_of(result.path) == pytest.approx(poses_of(whole.path), abs=1e-15)
+
+
+def test_a_time_limit_leaves_later_pieces_as_they_were():
+    result, before = limited_to(1, there_and_back()), there_and_back()
+    after = poses_of(result.path)
+    assert not result.completed
+    assert np.abs(after[1:12, :2] - before[1:12, :2]).max() > 1e-4
+    assert (after[12:, :2] == before[12:, :2]).all()
+    assert [segment.direction for segment in result.path.segments] == [Direction.FORWARD, Direction.REVERSE]
+
+
+def test_what_a_time_limit_leaves_has_entered_nothing_either():
+    blocked = grid(LETHAL, (0.58, 0.42))
+    for sweeps in (1, 2, 3):
+        points = poses_of(limited_to(sweeps, corner(), blocked).path)[:, :2]
+        assert (blocked.cost_at(points) == FREE_SPACE).all()
+
+
+@pytest.mark.parametrize("yaw", [-3.0, -1.2, 0.0, 0.4, 2.0, math.pi, 9.0])
+@pytest.mark.parametrize("shape", [bow, there_and_back])
+def test_start_and_goal_keep_their_headings_whatever_the_travel(yaw, shape):
+    """The seed: preserve start and end poses; Nav2's smoother turns the start along the first step."""
+    poses = shape()
+    raw = Path.from_poses(poses)
+    gears = [segment.direction for segment in raw.segments]
+    turned = np.array(raw.segments[0].poses)
+    turned[0, 2] = yaw
+    path = Path((PolylineSegment(turned, gears[0]), *raw.segments[1:]))
+    result = SimpleSmoother().smooth(path, 10.0).path
+    assert result.start.distance_to(path.start) == 0.0
+    assert math.cos(result.start.yaw - yaw) == pytest.approx(1.0, abs=1e-15)
+    assert math.cos(result.end.yaw - poses[-1, 2]) == pytest.approx(1.0, abs=1e-15)
+    assert [segment.direction for segment in result.segments] == gears
 
 
 def test_cancelling_stops_it():

@@ -1,5 +1,6 @@
 """Wait, BackUp, DriveOnHeading and Spin: codes, timeouts, ramps, and a collision check that sees everything ahead."""
 
+import dataclasses
 import math
 
 import numpy as np
@@ -8,6 +9,7 @@ import pytest
 from optdock.behaviors.drive import BackUp, DriveOnHeading
 from optdock.behaviors.spin import Spin
 from optdock.behaviors.wait import Wait
+from optdock.costmap.cell_obstacles import obstacles_from_costmap
 from optdock.costmap.costmap import Costmap
 from optdock.dock import Dock
 from optdock.errors import BehaviorException
@@ -226,6 +228,55 @@ def test_a_costmap_and_a_footprint_are_enough():
     assert (result.error_code, result.error_msg[:21]) == (723, "collision ahead: map ")
     assert behavior.on_run({"target": 0.2, "speed": 0.2}).status is SUCCEEDED
     assert behavior.on_cycle_update(Pose2(0.1, 0.0, 0.0), Twist2())[0].status is RUNNING
+
+
+def grid(*columns):
+    """A map of 3 m x 3 m around the origin with walls across the x axis at these columns of cells."""
+    data = np.zeros((60, 60), dtype=np.uint8)
+    data[:, list(columns)] = 254
+    return Costmap(data=data, resolution=0.05, origin=(-1.5, -1.5))
+
+
+FREE, WALLS = grid(), grid(10, 45)  # at x = -1 and 0.75 m: within 1 m of the footprint either way
+
+
+def asking_for(kind, needs):
+    return type(kind.__name__, (kind,), {"resource_info": needs})()
+
+
+@pytest.mark.parametrize("needs", CostmapInfoType)
+@pytest.mark.parametrize(
+    ("kind", "command", "code"),
+    [
+        (BackUp, {"target": 1.0, "speed": 0.3}, 714),
+        (DriveOnHeading, {"target": 1.0, "speed": 0.3}, 723),
+        (Spin, {"target_yaw": 6.0}, 703),
+    ],
+)
+def test_the_local_and_the_global_costmap_are_told_apart(kind, command, code, needs):
+    near = grid(21, 37)  # too near to turn
+    walls = near if kind is Spin else WALLS
+    free, problem = FREE, DockingProblem(ORIGIN, Dock(ORIGIN), Robot(BOX, MotionLimits()))
+
+    def outcome(local, around, known=None):
+        world = World()
+        world.context = dataclasses.replace(
+            world.context, problem=known, costmap=around, local_costmap=local, footprint=BOX
+        )
+        return world.run(asking_for(kind, needs), command).error_code
+
+    blocked_by_local = code if needs in (CostmapInfoType.LOCAL, CostmapInfoType.BOTH) else 0
+    blocked_by_global = code if needs in (CostmapInfoType.GLOBAL, CostmapInfoType.BOTH) else 0
+    if needs is not CostmapInfoType.NONE:  # which needs something else to check against
+        assert outcome(walls, free) == blocked_by_local
+        assert outcome(free, walls) == blocked_by_global
+        assert outcome(free, free) == 0
+        assert outcome(None, walls) == code  # where there is no local one the other serves both
+    assert outcome(walls, None, problem) == blocked_by_local
+    # What a problem says must not be touched counts for everyone, and the global costmap is part of what it says.
+    in_the_way = dataclasses.replace(problem, obstacles=obstacles_from_costmap(walls))
+    assert outcome(free, None, in_the_way) == code
+    assert outcome(free, walls, problem) == code
 
 
 @pytest.mark.parametrize("command", [None, 3, "target", [("target", 1.0)], {3: 1.0}, {"self": 1}, {"target": "1.0"}])

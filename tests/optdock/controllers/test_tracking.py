@@ -6,13 +6,16 @@ import numpy as np
 import pytest
 
 from checkers.axis import AxisGoalChecker
+from checkers.dock import DockGoalChecker
 from optdock.controllers.tracking import TrackingController
+from optdock.costmap.costmap import Costmap
 from optdock.dock import Dock
 from optdock.errors import ControllerInvalidPath, InvalidValue, NoValidControl
 from optdock.geometry.footprint import Footprint
 from optdock.geometry.pose import Pose2, Twist2
 from optdock.interfaces import Controller, PluginContext
 from optdock.limits import MotionLimits
+from optdock.obstacles import ObstacleSet
 from optdock.path import Direction, Path
 from optdock.plugins import create_plugin
 from optdock.problem import DockingProblem
@@ -273,6 +276,99 @@ def test_a_path_is_timed_before_it_is_followed():
             break
         state = plant.step(state, controller.compute_velocity_commands(state.pose, state.twist, checker))
     assert state.pose.distance_to(path.end) < 0.004
+
+
+class TestCollisions:
+    """A wall 1 m ahead of the nose, and a drive that ends 5 cm inside of it."""
+
+    WALL = np.array([[1.4, -1.0], [1.6, -1.0], [1.6, 1.0], [1.4, 1.0]])
+    AHEAD = straight_drive(Pose2(0.0, 0.0, 0.0), length=1.05)
+
+    def worlds(self):
+        def task(**known):
+            return DockingProblem(Pose2(0.0, 0.0, 0.0), Dock(self.AHEAD.path.end), ROBOT, **known)
+
+        free = Costmap(np.zeros((80, 120), dtype=np.uint8), 0.05, (-3.0, -2.0))
+        cells = free.data.copy()
+        cells[20:60, 88:92] = 254
+        walled, outline = free.with_data(cells), ROBOT.footprint
+        return {
+            "polygon": PluginContext(problem=task(obstacles=ObstacleSet.from_polygons([self.WALL]))),
+            "costmap of the problem": PluginContext(problem=task(costmap=walled)),
+            "costmap and outline": PluginContext(costmap=walled, footprint=outline),
+            "local costmap": PluginContext(problem=task(costmap=free), local_costmap=walled),
+        }
+
+    def driven(self, surroundings, trajectory=AHEAD, **parameters):
+        """Where the drive ends, and the refusal that ended it; None where there was none."""
+        controller = TrackingController(**parameters)
+        controller.configure(surroundings)
+        controller.set_path(trajectory)
+        plant = DifferentialDrive(ROBOT, period=PERIOD)
+        state = plant.at_rest(trajectory.path.start)
+        for _ in range(400):
+            try:
+                command = controller.compute_velocity_commands(state.pose, state.twist, None)
+            except NoValidControl as error:
+                return state, error
+            state = plant.step(state, command)
+        return state, None
+
+    @pytest.mark.parametrize("world", ["polygon", "costmap of the problem", "costmap and outline", "local costmap"])
+    def test_it_refuses_while_it_can_still_stop_before_it_is_deeper_than_the_tolerance(self, world):
+        state, error = self.driven(self.worlds()[world])
+        assert error is not None
+        rest = state.pose.x + state.twist.linear**2 / (2.0 * LIMITS.max_deceleration)
+        assert 1.0 < rest <= 1.01 + 1e-9  # the nose stands at the wall where x is 1 m
+        assert error.where["depth"] > 0.01
+        assert "collision ahead" in str(error)
+
+    def test_it_drives_on_only_when_told(self):
+        state, error = self.driven(self.worlds()["polygon"], use_collision_detection=False)
+        assert error is None
+        assert state.pose.x == pytest.approx(1.05, abs=0.002)
+
+    def test_a_drive_that_ends_in_contact_ends_there_whatever_the_noise(self):
+        touching = straight_drive(Pose2(0.0, 0.0, 0.0), length=1.0)
+        surroundings = self.worlds()["polygon"]
+        for seed in range(5):
+            controller = TrackingController()
+            controller.configure(surroundings)
+            world = SimulationSettings(
+                position_noise=0.002, yaw_noise=0.002, seed=seed, actuation=Actuation(0.06, 0.06)
+            )
+            checker = DockGoalChecker(along_tolerance=0.005)
+            run = run_closed_loop(touching, ROBOT, touching.path.end, controller, checker, world)
+            assert run.docked, run.reason
+
+    def test_a_robot_that_is_too_deep_may_drive_out(self):
+        out = straight_drive(Pose2(1.05, 0.0, 0.0), Direction.REVERSE, length=0.9)
+        state, error = self.driven(self.worlds()["polygon"], out)
+        assert error is None
+        assert state.pose.x == pytest.approx(0.15, abs=0.002)
+
+    def test_after_a_refusal_it_goes_on_from_rest_once_the_way_is_free(self):
+        worlds = self.worlds()
+        live = worlds["costmap and outline"].costmap
+        grid = Costmap.writable(live.data.shape, live.resolution, live.origin)
+        grid.data[:] = live.data
+        controller = TrackingController()
+        controller.configure(PluginContext(costmap=grid, footprint=ROBOT.footprint))
+        controller.set_path(self.AHEAD)
+        plant = DifferentialDrive(ROBOT, period=PERIOD)
+        state, refusals = plant.at_rest(Pose2(0.0, 0.0, 0.0)), 0
+        for _ in range(900):
+            try:
+                command = controller.compute_velocity_commands(state.pose, state.twist, None)
+            except NoValidControl:
+                refusals += 1
+                command = Twist2()
+                if refusals == 20:
+                    grid.data[:] = 0
+            assert not (refusals and command.linear - state.twist.linear > LIMITS.max_acceleration * PERIOD + 1e-9)
+            state = plant.step(state, command)
+        assert refusals == 20
+        assert state.pose.x == pytest.approx(1.05, abs=0.003)
 
 
 def test_a_new_path_in_motion_is_taken_up_without_a_stop():

@@ -7,7 +7,9 @@ import pytest
 import yaml
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
+from typer.testing import CliRunner
 
+from optdock.cli import app
 from optdock.config import Scenario, load_scenario
 from optdock.errors import InvalidFile
 from optdock.io.dock_database import load_dock_database
@@ -47,8 +49,11 @@ PLAN = {
     "raw_path": {**COLUMNS, "segments": [{"poses": [[0.0, 0.0, 0.0], [1.0, 0.0, 0.0]], "direction": 1}]},
     "path": {**COLUMNS, "segments": [EXACT]},
     "trajectory": {
-        name: [0.0, 1.0]
-        for name in ("t", "x", "y", "yaw", "speed", "acceleration", "jerk", "yaw_rate", "yaw_acceleration")
+        **{
+            name: [0.0, 1.0]
+            for name in ("t", "x", "y", "yaw", "speed", "acceleration", "jerk", "yaw_rate", "yaw_acceleration")
+        },
+        "phases": {"start": [0.0, 0.0, 0.0], "durations": [0.5, 0.5], "jerks": [1.0, -1.0]},
     },
     "certificate": {"min_clearance": 0.1},
     "timing_ms": {"plan": 1.0},
@@ -161,6 +166,23 @@ def test_any_scenario(folder, document):
 def test_any_plan(folder, document):
     (folder / "d.json").write_text(json.dumps(document), encoding="utf-8")
     assert isinstance(outcome(load_plan, folder / "d.json"), PlanFile | None)
+
+
+@settings(max_examples=30)
+@given(document=damaged(PLAN))
+@example(document=changed(PLAN, ("trajectory", "t"), [0.0, 5e-324]))
+@example(document=changed(PLAN, ("trajectory", "t"), [-1e11, 1e11]))
+@example(document=changed(PLAN, ("trajectory", "phases", "durations"), [1e9, 1e9]))
+@example(document=changed(PLAN, ("trajectory", "phases"), None))
+@example(document=changed(PLAN, ("path",), None))
+@example(document=changed(PLAN, ("certificate",), {"min_clearance": 10**400, "length": "long"}))
+def test_any_plan_is_judged(folder, document):
+    """The program ends with 0, 2 or 3, and says why it does not end with 0."""
+    (folder / "d.json").write_text(json.dumps(document), encoding="utf-8")
+    result = CliRunner().invoke(app, ["certify", str(folder / "d.json"), str(as_yaml(folder, SCENARIO))])
+    assert result.exit_code in (0, 2, 3), result.exception
+    assert result.exception is None or isinstance(result.exception, SystemExit)
+    assert (result.exit_code == 0) or result.stderr.strip()
 
 
 @settings(max_examples=60)

@@ -1,3 +1,4 @@
+import dataclasses
 import json
 import math
 import tracemalloc
@@ -65,6 +66,102 @@ def test_the_keys_are_those_of_the_format(tmp_path):
         "t", "x", "y", "yaw", "speed", "acceleration", "jerk", "yaw_rate", "yaw_acceleration",
     ]  # fmt: skip
     assert (document["format"], document["status"], document["completed"]) == ("optdock-plan/1", "certified", True)
+
+
+def test_the_time_law_stands_beside_its_samples(tmp_path):
+    plan = full_plan()
+    law = rest_to_rest(plan.path).time_law
+    document = saved(tmp_path, dataclasses.replace(plan, time_law=law))
+    assert list(document["trajectory"])[-1] == "phases"
+    assert list(document["trajectory"]["phases"]) == ["start", "durations", "jerks"]
+    loaded = load_plan(tmp_path / "plan.json").time_law
+    np.testing.assert_array_equal(loaded.states, law.states)
+    np.testing.assert_array_equal(loaded.times, law.times)
+    assert load_plan(tmp_path / "plan.json").trajectory.t.size == plan.trajectory.t.size
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"jerks": [1.0]}, "trajectory.phases: time law: needs >= 1 phase with a jerk each, got 8, 1"),
+        ({"durations": [-1.0] * 8}, "trajectory.phases: time law.durations: must be > 0 s"),
+        ({"start": [0.0]}, "trajectory.phases.start: List should have at least 3 items"),
+        ({"durations": [1e10] * 8}, "trajectory.phases.durations.0: Input should be less than or equal to"),
+        ({"durations": [1.0] * 10_001}, "trajectory.phases.durations: List should have at most 10000 items"),
+    ],
+)
+def test_wrong_phases_are_named(tmp_path, change, message):
+    plan = dataclasses.replace(full_plan(), time_law=rest_to_rest(two_gears()).time_law)
+    assert message in broken(tmp_path, lambda document: document["trajectory"]["phases"].update(change), plan)
+
+
+def test_phases_that_rounding_made_nothing_of_are_left_out(tmp_path):
+    document = json.loads(dataclasses.replace(full_plan(), time_law=rest_to_rest(two_gears()).time_law).as_json())
+    phases = document["trajectory"]["phases"]
+    phases["durations"].insert(3, 0.0)
+    phases["jerks"].insert(3, 9.0)
+    (tmp_path / "zero.json").write_text(json.dumps(document))
+    assert load_plan(tmp_path / "zero.json").time_law.durations.size == 8
+
+
+def test_yaws_in_degrees_are_asked_about(tmp_path):
+    def in_degrees(document):
+        columns = document["path"]
+        del columns["segments"]
+        columns["yaw"] = [math.degrees(yaw) for yaw in columns["yaw"]]
+
+    message = broken(tmp_path, in_degrees)
+    assert message.startswith("broken.json: path.yaw: ")
+    assert message.endswith(" is beyond 2 pi, and the robot moves along its yaws in degrees; write radians")
+
+
+def test_yaws_that_went_on_turning_are_no_degrees(tmp_path):
+    spline = ClothoidSpline(Pose2(0.0, 0.0, 0.0), np.array([0.0, 25.0]), np.array([1.0, 1.0]))
+    document = json.loads(PlanFile(path=Path((ClothoidSegment(spline),))).as_json())
+    del document["path"]["segments"]
+    (tmp_path / "turns.json").write_text(json.dumps(document))
+    assert load_plan(tmp_path / "turns.json").path.end.yaw == pytest.approx(25.0, abs=1e-3)
+
+
+@pytest.mark.parametrize("decimals", [6, 5, 4])
+def test_a_rounded_path_of_samples_is_read(tmp_path, decimals):
+    document = json.loads(full_plan().as_json())
+    columns = document["path"]
+    for key in ("s", "x", "y", "yaw", "curvature"):
+        columns[key] = [round(value, decimals) for value in columns[key]]
+    del columns["segments"]
+    (tmp_path / "rounded.json").write_text(json.dumps(document))
+    assert load_plan(tmp_path / "rounded.json").path.length == pytest.approx(1.7, abs=1e-2)
+
+
+def test_where_all_numbers_are_rounded_the_samples_are_the_path(tmp_path, caplog):
+    def rounded(value):
+        if isinstance(value, dict):
+            return {key: rounded(item) for key, item in value.items()}
+        if isinstance(value, list):
+            return [rounded(item) for item in value]
+        return round(value, 6) if isinstance(value, float) else value
+
+    spline = ClothoidSpline(Pose2(0.1, 0.2, 1 / 3), np.array([0.0, 1.0, 3 + 1 / 7]), np.array([1 / 3, 2 / 3, 1 / 7]))
+    document = json.loads(PlanFile(path=Path((ClothoidSegment(spline),))).as_json())
+    document["path"]["segments"][0]["knots"][1] += 1e-5
+    (tmp_path / "rounded.json").write_text(json.dumps(rounded(document)))
+    (segment,) = load_plan(tmp_path / "rounded.json").path.segments
+    assert isinstance(segment, PolylineSegment)
+    assert "the segments are rounded, so the samples count" in caplog.text
+    document["path"]["segments"][0]["knots"][1] += 1e-5 / 3.0
+    (tmp_path / "exact.json").write_text(json.dumps(document))
+    with pytest.raises(InvalidFile, match="off the segments"):
+        load_plan(tmp_path / "exact.json")
+
+
+def test_a_column_of_wrong_values_is_told_in_a_few_lines(tmp_path):
+    def spoil(document):
+        document["path"]["x"] = ["a"] * len(document["path"]["x"])
+
+    lines = broken(tmp_path, spoil).splitlines()
+    assert len(lines) == 21
+    assert lines[-1] == "broken.json: and 67 more faults"
 
 
 def test_spacing_bounds_the_distance_between_samples_and_the_cusp_appears_with_each_direction(tmp_path):

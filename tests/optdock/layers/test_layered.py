@@ -114,6 +114,42 @@ def test_a_layer_that_shrinks_the_bounds_is_refused_by_name(box):
         costmap.update(HERE)
 
 
+@pytest.mark.parametrize("cell", [(0, 3), (9, 3), (3, 0), (3, 9)])
+def test_a_layer_that_writes_outside_of_its_window_is_refused_by_name(cell):
+    class Sprawling(Stamp):
+        spilt = False
+
+        def update_costs(self, master, *window):
+            super().update_costs(master, *window)
+            if self.spilt:
+                master.data[cell] = 254
+
+    bad = Sprawling(box=(0.2, 0.2, 0.5, 0.5))
+    costmap = small({"good": Stamp(box=(0.2, 0.2, 0.5, 0.5)), "bad": bad})
+    before = costmap.update(HERE).data.copy()
+    bad.spilt = True
+    with pytest.raises(PluginError, match=r"layer bad: .* window \(2, 2, .* but changed 1 cells outside of it"):
+        costmap.update(HERE)
+    np.testing.assert_array_equal(costmap.costmap.data, before)
+    bad.spilt = False
+    np.testing.assert_array_equal(costmap.update(HERE).data, before)
+
+
+@pytest.mark.parametrize("kind", [StaticLayer, ObstacleLayer, InflationLayer, DockLayer])
+def test_a_costmap_waits_for_a_layer_that_is_said_to_be_out_of_date(kind):
+    layer = kind()
+    if kind is StaticLayer:
+        layer.set_map(OccupancyGrid(np.zeros((10, 10), dtype=np.int8), 0.1))
+    costmap = LayeredCostmap({"layer": layer}, ROBOT, width=1.0, height=1.0, resolution=0.1)
+    costmap.update(HERE)
+    assert costmap.is_current
+    layer.set_current(False)
+    costmap.update(HERE)
+    assert not costmap.is_current
+    layer.set_current(True)
+    assert costmap.is_current
+
+
 def test_a_failed_update_changes_nothing_and_the_next_makes_up_for_it():
     stamp, torch = Stamp(cost=3), Stamp(cost=4)
     costmap = small({"stamp": stamp, "torch": torch})
@@ -186,9 +222,10 @@ def test_reset_and_clear_and_resize_reach_the_layers():
     costmap.resize(width=2.0)
     assert stamp.matches == 1
     assert costmap.update(HERE).data.shape == (10, 20)
-    costmap.set_footprint(Footprint.from_radius(0.1))
+    other = Footprint.rectangle(0.1, 0.1, 0.2)
+    costmap.set_footprint(other)
     assert stamp.footprints == 1
-    assert stamp.context.footprint.circumscribed_radius == pytest.approx(0.1)
+    assert stamp.context.footprint is other
 
 
 def test_a_refused_resize_changes_nothing():

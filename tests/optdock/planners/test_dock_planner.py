@@ -1,3 +1,4 @@
+import dataclasses
 import math
 
 import numpy as np
@@ -5,11 +6,19 @@ import pytest
 
 from optdock.costmap.costmap import Costmap
 from optdock.dock import Dock, DockDirection
-from optdock.errors import InvalidValue, LifecycleError, NoValidPathCouldBeFound, PlannerCancelled, PlannerException
+from optdock.errors import (
+    InvalidValue,
+    LifecycleError,
+    NoValidPathCouldBeFound,
+    PlannerCancelled,
+    PlannerException,
+    StartOutsideMapBounds,
+)
 from optdock.geometry.footprint import Footprint
 from optdock.geometry.pose import Pose2
 from optdock.interfaces import GlobalPlanner, LifecycleState, PluginContext
 from optdock.limits import MotionLimits
+from optdock.obstacles import ObstacleSet
 from optdock.path import Direction
 from optdock.planners.dock_planner import DockPlanner, DockPlannerParameters
 from optdock.plugins import create_plugin
@@ -132,17 +141,35 @@ def test_the_problem_fills_what_parameters_leave_open():
     assert backward.axis.distance_min_c == pytest.approx(0.6)
 
 
-def test_the_context_goes_before_the_problem():
-    context = PluginContext(footprint=Footprint.from_radius(1.0), problem=problem())
-    assert configured(context).plan(START, GOAL).axis.safety_distance == pytest.approx(2.0)
+def test_two_footprints_are_not_chosen_from():
+    with pytest.raises(InvalidValue, match=r"context\.footprint: differs from context\.problem\.robot\.footprint"):
+        PluginContext(footprint=Footprint.from_radius(1.0), problem=problem())
 
 
 def test_the_costmap_of_the_context_is_checked_where_asked():
     blocked = Costmap(np.full((10, 10), 254, dtype=np.uint8), 0.1, (-0.5, -0.5))
     context = PluginContext(footprint=ROBOT, costmap=blocked)
     assert configured(context).create_plan(START, GOAL).end == GOAL
-    with pytest.raises(NoValidPathCouldBeFound, match="blocked"):
+    with pytest.raises(StartOutsideMapBounds, match="the start .* lies off the map"):
         configured(context, check_free_space=True).create_plan(START, GOAL)
+
+
+def test_the_check_of_free_space_is_not_skipped_in_silence_where_there_is_no_map():
+    for context in (PluginContext(footprint=ROBOT), PluginContext(problem=problem())):
+        with pytest.raises(PlannerException, match="check_free_space is true, but there is no costmap"):
+            configured(context, check_free_space=True).create_plan(START, GOAL)
+
+
+def test_a_problems_obstacles_are_checked_with_its_costmap():
+    free = Costmap(np.zeros((200, 200), dtype=np.uint8), 0.1, (-10.0, -10.0))
+    middle = configured(PluginContext(problem=problem(), costmap=free)).create_plan(START, GOAL).pose_at(0.5)
+    rock = [[middle.x + dx, middle.y + dy] for dx, dy in ((-0.2, -0.2), (0.2, -0.2), (0.2, 0.2), (-0.2, 0.2))]
+    blocked = dataclasses.replace(problem(), obstacles=ObstacleSet.from_polygons([rock]))
+    context = PluginContext(problem=blocked, costmap=free)
+    assert configured(context).create_plan(START, GOAL).end == GOAL  # by default nothing is checked
+    with pytest.raises(NoValidPathCouldBeFound, match=r"blocked at .* by obstacles\[0\]"):
+        configured(context, check_free_space=True).create_plan(START, GOAL)
+    assert configured(PluginContext(problem=problem(), costmap=free), check_free_space=True).create_plan(START, GOAL)
 
 
 def test_changed_parameters_hold_from_the_next_plan_on():
@@ -175,7 +202,7 @@ def test_a_cancelled_plan_says_so():
         ({"direction": "sideways"}, "direction: .*'auto'"),
         ({"footprint_dock": "[[0, 0], [1, 1]]"}, "footprint_dock: .* at least 3 distinct vertices, got 2"),
         ({"footprint_dock": "0, 0, 1, 1"}, "footprint_dock: .* must look like"),
-        ({"footprint_dock": [[0, 0], [1, 1], [2, 2]]}, "footprint_dock: .* no area"),
+        ({"footprint_dock": [[0, 0], [1, 1], [2, 2]]}, "footprint_dock: .* must not cross or touch itself"),
         ({"footprint_dock": []}, "footprint_dock"),
         ({"footprint_dock": 3.0}, "footprint_dock"),
     ],

@@ -6,7 +6,15 @@ from hypothesis import assume, given
 from hypothesis import strategies as st
 
 from optdock.costmap.costmap import Costmap
-from optdock.errors import NoValidPathCouldBeFound, PlannerCancelled
+from optdock.errors import (
+    GoalOccupied,
+    GoalOutsideMapBounds,
+    NoValidPathCouldBeFound,
+    PlannerCancelled,
+    PlannerException,
+    StartOccupied,
+    StartOutsideMapBounds,
+)
 from optdock.geometry.nurbs import Nurbs
 from optdock.geometry.pose import Pose2
 from optdock.path import Direction
@@ -245,7 +253,7 @@ def blocked_at(x, y):
 
 @pytest.mark.parametrize(
     ("x", "y", "step"),
-    [(-4.5, 0.0, "the centreline"), (-3.7, 0.28, "segment 1"), (-0.2, 0.0, "segment 2"), (0.0, 0.0, "segment 2")],
+    [(-4.5, 0.0, "the centreline"), (-3.7, 0.28, "segment 1"), (-0.2, 0.0, "segment 2")],
 )
 def test_each_curve_is_checked_where_asked(x, y, step):
     start, costmap = STARTS[JointKind.TOWARD], blocked_at(x, y)
@@ -254,6 +262,48 @@ def test_each_curve_is_checked_where_asked(x, y, step):
     assert caught.value.where["step"] == step
     assert caught.value.where["x"] == pytest.approx(x, abs=0.1)
     assert plan(start, costmap=costmap).dir is JointKind.TOWARD  # by default nothing is checked
+
+
+def test_ends_on_cells_that_are_not_free_are_refused_by_name_where_asked():
+    start, away = STARTS[JointKind.TOWARD], Pose2(-6.5, 0.3, 0.0)
+    for costmap, at, error, message in (
+        (
+            blocked_at(start.x, start.y),
+            start,
+            StartOccupied,
+            "the start .* has cost 254, must be < .* = 200",
+        ),
+        (blocked_at(0.0, 0.0), start, GoalOccupied, "the goal .* has cost 254"),
+        (blocked_at(5.0, 5.0), away, StartOutsideMapBounds, "the start .* lies off the map"),
+        (
+            Costmap(np.zeros((40, 40), dtype=np.uint8), 0.1, (-5.0, -2.0)),
+            start,
+            GoalOutsideMapBounds,
+            "the goal .* lies off the map",
+        ),
+    ):
+        with pytest.raises(error, match=message):
+            plan(at, costmap=costmap, check_free_space=True)
+        assert plan(at, costmap=costmap).path.end == ORIGIN
+
+
+def test_a_check_without_a_map_is_refused_and_names_its_parameter():
+    with pytest.raises(PlannerException, match="check_free_space is true, but there is no costmap") as caught:
+        plan(STARTS[JointKind.TOWARD], check_free_space=True)
+    assert caught.value.where == {"parameter": "check_free_space"}
+
+
+@pytest.mark.parametrize("radius", [0.3, 0.5, 0.9])
+def test_the_turn_away_from_the_dock_fits_up_to_six_tenths_of_the_safety_distance(radius):
+    """From a start beside C, where the turn toward the dock has no room."""
+    geometry = DockGeometry(robot_length=1.0, robot_radius=radius)
+
+    def kind(share):
+        start = Pose2(-0.55, share * 2.0 * radius, 0.0)
+        return plan_two_segment(start, ORIGIN, geometry, DockPlannerParameters(resolution=0.005)).dir
+
+    assert {kind(share) for share in np.linspace(0.1, 0.55, 10)} == {JointKind.AWAY}
+    assert {kind(share) for share in np.linspace(0.62, 3.0, 20)} == {JointKind.CORNER}
 
 
 def test_a_free_map_blocks_nothing():

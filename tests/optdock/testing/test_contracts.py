@@ -37,9 +37,7 @@ DRIVE = {"target": 1.0, "speed": 0.3}
 SPIN = {"target_yaw": 1.5}
 SAMPLES = {
     "planners.DockPlanner": {"needs_context": True, "unitless": {"step", "alpha", "beta", "gamma"}},
-    # As in Nav2, the yaws follow the smoothed points; only the last one is kept.
-    "smoothers.SimpleSmoother": {"keeps_start_yaw": False, "unitless": {"w_data", "w_smooth"}},
-    "smoothers.SavitzkyGolaySmoother": {"keeps_start_yaw": False},
+    "smoothers.SimpleSmoother": {"unitless": {"w_data", "w_smooth"}},
     "timing.Windowed": {"unitless": {"cap_ratio", "yaw_share"}},
     "controllers.TrackingController": {"plugin_parameters": {"period": 0.05}, "unitless": {"damping"}},
     # Steps from rest to speed as Nav2's does, and stops within the 0.25 m of Nav2's default goal checker.
@@ -88,6 +86,7 @@ SAMPLES = {
         "timeout_code": 907,
         "blocked_code": 903,
         "make_blocked_context": dock_blocked_from_staging,
+        "works_without_problem": False,
     },
     "layers.StaticLayer": {"feed": feed_map},
     "layers.ObstacleLayer": {"feed": feed_points},

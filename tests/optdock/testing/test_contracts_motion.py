@@ -6,12 +6,13 @@ import numpy as np
 import pytest
 from pydantic import Field
 
+from optdock.behaviors._collision import CollisionGate
 from optdock.behaviors.drive import DriveOnHeading
 from optdock.controllers.tracking import TrackingController
 from optdock.costmap.costs import LETHAL
 from optdock.errors import ControllerException
 from optdock.geometry.pose import Twist2
-from optdock.interfaces import BehaviorResult, BehaviorStatus, Bounds, Layer
+from optdock.interfaces import BehaviorResult, BehaviorStatus, Bounds, CostmapInfoType, Layer
 from optdock.parameters import PluginParameters
 from optdock.path import Path
 from optdock.testing.contracts import BehaviorContract, ContractBroken, ControllerContract, LayerContract
@@ -58,7 +59,7 @@ class HalfOfPaths(Tracking):
 
 
 class Unlimited(Tracking):
-    def set_speed_limit(self, limit, *, percentage):
+    def set_speed_limit(self, limit, percentage):
         pass
 
 
@@ -175,6 +176,15 @@ class Blind(DriveOnHeading):
         return super().on_run({**command, "disable_collision_checks": True})
 
 
+class Shortsighted(DriveOnHeading):
+    """Asks for the global costmap and looks at the local one."""
+
+    resource_info = CostmapInfoType.GLOBAL
+
+    def _gate(self):
+        return CollisionGate(self.context, 0.0, CostmapInfoType.LOCAL)
+
+
 def test_every_gate_of_behaviors_can_fail(every_gate):
     broken = {
         "test_it_says_which_costmaps_it_needs": type("Broken", (DriveOnHeading,), {"resource_info": "local"}),
@@ -186,6 +196,7 @@ def test_every_gate_of_behaviors_can_fail(every_gate):
         "test_numbers_in_commands_are_finite": TakesNan,
         "test_it_gives_up_when_its_time_is_over": Patient,
         "test_it_does_not_drive_into_obstacles": Blind,
+        "test_it_sees_the_costmap_that_it_asks_for": Shortsighted,
     }
     sample = {
         "needs_context": True,
@@ -268,6 +279,7 @@ def test_every_gate_of_layers_can_fail(every_gate):
         "test_reset_forgets": spots(reset=lambda self: None),
         "test_it_answers_its_questions_with_yes_or_no": spots(is_current=lambda self: 1),
         "test_it_is_current_after_an_update": spots(is_current=lambda self: False),
+        "test_it_can_be_said_to_be_out_of_date": spots(is_current=lambda self: True),
         "test_a_disabled_layer_takes_no_part": spots(is_enabled=lambda self: True),
         "test_it_follows_the_grid": spots(
             is_current=lambda self: self.fresh, match_size=lambda self: setattr(self, "fresh", False)

@@ -68,6 +68,9 @@ def test_every_gate_of_planners_can_fail(every_gate):
         "test_the_path_begins_at_the_start_and_ends_at_the_goal": planner(
             joined=lambda self, poses, goal: Path.from_poses(poses[:-1])
         ),
+        "test_the_path_stands_in_the_frame_of_the_problem": planner(
+            joined=lambda self, poses, goal: Path.from_poses([*poses[:-1], goal], "map")
+        ),
         "test_yaws_a_full_turn_apart_are_the_same": planner(point=bulging(lambda start: math.sin(0.5 * start.yaw + 1))),
         "test_a_rigid_motion_of_the_task_moves_the_path": planner(point=bulging(lambda start: start.x)),
         "test_it_stops_when_cancelled_and_plans_again": planner(
@@ -116,6 +119,12 @@ def on_a_grid(self, path, max_time, warm_start):
     return SmoothingResult(Path.from_poses(poses))
 
 
+def sagging(self, path, max_time, warm_start):
+    poses = poses_of(path)
+    poses[1:-1, 1] -= 0.002
+    return SmoothingResult(Path.from_poses(poses))
+
+
 def one_gear(self, path, max_time, warm_start):
     return SmoothingResult(Path((PolylineSegment(poses_of(path), Direction.FORWARD),)))
 
@@ -138,9 +147,21 @@ class Deaf(Same):
         return super().smooth(path, max_time, **rest)
 
 
+class CallOnly(Same):
+    """Heeds the problem of the call, and forgets the configured one."""
+
+    def smooth(self, path, max_time, *, problem=None, warm_start=None, cancel_checker=lambda: False):
+        if problem is not None and len(problem.obstacles):
+            path = Path.from_poses(np.delete(poses_of(path), 1, axis=0))
+        return super().smooth(path, max_time, warm_start=warm_start, cancel_checker=cancel_checker)
+
+
 def test_every_gate_of_smoothers_can_fail(every_gate):
     broken = {
+        "test_a_problem_counts_the_same_configured_and_in_the_call": CallOnly,
         "test_the_ends_stay": smoother(shortened),
+        "test_the_frame_stays": smoother(lambda self, path, *_: SmoothingResult(Path(path.segments, "odom"))),
+        "test_it_drives_into_nothing_that_the_path_cleared": smoother(sagging),
         "test_a_rigid_motion_of_the_task_moves_the_result": smoother(on_a_grid),
         "test_the_result_says_what_it_is": smoother(lambda self, path, *_: SmoothingResult(path, completed=1)),
         "test_the_input_is_not_touched": smoother(touching),
@@ -159,12 +180,20 @@ def test_every_gate_of_smoothers_can_fail(every_gate):
 class Delegating(TimeParameterizer):
     """The built-in method, with a place to spoil question and answer."""
 
-    def parameterize(self, path, limits, zone, *, start_speed=0.0, start_acceleration=0.0):
+    def parameterize(self, path, limits, zone, *, start_speed=0.0, start_acceleration=0.0, max_time=math.inf):
         limits, start_speed = self.question(path, limits, start_speed)
         result = create_plugin(TimeParameterizer, "Windowed").parameterize(
-            path, limits, zone, start_speed=start_speed, start_acceleration=start_acceleration
+            path,
+            limits,
+            zone,
+            start_speed=start_speed,
+            start_acceleration=start_acceleration,
+            max_time=self.patience(max_time),
         )
         return self.answer(result)
+
+    def patience(self, max_time):
+        return max_time
 
     def question(self, path, limits, start_speed):
         return limits, start_speed
@@ -215,6 +244,8 @@ def test_every_gate_of_time_parameterizers_can_fail(every_gate):
             question=lambda self, path, limits, v: (limits, v if math.isfinite(v) else 0.0)
         ),
         "test_trajectories_can_be_sent": timing(answer=lossy),
+        "test_what_is_not_ok_says_why": timing(answer=lambda self, result: dataclasses.replace(result, reason="")),
+        "test_little_time_is_a_status": timing(patience=lambda self, max_time: math.inf),
     }
     every_gate(TimeParameterizerContract, Delegating, broken)
 

@@ -74,3 +74,39 @@ def test_cap_binds_where_its_limit_is_tight(make):
     limits = dataclasses.replace(MotionLimits(), max_lateral_acceleration=0.1)
     course = course_of(make.spline([1.0], [0.0, 2.0]), Slowness(limits, Direction.FORWARD), math.inf, math.inf)
     assert 1.0 / course.slowness[-1] == pytest.approx(math.sqrt(0.05))
+
+
+@pytest.mark.parametrize("beside", [-1e-13, -(2.0**-52), 0.0, 2.0**-52, 1e-13])
+def test_a_zone_that_begins_at_a_knot_give_or_take_rounding_begins_at_its_node(make, all_limits, beside):
+    segment = make.spline([0.3, 0.4, 0.3], [0.0, 1.0, 0.0, 0.0])
+    course = course_of(segment, Slowness(all_limits, Direction.FORWARD), float(segment.knots[2]) + beside, 0.1)
+    assert course.zone_start in course.s
+    assert np.min(np.diff(course.s)) > 1e-3
+    first = int(np.searchsorted(course.s, course.zone_start))
+    assert course.points_at(course.s[first : first + 1]).slowness[0] == 10.0
+    rest = course.after(0.5)
+    assert rest.zone_start in rest.s
+
+
+def test_a_course_cut_just_before_its_zone_is_in_the_zone(course):
+    rest = course.after(course.zone_start - 1e-13)
+    assert rest.zone_start == 0.0
+    assert rest.begin == pytest.approx(course.zone_start)
+
+
+@pytest.mark.parametrize(
+    ("limit", "value"),
+    [
+        ("max_speed", 0.1),
+        ("max_yaw_rate", 0.05),
+        ("max_lateral_acceleration", 0.001),
+        ("max_wheel_speed", 0.02),
+    ],
+)
+def test_the_limit_that_decides_has_its_name(make, limit, value):
+    limits = dataclasses.replace(MotionLimits(track_width=0.4), **{limit: value})
+    course = course_of(make.spline([1.0], [1.0, 1.0]), Slowness(limits, Direction.FORWARD), 0.8, 0.01)
+    name, words = course.cap_at(0.5)
+    assert (name, words.split(" = ")[0]) == (limit, limit)
+    assert f" = {value:.4g} " in words
+    assert course.cap_at(0.9) == ("approach_speed", "approach_speed = 0.01 m/s")

@@ -25,7 +25,7 @@ def assert_honest(result, path, limits, zone, start, dense):
         assert dense.rests(result.trajectory)
         assert tuple(result.trajectory.time_law.states[0]) == (0.0, *start)
     else:
-        assert result.report["reason"]
+        assert result.reason
     if result.status is TimingStatus.START_INFEASIBLE:
         assert result.worst_ratio > 1.0
         assert result.trajectory.time_law.states[-1, 1] == pytest.approx(0.0, abs=1e-9)

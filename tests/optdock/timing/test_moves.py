@@ -7,7 +7,8 @@ import math
 from concurrent.futures import ThreadPoolExecutor
 
 import pytest
-from hypothesis import given
+import ruckig
+from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
 from optdock.errors import PluginError
@@ -83,6 +84,25 @@ def test_stopping_ignores_the_speed_bound_and_leaves_the_position_interface():
     assert end.s == pytest.approx(0.81 / 1.2 + 0.9 * 0.6 / 3.0, rel=1e-12)
     assert (end.v, end.a) == pytest.approx((0.0, 0.0), abs=1e-12)
     assert_reaches(State(), State(1.0), move(State(), State(1.0), BOX))
+
+
+@settings(max_examples=200)
+@given(*(st.floats(-2.0, 2.0) for _ in range(4)), st.floats(-3.0, 3.0))
+def test_full_braking_in_closed_form_is_what_ruckig_finds(speed, deceleration, acceleration, jerk, start):
+    box = Box(1.0, 10.0**acceleration, 10.0**deceleration, 10.0**jerk)
+    state = State(0.0, 10.0**speed, start)
+    assume(start >= 0.0 or state.v > 1.001 * start * start / (2.0 * box.jerk))
+    given, found = ruckig.InputParameter(1), ruckig.Trajectory(1)
+    given.control_interface = ruckig.ControlInterface.Velocity
+    given.current_position, given.current_velocity, given.current_acceleration = [0.0], [state.v], [state.a]
+    given.target_velocity, given.target_acceleration, given.max_jerk = [0.0], [0.0], [box.jerk]
+    given.max_velocity, given.max_acceleration, given.min_acceleration = [1e9], [box.acceleration], [-box.deceleration]
+    ruckig.Ruckig(1).calculate(given, found)
+    motion = Motion.of(state, full_stop(state, box))
+    assert motion.duration == pytest.approx(found.duration, rel=1e-7)
+    assert motion.end.s == pytest.approx(found.at_time(found.duration)[0][0], rel=1e-7)
+    peak = state.v + start * start / box.jerk
+    assert (motion.end.v, motion.end.a) == pytest.approx((0.0, 0.0), abs=1e-9 * max(1.0, peak, abs(start)))
 
 
 def test_stopping_with_too_much_acceleration_leads_it_back_first():

@@ -11,7 +11,7 @@ import pytest
 from optdock.errors import InvalidValue
 from optdock.interfaces import TimeParameterizer, TimingStatus
 from optdock.limits import MotionLimits, SpeedZone
-from optdock.path import Direction, Path
+from optdock.path import Path
 from optdock.plugins import create_plugin
 from optdock.timing.near_optimal import NearOptimal
 from optdock.timing.windowed import Windowed
@@ -36,7 +36,7 @@ def test_the_certificate_proves_every_limit(seed, smooth, make, dense, all_limit
     assert proof.certified, proof.violations
     assert max(dense.ratios(result.trajectory, all_limits, ZONE).values()) <= 1.0 + 1e-6
     assert dense.rests(result.trajectory)
-    assert result.worst_ratio <= 1.0 + 1e-9
+    assert result.worst_ratio <= 1.0 + 1e-6
 
 
 @pytest.mark.parametrize("length", [0.3, 1.5, 6.0])
@@ -179,7 +179,8 @@ def test_too_fast_for_the_bend_tells_by_how_much_and_where(make, all_limits):
     result = _timed(path, all_limits, NO_ZONE, (0.6, 0.0))
     assert result.status is TimingStatus.START_INFEASIBLE
     assert result.worst_ratio > 1.05
-    assert "times a limit at s = 0." in result.report["reason"]
+    assert "yaw acceleration 4.5 rad/s^2 at s = 0.0000 m is 3.75 times max_yaw_acceleration = 1.2" in result.reason
+    assert (result.limit, result.at_s) == ("max_yaw_acceleration", 0.0)
 
 
 def test_too_fast_to_stop_before_a_cusp_names_the_overshoot(make, all_limits):
@@ -201,7 +202,7 @@ def test_turn_in_place_fails_with_its_place_and_angle(all_limits):
     path = Path.from_poses(np.array([[0, 0, 0], [1, 0, 0], [1, 0, 0.7], [1.5, 0.42, 0.7]], dtype=float))
     result = _timed(path, all_limits)
     assert (result.status, result.trajectory) == (TimingStatus.FAIL, None)
-    assert "0.7 rad at s = 1 m" in result.report["reason"]
+    assert "0.7 rad at s = 1 m" in result.reason
 
 
 def test_the_result_needs_no_ruckig(make, all_limits, tmp_path):
@@ -233,28 +234,6 @@ def test_found_as_a_plugin_that_refuses_what_it_does_not_know(make, all_limits):
     assert result.status is TimingStatus.OK
     with pytest.raises(InvalidValue, match="did you mean smooth"):
         NearOptimal(smoth=True)
-
-
-class _Wave:
-    """A curve that is neither spline nor polyline: curvature 1.5 sin(2 s)."""
-
-    direction, length, knots = Direction.FORWARD, 4.0, np.array([0.0, 4.0])
-
-    def curvature_at(self, s):
-        return 1.5 * np.sin(2.0 * np.atleast_1d(s))
-
-    def curvature_rate_at(self, s):
-        return 3.0 * np.cos(2.0 * np.atleast_1d(s))
-
-    def poses_at(self, s):
-        return np.zeros((np.atleast_1d(s).size, 3))
-
-
-def test_any_segment_with_curvature_can_be_timed(dense, all_limits):
-    for method in (NearOptimal(), NearOptimal(smooth=True), Windowed()):
-        result = method.parameterize(Path((_Wave(),)), all_limits, ZONE)
-        assert result.status is TimingStatus.OK
-        assert max(dense.ratios(result.trajectory, all_limits, ZONE).values()) <= 1.0 + 1e-6
 
 
 def test_configuring_imports_what_the_first_call_needs():

@@ -5,13 +5,16 @@ import math
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from optdock.errors import InvalidValue
 from optdock.interfaces import TimeParameterizer, TimingStatus
 from optdock.limits import MotionLimits, SpeedZone
 from optdock.path import Path
 from optdock.plugins import create_plugin
-from optdock.timing.windowed import Windowed
+from optdock.timing.moves import Box
+from optdock.timing.windowed import Window, Windowed, _ramp_length, _reachable
 
 NO_ZONE = SpeedZone()
 
@@ -108,10 +111,23 @@ def test_turn_in_place_fails_with_its_place_and_angle(all_limits):
     path = Path.from_poses(np.array([[0, 0, 0], [1, 0, 0], [1, 0, 0.7], [1.5, 0.42, 0.7]], dtype=float))
     result = Windowed().parameterize(path, all_limits, NO_ZONE)
     assert (result.status, result.trajectory) == (TimingStatus.FAIL, None)
-    assert "0.7 rad at s = 1 m" in result.report["reason"]
+    assert "0.7 rad at s = 1 m" in result.reason
 
 
 def test_found_as_a_plugin(make, all_limits):
     plugin = create_plugin(TimeParameterizer, "Windowed", {"max_window": 0.3})
     result = plugin.parameterize(Path((make.spline([1.0], [0.0, 0.5]),)), all_limits, NO_ZONE)
     assert result.status is TimingStatus.OK
+
+
+@settings(max_examples=300)
+@given(*(st.floats(-4.0, 3.0) for _ in range(3)), st.one_of(st.just(0.0), st.floats(1e-9, 10.0)), st.floats(0.0, 1.0))
+def test_the_reachable_speed_uses_up_the_window(length, acceleration, jerk, slow, share):
+    box = Box(1.0, 10.0**acceleration, 10.0**acceleration, 10.0**jerk)
+    window = Window(0.0, 10.0**length, box)
+    found = _reachable(window, slow, box.acceleration, math.inf)
+    assert _ramp_length(slow, found, box.acceleration, box.jerk) <= 10.0**length
+    faster = found + 1e-7 * (found - slow) + 8.0 * math.ulp(found)
+    assert _ramp_length(slow, faster, box.acceleration, box.jerk) >= 10.0**length * (1.0 - 2e-9)
+    wanted = slow + share * (found - slow)
+    assert _reachable(window, slow, box.acceleration, wanted) == wanted

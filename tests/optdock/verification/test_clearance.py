@@ -20,7 +20,8 @@ from optdock.path import ClothoidSegment, Direction, Path, PolylineSegment
 from optdock.problem import ClearanceRule, DockingProblem
 from optdock.robot import Robot
 from optdock.verification import certify_path, clearance, half_cells, pose_clearance
-from optdock.verification.clearance import _Prover, never
+from optdock.verification.clearance import _Prover
+from optdock.verification.kept_proofs import never
 from optdock.verification.motion import PathMotion
 from optdock.verification.seams import joined_bodies
 
@@ -142,9 +143,9 @@ def late_after(rounds):
 def test_a_late_certificate_counts_what_is_proven_and_refuses_the_rest():
     path = curved_path()
     tight = problem_for(path, beside(path, 1.7, REQUIRED + 0.0001, 1))
-    assert certify_path(path, tight).certified
     late = certify_path(path, tight, is_late=late_after(0))
     assert kinds(late) == {"unproven"}
+    assert certify_path(path, tight).certified
     roomy = problem_for(path, beside(path, 1.7, REQUIRED + 0.03, 1))
     unsharp, sharp = certify_path(path, roomy, is_late=late_after(0)), certify_path(path, roomy)
     assert unsharp.certified
@@ -510,10 +511,10 @@ def test_a_long_path_is_looked_at_in_blocks_between_which_a_deadline_counts(monk
     problem = problem_for(path, ObstacleSet.from_polygons([square(10.0, 1.0, 0.3), square(14.0, -0.7, 0.1)]))
     whole = certify_path(path, problem)
     monkeypatch.setattr(clearance, "_BLOCK", 16)
-    parts = certify_path(path, problem)
+    parts = certify_path(Path(path.segments), problem)
     assert parts.certified
     assert parts.min_clearance == pytest.approx(whole.min_clearance, abs=1e-3)
-    late = certify_path(path, problem, is_late=late_after(1))
+    late = certify_path(Path(path.segments), problem, is_late=late_after(1))
     assert kinds(late) == {"unproven"}
     assert late.poses_checked < 100
 
@@ -525,5 +526,5 @@ def test_many_obstacles_are_looked_at_in_blocks_between_which_a_deadline_counts(
     problem = problem_for(path, ObstacleSet.from_polygons(posts))
     assert certify_path(path, problem).certified
     monkeypatch.setattr(half_cells, "_MAX_PAIRS", 100)
-    assert certify_path(path, problem).certified
-    assert kinds(certify_path(path, problem, is_late=late_after(3))) == {"unproven"}
+    assert certify_path(Path(path.segments), problem).certified
+    assert kinds(certify_path(Path(path.segments), problem, is_late=late_after(3))) == {"unproven"}

@@ -161,3 +161,25 @@ def test_a_pose_among_nothing_is_infinitely_clear():
     distance, row = pose_clearances(np.zeros((2, 3)), BAR, ObstacleSet.empty())
     assert distance.tolist() == [np.inf, np.inf]
     assert row.tolist() == [-1, -1]
+
+
+@pytest.mark.parametrize("within", [np.inf, 0.3, 2.0])
+def test_clearances_among_many_obstacles_are_those_of_each_alone(within):
+    """Most of a map is left out where something is near, and must not be missed where nothing is."""
+    rng = np.random.default_rng(5)
+    lower = rng.uniform(-20.0, 20.0, (120, 2))
+    obstacles = ObstacleSet.from_rectangles(lower, lower + rng.uniform(0.05, 0.6, (120, 2)), "map")
+    footprint = Footprint.rectangle(0.4, 0.3, 0.5)
+    far = np.array([[60.0, 0.0, 0.3]])
+    for poses in (rng.uniform(-3.0, 3.0, (3, 3)), rng.uniform(-20.0, 20.0, (2, 3)), far):
+        found, rows = pose_clearances(poses, footprint, obstacles, within)
+        each = np.array(
+            [
+                [pose_clearances(pose[None], footprint, obstacles.subset(np.array([k])))[0][0] for k in range(120)]
+                for pose in poses
+            ]
+        )
+        np.testing.assert_allclose(found, np.minimum(each.min(axis=1), within), atol=1e-12)
+        seen = each.min(axis=1) < within
+        assert np.array_equal(rows[seen], each.argmin(axis=1)[seen])
+        assert np.all(rows[~seen] == -1)

@@ -315,7 +315,7 @@ def test_too_many_cells_are_given_up(monkeypatch):
     limits = dataclasses.replace(OPEN, max_lateral_acceleration=peak * (1.0 + 1e-6))
     assert certify_trajectory(motion, limits, SpeedZone()).certified
     monkeypatch.setattr(trajectory_cells, "_MAX_CELLS", -1)
-    assert kinds(motion, limits) == ["unproven"]
+    assert kinds(Trajectory(motion.path, motion.time_law), limits) == ["unproven"]
 
 
 def test_blocks_of_cells_change_nothing(monkeypatch):

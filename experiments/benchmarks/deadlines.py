@@ -1,0 +1,146 @@
+"""When `plan_dock` returns: lateness of whole calls against their budgets, on a quiet and on a busy machine."""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import itertools
+import math
+import os
+import subprocess
+import sys
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+from experiments.benchmarks.tables import Table, Timer, fixed_work, percentile, yardstick
+from experiments.real_maps import SCENARIOS, maps_folder, problem_of
+from optdock.costmap.costmap import Costmap
+from optdock.dock import Dock
+from optdock.errors import OptdockError
+from optdock.geometry.footprint import Footprint
+from optdock.geometry.pose import Pose2
+from optdock.limits import MotionLimits, SpeedZone
+from optdock.pipeline import plan_dock, warm_up
+from optdock.problem import DockingProblem
+from optdock.robot import Robot
+from optdock.testing.families import FEASIBLE_FAMILIES, instance
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Sequence
+
+__all__ = ["Answer", "answered", "main", "open_hall"]
+
+_BUDGETS = (0.01, 0.02, 0.05, 0.1)  # [s]
+_BUSY_LOOP = "while True: pass"
+
+
+class Answer(NamedTuple):
+    """One call: seconds on the wall clock and of CPU, and `certified`, `timed out` or the name of a refusal."""
+
+    wall: float
+    cpu: float
+    outcome: str
+
+
+def main(arguments: Sequence[str]) -> None:
+    """Call `plan_dock` with hard budgets on problems of every kind, in turn."""
+    parser = argparse.ArgumentParser(prog="python -m experiments.benchmarks deadlines", description=__doc__)
+    parser.add_argument("--calls", type=int, default=300, help="per budget")
+    parser.add_argument("--seeds", type=int, default=8, help="instances per family, 15 times as many in open halls")
+    parser.add_argument("--busy", type=int, default=0, help="processes that compute beside, 0 for a quiet machine")
+    asked = parser.parse_args(list(arguments))
+    problems = [*_problems(asked.seeds)]
+    warm_up()
+    header = ("budget ms", "calls", "certified", "timed out", "refused")
+    header = (*header, "late ms p50", "p99", "p99.9", "worst", "late cpu ms worst", "host ms p99", "p99.9", "worst")
+    with _busy(asked.busy):
+        unit = yardstick()
+        rows = tuple(_row(problems, budget, asked.calls, unit) for budget in _BUDGETS)
+    note = (
+        f"{len(problems)} problems in turn, {asked.busy} busy processes on {os.cpu_count()} cores. late: elapsed minus "
+        f"budget, negative when early. host: after every call plain work of as much CPU time, the yardstick's "
+        f"{1e3 * unit:.2f} ms as often as fits, and how much longer than its median it takes."
+    )
+    print(Table("Deadlines of whole calls", header, rows, note))
+
+
+@contextlib.contextmanager
+def _busy(count: int) -> Iterator[None]:
+    processes = [subprocess.Popen([sys.executable, "-c", _BUSY_LOOP]) for _ in range(count)]
+    try:
+        yield
+    finally:
+        for process in processes:
+            process.kill()
+            process.wait()
+
+
+def _row(problems: Sequence[DockingProblem], budget: float, calls: int, unit: float) -> tuple[object, ...]:
+    answers, same = [], []
+    for problem in itertools.islice(itertools.cycle(problems), calls):
+        answers.append(answered(problem, budget))
+        times = max(1, round(answers[-1].cpu / unit))
+        timer = Timer()
+        for _ in range(times):
+            fixed_work()
+        same.append((times, timer.wall))
+    usual = {times: float(np.median([wall for n, wall in same if n == times])) for times, _ in same}
+    host = [wall - usual[times] for times, wall in same]
+    late = [answer.wall - budget for answer in answers]
+    certified = sum(answer.outcome == "certified" for answer in answers)
+    timed_out = sum(answer.outcome == "timed out" for answer in answers)
+    return (
+        1e3 * budget,
+        len(answers),
+        certified,
+        timed_out,
+        len(answers) - certified - timed_out,
+        *(1e3 * percentile(late, share) for share in (50, 99, 99.9, 100)),
+        1e3 * max(answer.cpu - budget for answer in answers),
+        *(1e3 * percentile(host, share) for share in (99, 99.9, 100)),
+    )
+
+
+def answered(problem: DockingProblem, budget: float) -> Answer:
+    """One call of `plan_dock` with `budget` [s]."""
+    timer = Timer()
+    try:
+        plan_dock(problem, time_budget=budget)
+        wall, cpu, outcome = timer.wall, timer.cpu, "certified"
+    except OptdockError as error:
+        wall, cpu, name = timer.wall, timer.cpu, type(error).__name__
+        outcome = "timed out" if name.endswith("TimedOut") else name
+    return Answer(wall, cpu, outcome)
+
+
+def _problems(seeds: int) -> Iterator[DockingProblem]:
+    """Open halls, every family, and the real maps where they are at hand, mixed."""
+    count = len(FEASIBLE_FAMILIES)
+    for seed in range(seeds):
+        for k, family in enumerate(FEASIBLE_FAMILIES):
+            yield instance(family, seed).problem
+            yield open_hall(seed * count + k)
+    if maps_folder().is_dir():
+        yield from (problem_of(scenario) for scenario in SCENARIOS)
+    else:
+        print(f"no maps at {maps_folder()}; set OPTDOCK_DATA", file=sys.stderr)
+
+
+def open_hall(seed: int) -> DockingProblem:
+    """A random dock in an empty hall of 20 m, a start 1 to 8 m before it, and a robot that turns tightly or widely."""
+    rng = np.random.default_rng(seed)
+    goal = Pose2(*rng.uniform(-3.0, 3.0, 2), rng.uniform(-math.pi, math.pi))
+    distance, side = rng.uniform(1.0, 8.0), rng.choice([-1.0, 1.0])
+    start = goal @ Pose2(side * distance, rng.uniform(-0.6, 0.6) * distance, rng.uniform(-1.0, 1.0))
+    limits = MotionLimits(
+        max_curvature=10.0 ** rng.uniform(-0.3, 0.7),
+        max_curvature_rate=10.0 ** rng.uniform(0.3, 1.5),
+        max_yaw_rate=1.0,
+        max_yaw_acceleration=2.0,
+    )
+    cells = np.full((400, 400), 254, dtype=np.uint8)
+    cells[2:-2, 2:-2] = 0
+    dock = Dock(goal, final_straight=0.3, approach=SpeedZone(0.1, 0.3))
+    robot = Robot(Footprint.rectangle(0.4, 0.4, 0.6), limits)
+    return DockingProblem(start, dock, robot, costmap=Costmap(cells, 0.05, (-10.0, -10.0)))

@@ -1,0 +1,75 @@
+"""The command line of the fuzzer."""
+
+from __future__ import annotations
+
+import argparse
+import os
+import sys
+from pathlib import Path
+
+# numpy reads these when it is first imported, here and in every process that is started from here.
+os.environ.update(dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1"))
+
+ALL = ("paths", "trajectories", "timings", "plans", "files", "values")
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(prog="python -m experiments.fuzz", description="Fuzz optdock against an oracle.")
+    parser.add_argument("--seconds", type=float, default=600.0, help="how long (default: %(default)s)")
+    parser.add_argument("--seed", type=int, default=1, help="chooses all cases (default: %(default)s)")
+    parser.add_argument("--kinds", default=",".join(ALL), help="names, separated by commas (default: %(default)s)")
+    parser.add_argument("--jobs", type=int, default=1, help="processes (default: %(default)s)")
+    parser.add_argument("--count", type=int, help="cases of every kind (default: until time is up)")
+    parser.add_argument(
+        "--out", type=Path, default=Path("results/fuzz"), help="where failing cases go (default: %(default)s)"
+    )
+    parser.add_argument("--plant", help="make this mistake in the certificate, and stop when it is found")
+    parser.add_argument("--replay", type=Path, help="judge the case in a file again")
+    return parser
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Run; 0 when the library did not fail, 1 when it did, 2 for bad usage. With --plant: 0 when it was found."""
+    options = _parser().parse_args(arguments)
+    if options.replay is not None:
+        return _replay(options.replay, options.plant)
+    kinds = tuple(options.kinds.split(","))
+    if not set(kinds) <= set(ALL):
+        print(f"--kinds: known are {', '.join(ALL)}; got {options.kinds}", file=sys.stderr)
+        return 2
+    return _campaign(options, kinds)
+
+
+def _campaign(options: argparse.Namespace, kinds: tuple[str, ...]) -> int:
+    from experiments.fuzz.campaign import Campaign, run
+
+    campaign = Campaign(
+        kinds=kinds,
+        seed=options.seed,
+        seconds=options.seconds,
+        count=options.count,
+        out=options.out,
+        stop_at_fault=options.plant is not None,
+        plant=options.plant,
+    )
+    tally = run(campaign, options.jobs)
+    for line in tally.lines():
+        print(line)
+    if options.plant is not None:
+        print(f"planted {options.plant}: {'found' if tally.failed else 'NOT FOUND'}")
+        return 0 if tally.failed else 1
+    return 1 if tally.failed else 0
+
+
+def _replay(source: Path, plant: str | None) -> int:
+    from experiments.fuzz.campaign import judge_once, prepare
+    from experiments.fuzz.case import load_case
+
+    prepare()
+    verdict = judge_once(load_case(source), plant)
+    print(f"{verdict.outcome}: {verdict.detail}" if verdict.detail else verdict.outcome)
+    return 1 if verdict.is_fault else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,73 @@
+"""Cases as plain data, what a judgement of one says, and where random numbers come from."""
+
+from __future__ import annotations
+
+import json
+import zlib
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, TypeAlias
+
+import numpy as np
+
+__all__ = ["FAULTS", "Case", "Verdict", "load_case", "rng_of", "save_case"]
+
+Case: TypeAlias = dict[str, Any]  # JSON: numbers, strings, lists and dicts of them; "kind" names the judge
+
+# What counts as a failure of the library, the worst first; every other outcome is a count.
+FAULTS = (
+    "false certificate",
+    "overclaimed bound",
+    "accepted forgery",
+    "uncertified plan",
+    "untyped exception",
+    "hang",
+    "crash",
+    "mutable value",
+    "CertificationFailed",
+    "false refusal",
+    "late",
+)
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """What came of one case.
+
+    Args:
+        outcome: `certified`, `refused: KIND`, the name of an error, or one of `FAULTS`.
+        detail: Which rule, where, by how much; for people.
+        evidence: A case that shows the fault without the clock, where there is one (a plan's own path).
+    """
+
+    outcome: str
+    detail: str = ""
+    evidence: Case | None = field(default=None, compare=False)
+
+    @property
+    def is_fault(self) -> bool:
+        """Whether the library failed."""
+        return self.outcome in FAULTS
+
+    @property
+    def signature(self) -> str:
+        """What two failures have in common that are one: the outcome and the first words of the detail."""
+        return f"{self.outcome}: {self.detail.split(':')[0]}" if self.detail else self.outcome
+
+
+def rng_of(kind: str, seed: int, number: int) -> np.random.Generator:
+    """The random numbers of one case; the same on every machine."""
+    return np.random.Generator(np.random.PCG64([zlib.crc32(kind.encode()), seed, number]))
+
+
+def save_case(target: Path, case: Case, verdict: Verdict, note: str) -> None:
+    """Write a failing case with what failed and how to see it again."""
+    target.parent.mkdir(parents=True, exist_ok=True)
+    document = {"fault": verdict.outcome, "detail": verdict.detail, "note": note, "case": case}
+    target.write_text(json.dumps(document, indent=1) + "\n", encoding="utf-8")
+
+
+def load_case(source: Path) -> Case:
+    """The case of a file that `save_case` wrote."""
+    case: Case = json.loads(source.read_text(encoding="utf-8"))["case"]
+    return case

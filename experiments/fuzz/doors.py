@@ -1,0 +1,137 @@
+"""From plain case data to values of the library, through its public doors, and back."""
+
+from __future__ import annotations
+
+from dataclasses import fields
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from optdock.costmap import obstacles_from_costmap
+from optdock.costmap.costmap import Costmap
+from optdock.dock import Dock, DockDirection
+from optdock.geometry.clothoid import ClothoidSpline
+from optdock.geometry.footprint import Footprint
+from optdock.geometry.pose import Pose2
+from optdock.limits import MotionLimits, SpeedZone
+from optdock.obstacles import ObstacleSet
+from optdock.path import ClothoidSegment, Direction, Path, PolylineSegment
+from optdock.problem import ClearanceRule, DockingProblem
+from optdock.robot import Robot
+from optdock.trajectory import TimeLaw
+
+if TYPE_CHECKING:
+    from experiments.fuzz.case import Case
+
+__all__ = ["law_of", "path_of", "path_spec", "problem_of", "problem_spec", "zone_of"]
+
+
+def path_of(gears: list[Case]) -> Path:
+    """A path from its gears."""
+    return Path(tuple(_segment(gear) for gear in gears))
+
+
+def _segment(gear: Case) -> ClothoidSegment | PolylineSegment:
+    if gear["type"] == "polyline":
+        return PolylineSegment(np.array(gear["poses"], dtype=float), Direction(gear["gear"]))
+    spline = ClothoidSpline(
+        Pose2(*gear["start"]),
+        np.array(gear["knots"], dtype=float),
+        np.array(gear["curvature"], dtype=float),
+        gear["gear"],
+    )
+    return ClothoidSegment(spline)
+
+
+def path_spec(path: Path) -> list[Case]:
+    """The gears of a path that the library made."""
+    return [_gear_spec(segment) for segment in path.segments]
+
+
+def _gear_spec(segment: object) -> Case:
+    if isinstance(segment, PolylineSegment):
+        return {"type": "polyline", "poses": segment.poses.tolist(), "gear": int(segment.direction)}
+    assert isinstance(segment, ClothoidSegment)
+    spline = segment.spline
+    return {
+        "type": "clothoid",
+        "start": spline.start.as_array().tolist(),
+        "knots": spline.knots.tolist(),
+        "curvature": spline.curvature.tolist(),
+        "gear": int(spline.sign),
+    }
+
+
+def zone_of(case: Case) -> SpeedZone:
+    """The slow zone of a case; a speed of None is no limit."""
+    speed, distance = case["zone"]
+    return SpeedZone(np.inf if speed is None else speed, distance)
+
+
+def law_of(spec: Case) -> TimeLaw:
+    """A time law."""
+    return TimeLaw(
+        np.array(spec["durations"], dtype=float),
+        np.array(spec["jerks"], dtype=float),
+        start_speed=spec["start_speed"],
+        start_acceleration=spec["start_acceleration"],
+    )
+
+
+def problem_of(case: Case) -> DockingProblem:
+    """The docking problem of a case; `grid_alone` hands the grid over as a costmap only."""
+    shape, dock, grid = case["footprint"], case["dock"], case.get("grid")
+    footprint = Footprint(np.array(shape["polygon"])) if "polygon" in shape else Footprint.from_radius(shape["radius"])
+    obstacles, costmap = ObstacleSet.from_polygons(case["obstacles"]), None
+    if grid is not None:
+        costmap = Costmap(np.array(grid["cells"], dtype=np.uint8), grid["resolution"], tuple(grid["origin"]))
+        if not case.get("grid_alone"):
+            obstacles = obstacles + obstacles_from_costmap(costmap)
+    return DockingProblem(
+        start=Pose2(*case["start"]),
+        dock=Dock(
+            Pose2(*dock["pose"]),
+            footprint=Footprint(np.array(dock["footprint"])) if dock.get("footprint") else None,
+            direction=DockDirection(dock["direction"]),
+            final_straight=dock["final_straight"],
+            approach=zone_of(case),
+        ),
+        robot=Robot(footprint, MotionLimits(**case["limits"])),
+        obstacles=obstacles,
+        clearance=ClearanceRule(*case["clearance"]),
+        start_speed=case["start_speed"],
+        start_curvature=case.get("start_curvature"),
+        costmap=costmap,
+    )
+
+
+def problem_spec(problem: DockingProblem) -> Case:
+    """The case of a problem that the library made; obstacles as convex pieces."""
+    dock, limits = problem.dock, problem.robot.limits
+    approach = dock.approach
+    grid = problem.costmap
+    return {
+        "footprint": {"polygon": problem.robot.footprint.vertices.tolist()},
+        "obstacles": [_ring(piece) for piece in problem.obstacles.vertices.tolist()],
+        "grid": None
+        if grid is None
+        else {"cells": grid.data.tolist(), "resolution": grid.resolution, "origin": list(grid.origin)},
+        "grid_alone": grid is not None,
+        "dock": {
+            "pose": dock.pose.as_array().tolist(),
+            "footprint": None if dock.footprint is None else dock.footprint.vertices.tolist(),
+            "direction": dock.direction.value,
+            "final_straight": dock.final_straight,
+        },
+        "start": problem.start.as_array().tolist(),
+        "start_speed": problem.start_speed,
+        "start_curvature": problem.start_curvature,
+        "clearance": [problem.clearance.required, problem.clearance.at_dock, problem.clearance.taper],
+        "limits": {spec.name: getattr(limits, spec.name) for spec in fields(limits)},
+        "zone": [approach.speed if np.isfinite(approach.speed) else None, approach.distance],
+    }
+
+
+def _ring(points: list[list[float]]) -> list[list[float]]:
+    """Corners without the repeated ones that pad a piece."""
+    return [point for i, point in enumerate(points) if point != points[i - 1]]

@@ -1,0 +1,1 @@
+"""Random cases, each a function of a random generator and of nothing else."""

@@ -1,0 +1,283 @@
+"""Path problems whose margins lie at the border of the requirement: where a false certificate would be."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING, Any, TypeAlias
+
+import numpy as np
+import shapely
+
+from experiments.fuzz.generators.routes import route
+from experiments.fuzz.generators.shapes import footprint, log_uniform, obstacle, rectangle, shallow_wall, turned
+from experiments.fuzz.generators.traps import trap
+from experiments.fuzz.oracle.motion import motion_of
+from experiments.fuzz.oracle.sweep import sweep
+from experiments.fuzz.oracle.world import World
+
+if TYPE_CHECKING:
+    from experiments.fuzz.case import Case
+    from experiments.fuzz.generators.shapes import Points
+    from experiments.fuzz.oracle.motion import Floats, Motion
+    from experiments.fuzz.oracle.sweep import Sweep
+
+__all__ = ["path_problem"]
+
+Rng: TypeAlias = np.random.Generator
+_POSES = 48  # of the swept area, for placing obstacles beside it
+_TRAPS = 0.06  # share of cases built around one weak spot
+_TRIES = 10  # points of the outline per obstacle, until one is at the border of the swept area
+
+
+def path_problem(rng: Rng) -> Case:
+    """A path with a problem that it may solve, nearly solve or nearly miss."""
+    if rng.uniform() < _TRAPS:
+        return trap(rng)
+    gears = route(rng)
+    motion = motion_of(gears)
+    case = _frame(rng, gears, motion)
+    swept = _Swept(case, motion)
+    scene = rng.uniform()
+    if scene < 0.18:
+        _add_grid(rng, case, swept)
+    if scene >= 0.12:
+        case["obstacles"] += _beside(rng, swept, float(case["clearance"][0]))
+    if rng.uniform() < 0.1:
+        case["dock"]["footprint"] = _station(rng, swept)
+    _aim(rng, case, motion)
+    _spoil(rng, case)
+    return case
+
+
+def _frame(rng: Rng, gears: list[Case], motion: Motion) -> Case:
+    return {
+        "kind": "paths",
+        "path": gears,
+        "footprint": footprint(rng),
+        "obstacles": [],
+        "grid": None,
+        "dock": {"pose": motion.end.tolist(), "footprint": None, **_entry(rng, motion)},
+        "start": motion.start.tolist(),
+        "start_speed": 0.0,
+        "start_curvature": float(motion.k0[0]) if motion.exact[0] and rng.uniform() < 0.1 else None,
+        "clearance": _rule(rng),
+        "limits": _bounds(rng, motion),
+        "zone": [None, 0.0],
+    }
+
+
+def _entry(rng: Rng, motion: Motion) -> Case:
+    """The gear that the dock asks for, and its final straight."""
+    last = motion.segments[-1]
+    fitting = "forward" if last.gear > 0 else "backward"
+    word = str(rng.choice([fitting, "auto", "forward"], p=[0.4, 0.55, 0.05]))
+    straight = 0.0
+    if last.exact and np.all(last.curvature[-2:] == 0.0) and rng.uniform() < 0.5:
+        straight = float(last.knots[-1] - last.knots[-2]) * rng.choice([1.0, 0.7, 1.0 + 1e-5])
+    return {"direction": word, "final_straight": straight}
+
+
+def _rule(rng: Rng) -> list[float]:
+    required = 0.0 if rng.uniform() < 0.3 else log_uniform(rng, 1e-3, 0.2)
+    if rng.uniform() < 0.65:
+        return [required, required, 0.0]
+    return [required, required * rng.uniform(), log_uniform(rng, 0.05, 1.0) * (rng.uniform() < 0.95)]
+
+
+def _bounds(rng: Rng, motion: Motion) -> Case:
+    """Curvature limits at, above and (seldom) below what the path does."""
+    limits: Case = {}
+    with np.errstate(all="ignore"):
+        rates = np.where(motion.k1 == motion.k0, 0.0, (motion.k1 - motion.k0) / motion.h)
+    seen = {"max_curvature": np.abs(np.append(motion.k0, motion.k1)), "max_curvature_rate": np.abs(rates)}
+    for name, values in seen.items():
+        top = float(np.max(values))
+        if math.isfinite(top) and top > 0.0 and rng.uniform() < 0.4:
+            limits[name] = top * float(
+                rng.choice([1.0, 1.0 + 1e-9, 1.5, 1.0 - 3.5e-6, 0.9], p=[0.4, 0.15, 0.25, 0.15, 0.05])
+            )
+    return limits
+
+
+class _Swept:
+    """Poses along the path, the outline at each, and points at the border of the area that they sweep."""
+
+    def __init__(self, case: Case, motion: Motion) -> None:
+        share = np.linspace(0.0, 1.0, _POSES)
+        s = share * motion.length
+        piece = np.clip(np.searchsorted(motion.s, s, side="right") - 1, 0, motion.s.size - 1)
+        local = np.clip((s - motion.s[piece]) / np.maximum(motion.h[piece], 1e-300), 0.0, 1.0)
+        poses = motion.poses_at(piece, local)
+        if len(motion.h) <= 400:  # turns in place have poses that arc length does not reach
+            poses = np.vstack((poses, motion.poses_at(np.arange(motion.h.size), np.full(motion.h.size, 0.5))))
+        self.poses: Floats = poses
+        shape = case["footprint"]
+        if "polygon" in shape:
+            self.outline = np.array(shape["polygon"])
+        else:
+            angle = np.linspace(0.0, 2.0 * math.pi, 65)[:-1]
+            self.outline = shape["radius"] * np.column_stack((np.cos(angle), np.sin(angle)))
+        c, s_ = np.cos(poses[:, 2, None]), np.sin(poses[:, 2, None])
+        x = poses[:, 0, None] + c * self.outline[:, 0] - s_ * self.outline[:, 1]
+        y = poses[:, 1, None] + s_ * self.outline[:, 0] + c * self.outline[:, 1]
+        self.corners = np.stack((x, y), axis=-1)
+        self.bodies: Any = shapely.polygons(self.corners)
+
+    def border_point(self, rng: Rng, gap: float) -> tuple[Floats, Floats] | None:
+        """A point beside the swept area and the direction away from it."""
+        pose = rng.integers(0, len(self.poses), _TRIES)
+        edge = rng.integers(0, len(self.outline), _TRIES)
+        a, b = self.corners[pose, edge], self.corners[pose, (edge + 1) % len(self.outline)]
+        along = np.where(rng.uniform(size=_TRIES) < 0.5, 0.0, rng.uniform(size=_TRIES))
+        ring = self.outline
+        ccw = float(np.sum(ring[:, 0] * np.roll(ring[:, 1], -1) - np.roll(ring[:, 0], -1) * ring[:, 1])) > 0.0
+        way = (b - a) / np.hypot(*(b - a).T)[:, None]
+        tilt = np.where(along == 0.0, rng.uniform(-0.3, 1.2, _TRIES), 0.0)  # at a corner: between its two normals
+        angle = np.arctan2(way[:, 1], way[:, 0]) + (-0.5 if ccw else 0.5) * math.pi - (tilt if ccw else -tilt)
+        normal = np.column_stack((np.cos(angle), np.sin(angle)))
+        point = a + along[:, None] * (b - a) + gap * normal
+        probe = point + 1e-9 * normal
+        free = ~shapely.contains_xy(self.bodies[:, None], probe[None, :, 0], probe[None, :, 1]).any(axis=0)
+        found = np.flatnonzero(free)
+        return (point[found[0]], normal[found[0]]) if found.size else None
+
+
+def _beside(rng: Rng, swept: _Swept, required: float) -> list[Points]:
+    """Obstacles around the path; those that stand in its way are mostly taken out."""
+    count = int(rng.choice([1, 2, 4, 8], p=[0.35, 0.3, 0.25, 0.1]))
+    placed: list[Points] = []
+    for _ in range(count):
+        placed += _one(rng, swept, required + log_uniform(rng, 1e-6, 0.3))
+    if not placed or rng.uniform() < 0.06:
+        return placed
+    distance = shapely.distance(swept.bodies[:, None], np.array([shapely.Polygon(p) for p in placed])[None]).min(axis=0)
+    return [one for one, near in zip(placed, distance, strict=True) if near > 0.0]
+
+
+def _one(rng: Rng, swept: _Swept, gap: float) -> list[Points]:
+    style = rng.uniform()
+    if style < 0.2:
+        return [_wall(rng, swept, gap)]
+    at = swept.border_point(rng, gap)
+    if at is None:
+        return []
+    point, normal = at
+    if style < 0.32:
+        return _touching(rng, point, normal)
+    shape = np.array(obstacle(rng))
+    nearest = int(np.argmin(shape @ normal))
+    return [(shape - shape[nearest] + point).tolist()]
+
+
+def _wall(rng: Rng, swept: _Swept, gap: float) -> Points:
+    """A wall along a side of everything that is swept; now and then a long one of almost flat reflex corners."""
+    heading = rng.uniform(-math.pi, math.pi)
+    if rng.uniform() < 0.4:
+        heading = float(swept.poses[int(rng.integers(len(swept.poses))), 2]) + 0.5 * math.pi * int(rng.integers(4))
+    normal = np.array([math.cos(heading), math.sin(heading)])
+    reach = swept.corners.reshape(-1, 2) @ normal
+    first = swept.corners.reshape(-1, 2)[int(np.argmax(reach))]
+    face = shallow_wall(rng) if rng.uniform() < 0.15 else [[-6.0, 0.0], [6.0, 0.0], [6.0, 1.0], [-6.0, 1.0]]
+    at = first + gap * normal
+    return turned(face, heading - 0.5 * math.pi, float(at[0]), float(at[1]))
+
+
+def _touching(rng: Rng, point: Floats, normal: Floats) -> list[Points]:
+    """Two squares side by side whose seam points at the robot."""
+    heading = math.atan2(float(normal[1]), float(normal[0])) - 0.5 * math.pi
+    size = rng.uniform(0.1, 0.6)
+    halves = (
+        [[-size, 0.0], [0.0, 0.0], [0.0, size], [-size, size]],
+        [[0.0, 0.0], [size, 0.0], [size, size], [0.0, size]],
+    )
+    return [turned(half, heading, float(point[0]), float(point[1])) for half in halves]
+
+
+def _station(rng: Rng, swept: _Swept) -> Points:
+    """A dock in front of the docked robot."""
+    front = float(swept.outline[:, 0].max()) + log_uniform(rng, 1e-6, 0.1)
+    return turned(rectangle(0.2, 0.0, rng.uniform(0.2, 1.0)), 0.0, front, 0.0)
+
+
+def _add_grid(rng: Rng, case: Case, swept: _Swept) -> None:
+    """A grid around the path, with cells that are occupied or unknown beside it; seldom a small one far away."""
+    side = float(rng.choice([0.05, 0.1, 0.25]))
+    low, high = swept.corners.reshape(-1, 2).min(axis=0), swept.corners.reshape(-1, 2).max(axis=0)
+    origin = low - log_uniform(rng, 1e-3, 0.6)
+    size = np.minimum(np.ceil((high - origin + log_uniform(rng, 1e-3, 0.6)) / side), 160).astype(int)
+    dense = log_uniform(rng, 1e-3, 0.06)
+    shares = [0.96 - dense, 0.02, 0.02, 0.5 * dense, 0.5 * dense]
+    drawn = rng.choice([0, 100, 253, 254, 255], size=(size[1], size[0]), p=shares)
+    if rng.uniform() < 0.05:
+        origin, size, drawn = low + log_uniform(rng, 10.0, 3e4), np.array([30, 30]), np.zeros((30, 30), dtype=int)
+    j, i = np.nonzero(drawn >= 254)
+    if i.size and rng.uniform() < 0.93:
+        boxes = shapely.box(origin[0] + side * i, origin[1] + side * j,
+                            origin[0] + side * (i + 1), origin[1] + side * (j + 1))  # fmt: skip
+        hit = np.unique(shapely.STRtree(boxes).query(swept.bodies, predicate="intersects")[1])
+        drawn[j[hit], i[hit]] = 0
+    case["grid"] = {"cells": drawn.tolist(), "resolution": side, "origin": origin.tolist()}
+    case["grid_alone"] = bool(rng.uniform() < 0.25)
+
+
+def _wanted_margin(rng: Rng) -> float:
+    """Margins at the border: what a tolerance five times too large would accept, or a lost centimetre, or nothing."""
+    style = rng.uniform()
+    if style < 0.3:
+        return -float(rng.uniform(2.2e-6, 4.9e-6))
+    if style < 0.65:
+        return -log_uniform(rng, 3e-6, 1e-2)
+    if style < 0.8:
+        return log_uniform(rng, 1e-7, 1e-3)
+    return log_uniform(rng, 1.1e-3, 5e-2)
+
+
+def _aim(rng: Rng, case: Case, motion: Motion) -> None:
+    """Move the requirement, the nearest obstacle or the grid until the margin is a chosen one."""
+    world = World.of(case)
+    if world.is_empty or rng.uniform() < 0.12:
+        return
+    wanted = _wanted_margin(rng)
+    found = sweep(case, motion, world)
+    clearance = float(found.clearance.min())
+    if clearance > wanted + 1e-4 and rng.uniform() < 0.6:
+        _require(case, found, wanted)
+    else:
+        _shift(case, found, world, wanted)
+
+
+def _require(case: Case, found: Sweep, wanted: float) -> None:
+    required = max(0.0, float(found.clearance.min()) - wanted)
+    case["clearance"] = [required, required, 0.0]
+
+
+def _shift(case: Case, found: Sweep, world: World, wanted: float) -> None:
+    """Move the obstacle that is nearest at the worst pose, or the grid, by what the margin lacks."""
+    k = found.worst
+    if world.solid is None or found.clearance[k] > 1.0:
+        return
+    body = world.bodies(found.poses[k : k + 1])[0]
+    near = [shapely.Polygon(one).distance(body) for one in case["obstacles"]]
+    line = shapely.get_coordinates(shapely.shortest_line(body, world.solid))
+    way = line[1] - line[0]
+    length = float(np.hypot(*way))
+    if length < 1e-7:
+        return
+    move = (wanted - float(found.margin[k])) * way / length
+    if near and min(near) <= length + 1e-9:
+        nearest = shapely.Polygon(case["obstacles"][int(np.argmin(near))])
+        for i, one in enumerate(case["obstacles"]):
+            if shapely.Polygon(one).distance(nearest) <= 1e-9:  # what touches it goes with it
+                case["obstacles"][i] = (np.array(one) + move).tolist()
+    elif case["grid"] is not None:
+        case["grid"]["origin"] = (np.array(case["grid"]["origin"]) + move).tolist()
+
+
+def _spoil(rng: Rng, case: Case) -> None:
+    """Seldom: a start or goal that the path misses, by what is tolerated or by more."""
+    if rng.uniform() < 0.06:
+        error = log_uniform(rng, 1e-7, 1e-2)
+        target = case["start"] if rng.uniform() < 0.5 else case["dock"]["pose"]
+        target[int(rng.integers(3))] += error
+    if rng.uniform() < 0.02:
+        case["start_speed"] = float(rng.uniform(-0.3, 0.3))

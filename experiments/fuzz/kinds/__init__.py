@@ -1,0 +1,33 @@
+"""The kinds of cases: how each is drawn, and how the library is judged on it."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, NamedTuple
+
+from experiments.fuzz.kinds import files, paths, plans, timings, trajectories, values
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    import numpy as np
+
+    from experiments.fuzz.case import Case, Verdict
+
+__all__ = ["KINDS", "Kind"]
+
+
+class Kind(NamedTuple):
+    """One kind of cases."""
+
+    draw: Callable[[np.random.Generator], Case]
+    judge: Callable[[Case], Verdict]
+
+
+KINDS: dict[str, Kind] = {
+    "paths": Kind(paths.draw, paths.judge),
+    "trajectories": Kind(trajectories.draw, trajectories.judge),
+    "timings": Kind(timings.draw, timings.judge),
+    "plans": Kind(plans.draw, plans.judge),
+    "files": Kind(files.draw, files.judge),
+    "values": Kind(values.draw, values.judge),
+}

@@ -1,0 +1,90 @@
+"""Timing plugins on random paths, limits and start speeds: what they call OK is proven, and they come to an end."""
+
+from __future__ import annotations
+
+import math
+import time
+from typing import TYPE_CHECKING
+
+from experiments.fuzz.case import Verdict
+from experiments.fuzz.doors import path_of, zone_of
+from experiments.fuzz.generators.routes import clothoid_route
+from experiments.fuzz.generators.shapes import log_uniform
+from experiments.fuzz.kinds import trajectories
+from optdock.errors import OptdockError
+from optdock.interfaces import TimeParameterizer, TimingStatus
+from optdock.limits import MotionLimits
+from optdock.plugins import create_plugin
+from optdock.verification import certify_trajectory
+
+if TYPE_CHECKING:
+    import numpy as np
+
+    from experiments.fuzz.case import Case
+    from optdock.trajectory import Trajectory
+
+__all__ = ["draw", "judge"]
+
+_SLOW = 2.0  # [s] of processor time for one path
+
+
+def draw(rng: np.random.Generator) -> Case:
+    """A path of clothoids with limits; the start may be faster than any of them allows."""
+    limits: Case = {
+        "max_speed": log_uniform(rng, 0.1, 2.0),
+        "max_reverse_speed": log_uniform(rng, 0.1, 2.0),
+        "max_acceleration": log_uniform(rng, 0.1, 2.0),
+        "max_deceleration": log_uniform(rng, 0.1, 2.0),
+        "max_jerk": log_uniform(rng, 0.1, 16.0),
+    }
+    for name in ("yaw_rate", "yaw_acceleration", "lateral_acceleration", "wheel_speed"):
+        if rng.uniform() < 0.35:
+            limits[f"max_{name}"] = log_uniform(rng, 1e-2, 2.0)
+    limits["track_width"] = float(rng.uniform(0.2, 0.9)) if "max_wheel_speed" in limits else 0.0
+    path = clothoid_route(rng)
+    top = limits["max_speed" if path[0]["gear"] > 0 else "max_reverse_speed"]
+    return {
+        "kind": "timings",
+        "path": path,
+        "limits": limits,
+        "zone": [log_uniform(rng, 0.02, 0.4), float(rng.uniform(0.05, 1.5))] if rng.uniform() < 0.5 else [None, 0.0],
+        "start_speed": float(top * rng.uniform(0.0, 1.0)) if rng.uniform() < 0.5 else 0.0,
+        "plugin": str(rng.choice(["NearOptimal", "Windowed"], p=[0.75, 0.25])),
+    }
+
+
+def judge(case: Case) -> Verdict:
+    """Time the path, prove what is called OK, and look at it."""
+    limits = MotionLimits(**case["limits"])
+    began = time.process_time()
+    try:
+        path = path_of(case["path"])
+        plugin = create_plugin(TimeParameterizer, case["plugin"])
+        result = plugin.parameterize(path, limits, zone_of(case), start_speed=case["start_speed"])
+    except OptdockError as error:
+        return Verdict(type(error).__name__, str(error))
+    spent = time.process_time() - began
+    found = None
+    if result.status is TimingStatus.OK and result.trajectory is not None:
+        found = _looked_at(case, limits, result.trajectory)
+    if found is None and spent > _SLOW:
+        return Verdict("late", f"{case['plugin']}: {result.status.name} after {spent:.1f} s of CPU")
+    return found or Verdict(f"{case['plugin']} {result.status.name}")
+
+
+def _looked_at(case: Case, limits: MotionLimits, trajectory: Trajectory) -> Verdict | None:
+    proof = certify_trajectory(trajectory, limits, zone_of(case), start_speed=case["start_speed"])
+    if not proof.certified:
+        return Verdict("CertificationFailed", f"{case['plugin']} {proof.violations[0].kind}: {proof.reason}")
+    law = trajectory.time_law
+    spec = {
+        "durations": law.durations.tolist(),
+        "jerks": law.jerks.tolist(),
+        "start_speed": law.start_speed,
+        "start_acceleration": law.start_acceleration,
+    }
+    timed = {**case, "kind": "trajectories", "law": spec}
+    refuted = trajectories.refuted(timed, proof)
+    if refuted is None and not math.isfinite(trajectory.duration):
+        return Verdict("false certificate", "duration: not finite")
+    return None if refuted is None else Verdict(refuted.outcome, refuted.detail, timed)

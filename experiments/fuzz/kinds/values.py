@@ -1,0 +1,333 @@
+"""Hostile values through public constructors: a typed error, or a value that behaves and cannot be changed."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from enum import Enum
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+
+from experiments.fuzz.case import Verdict
+from optdock.costmap import obstacles_from_costmap
+from optdock.costmap.costmap import Costmap
+from optdock.dock import Dock, DockDirection, DockTolerances
+from optdock.errors import OptdockError
+from optdock.geometry.clothoid import ClothoidSpline
+from optdock.geometry.footprint import Footprint
+from optdock.geometry.pose import Pose2, Twist2
+from optdock.limits import MotionLimits, SpeedZone
+from optdock.obstacles import ObstacleSet
+from optdock.path import ClothoidSegment, Direction, Path, PolylineSegment
+from optdock.pipeline import plan_dock
+from optdock.plugins import INTERFACES, available_plugins, create_plugin, load_plugin
+from optdock.problem import ClearanceRule, DockingProblem
+from optdock.robot import Drive, Robot
+from optdock.trajectory import TimeLaw, Trajectory
+from optdock.verification import certify_path, certify_trajectory
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator
+
+    from experiments.fuzz.case import Case
+
+__all__ = ["draw", "judge"]
+
+_SQUARE = [[0.4, 0.3], [-0.4, 0.3], [-0.4, -0.3], [0.4, -0.3]]
+
+
+class _ForeignSegment:
+    """A curve that is no segment of the library."""
+
+    direction, length = Direction.FORWARD, 1.0
+    knots = np.array([0.0, 1.0])
+
+    def poses_at(self, s: Any) -> Any:  # noqa: ANN401
+        points = np.atleast_1d(s)
+        return np.column_stack((points, 0.0 * points, 0.0 * points))
+
+    def curvature_at(self, s: Any) -> Any:  # noqa: ANN401
+        return 0.0 * np.atleast_1d(s)
+
+    curvature_rate_at = curvature_at
+
+
+def _hostile() -> tuple[Any, ...]:
+    """New hostile values on every call, as some of them are mutable."""
+    return (
+        math.nan, math.inf, -math.inf, 1e308, -1e308, 1e200, 5e-324, -5e-324, -0.0, 0, -1, 10**400, True, None, "",
+        "abc", "0.5", b"x", [], {}, object(), 1j, np.float32(0.1), np.array(0.5), np.array([]), np.array([[]]),
+        np.zeros((3, 2)),
+        np.full((4, 2), math.nan), np.full((4, 3), math.inf), np.array(_SQUARE) * 1e300, np.array(_SQUARE) * 1e-300,
+        np.array(_SQUARE) * 1e-160, np.array([["a", "b"]] * 3), np.array(_SQUARE, dtype=object), np.zeros((2, 2, 2)),
+        np.array([[0, 0], [1e-323, 5e-324], [1, 1], [-1, 1]]), np.array(_SQUARE), np.array([[0.0, 0, 0], [1, 0, 0]]),
+        np.arange(5.0), np.array([0.0, 1e-320, 1.0]), np.array([0.0, 1.0]), np.array([1.0, 0.0]), np.array([254, 0]),
+        np.array([[0, 254], [255, 0]]), np.array([[0, 300]]), np.array([[0.5, 1.0]]), [[0, 0], [1, 0], [1, 1], [0, 1]],
+        "reverse", "BACKWARD", "backward", DockDirection.FORWARD, Direction.REVERSE, (0.0, 0.0), (math.nan, 0.0),
+        (1, 2, 3),
+        Pose2(0, 0, 0), [Pose2(0, 0, 0), Pose2(1, 0, 0)], Footprint(np.array(_SQUARE)), _ForeignSegment(),
+        (_ForeignSegment(),), ObstacleSet.empty(), MotionLimits(), lambda: None, 2**63, np.int64(2), 90.0, 1e17, 1e14,
+    )  # fmt: skip
+
+
+class _Door(NamedTuple):
+    """A public constructor with honest arguments, and what its value must be able to do."""
+
+    call: Callable[..., Any]
+    arguments: Callable[[], dict[str, Any]]
+    use: Callable[[Any], object] = repr
+
+
+def _problem(**changes: Any) -> DockingProblem:  # noqa: ANN401
+    honest: dict[str, Any] = {
+        "start": Pose2(0, 0, 0),
+        "dock": Dock(Pose2(2, 0, 0)),
+        "robot": Robot(Footprint(np.array(_SQUARE)), MotionLimits()),
+        "obstacles": ObstacleSet.from_polygons([[[1, 1], [2, 1], [2, 2]]]),
+        "clearance": ClearanceRule(),
+        "start_speed": 0.0,
+        "start_curvature": None,
+        "costmap": None,
+        "frame": "map",
+    }
+    return DockingProblem(**{**honest, **changes})
+
+
+def _spline(**changes: Any) -> ClothoidSpline:  # noqa: ANN401
+    honest = {
+        "start": Pose2(0, 0, 0),
+        "knots": np.array([0.0, 1.0, 2.0]),
+        "curvature": np.array([0.0, 0.5, 0.0]),
+        "sign": 1,
+    }
+    return ClothoidSpline(**{**honest, **changes})
+
+
+def _straight() -> Path:
+    return Path((ClothoidSegment(_spline(curvature=np.zeros(3))),))
+
+
+def _certified(problem: DockingProblem) -> object:
+    return certify_path(_straight(), problem)
+
+
+def _drive(law: TimeLaw) -> object:
+    return certify_trajectory(Trajectory(_straight(), law), MotionLimits(), SpeedZone())
+
+
+def _walk(path: Path) -> object:
+    certify_path(path, _problem())
+    return path.sample(max(path.length / 50.0, 1e-3))
+
+
+def _within(dock: Dock) -> object:
+    return certify_path(_straight(), _problem(dock=dock))
+
+
+def _stands(footprint: Footprint) -> object:
+    return certify_path(_straight(), _problem(robot=Robot(footprint, MotionLimits())))
+
+
+def _blocks(obstacles: ObstacleSet) -> object:
+    return certify_path(_straight(), _problem(obstacles=obstacles))
+
+
+def _maps(costmap: Costmap) -> object:
+    return costmap.cost_at([[0.0, 0.0]])
+
+
+_TWO = np.array([0, 1])
+_DOORS: dict[str, _Door] = {
+    "Pose2": _Door(Pose2, lambda: {"x": 0.0, "y": 0.0, "yaw": 0.0}, lambda pose: pose @ pose.inverse()),
+    "Twist2": _Door(Twist2, lambda: {"linear": 0.0, "angular": 0.0, "lateral": 0.0}),
+    "Footprint": _Door(Footprint, lambda: {"vertices": np.array(_SQUARE)}, _stands),
+    "Footprint.from_radius": _Door(Footprint.from_radius, lambda: {"radius": 0.3}, _stands),
+    "Footprint.rectangle": _Door(Footprint.rectangle, lambda: {"front": 0.4, "rear": 0.4, "width": 0.5}, _stands),
+    "Dock": _Door(
+        Dock,
+        lambda: {
+            "pose": Pose2(2, 0, 0),
+            "footprint": Footprint(np.array(_SQUARE)),
+            "direction": DockDirection.AUTO,
+            "final_straight": 0.1,
+            "approach": SpeedZone(0.1, 0.2),
+            "tolerances": DockTolerances(),
+        },
+        _within,
+    ),
+    "DockTolerances": _Door(DockTolerances, lambda: {"along": 0.02, "cross": 0.02, "yaw": 0.05}),
+    "SpeedZone": _Door(SpeedZone, lambda: {"speed": 0.1, "distance": 0.3}),
+    "MotionLimits": _Door(
+        MotionLimits,
+        lambda: {spec.name: spec.default for spec in dataclasses.fields(MotionLimits)},
+        lambda limits: _certified(_problem(robot=Robot(Footprint(np.array(_SQUARE)), limits))),
+    ),
+    "ClearanceRule": _Door(
+        ClearanceRule,
+        lambda: {"required": 0.05, "at_dock": 0.0, "taper": 0.5},
+        lambda r: _certified(_problem(clearance=r)),
+    ),
+    "DockingProblem": _Door(
+        _problem,
+        lambda: {
+            "start": Pose2(0, 0, 0),
+            "start_speed": 0.0,
+            "start_curvature": None,
+            "frame": "map",
+            "costmap": None,
+            "clearance": ClearanceRule(),
+            "obstacles": ObstacleSet.empty(),
+            "dock": Dock(Pose2(2, 0, 0)),
+        },
+        _certified,
+    ),
+    "Robot": _Door(
+        Robot,
+        lambda: {"footprint": Footprint(np.array(_SQUARE)), "limits": MotionLimits(), "drive": Drive.DIFFERENTIAL},
+        lambda robot: _certified(_problem(robot=robot)),
+    ),
+    "ObstacleSet": _Door(
+        ObstacleSet, lambda: {"vertices": np.array([_SQUARE]), "names": ("a",), "group": np.array([0])}, _blocks
+    ),
+    "ObstacleSet.from_polygons": _Door(ObstacleSet.from_polygons, lambda: {"polygons": [np.array(_SQUARE)]}, _blocks),
+    "ObstacleSet.from_rectangles": _Door(
+        ObstacleSet.from_rectangles,
+        lambda: {"lower": np.array([[1.0, 1.0]]), "upper": np.array([[2.0, 2.0]]), "name": "a"},
+        _blocks,
+    ),
+    "Costmap": _Door(
+        Costmap, lambda: {"data": np.zeros((3, 4), dtype=np.uint8), "resolution": 0.1, "origin": (0.0, 0.0)}, _maps
+    ),
+    "obstacles_from_costmap": _Door(
+        obstacles_from_costmap,
+        lambda: {
+            "costmap": Costmap(np.array([[0, 254]]), 0.5),
+            "unknown_is_obstacle": True,
+            "threshold": 254,
+            "region": ([0.0, 0.0], [1.0, 1.0]),
+            "border": True,
+        },
+        _blocks,
+    ),
+    "Path.from_poses": _Door(Path.from_poses, lambda: {"poses": np.array([[0.0, 0, 0], [1, 0, 0], [2, 0, 0]])}, _walk),
+    "PolylineSegment": _Door(
+        PolylineSegment,
+        lambda: {"poses": np.array([[0.0, 0, 0], [1, 0, 0]]), "direction": Direction.FORWARD},
+        lambda segment: _walk(Path((segment,))),
+    ),
+    "Path": _Door(Path, lambda: {"segments": (ClothoidSegment(_spline()),)}, _walk),
+    "ClothoidSpline": _Door(
+        _spline,
+        lambda: {"start": Pose2(0, 0, 0), "knots": np.array([0.0, 1.0, 2.0]), "curvature": np.zeros(3), "sign": 1},
+        lambda spline: _walk(Path((ClothoidSegment(spline),))),
+    ),
+    "TimeLaw": _Door(
+        TimeLaw,
+        lambda: {
+            "durations": np.array([1.0, 1.0]),
+            "jerks": np.array([0.0, 1.0]),
+            "start_s": 0.0,
+            "start_speed": 0.0,
+            "start_acceleration": 0.0,
+        },
+        _drive,
+    ),
+    "plan_dock": _Door(
+        lambda time_budget: plan_dock(_problem(), time_budget=time_budget), lambda: {"time_budget": 0.02}
+    ),
+}
+
+
+def _plugin_doors() -> Iterator[tuple[str, str]]:
+    for plugin in available_plugins():
+        for name in load_plugin(INTERFACES[plugin.kind], plugin.name).Parameters.model_fields:
+            yield f"{plugin.kind}/{plugin.name}", name
+
+
+def draw(rng: np.random.Generator) -> Case:
+    """A door, one of its arguments, and what goes in there."""
+    hostile = int(rng.integers(len(_hostile())))
+    if rng.uniform() < 0.25:
+        slots = list(_plugin_doors())
+        door, argument = slots[int(rng.integers(len(slots)))]
+    else:
+        door = sorted(_DOORS)[int(rng.integers(len(_DOORS)))]
+        argument = list(_DOORS[door].arguments())[int(rng.integers(len(_DOORS[door].arguments())))]
+    return {
+        "kind": "values",
+        "door": door,
+        "argument": argument,
+        "hostile": hostile,
+        "is": repr(_hostile()[hostile])[:60],
+    }
+
+
+def judge(case: Case) -> Verdict:
+    """Call the door; then look whether what it made can be changed.
+
+    A value of the right sort (a number, an array of numbers, a word) must be refused by name or taken. One of another
+    sort breaks the types that the library declares: any exception will do, and what is made of it is nobody's concern.
+    """
+    value = _hostile()[case["hostile"]]
+    where = f"{case['door']}({case['argument']}={case['is']})"
+    try:
+        made = _called(case, value)
+    except OptdockError as error:
+        return Verdict(f"input refused: {type(error).__name__}")
+    except Exception as error:
+        if _is_right_sort(case, value):
+            raise type(error)(f"{where}: {error}") from error
+        return Verdict("wrong type refused")
+    if not _is_right_sort(case, value):
+        return Verdict("wrong type accepted")
+    return _changeable(made, value, where) or Verdict("accepted")
+
+
+def _is_right_sort(case: Case, value: object) -> bool:
+    """Whether a value is of the sort that the argument takes."""
+    if "/" in case["door"]:
+        return True  # parameters come from files: they are checked whatever they are
+    honest = _DOORS[case["door"]].arguments()[case["argument"]]
+    return _sort(value) == ("number" if honest is None else _sort(honest))
+
+
+def _sort(value: object) -> str:
+    if isinstance(value, int | float | np.integer | np.floating) and not isinstance(value, Enum):
+        return "number"
+    if isinstance(value, np.ndarray):
+        return "array" if value.dtype.kind in "iuf" else "other array"
+    return "word" if isinstance(value, str | Enum) else type(value).__name__
+
+
+def _called(case: Case, value: object) -> object:
+    if "/" in case["door"]:
+        kind, name = case["door"].split("/", 1)
+        return create_plugin(INTERFACES[kind], name, {case["argument"]: value})
+    door = _DOORS[case["door"]]
+    made = door.call(**{**door.arguments(), case["argument"]: value})
+    if case["door"] != "plan_dock":
+        door.use(made)
+    return made
+
+
+def _changeable(made: object, given: object, where: str) -> Verdict | None:
+    """Arrays that can be written to, or that are the caller's own."""
+    for name, array in _arrays(made, ""):
+        if array.flags.writeable:
+            return Verdict("mutable value", f"{where.split('(', maxsplit=1)[0]}{name}: can be written to")
+        if isinstance(given, np.ndarray) and array.size and np.shares_memory(array, given):
+            return Verdict("mutable value", f"{where.split('(', maxsplit=1)[0]}{name}: is the caller's own array")
+    return None
+
+
+def _arrays(value: object, name: str, depth: int = 0) -> Iterator[tuple[str, np.ndarray]]:
+    """Every array that a value shows, with the way to it."""
+    if isinstance(value, np.ndarray):
+        yield name, value
+    elif depth < 4 and dataclasses.is_dataclass(value) and not isinstance(value, type):
+        for spec in dataclasses.fields(value):
+            yield from _arrays(getattr(value, spec.name, None), f"{name}.{spec.name}", depth + 1)
+    elif depth < 4 and isinstance(value, tuple):
+        for i, item in enumerate(value):
+            yield from _arrays(item, f"{name}[{i}]", depth + 1)

@@ -1,0 +1,198 @@
+"""Paths of a case, evaluated piece by piece.
+
+A place on a path is (piece, share): pieces are so short that none turns by more than a radian, and within a piece the
+share runs from 0 to 1. Arc length alone would not do: a robot that turns in place has many poses at one arc length,
+and a piece of 1e-14 m has no inner point once it is added to a metre.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+if TYPE_CHECKING:
+    import numpy.typing as npt
+
+    from experiments.fuzz.case import Case
+
+    Floats = npt.NDArray[np.float64]
+    Ints = npt.NDArray[np.int64]
+
+__all__ = ["Motion", "Segment", "motion_of", "step_arc"]
+
+# Twelve Gauss points over at most a radian of turn: exact to rounding.
+_NODES, _WEIGHTS = np.polynomial.legendre.leggauss(12)
+_NODES, _WEIGHTS = 0.5 * (1.0 + _NODES), 0.5 * _WEIGHTS
+_TURN_PER_PIECE = 1.0
+_SAME_POSITION = 1e-9  # [m]: the documented length below which a step carries no direction
+
+
+@dataclass(frozen=True)
+class Segment:
+    """One gear: which rows of the motion's pieces it owns, its gear, its knots and what they say."""
+
+    exact: bool
+    gear: int
+    first: int
+    stop: int
+    start_s: float
+    length: float
+    knots: Floats
+    curvature: Floats  # exact: at the knots; polyline: of the steps
+    poses: Floats  # exact: the start pose; polyline: all poses, unwrapped
+
+
+@dataclass(frozen=True)
+class Motion:
+    """Pieces of a path, all columns Shape (n,) or (n, 3).
+
+    `pose`: at the start of the piece. `step`: polyline: change of the pose. `exact`: whether it is a clothoid. `h`: arc
+    length. `k0`, `k1`: curvature at both ends, along the travel. `gear`: 1 or -1. `s`: arc length at its start.
+    """
+
+    pose: Floats
+    step: Floats
+    exact: npt.NDArray[np.bool_]
+    h: Floats
+    k0: Floats
+    k1: Floats
+    gear: Floats
+    s: Floats
+    segments: tuple[Segment, ...]
+
+    @property
+    def length(self) -> float:
+        """Arc length of all gears [m]."""
+        return float(self.s[-1] + self.h[-1])
+
+    @property
+    def turn(self) -> Floats:
+        """Largest |change of yaw| within each piece, as a bound [rad]."""
+        with np.errstate(invalid="ignore"):  # a turn in place has no length and infinite curvature
+            bent = self.h * np.maximum(np.abs(self.k0), np.abs(self.k1))
+        turn: Floats = np.where(self.exact, bent, np.abs(self.step[:, 2]))
+        return turn
+
+    @property
+    def way(self) -> Floats:
+        """Distance that the origin moves within each piece [m]."""
+        way: Floats = np.where(self.exact, self.h, np.hypot(self.step[:, 0], self.step[:, 1]))
+        return way
+
+    def poses_at(self, piece: Ints, share: Floats) -> Floats:
+        """Poses, Shape (n, 3)."""
+        base, h, k0, k1 = self.pose[piece], self.h[piece], self.k0[piece], self.k1[piece]
+        out = base + share[:, None] * self.step[piece]
+        rows = np.flatnonzero(self.exact[piece])
+        if rows.size:
+            u = share[rows, None] * _NODES
+            theta = base[rows, 2, None] + h[rows, None] * (k0[rows, None] * u + 0.5 * (k1 - k0)[rows, None] * u * u)
+            reach = self.gear[piece[rows]] * h[rows] * share[rows]
+            out[rows, 0] = base[rows, 0] + reach * (np.cos(theta) @ _WEIGHTS)
+            out[rows, 1] = base[rows, 1] + reach * (np.sin(theta) @ _WEIGHTS)
+            last = share[rows]
+            out[rows, 2] = base[rows, 2] + h[rows] * (k0[rows] * last + 0.5 * (k1 - k0)[rows] * last * last)
+        return out
+
+    def s_at(self, piece: Ints, share: Floats) -> Floats:
+        """Arc lengths, Shape (n,) [m]."""
+        return self.s[piece] + share * self.h[piece]
+
+    @property
+    def start(self) -> Floats:
+        """First pose."""
+        return self.pose[0]
+
+    @property
+    def end(self) -> Floats:
+        """Last pose."""
+        return self.poses_at(np.array([self.h.size - 1]), np.array([1.0]))[0]
+
+    def ends_of(self, segment: Segment) -> tuple[Floats, Floats]:
+        """First and last pose of a gear."""
+        places = np.array([segment.first, segment.stop - 1])
+        both = self.poses_at(places, np.array([0.0, 1.0]))
+        return both[0], both[1]
+
+
+@dataclass(frozen=True)
+class _Rows:
+    """Columns of pieces, as in `Motion`, before they are joined."""
+
+    pose: Floats
+    step: Floats
+    h: Floats
+    k0: Floats
+    k1: Floats
+
+
+def step_arc(step: Floats) -> Floats:
+    """Arc length of steps (dx, dy, turn), Shape (n, 3): of the arc with their chord and their turn. Shape (n,) [m]."""
+    chord, half = np.hypot(step[:, 0], step[:, 1]), np.minimum(0.5 * np.abs(step[:, 2]), 0.5 * math.pi)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        arc = np.where(half > 1e-8, chord * half / np.sin(half), chord)
+    return np.where(chord > _SAME_POSITION, arc, 0.0)
+
+
+def motion_of(path: list[Case]) -> Motion:
+    """The motion of a case's path: a list of gears."""
+    rows, segments, s, first = [], [], 0.0, 0
+    for gear in path:
+        made, knots, curvature, poses = _clothoid(gear) if gear["type"] == "clothoid" else _polyline(gear)
+        length = float(np.sum(made.h))
+        stop = first + made.h.size
+        exact = gear["type"] == "clothoid"
+        segments.append(Segment(exact, int(gear["gear"]), first, stop, s, length, knots, curvature, poses))
+        rows.append(made)
+        s, first = s + length, stop
+    h = np.concatenate([one.h for one in rows])
+    counts = [one.h.size for one in rows]
+    return Motion(
+        pose=np.vstack([one.pose for one in rows]),
+        step=np.vstack([one.step for one in rows]),
+        exact=np.repeat([one.exact for one in segments], counts),
+        h=h,
+        k0=np.concatenate([one.k0 for one in rows]),
+        k1=np.concatenate([one.k1 for one in rows]),
+        gear=np.repeat([float(one.gear) for one in segments], counts),
+        s=np.concatenate(([0.0], np.cumsum(h)[:-1])),
+        segments=tuple(segments),
+    )
+
+
+def _clothoid(gear: Case) -> tuple[_Rows, Floats, Floats, Floats]:
+    knots, curvature = np.array(gear["knots"], dtype=float), np.array(gear["curvature"], dtype=float)
+    h, k0, k1 = np.diff(knots), curvature[:-1], curvature[1:]
+    parts = np.maximum(1, np.ceil(h * np.maximum(np.abs(k0), np.abs(k1)) / _TURN_PER_PIECE)).astype(np.int64)
+    owner = np.repeat(np.arange(h.size), parts)
+    rank = np.arange(parts.sum()) - np.repeat(np.cumsum(parts) - parts, parts)
+    rise = (k1 - k0) / parts
+    low = k0[owner] + rise[owner] * rank
+    short = (h / parts)[owner]
+    high = np.where(rank + 1 == parts[owner], k1[owner], low + rise[owner])
+    turn = 0.5 * short * (low + high)
+    yaw = gear["start"][2] + np.concatenate(([0.0], np.cumsum(turn)))
+    pose = np.column_stack((np.zeros((owner.size, 2)), yaw[:-1]))
+    blank = np.zeros((owner.size, 3))
+    # Each piece's displacement from its own start, then their sum.
+    theta = yaw[:-1, None] + short[:, None] * (low[:, None] * _NODES + 0.5 * (high - low)[:, None] * _NODES**2)
+    reach = gear["gear"] * short
+    move = np.column_stack((reach * (np.cos(theta) @ _WEIGHTS), reach * (np.sin(theta) @ _WEIGHTS)))
+    pose[:, :2] = np.array(gear["start"][:2]) + np.vstack((np.zeros((1, 2)), np.cumsum(move, axis=0)[:-1]))
+    return _Rows(pose, blank, short, low, high), knots, curvature, np.array([gear["start"]], dtype=float)
+
+
+def _polyline(gear: Case) -> tuple[_Rows, Floats, Floats, Floats]:
+    poses = np.array(gear["poses"], dtype=float)
+    turns = np.diff(poses[:, 2])
+    turns = np.remainder(turns + math.pi, 2.0 * math.pi) - math.pi  # the short way round
+    poses[:, 2] = poses[0, 2] + np.concatenate(([0.0], np.cumsum(turns)))
+    step = np.diff(poses, axis=0)
+    arc = step_arc(step)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        curvature = np.where(step[:, 2] == 0.0, 0.0, step[:, 2] / arc)
+    knots = np.concatenate(([0.0], np.cumsum(arc)))
+    return _Rows(poses[:-1], step, arc, curvature, curvature), knots, curvature, poses

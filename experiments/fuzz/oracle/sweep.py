@@ -1,0 +1,146 @@
+"""The clearance along a whole path: sampled, then refined where it could be smaller than what was seen."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from experiments.fuzz.case import Case
+    from experiments.fuzz.oracle.motion import Floats, Ints, Motion
+    from experiments.fuzz.oracle.world import World
+
+__all__ = ["Sweep", "required_at", "sweep"]
+
+_STEP, _TURN = 0.04, 0.08  # [m], [rad] between first samples
+_MOST = 1500  # first samples
+_PARTS = 6  # of a refined interval
+_ROUNDS = 7
+_KEPT = 14  # intervals refined per round
+_ENOUGH = 1e-7  # [m]: what an interval may still hide
+
+
+@dataclass(frozen=True)
+class Sweep:
+    """Samples of a path; all Shape (n,) but `poses`, Shape (n, 3). `clearance` and `margin` [m]."""
+
+    s: Floats
+    poses: Floats
+    clearance: Floats
+    margin: Floats
+
+    @property
+    def worst(self) -> int:
+        """Index of the smallest margin."""
+        return int(np.argmin(self.margin))
+
+
+def required_at(case: Case, poses: Floats, start_clearance: float) -> Floats:
+    """What the rule asks: a taper to the goal; near a start that is too close, growth from there. Shape (n,) [m]."""
+    required, at_dock, taper = case["clearance"]
+    goal, start = case["dock"]["pose"], case["start"]
+    from_goal = np.hypot(poses[:, 0] - goal[0], poses[:, 1] - goal[1])
+    from_start = np.hypot(poses[:, 0] - start[0], poses[:, 1] - start[1])
+    share = np.clip(from_goal / taper, 0.0, 1.0) if taper > 0.0 else (from_goal > 0.0).astype(float)
+    relief = max(start_clearance, 0.0) + 0.5 * from_start
+    required_there: Floats = np.minimum(at_dock + (required - at_dock) * share, relief)
+    return required_there
+
+
+def sweep(case: Case, motion: Motion, world: World, *, refine: bool = True) -> Sweep:
+    """Clearance and margin along the path.
+
+    Args:
+        case: Holds the clearance rule.
+        motion: The path.
+        world: The obstacles and the outline.
+        refine: Whether to look for the minimum between the first samples; without, minima may be missed.
+    """
+    return _Search(case, motion, world).run(rounds=_ROUNDS if refine else 0)
+
+
+class _Search:
+    """Samples by (piece, share), kept in order of the path; intervals between neighbours of one piece."""
+
+    def __init__(self, case: Case, motion: Motion, world: World) -> None:
+        self.case, self.motion, self.world = case, motion, world
+        self.start_clearance = float(world.clearances(np.array([case["start"]], dtype=float))[0])
+        reach = world.reach
+        self.travel = motion.way + reach * motion.turn  # of any outline point within each piece
+        bend = np.where(motion.exact, motion.h * motion.turn, 0.0)  # |p''| for a share from 0 to 1
+        rate = np.where(motion.exact, motion.h * np.abs(motion.k1 - motion.k0), 0.0)
+        self.accel = bend + reach * (rate + motion.turn**2)
+
+    def run(self, rounds: int) -> Sweep:
+        piece, low, high = self._first()
+        share = np.concatenate((low, [1.0]))
+        at = np.concatenate((piece, piece[-1:]))
+        first = self._measured(at, share)
+        clearance, margin = first.clearance, first.margin
+        found = [first]
+        # The end of an interval is the start of the next: pieces are joined, but gears may jump, so measure those.
+        last = np.append(clearance[1:-1], clearance[-1]), np.append(margin[1:-1], margin[-1])
+        table: tuple[Floats, ...] = (piece.astype(float), low, high, clearance[:-1], last[0], margin[:-1], last[1])
+        best = float(margin.min())
+        for _ in range(rounds):
+            chosen = self._promising(table, best)
+            if chosen.size == 0 or best < -1e-2:
+                break
+            table, measured = self._refined(tuple(column[chosen] for column in table))
+            found.append(measured)
+            best = min(best, float(measured.margin.min()))
+        return Sweep(
+            *(np.concatenate([getattr(one, spec.name) for one in found]) for spec in fields(Sweep)),
+        )
+
+    def _first(self) -> tuple[Ints, Floats, Floats]:
+        way, turn = self.motion.way, self.motion.turn
+        wanted = np.maximum(1, np.ceil(np.maximum(way / _STEP, turn / _TURN)))
+        scale = min(1.0, _MOST / float(wanted.sum()))
+        parts = np.maximum(1, np.floor(wanted * scale)).astype(np.int64)
+        piece = np.repeat(np.arange(parts.size), parts)
+        rank = np.arange(piece.size) - np.repeat(np.cumsum(parts) - parts, parts)
+        low = rank / parts[piece]
+        high = np.where(rank + 1 == parts[piece], 1.0, (rank + 1) / parts[piece])
+        return piece, low, high
+
+    def _measured(self, piece: Ints, share: Floats) -> Sweep:
+        poses = self.motion.poses_at(piece, share)
+        clearance = self.world.clearances(poses)
+        margin = clearance - required_at(self.case, poses, self.start_clearance)
+        return Sweep(self.motion.s_at(piece, share), poses, clearance, margin)
+
+    def _promising(self, table: tuple[Floats, ...], best: float) -> Ints:
+        """Intervals that could hold less than `best`, those that could hold least first."""
+        piece, low, high, c0, c1, m0, m1 = table
+        width = high - low
+        piece = piece.astype(np.int64)
+        travel = self.travel[piece] * width
+        near = np.maximum(np.minimum(c0, c1), 1e-12)
+        # Between two samples a distance falls by at most half the travel, and, once the direction of the nearest point
+        # is known, by a parabola with the acceleration along it and the turning of that direction.
+        with np.errstate(over="ignore"):
+            dip = 0.125 * (self.accel[piece] * width**2 + travel**2 / near)
+        dip = np.minimum(dip, 0.5 * travel)
+        rule = min(0.5, abs(self._slope()))
+        least = np.minimum(m0, m1) - dip - rule * self.motion.way[piece] * width * 0.25
+        hopeful = np.flatnonzero((least < best - _ENOUGH) & (width > 1e-9))
+        return hopeful[np.argsort(least[hopeful], kind="stable")[:_KEPT]]
+
+    def _slope(self) -> float:
+        required, at_dock, taper = self.case["clearance"]
+        return (required - at_dock) / taper if taper > 0.0 else 0.0
+
+    def _refined(self, rows: tuple[Floats, ...]) -> tuple[tuple[Floats, ...], Sweep]:
+        """Every interval cut into parts: the new table of intervals, and the samples."""
+        piece, low, high, c0, c1, m0, m1 = rows
+        inner = low[:, None] + (high - low)[:, None] * (np.arange(1, _PARTS) / _PARTS)
+        owner = np.repeat(piece.astype(np.int64), _PARTS - 1)
+        measured = self._measured(owner, inner.ravel())
+        edges = np.column_stack((low, inner, high))
+        c = np.column_stack((c0, measured.clearance.reshape(inner.shape), c1))
+        m = np.column_stack((m0, measured.margin.reshape(inner.shape), m1))
+        table = (np.repeat(piece, _PARTS), *(block.ravel() for a in (edges, c, m) for block in (a[:, :-1], a[:, 1:])))
+        return table, measured

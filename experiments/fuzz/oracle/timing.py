@@ -1,0 +1,201 @@
+"""Motions of a case: what speed, acceleration and turning really are, phase by phase and place by place.
+
+Times count from the start of each phase, so that a phase after a wait of 1e17 s is as sharp as any other. Every piece
+of the path is looked at where the motion enters, halves and leaves it, with that piece's own curvature.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+if TYPE_CHECKING:
+    import numpy.typing as npt
+
+    from experiments.fuzz.case import Case
+    from experiments.fuzz.oracle.motion import Floats, Ints, Motion
+
+__all__ = ["Judgement", "judged"]
+
+_PER_PHASE = 24  # samples
+_BISECTIONS = 60
+_REST = 1e-6  # [m], [m/s], [m/s^2]
+_ZOOMS = 3  # rounds around the largest values
+_SPREAD = np.linspace(-1.0, 1.0, 21)
+_EXCESS = 1e-6  # relative: what the certificate accepts beyond a limit
+_SAMPLED = 0.05  # likewise of turning limits on the steps of a polyline
+
+
+@dataclass(frozen=True)
+class Judgement:
+    """Largest ratio of each quantity to its limit that an instant shows, and rules of structure by their ratio."""
+
+    ratios: dict[str, float]
+    structure: dict[str, float]
+
+    @property
+    def broken(self) -> list[str]:
+        """Rules that an instant refutes beyond twice their tolerance."""
+        limits = [name for name, ratio in self.ratios.items() if not ratio <= 1.0 + 2.0 * _EXCESS]
+        return limits + [name for name, ratio in self.structure.items() if not ratio <= 2.0]
+
+    def is_clear(self, kind: str) -> bool:
+        """Whether a refusal for `kind` would be wrong: 1 % below the limit, or half the tolerance of structure."""
+        if kind in self.ratios:
+            return self.ratios[kind] <= 0.99
+        return self.structure.get(kind, 0.0) <= 0.5
+
+
+class _Law(NamedTuple):
+    """Phase borders: s, v, a, Shape (n + 1,); jerks and durations, Shape (n,)."""
+
+    s: Floats
+    v: Floats
+    a: Floats
+    jerk: Floats
+    width: Floats
+
+    def at(self, phase: Ints, dt: Floats) -> tuple[Floats, Floats, Floats]:
+        """Distance, speed, acceleration `dt` into `phase`."""
+        s, v, a, j = self.s[phase], self.v[phase], self.a[phase], self.jerk[phase]
+        return s + dt * (v + dt * (a / 2.0 + dt * j / 6.0)), v + dt * (a + dt * j / 2.0), a + dt * j
+
+
+class _Instants(NamedTuple):
+    """Phase, time into it [s], piece of the path and share of it, Shape (n,) each."""
+
+    phase: Ints
+    dt: Floats
+    piece: Ints
+    share: Floats
+
+
+def judged(case: Case, motion: Motion) -> Judgement:
+    """What a motion really does, against the limits, the zone and the rules of `case`.
+
+    Args:
+        case: Holds `law`, `limits`, `zone`, and `start_speed` or None.
+        motion: The path.
+    """
+    law = _law(case["law"])
+    with np.errstate(all="ignore"):
+        instants = _joined(_grid(law, motion), _places(law, motion))
+        ratios = _ratios(case, motion, law, instants)
+        top = {name: float(np.nanmax(values)) for name, values in ratios.items()}
+        spread = law.width / _PER_PHASE
+        for _ in range(_ZOOMS):
+            instants = _zoomed(law, motion, instants, ratios, spread)
+            ratios = _ratios(case, motion, law, instants)
+            top = {name: max(value, float(np.nanmax(ratios[name]))) for name, value in top.items()}
+            spread = spread / 10.0
+        return Judgement(top, _structure(case, motion, law))
+
+
+def _law(spec: Case) -> _Law:
+    width, jerk = np.array(spec["durations"], dtype=float), np.array(spec["jerks"], dtype=float)
+    rows = [(float(spec.get("start_s", 0.0)), float(spec["start_speed"]), float(spec["start_acceleration"]))]
+    for h, j in zip(width.tolist(), jerk.tolist(), strict=True):
+        s, v, a = rows[-1]
+        rows.append((s + h * (v + h * (a / 2.0 + h * j / 6.0)), v + h * (a + h * j / 2.0), a + h * j))
+    s, v, a = np.array(rows).T
+    return _Law(s, v, a, jerk, width)
+
+
+def _grid(law: _Law, motion: Motion) -> _Instants:
+    """Evenly in every phase, and where the speed is stationary."""
+    n = law.width.size
+    phase = np.repeat(np.arange(n), _PER_PHASE)
+    dt = law.width[phase] * np.tile(np.linspace(0.0, 1.0, _PER_PHASE), n)
+    flat = np.nan_to_num(np.clip(-law.a[:-1] / law.jerk, 0.0, law.width), nan=0.0)
+    return _on_path(law, motion, np.concatenate((phase, np.arange(n))), np.concatenate((dt, flat)))
+
+
+def _on_path(law: _Law, motion: Motion, phase: Ints, dt: Floats) -> _Instants:
+    s = np.clip(law.at(phase, dt)[0], 0.0, motion.length)
+    piece = np.clip(np.searchsorted(motion.s, s, side="right") - 1, 0, motion.s.size - 1)
+    share = np.clip((s - motion.s[piece]) / np.maximum(motion.h[piece], 1e-300), 0.0, 1.0)
+    return _Instants(phase, dt, piece, share)
+
+
+def _places(law: _Law, motion: Motion) -> _Instants:
+    """Entry, middle and exit of every piece of the path."""
+    n = motion.h.size
+    piece, share = np.repeat(np.arange(n), 3), np.tile([0.0, 0.5, 1.0], n)
+    wanted = motion.s_at(piece, share)
+    phase = np.clip(np.searchsorted(np.maximum.accumulate(law.s), wanted) - 1, 0, law.width.size - 1)
+    low, high = np.zeros(wanted.size), law.width[phase]
+    for _ in range(_BISECTIONS):
+        middle = 0.5 * (low + high)
+        ahead = law.at(phase, middle)[0] >= wanted
+        low, high = np.where(ahead, low, middle), np.where(ahead, middle, high)
+    return _Instants(phase, 0.5 * (low + high), piece, share)
+
+
+def _joined(first: _Instants, second: _Instants) -> _Instants:
+    return _Instants(*(np.concatenate(columns) for columns in zip(first, second, strict=True)))
+
+
+def _zoomed(law: _Law, motion: Motion, instants: _Instants, ratios: dict[str, Floats], spread: Floats) -> _Instants:
+    """More instants around the largest three values of every quantity."""
+    at = np.unique(np.concatenate([np.argsort(np.nan_to_num(v, nan=-1.0))[-3:] for v in ratios.values()]))
+    phase = np.repeat(instants.phase[at], _SPREAD.size)
+    dt = np.repeat(instants.dt[at], _SPREAD.size) + spread[phase] * np.tile(_SPREAD, at.size)
+    return _on_path(law, motion, phase, np.clip(dt, 0.0, law.width[phase]))
+
+
+def _ratios(case: Case, motion: Motion, law: _Law, instants: _Instants) -> dict[str, Floats]:
+    """Every limited quantity over its limit, Shape (n,) each."""
+    limits, (phase, dt, piece, share) = case["limits"], instants
+    s, v, a = law.at(phase, dt)
+    k0, k1, h = motion.k0[piece], motion.k1[piece], motion.h[piece]
+    k, r = k0 + (k1 - k0) * share, np.where(k1 == k0, 0.0, (k1 - k0) / h)
+    speed, track = np.abs(v), float(limits.get("track_width", 0.0))
+    slack = np.where(motion.exact[piece], 1.0, 1.0 + _SAMPLED + 0.01)
+    curved = {
+        "yaw_rate": np.abs(v * k),
+        "lateral_acceleration": v * v * np.abs(k),
+        "yaw_acceleration": np.abs(a * k + v * v * r),
+        "wheel_speed": speed * (1.0 + 0.5 * track * np.abs(k)),
+    }
+    found = {
+        "speed": speed / _top_speed(case, motion, s, piece),
+        "acceleration": a / limits.get("max_acceleration", 0.5),
+        "deceleration": -a / limits.get("max_deceleration", 0.6),
+        "jerk": np.abs(law.jerk[phase]) / limits.get("max_jerk", 2.0),
+    }
+    bounded = {name: limits.get(f"max_{name}", math.inf) for name in curved}
+    return found | {name: curved[name] / slack / limit for name, limit in bounded.items() if math.isfinite(limit)}
+
+
+def _top_speed(case: Case, motion: Motion, s: Floats, piece: Ints) -> Floats:
+    """Speed limit of the gear, and of the zone at the end where it is lower. Shape (n,) [m/s]."""
+    limits, (zone_speed, zone_length) = case["limits"], case["zone"]
+    top: Floats = np.where(motion.gear[piece] > 0, limits.get("max_speed", 0.5), limits.get("max_reverse_speed", 0.3))
+    # A nanometre inside, where nobody disputes on which side of the border an instant is.
+    inside = (s > motion.length - zone_length + 1e-9) & (zone_length > 0.0)
+    return np.where(inside, np.minimum(top, zone_speed if zone_speed is not None else math.inf), top)
+
+
+def _structure(case: Case, motion: Motion, law: _Law) -> dict[str, float]:
+    """Rules of structure, as the error over its tolerance."""
+    ends = max(abs(law.s[0]), abs(law.s[-1] - motion.length)) / _REST
+    instants = _grid(law, motion)
+    slowest = float(np.min(law.at(instants.phase, instants.dt)[1]))
+    back = max(-slowest / _REST, float(np.max(np.maximum.accumulate(law.s) - law.s)) / _REST)
+    still = motion.turn[~motion.exact & (motion.h <= 0.0)]
+    start = case.get("start_speed")
+    return {
+        "coverage": max(ends, back, math.inf if np.any(still > 1e-8) else 0.0),
+        "rest": max(_unrest(law, motion.length, -1), *(_unrest(law, one.start_s) for one in motion.segments[1:]), 0.0)
+        / _REST,
+        "start_state": 0.0 if start is None else abs(float(law.v[0]) - start) / _REST,
+    }
+
+
+def _unrest(law: _Law, s: float, first: int = 0) -> float:
+    """How far from rest the phase border is, from `first` on, that is nearest to resting at `s`."""
+    state: npt.NDArray[np.float64] = np.column_stack((law.s - s, law.v, law.a))[first:]
+    return float(np.min(np.max(np.abs(state), axis=1)))

@@ -1,0 +1,104 @@
+"""Mistakes planted in the certificate: the fuzzer must find each of them.
+
+A plant replaces one attribute of `optdock.verification` by a version with one mistake, until it is taken out again.
+"""
+
+from __future__ import annotations
+
+import contextlib
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+
+from optdock.verification import certify, clearance, half_cells, motion, path_rules, trajectory_cells, trajectory_rules
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator
+
+__all__ = ["PLANTS", "planted"]
+
+
+class Plant(NamedTuple):
+    """A mistake: whose attribute is replaced, and what takes its place."""
+
+    owner: Any
+    attribute: str
+    mistaken: Callable[[Any], Any]
+
+
+@contextlib.contextmanager
+def planted(name: str | None) -> Iterator[None]:
+    """The certificate with one mistake; None: with none."""
+    if name is None:
+        yield
+        return
+    owner, attribute, mistaken = PLANTS[name]
+    honest = getattr(owner, attribute)
+    setattr(owner, attribute, mistaken(honest))
+    try:
+        yield
+    finally:
+        setattr(owner, attribute, honest)
+
+
+def _five_times(honest: float) -> float:
+    return 5.0 * honest
+
+
+def _centimetre_more(honest: Callable[..., Any]) -> Callable[..., Any]:
+    return lambda *arguments: honest(*arguments) + 0.01
+
+
+def _one_obstacle_less(honest: Callable[..., Any]) -> Callable[..., Any]:
+    def mistaken(path: Any, problem: Any, *rest: Any) -> Any:  # noqa: ANN401
+        return honest(path, _without(problem, range(len(problem.all_obstacles))), *rest)
+
+    return mistaken
+
+
+def _one_map_cell_less(honest: Callable[..., Any]) -> Callable[..., Any]:
+    def mistaken(path: Any, problem: Any, *rest: Any) -> Any:  # noqa: ANN401
+        obstacles = problem.all_obstacles
+        cells = [row for row in range(len(obstacles)) if obstacles.name_of(row) in ("map", "unknown")]
+        return honest(path, _without(problem, cells), *rest)
+
+    return mistaken
+
+
+def _middle_cell_less(honest: Callable[..., Any]) -> Callable[..., Any]:
+    def mistaken(*arguments: Any) -> Any:  # noqa: ANN401
+        cells = honest(*arguments)
+        rows = np.arange(cells[0].size)
+        return cells.rows(np.delete(rows, rows.size // 2) if rows.size > 1 else rows)
+
+    return mistaken
+
+
+def _without(problem: Any, rows: Any) -> Any:  # noqa: ANN401
+    """The problem without the piece in the middle of `rows`."""
+    if not len(rows):
+        return problem
+    kept = np.delete(np.arange(len(problem.all_obstacles)), rows[len(rows) // 2])
+    return _View(problem, problem.all_obstacles.subset(kept))
+
+
+class _View:
+    """A problem with other obstacles, as the proof reads it."""
+
+    def __init__(self, problem: Any, all_obstacles: Any) -> None:  # noqa: ANN401
+        self._problem, self.all_obstacles = problem, all_obstacles
+
+    def __getattr__(self, name: str) -> Any:  # noqa: ANN401
+        return getattr(self._problem, name)
+
+
+PLANTS: dict[str, Plant] = {
+    "tolerance_x5": Plant(clearance, "TOLERANCE", _five_times),
+    "first_order_centimetre": Plant(half_cells, "_directional", _centimetre_more),
+    "dropped_obstacle": Plant(certify, "prove_clearance", _one_obstacle_less),
+    "dropped_map_cell": Plant(certify, "prove_clearance", _one_map_cell_less),
+    "dropped_path_cell": Plant(motion.PathMotion, "cells", _middle_cell_less),
+    "dropped_time_cell": Plant(trajectory_cells, "_initial_cells", _middle_cell_less),
+    "curvature_x5": Plant(path_rules, "EXACT_RTOL", _five_times),
+    "rest_x5": Plant(trajectory_rules, "REST_TOLERANCE", _five_times),
+}

@@ -1,0 +1,434 @@
+"""The inequalities that samples of a lawful motion keep; `sampled_motion` states and explains them.
+
+Numbers may differ from what they stand for by their rounding, so what is compared with a limit is the smallest value
+that the numbers allow.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+from optdock.path import ClothoidSegment, PolylineSegment
+from optdock.verification.certificate import Violation
+from optdock.verification.sample_places import step_lengths
+from optdock.verification.samples import EXACT, half_unit
+from optdock.verification.trajectory_cells import SAMPLED_RTOL
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from optdock.geometry.arrays import BoolArray, FloatArray, IntArray
+    from optdock.limits import MotionLimits
+    from optdock.path import Path
+    from optdock.problem import DockingProblem
+    from optdock.verification.samples import Rounding, SampledMotion
+
+__all__ = ["Judged", "Sums", "at_knots", "at_samples", "between_samples", "explained_rates", "rests"]
+
+_RELATIVE = 1e-6  # slack on every limit, as for time laws
+_ARITHMETIC = 1e-9  # rounding of what is computed here from numbers around 1
+_UNEXPLAINED = 0.5  # of the time in which a rate matters
+_MATTERS = 0.05  # of its limit
+_FEWEST = 4  # steps
+
+
+class Sums(NamedTuple):
+    """What steps between samples add up to since the first one, Shape (n,) each.
+
+    `place`, `place_error` [m]: see `step_lengths`; `speed`, `speed_error` [m/s]: likewise by the trapezoid of the
+    accelerations; `yaw` [rad]: the column made continuous; `turn` [rad]: the same with every step positive.
+    """
+
+    place: FloatArray
+    place_error: FloatArray
+    speed: FloatArray
+    speed_error: FloatArray
+    yaw: FloatArray
+    turn: FloatArray
+
+    @classmethod
+    def of(cls, motion: SampledMotion, v: FloatArray, a: FloatArray, limits: MotionLimits) -> Sums:
+        """The sums along the travel, speeds `v` and accelerations `a` being positive there."""
+        h = np.diff(motion.t)
+        steps = step_lengths(motion.t, v, a, limits)
+        turn = np.remainder(np.diff(motion.yaw) + np.pi, 2.0 * np.pi) - np.pi
+        error = np.minimum(0.25 * limits.max_jerk * h**2, (limits.max_acceleration + limits.max_deceleration) * h)
+        columns = (steps.length, steps.error, 0.5 * h * (a[:-1] + a[1:]), error, turn, np.abs(turn))
+        return cls(*(np.concatenate(([0.0], np.cumsum(column))) for column in columns))
+
+
+class Judged(NamedTuple):
+    """The samples beside their path, Shape (n,) unless said.
+
+    `s`: arc length [m]; `v`, `a`, `j`: speed, acceleration, jerk along the travel; `apart` [m] and `turned` [rad]: how
+    far the pose is off the path; `rounding`: of the numbers; `slack`: of `s` [m].
+    """
+
+    motion: SampledMotion
+    path: Path
+    s: FloatArray
+    v: FloatArray
+    a: FloatArray
+    j: FloatArray
+    apart: FloatArray
+    turned: FloatArray
+    sums: Sums
+    rounding: Rounding
+    slack: float
+
+    def rows(self, keep: BoolArray, limits: MotionLimits) -> Judged:
+        """The samples at `keep`."""
+        motion = type(self.motion)(*(column[keep] for column in self.motion))
+        v, a = self.v[keep], self.a[keep]
+        return self._replace(
+            motion=motion,
+            s=self.s[keep],
+            v=v,
+            a=a,
+            j=self.j[keep],
+            apart=self.apart[keep],
+            turned=self.turned[keep],
+            sums=Sums.of(motion, v, a, limits),
+        )
+
+
+class _Bends(NamedTuple):
+    """Curvature [1/m] and its rate [1/m^2] just before, at and just after the samples, Shape (3, n) each."""
+
+    curvature: FloatArray
+    rate: FloatArray
+
+
+def _worst(
+    judged: Judged,
+    kind: str,
+    values: FloatArray,
+    limit: FloatArray | float,
+    rough: FloatArray | float = 0.0,
+    at: FloatArray | None = None,
+) -> Iterator[Violation]:
+    """The value furthest beyond its limit, if any is by more than rounding explains.
+
+    Args:
+        judged: Says when and where, unless `at` does.
+        kind: What the values are, with their unit.
+        values: Shape (m,).
+        limit: Likewise, or one for all.
+        rough: By how much rounding may have raised the values, likewise.
+        at: Times and arc lengths of the values, Shape (m, 2); None: those of the samples.
+    """
+    if values.size == 0:
+        return
+    limits = np.broadcast_to(np.asarray(limit, dtype=np.float64), values.shape)
+    beyond = values - rough - limits * (1.0 + _RELATIVE) - _ARITHMETIC
+    beyond = np.where(np.isnan(beyond), np.inf, beyond)
+    i = int(np.argmax(beyond))
+    if beyond[i] > 0.0:
+        t, s = (judged.motion.t[i], judged.s[i]) if at is None else (at[i, 0], at[i, 1])
+        message = f"{kind}: {values[i]:.6g} at t = {t:.3f} s, limit {limits[i]:.6g}"
+        yield Violation(kind.partition(" [")[0].replace(" ", "_"), message, float(s), float(beyond[i]))
+
+
+def _bends(judged: Judged) -> _Bends:
+    near = judged.slack + _ARITHMETIC
+    places = [np.clip(judged.s + shift, 0.0, judged.path.length) for shift in (-near, 0.0, near)]
+    return _Bends(
+        np.array([np.clip(judged.path.curvature_at(s), -1e9, 1e9) for s in places]),
+        np.array([judged.path.curvature_rate_at(s) for s in places]),
+    )
+
+
+def at_samples(judged: Judged, problem: DockingProblem) -> Iterator[Violation]:
+    """Every column within its limit, and as the path has it at its place."""
+    limits, zone, rounding = problem.robot.limits, problem.dock.approach, judged.rounding
+    v = np.maximum(judged.v, 0.0)
+    fastest = np.where(judged.motion.speed >= 0.0, limits.max_speed, limits.max_reverse_speed)
+    yield from _worst(judged, "speed [m/s]", v, fastest, rounding.speed)
+    slow = judged.s > judged.path.length - zone.distance + judged.slack + _ARITHMETIC
+    yield from _worst(judged, "approach speed [m/s]", np.where(slow, v, 0.0), zone.speed, rounding.speed)
+    a, allowed = judged.a, rounding.acceleration
+    yield from _worst(judged, "acceleration [m/s^2]", a, limits.max_acceleration, allowed)
+    yield from _worst(judged, "deceleration [m/s^2]", -a, limits.max_deceleration, allowed)
+    yield from _worst(judged, "jerk [m/s^3]", np.abs(judged.j), limits.max_jerk, rounding.jerk)
+    bends = _bends(judged)
+    yield from _curved(judged, limits, bends, np.maximum(v - rounding.speed, 0.0))
+    yield from _ties(judged, bends)
+
+
+def _curved(judged: Judged, limits: MotionLimits, bends: _Bends, v: FloatArray) -> Iterator[Violation]:
+    """Limits that depend on curvature, by the columns and by the path."""
+    motion, rounding = judged.motion, judged.rounding
+    k = np.min(np.abs(bends.curvature), axis=0)
+    straight = bends.curvature.min(axis=0) * bends.curvature.max(axis=0) <= 0.0
+    k = np.where(straight, 0.0, k)
+    exact = _on_clothoids(judged)
+    # Of a polyline the curvature is a difference quotient: as for time laws, 5 % beyond a limit are accepted.
+    k = np.where(exact, k, np.maximum(k - _noise(judged), 0.0) / (1.0 + SAMPLED_RTOL))
+    turning = np.maximum(np.abs(motion.yaw_rate) - rounding.yaw_rate, v * k)
+    yield from _worst(judged, "yaw rate [rad/s]", turning, limits.max_yaw_rate)
+    stated = np.abs(motion.yaw_acceleration) - rounding.yaw_acceleration
+    low, high = _yaw_accelerations(judged, bends)
+    by_path = np.where(exact, np.maximum(np.maximum(low, -high), 0.0), 0.0)
+    yield from _worst(judged, "yaw acceleration [rad/s^2]", np.maximum(stated, by_path), limits.max_yaw_acceleration)
+    yield from _worst(judged, "lateral acceleration [m/s^2]", v**2 * k, limits.max_lateral_acceleration)
+    yield from _worst(judged, "wheel speed [m/s]", v * (1.0 + 0.5 * limits.track_width * k), limits.max_wheel_speed)
+
+
+def _yaw_accelerations(judged: Judged, bends: _Bends) -> tuple[FloatArray, FloatArray]:
+    """The smallest and the largest a k + v^2 r that path and numbers allow, k and r to 1e-6. Shape (n,) each."""
+    k, r, v, rounding = bends.curvature, bends.rate, judged.v, judged.rounding
+    rough = rounding.acceleration * np.abs(k) + (2.0 * np.abs(v) + rounding.speed) * rounding.speed * np.abs(r)
+    rough = rough + judged.slack * np.abs(judged.a * r) + EXACT * (np.abs(judged.a) + v**2)
+    value = judged.a * k + v**2 * r
+    return (value - rough).min(axis=0), (value + rough).max(axis=0)
+
+
+def _ties(judged: Judged, bends: _Bends) -> Iterator[Violation]:
+    """Yaw rate is speed times curvature, yaw acceleration its rate of change."""
+    motion, rounding = judged.motion, judged.rounding
+    low, high = _curvature_range(judged, bends)
+    noise = _noise(judged) + EXACT
+    low, high = low - noise, high + noise
+    ends = np.array([v * k for v in (judged.v - rounding.speed, judged.v + rounding.speed) for k in (low, high)])
+    off = np.maximum(ends.min(axis=0) - motion.yaw_rate, motion.yaw_rate - ends.max(axis=0)) - rounding.yaw_rate
+    yield from _worst(judged, "yaw rate off speed times curvature [rad/s]", off, 0.0)
+    least, most = _yaw_accelerations(judged, bends)
+    off = np.maximum(least - motion.yaw_acceleration, motion.yaw_acceleration - most) - rounding.yaw_acceleration
+    off = np.where(_on_clothoids(judged), off, 0.0)
+    yield from _worst(judged, "yaw acceleration off the path's [rad/s^2]", off, 0.0)
+
+
+def _owners(judged: Judged) -> IntArray:
+    found = np.searchsorted(judged.path.segment_starts, judged.s, side="right") - 1
+    owners: IntArray = np.clip(found, 0, len(judged.path.segments) - 1)
+    return owners
+
+
+def _on_clothoids(judged: Judged) -> BoolArray:
+    exact = np.array([isinstance(segment, ClothoidSegment) for segment in judged.path.segments])
+    on: BoolArray = exact[_owners(judged)]
+    return on
+
+
+def _noise(judged: Judged) -> FloatArray:
+    """What the rounding of a polyline's poses makes of the curvature of its steps, Shape (n,) [1/m]; 0 on clothoids."""
+    noise, owners = np.zeros(judged.s.size), _owners(judged)
+    for i, segment in enumerate(judged.path.segments):
+        if isinstance(segment, PolylineSegment):
+            step = _step_of(judged, segment, rows := np.flatnonzero(owners == i), i)
+            turn = half_unit(segment.poses[:, 2])
+            longer = np.sqrt(2.0) * half_unit(segment.poses[:, 0], segment.poses[:, 1])
+            rough = 2.0 * (turn + longer * np.abs(segment.step_curvature)) / np.diff(segment.knots)
+            noise[rows] = rough[step]
+    return noise
+
+
+def _step_of(judged: Judged, segment: PolylineSegment, rows: IntArray, i: int) -> IntArray:
+    """The step of segment number `i` on which each of these samples lies."""
+    local = judged.s[rows] - judged.path.segment_starts[i]
+    found: IntArray = np.clip(np.searchsorted(segment.knots, local, side="right") - 1, 0, segment.knots.size - 2)
+    return found
+
+
+def _curvature_range(judged: Judged, bends: _Bends) -> tuple[FloatArray, FloatArray]:
+    """Smallest and largest curvature that a sample may have used, Shape (n,) each.
+
+    A polyline says it by the turns of its steps only, which are means: whatever the neighbouring steps and poses have
+    counts, and as much again as these differ, by which the curve that was sampled may go beyond its means.
+    """
+    low, high = bends.curvature.min(axis=0), bends.curvature.max(axis=0)
+    owners = _owners(judged)
+    for i, segment in enumerate(judged.path.segments):
+        if not isinstance(segment, PolylineSegment):
+            continue
+        step = _step_of(judged, segment, rows := np.flatnonzero(owners == i), i)
+        turn = segment.step_curvature
+        for shift in (-1, 0, 1):
+            k = turn[np.clip(step + shift, 0, turn.size - 1)]
+            low[rows], high[rows] = np.minimum(low[rows], k), np.maximum(high[rows], k)
+        spread = high[rows] - low[rows]
+        low[rows], high[rows] = low[rows] - spread, high[rows] + spread
+    return low, high
+
+
+def between_samples(judged: Judged, problem: DockingProblem) -> Iterator[Violation]:
+    """Means over time, of neighbours and of samples further apart; of each rule the worst."""
+    found: dict[str, Violation] = {}
+    stride = 1
+    while stride < judged.motion.t.size:
+        rows = np.arange(0, judged.motion.t.size, max(1, stride // 2))
+        lag = min(stride, 2)
+        if rows.size > lag:
+            for violation in _means(judged, problem.robot.limits, rows, lag):
+                found.setdefault(violation.kind, violation)
+        stride *= 2
+    yield from found.values()
+
+
+def _means(judged: Judged, limits: MotionLimits, rows: IntArray, lag: int) -> Iterator[Violation]:
+    """The rules between every row of samples and the one `lag` rows later."""
+    motion, rounding = judged.motion, judged.rounding
+    first, last = rows[:-lag], rows[lag:]
+    t = motion.t[last] - motion.t[first]
+    at = np.column_stack((motion.t[first], judged.s[first]))
+    early = 2.0 * rounding.time
+    steepest = max(limits.max_acceleration, limits.max_deceleration)
+
+    def change(column: FloatArray) -> FloatArray:
+        gained: FloatArray = column[last] - column[first]
+        return gained
+
+    def mean(column: FloatArray, half_unit: float, slope: float) -> tuple[FloatArray, FloatArray]:
+        """Mean rate and by how much rounding of values and of times may have changed it."""
+        return change(column) / t, (2.0 * half_unit + (early * slope if early else 0.0)) / t
+
+    gain, rough = mean(judged.v, rounding.speed, steepest)
+    yield from _worst(judged, "mean acceleration [m/s^2]", gain, limits.max_acceleration, rough, at)
+    yield from _worst(judged, "mean deceleration [m/s^2]", -gain, limits.max_deceleration, rough, at)
+    bent, both = np.abs(gain[lag:] - gain[:-lag]), rough[lag:] + rough[:-lag]
+    apart = 0.5 * (t[lag:] + t[:-lag])
+    yield from _worst(judged, "jerk of the speeds [m/s^3]", bent / apart, limits.max_jerk, both / apart, at)
+    gain, rough = mean(judged.a, rounding.acceleration, limits.max_jerk)
+    yield from _worst(judged, "mean jerk [m/s^3]", np.abs(gain), limits.max_jerk, rough, at)
+    if np.isfinite(limits.max_yaw_acceleration):
+        gain, rough = mean(motion.yaw_rate, rounding.yaw_rate, limits.max_yaw_acceleration)
+        yield from _worst(
+            judged, "mean yaw acceleration [rad/s^2]", np.abs(gain), limits.max_yaw_acceleration, rough, at
+        )
+    if np.isfinite(limits.max_yaw_rate):
+        gain, rough = mean(judged.sums.yaw, rounding.yaw, limits.max_yaw_rate)
+        yield from _worst(judged, "mean yaw rate [rad/s]", np.abs(gain), limits.max_yaw_rate, rough, at)
+    sums = judged.sums
+    off = np.abs(change(judged.v) - change(sums.speed))
+    allowed = change(sums.speed_error) + 2.0 * rounding.speed + rounding.acceleration * t + early * steepest
+    yield from _worst(judged, "speed off its accelerations [m/s]", off, allowed, at=at)
+    off = np.abs(change(judged.s) - change(sums.place))
+    fastest = max(limits.max_speed, limits.max_reverse_speed)
+    allowed = change(sums.place_error) + 2.0 * judged.slack + rounding.speed * t + early * fastest
+    # Beside a curve the way is longer or shorter than on it.
+    allowed = allowed + float(np.max(judged.apart)) * change(sums.turn)
+    yield from _worst(judged, "distance off its speeds [m]", off, allowed, at=at)
+
+
+def at_knots(judged: Judged, problem: DockingProblem) -> Iterator[Violation]:
+    """Limits that depend on curvature where it bends most, however far from a sample that is.
+
+    Between two samples the speed is at least the smaller of theirs less J h^2 / 8, the acceleration at most the larger
+    of theirs plus J h / 2; the path has its curvature and one of its two rates at every knot.
+    """
+    limits, motion = problem.robot.limits, judged.motion
+    s, steepest = np.maximum.accumulate(judged.s), max(limits.max_acceleration, limits.max_deceleration)
+    for segment, start in zip(judged.path.segments, judged.path.segment_starts[:-1], strict=True):
+        if not isinstance(segment, ClothoidSegment):
+            continue
+        places = segment.knots + start
+        i = np.searchsorted(s, places, side="right") - 1
+        inside = (i >= 0) & (i < s.size - 1)
+        knots, i = np.flatnonzero(inside), i[inside]
+        h = motion.t[i + 1] - motion.t[i]
+        v = np.minimum(judged.v[i], judged.v[i + 1]) - judged.rounding.speed - limits.max_jerk * h**2 / 8.0
+        # The knot may be passed a little before or after it seems to be: v^2 changes by 2 a ds.
+        v = np.sqrt(np.maximum(np.maximum(v, 0.0) ** 2 - 4.0 * steepest * judged.slack, 0.0))
+        a = np.maximum(np.abs(judged.a[i]), np.abs(judged.a[i + 1]))
+        a = a + judged.rounding.acceleration + limits.max_jerk * h / 2.0
+        k = np.abs(segment.curvature_at(segment.knots))[knots]
+        rate = np.diff(segment.curvature_at(segment.knots)) / np.diff(segment.knots)
+        rate = np.maximum(np.abs(np.append(rate[:1], rate)), np.abs(np.append(rate, rate[-1:])))[knots]
+        at = np.column_stack((motion.t[i], places[knots]))
+        yield from _worst(judged, "yaw rate at a knot [rad/s]", v * k, limits.max_yaw_rate, at=at)
+        turning = v**2 * rate - a * k
+        yield from _worst(judged, "yaw acceleration at a knot [rad/s^2]", turning, limits.max_yaw_acceleration, at=at)
+        sideways = v**2 * k
+        yield from _worst(
+            judged, "lateral acceleration at a knot [m/s^2]", sideways, limits.max_lateral_acceleration, at=at
+        )
+        rim = v * (1.0 + 0.5 * limits.track_width * k)
+        yield from _worst(judged, "wheel speed at a knot [m/s]", rim, limits.max_wheel_speed, at=at)
+
+
+def rests(judged: Judged, problem: DockingProblem) -> Iterator[Violation]:
+    """The motion begins as the robot drives, rests at every cusp, and ends at rest at the end of the path."""
+    motion, path, rounding = judged.motion, judged.path, judged.rounding
+    if not abs(motion.speed[0] - problem.start_speed) <= rounding.speed:
+        message = f"start speed: {motion.speed[0]:.6g} m/s, the robot drives {problem.start_speed:.6g} m/s"
+        yield Violation("start_state", message, 0.0, abs(float(motion.speed[0] - problem.start_speed)))
+    begins, ends = float(judged.s[0]), float(judged.s[-1])
+    if begins > 2.0 * judged.slack:
+        yield Violation("coverage", f"begins: at s = {begins:.6g} m, the path at 0 m", begins, begins)
+    if ends < path.length - 2.0 * judged.slack:
+        message = f"travelled: {ends:.4f} m, the path is {path.length:.4f} m long"
+        yield Violation("coverage", message, ends, path.length - ends)
+    for name, value, allowed, unit in (
+        ("speed", motion.speed[-1], rounding.speed, "m/s"),
+        ("acceleration", motion.acceleration[-1], rounding.acceleration, "m/s^2"),
+    ):
+        if not abs(value) <= allowed:
+            message = f"end: {name} {value:.6g} {unit} at t = {motion.t[-1]:.3f} s, must rest"
+            yield Violation("rest", message, ends, abs(float(value)))
+    for cusp in path.cusps:
+        yield from _no_rest(judged, problem.robot.limits, cusp)
+
+
+def _no_rest(judged: Judged, limits: MotionLimits, cusp: float) -> Iterator[Violation]:
+    """Whether the samples around a cusp are too close together in time for a rest between any two of them."""
+    motion, rounding, slack = judged.motion, judged.rounding, 2.0 * judged.slack
+    steps = np.flatnonzero((judged.s[:-1] <= cusp + slack) & (judged.s[1:] >= cusp - slack))
+    if steps.size == 0:
+        return
+    needed = np.zeros(steps.size)
+    for rows, steepest in ((steps, limits.max_deceleration), (steps + 1, limits.max_acceleration)):
+        v = np.maximum(judged.v[rows] - rounding.speed, 0.0)
+        a = np.maximum(np.abs(judged.a[rows]) - rounding.acceleration, 0.0)
+        way = np.maximum(np.abs(judged.s[rows] - cusp) - slack, 0.0)
+        by_jerk = (np.sqrt(2.0 * v / limits.max_jerk), a / limits.max_jerk, np.cbrt(6.0 * way / limits.max_jerk))
+        needed += np.max((*by_jerk, v / steepest, np.sqrt(2.0 * way / steepest)), axis=0)
+    given = motion.t[steps + 1] - motion.t[steps]
+    missing = needed - given * (1.0 + _RELATIVE) - 2.0 * rounding.time - _ARITHMETIC
+    k = int(np.argmin(missing))
+    if missing[k] > 0.0:
+        i = int(steps[k])
+        i = i if judged.v[i] > judged.v[i + 1] else i + 1
+        message = (
+            f"cusp at s = {cusp:.3f} m: {abs(motion.speed[i]):.6g} m/s at t = {motion.t[i]:.3f} s, must rest: "
+            f"that takes {needed[k]:.3g} s, the samples are {given[k]:.3g} s apart"
+        )
+        yield Violation("rest", message, cusp, float(missing[k]))
+
+
+def explained_rates(judged: Judged, problem: DockingProblem) -> Iterator[Violation]:
+    """Jerk leads to the accelerations, and beside polylines yaw acceleration to the yaw rates.
+
+    Both may jump between samples, so no step refutes them. But the mean rate of a step lies between the rates at its
+    ends unless it jumped twice within the step. A column is refuted where that would have been so for most of the time
+    in which it matters.
+    """
+    limits, rounding, motion = problem.robot.limits, judged.rounding, judged.motion
+    rough = (rounding.acceleration, rounding.jerk)
+    yield from _unexplained(judged, "jerk", judged.a, judged.j, limits.max_jerk, rough)
+    if not _on_clothoids(judged).all():
+        fastest = float(np.max(np.abs(np.diff(motion.yaw_rate) / np.diff(motion.t))))
+        bound = min(limits.max_yaw_acceleration, fastest)
+        rough = (rounding.yaw_rate, rounding.yaw_acceleration)
+        yield from _unexplained(judged, "yaw acceleration", motion.yaw_rate, motion.yaw_acceleration, bound, rough)
+
+
+def _unexplained(
+    judged: Judged, name: str, values: FloatArray, rates: FloatArray, bound: float, rounding: tuple[float, float]
+) -> Iterator[Violation]:
+    """Whether `rates` are mostly not the rates of `values`."""
+    h = np.diff(judged.motion.t)
+    mean = np.diff(values) / h
+    rough = 2.0 * rounding[0] / h + rounding[1] + _RELATIVE * bound + _ARITHMETIC
+    low, high = np.minimum(rates[:-1], rates[1:]), np.maximum(rates[:-1], rates[1:])
+    outside = (mean < low - rough) | (mean > high + rough)
+    matters = np.maximum(np.abs(mean), np.maximum(np.abs(low), np.abs(high))) > _MATTERS * bound + rough
+    share = float(np.sum(h[outside & matters])) / max(float(np.sum(h[matters])), 1e-300)
+    if np.count_nonzero(outside & matters) >= _FEWEST and share > _UNEXPLAINED:
+        i = int(np.argmax(outside & matters))
+        message = (
+            f"{name}: the column does not lead to what it is the rate of in {100.0 * share:.0f} % of the time, "
+            f"first at t = {judged.motion.t[i]:.3f} s"
+        )
+        yield Violation(name.replace(" ", "_"), message, float(judged.s[i]), share)

@@ -1,0 +1,255 @@
+"""Timed motions that are given by samples only: what the samples refute, and what they leave unproven.
+
+Samples prove nothing about the instants between them, `certify_trajectory` needs the time law for that. But every
+motion within the limits keeps inequalities that hold between *any* two instants; samples that break one refute the
+motion, and no honest file breaks any, however far apart its samples are. Along the travel, with speed v, acceleration
+a = v', jerk |a'| <= J, -D <= a <= A, and samples h apart:
+
+    speeds               -D h <= v1 - v0 <= A h
+    accelerations        |a1 - a0| <= J h
+    speed, acceleration  |v1 - v0 - h (a0 + a1) / 2| <= J h^2 / 4               (trapezoid of a function of slope J)
+    speed, jerk          |(v2 - v1) / h1 - (v1 - v0) / h0| <= J (h0 + h1) / 2   (means of a over neighbours)
+    place, speed         |s1 - s0 - h (v0 + v1) / 2 + h^2 (a1 - a0) / 12| <= J h^3 sqrt(3) / 54, see `step_lengths`
+    yaw rates            |w1 - w0| <= limit * h
+
+They are asked of neighbours and of samples 2, 4, 8, ... apart, where the rounding of the numbers weighs less. At one
+instant the path, whose curvature k and its rate r are known, ties the columns: w = v k, w' = a k + v^2 r. And a robot
+that rests at a cusp between two samples, at time c, has v0 <= J (c - t0)^2 / 2, a0 <= J (c - t0), and lies at most
+J (c - t0)^3 / 6 before the cusp.
+
+What is left open: if the jerk keeps its limit between the samples too, speed leaves the chord between two of them by
+at most J h^2 / 8 (and A D h / (A + D)), acceleration by J h / 2, place by J h^3 / 12. If it does not, nothing is known
+there. So a motion is refuted here, or not refuted, never certified.
+
+Numbers of a column that all have three to five decimals stand for whatever rounds to them; the others are taken to
+1e-6. That too is left open.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from optdock.path import ClothoidSegment
+from optdock.problem import ClearanceRule
+from optdock.verification.certificate import Violation
+from optdock.verification.clearance import prove_clearance
+from optdock.verification.half_cells import pose_clearances
+from optdock.verification.sample_places import REACH, Places, places_of, step_lengths
+from optdock.verification.sample_rules import (
+    Judged,
+    Sums,
+    at_knots,
+    at_samples,
+    between_samples,
+    explained_rates,
+    rests,
+)
+from optdock.verification.samples import EXACT, Rounding, SampledMotion
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from optdock.limits import MotionLimits
+    from optdock.path import Path
+    from optdock.problem import DockingProblem
+    from optdock.trajectory import Trajectory
+
+__all__ = ["SampledMotionVerdict", "check_sampled_motion", "check_samples_of"]
+
+ON_PATH = math.sqrt(2.0) * EXACT  # [m], [rad]: x and y each to that
+_STEEPEST = 10.0  # [1/m]: no more of a curvature counts for that
+# [m], [rad]: how far poses may be off the path, where the clearance covers it. Three decimals move a pose by 0.7 mm;
+# along a curve of 2 1/m that is 1.4e-3 rad.
+OFF_PATH = 2e-3
+
+
+@dataclass(frozen=True)
+class SampledMotionVerdict:
+    """What the samples of a motion say.
+
+    Args:
+        violations: Every broken rule; empty when the samples do not refute the motion.
+        samples: How many there are.
+        step: Longest time between two of them [s].
+        offset: How far the poses are off the path at most: distance [m], turn [rad].
+        unproven: By how much speed [m/s], acceleration [m/s^2], place [m], yaw rate [rad/s] may differ between samples
+            from what they say, if the jerk keeps its limit there; what nothing limits is left out.
+    """
+
+    violations: tuple[Violation, ...]
+    samples: int
+    step: float
+    offset: tuple[float, float] = (0.0, 0.0)
+    unproven: Mapping[str, float] = field(default_factory=dict)
+
+    @property
+    def off_path(self) -> bool:
+        """Whether poses lie beside the path, so that it takes its clearance to cover them."""
+        return max(self.offset) > ON_PATH
+
+    @property
+    def refuted(self) -> bool:
+        """Whether no motion within the limits has these samples."""
+        return bool(self.violations)
+
+
+def check_sampled_motion(motion: SampledMotion, path: Path, problem: DockingProblem) -> SampledMotionVerdict:
+    """Look for whatever refutes a motion that is known by its samples only.
+
+    Every column is compared with every other, with the path and with the limits. Poses may be off the path by up to
+    2e-3 m and rad where the path keeps the required clearance with that much to spare; else they must lie on it to
+    1e-6.
+
+    Args:
+        motion: The samples.
+        path: The path they claim to follow; see `certify_path` for its own verdict.
+        problem: What must hold.
+
+    Returns:
+        The verdict; nothing is ever proven by samples alone.
+    """
+    step, limits = float(np.max(np.diff(motion.t))), problem.robot.limits
+    with np.errstate(over="ignore", invalid="ignore"):
+        found = _too_coarse(motion, limits) or _turn_in_place(path)
+        if found is not None:
+            return SampledMotionVerdict((found,), motion.t.size, step)
+        rounding = Rounding.of(motion)
+        places = places_of(motion, path, limits, (rounding.speed, rounding.acceleration))
+        if isinstance(places, Violation):
+            return SampledMotionVerdict((places,), motion.t.size, step)
+        judged = _judged(motion, path, problem, places, rounding)
+        offset, off = _off_path(judged, problem)
+        violations = tuple(off)
+        if max(offset) <= OFF_PATH:
+            violations += tuple(at_samples(judged, problem))
+            sure = judged if places.sure.all() else judged.rows(places.sure, limits)
+            rules = (between_samples, at_knots, rests, explained_rates)
+            violations += tuple(violation for rule in rules for violation in rule(sure, problem))
+    return SampledMotionVerdict(violations, motion.t.size, step, offset, _unproven(judged, limits))
+
+
+def _too_coarse(motion: SampledMotion, limits: MotionLimits) -> Violation | None:
+    """Samples between which the robot may be anywhere within centimetres."""
+    dt = float(np.max(np.diff(motion.t)))
+    open_ = float(np.max(step_lengths(motion.t, np.abs(motion.speed), 0.0 * motion.t, limits).error))
+    if open_ <= REACH:
+        return None
+    message = f"samples up to {dt:.3g} s apart leave the motion between them open by {open_:.3g} m; sample it finer"
+    return Violation("too_coarse", message, 0.0, open_)
+
+
+def _turn_in_place(path: Path) -> Violation | None:
+    """As for a time law, distance is what places a motion on its path."""
+    for segment, start in zip(path.segments, path.segment_starts[:-1], strict=True):
+        still = np.flatnonzero(np.diff(segment.knots) <= 0.0)
+        if still.size:
+            s = float(start + segment.knots[still[0]])
+            message = f"the path turns in place at s = {s:.3f} m, where samples of a motion along it cannot be judged"
+            return Violation("coverage", message, s, 1.0)
+    return None
+
+
+def _judged(motion: SampledMotion, path: Path, problem: DockingProblem, places: Places, rounding: Rounding) -> Judged:
+    poses = places.poses
+    apart = np.hypot(motion.x - poses[:, 0], motion.y - poses[:, 1])
+    turned = np.abs(np.remainder(motion.yaw - poses[:, 2] + np.pi, 2.0 * np.pi) - np.pi)
+    # A pose that is on the path but `ON_PATH` further along it has turned by that much.
+    turned = np.maximum(turned - ON_PATH * np.minimum(np.abs(path.curvature_at(places.s)), _STEEPEST), 0.0)
+    v, a, j = (places.gear * column for column in (motion.speed, motion.acceleration, motion.jerk))
+    sums = Sums.of(motion, v, a, problem.robot.limits)
+    return Judged(motion, path, places.s, v, a, j, apart, turned, sums, rounding, math.sqrt(2.0) * rounding.place)
+
+
+def _off_path(judged: Judged, problem: DockingProblem) -> tuple[tuple[float, float], list[Violation]]:
+    """The largest distance and turn off the path, and what is wrong with them."""
+    motion, apart, turned = judged.motion, judged.apart, judged.turned
+    i = int(np.argmax(np.maximum(apart, turned)))
+    offset = (float(np.max(apart)), float(np.max(turned)))
+    place = f"pose at t = {motion.t[i]:.3f} s is {apart[i]:.4g} m and {turned[i]:.4g} rad off the path"
+    if not max(offset) <= OFF_PATH:
+        in_degrees = np.remainder(np.radians(motion.yaw) - judged.path.poses_at(judged.s)[:, 2] + np.pi, 2.0 * np.pi)
+        hint = "; is yaw in degrees?" if turned[i] > 0.1 and np.max(np.abs(in_degrees - np.pi)) < 0.1 else ""
+        return offset, [Violation("off_path", place + hint, float(judged.s[i]), max(offset))]
+    if max(offset) <= ON_PATH or _covers(judged.path, problem, offset):
+        return offset, []
+    message = f"{place}, and the clearance does not cover it"
+    return offset, [Violation("off_path", message, float(judged.s[i]), max(offset))]
+
+
+def _covers(path: Path, problem: DockingProblem, offset: tuple[float, float]) -> bool:
+    """Whether footprints that far off the path keep what is required beside it.
+
+    A pose off by e and turned by w moves no point of the footprint by more than e + R w, R the circumscribed radius.
+    So it is enough that the path keeps that much more than required, everywhere. The start may be closer than required
+    and has nothing to spare then.
+    """
+    more = offset[0] + problem.robot.footprint.circumscribed_radius * offset[1]
+    rule = problem.clearance
+    raised = replace(problem, clearance=ClearanceRule(rule.required + more, rule.at_dock + more, rule.taper))
+    start = problem.start.as_array()[None]
+    clearance, _ = pose_clearances(start, problem.robot.footprint, problem.all_obstacles)
+    proof = prove_clearance(path, raised)
+    proven = len(proof.violations) + len(proof.unproven) == 0
+    return proven and bool(clearance[0] >= rule.required + more)
+
+
+def _unproven(judged: Judged, limits: MotionLimits) -> dict[str, float]:
+    """See the module; the rounding of the numbers is added."""
+    h, rounding = float(np.max(np.diff(judged.motion.t))), judged.rounding
+    speed = min(limits.max_jerk * h**2 / 8.0, h / (1.0 / limits.max_acceleration + 1.0 / limits.max_deceleration))
+    bounds = {
+        "speed": speed + rounding.speed,
+        "acceleration": limits.max_jerk * h / 2.0 + rounding.acceleration,
+        "place": min(limits.max_jerk * h**3 / 12.0, speed * h) + judged.slack,
+    }
+    if np.isfinite(limits.max_yaw_rate) and all(isinstance(one, ClothoidSegment) for one in judged.path.segments):
+        steepest = max(float(np.max(np.abs(one.curvature_at(one.knots)))) for one in judged.path.segments)
+        bounds["yaw rate"] = steepest * bounds["speed"] + rounding.yaw_rate
+    return bounds
+
+
+def check_samples_of(trajectory: Trajectory, motion: SampledMotion, problem: DockingProblem) -> SampledMotionVerdict:
+    """Whether samples are those of `trajectory`, to 1e-6 or to the rounding of their columns.
+
+    Poses that are further off than 1e-6 need the clearance to cover that. Where jerk and yaw acceleration jump, the
+    values on both sides count, and whatever lies between them.
+
+    Args:
+        trajectory: The motion; see `certify_trajectory` for its own verdict.
+        motion: The samples.
+        problem: What must hold.
+    """
+    step, count, rounding = float(np.max(np.diff(motion.t))), motion.t.size, Rounding.of(motion)
+    for name, found, wanted in (("begin", motion.t[0], 0.0), ("end", motion.t[-1], trajectory.duration)):
+        if not abs(found - wanted) <= EXACT + rounding.time:
+            message = f"the samples {name} at t = {found:.6g} s, the phases at {wanted:.6g} s"
+            violation = Violation("phases", message, 0.0, abs(float(found - wanted)))
+            return SampledMotionVerdict((violation,), count, step)
+    near = EXACT + rounding.time
+    exact, *sides = (trajectory.sample_at(motion.t + shift) for shift in (0.0, -near, near))
+    violations = []
+    for name in SampledMotion._fields[1:]:
+        found = getattr(motion, name)
+        around = np.array([getattr(samples, name) for samples in (exact, *sides)])
+        if name == "yaw":
+            around = found + np.remainder(around - found + np.pi, 2.0 * np.pi) - np.pi
+        off = np.maximum(around.min(axis=0) - found, found - around.max(axis=0))
+        allowed = rounding.place if name in ("x", "y") else getattr(rounding, name)
+        off = off - 4.0 * np.spacing(np.abs(found)) - allowed
+        i = int(np.argmax(off))
+        if not off[i] <= 0.0:
+            message = f"{name} at t = {motion.t[i]:.3f} s is {found[i]:.6g}, by the phases {around[0, i]:.6g}"
+            violations.append(Violation("phases", message, float(exact.s[i]), float(off[i] + allowed)))
+    apart = float(np.max(np.hypot(motion.x - exact.x, motion.y - exact.y)))
+    turned = float(np.max(np.abs(np.remainder(motion.yaw - exact.yaw + np.pi, 2.0 * np.pi) - np.pi)))
+    offset = (apart, turned)
+    if not violations and max(offset) > ON_PATH and not _covers(trajectory.path, problem, offset):
+        message = (
+            f"samples are up to {apart:.3g} m and {turned:.3g} rad off the path, and the clearance does not cover it"
+        )
+        violations.append(Violation("off_path", message, 0.0, max(offset)))
+    return SampledMotionVerdict(tuple(violations), count, step, offset)

@@ -1,0 +1,260 @@
+import json
+import math
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+import shapely
+from scipy.special import fresnel
+
+from experiments.fuzz.__main__ import main
+from experiments.fuzz.campaign import judge_once
+from experiments.fuzz.case import Verdict, load_case, rng_of, save_case
+from experiments.fuzz.kinds import KINDS
+from experiments.fuzz.minimise import minimised
+from experiments.fuzz.oracle.motion import motion_of
+from experiments.fuzz.oracle.rules import findings
+from experiments.fuzz.oracle.sweep import sweep
+from experiments.fuzz.oracle.timing import judged
+from experiments.fuzz.oracle.world import World
+from experiments.fuzz.planted import PLANTS
+
+ROOT = Path(__file__).resolve().parents[2]
+SQUARE = [[0.4, 0.3], [-0.4, 0.3], [-0.4, -0.3], [0.4, -0.3]]
+
+
+def clothoid(knots, curvature, start=(0.0, 0.0, 0.0), gear=1):
+    return {"type": "clothoid", "start": list(start), "knots": list(knots), "curvature": list(curvature), "gear": gear}
+
+
+def scene(path, **changes):
+    motion = motion_of(path)
+    return {
+        "kind": "paths",
+        "path": path,
+        "footprint": {"polygon": SQUARE},
+        "obstacles": [],
+        "grid": None,
+        "dock": {"pose": motion.end.tolist(), "footprint": None, "direction": "auto", "final_straight": 0.0},
+        "start": motion.start.tolist(),
+        "start_speed": 0.0,
+        "clearance": [0.0, 0.0, 0.0],
+        "limits": {},
+        "zone": [None, 0.0],
+        **changes,
+    }
+
+
+def clearance(case, pose):
+    return float(World.of(case).clearances(np.array([pose]))[0])
+
+
+# the oracle's curves
+
+
+@pytest.mark.parametrize("gear", [1, -1])
+def test_a_clothoid_ends_where_fresnel_integrals_say(gear):
+    # curvature = pi s turns the heading by pi s^2 / 2: the normalised Fresnel integrals
+    motion = motion_of([clothoid([0.0, 2.0], [0.0, 2.0 * math.pi], gear=gear)])
+    sine, cosine = fresnel(2.0)
+    assert motion.end == pytest.approx([gear * cosine, gear * sine, 2.0 * math.pi], abs=1e-13)
+
+
+def test_a_piece_of_no_width_still_turns_the_robot():
+    motion = motion_of([clothoid([0.0, 1.0, 1.0 + 2e-14, 1.0 + 4e-14, 2.0], [0.0, 0.0, 2e13, 0.0, 0.0])])
+    assert 0.3 < motion.end[2] < 0.5
+    assert motion.end[0] == pytest.approx(1.0 + math.cos(motion.end[2]), abs=1e-12)
+
+
+def test_a_polyline_turns_the_short_way_and_has_the_length_of_its_arcs():
+    motion = motion_of([{"type": "polyline", "poses": [[0, 0, 3.0], [-1.0, 0, -3.0]], "gear": 1}])
+    turn = 2.0 * math.pi - 6.0
+    assert motion.turn[0] == pytest.approx(turn)
+    assert motion.length == pytest.approx((turn / 2.0) / math.sin(turn / 2.0))
+
+
+# the oracle's world
+
+
+def test_clearances_are_those_of_closed_forms():
+    wall = [[1.0, -1.0], [1.2, -1.0], [1.2, 1.0], [1.0, 1.0]]
+    case = scene([clothoid([0.0, 0.1], [0.0, 0.0])], obstacles=[wall])
+    assert clearance(case, [0.0, 0.0, 0.0]) == pytest.approx(0.6)
+    assert clearance(case, [0.0, 0.0, math.pi / 2]) == pytest.approx(0.7)
+    assert clearance(case, [0.6 + 3e-6, 0.0, 0.0]) == pytest.approx(-3e-6, rel=1e-6)
+    disc = {**case, "footprint": {"radius": 0.5}}
+    assert clearance(disc, [0.4, 0.0, 1.0]) == pytest.approx(0.1)
+    assert clearance(disc, [0.6, 0.0, 1.0]) == pytest.approx(-0.1)
+
+
+def test_the_seam_of_touching_squares_is_solid():
+    halves = [[[0.5, -1.0], [1.0, -1.0], [1.0, 0.0], [0.5, 0.0]], [[0.5, 0.0], [1.0, 0.0], [1.0, 1.0], [0.5, 1.0]]]
+    needle = {"polygon": [[0.5, 0.0], [0.0, 0.001], [-0.3, 0.1], [-0.3, -0.1], [0.0, -0.001]]}
+    case = scene([clothoid([0.0, 0.1], [0.0, 0.0])], obstacles=halves, footprint=needle)
+    assert clearance(case, [-1e-3, 0.0, 0.0]) == pytest.approx(1e-3)
+    assert clearance(case, [0.1, 0.0, 0.0]) < -1e-4  # each square alone is entered by 2e-4 m only, the two by 0.1 m
+
+
+def test_cells_unknown_cells_and_everything_off_the_grid_are_obstacles():
+    cells = np.zeros((40, 40), dtype=int)
+    cells[20, 30], cells[20, 5] = 254, 255
+    case = scene(
+        [clothoid([0.0, 0.1], [0.0, 0.0])], grid={"cells": cells.tolist(), "resolution": 0.1, "origin": [-2, -2]}
+    )
+    assert clearance(case, [0.0, 0.0, 0.0]) == pytest.approx(0.6)
+    assert clearance(case, [-0.5, 0.0, 0.0]) == pytest.approx(0.5)
+    assert clearance(case, [0.0, 1.5, 0.0]) == pytest.approx(0.2)
+    assert clearance(case, [5000.0, 0.0, 0.0]) < -4000.0
+
+
+def test_the_depth_of_an_overlap_is_never_overstated():
+    rng = np.random.default_rng(7)
+    for _ in range(40):
+        box = shapely.box(0.2, -0.5, 0.2 + rng.uniform(0.01, 1.0), 0.5)
+        pose = np.array([rng.uniform(-0.5, 0.3), rng.uniform(-0.3, 0.3), rng.uniform(-3, 3)])
+        case = scene([clothoid([0.0, 0.1], [0.0, 0.0])], obstacles=[shapely.get_coordinates(box)[:-1].tolist()])
+        depth = -clearance(case, pose)
+        if depth <= 0.0:
+            continue
+        # sideways by the depth found cannot be enough in any direction
+        for heading in np.linspace(-math.pi, math.pi, 60):
+            way = 0.999 * depth * np.array([math.cos(heading), math.sin(heading), 0.0])
+            assert clearance(case, pose + way) < 0.0
+
+
+def test_a_dip_between_samples_is_found_to_a_micrometre():
+    # the front right corner of a robot that turns left around a circle passes a tiny post outside of it
+    radius, outer = 1.0, math.hypot(0.4, 1.3)
+    for heading in np.linspace(0.5, 1.4, 7):
+        at = np.array([0.0, radius]) + (outer + 5e-3) * np.array([math.sin(heading), -math.cos(heading)])
+        post = (at + 1e-9 * np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]])).tolist()
+        case = scene([clothoid([0.0, 1.5], [1.0 / radius, 1.0 / radius])], obstacles=[post])
+        found = sweep(case, motion_of(case["path"]), World.of(case))
+        assert found.margin.min() == pytest.approx(5e-3, abs=1e-6)
+
+
+def test_the_oracle_shares_no_code_with_the_library():
+    names = ", ".join(f"experiments.fuzz.oracle.{name}" for name in ("motion", "world", "sweep", "rules", "timing"))
+    code = f"import {names}, sys; sys.exit(any(name.split('.')[0] == 'optdock' for name in sys.modules))"
+    assert subprocess.run([sys.executable, "-c", code], cwd=ROOT, check=False).returncode == 0
+
+
+# the oracle's rules
+
+
+def broken(case):
+    return {finding.kind for finding in findings(case, motion_of(case["path"])) if finding.is_broken}
+
+
+def test_rules_of_a_path_are_told_apart():
+    arc = scene([clothoid([0.0, 1.0], [0.5, 0.5])])
+    assert broken(arc) == set()
+    assert broken({**arc, "limits": {"max_curvature": 0.5 * (1.0 - 3e-6)}}) == {"curvature"}
+    assert broken({**arc, "limits": {"max_curvature": 0.5 * (1.0 - 1e-6)}}) == set()
+    assert broken({**arc, "dock": {**arc["dock"], "direction": "backward"}}) == {"direction"}
+    assert broken({**arc, "dock": {**arc["dock"], "final_straight": 0.3}}) == {"final_straight"}
+    assert broken({**arc, "start": [0.0, 3e-6, 0.0]}) == {"start"}
+    crab = [[0.01 * i, 0.01 * i * math.tan(0.0099), 0.0] for i in range(300)]
+    assert broken(scene([{"type": "polyline", "poses": crab, "gear": 1}])) == {"slip"}
+
+
+def test_ratios_of_a_motion_are_those_of_closed_forms():
+    # v = 0.4 m/s at constant speed over an arc of curvature 2, then over a clothoid of rate 1
+    path = [clothoid([0.0, 1.0, 2.0], [2.0, 2.0, 3.0])]
+    case = {
+        "path": path,
+        "law": {"durations": [5.0], "jerks": [0.0], "start_speed": 0.4, "start_acceleration": 0.0},
+        "limits": {"max_speed": 0.5, "max_yaw_rate": 1.0, "max_lateral_acceleration": 1.0, "max_wheel_speed": 1.0,
+                   "track_width": 0.5, "max_yaw_acceleration": 1.0},
+        "zone": [0.2, 0.5],
+        "start_speed": 0.4,
+    }  # fmt: skip
+    found = judged(case, motion_of(path))
+    assert found.ratios["speed"] == pytest.approx(2.0)
+    assert found.ratios["yaw_rate"] == pytest.approx(1.2)
+    assert found.ratios["lateral_acceleration"] == pytest.approx(0.48)
+    assert found.ratios["wheel_speed"] == pytest.approx(0.7)
+    assert found.ratios["yaw_acceleration"] == pytest.approx(0.16)
+    assert set(found.broken) == {"speed", "yaw_rate", "rest"}
+    assert found.structure["start_state"] == 0.0
+
+
+# the cases
+
+
+@pytest.mark.parametrize("kind", sorted(KINDS))
+def test_a_case_is_a_function_of_its_seed_and_number_and_survives_a_file(kind, tmp_path):
+    for number in range(6):
+        case = KINDS[kind].draw(rng_of(kind, 3, number))
+        again = KINDS[kind].draw(rng_of(kind, 3, number))
+        assert json.dumps(case) == json.dumps(again)
+        save_case(tmp_path / "case.json", case, Verdict("late"), "")
+        assert json.dumps(load_case(tmp_path / "case.json")) == json.dumps(case)
+    assert json.dumps(KINDS[kind].draw(rng_of(kind, 4, 0))) != json.dumps(KINDS[kind].draw(rng_of(kind, 3, 0)))
+
+
+@pytest.mark.parametrize("name", sorted(PLANTS))
+def test_planted_mistakes_are_found(name):
+    kind = "trajectories" if name in ("dropped_time_cell", "rest_x5") else "paths"
+    cases = (KINDS[kind].draw(rng_of(kind, SEEDS[name], number)) for number in range(12))
+    assert any(judge_once(case, name).is_fault for case in cases)
+
+
+def test_shrinking_keeps_the_fault_and_drops_the_rest():
+    posts = [[[x, 1.0], [x + 0.1, 1.0], [x, 1.1]] for x in range(6)]
+    case = scene([clothoid([0.0, 0.5, 1.0, 1.5], [0.0, 0.1, 0.0, 0.0])], obstacles=posts, limits={"max_speed": 1.0})
+
+    def judge(one):
+        fails = any(post[0][0] == 3 for post in one["obstacles"]) and len(one["path"][0]["knots"]) > 2
+        return Verdict("false certificate", "clearance: x") if fails else Verdict("certified")
+
+    small = minimised(case, judge(case), judge)
+    assert small["obstacles"] == [posts[3]]
+    assert len(small["path"][0]["knots"]) == 3
+    assert small["limits"] == {}
+    assert len(case["obstacles"]) == 6
+
+
+def test_a_saved_case_can_be_replayed(tmp_path, capsys):
+    number = next(n for n in range(12) if judge_once(_drawn("dropped_obstacle", n), "dropped_obstacle").is_fault)
+    target = tmp_path / "found.json"
+    save_case(target, _drawn("dropped_obstacle", number), Verdict("false certificate"), "")
+    command = [sys.executable, "-m", "experiments.fuzz", "--replay", str(target)]
+    done = subprocess.run(
+        [*command, "--plant", "dropped_obstacle"], cwd=ROOT, capture_output=True, text=True, check=False
+    )
+    assert done.returncode == 1, done.stderr
+    assert done.stdout.startswith(("false certificate", "overclaimed bound"))
+
+
+def _drawn(name, number):
+    return KINDS["paths"].draw(rng_of("paths", SEEDS[name], number))
+
+
+def test_a_campaign_counts_its_cases_and_ends_by_count(tmp_path):
+    command = ["-m", "experiments.fuzz", "--kinds", "trajectories", "--count", "9", "--jobs", "1", "--seed", "0"]
+    done = subprocess.run(
+        [sys.executable, *command, "--out", str(tmp_path)], cwd=ROOT, capture_output=True, text=True, check=False
+    )
+    assert "trajectories: 9 cases" in done.stdout, done.stderr
+    assert done.returncode == (1 if list(tmp_path.iterdir()) else 0)
+
+
+def test_unknown_kinds_are_refused(capsys):
+    assert main(["--kinds", "paths,pathes"]) == 2
+    assert "pathes" in capsys.readouterr().err
+
+
+# Chosen so that a mistake shows within a dozen cases; `--plant NAME` finds it from any seed.
+SEEDS = {
+    "tolerance_x5": 1,
+    "first_order_centimetre": 0,
+    "dropped_obstacle": 0,
+    "dropped_map_cell": 33,
+    "dropped_path_cell": 5,
+    "dropped_time_cell": 24,
+    "curvature_x5": 1,
+    "rest_x5": 0,
+}

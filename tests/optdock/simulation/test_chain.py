@@ -1,0 +1,112 @@
+"""The whole chain in one: raw path, smoothing, proof, ruckig timing, controller, axis goal checker."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from checkers.axis import AxisGoalChecker
+from checkers.dock import DockGoalChecker
+from optdock.builtin import demo_scenario
+from optdock.cli.simulate import World, driven
+from optdock.config import load_scenario
+from optdock.controllers.tracking import TrackingController
+from optdock.errors import InvalidValue
+from optdock.geometry.pose import Pose2
+from optdock.interfaces import PluginContext
+from optdock.path import Path
+from optdock.pipeline import PluginChoice, PluginChoices, plan_dock
+from optdock.simulation import Actuation, SimulationSettings, run_closed_loop
+
+DOCKING = {"along_path_tolerance": 0.02, "cross_track_tolerance": 0.02, "stopped": True}
+
+
+@pytest.fixture(scope="module")
+def scenario():
+    return load_scenario(demo_scenario())
+
+
+@pytest.fixture(scope="module")
+def plan(scenario):
+    return plan_dock(scenario.problem, time_budget=5.0)
+
+
+def drive(trajectory, problem, checker, *, beside=(), goal=None, **world):
+    controller = TrackingController()
+    for plugin in (controller, checker, *beside):
+        plugin.configure(PluginContext(type(plugin).__name__, problem=problem))
+    settings = SimulationSettings(obstacles=problem.all_obstacles, **world)
+    target = goal or problem.goal
+    return run_closed_loop(trajectory, problem.robot, target, controller, checker, settings, beside=beside)
+
+
+@pytest.mark.parametrize("timing", ["NearOptimal", "Windowed"])
+def test_plan_ruckig_controller_and_axis_goal_checker_dock_the_robot(scenario, timing):
+    choices = PluginChoices(timing=PluginChoice(timing))
+    plan = plan_dock(scenario.problem, time_budget=5.0, plugins=choices)
+    assert plan.certificate.certified
+    assert plan.trajectory_certificate.certified
+    assert plan.trajectory_certificate.ratios["jerk"] <= 1.0
+    run = drive(
+        plan.trajectory,
+        scenario.problem,
+        AxisGoalChecker(**DOCKING),
+        beside=[DockGoalChecker()],
+        actuation=Actuation(linear_lag=0.06, angular_lag=0.06, latency=0.04),
+        position_noise=0.001,
+        yaw_noise=0.001,
+        seed=1,
+    )
+    assert run.docked, run.reason
+    assert run.verdicts == {"AxisGoalChecker": True, "DockGoalChecker": True}
+    assert max(abs(run.final_error.x), abs(run.final_error.y)) < 0.005
+    assert np.all(np.abs(run.twists[-1]) <= (0.01, 0.02))
+    assert not run.collided
+
+
+def test_without_rest_the_axis_goal_checker_ends_the_run_on_the_way_in(scenario, plan):
+    """What `stopped` is for: the document's checker looks at positions alone."""
+    moving = {**DOCKING, "stopped": False}
+    run = drive(plan.trajectory, scenario.problem, AxisGoalChecker(**moving), beside=[DockGoalChecker()])
+    assert run.docked
+    assert run.verdicts == {"AxisGoalChecker": True, "DockGoalChecker": False}
+    assert run.final_error.x == pytest.approx(-0.02, abs=0.002)
+    assert run.twists[-1, 0] > 0.01
+
+
+@pytest.mark.parametrize("off", [Pose2(0.03, 0.0, 0.0), Pose2(-0.03, 0.0, 0.0), Pose2(0.0, 0.03, 0.0)])
+def test_a_dock_three_centimetres_from_where_the_plan_ends_is_not_reached(scenario, plan, off):
+    goal = scenario.problem.goal @ off
+    run = drive(plan.trajectory, scenario.problem, AxisGoalChecker(**DOCKING), goal=goal, timeout=15.0)
+    assert not run.docked
+    assert run.verdicts == {"AxisGoalChecker": False}
+
+
+def test_the_second_checker_judges_the_heading_that_the_first_one_does_not(scenario):
+    goal = scenario.problem.goal
+    skewed = Path.from_poses([goal @ Pose2(-0.3 * (1 - k / 9), 0.0, 0.1 * k / 9) for k in range(10)])
+    controller = TrackingController()
+    controller.configure(PluginContext(problem=scenario.problem))
+    controller.set_path(skewed)
+    trajectory = controller._reference.trajectory
+    run = drive(trajectory, scenario.problem, AxisGoalChecker(**DOCKING), beside=[DockGoalChecker()])
+    assert run.verdicts == {"AxisGoalChecker": True, "DockGoalChecker": False}
+    assert run.final_error.yaw == pytest.approx(0.1, abs=0.02)
+
+
+def test_the_built_in_scenario_ends_by_the_axis_goal_checker_with_the_other_beside_it(scenario, plan):
+    assert scenario.goal_checker == PluginChoice("AxisGoalChecker", DOCKING)
+    run = driven(scenario, plan, 0)
+    assert list(run.verdicts) == ["AxisGoalChecker", "DockGoalChecker"]
+    assert all(run.verdicts.values())
+
+
+def test_a_scenario_that_names_no_checker_has_one_verdict(scenario, plan):
+    plain = dataclasses.replace(scenario, goal_checker=PluginChoice("DockGoalChecker"))
+    run = driven(plain, plan, 0, World(0.0, 0.0, 0.0, 0.0))
+    assert run.verdicts == {"DockGoalChecker": True}
+
+
+def test_two_checkers_of_one_name_are_refused(plan, scenario):
+    with pytest.raises(InvalidValue, match="beside DockGoalChecker need names of their own"):
+        drive(plan.trajectory, scenario.problem, DockGoalChecker(), beside=[DockGoalChecker()])

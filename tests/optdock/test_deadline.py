@@ -1,0 +1,94 @@
+"""The deadline, and what must not happen before it."""
+
+import gc
+
+import numpy as np
+import pytest
+
+from optdock.deadline import Deadline, garbage_collection_paused
+from optdock.dock import Dock
+from optdock.errors import PlannerTimedOut
+from optdock.geometry.footprint import Footprint
+from optdock.geometry.pose import Pose2
+from optdock.interfaces import GlobalPlanner
+from optdock.limits import MotionLimits
+from optdock.path import Path
+from optdock.pipeline import plan_dock, warm_up
+from optdock.plugins import create_plugin
+from optdock.problem import DockingProblem
+from optdock.robot import Robot
+
+PROBLEM = DockingProblem(
+    Pose2(0.0, 0.0, 0.3),
+    Dock(Pose2(3.0, 0.5, 0.0)),
+    Robot(Footprint.rectangle(0.3, 0.3, 0.4), MotionLimits(max_curvature=1.5, max_curvature_rate=6.0)),
+)
+
+
+def test_time_is_counted_from_the_beginning():
+    now = [5.0]
+    deadline = Deadline(2.0, lambda: now[0])
+    now[0] = 6.5
+    assert (deadline.elapsed, deadline.left, deadline.passed()) == (1.5, 0.5, False)
+    now[0] = 7.0
+    assert deadline.passed()
+    assert not Deadline().passed()
+
+
+def test_no_collection_of_garbage_starts_within():
+    started = []
+    gc.callbacks.append(lambda phase, info: started.append(phase))
+    try:
+        with garbage_collection_paused():
+            started.clear()
+            for _ in range(10_000):
+                loop = []
+                loop.append(loop)
+            assert not started
+        for _ in range(10_000):
+            loop = []
+            loop.append(loop)
+        assert started
+    finally:
+        gc.callbacks.pop()
+
+
+def test_a_pause_ends_as_it_began():
+    with pytest.raises(ZeroDivisionError), garbage_collection_paused():
+        raise ZeroDivisionError
+    assert gc.isenabled()
+    gc.disable()
+    try:
+        with garbage_collection_paused():
+            pass
+        assert not gc.isenabled()
+    finally:
+        gc.enable()
+
+
+def test_planning_is_not_stopped_by_a_collection():
+    enabled = []
+    plan = plan_dock(PROBLEM, time_budget=2.0, cancel_checker=lambda: bool(enabled.append(gc.isenabled())))
+    assert plan.certificate.certified
+    assert len(enabled) > 1
+    assert not any(enabled)
+    assert gc.isenabled()
+
+
+def test_a_planner_is_asked_to_stop_at_the_deadline(monkeypatch):
+    asked = []
+
+    class Endless(GlobalPlanner):
+        def create_plan(self, start, goal, cancel_checker):
+            while not cancel_checker():
+                asked.append(np.sum(np.ones(10)))
+            return Path.from_poses([start, goal])
+
+    def made(interface, name, parameters=None):
+        return Endless() if interface is GlobalPlanner else create_plugin(interface, name, parameters)
+
+    warm_up()
+    monkeypatch.setattr("optdock.pipeline.create_plugin", made)
+    with pytest.raises(PlannerTimedOut, match="used up the time budget of 0.02 s"):
+        plan_dock(PROBLEM, time_budget=0.02)
+    assert asked

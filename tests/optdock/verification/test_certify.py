@@ -1,0 +1,88 @@
+"""Whole proofs are kept, parts of proofs never, and no proof serves another problem."""
+
+import dataclasses
+import gc
+import weakref
+
+import numpy as np
+import pytest
+
+from optdock.dock import Dock
+from optdock.geometry.clothoid import ClothoidSpline
+from optdock.geometry.footprint import Footprint
+from optdock.geometry.pose import Pose2
+from optdock.limits import MotionLimits
+from optdock.obstacles import ObstacleSet
+from optdock.path import ClothoidSegment, Path
+from optdock.problem import ClearanceRule, DockingProblem
+from optdock.robot import Robot
+from optdock.verification import certify, certify_path
+
+BESIDE = ObstacleSet.from_polygons([[[1.0, 0.3001], [2.0, 0.3001], [2.0, 1.0], [1.0, 1.0]]])
+ROBOT = Robot(Footprint.rectangle(0.4, 0.4, 0.6), MotionLimits())
+
+
+def straight():
+    return Path((ClothoidSegment(ClothoidSpline(Pose2(0.0, 0.0, 0.0), np.array([0.0, 3.0]), np.zeros(2))),))
+
+
+def problem(path, required=0.0):
+    return DockingProblem(path.start, Dock(path.end), ROBOT, BESIDE, ClearanceRule(required, required, 0.0))
+
+
+@pytest.fixture
+def proofs(monkeypatch):
+    made = []
+    real = certify.prove_clearance
+    monkeypatch.setattr(certify, "prove_clearance", lambda *arguments: made.append(1) or real(*arguments))
+    return made
+
+
+def test_a_whole_proof_is_made_once(proofs):
+    path = straight()
+    task = problem(path)
+    assert certify_path(path, task) is certify_path(path, task)
+    assert len(proofs) == 1
+
+
+def test_another_problem_is_proven_anew(proofs):
+    path = straight()
+    assert certify_path(path, problem(path)).certified
+    assert not certify_path(path, problem(path, 0.01)).certified
+    assert certify_path(path, dataclasses.replace(problem(path), obstacles=ObstacleSet.empty())).certified
+    assert len(proofs) == 3
+
+
+def test_a_proof_that_was_cut_short_is_not_kept(proofs):
+    curve = ClothoidSpline(Pose2(0.0, -0.8, 0.0), np.array([0.0, 3.0]), np.array([0.4, -0.4]))
+    path = Path((ClothoidSegment(curve),))
+    nearest = certify_path(path, problem(path)).min_clearance
+    tight = problem(path, nearest - 1e-5)
+    hurried = certify_path(path, tight, is_late=lambda: True)
+    assert not hurried.certified
+    assert certify_path(path, tight).certified
+    assert certify_path(path, tight, is_late=lambda: True).certified  # nothing is left to do
+    assert len(proofs) == 3
+
+
+def test_what_is_kept_keeps_nothing_alive():
+    path = straight()
+    task = problem(path)
+    certify_path(path, task)
+    gone = weakref.ref(path), weakref.ref(task)
+    del path, task
+    gc.collect()
+    assert [one() for one in gone] == [None, None]
+
+
+def test_a_certified_proof_that_was_cut_short_serves_who_is_in_a_hurry(proofs):
+    curve = ClothoidSpline(Pose2(0.0, -1.2, 0.0), np.array([0.0, 3.0]), np.array([0.4, -0.4]))
+    path = Path((ClothoidSegment(curve),))
+    task = problem(path)
+    hurried = certify_path(path, task, is_late=lambda: True)
+    assert hurried.certified
+    assert certify_path(path, task, is_late=lambda: True) is hurried
+    whole = certify_path(path, task)
+    assert whole.min_clearance > hurried.min_clearance + 0.001
+    assert certify_path(path, task, is_late=lambda: True) is whole
+    assert len(proofs) == 2
