@@ -110,10 +110,13 @@ def simple_polygon(vertices: ArrayLike, name: str) -> FloatArray:
         raise InvalidValue(f"{name}: a polygon needs at least 3 distinct vertices, got {points.shape[0]}")
     if signed_area(points) < 0.0:
         points = points[::-1]
-    extent = float(np.max(np.ptp(points, axis=0)))
-    if not is_convex(points):
+    smallest = 1e-12 * float(np.max(np.ptp(points, axis=0))) ** 2
+    arms = points - points[0]
+    far = arms[np.argmax(np.sum(arms**2, axis=1))]
+    is_straight = np.max(np.abs(far[0] * arms[:, 1] - far[1] * arms[:, 0])) <= smallest
+    if not (is_straight or is_convex(points)):
         _check_simple(points, name)
-    if signed_area(points) <= 1e-12 * extent**2:
+    if is_straight or signed_area(points) <= smallest:
         raise InvalidValue(f"{name}: the polygon has no area")
     return readonly(np.ascontiguousarray(points))
 
