@@ -275,6 +275,15 @@ def peak_memory(call):
         tracemalloc.stop()
 
 
+def test_a_path_of_any_length_fits_into_memory():
+    path = clothoid([0.0, 9e7], [0.0, 0.0])
+    for y, expected in ((0.7, set()), (0.2, {"clearance"})):
+        posts = ObstacleSet.from_polygons([square(1e6 + 0.3, y, 0.1), square(10.0, 5.0)])
+        certificate, memory = peak_memory(lambda posts=posts: certify_path(path, problem_for(path, posts)))
+        assert kinds(certificate) == expected
+        assert memory < 200e6
+
+
 def test_many_samples_beside_many_obstacles_fit_into_memory():
     s = np.linspace(0.0, 1000.0, 150_000)
     path = Path((PolylineSegment(np.column_stack((s, 0.0 * s, 0.0 * s))),))
