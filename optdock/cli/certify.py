@@ -86,10 +86,8 @@ def _motion(plan: PlanFile, path: DockPath, problem: DockingProblem) -> _Motion:
 
 def _exact(motion: TrajectoryColumns, path: DockPath, law: TimeLaw, problem: DockingProblem) -> _Motion:
     """The proof of the phases, and whether the samples are those of them."""
-    import numpy as np
-
     from optdock.trajectory import Trajectory
-    from optdock.verification import certify_trajectory, check_samples_of
+    from optdock.verification import are_rounded_phases, certify_trajectory, check_samples_of
 
     trajectory = Trajectory(path, law)
     proof = certify_trajectory(
@@ -98,7 +96,7 @@ def _exact(motion: TrajectoryColumns, path: DockPath, law: TimeLaw, problem: Doc
     samples = check_samples_of(trajectory, motion, problem)
     faults = [violation.message for violation in (*proof.violations, *samples.violations)]
     said = f"{law.durations.size} phases, {law.duration:.3f} s"
-    if faults and np.array_equal(np.round(law.durations, 6), law.durations):
+    if faults and are_rounded_phases(trajectory, motion):
         judged = _sampled(motion, path, problem)
         return judged._replace(row=f"the phases are rounded and prove nothing; {judged.row}")
     if faults:

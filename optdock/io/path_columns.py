@@ -120,15 +120,20 @@ def path_from_columns(columns: PathColumns, name: str) -> Path:
     try:
         _check_agreement(columns, poses, path, name)
     except InvalidFile as error:
-        if not _are_rounded(columns.segments, path, poses):
+        if not _are_rounded(columns, columns.segments, path, poses):
             raise
         logger.warning("%s; the segments are rounded, so the samples count", error)
         return path_from_columns(columns.model_copy(update={"segments": None}), name)
     return path
 
 
-def _are_rounded(curves: Sequence[_Clothoid | _Polyline], path: Path, poses: FloatArray) -> bool:
+def _are_rounded(columns: PathColumns, curves: Sequence[_Clothoid | _Polyline], path: Path, poses: FloatArray) -> bool:
     """Whether all numbers of the curves have at most six decimals, and no more than that keeps them off the samples."""
+    if columns.s is None or abs(columns.s[-1] - path.length) > _ROUNDED:
+        return False
+    apart, turned = _off_curves(np.array(columns.s), poses, path, _ROUNDED)
+    if max(np.max(apart), np.max(turned)) > _ROUNDED:
+        return False
     numbers = np.fromiter((number for curve in curves for number in _numbers(curve)), dtype=np.float64)
     ends = np.stack((path.start.as_array(), path.end.as_array())) - poses[[0, -1]]
     ends[:, 2] = np.remainder(ends[:, 2] + np.pi, 2.0 * np.pi) - np.pi
@@ -211,11 +216,7 @@ def _check_agreement(columns: PathColumns, poses: FloatArray, path: Path, name: 
         raise InvalidFile(f"{name}.s: is needed beside {name}.segments")
     if abs(columns.s[-1] - path.length) > AGREEMENT:
         raise InvalidFile(f"{name}: samples end at s = {columns.s[-1]:.9g} m, segments at {path.length:.9g} m")
-    exact = path.poses_at(columns.s)
-    apart = np.hypot(poses[:, 0] - exact[:, 0], poses[:, 1] - exact[:, 1])
-    turned = np.abs(np.remainder(poses[:, 2] - exact[:, 2] + np.pi, 2.0 * np.pi) - np.pi)
-    # Where the robot turns in place many headings share one arc length; positions tell all there.
-    turned[_distances_to(_turns_in_place(path), np.array(columns.s)) <= _STILL] = 0.0
+    apart, turned = _off_curves(np.array(columns.s), poses, path)
     worst = int(np.argmax(np.maximum(apart, turned)))
     if max(apart[worst], turned[worst]) > AGREEMENT:
         raise InvalidFile(
@@ -225,6 +226,16 @@ def _check_agreement(columns: PathColumns, poses: FloatArray, path: Path, name: 
     at_cusp = _distances_to(path.segment_starts, np.array(columns.s)) <= _STILL
     if columns.direction is not None and np.any((path.direction_at(columns.s) != columns.direction) & ~at_cusp):
         raise InvalidFile(f"{name}.direction: differs from that of the segments")
+
+
+def _off_curves(s: FloatArray, poses: FloatArray, path: Path, near: float = _STILL) -> tuple[FloatArray, FloatArray]:
+    """How far samples at `s`, known to `near` [m], are off the curves, Shape (n,) [m] and [rad]."""
+    exact = path.poses_at(s)
+    apart = np.hypot(poses[:, 0] - exact[:, 0], poses[:, 1] - exact[:, 1])
+    turned = np.abs(np.remainder(poses[:, 2] - exact[:, 2] + np.pi, 2.0 * np.pi) - np.pi)
+    # Where the robot turns in place many headings share one arc length; positions tell all there.
+    turned[_distances_to(_turns_in_place(path), s) <= near] = 0.0
+    return apart, turned
 
 
 def _turns_in_place(path: Path) -> FloatArray:

@@ -6,7 +6,12 @@ Knows nothing of solvers: it reads the finished path and the problem, and nothin
 from optdock.verification.certificate import Certificate, TrajectoryCertificate, Violation
 from optdock.verification.certify import certify_path
 from optdock.verification.half_cells import pose_clearance, pose_clearances
-from optdock.verification.sampled_motion import SampledMotionVerdict, check_sampled_motion, check_samples_of
+from optdock.verification.sampled_motion import (
+    SampledMotionVerdict,
+    are_rounded_phases,
+    check_sampled_motion,
+    check_samples_of,
+)
 from optdock.verification.samples import SampledMotion
 from optdock.verification.trajectory_rules import certify_trajectory
 
@@ -16,6 +21,7 @@ __all__ = [
     "SampledMotionVerdict",
     "TrajectoryCertificate",
     "Violation",
+    "are_rounded_phases",
     "certify_path",
     "certify_trajectory",
     "check_sampled_motion",

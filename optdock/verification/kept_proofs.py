@@ -6,6 +6,7 @@ The proofs are held here, so that nobody can hand in a verdict of their own, and
 from __future__ import annotations
 
 import weakref
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Generic, Protocol, TypeVar
 
 if TYPE_CHECKING:
@@ -28,11 +29,22 @@ def never() -> bool:
     return False
 
 
+@dataclass(frozen=True)
+class _Kept(Generic[Subject, Verdict]):
+    subject: weakref.ref[Subject]
+    against: Hashable
+    verdict: Verdict
+    is_whole: bool
+
+
 class KeptProofs(Generic[Subject, Verdict]):
-    """The last verdict on every subject, with what it was judged against and whether it was made to its end."""
+    """The last verdict on every subject, with what it was judged against and whether it was made to its end.
+
+    A subject is itself, whatever it calls its equal.
+    """
 
     def __init__(self) -> None:
-        self._kept: weakref.WeakKeyDictionary[Subject, tuple[Hashable, Verdict, bool]] = weakref.WeakKeyDictionary()
+        self._kept: dict[int, _Kept[Subject, Verdict]] = {}  # by identity, for as long as the subject lives
 
     def verdict(
         self,
@@ -52,9 +64,11 @@ class KeptProofs(Generic[Subject, Verdict]):
             is_late: The caller's deadline; `never` without one.
             prove: Makes the proof, asking the callable that it is given whether it is late.
         """
-        known = self._kept.get(subject)
-        if known is not None and known[0] == against and (known[2] or is_late is not never):
-            return known[1]
+        key = id(subject)
+        known = self._kept.get(key)
+        is_same = known is not None and known.subject() is subject and known.against == against
+        if known is not None and is_same and (known.is_whole or is_late is not never):
+            return known.verdict
         was_late = False
 
         def asked() -> bool:
@@ -64,5 +78,6 @@ class KeptProofs(Generic[Subject, Verdict]):
 
         found = prove(asked)
         if found.certified or not was_late:
-            self._kept[subject] = (against, found, not was_late)
+            alive = weakref.ref(subject, lambda _: self._kept.pop(key, None))
+            self._kept[key] = _Kept(alive, against, found, not was_late)
         return found

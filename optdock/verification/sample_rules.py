@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from optdock.problem import DockingProblem
     from optdock.verification.samples import Rounding, SampledMotion
 
-__all__ = ["Judged", "Sums", "at_knots", "at_samples", "between_samples", "explained_rates", "rests"]
+__all__ = ["Judged", "Sums", "at_knots", "at_samples", "between_samples", "explained_rates", "rests", "through_rests"]
 
 _RELATIVE = 1e-6  # slack on every limit, as for time laws
 _ARITHMETIC = 1e-9  # rounding of what is computed here from numbers around 1
@@ -310,6 +310,28 @@ def _means(judged: Judged, limits: MotionLimits, rows: IntArray, lag: int) -> It
     # Beside a curve the way is longer or shorter than on it.
     allowed = allowed + float(np.max(judged.apart)) * change(sums.turn)
     yield from _worst(judged, "distance off its speeds [m]", off, allowed, at=at)
+
+
+def through_rests(judged: Judged, problem: DockingProblem) -> Iterator[Violation]:
+    """Speeds and accelerations with their signs, which lead through the rest at a cusp without a jump.
+
+    So this holds as well for samples of which nobody knows on which side of the cusp they are.
+    """
+    motion, rounding, jerk = judged.motion, judged.rounding, problem.robot.limits.max_jerk
+    h, a = np.diff(motion.t), motion.acceleration
+    sums = np.concatenate(([0.0], np.cumsum(0.5 * h * (a[:-1] + a[1:]))))
+    errors = np.concatenate(([0.0], np.cumsum(0.25 * jerk * h**2)))
+    early = 2.0 * rounding.time * max(problem.robot.limits.max_acceleration, problem.robot.limits.max_deceleration)
+    lag = 1
+    while lag < motion.t.size:
+        change, by_sums, error, t = (column[lag:] - column[:-lag] for column in (motion.speed, sums, errors, motion.t))
+        allowed = error + 2.0 * rounding.speed + rounding.acceleration * t + early
+        at = np.column_stack((motion.t[:-lag], judged.s[:-lag]))
+        found = list(_worst(judged, "speed off its accelerations [m/s]", np.abs(change - by_sums), allowed, at=at))
+        if found:
+            yield from found
+            return
+        lag *= 2
 
 
 def at_knots(judged: Judged, problem: DockingProblem) -> Iterator[Violation]:

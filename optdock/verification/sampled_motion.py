@@ -47,6 +47,7 @@ from optdock.verification.sample_rules import (
     between_samples,
     explained_rates,
     rests,
+    through_rests,
 )
 from optdock.verification.samples import EXACT, Rounding, SampledMotion
 
@@ -58,13 +59,15 @@ if TYPE_CHECKING:
     from optdock.problem import DockingProblem
     from optdock.trajectory import Trajectory
 
-__all__ = ["SampledMotionVerdict", "check_sampled_motion", "check_samples_of"]
+__all__ = ["SampledMotionVerdict", "are_rounded_phases", "check_sampled_motion", "check_samples_of"]
 
 ON_PATH = math.sqrt(2.0) * EXACT  # [m], [rad]: x and y each to that
 _STEEPEST = 10.0  # [1/m]: no more of a curvature counts for that
 # [m], [rad]: how far poses may be off the path, where the clearance covers it. Three decimals move a pose by 0.7 mm;
 # along a curve of 2 1/m that is 1.4e-3 rad.
 OFF_PATH = 2e-3
+_DECIMALS = 6  # that a file's rounded phases keep
+_ROUNDED = 1e-5  # [s], [m/s^3], ...: of every number of such phases; ten units, as programs round what was rounded
 
 
 @dataclass(frozen=True)
@@ -127,6 +130,7 @@ def check_sampled_motion(motion: SampledMotion, path: Path, problem: DockingProb
         if max(offset) <= OFF_PATH:
             violations += tuple(at_samples(judged, problem))
             sure = judged if places.sure.all() else judged.rows(places.sure, limits)
+            violations += () if sure is judged else tuple(through_rests(judged, problem))
             rules = (between_samples, at_knots, rests, explained_rates)
             violations += tuple(violation for rule in rules for violation in rule(sure, problem))
     return SampledMotionVerdict(violations, motion.t.size, step, offset, _unproven(judged, limits))
@@ -210,6 +214,39 @@ def _unproven(judged: Judged, limits: MotionLimits) -> dict[str, float]:
         steepest = max(float(np.max(np.abs(one.curvature_at(one.knots)))) for one in judged.path.segments)
         bounds["yaw rate"] = steepest * bounds["speed"] + rounding.yaw_rate
     return bounds
+
+
+def are_rounded_phases(trajectory: Trajectory, motion: SampledMotion) -> bool:
+    """Whether phases that miss their samples or a limit may do so because somebody rounded them.
+
+    They have six decimals at most, and lead no further from the samples than numbers that are off by r = 1e-5 each can
+    lead. With n phases of durations d and jerks j, the borders are off by n r, the acceleration by what its own
+    numbers add up to, e = r (1 + sum |j| + sum d), and by as much as it changes while the borders are off; speed and
+    distance by the integrals of that. What is further off is another motion.
+
+    Args:
+        trajectory: The path and the motion by the phases.
+        motion: The samples.
+    """
+    law = trajectory.time_law
+    if not np.array_equal(np.round(law.durations, _DECIMALS), law.durations):
+        return False
+    t, early = law.duration, _ROUNDED * law.durations.size
+    by_phases = trajectory.sample_at(motion.t)
+    steepest = float(np.max(np.abs(motion.acceleration))) + _ROUNDED
+    fastest = float(np.max(np.abs(motion.speed))) + _ROUNDED
+    e = _ROUNDED * (1.0 + float(np.sum(np.abs(law.jerks))) + t)
+    speed = _ROUNDED + t * e + early * steepest
+    place = _ROUNDED + t * speed + early * fastest + OFF_PATH
+    apart = np.hypot(motion.x - by_phases.x, motion.y - by_phases.y)
+    rough = Rounding.of(motion)
+    return bool(
+        abs(t - motion.t[-1]) <= early + rough.time
+        and np.max(np.abs(motion.acceleration - by_phases.acceleration))
+        <= e + early * float(np.max(np.abs(law.jerks))) + rough.acceleration
+        and np.max(np.abs(motion.speed - by_phases.speed)) <= speed + rough.speed
+        and np.max(apart) <= place + rough.place
+    )
 
 
 def check_samples_of(trajectory: Trajectory, motion: SampledMotion, problem: DockingProblem) -> SampledMotionVerdict:

@@ -153,6 +153,25 @@ def test_rounded_phases_prove_nothing_and_refute_nothing(planned):
     assert "the phases are rounded and prove nothing; " in result.stdout.splitlines()[-1]
 
 
+@pytest.mark.parametrize(
+    "phases",
+    [
+        {"start": [0.0, 0.0, 0.0], "durations": [1.0, 1.0], "jerks": [100.0, -100.0]},
+        lambda own: {**own, "durations": [0.5 * one for one in own["durations"]]},
+        lambda own: {**own, "jerks": [1.01 * one for one in own["jerks"]]},
+    ],
+)
+def test_phases_of_another_motion_are_not_called_rounded(planned, phases):
+    folder, _ = planned
+    document = json.loads((folder / "plan.json").read_text())
+    own = document["trajectory"]["phases"]
+    document["trajectory"]["phases"] = phases(own) if callable(phases) else phases
+    pathlib.Path("other.json").write_text(json.dumps(rounded(document, 6)))
+    result = run("certify", "other.json", folder / "bay.yaml")
+    assert result.exit_code == 3
+    assert re.search(r"motion +\d+ phases, .* s, refuted", result.stdout)
+
+
 def test_phases_that_break_a_limit_are_refuted(planned):
     folder, _ = planned
     document = json.loads((folder / "plan.json").read_text())

@@ -155,6 +155,18 @@ def test_where_all_numbers_are_rounded_the_samples_are_the_path(tmp_path, caplog
         load_plan(tmp_path / "exact.json")
 
 
+def test_another_curve_between_the_same_ends_is_not_called_rounded(tmp_path):
+    x = np.round(np.linspace(0.0, 2.0, 21), 6)
+    straight = Path((PolylineSegment(np.column_stack((x, 0.0 * x, 0.0 * x))),))
+    document = json.loads(PlanFile(path=straight).as_json(spacing=0.1))
+    bulge = np.round(0.03 * np.sin(np.pi * x), 6)
+    document["path"]["segments"] = [{"poses": np.column_stack((x, bulge, 0.0 * x)).tolist(), "direction": 1}]
+    document["path"]["s"] = [round(float(s), 6) for s in PolylineSegment(np.column_stack((x, bulge, 0.0 * x))).knots]
+    (tmp_path / "other.json").write_text(json.dumps(document))
+    with pytest.raises(InvalidFile, match="off the segments"):
+        load_plan(tmp_path / "other.json")
+
+
 def test_a_column_of_wrong_values_is_told_in_a_few_lines(tmp_path):
     def spoil(document):
         document["path"]["x"] = ["a"] * len(document["path"]["x"])

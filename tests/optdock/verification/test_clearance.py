@@ -534,3 +534,22 @@ def test_many_obstacles_are_looked_at_in_blocks_between_which_a_deadline_counts(
     monkeypatch.setattr(half_cells, "_MAX_PAIRS", 100)
     assert certify_path(Path(path.segments), problem).certified
     assert kinds(certify_path(Path(path.segments), problem, is_late=late_after(3))) == {"unproven"}
+
+
+class Named(Path):
+    """Paths that count as equal by their frame."""
+
+    def __eq__(self, other):
+        return isinstance(other, Path) and self.frame == other.frame
+
+    def __hash__(self):
+        return hash(self.frame)
+
+
+def test_the_kept_verdict_is_that_of_the_path_itself_not_of_an_equal_one():
+    straight, detour = (Named(clothoid([0.0, 3.0], [0.0, bend]).segments, "map") for bend in (0.0, 1.0))
+    assert straight == detour
+    problem = problem_for(straight, ObstacleSet.from_polygons([square(1.5, 1.0)]))
+    assert certify_path(straight, problem).certified
+    assert not certify_path(detour, problem).certified
+    assert certify_path(straight, problem) is certify_path(straight, problem)

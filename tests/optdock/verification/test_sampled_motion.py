@@ -167,6 +167,22 @@ def test_a_rest_on_the_way_refutes_nothing():
 # What is said of them.
 
 
+@pytest.mark.parametrize(("decimals", "period"), [(None, 0.02), (3, 0.02), (6, 0.003)])
+def test_a_robot_that_waits_at_a_cusp_does_not_accelerate(decimals, period):
+    """Of samples at rest between two gears nobody knows on which side of the cusp they are."""
+    path = two_gears(0.5)
+    law = timed(path).time_law
+    arrives = int(np.argmin(np.abs(law.states[:, 0] - path.cusps[0])))
+    waiting = TimeLaw(np.insert(law.durations, arrives, 2.0), np.insert(law.jerks, arrives, 0.0))
+    motion = TrajectoryColumns.from_trajectory(Trajectory(path, waiting), period)
+    motion = motion if decimals is None else rounded(motion, decimals)
+    assert messages(motion, path, problem_of(path)) == []
+    began = waiting.times[arrives]
+    waits = (motion.t > began + 0.5) & (motion.t < began + 1.5)
+    lie = motion._replace(acceleration=np.where(waits, 0.2, motion.acceleration))
+    assert any("speed off its accelerations" in fault for fault in messages(lie, path, problem_of(path)))
+
+
 def test_what_lies_between_samples_is_said_to_be_open():
     path = two_gears(0.8)
     for period in (0.01, 0.1):
