@@ -15,15 +15,15 @@ from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 
+from optdock.costmap.costmap import Costmap
 from optdock.errors import InvalidValue, LifecycleError
+from optdock.geometry.checked import instance
+from optdock.geometry.footprint import Footprint
 from optdock.parameters import PluginParameters, parse_parameters
+from optdock.problem import DockingProblem
 
 if TYPE_CHECKING:
     from collections.abc import Callable
-
-    from optdock.costmap.costmap import Costmap
-    from optdock.geometry.footprint import Footprint
-    from optdock.problem import DockingProblem
 
 __all__ = ["LifecycleState", "Plugin", "PluginContext"]
 
@@ -57,7 +57,7 @@ class PluginContext:
             grid is given, the one that is serves everybody.
 
     Raises:
-        InvalidValue: `footprint` is not the outline of the problem's robot.
+        InvalidValue: `footprint` is not the outline of the problem's robot, or a part is of another class.
     """
 
     name: str = ""
@@ -69,6 +69,10 @@ class PluginContext:
     local_costmap: Costmap | None = None
 
     def __post_init__(self) -> None:
+        kinds = {"costmap": Costmap, "footprint": Footprint, "problem": DockingProblem, "local_costmap": Costmap}
+        for name, kind in kinds.items():
+            if getattr(self, name) is not None:
+                instance(kind, getattr(self, name), f"context.{name}")
         if self.problem is None:
             if self.costmap is None:
                 object.__setattr__(self, "costmap", self.local_costmap)

@@ -51,7 +51,8 @@ def checked_task(task: Path | Trajectory, context: PluginContext, owner: str) ->
         )
     proven = task.certified_for if isinstance(task, Trajectory) else None
     if proven is not None and context.problem is not None:
-        others = [name for name in proven.differences(context.problem.fingerprint) if name != "start"]
+        differences = proven.differences(context.problem.fingerprint)
+        others = [name for name in differences if name not in ("start", "frame")]  # frames: above
         if others:
             raise ControllerInvalidPath(
                 f"{owner}: the trajectory was certified for another problem than the configured one: "

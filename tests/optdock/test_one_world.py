@@ -250,6 +250,20 @@ def test_two_footprints_in_one_context_are_refused():
         PluginContext(problem=problem(), footprint=Footprint.rectangle(0.3, 0.3, 0.41))
 
 
+@pytest.mark.parametrize("part", ["costmap", "footprint", "problem", "local_costmap"])
+def test_a_context_of_other_things_is_refused_by_name(part):
+    with pytest.raises(InvalidValue, match=f"context.{part}: must be a .*, got list"):
+        PluginContext(**{"problem": problem(), part: [1, 2]})
+
+
+def test_a_frame_that_nobody_named_is_no_other_frame():
+    trajectory = plan_dock(problem(frame="odom"), time_budget=5.0).trajectory
+    controller = create_plugin(Controller, "TrackingController")
+    controller.configure(PluginContext(problem=problem(frame="")))
+    controller.set_path(trajectory)
+    assert controller.compute_velocity_commands(START, Twist2(), None).linear > 0.0
+
+
 CHANGES = {
     "footprint": {"robot": Robot(Footprint.rectangle(0.3, 0.3, 0.41), LIMITS)},
     "limits": {"robot": Robot(BOX, dataclasses.replace(LIMITS, max_jerk=3.0))},
