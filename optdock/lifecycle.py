@@ -52,7 +52,9 @@ class PluginContext:
         problem: The docking problem at hand, or None outside a docking pipeline.
         clock: Monotonic seconds.
         logger: Where the plugin reports.
-        local_costmap: The grid around the robot, for behaviors that ask for a local one; None: `costmap` serves both.
+        local_costmap: The grid around the robot, for what is decided in motion: controllers see it beside everything
+            else, behaviors where they ask for it; planners and smoothers do not. Where neither a problem nor a second
+            grid is given, the one that is serves everybody.
 
     Raises:
         InvalidValue: `footprint` is not the outline of the problem's robot.
@@ -68,6 +70,8 @@ class PluginContext:
 
     def __post_init__(self) -> None:
         if self.problem is None:
+            if self.costmap is None:
+                object.__setattr__(self, "costmap", self.local_costmap)
             return
         outline = self.problem.robot.footprint
         if self.footprint is not None and not np.array_equal(self.footprint.vertices, outline.vertices):

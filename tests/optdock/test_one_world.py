@@ -219,6 +219,31 @@ def test_local_and_global_costmaps_are_told_apart():
     assert found(CostmapInfoType.BOTH) == [(1.4, 0.1), (1.4, 1.4)]
 
 
+@pytest.mark.parametrize("name", ["SimpleSmoother", "SavitzkyGolaySmoother"])
+def test_nav2s_smoothers_see_the_global_costmap_behind_a_local_one(name):
+    outline = scene_problem().robot.footprint
+    low, high = post_inside_the_bend().lower[0], post_inside_the_bend().upper[0]
+    fine = Costmap(np.zeros((2400, 2400), dtype=np.uint8), 0.0025, (-1.5, -1.5))
+    cells = fine.data.copy()
+    i, j = np.floor((np.stack((low, high)) + 1.5) / 0.0025).astype(int).T
+    cells[j[0] : j[1] + 1, i[0] : i[1] + 1] = 254
+    behind = PluginContext(costmap=fine.with_data(cells), local_costmap=fine, footprint=outline)
+    alone = PluginContext(local_costmap=fine.with_data(cells), footprint=outline)
+    for context in (behind, alone):
+        smoother = create_plugin(Smoother, name)
+        smoother.configure(context)
+        found = smoother.smooth(BENT, 10.0)
+        assert (found.path.segments[0].poses == BENT.segments[0].poses).all()
+
+
+def test_a_single_grid_serves_everybody_however_it_is_called():
+    context = PluginContext(local_costmap=AS_CELLS, footprint=BOX)
+    smoother = create_plugin(Smoother, "CasadiSmoother", {"max_curvature": 1.5, "max_curvature_rate": 6.0})
+    smoother.configure(context)
+    found = smoother.smooth(STRAIGHT, 5.0).path
+    assert certify_path(found, problem(costmap=AS_CELLS, clearance=ClearanceRule(0.0, 0.0, 0.0))).certified
+
+
 def test_two_footprints_in_one_context_are_refused():
     PluginContext(problem=problem(), footprint=Footprint(BOX.vertices))
     with pytest.raises(InvalidValue, match="footprint: differs"):
