@@ -33,6 +33,11 @@ class Deadline:
         self.seconds, self._clock = seconds, clock
         self._began = clock()
 
+    @classmethod
+    def of_allowance(cls, seconds: float, clock: Callable[[], float] = time.monotonic) -> Deadline:
+        """As Nav2 gives time allowances [s]: 0 means no deadline."""
+        return cls(seconds if seconds > 0.0 else math.inf, clock)
+
     @property
     def elapsed(self) -> float:
         """Seconds since the beginning."""

@@ -10,7 +10,7 @@ import numpy as np
 
 from optdock.errors import InvalidValue
 from optdock.fingerprint import digest
-from optdock.geometry.arrays import frozen_array, readonly
+from optdock.geometry.arrays import FrozenArrays, frozen_array, readonly
 from optdock.geometry.polygon import convex_pieces, edge_planes, simple_polygon
 from optdock.geometry.pose import transform_points
 from optdock.geometry.separation import ConvexPieces
@@ -28,7 +28,7 @@ __all__ = ["ObstacleSet"]
 
 
 @dataclass(frozen=True, eq=False)
-class ObstacleSet:
+class ObstacleSet(FrozenArrays):
     """Convex counter-clockwise polygons, padded to one vertex count by repeating the last vertex.
 
     Build it with `empty`, `from_polygons`, `from_rectangles` or `from_footprint`, and join sets with `+`.

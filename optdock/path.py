@@ -16,7 +16,7 @@ import numpy as np
 
 from optdock.errors import InvalidPath
 from optdock.fingerprint import digest
-from optdock.geometry.arrays import frozen_array, readonly
+from optdock.geometry.arrays import FrozenArrays, frozen_array, readonly
 from optdock.geometry.pose import Pose2, check_range, unwrap_yaw
 from optdock.segments import (
     SAME_POSITION,
@@ -39,7 +39,7 @@ __all__ = ["ClothoidSegment", "Direction", "Path", "PathSamples", "PolylineSegme
 
 
 @dataclass(frozen=True, eq=False)
-class Path:
+class Path(FrozenArrays):
     """Gear segments in driving order; between two of them is a cusp.
 
     Args:

@@ -15,6 +15,7 @@ from optdock.costmap.costmap import Costmap
 from optdock.dock import Dock
 from optdock.errors import InvalidValue
 from optdock.fingerprint import ProblemFingerprint, digest
+from optdock.geometry.arrays import FrozenArrays
 from optdock.geometry.checked import finite_number, instance, number
 from optdock.geometry.pose import Pose2
 from optdock.obstacles import ObstacleSet
@@ -70,7 +71,7 @@ class ClearanceRule:
 
 
 @dataclass(frozen=True, eq=False)
-class DockingProblem:
+class DockingProblem(FrozenArrays):
     """From where, to where, with what, among what.
 
     What the robot must not touch is everything that is given: the obstacles, the occupied and unknown cells of the

@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING, NamedTuple, Protocol
 
 import numpy as np
 
-from optdock.errors import InvalidPath
-from optdock.geometry.arrays import frozen_array, readonly
-from optdock.geometry.checked import instance, member
+from optdock.errors import InvalidPath, InvalidValue
+from optdock.geometry.arrays import FrozenArrays, frozen_array, readonly
+from optdock.geometry.checked import member
 from optdock.geometry.clothoid import ClothoidSpline
 from optdock.geometry.pose import check_range, unwrap_yaw
 
@@ -80,13 +80,16 @@ class Segment(Protocol):
 
 
 @dataclass(frozen=True, eq=False)
-class ClothoidSegment:
+class ClothoidSegment(FrozenArrays):
     """A gear segment that is exactly a clothoid spline: what the smoother returns."""
 
     spline: ClothoidSpline
 
     def __post_init__(self) -> None:
-        instance(ClothoidSpline, self.spline, "path: a clothoid segment's spline")
+        # Subclasses too: what overrides a curve's poses is another curve, of which nothing is known.
+        if type(self.spline) is not ClothoidSpline:
+            found = type(self.spline).__name__
+            raise InvalidValue(f"path: a clothoid segment's spline: must be a ClothoidSpline, got {found}")
 
     @property
     def direction(self) -> Direction:
@@ -117,7 +120,7 @@ class ClothoidSegment:
 
 
 @dataclass(frozen=True, eq=False)
-class PolylineSegment:
+class PolylineSegment(FrozenArrays):
     """A gear segment given by poses: what any planner hands over.
 
     Between poses position and yaw move linearly. A step is taken for the circular arc with its chord and its turn, so

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from optdock.errors import InvalidValue
-from optdock.geometry.arrays import frozen_array, readonly
+from optdock.geometry.arrays import FrozenArrays, frozen_array, readonly
 from optdock.geometry.checked import finite_number, instance
 from optdock.geometry.pose import Pose2, Twist2
 from optdock.path import Path
@@ -23,7 +23,7 @@ __all__ = ["TimeLaw", "Trajectory", "TrajectorySamples", "TrajectoryState"]
 
 
 @dataclass(frozen=True, eq=False)
-class TimeLaw:
+class TimeLaw(FrozenArrays):
     """Distance travelled over time, in phases of constant jerk.
 
     Args:
@@ -122,7 +122,7 @@ class TrajectorySamples(NamedTuple):
 
 
 @dataclass(frozen=True, eq=False)
-class Trajectory:
+class Trajectory(FrozenArrays):
     """A timed motion: a path, and a time law over its arc length.
 
     Args:

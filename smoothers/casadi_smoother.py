@@ -139,7 +139,7 @@ class CasadiSmoother(Smoother):
         if outcome.incumbent is None and outcome.converged and warm_start and may_be_kept(warm_start, wanted):
             runner.offer(warm_start, input_cost(warm_start, task.cost, wanted.dock.final_straight), "warm_start")
         if outcome.incumbent is None:
-            raise _failure(task, outcome, budget.max_time, wanted.dock.final_straight)
+            raise _failure(task, outcome, budget.seconds, wanted.dock.final_straight)
         if problem is None and self.context.problem is None and not covers(path, outcome.incumbent.path):
             self._confirm(outcome.incumbent.path)
         return _result(outcome, budget, setup, pool.build_time - built)

@@ -13,7 +13,7 @@ from optdock.parameters import PluginParameters
 
 if TYPE_CHECKING:
     from optdock.behaviors._collision import CollisionGate
-    from optdock.behaviors._deadline import Deadline
+    from optdock.deadline import Deadline
     from optdock.geometry.pose import Pose2
     from optdock.interfaces import BehaviorResult
 
@@ -66,7 +66,7 @@ class StraightMotion:
 
     def cycle(self, pose: Pose2, velocity: Twist2) -> tuple[BehaviorResult, Twist2]:
         """How it stands, and the command to send."""
-        if self._deadline.passed:
+        if self._deadline.passed():
             return stopped(failed(self._codes.timeout, "time allowance exceeded before the target was reached"))
         if self._origin is None:
             self._origin = pose

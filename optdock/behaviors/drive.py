@@ -6,9 +6,9 @@ from abc import ABC, abstractmethod
 from typing import TYPE_CHECKING, ClassVar
 
 from optdock.behaviors._collision import CollisionGate
-from optdock.behaviors._deadline import Deadline
 from optdock.behaviors._results import BACK_UP, DRIVE_ON_HEADING, SUCCEEDED, Codes, failed
 from optdock.behaviors._straight import DriveCommand, DriveParameters, StraightMotion
+from optdock.deadline import Deadline
 from optdock.errors import BehaviorException, InvalidValue
 from optdock.interfaces import Behavior, BehaviorResult, CostmapInfoType
 from optdock.parameters import parse_parameters
@@ -56,7 +56,7 @@ class _StraightBehavior(Behavior, ABC):
             gate = None if parsed.disable_collision_checks else self._gate()
         except BehaviorException as error:
             return failed(self.codes.unknown, str(error))
-        deadline = Deadline(self.context.clock, parsed.time_allowance)
+        deadline = Deadline.of_allowance(parsed.time_allowance, self.context.clock)
         self._motion = StraightMotion(self.codes, self.parameters, parsed, deadline, gate)
         return SUCCEEDED
 

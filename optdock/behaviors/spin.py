@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING
 from pydantic import Field
 
 from optdock.behaviors._collision import CollisionGate
-from optdock.behaviors._deadline import Deadline
 from optdock.behaviors._results import RUNNING, SPIN, SUCCEEDED, failed, stopped
+from optdock.deadline import Deadline
 from optdock.errors import BehaviorException, InvalidValue
 from optdock.geometry.pose import Twist2, normalize_angle
 from optdock.interfaces import Behavior, BehaviorResult, CostmapInfoType
@@ -80,7 +80,7 @@ class Spin(Behavior):
             gate = None if parsed.disable_collision_checks else self._gate()
         except (InvalidValue, BehaviorException) as error:
             return failed(SPIN.unknown, str(error))
-        self._turn = _Turn(parsed, Deadline(self.context.clock, parsed.time_allowance), gate)
+        self._turn = _Turn(parsed, Deadline.of_allowance(parsed.time_allowance, self.context.clock), gate)
         return SUCCEEDED
 
     def on_cycle_update(self, pose: Pose2, velocity: Twist2) -> tuple[BehaviorResult, Twist2]:  # noqa: ARG002 - part of the interface
@@ -92,7 +92,7 @@ class Spin(Behavior):
         turn = self._turn
         if turn is None:
             raise BehaviorException("Spin: on_run must succeed before the cycles begin")
-        if turn.deadline.passed:
+        if turn.deadline.passed():
             return stopped(failed(SPIN.timeout, "time allowance exceeded before the angle was reached"))
         turn.turned += normalize_angle(pose.yaw - turn.last_yaw) if turn.last_yaw is not None else 0.0
         turn.last_yaw = pose.yaw

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING
 from pydantic import Field
 
 from optdock.behaviors._collision import CollisionGate
-from optdock.behaviors._deadline import Deadline
 from optdock.behaviors._results import RUNNING, SUCCEEDED, UNDOCK, failed, stopped
+from optdock.deadline import Deadline
 from optdock.errors import BehaviorException, ControllerException, InvalidValue, OptdockError
 from optdock.interfaces import Behavior, BehaviorResult, Controller, CostmapInfoType
 from optdock.parameters import PluginParameters, parse_parameters
@@ -90,7 +90,7 @@ class Undock(Behavior):
         except OptdockError as error:
             return failed(UNDOCK.no_way, f"{type(error).__name__}: {error}")
         try:
-            self._drive = self._prepared(plan, Deadline(self.context.clock, parsed.time_allowance))
+            self._drive = self._prepared(plan, Deadline.of_allowance(parsed.time_allowance, self.context.clock))
         except OptdockError as error:
             code = UNDOCK.control if isinstance(error, ControllerException) else UNDOCK.unknown
             return failed(code, f"{type(error).__name__}: {error}")
@@ -151,7 +151,7 @@ class _Drive:
     def cycle(self, pose: Pose2, velocity: Twist2) -> tuple[BehaviorResult, Twist2]:
         """How it stands, and the command to send."""
         path = self.plan.trajectory.path
-        if self.deadline.passed:
+        if self.deadline.passed():
             return stopped(failed(UNDOCK.timeout, "time allowance exceeded before the staging pose was reached"))
         if not self.begun and path.start.distance_to(pose) > self.parameters.dock_tolerance:
             away = path.start.distance_to(pose)

@@ -6,8 +6,8 @@ from typing import TYPE_CHECKING
 
 from pydantic import Field
 
-from optdock.behaviors._deadline import Deadline
 from optdock.behaviors._results import RUNNING, SUCCEEDED, WAIT, failed, stopped
+from optdock.deadline import Deadline
 from optdock.errors import BehaviorException, InvalidValue
 from optdock.interfaces import Behavior, BehaviorResult, CostmapInfoType
 from optdock.parameters import PluginParameters, parse_parameters
@@ -34,7 +34,7 @@ class Wait(Behavior):
 
     def __init__(self, **parameters: object) -> None:
         super().__init__(**parameters)
-        self._running: tuple[Deadline, float] | None = None
+        self._running: Deadline | None = None
 
     @property
     def resource_info(self) -> CostmapInfoType:
@@ -48,7 +48,7 @@ class Wait(Behavior):
             parsed = parse_parameters(WaitCommand, command, "Wait")
         except InvalidValue as error:
             return failed(WAIT.invalid_input, str(error))
-        self._running = (Deadline(self.context.clock, 0.0), parsed.time)
+        self._running = Deadline(parsed.time, self.context.clock)
         return SUCCEEDED
 
     def on_cycle_update(self, pose: Pose2, velocity: Twist2) -> tuple[BehaviorResult, Twist2]:  # noqa: ARG002 - part of the interface
@@ -59,5 +59,4 @@ class Wait(Behavior):
         """
         if self._running is None:
             raise BehaviorException("Wait: on_run must succeed before the cycles begin")
-        deadline, duration = self._running
-        return stopped(SUCCEEDED if deadline.elapsed >= duration else RUNNING)
+        return stopped(SUCCEEDED if self._running.passed() else RUNNING)

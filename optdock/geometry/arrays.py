@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from optdock.errors import InvalidValue
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable
+    from collections.abc import Callable, Iterable, Mapping
 
     from numpy.typing import ArrayLike
 
@@ -19,8 +19,9 @@ IntArray: TypeAlias = NDArray[np.int64]
 BoolArray: TypeAlias = NDArray[np.bool_]
 
 _Array = TypeVar("_Array", bound="NDArray[np.generic]")
+_Value = TypeVar("_Value")
 
-__all__ = ["BoolArray", "FloatArray", "IntArray", "frozen_array", "readonly"]
+__all__ = ["BoolArray", "FloatArray", "FrozenArrays", "IntArray", "frozen_array", "readonly"]
 
 
 def readonly(array: _Array) -> _Array:
@@ -31,6 +32,34 @@ def readonly(array: _Array) -> _Array:
     frozen = array if array.base is None else array.copy()
     frozen.setflags(write=False)
     return frozen
+
+
+class FrozenArrays:
+    """A frozen value that holds arrays, and whose copies are as frozen as it is.
+
+    Numpy's own copies and what pickle restores are writable. Nobody needs copies of what cannot change, so a copy is
+    the value itself; and what pickle restores is made read-only again.
+    """
+
+    def __copy__(self: _Value) -> _Value:
+        return self
+
+    def __deepcopy__(self: _Value, memo: object) -> _Value:
+        return self
+
+    def __setstate__(self, state: Mapping[str, object]) -> None:
+        for name, value in state.items():
+            object.__setattr__(self, name, _frozen_again(value))
+
+
+def _frozen_again(value: object) -> object:
+    """Every array in a value, and in tuples of values, read-only."""
+    if isinstance(value, np.ndarray):
+        return readonly(value)
+    if isinstance(value, tuple):
+        make: Callable[[Iterable[object]], object] = getattr(value, "_make", tuple)  # a named tuple stays one
+        return make(_frozen_again(one) for one in value)
+    return value
 
 
 def frozen_array(values: ArrayLike, name: str, columns: int | None = None) -> FloatArray:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from optdock.errors import InvalidValue
-from optdock.geometry.arrays import frozen_array, readonly
+from optdock.geometry.arrays import FrozenArrays, frozen_array, readonly
 from optdock.geometry.checked import finite_number, instance
 from optdock.geometry.pose import Pose2, check_range
 
@@ -41,7 +41,7 @@ def _refined_breaks(knots: FloatArray, curvature: FloatArray) -> FloatArray:
 
 
 @dataclass(frozen=True, eq=False)
-class ClothoidSpline:
+class ClothoidSpline(FrozenArrays):
     """A drivable curve: `yaw'(s) = curvature(s)`, `(x, y)'(s) = direction * (cos yaw, sin yaw)`.
 
     `s` is the distance travelled, so a left turn along the travel has positive curvature in both gears. Curvature is

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from optdock.errors import InvalidValue
-from optdock.geometry.arrays import readonly
+from optdock.geometry.arrays import FrozenArrays, readonly
 from optdock.geometry.checked import number
 from optdock.geometry.polygon import convex_pieces, edge_planes, simple_polygon
 from optdock.geometry.separation import ConvexBody
@@ -27,7 +27,7 @@ _RADIUS_SIDES = 32  # of the polygon around a circle: it sticks out by at most 0
 
 
 @dataclass(frozen=True, eq=False)
-class Footprint:
+class Footprint(FrozenArrays):
     """A simple polygon around the robot, in its own frame (x forward, y left).
 
     Args:

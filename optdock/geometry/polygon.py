@@ -132,14 +132,19 @@ def _check_simple(points: FloatArray, name: str) -> None:
 def edge_normals(vertices: FloatArray) -> FloatArray:
     """Outward unit normals of counter-clockwise edges (edge i starts at vertex i). Shape (..., n, 2).
 
-    An edge of length zero, as padding makes, takes the normal of the edge before it.
+    An edge of length zero, as padding makes, takes the normal of the edge before it; where there is none, as polygons
+    that rounding made a point have no edge, any normal will do.
     """
     edges = np.roll(vertices, -1, axis=-2) - vertices
     size = np.max(np.abs(edges), axis=-1)
-    for i in range(1, vertices.shape[-2]):
+    count = vertices.shape[-2]
+    again = range(count) if count and np.any(size[..., 0] <= 0.0) else range(0)  # the edge before the first is the last
+    for i in (*range(1, count), *again):
         empty = size[..., i] <= 0.0
         edges[..., i, :] = np.where(empty[..., None], edges[..., i - 1, :], edges[..., i, :])
         size[..., i] = np.where(empty, size[..., i - 1], size[..., i])
+    if len(again):
+        edges, size = np.where(size[..., None] > 0.0, edges, 1.0), np.where(size > 0.0, size, 1.0)
     edges = edges / size[..., None]  # the length of a denormal edge has no digits left to divide by
     length = np.hypot(edges[..., 0], edges[..., 1])
     normals: FloatArray = np.stack((edges[..., 1], -edges[..., 0]), axis=-1) / length[..., None]

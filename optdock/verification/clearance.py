@@ -35,6 +35,7 @@ TOLERANCE = 1e-6  # [m], accepted shortfall; covers rounding where contact is al
 SHARPNESS = 1e-3  # [m]: the reported minimum is at most this far below a clearance that occurs
 _BLOCK = 4000  # cells looked at in one go, some milliseconds; a deadline is looked at in between
 _MAX_STEP = 0.08  # [m], first cells
+_MOST_FIRST = 100_000  # of them; on paths beyond 8 km they are longer
 _MAX_LEVELS = 24  # of halving
 _CHEAP = 48  # cells: a round of fewer takes hardly less time, so few open ones are cut into many parts at once
 _MAX_POSES = 60_000  # added by refinement
@@ -121,12 +122,13 @@ class _Prover:
     ) -> None:
         self.motion, self.problem, self.start_clearance = motion, problem, start_clearance
         self.attained, self.is_late = attained, is_late
+        self.step = max(_MAX_STEP, motion.path.length / _MOST_FIRST)
         self.poses = 0
 
     def run(self, crop: float) -> ClearanceProof:
         """Rounds of cells until each is proven, violated or given up; obstacles beyond `crop` [m] are left out."""
         # At the goal the path often has just what is required: a last cell of full length would need a second round.
-        cells = self.motion.cells(_MAX_STEP).last_halved()
+        cells = self.motion.cells(self.step).last_halved()
         budget = _MAX_POSES + cells.first.size
         settled: list[FloatArray] = []
         violations: list[FloatArray] = []
@@ -167,7 +169,7 @@ class _Prover:
         """Poses at which something lies deep inside something, and what cannot be proven; as `run` collects them."""
         robot = self.problem.robot.footprint
         at = self._ends(cells)[1].poses[:, :2]
-        reach = robot.circumscribed_radius + _MAX_STEP
+        reach = robot.circumscribed_radius + self.step
         core = wholes(robot, self.near, at.min(axis=0) - reach, at.max(axis=0) + reach)
         pairs = ((core.bodies, self.near), (robot.bodies, core.obstacles))
         found = [self._apart(rounded(bodies), rocks, cells) for bodies, rocks in pairs if bodies and len(rocks)]
@@ -214,8 +216,8 @@ class _Prover:
     def _crop(self, nodes: Nodes, crop: float) -> tuple[ObstacleSet, IntArray]:
         """The obstacles near the swept area, or all of them where none is near; and their rows in the problem."""
         everything = self.problem.all_obstacles
-        at = nodes.poses[:, :2]  # a cell strays from its chord by less than `_MAX_STEP`
-        reach = self.problem.robot.footprint.circumscribed_radius + _MAX_STEP + crop + self.problem.clearance.required
+        at = nodes.poses[:, :2]  # a cell strays from its chord by less than its length
+        reach = self.problem.robot.footprint.circumscribed_radius + self.step + crop + self.problem.clearance.required
         rows = everything.rows_in_box(at.min(axis=0) - reach, at.max(axis=0) + reach)
         if rows.size == 0 or rows.size > _WORTHWHILE * len(everything):
             return everything, np.arange(len(everything))

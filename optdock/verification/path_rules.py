@@ -82,21 +82,25 @@ def _first_pose(segment: Segment) -> FloatArray:
 
 
 def _gears(path: Path, problem: DockingProblem) -> Iterator[Violation]:
-    moving = _moving_segments(path)
-    last, wanted = moving[-1].direction, problem.dock.direction
+    last, wanted = _first_moving(path.segments[::-1]).direction, problem.dock.direction
     required = {DockDirection.FORWARD: Direction.FORWARD, DockDirection.BACKWARD: Direction.REVERSE}.get(wanted, last)
     if last is not required:
         message = f"the path enters the dock in {last.name.lower()} gear, the dock asks for {wanted.value}"
         yield Violation("direction", message, path.length, 1.0)
-    first = moving[0].direction
+    first = _first_moving(path.segments).direction
     if problem.start_speed * first < 0.0:
         message = f"the robot moves at {problem.start_speed:.3g} m/s but the path begins in {first.name.lower()} gear"
         yield Violation("direction", message, 0.0, abs(problem.start_speed))
 
 
-def _moving_segments(path: Path) -> Sequence[Segment]:
-    """The gears that lead anywhere; a motion within the tolerance of a pose has no direction."""
-    return [segment for segment in path.segments if segment.length > POSE_TOLERANCE] or path.segments
+def _first_moving(segments: Sequence[Segment]) -> Segment:
+    """The first gear that leads anywhere; motions that stay within the tolerance of a pose in all have no direction."""
+    driven = 0.0
+    for segment in segments:
+        driven += segment.length
+        if driven > POSE_TOLERANCE:
+            return segment
+    return segments[0]
 
 
 class _Steps(NamedTuple):
@@ -156,26 +160,33 @@ def _slip(path: Path, problem: DockingProblem) -> Iterator[Violation]:  # noqa: 
 def _drift(path: Path, problem: DockingProblem) -> Iterator[Violation]:  # noqa: ARG001 - one shape for all rules
     """What each step may slip sideways must not add up, over no stretch of the path.
 
-    A step of length h on a smooth curve moves by h^2 / 12 times its change of curvature to the side of its middle
-    heading: sampling alone does that, and it is not counted.
+    It is added up to the left of the body, and in the world along x and y: where the robot turns between two slips,
+    opposite sides of the body are the same side of the world. More is allowed on longer stretches only, not on longer
+    paths. A step of length h on a smooth curve moves by h^2 / 12 times its change of curvature to the side of its
+    middle heading: sampling alone does that, and it is not counted.
     """
-    sideways = [np.zeros(1)]
-    places = [np.zeros(1)]
+    sideways = [np.zeros((1, 3))]
+    driven, places = [np.zeros(1)], [np.zeros(1)]
     for segment, steps in _polylines(path):
         moving = steps.moving()
         found = moving.chord * np.sin(moving.slip) + moving.arc**2 / 12.0 * _curvature_changes(moving)
-        sideways.append(float(segment.direction) * found)  # to the left of the body
+        heading = moving.motion - moving.slip
+        parts = (float(segment.direction), -np.sin(heading), np.cos(heading))
+        sideways.append(np.column_stack([part * found for part in parts]))
+        driven.append(moving.arc)
         places.append(moving.s)
-    total = np.cumsum(np.concatenate(sideways))
-    drift = np.maximum(total - np.minimum.accumulate(total), np.maximum.accumulate(total) - total)
+    total = np.cumsum(np.concatenate(sideways), axis=0)
+    spared = np.hstack((total, -total)) - DRIFT_PER_METRE * np.cumsum(np.concatenate(driven))[:, None]
+    drift = np.max(spared - np.minimum.accumulate(spared, axis=0), axis=1)
     longest = max((float(np.max(steps.arc)) for _, steps in _polylines(path)), default=0.0)
     one_step = SLIP_TOLERANCE * min(longest, LONGEST_STEP)  # what a step across a kink of the curvature may slip
-    allowed = DRIFT_TOLERANCE + DRIFT_PER_METRE * path.length + one_step
+    allowed = DRIFT_TOLERANCE + one_step
     k = int(np.argmax(drift))
     if not drift[k] <= allowed:
         s = float(np.concatenate(places)[k])
         message = (
-            f"the path drifts sideways by {drift[k]:.3g} m in all up to s = {s:.3f} m, {allowed:.3g} m are allowed"
+            f"the path drifts sideways by {drift[k]:.3g} m in all up to s = {s:.3f} m, beside {DRIFT_PER_METRE:g} m "
+            f"per metre {allowed:.3g} m are allowed"
         )
         yield Violation("slip", message, s, float(drift[k] - allowed))
 

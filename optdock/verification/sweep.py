@@ -3,6 +3,9 @@
 Between two looks at the scene the same bound holds as in `clearance`: along the axis n that attains the distance d, a
 footprint vertex v moves by at least `n.v' dt - M dt^2 / 2`. At a constant twist v' is known exactly and
 M = |yaw rate| * |v'|, constant in time, so the longest safe step has a closed form. A straight motion needs one step.
+
+Where pieces may touch, their wholes are looked at as well, as in `contact`: a needle must not slip between two
+obstacles that touch each other, nor a post into a fan of thin pieces, deeper than 3 micrometres.
 """
 
 from __future__ import annotations
@@ -14,18 +17,22 @@ import numpy as np
 
 from optdock.geometry.pose import transform_points
 from optdock.geometry.separation import separation
-from optdock.verification.seams import joined_bodies
+from optdock.verification.contact import wholes
 
 if TYPE_CHECKING:
+    from collections.abc import Iterator, Sequence
+
     from optdock.geometry.arrays import FloatArray
     from optdock.geometry.footprint import Footprint
     from optdock.geometry.pose import Pose2, Twist2
     from optdock.geometry.separation import ConvexBody
     from optdock.obstacles import ObstacleSet
+    from optdock.verification.contact import Wholes
 
 __all__ = ["Sweep", "free_motion"]
 
 _SLACK = 1e-6  # [m]: lets a motion run along an obstacle at exactly the required clearance
+_APART = 2.0 * _SLACK  # [m]: pieces that keep this distance share nothing, neither alone nor as wholes
 _SHALLOW = 0.01  # [m]: overlap of a robot at rest in its dock; a motion may lead out of it, not deeper
 _SHORTEST_STEP = 1e-4  # [s]: when no longer step can be proven, the motion counts as blocked
 _MOST_STEPS = 2000
@@ -55,30 +62,67 @@ def free_motion(
         clearance: Distance to keep [m].
     """
     reach = footprint.circumscribed_radius + math.hypot(twist.linear, twist.lateral) * duration + clearance + _SLACK
-    near = np.flatnonzero(obstacles.box_distance(pose.as_array()[None, :2])[0] <= reach)
+    centre = np.array([pose.x, pose.y])
+    near = np.flatnonzero(obstacles.box_distance(centre[None])[0] <= reach)
     if near.size == 0:
         return Sweep(duration, -1)
     scene = obstacles.subset(near)
-    start = np.min([_distances(body, scene, pose) for body in joined_bodies(footprint)], axis=0)
-    required = np.minimum(clearance, start)
-    if float(required.min()) < -_SHALLOW:
-        return Sweep(0.0, int(near[int(np.argmin(required))]))
-    time, blocking = 0.0, -1
+    start = _distances(footprint.bodies, scene, pose)
+    if float(start.min()) < -_SHALLOW:
+        return Sweep(0.0, int(near[int(np.argmin(start))]))
+    pieces = _Group(footprint.bodies, scene, np.minimum(clearance, start))
+    apart = float(start.min()) >= _APART
+    if apart and clearance < _APART:
+        apart = _march((pieces._replace(required=np.full(near.size, _APART)),), pose, twist, duration)[0] >= duration
+    if apart and clearance < _APART:
+        return Sweep(duration, -1)
+    core = None if apart else wholes(footprint, scene, centre - reach, centre + reach)
+    groups = (pieces,) if core is None else (pieces, *_deep_groups(core, footprint, scene, pose))
+    free, end = _march(groups, pose, twist, duration)
+    if free >= duration:
+        return Sweep(duration, -1)
+    ahead = _distances(footprint.bodies, scene, end.moved(twist, _SHORTEST_STEP)) - pieces.required
+    return Sweep(free, int(near[int(np.argmin(ahead))]))
+
+
+class _Group(NamedTuple):
+    """Bodies that move as one, what they move among, and the distance to keep from each of it, Shape (m,) [m]."""
+
+    bodies: tuple[ConvexBody, ...]
+    scene: ObstacleSet
+    required: FloatArray
+
+
+def _deep_groups(core: Wholes, footprint: Footprint, scene: ObstacleSet, pose: Pose2) -> Iterator[_Group]:
+    """What must not overlap at all, or not more than it does at the start; see `contact`."""
+    for bodies, rocks in ((core.bodies, scene), (footprint.bodies, core.obstacles)):
+        if bodies and len(rocks):
+            yield _Group(bodies, rocks, np.minimum(0.0, _distances(bodies, rocks, pose)))
+
+
+def _march(groups: Sequence[_Group], pose: Pose2, twist: Twist2, duration: float) -> tuple[float, Pose2]:
+    """How long every group keeps its distances, `duration` at most [s], and the pose where the march ended."""
+    time = 0.0
     for _ in range(_MOST_STEPS):
-        steps = np.min([_safe_steps(body, scene, pose, twist, required) for body in joined_bodies(footprint)], axis=0)
-        blocking = int(np.argmin(steps))
-        step = float(steps[blocking])
+        step = min(
+            float(_safe_steps(body, group.scene, pose, twist, group.required).min())
+            for group in groups
+            for body in group.bodies
+        )
         if time + step >= duration:
-            return Sweep(duration, -1)
+            return duration, pose
         if step < _SHORTEST_STEP:
             break
         time, pose = time + step, pose.moved(twist, step)
-    return Sweep(time, int(near[blocking]))
+    return time, pose
 
 
-def _distances(body: ConvexBody, scene: ObstacleSet, pose: Pose2) -> FloatArray:
+def _distances(bodies: tuple[ConvexBody, ...], scene: ObstacleSet, pose: Pose2) -> FloatArray:
+    """Signed distance of the nearest of the bodies to every obstacle, Shape (m,) [m]."""
     poses = np.repeat(pose.as_array()[None], len(scene), axis=0)
-    return separation(body, poses, scene.pieces(np.arange(len(scene)))).distance
+    pieces = scene.pieces(np.arange(len(scene)))
+    nearest: FloatArray = np.min([separation(body, poses, pieces).distance for body in bodies], axis=0)
+    return nearest
 
 
 def _safe_steps(body: ConvexBody, scene: ObstacleSet, pose: Pose2, twist: Twist2, required: FloatArray) -> FloatArray:

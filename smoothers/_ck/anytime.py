@@ -201,7 +201,7 @@ class Runner:
         return None
 
     def _is_late(self) -> bool:
-        return self.budget.remaining < -_LATEST
+        return self.budget.left < -_LATEST
 
     def _nearly_feasible(self) -> bool:
         last = self.outcome.last

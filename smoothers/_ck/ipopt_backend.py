@@ -67,10 +67,10 @@ def solve_reference(task: Task, budget: Budget) -> tuple[Iterate, bool]:
         # What was near once stays watched, or two rounds could take turns in overlooking each other's obstacles.
         watched = np.unique(np.concatenate((watched, np.column_stack(near.pairs))), axis=0)
         found = clearance_of(task.world, layout, current.rollout, ends.signs, Pairs(*watched.T))
-        solved, success = _round(task, current, found, max(_SHORTEST, budget.remaining))
+        solved, success = _round(task, current, found, max(_SHORTEST, budget.left))
         settled = success and solved.feasible and abs(solved.cost - current.cost) < _SETTLED * current.cost
         current = solved
-        if settled or budget.remaining <= 0.0:
+        if settled or budget.left <= 0.0:
             break
     return current, settled
 

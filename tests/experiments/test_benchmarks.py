@@ -45,6 +45,15 @@ def test_certificates_and_first_calls_are_measured():
     assert min(first, later) > 0.0
 
 
+def test_deadlines_are_measured_on_a_busy_machine_too():
+    done = run("deadlines", "--calls", "3", "--seeds", "1", "--busy", "1")
+    assert done.returncode == 0, done.stderr
+    rows = [line.split() for line in done.stdout.splitlines()[-4:]]
+    assert [row[:2] for row in rows] == [["10", "3"], ["20", "3"], ["50", "3"], ["100", "3"]]
+    assert all(sum(map(int, row[2:5])) == 3 for row in rows)  # certified, timed out, refused
+    assert "1 busy processes" in done.stdout
+
+
 @pytest.mark.parametrize("wrong", [("nosuch",), ("smoothing", "timing", "--seeds", "1")])
 def test_wrong_names_are_answered_with_the_known_ones(wrong):
     done = run(*wrong)

@@ -1,6 +1,8 @@
 """The small frozen values: limits, dock, clearance rule, problem, obstacles."""
 
+import copy
 import math
+import pickle
 from enum import Enum
 
 import numpy as np
@@ -168,6 +170,28 @@ def test_no_array_of_a_frozen_value_can_be_written_to(which):
         assert not any(np.shares_memory(array, one) for one in given)
 
 
+@pytest.mark.parametrize("again", [copy.copy, copy.deepcopy, lambda value: pickle.loads(pickle.dumps(value))])
+@pytest.mark.parametrize("which", range(len(frozen_values()) - 1))  # layers write into copies of costmaps
+def test_copies_of_a_frozen_value_are_frozen(which, again):
+    value, _ = frozen_values()[which]
+    if isinstance(value, ObstacleSet):
+        value.pieces(np.array([0]))
+    found, wanted = arrays_of(again(value)), arrays_of(value)
+    assert len(found) == len(wanted) > 0
+    for array, original in zip(found, wanted, strict=True):
+        assert np.array_equal(array, original)
+        assert not array.flags.writeable
+        assert array.base is None
+
+
+def test_a_copied_problem_keeps_its_fingerprint():
+    problem = DockingProblem(POSE, Dock(POSE), Robot(Footprint(SQUARE), MotionLimits()))
+    assert copy.deepcopy(problem) is problem
+    restored = pickle.loads(pickle.dumps(problem))
+    assert restored is not problem
+    assert restored.fingerprint == problem.fingerprint
+
+
 @pytest.mark.parametrize(
     ("made", "message"),
     [
@@ -203,6 +227,7 @@ def test_no_array_of_a_frozen_value_can_be_written_to(which):
         (lambda: PolylineSegment([[0.0, 0.0, 0.0], [2e8, 0.0, 0.0]]), "path: coordinates must be within"),
         (lambda: PolylineSegment([[0.0, 0.0, 1e14], [1.0, 0.0, 1e14]]), "path: yaws must be within"),
         (lambda: ClothoidSegment(None), "spline: must be a ClothoidSpline"),
+        (lambda: ClothoidSegment(Hop(POSE, [0.0, 1.0], [0.0, 0.0])), "must be a ClothoidSpline, got Hop"),
         (lambda: TimeLaw([True], [1.0]), "time law.durations: must be numbers"),
         (lambda: TimeLaw([1.0], [1.0], start_speed="0"), "time law.start_speed: must be a number"),
         (lambda: Trajectory(POSES, TimeLaw([1.0], [1.0])), "trajectory.path: must be a Path"),
@@ -222,6 +247,13 @@ def test_exact_words_become_members():
     assert Dock(POSE, direction="backward").direction is DockDirection.BACKWARD
     assert Robot(Footprint(SQUARE), MotionLimits(), "ackermann").drive is Drive.ACKERMANN
     assert PolylineSegment(POSES, -1).direction is Direction.REVERSE
+
+
+class Hop(ClothoidSpline):
+    """Claims other poses than those of its curvature."""
+
+    def poses_at(self, s):
+        return super().poses_at(s) + 1.0
 
 
 class Detour(PolylineSegment):

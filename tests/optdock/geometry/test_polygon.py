@@ -134,6 +134,14 @@ def _turned(angle):
     return np.array([[np.cos(angle), np.sin(angle)], [-np.sin(angle), np.cos(angle)]])
 
 
+@pytest.mark.parametrize("order", [[0, 0, 1, 2], [0, 1, 2, 0], [0, 0, 0, 1], [1, 1, 1, 1]])
+def test_vertices_repeated_at_the_beginning_have_normals_as_well(order):
+    corners = np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]])[order]
+    normals, reach = edge_planes(corners)
+    assert np.hypot(*normals.T) == pytest.approx(1.0)
+    assert np.all(corners @ normals.T <= reach + 1e-15)
+
+
 def test_the_normal_of_a_denormal_edge_is_a_unit_vector():
     normals, offsets = edge_planes(np.array([[0.0, 0.0], [1e-323, 5e-324], [1.0, 1.0], [-1.0, 1.0]]))
     assert np.hypot(*normals.T) == pytest.approx(1.0, abs=1e-15)

@@ -1,6 +1,7 @@
 """Every rule of a path but clearance: kept with, broken without, and named."""
 
 import dataclasses
+import itertools
 
 import numpy as np
 import pytest
@@ -123,6 +124,21 @@ def test_a_moving_robot_keeps_its_gear_beyond_a_first_nanometre():
     assert kinds(path, problem(path, start_speed=-0.2)) == []
 
 
+@pytest.mark.parametrize(("count", "is_motion"), [(2, False), (200, True)])
+def test_gears_too_short_to_count_do_not_add_up(count, is_motion):
+    """Two steps of 0.4 micrometres have no direction, two hundred are a motion in reverse."""
+    s = 0.4e-6 * np.arange(count + 1)
+    tiny = [polyline([-a, -b], [0.0, 0.0]).segments[0].poses for a, b in itertools.pairwise(s)]
+    crawl = [PolylineSegment(poses, Direction.REVERSE) for poses in tiny]
+    last = PolylineSegment([[-1.0, 0.0, 0.0], [0.0, 0.0, 0.0]])
+    expected = ["direction"] if is_motion else []
+    path = Path((last, *crawl))
+    assert kinds(path, problem(path, direction=DockDirection.FORWARD, final_straight=0.0)) == expected
+    first = PolylineSegment([[-float(s[-1]), 0.0, 0.0], [1.0, 0.0, 0.0]])
+    path = Path((*crawl, first))
+    assert kinds(path, problem(path, start_speed=0.1, final_straight=0.0)) == expected
+
+
 def test_gears_that_do_not_meet_are_a_joint_violation():
     first = spline()
     whole = path_of(first, spline((0.0, 1.0), (0.0, 0.0), first.end, -1))
@@ -234,6 +250,23 @@ def test_slips_of_several_gears_add_up():
         gears.append(PolylineSegment(np.column_stack((along, y, 0.0 * x)), Direction(1 if k % 2 == 0 else -1)))
     path = Path(tuple(gears))
     assert kinds(path, problem(path, final_straight=0.0)) == ["slip"]
+
+
+def test_slips_add_up_in_the_world_where_the_robot_turns_round_between_them():
+    x = np.linspace(0.0, 0.1, 11)
+    rows = []
+    for k in range(40):  # to the left of the body, turn round in place, to its right, turn back
+        forth = np.column_stack((x if k % 2 == 0 else x[::-1], 0.0099 * (0.1 * k + x), np.full(11, np.pi * (k % 2))))
+        rows += [forth, forth[-1:] + np.array([0.0, 0.0, 0.5 * np.pi])]
+    path = Path.from_poses(np.concatenate(rows))
+    assert kinds(path, problem(path, MotionLimits(), final_straight=0.0)) == ["slip"]
+
+
+def test_a_long_way_before_allows_no_more_slip():
+    loops = ClothoidSegment(spline((0.0, 200.0 * np.pi), (1.0, 1.0), Pose2(0.0, 0.0, 0.0)))
+    x = np.linspace(0.0, 3.0, 301)
+    crab = Path((loops, *polyline(x, 0.0099 * x).segments))
+    assert kinds(crab, problem(crab, final_straight=0.0)) == ["slip"]
 
 
 def test_creeping_in_steps_too_short_to_count_is_a_slip():

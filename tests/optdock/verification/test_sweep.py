@@ -90,3 +90,40 @@ def test_it_agrees_with_dense_sampling(seed, v, w, clearance):
     if found.row >= 0:
         at_stop = pose_clearance(ORIGIN.moved(Twist2(v, w), found.free), BOX, obstacles)[0]
         assert at_stop < clearance + 2e-4
+
+
+@pytest.mark.parametrize("tip", [60.0, 10.0, 0.5])
+def test_a_needle_does_not_slip_between_obstacles_that_touch(tip):
+    """Along the seam it overlaps either box by a share of its depth only."""
+    half = 0.3 * math.tan(0.5 * math.radians(tip))
+    needle = Footprint([[0.3, 0.0], [0.0, half], [-0.3, max(half, 0.1)], [-0.3, -max(half, 0.1)], [0.0, -half]])
+    boxes = ObstacleSet.from_polygons(
+        [[[1.0, -1.0], [2.0, -1.0], [2.0, 0.0], [1.0, 0.0]], [[1.0, 0.0], [2.0, 0.0], [2.0, 1.0], [1.0, 1.0]]]
+    )
+    found = free_motion(needle, boxes, ORIGIN, Twist2(0.1), 20.0)
+    assert found.row in (0, 1)
+    assert 0.3 + 0.1 * found.free == pytest.approx(1.0, abs=2e-5)
+    assert 0.3 + 0.1 * found.free < 1.0 + 4e-6
+
+
+def test_a_post_does_not_slip_into_a_fan_of_thin_pieces():
+    share = np.linspace(-0.4, 0.4, 200)
+    notched = Footprint(
+        [*np.column_stack((3.0 - 2.6 * np.cos(share), 2.6 * np.sin(share))), (-0.5, 1.02), (-0.5, -1.02)]
+    )
+    post = block(0.41, 0.0, 0.41 + 4e-7, 4e-7)  # before the bulge of the front
+    assert free_motion(notched, post, ORIGIN, Twist2(0.1), 5.0).free == pytest.approx(0.1, abs=1e-3)
+    inside = free_motion(notched, post, Pose2(0.3, 0.0, 0.0), Twist2(0.1), 5.0)
+    assert inside.free < 1e-3  # it may not go deeper, however thin the pieces are that it lies in
+
+
+def test_a_motion_between_touching_obstacles_and_out_of_contact_stays_free():
+    """Map cells in a row beside a robot that touches them, and a robot that leaves its contact."""
+    cells = ObstacleSet.from_rectangles(
+        np.array([[0.1 * k, 0.25] for k in range(-10, 30)]),
+        np.array([[0.1 * k + 0.1, 0.35] for k in range(-10, 30)]),
+        "map",
+    )
+    assert free_motion(BOX, cells, ORIGIN, Twist2(0.2), 5.0) == (5.0, -1)
+    assert free_motion(BOX, cells, ORIGIN, Twist2(0.2, lateral=-0.05), 5.0) == (5.0, -1)
+    assert free_motion(BOX, cells, ORIGIN, Twist2(0.2, lateral=0.05), 5.0).free < 1e-3
