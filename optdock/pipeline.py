@@ -195,7 +195,7 @@ def plan_dock(
     instance(DockingProblem, problem, "problem")
     choices = PluginChoices() if plugins is None else instance(PluginChoices, plugins, "plugins")
     warm_up(choices)
-    run = _Run(problem, Deadline(time_budget - _margin(time_budget)), cancel_checker)
+    run = _Run(problem, Deadline(time_budget - _margin(time_budget)), cancel_checker, time_budget)
     try:
         with garbage_collection_paused():
             return run.plan(choices)
@@ -245,7 +245,7 @@ def _warm_once(planner: str, smoother: str, timing: str) -> None:
         Pose2(-2.0, 0.1, 0.1), Dock(Pose2(0.0, 0.0, 0.0), outline), Robot(Footprint.rectangle(0.3, 0.3, 0.5), limits)
     )
     with contextlib.suppress(OptdockError):
-        _Run(problem, Deadline(10.0), never_cancelled).plan(choices)
+        _Run(problem, Deadline(10.0), never_cancelled, 10.0).plan(choices)
         with _typed(choices.smoother):
             create_plugin(Smoother, smoother).warm_up()
 
@@ -257,12 +257,13 @@ class _Run:
     problem: DockingProblem
     deadline: Deadline
     cancel_checker: Callable[[], bool]
+    budget: float
     so_far: PartialPlan = field(default_factory=PartialPlan)
     longest_wait: float = 0.0
 
     def plan(self, choices: PluginChoices) -> DockPlan:
         """All stages in turn; `so_far` holds what exists when one of them raises."""
-        check_ends(self.problem)
+        self._timed("plan", lambda: check_ends(self.problem))
         raw = self._timed("plan", lambda: self._raw_path(choices.planner))
         self.so_far.raw_path = raw
         result = self._timed("smooth", lambda: self._smooth(choices.smoother, raw))
@@ -297,7 +298,7 @@ class _Run:
         return self.cancel_checker() or self.deadline.passed()
 
     def _raw_path(self, choice: PluginChoice) -> Path:
-        late = f"the planner used up the time budget of {self.deadline.seconds:.3g} s"
+        late = f"the planner used up the time budget of {self.budget:.3g} s"
         try:
             with _typed(choice):
                 planner = self._configured(GlobalPlanner, choice)
@@ -311,9 +312,9 @@ class _Run:
         return _returned(path, Path, choice).with_frame(self.problem.frame)
 
     def _smooth(self, choice: PluginChoice, raw: Path) -> SmoothingResult:
-        allowance = self.deadline.left - _reserve(self.deadline.seconds)
+        allowance = self.deadline.left - _reserve(self.budget)
         if allowance <= 0.0:
-            raise SmootherTimedOut(f"nothing is left of the time budget of {self.deadline.seconds:.3g} s for smoothing")
+            raise SmootherTimedOut(f"nothing is left of the time budget of {self.budget:.3g} s for smoothing")
         with _typed(choice):
             smoother = self._configured(Smoother, choice)
             result = smoother.smooth(raw, allowance, problem=self.problem, cancel_checker=self.cancel_checker)
@@ -382,7 +383,7 @@ class _Run:
         robot, dock = self.problem.robot, self.problem.dock
         allowance = self.deadline.left - _PROOF
         if allowance <= 0.0:
-            raise TimingTimedOut(f"nothing is left of the time budget of {self.deadline.seconds:.3g} s for timing")
+            raise TimingTimedOut(f"nothing is left of the time budget of {self.budget:.3g} s for timing")
         with _typed(choice):
             parameterizer.configure(self._context(choice))
             result = parameterizer.parameterize(

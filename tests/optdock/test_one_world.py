@@ -90,6 +90,8 @@ def worlds():
     yield "costmap in the problem", PluginContext(problem=problem(costmap=AS_CELLS))
     yield "costmap beside the problem", PluginContext(problem=free, costmap=AS_CELLS)
     yield "costmap beside the problem's costmap", PluginContext(problem=problem(costmap=grid()), costmap=AS_CELLS)
+    yield "local costmap beside the problem", PluginContext(problem=free, local_costmap=AS_CELLS)
+    yield "local costmap beside the global one", PluginContext(costmap=grid(), local_costmap=AS_CELLS, footprint=BOX)
     yield "costmap and footprint", PluginContext(costmap=AS_CELLS, footprint=BOX)
     yield "a station", PluginContext(problem=problem(dock=Dock(GOAL, Footprint(np.array(POST) - [3.0, 0.0]))))
 
