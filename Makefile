@@ -43,7 +43,7 @@ bench: $(STAMP)
 	$(BIN)/python -m experiments.benchmarks
 
 experiments: $(STAMP)
-	for script in experiments/[0-9]*.py; do $(BIN)/python $$script || exit 1; done
+	failed=0; for script in experiments/[0-9]*.py; do $(BIN)/python $$script || failed=1; done; exit $$failed
 
 clean:
 	rm -rf $(VENV) demo results

@@ -6,6 +6,7 @@ unconfigured -> inactive -> active -> finalized; a transition that its state doe
 
 from __future__ import annotations
 
+import dataclasses
 import logging
 import time
 from abc import ABC
@@ -15,15 +16,16 @@ from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 
+from optdock.costmap.cell_obstacles import obstacles_from_costmap
+from optdock.costmap.costmap import Costmap
 from optdock.errors import InvalidValue, LifecycleError
+from optdock.geometry.checked import instance
+from optdock.geometry.footprint import Footprint
 from optdock.parameters import PluginParameters, parse_parameters
+from optdock.problem import DockingProblem
 
 if TYPE_CHECKING:
     from collections.abc import Callable
-
-    from optdock.costmap.costmap import Costmap
-    from optdock.geometry.footprint import Footprint
-    from optdock.problem import DockingProblem
 
 __all__ = ["LifecycleState", "Plugin", "PluginContext"]
 
@@ -52,10 +54,12 @@ class PluginContext:
         problem: The docking problem at hand, or None outside a docking pipeline.
         clock: Monotonic seconds.
         logger: Where the plugin reports.
-        local_costmap: The grid around the robot, for behaviors that ask for a local one; None: `costmap` serves both.
+        local_costmap: The grid around the robot, read anew in every call: behaviors see it where they ask for it,
+            everybody else beside what else there is. It is no part of the problem, since it changes in motion. Where
+            neither a problem nor a second grid is given, the one that is serves everybody.
 
     Raises:
-        InvalidValue: `footprint` is not the outline of the problem's robot.
+        InvalidValue: `footprint` is not the outline of the problem's robot, or a part is of another class.
     """
 
     name: str = ""
@@ -67,7 +71,13 @@ class PluginContext:
     local_costmap: Costmap | None = None
 
     def __post_init__(self) -> None:
+        kinds = {"costmap": Costmap, "footprint": Footprint, "problem": DockingProblem, "local_costmap": Costmap}
+        for name, kind in kinds.items():
+            if getattr(self, name) is not None:
+                instance(kind, getattr(self, name), f"context.{name}")
         if self.problem is None:
+            if self.costmap is None:
+                object.__setattr__(self, "costmap", self.local_costmap)
             return
         outline = self.problem.robot.footprint
         if self.footprint is not None and not np.array_equal(self.footprint.vertices, outline.vertices):
@@ -79,15 +89,22 @@ class PluginContext:
             object.__setattr__(self, "costmap", self.problem.costmap)
 
     def problem_at_hand(self, called_with: DockingProblem | None) -> DockingProblem | None:
-        """The problem that a call is about, among everything that it and the context hold.
+        """The problem that a call is about, among everything that it and the context hold, the local costmap included.
 
         Args:
             called_with: The problem of the call; None: the configured one. Where it brings a costmap of its own, that
                 is the newer picture of the same surroundings and replaces the configured one.
         """
-        if called_with is None or called_with.costmap is not None or self.costmap is None:
-            return called_with or self.problem
-        return called_with.among(self.costmap)
+        found = self.problem if called_with is None else called_with
+        if found is None:
+            return None
+        if called_with is not None and called_with.costmap is None and self.costmap is not None:
+            found = found.among(self.costmap)
+        if self.local_costmap is None:
+            return found
+        # As it is now, and without the world beyond it: a local grid ends where nobody has looked yet.
+        local = obstacles_from_costmap(self.local_costmap, unknown_is_obstacle=found.unknown_is_obstacle, border=False)
+        return dataclasses.replace(found, obstacles=found.obstacles + local)
 
 
 class Plugin(ABC):

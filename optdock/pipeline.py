@@ -25,7 +25,7 @@ from optdock.errors import (
     SmootherTimedOut,
     TimingTimedOut,
 )
-from optdock.geometry.checked import number
+from optdock.geometry.checked import instance, number
 from optdock.geometry.footprint import Footprint
 from optdock.geometry.pose import Pose2
 from optdock.interfaces import (
@@ -67,10 +67,17 @@ _T = TypeVar("_T")
 
 @dataclass(frozen=True)
 class PluginChoice:
-    """Which plugin fills a role, and its parameters."""
+    """Which plugin fills a role, and its parameters.
+
+    Raises:
+        InvalidValue: The name is no text.
+    """
 
     name: str
     parameters: Mapping[str, object] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        instance(str, self.name, "plugin choice: name")
 
 
 _PLAIN_TIMING = PluginChoice("Windowed")
@@ -78,11 +85,19 @@ _PLAIN_TIMING = PluginChoice("Windowed")
 
 @dataclass(frozen=True)
 class PluginChoices:
-    """The three plugins of the pipeline."""
+    """The three plugins of the pipeline.
+
+    Raises:
+        InvalidValue: One of them is no `PluginChoice`.
+    """
 
     planner: PluginChoice = PluginChoice("DockPlanner")
     smoother: PluginChoice = PluginChoice("CasadiSmoother")
     timing: PluginChoice = PluginChoice("NearOptimal")
+
+    def __post_init__(self) -> None:
+        for role in ("planner", "smoother", "timing"):
+            instance(PluginChoice, getattr(self, role), f"plugin choices: {role}")
 
 
 @dataclass(frozen=True, eq=False)
@@ -159,7 +174,8 @@ def plan_dock(
         The certified plan.
 
     Raises:
-        InvalidValue: The budget is not a finite number > 0.
+        InvalidValue: The budget is not a finite number > 0, an argument is of another class, or a parameter of a plugin
+            is wrong.
         StartOccupied: Also GoalOccupied, StartOutsideMapBounds, GoalOutsideMapBounds: an end pose is impossible.
         NoValidPathCouldBeFound: The planner finds no raw path.
         FailedToSmoothPath: No path near the raw one keeps every bound.
@@ -168,16 +184,18 @@ def plan_dock(
         TimingTimedOut: The deadline came before the time law, or before its proof.
         PlannerTimedOut: The deadline came before the raw path.
         CertificationFailed: A plugin returned something that cannot be proven.
-        PluginError: A plugin raised something that is no error of ours; it is the cause.
+        PluginError: A plugin is unknown, returned something of another type, or raised what is no error of ours; that
+            is the cause.
 
     Every error carries `partial`, a `PartialPlan`.
     """
     time_budget = number(time_budget, "time_budget")
     if not (math.isfinite(time_budget) and time_budget > 0.0):
         raise InvalidValue(f"time_budget: must be finite and > 0 s, got {time_budget}")
-    choices = plugins or PluginChoices()
+    instance(DockingProblem, problem, "problem")
+    choices = PluginChoices() if plugins is None else instance(PluginChoices, plugins, "plugins")
     warm_up(choices)
-    run = _Run(problem, Deadline(time_budget - _margin(time_budget)), cancel_checker)
+    run = _Run(problem, Deadline(time_budget - _margin(time_budget)), cancel_checker, time_budget)
     try:
         with garbage_collection_paused():
             return run.plan(choices)
@@ -227,7 +245,7 @@ def _warm_once(planner: str, smoother: str, timing: str) -> None:
         Pose2(-2.0, 0.1, 0.1), Dock(Pose2(0.0, 0.0, 0.0), outline), Robot(Footprint.rectangle(0.3, 0.3, 0.5), limits)
     )
     with contextlib.suppress(OptdockError):
-        _Run(problem, Deadline(10.0), never_cancelled).plan(choices)
+        _Run(problem, Deadline(10.0), never_cancelled, 10.0).plan(choices)
         with _typed(choices.smoother):
             create_plugin(Smoother, smoother).warm_up()
 
@@ -239,12 +257,13 @@ class _Run:
     problem: DockingProblem
     deadline: Deadline
     cancel_checker: Callable[[], bool]
+    budget: float
     so_far: PartialPlan = field(default_factory=PartialPlan)
     longest_wait: float = 0.0
 
     def plan(self, choices: PluginChoices) -> DockPlan:
         """All stages in turn; `so_far` holds what exists when one of them raises."""
-        check_ends(self.problem)
+        self._timed("plan", lambda: check_ends(self.problem))
         raw = self._timed("plan", lambda: self._raw_path(choices.planner))
         self.so_far.raw_path = raw
         result = self._timed("smooth", lambda: self._smooth(choices.smoother, raw))
@@ -269,14 +288,17 @@ class _Run:
 
     def _configured(self, interface: type[P], choice: PluginChoice) -> P:
         plugin = create_plugin(interface, choice.name, choice.parameters)
-        plugin.configure(PluginContext(name=choice.name, problem=self.problem))
+        plugin.configure(self._context(choice))
         return plugin
+
+    def _context(self, choice: PluginChoice) -> PluginContext:
+        return PluginContext(name=choice.name, problem=self.problem)
 
     def _asked_to_stop(self) -> bool:
         return self.cancel_checker() or self.deadline.passed()
 
     def _raw_path(self, choice: PluginChoice) -> Path:
-        late = f"the planner used up the time budget of {self.deadline.seconds:.3g} s"
+        late = f"the planner used up the time budget of {self.budget:.3g} s"
         try:
             with _typed(choice):
                 planner = self._configured(GlobalPlanner, choice)
@@ -290,13 +312,14 @@ class _Run:
         return _returned(path, Path, choice).with_frame(self.problem.frame)
 
     def _smooth(self, choice: PluginChoice, raw: Path) -> SmoothingResult:
-        allowance = self.deadline.left - _reserve(self.deadline.seconds)
+        allowance = self.deadline.left - _reserve(self.budget)
         if allowance <= 0.0:
-            raise SmootherTimedOut(f"nothing is left of the time budget of {self.deadline.seconds:.3g} s for smoothing")
+            raise SmootherTimedOut(f"nothing is left of the time budget of {self.budget:.3g} s for smoothing")
         with _typed(choice):
             smoother = self._configured(Smoother, choice)
             result = smoother.smooth(raw, allowance, problem=self.problem, cancel_checker=self.cancel_checker)
-        return _returned(result, SmoothingResult, choice)
+        _returned(_returned(result, SmoothingResult, choice).path, Path, choice, "the path of its result")
+        return result
 
     def _certified(self, path: Path) -> Certificate:
         certificate = certify_path(path, self.problem, is_late=self.deadline.passed)
@@ -309,25 +332,32 @@ class _Run:
         raise CertificationFailed(f"the smoothed path is not certified: {reason}", where=where)
 
     def _certified_motion(self, choice: PluginChoice, path: Path) -> _Motion:
-        """The motion of the chosen method, or where that fails its proof, of the method that never needs repair."""
+        """The motion of the chosen method, or where that fails its proof, of the method that never needs repair.
+
+        That the path cannot be timed is an answer; any other error of the method is its own mistake.
+        """
+        parameterizer = create_plugin(TimeParameterizer, choice.name, choice.parameters)
         try:
-            return self._proven_motion(choice, path)
-        except (CertificationFailed, PluginError) as error:
+            return self._proven_motion(choice, parameterizer, path)
+        except FailedToTimePath:
+            raise
+        except OptdockError as error:
             if choice.name == _PLAIN_TIMING.name:
                 raise
             logger.warning("%s: %s; timed by %s instead", choice.name, error, _PLAIN_TIMING.name)
             try:
-                motion = self._proven_motion(_PLAIN_TIMING, path)
+                plain = create_plugin(TimeParameterizer, _PLAIN_TIMING.name)
+                motion = self._proven_motion(_PLAIN_TIMING, plain, path)
             except FailedToTimePath:
                 raise error from None
             return motion._replace(report={**motion.report, "replaced": f"{choice.name}: {error}"})
 
-    def _proven_motion(self, choice: PluginChoice, path: Path) -> _Motion:
+    def _proven_motion(self, choice: PluginChoice, parameterizer: TimeParameterizer, path: Path) -> _Motion:
         robot, dock, deadline = self.problem.robot, self.problem.dock, self.deadline
-        result = self._timed("time", lambda: self._time(choice, path))
-        if result.status is not TimingStatus.OK or result.trajectory is None:
+        result = self._timed("time", lambda: self._time(choice, parameterizer, path))
+        if result.status is not TimingStatus.OK:
             raise _timing_failure(result)
-        trajectory = result.trajectory
+        trajectory = _returned(result.trajectory, Trajectory, choice, "the trajectory of its result")
         if trajectory.path is not path and trajectory.path.digest != path.digest:
             message = f"{choice.name} timed another path than the certified one"
             raise CertificationFailed(message, where={"kind": "path"})
@@ -349,17 +379,18 @@ class _Run:
             raise CertificationFailed(f"the trajectory is not certified: {proof.reason}", where=_where(proof))
         return _Motion(Trajectory(path, trajectory.time_law, self.problem.fingerprint), proof, result.report)
 
-    def _time(self, choice: PluginChoice, path: Path) -> TimingResult:
+    def _time(self, choice: PluginChoice, parameterizer: TimeParameterizer, path: Path) -> TimingResult:
         robot, dock = self.problem.robot, self.problem.dock
         allowance = self.deadline.left - _PROOF
         if allowance <= 0.0:
-            raise TimingTimedOut(f"nothing is left of the time budget of {self.deadline.seconds:.3g} s for timing")
+            raise TimingTimedOut(f"nothing is left of the time budget of {self.budget:.3g} s for timing")
         with _typed(choice):
-            parameterizer = self._configured(TimeParameterizer, choice)
+            parameterizer.configure(self._context(choice))
             result = parameterizer.parameterize(
                 path, robot.limits, dock.approach, start_speed=abs(self.problem.start_speed), max_time=allowance
             )
-        return _returned(result, TimingResult, choice)
+        _returned(_returned(result, TimingResult, choice).status, TimingStatus, choice, "the status of its result")
+        return result
 
 
 class _Motion(NamedTuple):
@@ -390,14 +421,15 @@ def _typed(choice: PluginChoice) -> Iterator[None]:
         raise PluginError(f"{choice.name} failed: {type(error).__name__}: {error}") from error
 
 
-def _returned(value: object, kind: type[_T], choice: PluginChoice) -> _T:
-    """What a plugin returned, of the type that its interface promises.
+def _returned(value: object, kind: type[_T], choice: PluginChoice, part: str = "") -> _T:
+    """What a plugin returned, or a part of it, of the type that its interface promises.
 
     Raises:
         PluginError: It is of another type.
     """
     if not isinstance(value, kind):
-        raise PluginError(f"{choice.name} must return a {kind.__name__}, got {type(value).__name__}")
+        promised = f"{choice.name} must return a {kind.__name__}{part and ' as '}{part}"
+        raise PluginError(f"{promised}, got {type(value).__name__}")
     return value
 
 

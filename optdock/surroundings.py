@@ -1,7 +1,7 @@
 """What a configured plugin must not touch: everything that its context holds.
 
 The problem's obstacles always count, and with them the cells of the global costmap: `PluginContext` joins the two.
-Beside them stand the costmaps that Nav2's `CostmapInfoType` names.
+Beside them stand the costmaps that Nav2's `CostmapInfoType` names; who does not choose sees both.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ def asked_costmaps(context: PluginContext, needs: CostmapInfoType) -> tuple[Cost
 
 
 def obstacles_near(
-    context: PluginContext, lower: FloatArray, upper: FloatArray, needs: CostmapInfoType = CostmapInfoType.LOCAL
+    context: PluginContext, lower: FloatArray, upper: FloatArray, needs: CostmapInfoType = CostmapInfoType.BOTH
 ) -> ObstacleSet:
     """The obstacles that meet a box: the problem's, and the cells of the costmaps that `needs` names as they are now.
 

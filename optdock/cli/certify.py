@@ -51,12 +51,13 @@ class _Motion(NamedTuple):
 def _judged(plan: PlanFile, problem: DockingProblem) -> list[str]:
     """Every broken rule, printed with what was proven and what the file does not say."""
     from optdock.cli.plan_claims import false_claims, proven_against
+    from optdock.path import may_be_one_frame
     from optdock.report import certificate_rows, table
     from optdock.verification import certify_path
 
     if plan.path is None:
         return [f"the file holds no path, its status is {plan.status}"]
-    if plan.frame != problem.frame:
+    if not may_be_one_frame(plan.frame, problem.frame):
         return [f"the plan stands in frame {plan.frame!r}, the scenario in {problem.frame!r}; transform one of them"]
     certificate = certify_path(plan.path, problem)
     motion = _motion(plan, plan.path, problem)

@@ -34,7 +34,8 @@ def checked_task(task: Path | Trajectory, context: PluginContext, owner: str) ->
 
     It stands in the frame of the configured problem, as far as both are known: poses are measured there. A trajectory
     that was certified must have been certified for the problem that the controller is configured with. Its start may be
-    another: a new plan in motion begins where the robot is.
+    another: a new plan in motion begins where the robot is. What has come since the plan belongs in `local_costmap`,
+    which is looked at in every cycle; a controller keeps its state while it is configured anew for the next problem.
 
     Raises:
         ControllerInvalidPath: It is neither a path nor a trajectory, stands in another frame, or was certified for
@@ -50,7 +51,8 @@ def checked_task(task: Path | Trajectory, context: PluginContext, owner: str) ->
         )
     proven = task.certified_for if isinstance(task, Trajectory) else None
     if proven is not None and context.problem is not None:
-        others = [name for name in proven.differences(context.problem.fingerprint) if name != "start"]
+        differences = proven.differences(context.problem.fingerprint)
+        others = [name for name in differences if name not in ("start", "frame")]  # frames: above
         if others:
             raise ControllerInvalidPath(
                 f"{owner}: the trajectory was certified for another problem than the configured one: "

@@ -111,7 +111,7 @@ class DockPlanner(GlobalPlanner):
         if problem is None:
             return plan
         if self.parameters.check_free_space:
-            _check_free(plan.path, problem.all_obstacles)
+            _check_free(plan.path, (self.context.problem_at_hand(None) or problem).all_obstacles)
         return dataclasses.replace(plan, path=plan.path.with_frame(problem.frame))
 
     def _dock_footprint(self) -> Footprint | None:

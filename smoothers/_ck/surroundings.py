@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 from typing import TYPE_CHECKING
 
+from optdock.costmap.cell_obstacles import obstacles_from_costmap
 from optdock.dock import Dock, DockDirection
 from optdock.errors import InvalidValue
 from optdock.limits import MotionLimits
@@ -42,7 +43,7 @@ def configured_problem(path: Path, problem: DockingProblem) -> DockingProblem:
 def problem_between_ends(
     path: Path, context: PluginContext, limits: MotionLimits, clearance: float, final_straight: float
 ) -> DockingProblem:
-    """From the first pose of `path` to its last, among the occupied cells of the context's costmap around it.
+    """From the first pose of `path` to its last, among the occupied cells of the context's costmaps around it.
 
     The problem holds the cells that were read, not the grid; `covers` tells whether a result stayed among them.
 
@@ -51,13 +52,14 @@ def problem_between_ends(
     """
     if context.footprint is None:
         raise InvalidValue(f"{context.name}: configure it with a footprint, or pass a problem to smooth()")
-    costmap, obstacles = context.costmap, ObstacleSet.empty()
-    if costmap is not None:
-        from optdock.costmap.cell_obstacles import obstacles_from_costmap
-
-        points = path.sample(_SPACING).poses[:, :2]
-        reach = context.footprint.circumscribed_radius + clearance + _MARGIN
-        obstacles = obstacles_from_costmap(costmap, region=(points.min(axis=0) - reach, points.max(axis=0) + reach))
+    points = path.sample(_SPACING).poses[:, :2]
+    reach = context.footprint.circumscribed_radius + clearance + _MARGIN
+    region = points.min(axis=0) - reach, points.max(axis=0) + reach
+    obstacles = ObstacleSet.empty()
+    if context.costmap is not None:
+        obstacles = obstacles_from_costmap(context.costmap, region=region)
+    if context.local_costmap is not None and context.local_costmap is not context.costmap:
+        obstacles = obstacles + obstacles_from_costmap(context.local_costmap, region=region, border=False)
     rule = ClearanceRule(required=clearance, at_dock=0.0, taper=0.5 if clearance > 0.0 else 0.0)
     dock = Dock(path.end, final_straight=final_straight)
     robot = Robot(context.footprint, limits)

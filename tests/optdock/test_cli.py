@@ -246,6 +246,8 @@ def test_certify_refuses_a_plan_of_another_frame(planned):
     result = run("certify", "odom.json", folder / "bay.yaml")
     assert result.exit_code == 3
     assert "not certified: the plan stands in frame 'odom', the scenario in 'map'" in result.stderr
+    pathlib.Path("unnamed.json").write_text(json.dumps({**document, "frame": ""}))
+    assert run("certify", "unnamed.json", folder / "bay.yaml").exit_code == 0
 
 
 def test_certify_notices_a_path_through_an_obstacle(planned):

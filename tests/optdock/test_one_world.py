@@ -90,6 +90,8 @@ def worlds():
     yield "costmap in the problem", PluginContext(problem=problem(costmap=AS_CELLS))
     yield "costmap beside the problem", PluginContext(problem=free, costmap=AS_CELLS)
     yield "costmap beside the problem's costmap", PluginContext(problem=problem(costmap=grid()), costmap=AS_CELLS)
+    yield "local costmap beside the problem", PluginContext(problem=free, local_costmap=AS_CELLS)
+    yield "local costmap beside the global one", PluginContext(costmap=grid(), local_costmap=AS_CELLS, footprint=BOX)
     yield "costmap and footprint", PluginContext(costmap=AS_CELLS, footprint=BOX)
     yield "a station", PluginContext(problem=problem(dock=Dock(GOAL, Footprint(np.array(POST) - [3.0, 0.0]))))
 
@@ -219,10 +221,49 @@ def test_local_and_global_costmaps_are_told_apart():
     assert found(CostmapInfoType.BOTH) == [(1.4, 0.1), (1.4, 1.4)]
 
 
+@pytest.mark.parametrize("name", ["SimpleSmoother", "SavitzkyGolaySmoother"])
+def test_nav2s_smoothers_see_the_global_costmap_behind_a_local_one(name):
+    outline = scene_problem().robot.footprint
+    low, high = post_inside_the_bend().lower[0], post_inside_the_bend().upper[0]
+    fine = Costmap(np.zeros((2400, 2400), dtype=np.uint8), 0.0025, (-1.5, -1.5))
+    cells = fine.data.copy()
+    i, j = np.floor((np.stack((low, high)) + 1.5) / 0.0025).astype(int).T
+    cells[j[0] : j[1] + 1, i[0] : i[1] + 1] = 254
+    behind = PluginContext(costmap=fine.with_data(cells), local_costmap=fine, footprint=outline)
+    alone = PluginContext(local_costmap=fine.with_data(cells), footprint=outline)
+    for context in (behind, alone):
+        smoother = create_plugin(Smoother, name)
+        smoother.configure(context)
+        found = smoother.smooth(BENT, 10.0)
+        assert (found.path.segments[0].poses == BENT.segments[0].poses).all()
+
+
+def test_a_single_grid_serves_everybody_however_it_is_called():
+    context = PluginContext(local_costmap=AS_CELLS, footprint=BOX)
+    smoother = create_plugin(Smoother, "CasadiSmoother", {"max_curvature": 1.5, "max_curvature_rate": 6.0})
+    smoother.configure(context)
+    found = smoother.smooth(STRAIGHT, 5.0).path
+    assert certify_path(found, problem(costmap=AS_CELLS, clearance=ClearanceRule(0.0, 0.0, 0.0))).certified
+
+
 def test_two_footprints_in_one_context_are_refused():
     PluginContext(problem=problem(), footprint=Footprint(BOX.vertices))
     with pytest.raises(InvalidValue, match="footprint: differs"):
         PluginContext(problem=problem(), footprint=Footprint.rectangle(0.3, 0.3, 0.41))
+
+
+@pytest.mark.parametrize("part", ["costmap", "footprint", "problem", "local_costmap"])
+def test_a_context_of_other_things_is_refused_by_name(part):
+    with pytest.raises(InvalidValue, match=f"context.{part}: must be a .*, got list"):
+        PluginContext(**{"problem": problem(), part: [1, 2]})
+
+
+def test_a_frame_that_nobody_named_is_no_other_frame():
+    trajectory = plan_dock(problem(frame="odom"), time_budget=5.0).trajectory
+    controller = create_plugin(Controller, "TrackingController")
+    controller.configure(PluginContext(problem=problem(frame="")))
+    controller.set_path(trajectory)
+    assert controller.compute_velocity_commands(START, Twist2(), None).linear > 0.0
 
 
 CHANGES = {

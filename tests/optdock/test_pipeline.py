@@ -25,7 +25,7 @@ from optdock.errors import (
 )
 from optdock.geometry.footprint import Footprint
 from optdock.geometry.pose import Pose2
-from optdock.interfaces import Smoother, SmoothingResult, TimeParameterizer
+from optdock.interfaces import Smoother, SmoothingResult, TimeParameterizer, TimingResult, TimingStatus
 from optdock.limits import MotionLimits, SpeedZone
 from optdock.obstacles import ObstacleSet
 from optdock.path import Path
@@ -204,6 +204,33 @@ def test_an_unknown_plugin_is_named():
     assert isinstance(failure(problem(), plugins=choices), PluginError)
 
 
+@pytest.mark.parametrize(
+    ("choice", "error", "message"),
+    [
+        (PluginChoice("NearOptimol"), PluginError, "did you mean NearOptimal"),
+        (PluginChoice("NearOptimal", {"steep": 0.1}), InvalidValue, "NearOptimal.steep: unknown parameter"),
+    ],
+)
+def test_a_timing_that_was_asked_for_wrongly_is_not_replaced(choice, error, message):
+    found = failure(problem(), plugins=PluginChoices(timing=choice))
+    assert isinstance(found, error)
+    assert message in str(found)
+
+
+@pytest.mark.parametrize(
+    ("ask", "message"),
+    [
+        (lambda: plan_dock(None), "problem: must be a DockingProblem, got NoneType"),
+        (lambda: plan_dock(problem(), plugins="NearOptimal"), "plugins: must be a PluginChoices, got str"),
+        (lambda: PluginChoices(planner="DockPlanner"), "planner: must be a PluginChoice, got str"),
+        (lambda: PluginChoice(["DockPlanner"]), "name: must be a str, got list"),
+    ],
+)
+def test_what_is_no_request_is_refused_by_name(ask, message):
+    with pytest.raises(InvalidValue, match=message):
+        ask()
+
+
 def test_cancelling_stops_the_planner():
     assert isinstance(failure(problem(), cancel_checker=lambda: True), PlannerCancelled)
 
@@ -265,12 +292,30 @@ class Broken(TimeParameterizer):
         raise ZeroDivisionError("no time at all")
 
 
+class Careless(TimeParameterizer):
+    def parameterize(self, path, limits, zone, **start):
+        raise InvalidValue("durations: must be finite")
+
+
+class Numbered(TimeParameterizer):
+    def parameterize(self, path, limits, zone, **start):
+        return TimingResult(0, None)
+
+
+class Empty(TimeParameterizer):
+    def parameterize(self, path, limits, zone, **start):
+        return TimingResult(TimingStatus.OK, "a trajectory")
+
+
 @pytest.mark.parametrize(
     ("timing", "why"),
     [
         (Shortcut, "timed another path than the certified one"),
         (Hasty, "the trajectory is not certified: speed"),
         (Broken, "failed: ZeroDivisionError: no time at all"),
+        (Careless, "durations: must be finite"),
+        (Numbered, "must return a TimingStatus as the status of its result, got int"),
+        (Empty, "must return a Trajectory as the trajectory of its result, got str"),
     ],
 )
 def test_a_timing_plugin_is_never_believed_and_never_the_end(monkeypatch, timing, why):
@@ -301,6 +346,8 @@ def test_whatever_a_plugin_raises_is_typed(monkeypatch):
     assert isinstance(error.__cause__, IndexError)
     monkeypatch.setattr(Careless, "smooth", lambda self, path, max_time, **rest: path)
     assert "must return a SmoothingResult, got Path" in str(failure(problem()))
+    monkeypatch.setattr(Careless, "smooth", lambda self, path, max_time, **rest: SmoothingResult(None))
+    assert "must return a Path as the path of its result, got NoneType" in str(failure(problem()))
 
 
 def test_warming_up_warms_the_smoother_itself(monkeypatch):

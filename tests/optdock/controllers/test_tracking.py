@@ -297,6 +297,7 @@ class TestCollisions:
             "costmap of the problem": PluginContext(problem=task(costmap=walled)),
             "costmap and outline": PluginContext(costmap=walled, footprint=outline),
             "local costmap": PluginContext(problem=task(costmap=free), local_costmap=walled),
+            "behind a local costmap": PluginContext(costmap=walled, local_costmap=free, footprint=outline),
         }
 
     def driven(self, surroundings, trajectory=AHEAD, **parameters):
@@ -314,7 +315,10 @@ class TestCollisions:
             state = plant.step(state, command)
         return state, None
 
-    @pytest.mark.parametrize("world", ["polygon", "costmap of the problem", "costmap and outline", "local costmap"])
+    @pytest.mark.parametrize(
+        "world",
+        ["polygon", "costmap of the problem", "costmap and outline", "local costmap", "behind a local costmap"],
+    )
     def test_it_refuses_while_it_can_still_stop_before_it_is_deeper_than_the_tolerance(self, world):
         state, error = self.driven(self.worlds()[world])
         assert error is not None
