@@ -361,6 +361,8 @@ class _Run:
         if trajectory.path is not path and trajectory.path.digest != path.digest:
             message = f"{choice.name} timed another path than the certified one"
             raise CertificationFailed(message, where={"kind": "path"})
+        if type(trajectory) is not Trajectory or trajectory.path is not path:
+            trajectory = Trajectory(path, trajectory.time_law)
         speed = abs(self.problem.start_speed)
         proof = self._timed(
             "certify",
@@ -431,6 +433,11 @@ def _returned(value: object, kind: type[_T], choice: PluginChoice, part: str = "
         promised = f"{choice.name} must return a {kind.__name__}{part and ' as '}{part}"
         raise PluginError(f"{promised}, got {type(value).__name__}")
     return value
+
+
+def _plain(path: Path) -> Path:
+    """The path, of no subclass: one could have other poses than the segments that are proven."""
+    return path if type(path) is Path else Path(path.segments, path.frame)
 
 
 def _timing_failure(result: TimingResult) -> FailedToTimePath:

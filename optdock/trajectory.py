@@ -9,7 +9,7 @@ import numpy as np
 
 from optdock.errors import InvalidValue
 from optdock.geometry.arrays import FrozenArrays, frozen_array, readonly
-from optdock.geometry.checked import finite_number, instance
+from optdock.geometry.checked import exactly, finite_number
 from optdock.geometry.pose import Pose2, Twist2
 from optdock.path import Path
 
@@ -139,8 +139,9 @@ class Trajectory(FrozenArrays):
     certified_for: ProblemFingerprint | None = None
 
     def __post_init__(self) -> None:
-        instance(Path, self.path, "trajectory.path")
-        instance(TimeLaw, self.time_law, "trajectory.time_law")
+        # Subclasses too are refused: what overrides poses or distances is another motion, of which nothing is known.
+        exactly(Path, self.path, "trajectory.path")
+        exactly(TimeLaw, self.time_law, "trajectory.time_law")
 
     @property
     def frame(self) -> str:

@@ -16,7 +16,7 @@ from optdock.errors import InvalidValue
 if TYPE_CHECKING:
     from enum import Enum
 
-__all__ = ["finite_number", "instance", "member", "number"]
+__all__ = ["exactly", "finite_number", "instance", "member", "number"]
 
 _Member = TypeVar("_Member", bound="Enum")
 _Kind = TypeVar("_Kind")
@@ -78,5 +78,16 @@ def instance(kind: type[_Kind], value: object, name: str) -> _Kind:
         InvalidValue: It is of another class.
     """
     if isinstance(value, kind):
+        return value
+    raise InvalidValue(f"{name}: must be a {kind.__name__}, got {type(value).__name__}")
+
+
+def exactly(kind: type[_Kind], value: object, name: str) -> _Kind:
+    """The value itself, if it is of this class and of no subclass, which could be something else in the same clothes.
+
+    Raises:
+        InvalidValue: It is of another class.
+    """
+    if type(value) is kind:
         return value
     raise InvalidValue(f"{name}: must be a {kind.__name__}, got {type(value).__name__}")

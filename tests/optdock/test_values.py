@@ -273,3 +273,19 @@ def test_a_path_is_made_of_segments_that_can_be_judged(segment):
 def test_poses_out_of_range_make_no_path(poses):
     with pytest.raises(InvalidPath, match="path: (coordinates|yaws) must be within"):
         Path.from_poses(np.array(poses))
+
+
+def test_a_trajectory_is_made_of_nothing_that_overrides_its_motion():
+    class Elsewhere(Path):
+        def poses_at(self, s):
+            return super().poses_at(s) + 1.0
+
+    class Sooner(TimeLaw):
+        def at(self, t):
+            return super().at(2.0 * np.asarray(t))
+
+    path, law = Path.from_poses([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0]]), TimeLaw([1.0], [1.0])
+    Trajectory(path, law)
+    for wrong in ((Elsewhere(path.segments), law), (path, Sooner([1.0], [1.0]))):
+        with pytest.raises(InvalidValue, match="must be a"):
+            Trajectory(*wrong)
