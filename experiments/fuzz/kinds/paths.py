@@ -11,7 +11,7 @@ from experiments.fuzz.doors import path_of, problem_of
 from experiments.fuzz.generators.problems import path_problem
 from experiments.fuzz.oracle.motion import motion_of
 from experiments.fuzz.oracle.rules import findings
-from experiments.fuzz.oracle.sweep import sweep
+from experiments.fuzz.oracle.sweep import required_at, start_clearance, sweep
 from experiments.fuzz.oracle.world import World
 from optdock.errors import OptdockError
 from optdock.verification import certify_path
@@ -86,7 +86,7 @@ def _wrongly_refused(case: Case, certificate: Certificate) -> Verdict | None:
     if unfounded:
         message = next(v.message for v in certificate.violations if v.kind in unfounded)
         return Verdict("false refusal", f"{sorted(unfounded)[0]}, {_scene(case)}: {message}")
-    if not kinds <= {"clearance", "unproven"} or not _has_room(case, motion):
+    if not kinds <= {"clearance", "unproven"} or not _has_room(case, motion, certificate):
         return None
     return Verdict("false refusal", f"clearance, {_scene(case)}: {certificate.reason}")
 
@@ -99,10 +99,16 @@ def _scene(case: Case) -> str:
     return path + (", disc" if "radius" in case["footprint"] else "") + grid + contact
 
 
-def _has_room(case: Case, motion: Motion) -> bool:
-    """Whether the margin is above a millimetre everywhere."""
+def _has_room(case: Case, motion: Motion, certificate: Certificate) -> bool:
+    """Whether the margin is above a millimetre everywhere, where the certificate says it is not first of all."""
     world = World.of(case)
     spare = _SPARE + _ROUND * world.radius
+    shown = [violation.where["pose"] for violation in certificate.violations if "pose" in violation.where]
+    if shown and not world.is_empty:
+        poses = np.array(shown, dtype=float)
+        spared = world.clearances(poses) - required_at(case, poses, start_clearance(case, world))
+        if float(spared.min()) <= spare:
+            return False
     if float(sweep(case, motion, world, refine=False).margin.min()) <= spare:
         return False
     return bool(sweep(case, motion, world).margin.min() > spare)

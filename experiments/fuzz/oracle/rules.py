@@ -23,6 +23,7 @@ __all__ = ["Finding", "findings", "gap"]
 _POSE = 1e-6  # [m], [rad]: start, goal, joints
 _ADDED_UP = 10.0  # times the tolerance of one joint: what all of them may jump in sum
 _EXACT, _SAMPLED = 1e-6, 1e-3  # relative: curvature of clothoids, of polylines
+_ROUNDED = 1e-9  # [1/m]
 _SLIP, _BULGE, _STRAIGHT = 0.01, 0.005, 1e-4  # [rad], [m], [m] and [rad]
 _DRIFT, _DRIFT_PER_METRE, _LONGEST = 1e-3, 1e-4, 0.2  # [m], [m/m], [m]: sideways motion of a polyline, summed up
 _ROUNDING = 1e-6  # [m] of a polyline's positions
@@ -175,7 +176,9 @@ def _limit(kind: str, values: Floats, limit: float, slack: float, segment: Segme
     """A bound with a relative tolerance: ratio 1 is at the end of the tolerance, 0 at the bound itself or below."""
     if math.isinf(limit):
         return Finding(kind, 0.0, segment.start_s)
-    excess = (float(np.max(np.abs(values))) / limit - 1.0) / slack
+    # A difference of yaws is rounded to some 1e-16: below 1e-9 a curvature of short steps is that rounding.
+    most = float(np.max(np.abs(values)))
+    excess = (most / limit - 1.0) / slack if most > _ROUNDED or segment.exact else 1.0 * (most > limit * (1.0 - slack))
     return Finding(kind, max(excess, 0.0) if excess > -0.5 else 0.0, segment.start_s)
 
 

@@ -12,13 +12,14 @@ if TYPE_CHECKING:
     from experiments.fuzz.oracle.motion import Floats, Ints, Motion
     from experiments.fuzz.oracle.world import World
 
-__all__ = ["Sweep", "required_at", "sweep"]
+__all__ = ["AROUND", "Sweep", "required_at", "start_clearance", "sweep"]
 
 _STEP, _TURN = 0.04, 0.08  # [m], [rad] between first samples
 _MOST = 1500  # first samples
 _PARTS = 6  # of a refined interval
 _ROUNDS = 7
 _KEPT = 14  # intervals refined per round
+AROUND = 1.0 / np.cos(np.pi / 32.0) - 1.0  # of the radius: how far the polygon around a disc sticks out
 _ENOUGH = 1e-7  # [m]: what an interval may still hide
 
 
@@ -49,6 +50,14 @@ def required_at(case: Case, poses: Floats, start_clearance: float) -> Floats:
     return required_there
 
 
+def start_clearance(case: Case, world: World) -> float:
+    """Clearance of the start, by which the relief goes [m].
+
+    For a round robot that of the polygon around it, which is what the library measures: at most so much smaller.
+    """
+    return float(world.clearances(np.array([case["start"]], dtype=float))[0]) - AROUND * world.radius
+
+
 def sweep(case: Case, motion: Motion, world: World, *, refine: bool = True) -> Sweep:
     """Clearance and margin along the path.
 
@@ -66,7 +75,7 @@ class _Search:
 
     def __init__(self, case: Case, motion: Motion, world: World) -> None:
         self.case, self.motion, self.world = case, motion, world
-        self.start_clearance = float(world.clearances(np.array([case["start"]], dtype=float))[0])
+        self.start_clearance = start_clearance(case, world)
         reach = world.reach
         self.travel = motion.way + reach * motion.turn  # of any outline point within each piece
         bend = np.where(motion.exact, motion.h * motion.turn, 0.0)  # |p''| for a share from 0 to 1
