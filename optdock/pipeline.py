@@ -267,7 +267,7 @@ class _Run:
         raw = self._timed("plan", lambda: self._raw_path(choices.planner))
         self.so_far.raw_path = raw
         result = self._timed("smooth", lambda: self._smooth(choices.smoother, raw))
-        self.so_far.path = path = result.path.with_frame(self.problem.frame)
+        self.so_far.path = path = _plain(result.path).with_frame(self.problem.frame)
         certificate = self._timed("certify", lambda: self._certified(path))
         motion = self._certified_motion(choices.timing, path)
         completed = result.completed and not self.deadline.passed()
@@ -309,7 +309,7 @@ class _Run:
             raise
         if self.deadline.passed():
             raise PlannerTimedOut(late)
-        return _returned(path, Path, choice).with_frame(self.problem.frame)
+        return _plain(_returned(path, Path, choice)).with_frame(self.problem.frame)
 
     def _smooth(self, choice: PluginChoice, raw: Path) -> SmoothingResult:
         allowance = self.deadline.left - _reserve(self.budget)

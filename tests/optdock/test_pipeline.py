@@ -25,7 +25,7 @@ from optdock.errors import (
 )
 from optdock.geometry.footprint import Footprint
 from optdock.geometry.pose import Pose2
-from optdock.interfaces import Smoother, SmoothingResult, TimeParameterizer, TimingResult, TimingStatus
+from optdock.interfaces import GlobalPlanner, Smoother, SmoothingResult, TimeParameterizer, TimingResult, TimingStatus
 from optdock.limits import MotionLimits, SpeedZone
 from optdock.obstacles import ObstacleSet
 from optdock.path import Path
@@ -348,6 +348,32 @@ def test_whatever_a_plugin_raises_is_typed(monkeypatch):
     assert "must return a SmoothingResult, got Path" in str(failure(problem()))
     monkeypatch.setattr(Careless, "smooth", lambda self, path, max_time, **rest: SmoothingResult(None))
     assert "must return a Path as the path of its result, got NoneType" in str(failure(problem()))
+
+
+class Elsewhere(Path):
+    """A path whose poses are not those of the segments that are proven."""
+
+    def poses_at(self, s):
+        return super().poses_at(s) + 1.0
+
+
+@pytest.mark.parametrize("role", [GlobalPlanner, Smoother])
+def test_a_path_that_overrides_its_poses_is_never_handed_out(monkeypatch, role):
+    def made(interface, name, parameters=None):
+        plugin = create_plugin(interface, name, parameters)
+        if interface is role is GlobalPlanner:
+            plan = plugin.create_plan
+            plugin.create_plan = lambda *arguments: Elsewhere(plan(*arguments).segments)
+        elif interface is role is Smoother:
+            smooth = plugin.smooth
+            plugin.smooth = lambda *arguments, **more: SmoothingResult(
+                Elsewhere(smooth(*arguments, **more).path.segments)
+            )
+        return plugin
+
+    monkeypatch.setattr("optdock.pipeline.create_plugin", made)
+    plan = plan_dock(problem(), time_budget=BUDGET)
+    assert type(plan.raw_path) is type(plan.path) is type(plan.trajectory.path) is Path
 
 
 def test_warming_up_warms_the_smoother_itself(monkeypatch):
