@@ -327,9 +327,13 @@ class _Run:
         if certificate.certified:
             return certificate
         reason, where = certificate.reason, _where(certificate)
-        if self.deadline.passed() and all(violation.kind == "unproven" for violation in certificate.violations):
+        if self._was_cut_short(certificate):
             raise SmootherTimedOut(f"the proof of the smoothed path was cut short: {reason}", where=where)
         raise CertificationFailed(f"the smoothed path is not certified: {reason}", where=where)
+
+    def _was_cut_short(self, proof: Certificate | TrajectoryCertificate) -> bool:
+        """Whether nothing but the deadline stands in the way of a proof, as far as it went."""
+        return self.deadline.passed() and all(violation.kind == "unproven" for violation in proof.violations)
 
     def _certified_motion(self, choice: PluginChoice, path: Path) -> _Motion:
         """The motion of the chosen method, or where that fails its proof, of the method that never needs repair.
@@ -376,7 +380,7 @@ class _Run:
             ),
         )
         if not proof.certified:
-            if deadline.passed() and all(violation.kind == "unproven" for violation in proof.violations):
+            if self._was_cut_short(proof):
                 raise TimingTimedOut(f"the proof of the motion was cut short: {proof.reason}", where=_where(proof))
             raise CertificationFailed(f"the trajectory is not certified: {proof.reason}", where=_where(proof))
         return _Motion(Trajectory(path, trajectory.time_law, self.problem.fingerprint), proof, result.report)

@@ -10,7 +10,7 @@ from optdock.deadline import Deadline
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-__all__ = ["ENDLESS", "Allowance", "OutOfTime", "look", "never_late"]
+__all__ = ["ENDLESS", "Allowance", "OutOfTime", "look"]
 
 # Times the pace, over the paths of the timing benchmark: the windowed method takes 3 and the proof 7 in the median; the
 # quickest proof takes 4: with less left no motion is worth beginning.
@@ -51,11 +51,6 @@ class Allowance(NamedTuple):
 
 
 ENDLESS = Allowance(Deadline())
-
-
-def never_late() -> bool:
-    """There is no deadline."""
-    return False
 
 
 def look(is_late: Callable[[], bool]) -> None:

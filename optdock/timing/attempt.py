@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, NamedTuple
 
-from optdock.timing.allowance import look, never_late
+from optdock.deadline import never_late
+from optdock.timing.allowance import look
 from optdock.timing.arcs import launch_arc, stop_arc
 from optdock.timing.grid import acceleration_profile, grid_of
 from optdock.timing.guess import initial_guess

@@ -19,7 +19,8 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from optdock.timing.allowance import look, never_late
+from optdock.deadline import never_late
+from optdock.timing.allowance import look
 from optdock.timing.spline import Spline, applied, coefficients_of, limit_rows, ripple_bands, spline_of
 
 if TYPE_CHECKING:

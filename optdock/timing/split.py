@@ -11,7 +11,8 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from optdock.timing.allowance import look, never_late
+from optdock.deadline import never_late
+from optdock.timing.allowance import look
 from optdock.timing.motion import Phases, State
 from optdock.timing.moves import Box, move
 from optdock.timing.smooth import cell_phases

@@ -5,9 +5,10 @@ from __future__ import annotations
 import weakref
 from typing import TYPE_CHECKING
 
+from optdock.deadline import never_late
 from optdock.verification.certificate import Certificate, Violation
 from optdock.verification.clearance import prove_clearance
-from optdock.verification.kept_proofs import KeptProofs, never
+from optdock.verification.kept_proofs import KeptProofs
 from optdock.verification.path_rules import max_curvature, max_curvature_rate, path_violations
 
 if TYPE_CHECKING:
@@ -21,7 +22,7 @@ if TYPE_CHECKING:
 __all__ = ["certify_path"]
 
 
-def certify_path(path: Path, problem: DockingProblem, *, is_late: Callable[[], bool] = never) -> Certificate:
+def certify_path(path: Path, problem: DockingProblem, *, is_late: Callable[[], bool] = never_late) -> Certificate:
     """Prove that `path` solves `problem`, or name what is broken and where.
 
     Proven for every point of the continuous path: footprint clearance (second-order conservative advancement, see

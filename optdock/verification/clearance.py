@@ -13,9 +13,9 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from optdock.verification.contact import DEPTH, wholes
+from optdock.deadline import never_late
+from optdock.verification.contact import DEPTH, deep_pairs
 from optdock.verification.half_cells import HalfCells, body_bounds, half_cell_bounds, pose_clearances, rounded
-from optdock.verification.kept_proofs import never
 from optdock.verification.motion import Cells, PathMotion
 
 if TYPE_CHECKING:
@@ -81,7 +81,7 @@ class _Round(NamedTuple):
         return table
 
 
-def prove_clearance(path: Path, problem: DockingProblem, is_late: Callable[[], bool] = never) -> ClearanceProof:
+def prove_clearance(path: Path, problem: DockingProblem, is_late: Callable[[], bool] = never_late) -> ClearanceProof:
     """Prove the clearance rule of `problem` for every point of `path`, or find the poses that break it.
 
     Args:
@@ -170,9 +170,8 @@ class _Prover:
         robot = self.problem.robot.footprint
         at = self._ends(cells)[1].poses[:, :2]
         reach = robot.circumscribed_radius + self.step
-        core = wholes(robot, self.near, at.min(axis=0) - reach, at.max(axis=0) + reach)
-        pairs = ((core.bodies, self.near), (robot.bodies, core.obstacles))
-        found = [self._apart(rounded(bodies), rocks, cells) for bodies, rocks in pairs if bodies and len(rocks)]
+        pairs = deep_pairs(robot, self.near, at.min(axis=0) - reach, at.max(axis=0) + reach)
+        found = [self._apart(rounded(bodies), rocks, cells) for bodies, rocks in pairs]
         violations, given_up = zip(*found, strict=True) if found else ((), ())
         return np.concatenate((np.zeros((0, 7)), *violations)), np.concatenate((np.zeros((0, 4)), *given_up))
 

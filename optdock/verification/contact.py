@@ -22,7 +22,7 @@ removed rim, so a core is never too small, but for the precision of the offset c
 from __future__ import annotations
 
 import functools
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -38,7 +38,7 @@ if TYPE_CHECKING:
     from optdock.geometry.footprint import Footprint
     from optdock.geometry.separation import ConvexBody
 
-__all__ = ["DEPTH", "Wholes", "deepest", "wholes"]
+__all__ = ["DEPTH", "deep_pairs", "deepest"]
 
 DEPTH = 2e-6  # [m]; twice the tolerance, so that forgiven contact stays clear of the core by half of it
 _CRACK = 1e-7  # [m]: half the width of gaps between obstacles that count as none
@@ -46,28 +46,29 @@ _MARGIN = 0.1  # [m] around the box of interest: its own edges must not count as
 _ARC = 4  # segments of a quarter circle
 
 
-class Wholes(NamedTuple):
-    """What must not overlap at all: core pieces of the footprint, empty where it is convex, and of the obstacles."""
+def deep_pairs(
+    footprint: Footprint, obstacles: ObstacleSet, lower: FloatArray, upper: FloatArray
+) -> tuple[tuple[tuple[ConvexBody, ...], ObstacleSet], ...]:
+    """Bodies, and what they must not overlap at all within a box, Shape (2,) [m] each; nothing where no look is needed.
 
-    bodies: tuple[ConvexBody, ...]
-    obstacles: ObstacleSet
-
-
-def wholes(footprint: Footprint, obstacles: ObstacleSet, lower: FloatArray, upper: FloatArray) -> Wholes:
-    """The cores of a footprint and of the obstacles within a box, Shape (2,) [m] each."""
-    return Wholes(_footprint_core(footprint), _obstacle_core(obstacles, lower, upper))
+    The core of the footprint and the obstacles, where the footprint is not convex; the footprint and the core of the
+    obstacles, where some touch each other.
+    """
+    pairs = (
+        (_footprint_core(footprint), obstacles),
+        (footprint.bodies, _obstacle_core(obstacles, lower, upper)),
+    )
+    return tuple((bodies, rocks) for bodies, rocks in pairs if bodies and len(rocks))
 
 
 def deepest(footprint: Footprint, pose: FloatArray, obstacles: ObstacleSet) -> float:
     """Bound of the signed clearance at a pose, Shape (3,), from above: 0 unless something lies deeper than `DEPTH`."""
     reach = footprint.circumscribed_radius
     lower, upper = pose[:2] - reach, pose[:2] + reach
-    core = wholes(footprint, obstacles, lower, upper)
-    near = obstacles.rows_in_box(lower, upper)
-    pairs = ((core.bodies, obstacles, near), (footprint.bodies, core.obstacles, np.arange(len(core.obstacles))))
     found = [
         float(separation(body, np.tile(pose, (rows.size, 1)), rocks.pieces(rows)).distance.min())
-        for bodies, rocks, rows in pairs
+        for bodies, rocks in deep_pairs(footprint, obstacles, lower, upper)
+        for rows in (rocks.rows_in_box(lower, upper),)
         for body in bodies
         if rows.size
     ]

@@ -17,10 +17,10 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
+from optdock.deadline import never_late
 from optdock.geometry.pose import transform_points
 from optdock.geometry.separation import separation
 from optdock.verification.contact import DEPTH, deepest
-from optdock.verification.kept_proofs import never
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -102,7 +102,7 @@ def half_cell_bounds(
     stretches: HalfCells,
     obstacles: ObstacleSet,
     care: FloatArray,
-    is_late: Callable[[], bool] = never,
+    is_late: Callable[[], bool] = never_late,
 ) -> HalfBounds:
     """Bounds over all pieces of the footprint and all obstacles.
 
@@ -121,7 +121,7 @@ def body_bounds(
     stretches: HalfCells,
     obstacles: ObstacleSet,
     care: FloatArray,
-    is_late: Callable[[], bool] = never,
+    is_late: Callable[[], bool] = never_late,
 ) -> HalfBounds:
     """Likewise over bodies that move together, at least one; once `is_late()` bounds not begun with are -inf."""
     n = stretches.width.size

@@ -9,10 +9,12 @@ import weakref
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Generic, Protocol, TypeVar
 
+from optdock.deadline import never_late
+
 if TYPE_CHECKING:
     from collections.abc import Callable, Hashable
 
-__all__ = ["KeptProofs", "never"]
+__all__ = ["KeptProofs"]
 
 
 class _Verdict(Protocol):
@@ -22,11 +24,6 @@ class _Verdict(Protocol):
 
 Subject = TypeVar("Subject")
 Verdict = TypeVar("Verdict", bound=_Verdict)
-
-
-def never() -> bool:
-    """There is no deadline."""
-    return False
 
 
 @dataclass(frozen=True)
@@ -61,13 +58,13 @@ class KeptProofs(Generic[Subject, Verdict]):
         Args:
             subject: What is judged.
             against: What it is judged against; equal where the verdict must be the same.
-            is_late: The caller's deadline; `never` without one.
+            is_late: The caller's deadline; `never_late` without one.
             prove: Makes the proof, asking the callable that it is given whether it is late.
         """
         key = id(subject)
         known = self._kept.get(key)
         is_same = known is not None and known.subject() is subject and known.against == against
-        if known is not None and is_same and (known.is_whole or is_late is not never):
+        if known is not None and is_same and (known.is_whole or is_late is not never_late):
             return known.verdict
         was_late = False
 

@@ -17,17 +17,16 @@ import numpy as np
 
 from optdock.geometry.pose import transform_points
 from optdock.geometry.separation import separation
-from optdock.verification.contact import wholes
+from optdock.verification.contact import deep_pairs
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
+    from collections.abc import Sequence
 
     from optdock.geometry.arrays import FloatArray
     from optdock.geometry.footprint import Footprint
     from optdock.geometry.pose import Pose2, Twist2
     from optdock.geometry.separation import ConvexBody
     from optdock.obstacles import ObstacleSet
-    from optdock.verification.contact import Wholes
 
 __all__ = ["Sweep", "free_motion"]
 
@@ -71,13 +70,18 @@ def free_motion(
     if float(start.min()) < -_SHALLOW:
         return Sweep(0.0, int(near[int(np.argmin(start))]))
     pieces = _Group(footprint.bodies, scene, np.minimum(clearance, start))
-    apart = float(start.min()) >= _APART
-    if apart and clearance < _APART:
-        apart = _march((pieces._replace(required=np.full(near.size, _APART)),), pose, twist, duration)[0] >= duration
-    if apart and clearance < _APART:
-        return Sweep(duration, -1)
-    core = None if apart else wholes(footprint, scene, centre - reach, centre + reach)
-    groups = (pieces,) if core is None else (pieces, *_deep_groups(core, footprint, scene, pose))
+    may_touch = float(start.min()) < _APART
+    if not may_touch and clearance < _APART:
+        apart = pieces._replace(required=np.full(near.size, _APART))
+        if _march((apart,), pose, twist, duration)[0] >= duration:
+            return Sweep(duration, -1)
+        may_touch = True
+    deep = deep_pairs(footprint, scene, centre - reach, centre + reach) if may_touch else ()
+    # These must not overlap at all, or not more than they do at the start.
+    groups = (
+        pieces,
+        *(_Group(bodies, rocks, np.minimum(0.0, _distances(bodies, rocks, pose))) for bodies, rocks in deep),
+    )
     free, end = _march(groups, pose, twist, duration)
     if free >= duration:
         return Sweep(duration, -1)
@@ -91,13 +95,6 @@ class _Group(NamedTuple):
     bodies: tuple[ConvexBody, ...]
     scene: ObstacleSet
     required: FloatArray
-
-
-def _deep_groups(core: Wholes, footprint: Footprint, scene: ObstacleSet, pose: Pose2) -> Iterator[_Group]:
-    """What must not overlap at all, or not more than it does at the start; see `contact`."""
-    for bodies, rocks in ((core.bodies, scene), (footprint.bodies, core.obstacles)):
-        if bodies and len(rocks):
-            yield _Group(bodies, rocks, np.minimum(0.0, _distances(bodies, rocks, pose)))
 
 
 def _march(groups: Sequence[_Group], pose: Pose2, twist: Twist2, duration: float) -> tuple[float, Pose2]:

@@ -6,9 +6,10 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
+from optdock.deadline import never_late
 from optdock.path import Direction, PolylineSegment
 from optdock.verification.certificate import TrajectoryCertificate, Violation
-from optdock.verification.kept_proofs import KeptProofs, never
+from optdock.verification.kept_proofs import KeptProofs
 from optdock.verification.trajectory_cells import RTOL, Instants, crossings, curved_limits
 
 if TYPE_CHECKING:
@@ -32,7 +33,7 @@ def certify_trajectory(
     *,
     start_speed: float | None = None,
     start_acceleration: float | None = None,
-    is_late: Callable[[], bool] = never,
+    is_late: Callable[[], bool] = never_late,
 ) -> TrajectoryCertificate:
     """Prove that a trajectory keeps every motion limit, or name what is broken, when and by how much.
 

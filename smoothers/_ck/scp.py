@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
+from optdock.deadline import never_late
 from smoothers._ck.closing import clipped, close_goal, rate_kept, rate_limited
 from smoothers._ck.planes import clearance
 from smoothers._ck.rollout import Variables, roll_out, sensitivity
@@ -146,7 +147,7 @@ def merit(iterate: Iterate, penalties: Penalties) -> float:
 
 
 def search(
-    task: Task, pool: ProgramPool, max_iterations: int = 60, is_late: Callable[[], bool] = lambda: False
+    task: Task, pool: ProgramPool, max_iterations: int = 60, is_late: Callable[[], bool] = never_late
 ) -> Iterator[Progress]:
     """Yield after every iteration, the initial iterate first; the last one is `finished`.
 

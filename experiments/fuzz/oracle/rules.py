@@ -176,9 +176,11 @@ def _limit(kind: str, values: Floats, limit: float, slack: float, segment: Segme
     """A bound with a relative tolerance: ratio 1 is at the end of the tolerance, 0 at the bound itself or below."""
     if math.isinf(limit):
         return Finding(kind, 0.0, segment.start_s)
-    # A difference of yaws is rounded to some 1e-16: below 1e-9 a curvature of short steps is that rounding.
     most = float(np.max(np.abs(values)))
-    excess = (most / limit - 1.0) / slack if most > _ROUNDED or segment.exact else 1.0 * (most > limit * (1.0 - slack))
+    if most <= _ROUNDED and not segment.exact:
+        # A difference of yaws is rounded to some 1e-16: so small a curvature of short steps is rounding, and doubtful.
+        return Finding(kind, 1.0 if most > limit * (1.0 - slack) else 0.0, segment.start_s)
+    excess = (most / limit - 1.0) / slack
     return Finding(kind, max(excess, 0.0) if excess > -0.5 else 0.0, segment.start_s)
 
 

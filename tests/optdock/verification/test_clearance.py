@@ -9,6 +9,7 @@ import shapely
 from hypothesis import given
 from hypothesis import strategies as st
 
+from optdock.deadline import never_late
 from optdock.dock import Dock
 from optdock.geometry.clothoid import ClothoidSpline
 from optdock.geometry.footprint import Footprint
@@ -21,7 +22,6 @@ from optdock.problem import ClearanceRule, DockingProblem
 from optdock.robot import Robot
 from optdock.verification import certify_path, clearance, half_cells, pose_clearance
 from optdock.verification.clearance import _Prover
-from optdock.verification.kept_proofs import never
 from optdock.verification.motion import PathMotion
 
 ROBOT = Robot(Footprint.rectangle(0.45, 0.45, 0.6), MotionLimits())
@@ -466,7 +466,7 @@ def test_the_requirement_of_a_cell_holds_for_all_of_its_poses(seed):
     rule = ClearanceRule(0.3, 0.0, float(rng.uniform(0.2, 1.5)))
     problem = problem_for(path, ObstacleSet.from_polygons([square(5.0, 5.0)]), clearance=rule)
     start_clearance = float(rng.uniform(0.0, 0.4))
-    prover = _Prover(PathMotion(path), problem, start_clearance, 0.0, never)
+    prover = _Prover(PathMotion(path), problem, start_clearance, 0.0, never_late)
     cells = prover.motion.cells(0.3)
     ends = cells.ends()
     nodes = prover.motion.nodes(ends.segment, ends.u)
