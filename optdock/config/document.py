@@ -30,7 +30,7 @@ from optdock.geometry.polygon import simple_polygon
 from optdock.geometry.pose import Pose2
 from optdock.io.numbers import is_number
 from optdock.io.units import check_outline, check_speed, check_yaw
-from optdock.limits import MotionLimits, SpeedZone
+from optdock.limits import MotionLimits
 from optdock.pipeline import DEFAULT_TIME_BUDGET
 from optdock.problem import ClearanceRule
 from optdock.robot import Drive, Robot
@@ -195,8 +195,7 @@ class DockDocument(_Part):
 
     def value(self) -> Dock:
         """The dock."""
-        zone = SpeedZone(self.approach_speed, self.approach_distance)
-        return Dock(self.pose, self.footprint, self.direction, self.final_straight, zone)
+        return Dock(**dict(self))
 
 
 class StartDocument(_Part):

@@ -12,8 +12,8 @@ from optdock.config.faults import Fault, faults_of
 from optdock.errors import PluginError
 from optdock.io.numbers import is_number
 from optdock.io.units import unit_fault
-from optdock.pipeline import PluginChoice, PluginChoices
-from optdock.plugins import INTERFACES, load_plugin
+from optdock.pipeline import DEFAULT_PLANNER, DEFAULT_SMOOTHER, DEFAULT_TIMING
+from optdock.plugins import INTERFACES, PluginChoice, load_plugin
 
 if TYPE_CHECKING:
     from optdock.lifecycle import Plugin
@@ -22,9 +22,9 @@ __all__ = ["PLUGIN_DEFAULTS", "plugin_choice"]
 
 # The plugin of a section that names none.
 PLUGIN_DEFAULTS: Mapping[str, str] = {
-    "planner": PluginChoices().planner.name,
-    "smoother": PluginChoices().smoother.name,
-    "timing": PluginChoices().timing.name,
+    "planner": DEFAULT_PLANNER,
+    "smoother": DEFAULT_SMOOTHER,
+    "timing": DEFAULT_TIMING,
     "controller": "TrackingController",
     "goal_checker": "DockGoalChecker",
 }
