@@ -15,7 +15,7 @@ from optdock.path import Path, may_be_one_frame
 from optdock.pipeline import plan_dock
 from optdock.plugins import create_plugin
 from optdock.report import plan_file
-from optdock.testing.contracts_scene import GOAL, ORIGIN, raw_path, scene_problem
+from optdock.testing.contracts.scene import GOAL, ORIGIN, raw_path, scene_problem
 from optdock.verification import certify_path
 
 DEPOT = dataclasses.replace(scene_problem(), frame="depot")

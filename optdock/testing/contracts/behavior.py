@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING, ClassVar
 from optdock.errors import BehaviorException
 from optdock.geometry.pose import Pose2, Twist2
 from optdock.interfaces import Behavior, BehaviorResult, BehaviorStatus, CostmapInfoType, PluginContext
-from optdock.testing.contracts_plugin import PluginContract
-from optdock.testing.contracts_rules import refused, require
-from optdock.testing.contracts_scene import (
+from optdock.testing.contracts.plugin import PluginContract
+from optdock.testing.contracts.rules import refused, require
+from optdock.testing.contracts.scene import (
     ORIGIN,
     ROBOT,
     free_costmap,

@@ -12,10 +12,9 @@ from optdock.errors import PlannerCancelled, PlannerException
 from optdock.geometry.pose import Pose2, normalize_angle
 from optdock.interfaces import GlobalPlanner
 from optdock.path import Path
-from optdock.testing.contracts_plugin import PluginContract
-from optdock.testing.contracts_polls import PollGaps, poll_gaps, require_cancellable
-from optdock.testing.contracts_rules import require
-from optdock.testing.contracts_scene import GOAL, ORIGIN, scene_context, scene_problem
+from optdock.testing.contracts.plugin import PluginContract
+from optdock.testing.contracts.rules import PollGaps, poll_gaps, require, require_cancellable
+from optdock.testing.contracts.scene import GOAL, ORIGIN, scene_context, scene_problem
 
 if TYPE_CHECKING:
     from collections.abc import Callable

@@ -8,15 +8,18 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from optdock.costmap.costmap import FREE_SPACE, LETHAL, Costmap
 from optdock.dock import Dock, DockDirection
 from optdock.geometry.footprint import Footprint
 from optdock.geometry.pose import Pose2, transform_points
 from optdock.limits import MotionLimits, SpeedZone
 from optdock.path import Direction, Path
 from optdock.robot import Drive, Robot
-from optdock.testing.families_motion import Gear, Kink, Piece, motion_to, straight, turn
+from optdock.testing.families.motion import Gear, Kink, Piece, motion_to, straight, turn
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from optdock.geometry.arrays import FloatArray
 
 __all__ = [
@@ -29,6 +32,7 @@ __all__ = [
     "Scene",
     "amr_turn",
     "box",
+    "drawn_costmap",
     "forward",
     "post",
     "random_kinks",
@@ -42,6 +46,7 @@ FINAL_STRAIGHT = 0.3  # [m]
 ORIGIN = Pose2(0.0, 0.0, 0.0)
 _AMR_RATE = 5.0  # of the ramps of hand-written motions; the limit is 6 [1/m^2]
 _CLEAR_OF_MOTION = 0.08  # random obstacles stay this far from the motion; 0.05 is required [m]
+_MAP_BORDER = 1.5  # free cells around the motion and the polygons of a drawn map [m]
 
 
 def _limits(curvature: float, rate: float) -> MotionLimits:
@@ -163,3 +168,29 @@ def swept_area(robot: Robot, motion: Path, margin: float = _CLEAR_OF_MOTION) -> 
     area = shapely.union_all(shapely.buffer(outlines, margin, quad_segs=4))
     shapely.prepare(area)
     return area
+
+
+def drawn_costmap(polygons: Sequence[FloatArray], robot: Robot, motion: Path, cell: float) -> Costmap:
+    """A map, with room around the motion, on which the cells that touch a polygon are occupied.
+
+    Cells near what the robot sweeps along the motion stay free.
+
+    Args:
+        polygons: Shape (n, 2) [m] each.
+        robot: What drives.
+        motion: What must stay possible.
+        cell: Side of a cell [m].
+    """
+    import shapely
+
+    points = np.vstack((*polygons, motion.sample(0.1).poses[:, :2]))
+    first = np.floor((points.min(axis=0) - _MAP_BORDER) / cell).astype(np.int64)
+    size = np.ceil((points.max(axis=0) + _MAP_BORDER) / cell).astype(np.int64) - first
+    x, y = ((first[axis] + np.arange(size[axis])) * cell for axis in (0, 1))
+    left, low = np.meshgrid(x, y)
+    cells = shapely.box(left, low, left + cell, low + cell)
+    solid = shapely.union_all([shapely.Polygon(polygon) for polygon in polygons])
+    shapely.prepare(solid)
+    occupied = shapely.intersects(solid, cells) & ~shapely.intersects(swept_area(robot, motion), cells)
+    costs = np.where(occupied, LETHAL, FREE_SPACE).astype(np.uint8)
+    return Costmap(costs, cell, (float(first[0] * cell), float(first[1] * cell)))

@@ -1,4 +1,7 @@
-"""Cancellation: whether a plugin asks its cancel checker, how often, and whether it obeys."""
+"""How a contract is judged: what must hold, what must be refused, and whether a call can be cancelled.
+
+No test runner is needed for it.
+"""
 
 from __future__ import annotations
 
@@ -6,14 +9,51 @@ import time
 from functools import partial
 from typing import TYPE_CHECKING, NamedTuple
 
-from optdock.testing.contracts_rules import refused, require
-
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-__all__ = ["PollCounter", "PollGaps", "poll_gaps", "require_cancellable"]
+__all__ = ["ContractBroken", "PollCounter", "PollGaps", "poll_gaps", "refused", "require", "require_cancellable"]
 
 _CANCEL_AT = (1, 2, 100)  # polls; those that a plugin never reaches are left out
+
+
+class ContractBroken(AssertionError):
+    """A plugin does not keep its interface; the message says which sentence and with what values."""
+
+
+def require(holds: object, sentence: str) -> None:
+    """Go on only if `holds` is true; unlike `assert` also under `python -O`.
+
+    Raises:
+        ContractBroken: It is false.
+
+    >>> require(1.0 <= 2.0, "one is at most two")
+    """
+    if not holds:
+        raise ContractBroken(sentence)
+
+
+def refused(call: Callable[[], object], error: type[Exception], sentence: str) -> Exception:
+    """The exception with which `call` refuses; it must be an `error`.
+
+    Args:
+        call: What must not succeed.
+        error: The class that it must raise, or a parent of it.
+        sentence: The rule, for the message.
+
+    Raises:
+        ContractBroken: It returned, or raised something else.
+
+    >>> str(refused(lambda: int("x"), ValueError, "text is no number"))[:15]
+    'invalid literal'
+    """
+    try:
+        returned = call()
+    except error as found:
+        return found
+    except Exception as found:
+        raise ContractBroken(f"{sentence}: wanted {error.__name__}, got {type(found).__name__}: {found}") from found
+    raise ContractBroken(f"{sentence}: wanted {error.__name__}, got the result {returned!r}")
 
 
 class PollCounter:

@@ -8,8 +8,8 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING
 
-from optdock.testing.families_motion import turn
-from optdock.testing.families_scene import (
+from optdock.testing.families.motion import turn
+from optdock.testing.families.scene import (
     AMR_BACK,
     AMR_FRONT,
     CAR,

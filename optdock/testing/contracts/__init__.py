@@ -20,15 +20,15 @@ from typing import TYPE_CHECKING
 from optdock.errors import InvalidValue
 from optdock.parameters import closest
 from optdock.plugins import INTERFACES, available_plugins, create_plugin
-from optdock.testing.contracts_behavior import BehaviorContract
-from optdock.testing.contracts_checker import GoalCheckerContract
-from optdock.testing.contracts_controller import ControllerContract
-from optdock.testing.contracts_layer import LayerContract
-from optdock.testing.contracts_planner import GlobalPlannerContract
-from optdock.testing.contracts_plugin import PluginContract
-from optdock.testing.contracts_rules import ContractBroken
-from optdock.testing.contracts_smoother import SmootherContract
-from optdock.testing.contracts_timing import TimeParameterizerContract
+from optdock.testing.contracts.behavior import BehaviorContract
+from optdock.testing.contracts.checker import GoalCheckerContract
+from optdock.testing.contracts.controller import ControllerContract
+from optdock.testing.contracts.layer import LayerContract
+from optdock.testing.contracts.planner import GlobalPlannerContract
+from optdock.testing.contracts.plugin import PluginContract
+from optdock.testing.contracts.rules import ContractBroken
+from optdock.testing.contracts.smoother import SmootherContract
+from optdock.testing.contracts.timing import TimeParameterizerContract
 
 if TYPE_CHECKING:
     from collections.abc import Mapping

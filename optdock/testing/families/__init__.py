@@ -18,43 +18,43 @@ from optdock.geometry.pose import Pose2, transform_points
 from optdock.obstacles import ObstacleSet
 from optdock.parameters import closest
 from optdock.problem import ClearanceRule, DockingProblem
-from optdock.testing import families_infeasible, families_open, families_tight
-from optdock.testing.families_grid import drawn_costmap
-from optdock.testing.families_motion import motion_to, raw_beside
+from optdock.testing.families import infeasible, open_floor, tight_places
+from optdock.testing.families.motion import motion_to, raw_beside
+from optdock.testing.families.scene import drawn_costmap
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
 
     from optdock.costmap.costmap import Costmap
     from optdock.path import Path
-    from optdock.testing.families_scene import Scene
+    from optdock.testing.families.scene import Scene
 
 __all__ = ["FAMILIES", "FEASIBLE_FAMILIES", "INFEASIBLE_FAMILIES", "Instance", "instance"]
 
 CLEARANCE = ClearanceRule(required=0.05, at_dock=0.0, taper=0.5)
 
 FEASIBLE_FAMILIES: Mapping[str, Callable[[np.random.Generator], Scene]] = {
-    "open_s": families_open.open_s,
-    "alcove": families_tight.alcove,
-    "u_dock": families_tight.u_dock,
-    "reverse_cusp": families_open.reverse_cusp,
-    "pillar": families_open.pillar,
-    "corridor": families_tight.corridor,
-    "clutter": families_open.clutter,
-    "parallel": families_tight.parallel,
-    "long_approach": families_open.long_approach,
-    "car_bay": families_tight.car_bay,
-    "collision": families_open.collision,
-    "angled_hexagon": families_open.angled_hexagon,
-    "many_obstacles": families_open.many_obstacles,
-    "narrow_gap": families_tight.narrow_gap,
-    "reverse_alcove": families_tight.reverse_alcove,
+    "open_s": open_floor.open_s,
+    "alcove": tight_places.alcove,
+    "u_dock": tight_places.u_dock,
+    "reverse_cusp": open_floor.reverse_cusp,
+    "pillar": open_floor.pillar,
+    "corridor": tight_places.corridor,
+    "clutter": open_floor.clutter,
+    "parallel": tight_places.parallel,
+    "long_approach": open_floor.long_approach,
+    "car_bay": tight_places.car_bay,
+    "collision": open_floor.collision,
+    "angled_hexagon": open_floor.angled_hexagon,
+    "many_obstacles": open_floor.many_obstacles,
+    "narrow_gap": tight_places.narrow_gap,
+    "reverse_alcove": tight_places.reverse_alcove,
 }
 INFEASIBLE_FAMILIES: Mapping[str, Callable[[np.random.Generator], Scene]] = {
-    "too_close": families_infeasible.too_close,
-    "gap_blocked": families_infeasible.gap_blocked,
-    "approach_blocked": families_infeasible.approach_blocked,
-    "start_collision": families_infeasible.start_collision,
+    "too_close": infeasible.too_close,
+    "gap_blocked": infeasible.gap_blocked,
+    "approach_blocked": infeasible.approach_blocked,
+    "start_collision": infeasible.start_collision,
 }
 FAMILIES: Mapping[str, Callable[[np.random.Generator], Scene]] = {**FEASIBLE_FAMILIES, **INFEASIBLE_FAMILIES}
 

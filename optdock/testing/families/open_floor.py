@@ -15,8 +15,8 @@ from optdock.geometry.footprint import Footprint
 from optdock.geometry.pose import Pose2
 from optdock.path import Path
 from optdock.robot import Robot
-from optdock.testing.families_motion import Gear, Kink
-from optdock.testing.families_scene import (
+from optdock.testing.families.motion import Gear, Kink
+from optdock.testing.families.scene import (
     AMR,
     AMR_BACK,
     AMR_FRONT,

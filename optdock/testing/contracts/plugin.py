@@ -9,12 +9,13 @@ from typing import TYPE_CHECKING, ClassVar, Generic, TypeVar
 
 from optdock.errors import InvalidValue, LifecycleError, OptdockError
 from optdock.lifecycle import LifecycleState, Plugin, PluginContext
-from optdock.testing.contracts_parameters import accepted_changes, accepts, float_names, known_names
-from optdock.testing.contracts_rules import refused, require
-from optdock.testing.contracts_scene import scene_context
+from optdock.testing.contracts.rules import refused, require
+from optdock.testing.contracts.scene import scene_context
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Callable, Mapping, Sequence
+
+    from optdock.parameters import PluginParameters
 
 __all__ = ["PluginContract"]
 
@@ -85,7 +86,7 @@ class PluginContract(ABC, Generic[P]):
     def test_an_unknown_parameter_is_refused_with_the_nearest_name(self) -> None:
         """`Plugin`: InvalidValue for an unknown parameter; `PluginParameters`: unknown names are refused."""
         plugin = self.make_plugin()
-        for name in known_names(plugin.parameters) or ("anything",):
+        for name in _known_names(plugin.parameters) or ("anything",):
             wrong = name + name[-1]
             for call in (type(plugin), plugin.set_parameters):
                 error = refused(partial(call, **{wrong: 1}), InvalidValue, f"{wrong} is unknown")
@@ -95,14 +96,14 @@ class PluginContract(ABC, Generic[P]):
     def test_a_number_must_be_finite(self) -> None:
         """`PluginParameters`: non-finite numbers are refused, and so are switches."""
         plugin = self.make_plugin()
-        for name in float_names(plugin.parameters):
+        for name in _float_names(plugin.parameters):
             for bad in (math.nan, math.inf, -math.inf, True):
                 refused(partial(plugin.set_parameters, **{name: bad}), InvalidValue, f"{name} = {bad}")
 
     def test_every_parameter_is_described_with_its_unit(self) -> None:
         """`PluginParameters`: the unit stands in each field's description, in brackets."""
         plugin = self.make_plugin()
-        numbers = float_names(plugin.parameters)
+        numbers = _float_names(plugin.parameters)
         for name, spec in type(plugin.parameters).model_fields.items():
             known, text = spec.alias or name, spec.description or ""
             require(text, f"parameter {known} has a description")
@@ -116,15 +117,15 @@ class PluginContract(ABC, Generic[P]):
         """`Plugin.set_parameters`: change parameters; those not named stay."""
         plugin = self.make_plugin()
         wanted = plugin.parameters.model_dump(by_alias=True)
-        for name, value in accepted_changes(self.make_plugin).items():
-            if accepts(plugin, name, value):
+        for name, value in _accepted_changes(self.make_plugin).items():
+            if _accepts(plugin, name, value):
                 wanted[name] = value
             found = plugin.parameters.model_dump(by_alias=True)
             require(found == wanted, f"only {name} changes, to {value}; wanted {wanted}, got {found}")
 
     def test_a_refused_change_changes_nothing(self) -> None:
         """`Plugin.set_parameters`: all of them or none; nothing has changed after a refusal."""
-        for name, value in (accepted_changes(self.make_plugin) or {"anything": 0}).items():
+        for name, value in (_accepted_changes(self.make_plugin) or {"anything": 0}).items():
             plugin = self.make_plugin()
             before = plugin.parameters.model_dump()
             for bad in ("no such parameter", name + name[-1]):
@@ -134,7 +135,7 @@ class PluginContract(ABC, Generic[P]):
 
     def test_a_change_counts_as_if_it_had_been_built_so(self) -> None:
         """`Plugin.set_parameters`: change parameters; what was read from them earlier changes too."""
-        for name, value in accepted_changes(self.make_plugin).items():
+        for name, value in _accepted_changes(self.make_plugin).items():
             changed = self.ready_plugin()
             changed.set_parameters(**{name: value})
             built = type(changed)(**changed.parameters.model_dump(by_alias=True))
@@ -195,7 +196,7 @@ class PluginContract(ABC, Generic[P]):
         """A plugin holds its parameters and state itself: what one does never reaches another."""
         expected, other = self.exercise(self.ready_plugin()), self.ready_plugin()
         defaults = other.parameters.model_dump()
-        for name, value in list(accepted_changes(self.make_plugin).items())[:3]:
+        for name, value in list(_accepted_changes(self.make_plugin).items())[:3]:
             busy = self.ready_plugin()
             self.exercise(busy)
             busy.set_parameters(**{name: value})
@@ -215,3 +216,43 @@ class PluginContract(ABC, Generic[P]):
                 plugin.configure(self.make_context())
             else:
                 getattr(plugin, transition)()
+
+
+def _known_names(parameters: PluginParameters) -> tuple[str, ...]:
+    """The names that a file or a caller uses: the alias where there is one."""
+    return tuple(spec.alias or name for name, spec in type(parameters).model_fields.items())
+
+
+def _float_names(parameters: PluginParameters) -> tuple[str, ...]:
+    """Names of the parameters that hold a real number now."""
+    return tuple(name for name, value in parameters.model_dump(by_alias=True).items() if isinstance(value, float))
+
+
+def _accepts(plugin: Plugin, name: str, value: object) -> bool:
+    """Whether the plugin takes this value; it has it then."""
+    try:
+        plugin.set_parameters(**{name: value})
+    except InvalidValue:
+        return False
+    return True
+
+
+def _accepted_changes(make_plugin: Callable[[], Plugin]) -> dict[str, object]:
+    """For every number and switch that can be changed alone, a value other than the present one that is accepted."""
+    found: dict[str, object] = {}
+    for name, value in make_plugin().parameters.model_dump(by_alias=True).items():
+        for candidate in _others(value):
+            if _accepts(make_plugin(), name, candidate):
+                found[name] = candidate
+                break
+    return found
+
+
+def _others(value: object) -> Sequence[object]:
+    if isinstance(value, bool):
+        return (not value,)
+    if isinstance(value, int):
+        return (value + 1, value - 1, value + 2, value - 2)
+    if isinstance(value, float):
+        return (1.25 * value, 0.8 * value, value + 0.1, value - 0.1) if value else (0.1, -0.1)
+    return ()

@@ -14,10 +14,9 @@ from optdock.geometry.pose import Pose2, normalize_angle
 from optdock.interfaces import PluginContext, Smoother, SmoothingResult
 from optdock.obstacles import ObstacleSet
 from optdock.path import Path
-from optdock.testing.contracts_plugin import PluginContract
-from optdock.testing.contracts_polls import PollGaps, poll_gaps, require_cancellable
-from optdock.testing.contracts_rules import refused, require
-from optdock.testing.contracts_scene import (
+from optdock.testing.contracts.plugin import PluginContract
+from optdock.testing.contracts.rules import PollGaps, poll_gaps, refused, require, require_cancellable
+from optdock.testing.contracts.scene import (
     GOAL,
     bent_path,
     cusp_path,

@@ -10,9 +10,9 @@ from optdock.errors import ControllerException, ControllerInvalidPath, InvalidVa
 from optdock.geometry.pose import Pose2, Twist2
 from optdock.interfaces import Controller, GoalChecker, Tolerances
 from optdock.path import Direction, Path
-from optdock.testing.contracts_plugin import PluginContract
-from optdock.testing.contracts_rules import refused, require
-from optdock.testing.contracts_scene import ORIGIN, ROBOT, scene_context, scene_problem
+from optdock.testing.contracts.plugin import PluginContract
+from optdock.testing.contracts.rules import refused, require
+from optdock.testing.contracts.scene import ORIGIN, ROBOT, scene_context, scene_problem
 from optdock.testing.drives import cusp_drive, s_curve_drive, straight_drive
 
 if TYPE_CHECKING:

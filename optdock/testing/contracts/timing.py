@@ -13,9 +13,9 @@ from optdock.geometry.pose import Pose2
 from optdock.interfaces import TimeParameterizer, TimingResult, TimingStatus
 from optdock.limits import MotionLimits, SpeedZone
 from optdock.path import Path
-from optdock.testing.contracts_plugin import PluginContract
-from optdock.testing.contracts_rules import require
-from optdock.testing.contracts_scene import ORIGIN, moved_path
+from optdock.testing.contracts.plugin import PluginContract
+from optdock.testing.contracts.rules import require
+from optdock.testing.contracts.scene import ORIGIN, moved_path
 from optdock.testing.drives import clothoid, cusp_drive, s_curve_drive, straight_drive
 from optdock.verification import certify_trajectory
 
