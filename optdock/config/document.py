@@ -28,8 +28,7 @@ from optdock.errors import InvalidValue
 from optdock.geometry.footprint import Footprint
 from optdock.geometry.polygon import simple_polygon
 from optdock.geometry.pose import Pose2
-from optdock.io.numbers import is_number
-from optdock.io.units import check_outline, check_speed, check_yaw
+from optdock.io.numbers import check_outline, check_speed, check_yaw, is_number
 from optdock.limits import MotionLimits, SpeedZone
 from optdock.pipeline import DEFAULT_TIME_BUDGET
 from optdock.problem import ClearanceRule

@@ -10,8 +10,7 @@ from pydantic import ValidationError
 
 from optdock.config.faults import Fault, faults_of
 from optdock.errors import PluginError
-from optdock.io.numbers import is_number
-from optdock.io.units import unit_fault
+from optdock.io.numbers import is_number, unit_fault
 from optdock.pipeline import PluginChoice, PluginChoices
 from optdock.plugins import INTERFACES, load_plugin
 
