@@ -1,5 +1,13 @@
-"""Scenario files in, frozen values out."""
+"""Scenario files in, frozen values out; and what may stand in them."""
 
+from optdock.config.reference import KeyReference, plugin_reference, scenario_reference, scenario_schema
 from optdock.config.scenario import Scenario, load_scenario
 
-__all__ = ["Scenario", "load_scenario"]
+__all__ = [
+    "KeyReference",
+    "Scenario",
+    "load_scenario",
+    "plugin_reference",
+    "scenario_reference",
+    "scenario_schema",
+]

@@ -48,14 +48,20 @@ class GracefulControllerParameters(PluginParameters):
     k_delta: float = Field(default=1.0, gt=0.0, description="convergence of the heading")
     beta: float = Field(default=0.4, ge=0.0, description="how much curvature slows down")
     lambda_: float = Field(default=2.0, gt=0.0, alias="lambda", description="exponent of the same")
-    v_linear_min: float = Field(default=0.1, ge=0.0, description="[m/s]")
-    v_linear_max: float = Field(default=0.5, gt=0.0, description="[m/s]")
-    v_angular_max: float = Field(default=1.0, gt=0.0, description="[rad/s]")
-    v_angular_min_in_place: float = Field(default=0.25, ge=0.0, description="[rad/s]")
-    slowdown_radius: float = Field(default=1.5, ge=0.0, description="[m]")
-    deceleration_max: float = Field(default=2.5, gt=0.0, description="[m/s^2]")
+    v_linear_min: float = Field(default=0.1, ge=0.0, description="smallest speed on the way [m/s]")
+    v_linear_max: float = Field(default=0.5, gt=0.0, description="largest speed [m/s]")
+    v_angular_max: float = Field(default=1.0, gt=0.0, description="largest yaw rate [rad/s]")
+    v_angular_min_in_place: float = Field(
+        default=0.25, ge=0.0, description="smallest yaw rate of a turn in place [rad/s]"
+    )
+    slowdown_radius: float = Field(
+        default=1.5, ge=0.0, description="distance from the target below which the speed falls [m]"
+    )
+    deceleration_max: float = Field(default=2.5, gt=0.0, description="how hard it may brake towards the target [m/s^2]")
     initial_rotation: bool = Field(default=True, description="turn towards the path first")
-    initial_rotation_tolerance: float = Field(default=0.75, gt=0.0, description="[rad]")
+    initial_rotation_tolerance: float = Field(
+        default=0.75, gt=0.0, description="heading error at which the first turn ends [rad]"
+    )
     prefer_final_rotation: bool = Field(default=True, description="ignore the final heading until at the goal")
     rotation_scaling_factor: float = Field(
         default=0.5, gt=0.0, description="yaw rate per angle, in v_angular_max [1/rad]"

@@ -30,11 +30,11 @@ __all__ = ["BackUp", "DriveOnHeading"]
 class DriveParameters(PluginParameters):
     """Nav2's parameters of BackUp and DriveOnHeading, and a clearance."""
 
-    cycle_frequency: float = Field(default=10.0, gt=0.0, description="[Hz]")
+    cycle_frequency: float = Field(default=10.0, gt=0.0, description="calls per second [Hz]")
     simulate_ahead_time: float = Field(default=2.0, gt=0.0, description="how far ahead to look [s]")
-    acceleration_limit: float = Field(default=2.5, gt=0.0, description="[m/s^2]")
-    deceleration_limit: float = Field(default=-2.5, lt=0.0, description="negative [m/s^2]")
-    minimum_speed: float = Field(default=0.10, gt=0.0, description="[m/s]")
+    acceleration_limit: float = Field(default=2.5, gt=0.0, description="speeding up [m/s^2]")
+    deceleration_limit: float = Field(default=-2.5, lt=0.0, description="slowing down, negative [m/s^2]")
+    minimum_speed: float = Field(default=0.10, gt=0.0, description="smallest speed on the way [m/s]")
     clearance: float = Field(default=0.0, ge=0.0, description="distance to keep from obstacles [m]")
 
 
@@ -42,8 +42,8 @@ class DriveCommand(PluginParameters):
     """How far, how fast, how long."""
 
     target: float = Field(description="distance along the heading [m]")
-    speed: float = Field(description="[m/s]")
-    time_allowance: float = Field(default=10.0, ge=0.0, description="[s]; 0: no limit")
+    speed: float = Field(description="largest speed on the way [m/s]")
+    time_allowance: float = Field(default=10.0, ge=0.0, description="time it may take [s]; 0: no limit")
     disable_collision_checks: bool = Field(default=False, description="drive blind")
 
 

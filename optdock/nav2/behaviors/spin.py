@@ -26,11 +26,11 @@ __all__ = ["Spin", "SpinCommand", "SpinParameters"]
 class SpinParameters(PluginParameters):
     """Nav2's parameters of Spin, and a clearance."""
 
-    cycle_frequency: float = Field(default=10.0, gt=0.0, description="[Hz]")
+    cycle_frequency: float = Field(default=10.0, gt=0.0, description="calls per second [Hz]")
     simulate_ahead_time: float = Field(default=2.0, gt=0.0, description="how far ahead to look [s]")
-    max_rotational_vel: float = Field(default=1.0, gt=0.0, description="[rad/s]")
-    min_rotational_vel: float = Field(default=0.4, gt=0.0, description="[rad/s]")
-    rotational_acc_lim: float = Field(default=3.2, gt=0.0, description="[rad/s^2]")
+    max_rotational_vel: float = Field(default=1.0, gt=0.0, description="largest yaw rate [rad/s]")
+    min_rotational_vel: float = Field(default=0.4, gt=0.0, description="smallest yaw rate [rad/s]")
+    rotational_acc_lim: float = Field(default=3.2, gt=0.0, description="slowing down [rad/s^2]")
     clearance: float = Field(default=0.0, ge=0.0, description="distance to keep from obstacles [m]")
 
 
@@ -38,7 +38,7 @@ class SpinCommand(PluginParameters):
     """How far and how long."""
 
     target_yaw: float = Field(description="angle to turn by, left positive, more than a full turn allowed [rad]")
-    time_allowance: float = Field(default=10.0, ge=0.0, description="[s]; 0: no limit")
+    time_allowance: float = Field(default=10.0, ge=0.0, description="time it may take [s]; 0: no limit")
     disable_collision_checks: bool = Field(default=False, description="turn blind")
 
 

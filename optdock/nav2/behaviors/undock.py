@@ -29,7 +29,7 @@ _AT_REST = 0.02  # [m/s], [rad/s]
 class UndockParameters(PluginParameters):
     """Nav2's tolerances and staging distance, and how to plan and drive."""
 
-    cycle_frequency: float = Field(default=50.0, gt=0.0, description="[Hz]")
+    cycle_frequency: float = Field(default=50.0, gt=0.0, description="calls per second [Hz]")
     undock_linear_tolerance: float = Field(default=0.05, gt=0.0, description="distance from staging [m]")
     undock_angular_tolerance: float = Field(default=0.05, gt=0.0, description="heading error there [rad]")
     staging_distance: float = Field(default=0.7, gt=0.0, description="of the staging pose from the dock [m]")
@@ -42,7 +42,7 @@ class UndockParameters(PluginParameters):
 class UndockCommand(PluginParameters):
     """How long it may take; the docking path is taken from the command's `path`, if there is one."""
 
-    time_allowance: float = Field(default=60.0, ge=0.0, description="[s]; 0: no limit")
+    time_allowance: float = Field(default=60.0, ge=0.0, description="time it may take [s]; 0: no limit")
 
 
 class Undock(Behavior):

@@ -23,7 +23,7 @@ __all__ = ["Wait", "WaitCommand"]
 class WaitCommand(PluginParameters):
     """What to wait for."""
 
-    time: float = Field(ge=0.0, description="[s]")
+    time: float = Field(ge=0.0, description="how long [s]")
 
 
 class Wait(Behavior):

@@ -122,7 +122,9 @@ class InflationLayerParameters(LayerParameters):
     cost_scaling_factor: float = Field(default=10.0, ge=0.0, description="how fast they fall [1/m]")
     inflate_unknown: bool = Field(default=False, description="any cost replaces unknown; else only 253 and 254 do")
     inflate_around_unknown: bool = Field(default=False, description="unknown cells are inflated like lethal ones")
-    custom_inscribed_radius: float = Field(default=-1.0, description="[m]; below 0: that of the footprint")
+    custom_inscribed_radius: float = Field(
+        default=-1.0, description="inscribed radius [m]; below 0: that of the footprint"
+    )
 
     graph_names: ClassVar[frozenset[str]] = frozenset({"num_threads"})
 
