@@ -154,7 +154,9 @@ def plan_dock(  # noqa: PLR0913 - what may be chosen is chosen by name
         began = time.monotonic()
         run = _Run(problem, plugins, warm_start, _Cancellation(cancel_checker), time_budget, so_far)
         with garbage_collection_paused():
-            return run.plan()
+            plan = run.plan()
+        logger.info("%s; %s", plan, ", ".join(f"{stage} {ms:.1f} ms" for stage, ms in plan.timing_ms.items()))
+        return plan
     except OptdockError as error:
         so_far.timing_ms["total"] = 1e3 * (time.monotonic() - began)
         error.partial = so_far
@@ -191,11 +193,13 @@ def _warm_once(planner: type[GlobalPlanner], smoother: type[Smoother], timing: t
     problem = DockingProblem(
         Pose2(-2.0, 0.1, 0.1), Dock(Pose2(0.0, 0.0, 0.0), outline), Robot(Footprint.rectangle(0.3, 0.3, 0.5), limits)
     )
+    clock = Deadline(10.0)
     with contextlib.suppress(Exception):  # also of constructors that need parameters: what is wrong shows in its call
         plugins = _Plugins(planner(), smoother(), timing())
         with contextlib.suppress(OptdockError):
-            _Run(problem, plugins, None, _Cancellation(never_cancelled), 10.0, PartialPlan()).plan()
+            _Run(problem, plugins, None, _Cancellation(never_cancelled), clock.seconds, PartialPlan()).plan()
         plugins.smoother.warm_up()
+    logger.info("libraries loaded and caches filled in %.1f s, once per process", clock.elapsed)
 
 
 class _Plugins(NamedTuple):
@@ -274,7 +278,7 @@ class _Run:
         finally:
             _WAITS.append(self.longest_wait)
         timing = {**self.so_far.timing_ms, "total": 1e3 * self.deadline.elapsed}
-        plan = DockPlan(
+        return DockPlan(
             problem=self.problem,
             raw_path=raw,
             path=path,
@@ -286,8 +290,6 @@ class _Run:
             smoothing_report=result.report,
             timing_report=motion.report,
         )
-        logger.info("%s", plan)
-        return plan
 
     @contextlib.contextmanager
     def _timed(self, stage: str) -> Iterator[None]:
