@@ -153,8 +153,11 @@ def plan_dock(  # noqa: PLR0913 - what may be chosen is chosen by name
         _warm_once(*map(type, plugins))
         began = time.monotonic()
         run = _Run(problem, plugins, warm_start, _Cancellation(cancel_checker), time_budget, so_far)
-        with garbage_collection_paused():
-            plan = run.plan()
+        try:
+            with garbage_collection_paused():
+                plan = run.plan()
+        finally:
+            _WAITS.append(run.longest_wait)
         logger.info("%s; %s", plan, ", ".join(f"{stage} {ms:.1f} ms" for stage, ms in plan.timing_ms.items()))
         return plan
     except OptdockError as error:
@@ -265,18 +268,15 @@ class _Run:
 
     def plan(self) -> DockPlan:
         """All stages in turn; `so_far` holds what exists when one of them raises."""
-        try:
-            with self._timed("plan"):
-                check_ends(self.problem)
-                raw = self.so_far.raw_path = self._raw_path()
-            with self._timed("smooth"):
-                result = self._smoothed(raw)
-                path = self.so_far.path = _plain(result.path, self.plugins.smoother, self.problem.frame)
-            with self._timed("certify"):
-                certificate = self._certified(path)
-            motion = self._certified_motion(path)
-        finally:
-            _WAITS.append(self.longest_wait)
+        with self._timed("plan"):
+            check_ends(self.problem)
+            raw = self.so_far.raw_path = self._raw_path()
+        with self._timed("smooth"):
+            result = self._smoothed(raw)
+            path = self.so_far.path = _plain(result.path, self.plugins.smoother, self.problem.frame)
+        with self._timed("certify"):
+            certificate = self._certified(path)
+        motion = self._certified_motion(path)
         timing = {**self.so_far.timing_ms, "total": 1e3 * self.deadline.elapsed}
         return DockPlan(
             problem=self.problem,
