@@ -1,7 +1,7 @@
 """Time parameterization: how fast a robot drives along a path, in closed phases of constant jerk.
 
-The problem, for every segment of a path between two stops (its start, cusps, the dock): with the arc length s, the speed
-v = ds/dt >= 0, its rate a, the jerk j, the curvature k(s) and its rate k'(s),
+The problem, for every segment of a path between two stops (its start, cusps, the dock): with arc length s, speed
+v = ds/dt >= 0, its rate a, jerk j, curvature k(s) and its rate k'(s),
 
     minimize   the time T
     subject to v <= v_cap(s)                the speed caps: speed, yaw rate, lateral acceleration, wheels, approach zone
