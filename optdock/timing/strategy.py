@@ -27,7 +27,7 @@ import numpy as np
 
 from optdock.deadline import ENDLESS, Deadline, OutOfTime
 from optdock.errors import InvalidValue
-from optdock.interfaces import TimingResult, TimingStatus
+from optdock.interfaces import TimingReport, TimingResult, TimingStatus
 from optdock.path import Path, PolylineSegment
 from optdock.timing.checks import SegmentPlan, end_slack
 from optdock.timing.motion import Motion, Phases, State
@@ -190,7 +190,7 @@ def _result(path: Path, plans: list[SegmentPlan], start: tuple[float, float]) ->
         trajectory,
         max(plan.ratio for plan in plans),
         worst.overshoot,
-        {"gears": [plan.how for plan in plans]},
+        TimingReport(tuple(plan.how for plan in plans)),
         reason=worst.reason,
         limit=worst.limit,
         at_s=worst.s,
