@@ -387,7 +387,7 @@ class _Run:
         with self._timed("time"):
             result = self._timing(method, path)
         if result.status is not TimingStatus.OK:
-            raise _timing_failure(result)
+            raise result.failure()
         trajectory = _returned(result.trajectory, Trajectory, method, "the trajectory of its result")
         if trajectory.path is not path and trajectory.path.digest != path.digest:
             message = f"{method.name} timed another path than the certified one"
@@ -495,13 +495,3 @@ def _plain(path: Path, plugin: Plugin, frame: str) -> Path:
         return (path if type(path) is Path else Path(path.segments, path.frame)).with_frame(frame)
     except InvalidPath as error:
         raise PluginError(f"{type(plugin).__name__} returned a {error}") from error
-
-
-def _timing_failure(result: TimingResult) -> FailedToTimePath:
-    where = {"status": result.status.name, "worst_ratio": result.worst_ratio, "overshoot": result.overshoot}
-    if result.limit:
-        where["limit"] = result.limit
-    if result.at_s is not None:
-        where["s"] = result.at_s
-    kind = TimingTimedOut if result.status is TimingStatus.TIMED_OUT else FailedToTimePath
-    return kind(f"the path cannot be timed: {result.status.name}: {result.reason or 'no reason given'}", where=where)

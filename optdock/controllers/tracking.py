@@ -13,10 +13,10 @@ from optdock.controllers.delay_estimate import DelayEstimate
 from optdock.controllers.moving_reference import Look, Reference
 from optdock.controllers.requests import checked_speed_limit, checked_task
 from optdock.controllers.tracking_law import Gains, tracking_command
-from optdock.errors import ControllerInvalidPath, NoValidControl
+from optdock.errors import ControllerInvalidPath, FailedToTimePath, NoValidControl
 from optdock.geometry.pose import Pose2, Twist2
-from optdock.interfaces import Controller, TimeParameterizer
-from optdock.limits import MotionLimits, SpeedZone
+from optdock.interfaces import Controller
+from optdock.limits import MotionLimits
 from optdock.parameters import PluginParameters
 from optdock.robot import Drive, admissible
 from optdock.trajectory import Trajectory
@@ -183,16 +183,13 @@ class TrackingController(Controller):
         return self.context.problem.robot.drive if self.context.problem else Drive.DIFFERENTIAL
 
     def _timed(self, path: Path) -> Trajectory:
-        from optdock.plugins import create_plugin
+        from optdock.plugins import timed_by
 
-        problem = self.context.problem
-        limits, zone = (problem.robot.limits, problem.dock.approach) if problem else (MotionLimits(), SpeedZone())
         moving = max(0.0, path.segments[0].direction * self._last.linear)
-        parameterizer = create_plugin(TimeParameterizer, self.parameters.time_parameterizer)
-        result = parameterizer.parameterize(path, limits, zone, start_speed=moving)
-        if result.trajectory is None or result.status != 0:
-            raise ControllerInvalidPath(f"TrackingController: the path cannot be timed: {result.status.name}")
-        return result.trajectory
+        try:
+            return timed_by(self.parameters.time_parameterizer, path, self.context.problem, start_speed=moving)
+        except FailedToTimePath as error:
+            raise ControllerInvalidPath(f"TrackingController: {error}") from error
 
     def _limits_for(self, reference: Reference) -> MotionLimits:
         if self.context.problem:
