@@ -22,7 +22,7 @@ from optdock.robot import Drive, Robot
 from optdock.simulation import run_closed_loop
 from optdock.simulation.closed_loop import SimulationSettings
 from optdock.surroundings import obstacles_near
-from optdock.testing.contracts_scene import bent_path, post_inside_the_bend, scene_problem
+from optdock.testing.contracts.scene import bent_path, post_inside_the_bend, scene_problem
 from optdock.verification import certify_path, pose_clearance
 
 LIMITS = MotionLimits(max_curvature=1.5, max_curvature_rate=6.0)
@@ -176,7 +176,7 @@ def test_the_certifying_smoother_never_reports_a_certificate_through_it(context)
     smoother.configure(context)
     found = smoother.smooth(STRAIGHT, 5.0)
     near = obstacles_near(context, np.array([-1.0, -2.0]), np.array([4.0, 2.0]))
-    assert found.report["certificate"].certified
+    assert found.report.certificate.certified
     assert certify_path(found.path, problem(obstacles=near, clearance=ClearanceRule(0.0, 0.0, 0.0))).certified
 
 
@@ -186,7 +186,7 @@ def test_configured_and_called_with_a_problem_is_the_same():
     by_context.configure(PluginContext(problem=task, footprint=BOX))
     mine, theirs = by_context.smooth(STRAIGHT, 5.0), by_call.smooth(STRAIGHT, 5.0, problem=task)
     assert mine.path.digest == theirs.path.digest
-    assert mine.report["certificate"].problem == theirs.report["certificate"].problem == task.fingerprint
+    assert mine.report.certificate.problem == theirs.report.certificate.problem == task.fingerprint
 
 
 def test_a_configured_costmap_counts_beside_the_problem_of_the_call():
