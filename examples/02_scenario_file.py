@@ -9,7 +9,7 @@ plan = od.plan_dock(scenario.problem, time_budget=scenario.time_budget)
 print(plan)
 
 proof = plan.certificate
-print(f"closest {proof.min_clearance:.3f} m to {proof.nearest} at s = {proof.at_s:.2f} m ({proof.required_clearance:.3f} m required)")
+print(f"closest {proof.min_clearance:.3f} m to {proof.nearest}, {proof.required_clearance:.3f} m required there")
 print(f"curvature at most {proof.max_curvature:.2f} 1/m of {scenario.problem.robot.limits.max_curvature:.2f} 1/m")
 
 print("used of each motion limit:")

@@ -39,8 +39,12 @@ _CAPITALS = re.compile(r"<mi>(&#x003(?:9|A)[0-9A-F];)</mi>")
 
 
 def mathml(tex: str, display: str) -> str:
-    """A formula as MathML, as TeX would set it: bars that are fences, primes of full size, upright Greek capitals, limits below."""
-    tex = re.sub(r"(?<!left)(?<!right)\\([lr])([vV])ert(?![A-Za-z])", lambda m: rf"\{'left' if m[1] == 'l' else 'right'}\{m[1]}{m[2]}ert ", tex)
+    """A formula as MathML, set as TeX does: bars as fences, large primes, upright Greek capitals, limits below."""
+    tex = re.sub(
+        r"(?<!left)(?<!right)\\([lr])([vV])ert(?![A-Za-z])",
+        lambda m: rf"\{'left' if m[1] == 'l' else 'right'}\{m[1]}{m[2]}ert ",
+        tex,
+    )
     found = _CAPITALS.sub(r'<mi mathvariant="normal">\1</mi>', converted(tex, display=display))
     found = _PRIME.sub(r'<mrow>\1<mo form="postfix" lspace="0" rspace="0.05em">\2</mo></mrow>', found)
     return _UNDER.sub(r"<munder><mo>\1</mo>\2</munder>", found) if display == "block" else found
