@@ -116,7 +116,7 @@ def test_an_independent_solver_finds_no_faster_spline(make, all_limits, seed):
     assert ours == pytest.approx(theirs, rel=4e-3)
 
 
-def test_cell_phases_reproduce_the_knots(make, all_limits):
+def test_spline_phases_reproduce_the_knots(make, all_limits):
     _bounds, found = _solved(make, all_limits, 2)
     state = found.launch.state
     for n, phase in enumerate(spline_phases(found.s, found.v, found.a)):
