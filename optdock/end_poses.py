@@ -5,14 +5,12 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from optdock.errors import GoalOccupied, GoalOutsideMapBounds, StartOccupied, StartOutsideMapBounds
-from optdock.verification import pose_clearance
+from optdock.verification import TOLERANCE, end_clearances
 
 if TYPE_CHECKING:
     from optdock.problem import DockingProblem
 
 __all__ = ["check_ends"]
-
-_CONTACT_TOLERANCE = 1e-6  # [m]
 
 
 def check_ends(problem: DockingProblem) -> None:
@@ -23,15 +21,15 @@ def check_ends(problem: DockingProblem) -> None:
         StartOccupied: The footprint at the start overlaps an obstacle.
         GoalOccupied: The footprint at the goal is closer to an obstacle than required there.
     """
-    for name, pose, off_map, occupied in (
-        ("start", problem.start, StartOutsideMapBounds, StartOccupied),
-        ("goal", problem.goal, GoalOutsideMapBounds, GoalOccupied),
+    found = end_clearances(problem)
+    for name, pose, off_map, occupied, clearance, row in (
+        ("start", problem.start, StartOutsideMapBounds, StartOccupied, found.start, found.nearest_to_start),
+        ("goal", problem.goal, GoalOutsideMapBounds, GoalOccupied, found.goal, found.nearest_to_goal),
     ):
         if problem.costmap is not None and not bool(problem.costmap.contains(pose.as_array()[None, :2])[0]):
             raise off_map(f"the {name} ({pose.x:.3f}, {pose.y:.3f}) lies off the map", where={"pose": [pose.x, pose.y]})
-        clearance, row = pose_clearance(pose, problem.robot.footprint, problem.all_obstacles)
         required = problem.clearance.at_dock if name == "goal" else 0.0
-        if clearance < required - _CONTACT_TOLERANCE:
+        if clearance < required - TOLERANCE:
             obstacle = problem.all_obstacles.name_of(row)
             what = (
                 f"overlaps {obstacle} by {-clearance:.4f} m"

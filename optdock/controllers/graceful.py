@@ -18,7 +18,7 @@ from optdock.parameters import PluginParameters
 from optdock.path import Direction, Path
 from optdock.surroundings import obstacles_near
 from optdock.trajectory import Trajectory
-from optdock.verification.sweep import free_motion
+from optdock.verification.time_of_impact import free_motion
 
 if TYPE_CHECKING:
     from typing_extensions import Self

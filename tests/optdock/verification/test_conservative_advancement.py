@@ -20,9 +20,9 @@ from optdock.obstacles import ObstacleSet
 from optdock.path import ClothoidSegment, Direction, Path, PolylineSegment
 from optdock.problem import ClearanceRule, DockingProblem
 from optdock.robot import Robot
-from optdock.verification import certify_path, clearance, half_cells, pose_clearance
-from optdock.verification.clearance import _Prover
-from optdock.verification.motion import PathMotion
+from optdock.verification import certify_path, conservative_advancement, pose_clearance
+from optdock.verification.conservative_advancement import _Subdivision
+from optdock.verification.motion_bounds import PathMotion
 
 ROBOT = Robot(Footprint.rectangle(0.45, 0.45, 0.6), MotionLimits())
 REQUIRED = 0.05
@@ -117,7 +117,7 @@ def test_the_violating_pose_of_a_turn_in_place_shows_it():
 def test_what_is_given_up_still_bounds_the_clearance(monkeypatch):
     path = curved_path()
     obstacles = beside(path, 1.7, REQUIRED + 0.0001, 1)
-    monkeypatch.setattr("optdock.verification.clearance._MAX_LEVELS", 0)
+    monkeypatch.setattr("optdock.verification.conservative_advancement._MAX_LEVELS", 0)
     certificate = certify_path(path, problem_for(path, obstacles))
     assert kinds(certificate) == {"unproven"}
     assert certificate.min_clearance < REQUIRED
@@ -126,7 +126,7 @@ def test_what_is_given_up_still_bounds_the_clearance(monkeypatch):
 
 
 def test_a_proof_that_runs_out_of_poses_before_it_is_sharp_is_a_proof(monkeypatch):
-    monkeypatch.setattr("optdock.verification.clearance._MAX_POSES", 0)
+    monkeypatch.setattr("optdock.verification.conservative_advancement._MAX_POSES", 0)
     path = curved_path()
     certificate = certify_path(path, problem_for(path, beside(path, 1.7, REQUIRED + 0.03, 1)))
     assert certificate.certified
@@ -316,7 +316,7 @@ def test_outlines_of_many_corners_fit_into_memory():
 
 
 def test_a_path_of_more_poses_than_refinement_may_add_can_still_be_proven(monkeypatch):
-    monkeypatch.setattr("optdock.verification.clearance._MAX_POSES", 60)
+    monkeypatch.setattr("optdock.verification.conservative_advancement._MAX_POSES", 60)
     path = curved_path()
     obstacles = beside(path, 1.7, REQUIRED + 0.0001, 1)
     fine = Path((PolylineSegment(path.sample(0.005).poses),))
@@ -466,7 +466,7 @@ def test_the_requirement_of_a_cell_holds_for_all_of_its_poses(seed):
     rule = ClearanceRule(0.3, 0.0, float(rng.uniform(0.2, 1.5)))
     problem = problem_for(path, ObstacleSet.from_polygons([square(5.0, 5.0)]), clearance=rule)
     start_clearance = float(rng.uniform(0.0, 0.4))
-    prover = _Prover(PathMotion(path), problem, start_clearance, 0.0, never_late)
+    prover = _Subdivision(PathMotion(path), problem, start_clearance, 0.0, np.inf, never_late)
     cells = prover.motion.cells(0.3)
     ends = cells.ends()
     nodes = prover.motion.nodes(ends.segment, ends.u)
@@ -504,8 +504,8 @@ def test_far_from_everything_the_clearance_is_a_bound(late):
 
 @pytest.mark.parametrize(("far", "runs"), [(0, 1), (9, 2)])
 def test_one_proof_is_enough_where_nothing_was_left_out(monkeypatch, far, runs):
-    path, made, run = curved_path(), [], _Prover.run
-    monkeypatch.setattr(_Prover, "run", lambda self, crop: made.append(crop) or run(self, crop))
+    path, made, run = curved_path(), [], _Subdivision.run
+    monkeypatch.setattr(_Subdivision, "run", lambda self: made.append(1) or run(self))
     boxes = [square(1.0, 3.0, 0.3), *(square(50.0 + k, 50.0, 0.3) for k in range(far))]
     certificate = certify_path(path, problem_for(path, ObstacleSet.from_polygons(boxes)))
     assert certificate.min_clearance > 1.0
@@ -516,7 +516,7 @@ def test_a_long_path_is_looked_at_in_blocks_between_which_a_deadline_counts(monk
     path = clothoid([0.0, 20.0], [0.0, 0.0])
     problem = problem_for(path, ObstacleSet.from_polygons([square(10.0, 1.0, 0.3), square(14.0, -0.7, 0.1)]))
     whole = certify_path(path, problem)
-    monkeypatch.setattr(clearance, "_BLOCK", 16)
+    monkeypatch.setattr(conservative_advancement, "_BLOCK", 16)
     parts = certify_path(Path(path.segments), problem)
     assert parts.certified
     assert parts.min_clearance == pytest.approx(whole.min_clearance, abs=1e-3)
@@ -531,7 +531,7 @@ def test_many_obstacles_are_looked_at_in_blocks_between_which_a_deadline_counts(
     posts = [square(x, y, 0.02) for x, y in zip(rng.uniform(0, 3, 80), rng.choice([-1, 1], 80) * 0.6, strict=True)]
     problem = problem_for(path, ObstacleSet.from_polygons(posts))
     assert certify_path(path, problem).certified
-    monkeypatch.setattr(half_cells, "_MAX_PAIRS", 100)
+    monkeypatch.setattr(conservative_advancement, "_MAX_PAIRS", 100)
     assert certify_path(Path(path.segments), problem).certified
     assert kinds(certify_path(Path(path.segments), problem, is_late=late_after(3))) == {"unproven"}
 
