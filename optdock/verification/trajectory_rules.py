@@ -68,16 +68,15 @@ def trajectory_violations(
     structure = (*_coverage(trajectory, extremes), *_rest(trajectory), *_start(law, *start))
     if any(v.kind == "coverage" for v in structure):
         return structure, {}
-    bounds, stretches = _curved_limits(limits), _segment_limits(path, limits, zone)
+    stretches, judge = _segment_limits(path, limits, zone), _Judge(_curved_limits(limits), limits.track_width)
     borders = stretches[:, :2].ravel()
     with np.errstate(over="ignore", invalid="ignore"):
-        pieces = _path_pieces(path)
-        reached = _crossings(law, np.concatenate((borders, pieces.begin[1:])))  # one bisection for all places
-        entries, knots = reached.rows(slice(borders.size)), reached.rows(slice(borders.size, None))
-        judge = _Judge(bounds, limits.track_width)
-        if bounds:
-            _subdivide(_initial_cells(law, pieces, knots), judge, is_late)
-    peaks = tuple(_stretch_peaks(law, stretches, entries, extremes))
+        pieces = _path_pieces(path) if judge.limits else None
+        asked = borders if pieces is None else np.concatenate((borders, pieces.begin[1:]))
+        reached = _crossings(law, asked)  # one bisection for all places that are asked for
+        if pieces is not None:
+            _subdivide(_initial_cells(law, pieces, reached.rows(slice(borders.size, None))), judge, is_late)
+    peaks = tuple(_stretch_peaks(law, stretches, reached.rows(slice(borders.size)), extremes))
     plain = {violation.kind: violation for violation in (*_speed(peaks), *_rates(law, limits))}
     ratios = {**_plain_ratios(law, limits, peaks), **judge.ratios}
     return (*structure, *plain.values(), *judge.violations()), ratios
