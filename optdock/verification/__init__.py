@@ -34,7 +34,7 @@ chapters, in the order in which a proof uses them:
     time_of_impact          the same advance at a constant body velocity: how long a command is safe
 """
 
-from optdock.verification.certificate import TOLERANCE, Certificate, TrajectoryCertificate, Violation
+from optdock.verification.certificate import SHARPNESS, TOLERANCE, Certificate, TrajectoryCertificate, Violation
 from optdock.verification.certify import certify_path, certify_trajectory
 from optdock.verification.proximity import EndClearances, end_clearances, pose_clearance, pose_clearances
 from optdock.verification.refutation import (
@@ -46,6 +46,7 @@ from optdock.verification.refutation import (
 from optdock.verification.sampled_motion import SampledMotion
 
 __all__ = [
+    "SHARPNESS",
     "TOLERANCE",
     "Certificate",
     "EndClearances",

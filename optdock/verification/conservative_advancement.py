@@ -30,7 +30,7 @@ import numpy as np
 
 from optdock.deadline import never_late
 from optdock.geometry.separation import separation
-from optdock.verification.certificate import TOLERANCE
+from optdock.verification.certificate import SHARPNESS, TOLERANCE
 from optdock.verification.contact_tolerance import DEPTH, deep_pairs
 from optdock.verification.motion_bounds import Cells, PathMotion
 from optdock.verification.proximity import bounded, bounded_footprint, broad_phase, pose_clearances
@@ -49,7 +49,6 @@ if TYPE_CHECKING:
 
 __all__ = ["AdvanceBounds", "Advances", "ClearanceProof", "advance_bounds", "prove_clearance"]
 
-SHARPNESS = 1e-3  # [m]: the reported minimum is at most this far below a clearance that occurs
 _BLOCK = 4000  # cells looked at in one go, some milliseconds; a deadline is looked at in between
 _MAX_STEP = 0.08  # [m], first cells
 _MOST_FIRST = 100_000  # of them; on paths beyond 8 km they are longer

@@ -1,4 +1,4 @@
-"""A timed motion that is given by samples, and where on its path each of them is.
+"""Map matching: a timed motion that is given by samples, and where on its path each of them is.
 
 A pose alone does not tell: paths cross themselves, pass the same pose twice, and fold back at cusps. So samples are
 matched in the order of driving. The sign of the speed tells the gear: the runs of one sign must be the gears of the
