@@ -4,13 +4,13 @@ import dataclasses
 
 import pytest
 
-from optdock.behaviors._reversal import reversed_path
 from optdock.dock import Dock
 from optdock.errors import ControllerInvalidPath, InvalidPath
 from optdock.geometry.footprint import Footprint
 from optdock.geometry.pose import Pose2
 from optdock.interfaces import Controller, GlobalPlanner, PluginContext, Smoother
 from optdock.io.plan_file import PlanFile, load_plan, save_plan
+from optdock.nav2.behaviors.undock_plan import reversed_path
 from optdock.path import Path, may_be_one_frame
 from optdock.pipeline import plan_dock
 from optdock.plugins import create_plugin

@@ -145,7 +145,7 @@ class LayerContract(PluginContract[Layer]):
 
         For layers with a parameter `enabled`.
         """
-        from optdock.layers.layered import LayeredCostmap
+        from optdock.nav2.layered_costmap import LayeredCostmap
 
         layer = self.make_plugin()
         if "enabled" not in type(layer.parameters).model_fields:
