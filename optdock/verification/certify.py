@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from optdock.limits import MotionLimits, SpeedZone
     from optdock.path import Path
     from optdock.problem import DockingProblem
-    from optdock.trajectory import Trajectory
+    from optdock.trajectory import TimeLaw, Trajectory
     from optdock.verification.conservative_advancement import ClearanceProof
 
 __all__ = ["certify_path", "certify_trajectory"]
@@ -116,7 +116,7 @@ def certify_trajectory(
 
     Within a step of a polyline, whose curvature is a difference quotient, 5 % beyond a limit on turning are accepted.
 
-    A proof is kept for as long as the trajectory lives, as those of paths are.
+    A proof is kept for as long as the time law lives, as those of paths are.
 
     It does NOT look at clearance or at the path's own curvature bounds: see `certify_path`.
 
@@ -138,7 +138,8 @@ def certify_trajectory(
         violations, ratios = trajectory_violations(trajectory, limits, zone, start, asked)
         return TrajectoryCertificate(violations, ratios, trajectory.time_law.duration, trajectory.path.digest)
 
-    return _made_once(_TRAJECTORIES, trajectory, (limits, zone, start), is_late, verdict)
+    against = (weakref.ref(trajectory.path), limits, zone, start)
+    return _made_once(_TIME_LAWS, trajectory.time_law, against, is_late, verdict)
 
 
 @dataclass(frozen=True)
@@ -151,7 +152,7 @@ class _Kept(Generic[Verdict]):
 
 
 _PATHS: Memo[Path, _Kept[Certificate]] = Memo()
-_TRAJECTORIES: Memo[Trajectory, _Kept[TrajectoryCertificate]] = Memo()
+_TIME_LAWS: Memo[TimeLaw, _Kept[TrajectoryCertificate]] = Memo()
 
 
 def _made_once(
