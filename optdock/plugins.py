@@ -167,8 +167,11 @@ def plugin_from(interface: type[P], asked: str | PluginChoice | P, role: str) ->
         return create_plugin(interface, asked)
     if isinstance(asked, PluginChoice):
         return create_plugin(interface, asked.name, asked.parameters)
-    got = asked.__name__ + " itself" if isinstance(asked, type) else type(asked).__name__
-    raise InvalidValue(f"{role}: must be a {interface.__name__} or the name of one, got {got}")
+    if isinstance(asked, type):
+        raise InvalidValue(
+            f"{role}: must be a {interface.__name__}, got the class {asked.__name__}; write {asked.__name__}()"
+        )
+    raise InvalidValue(f"{role}: must be a {interface.__name__} or the name of one, got {type(asked).__name__}")
 
 
 def timed_by(

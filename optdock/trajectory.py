@@ -203,7 +203,7 @@ class Trajectory(FrozenArrays):
 
     def __repr__(self) -> str:
         proven = ", proven" if self.certified_for is not None else ""
-        return f"<Trajectory {self.duration:.3f} s along {self.path!r}{proven}>"
+        return f"<Trajectory {self.duration:.3f} s over {self.path.length:.3f} m{proven}>"
 
     @property
     def frame(self) -> str:

@@ -19,7 +19,6 @@ from optdock.interfaces import Controller
 from optdock.limits import MotionLimits
 from optdock.parameters import PluginParameters
 from optdock.robot import Drive, admissible
-from optdock.surroundings import obstacles_near
 from optdock.trajectory import Trajectory
 from optdock.verification import pose_clearances
 
@@ -318,7 +317,7 @@ def require_free_stop(
     speed = abs(command.linear)
     time = period + 0.5 * speed / limits.max_deceleration  # braking covers half of what the command would
     centre, reach = np.array([pose.x, pose.y]), context.footprint.circumscribed_radius + speed * time
-    obstacles = obstacles_near(context, centre - reach, centre + reach)
+    obstacles = context.obstacles_near(centre - reach, centre + reach)
     if len(obstacles) == 0:
         return
     times = np.linspace(0.0, time, 2 + math.ceil(speed * time / _SPACING))
