@@ -1,7 +1,7 @@
 """Motions of a case: what speed, acceleration and turning really are, phase by phase and place by place.
 
 Times count from the start of each phase, so that a phase after a wait of 1e17 s is as sharp as any other. Every piece
-of the path is looked at where the motion enters, halves and leaves it, with that piece's own curvature. The motion under
+of the path is looked at where the motion enters, halves and leaves it, with that piece's own curvature. Motion under
 constant jerk is written out here once more, so that no error of `optdock.trajectory` hides from its own judge.
 """
 
