@@ -1,7 +1,9 @@
 """The interior point: a banded primal-dual method for the reference program, on plain arrays.
 
     minimize   sum_m h_m / sqrt(c_{m+1}) + c' Q c / 2
-    subject to A c <= 1,   |x''_m(c)| f_m <= 2 J sqrt(c_{m+1})^-1,   two coefficients given at each end.
+    subject to A c <= 1,   |x''_m(c)| <= 2 J f_m / sqrt(c_{m+1}),   two coefficients given at each end,
+
+with f = sqrt(c) over the largest speed in the cell, held fixed after some iterations.
 
 Every row touches three neighbouring coefficients, so Newton's normal matrix is pentadiagonal, and Q, the price on jerk
 steps, adds one band: each iteration is one LAPACK `dpbsv`. The right side of the jerk rows is convex in c; linearized
