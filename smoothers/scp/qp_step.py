@@ -13,6 +13,7 @@ and write NumPy's memory without a copy.
 
 from __future__ import annotations
 
+import itertools
 import threading
 import time
 from typing import TYPE_CHECKING, NamedTuple
@@ -112,8 +113,7 @@ def blocks_for(basis: Basis, rate_spans: int, clearance_rows: int, settings: Ste
 
 
 def _consecutive(*counts: int) -> list[slice]:
-    ends = np.cumsum(counts).tolist()
-    return [slice(end - count, end) for count, end in zip(counts, ends, strict=True)]
+    return [slice(end - count, end) for count, end in zip(counts, itertools.accumulate(counts), strict=True)]
 
 
 def zone_of(basis: Basis, node: IntArray, zones: int) -> IntArray:
@@ -190,12 +190,10 @@ def _fill_cost(
 ) -> None:
     program.h[:] = 0.0
     program.h[blocks.path, blocks.path] = around.quadratic.hessian + proximal * around.motion
-    diagonal = np.arange(program.g.size)
-    curved = np.zeros(program.g.size)
-    curved[blocks.path] = settings.ridge
-    curved[blocks.goal_above] = curved[blocks.goal_below] = settings.curved_goal_slack
-    curved[blocks.clearance_slack] = settings.curved_clearance_slack
-    program.h[diagonal, diagonal] += curved
+    diagonal = np.einsum("ii->i", program.h)  # a view
+    diagonal[blocks.path] += settings.ridge
+    diagonal[blocks.goal_above] = diagonal[blocks.goal_below] = settings.curved_goal_slack
+    diagonal[blocks.clearance_slack] = settings.curved_clearance_slack
     program.g[blocks.path] = around.quadratic.gradient
     program.g[blocks.goal_above] = program.g[blocks.goal_below] = penalties.goal
     program.g[blocks.clearance_slack] = penalties.clearance

@@ -186,8 +186,7 @@ class AnytimeSettings:
     grace: float = 0.0015  # [s]: how late the only certificate may be expected to end
     latest: float = 0.0005  # [s] past the end of the budget: what a certificate has not proven by then it leaves
     pace_range: tuple[float, float] = (0.25, 4.0)  # of the measured speed of this machine: beyond is a disturbance
-    pace_at_warm_up: float = 1.0  # longest over expected iteration of the warm-up on the machine of the benchmarks
-    pace_calls: int = 3  # at warm-up; the fastest counts
+    pace_at_warm_up: float = 0.6  # shortest over expected iteration of the warm-up on the machine of the benchmarks
     repairs: int = 2  # of a path that the certificate refused
     repair_nearest: int = 4  # times the obstacles looked at in every interval, at each repair
     repair_buffer: float = 3.0  # times the buffer, at each repair

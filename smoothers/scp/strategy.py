@@ -185,7 +185,7 @@ class Outcome:
         setup_time: Seconds from the start of the call to the first search.
         first_certified: Seconds from the start of the call to the first certificate, or None.
         certify_time: Seconds spent on certificates.
-        pace: Longest iteration over the expected one; how much slower this machine is than that of the benchmarks.
+        pace: Shortest iteration over the expected one: what hardly any disturbance could lengthen.
     """
 
     incumbent: Incumbent | None = None
@@ -196,7 +196,7 @@ class Outcome:
     setup_time: float = 0.0
     first_certified: float | None = None
     certify_time: float = 0.0
-    pace: float = 0.0
+    pace: float = math.inf
 
 
 @dataclass
@@ -372,7 +372,7 @@ class Solver:
     def _measured(self, seconds: float, expected: float) -> None:
         """An iteration took so long."""
         chosen = self.settings.anytime
-        self.outcome.pace = max(self.outcome.pace, seconds / expected)
+        self.outcome.pace = min(self.outcome.pace, seconds / expected)
         self._iteration = max(chosen.longest_fades * self._iteration, seconds)
         if self.outcome.certify_time == 0.0:  # none was measured yet, but how fast this machine is was
             self._certificate = max(self._certificate, chosen.certificate_per_iteration * self._iteration)
