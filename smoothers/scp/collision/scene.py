@@ -119,19 +119,14 @@ class Scene:
     def required(self, positions: FloatArray) -> Requirement:
         """What is required at robot positions, Shape (n, 2) [m]."""
         to_goal, to_start = positions - self.goal, positions - self.start
-        from_goal = np.hypot(to_goal[:, 0], to_goal[:, 1])
-        slope = (self.rule.required - self.rule.at_dock) / self.rule.taper if self.rule.taper > 0.0 else 0.0
-        near = from_goal < self.rule.taper
-        value = np.where(near, self.rule.at_dock + slope * from_goal, self.rule.required)
-        gradient = np.where(near, slope / np.maximum(from_goal, 1e-9), 0.0)[:, None] * to_goal
-        rule = np.where(near, 0, 1)
-        from_start = np.hypot(to_start[:, 0], to_start[:, 1])
+        from_goal, from_start = np.hypot(to_goal[:, 0], to_goal[:, 1]), np.hypot(to_start[:, 0], to_start[:, 1])
+        value = self.rule.required_at(from_goal, from_start, self.start_clearance)
         relieved = max(0.0, self.start_clearance) + START_RELIEF_SLOPE * from_start
-        if self.start_clearance < self.rule.required:
-            eased = relieved < value
-            value = np.where(eased, relieved, value)
-            away = START_RELIEF_SLOPE * to_start / np.maximum(from_start, 1e-9)[:, None]
-            gradient, rule = np.where(eased[:, None], away, gradient), np.where(eased, 2, rule)
+        eased, near = value == relieved, from_goal < self.rule.taper
+        slope = (self.rule.required - self.rule.at_dock) / self.rule.taper if self.rule.taper > 0.0 else 0.0
+        toward = np.where(near, slope / np.maximum(from_goal, 1e-9), 0.0)[:, None] * to_goal
+        away = (START_RELIEF_SLOPE / np.maximum(from_start, 1e-9))[:, None] * to_start
+        gradient, rule = np.where(eased[:, None], away, toward), np.where(eased, 2, np.where(near, 0, 1))
         return Requirement(value, gradient, rule, relieved)
 
 
