@@ -10,10 +10,9 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from optdock.errors import OptdockError
-from optdock.interfaces import TimeParameterizer
+from optdock.errors import FailedToTimePath
 from optdock.path import ClothoidSegment
-from optdock.plugins import create_plugin
+from optdock.plugins import timed_by
 from optdock.report import table
 from optdock.verification import certify_path
 
@@ -22,7 +21,7 @@ if TYPE_CHECKING:
 
     from optdock.config import Scenario
     from optdock.path import Path, Segment
-    from optdock.pipeline import PluginChoice
+    from optdock.plugins import PluginChoice
     from optdock.problem import DockingProblem
 
 __all__ = ["PathFigures", "comparison_csv", "comparison_table", "figures_of", "worst_joint_angle"]
@@ -82,20 +81,16 @@ def figures_of(scenario: Scenario, kind: str, path: Path, duration: float | None
         max_curvature=certificate.max_curvature,
         worst_joint=math.degrees(worst_joint_angle(path)),
         min_clearance=certificate.min_clearance,
-        duration=_duration(path, scenario.problem, scenario.plugins.timing) if duration is None else duration,
+        duration=_duration(path, scenario.problem, scenario.timing) if duration is None else duration,
     )
 
 
 def _duration(path: Path, problem: DockingProblem, choice: PluginChoice) -> float | None:
     """None where the limits allow no motion along the path, as at a corner."""
-    timer = create_plugin(TimeParameterizer, choice.name, choice.parameters)
     try:
-        result = timer.parameterize(
-            path, problem.robot.limits, problem.dock.approach, start_speed=abs(problem.start_speed)
-        )
-    except OptdockError:
+        return timed_by(choice, path, problem, start_speed=abs(problem.start_speed)).duration
+    except FailedToTimePath:
         return None
-    return result.trajectory.duration if result.status == 0 and result.trajectory is not None else None
 
 
 def worst_joint_angle(path: Path) -> float:

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass, field
 from functools import cache
 from importlib.metadata import EntryPoint, entry_points
 from typing import TYPE_CHECKING, NamedTuple, TypeVar
 
-from optdock.errors import OptdockError, PluginError
+from optdock.errors import InvalidValue, OptdockError, PluginError
+from optdock.geometry.checked import instance
 from optdock.interfaces import (
     Behavior,
     Controller,
@@ -17,12 +19,29 @@ from optdock.interfaces import (
     Smoother,
     TimeParameterizer,
 )
+from optdock.lifecycle import PluginContext
+from optdock.limits import MotionLimits, SpeedZone
+from optdock.outcomes import TimingStatus
 from optdock.parameters import closest, parse_parameters
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-__all__ = ["INTERFACES", "PluginInfo", "available_plugins", "create_plugin", "load_plugin"]
+    from optdock.path import Path
+    from optdock.problem import DockingProblem
+    from optdock.trajectory import Trajectory
+
+__all__ = [
+    "INTERFACES",
+    "PluginChoice",
+    "PluginInfo",
+    "available_plugins",
+    "create_plugin",
+    "load_plugin",
+    "plugin_class",
+    "plugin_from",
+    "timed_by",
+]
 
 INTERFACES: Mapping[str, type[Plugin]] = {
     "planners": GlobalPlanner,
@@ -48,6 +67,21 @@ class PluginInfo(NamedTuple):
     kind: str
     name: str
     target: str
+
+
+@dataclass(frozen=True)
+class PluginChoice:
+    """A plugin by name, and its parameters, as a file asks for it.
+
+    Raises:
+        InvalidValue: The name is no text.
+    """
+
+    name: str
+    parameters: Mapping[str, object] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        instance(str, self.name, "plugin choice: name")
 
 
 @cache
@@ -113,3 +147,75 @@ def create_plugin(interface: type[P], name: str, parameters: Mapping[str, object
     except Exception as error:  # foreign code may raise anything while it is built
         target = f"{plugin_class.__module__}:{plugin_class.__qualname__}"
         raise PluginError(f"plugin {name} ({target}) cannot be built: {error}") from error
+
+
+def plugin_from(interface: type[P], asked: str | PluginChoice | P, role: str) -> P:
+    """The plugin that a caller asks for: by name, by name with parameters, or the object itself.
+
+    Args:
+        interface: What it must be.
+        asked: The plugin.
+        role: What it is asked for as, for messages.
+
+    Raises:
+        PluginError: As `create_plugin`.
+        InvalidValue: It is none of the three, or a parameter is wrong.
+    """
+    if isinstance(asked, interface):
+        return asked
+    if isinstance(asked, str):
+        return create_plugin(interface, asked)
+    if isinstance(asked, PluginChoice):
+        return create_plugin(interface, asked.name, asked.parameters)
+    if isinstance(asked, type):
+        raise InvalidValue(
+            f"{role}: must be a {interface.__name__}, got the class {asked.__name__}; write {asked.__name__}()"
+        )
+    raise InvalidValue(f"{role}: must be a {interface.__name__} or the name of one, got {type(asked).__name__}")
+
+
+def timed_by(
+    timing: str | PluginChoice | TimeParameterizer,
+    path: Path,
+    problem: DockingProblem | None,
+    *,
+    zone: SpeedZone | None = None,
+    start_speed: float = 0.0,
+) -> Trajectory:
+    """The motion along a path by a time parameterizer, under the limits of a problem; nothing proves it here.
+
+    Args:
+        timing: The method: its name, its name with parameters, or a plugin that is not configured.
+        path: Where to drive.
+        problem: Its robot's limits count; None: the default limits.
+        zone: Slow stretch at the end; None: that of the problem's dock.
+        start_speed: Along the travel, >= 0 in either gear [m/s].
+
+    Raises:
+        FailedToTimePath: The method has no motion from this start that keeps the limits.
+        PluginError: As `create_plugin`.
+        LifecycleError: The plugin is configured already.
+        InvalidValue: A parameter or the start speed is wrong.
+    """
+    parameterizer = plugin_from(TimeParameterizer, timing, "timing")
+    limits, approach = (problem.robot.limits, problem.dock.approach) if problem else (MotionLimits(), SpeedZone())
+    parameterizer.configure(PluginContext(name=parameterizer.name, problem=problem))
+    try:
+        result = parameterizer.parameterize(path, limits, approach if zone is None else zone, start_speed=start_speed)
+    finally:
+        parameterizer.cleanup()
+    if result.status is not TimingStatus.OK or result.trajectory is None:
+        raise result.failure()
+    return result.trajectory
+
+
+def plugin_class(name: str) -> type[Plugin]:
+    """The installed plugin class called `name`, of whatever kind.
+
+    Raises:
+        PluginError: No kind has such a plugin, or it cannot be imported.
+    """
+    for kind, interface in INTERFACES.items():
+        if name in _found(kind):
+            return load_plugin(interface, name)
+    raise PluginError(f"unknown plugin {name!r}: no installed distribution has an entry point of that name")

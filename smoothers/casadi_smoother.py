@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import dataclasses
-import math
 from typing import TYPE_CHECKING, ClassVar, Literal
 
 import numpy as np
@@ -16,7 +15,7 @@ from optdock.dock import Dock, DockDirection
 from optdock.errors import InvalidValue, SmootherException
 from optdock.geometry.footprint import Footprint
 from optdock.geometry.pose import Pose2
-from optdock.interfaces import Smoother, SmoothingResult, never_cancelled
+from optdock.interfaces import Smoother, SmoothingReport, SmoothingResult, SmoothingStatus, never_cancelled
 from optdock.limits import MotionLimits
 from optdock.obstacles import ObstacleSet
 from optdock.parameters import PluginParameters, checked_seconds
@@ -233,18 +232,16 @@ def covers(path: Path, result: Path) -> bool:
 
 
 def _result(best: Incumbent, outcome: Outcome, deadline: Deadline, build: float) -> SmoothingResult:
-    first = outcome.first_certified
-    kept = {"input": "input_kept", "line": "direct", "warm_start": "warm_start_kept"}
-    status = kept.get(best.origin, "converged" if outcome.converged else "budget")
-    report = {
-        "status": status,
-        "cost": best.cost,
-        "iterations": outcome.iterations,
-        "setup_s": outcome.setup_time - build,
-        "build_s": build,
-        "certify_s": outcome.certify_time,
-        "first_certified_s": first if first is not None else math.nan,
-        "total_s": deadline.elapsed,
-        "certificate": best.certificate,
-    }
+    searched = SmoothingStatus.CONVERGED if outcome.converged else SmoothingStatus.STOPPED
+    report = SmoothingReport(
+        status=best.given or searched,
+        cost=best.cost,
+        iterations=outcome.iterations,
+        setup_s=outcome.setup_time - build,
+        build_s=build,
+        certify_s=outcome.certify_time,
+        first_certified_s=outcome.first_certified,
+        total_s=deadline.elapsed,
+        certificate=best.certificate,
+    )
     return SmoothingResult(best.path, outcome.converged, report)

@@ -15,7 +15,7 @@ import casadi
 import numpy as np
 
 from optdock.deadline import Deadline
-from optdock.interfaces import SmoothingResult, never_cancelled
+from optdock.interfaces import SmoothingReport, SmoothingResult, SmoothingStatus, never_cancelled
 from optdock.verification import certify_path
 from smoothers.casadi_smoother import CasadiSmoother
 from smoothers.scp.basis import basis_for
@@ -70,7 +70,8 @@ def smooth_by_ipopt(path: Path, max_time: float, problem: DockingProblem, **para
     certificate = certify_path(found, problem)
     if not certificate.certified:
         raise refuse_search(nlp, iterate, straight).error(certificate=certificate.reason)
-    report = {"status": "reference", "cost": iterate.cost, "total_s": deadline.elapsed, "certificate": certificate}
+    status = SmoothingStatus.CONVERGED if settled else SmoothingStatus.STOPPED
+    report = SmoothingReport(status, iterate.cost, total_s=deadline.elapsed, certificate=certificate)
     return SmoothingResult(found, settled, report)
 
 

@@ -45,4 +45,6 @@ def _gap(family: str, seed: int) -> float | None:
         reference = smooth_by_ipopt(task.raw_path, _TIME, task.problem)
     except SmootherException:
         return None
-    return 100.0 * (float(str(found.report["cost"])) / float(str(reference.report["cost"])) - 1.0)
+    if found.report.cost is None or reference.report.cost is None:
+        return None
+    return 100.0 * (found.report.cost / reference.report.cost - 1.0)

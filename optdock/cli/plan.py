@@ -57,7 +57,8 @@ class _Nav2Sources(NamedTuple):
 
 
 def _loaded(scenario: Path | None, nav2: _Nav2Sources) -> Scenario:
-    from optdock.config import load_scenario, nav2_scenario
+    from optdock.config import load_scenario
+    from optdock.nav2.scenario import nav2_scenario
 
     given = [name for name, value in nav2._asdict().items() if value is not None]
     if scenario is not None and not given:
@@ -74,7 +75,7 @@ def _plan_and_write(
     from optdock.cli.solving import solved_or_saved
     from optdock.errors import OptdockError
     from optdock.io.plan_file import save_plan
-    from optdock.pipeline import PartialPlan
+    from optdock.plan import PartialPlan
     from optdock.report import plan_file, plan_rows, table
 
     spacing, period = steps

@@ -14,7 +14,7 @@ from optdock.errors import InvalidValue
 
 if TYPE_CHECKING:
     from optdock.config import Scenario
-    from optdock.pipeline import DockPlan
+    from optdock.plan import DockPlan
     from optdock.simulation import Run
 
 __all__ = ["World", "driven", "refuse_fault", "simulate"]
@@ -123,7 +123,7 @@ def driven(scenario: Scenario, plan: DockPlan, seed: int, world: World = _USUAL)
 
 
 def _checked(world: World) -> World:
-    from optdock.io.units import unit_fault
+    from optdock.io.numbers import unit_fault
 
     for name, value in world._asdict().items():
         if not (math.isfinite(value) and value >= 0.0):

@@ -90,6 +90,11 @@ class Pose2:
                 raise InvalidValue(f"pose.{name}: must be within +-{most:g} {unit}, got {value:g}")
             object.__setattr__(self, name, value)
 
+    @property
+    def brief(self) -> str:
+        """`(x, y, yaw)` to a tenth of a millimetre, for people."""
+        return "({:.7g}, {:.7g}, {:.7g})".format(*(round(value, 4) + 0.0 for value in (self.x, self.y, self.yaw)))
+
     def __matmul__(self, other: Pose2) -> Pose2:
         c, s = math.cos(self.yaw), math.sin(self.yaw)
         return Pose2(self.x + c * other.x - s * other.y, self.y + s * other.x + c * other.y, self.yaw + other.yaw)

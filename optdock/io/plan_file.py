@@ -71,7 +71,7 @@ class PlanError(NamedTuple):
         return cls(error.code, str(error), error.where)
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class PlanFile:
     """The content of a plan file; what does not exist is None.
 
@@ -106,6 +106,11 @@ class PlanFile:
         for name in ("raw_path", "path"):
             path: Path | None = getattr(self, name)
             object.__setattr__(self, name, None if path is None else path.with_frame(self.frame))
+
+    def __repr__(self) -> str:
+        has = [name for name in ("raw_path", "path", "trajectory", "time_law") if getattr(self, name) is not None]
+        reason = f" ({self.error.message})" if self.error is not None else ""
+        return f"<PlanFile {self.status}{reason}, with {', '.join(has) or 'nothing'} in {self.frame!r}>"
 
     def as_json(self, *, spacing: float = DEFAULT_SPACING) -> str:
         """The file's text.
@@ -173,7 +178,7 @@ def strict_json(document: Mapping[str, object]) -> str:
     return "{" + ",\n ".join(lines) + "}\n"
 
 
-def save_plan(target: FilePath, plan: PlanFile, *, spacing: float = DEFAULT_SPACING) -> None:
+def save_plan(target: str | FilePath, plan: PlanFile, *, spacing: float = DEFAULT_SPACING) -> None:
     """Write a plan file.
 
     Args:
@@ -232,7 +237,7 @@ class _PlanDocument(_Model):
     error: _ErrorDocument | None = None
 
 
-def load_plan(source: FilePath) -> PlanFile:
+def load_plan(source: str | FilePath) -> PlanFile:
     """Read a plan file, also one that optdock did not write; keys it does not know are ignored.
 
     Raises:

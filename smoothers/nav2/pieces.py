@@ -11,7 +11,6 @@ import numpy as np
 from optdock.errors import InvalidPath
 from optdock.geometry.pose import normalize_angle
 from optdock.path import Path, PolylineSegment
-from optdock.surroundings import obstacles_near
 from optdock.verification import pose_clearances
 
 if TYPE_CHECKING:
@@ -142,6 +141,6 @@ def task_of(path: Path, problem: DockingProblem | None, context: PluginContext) 
     reach = footprint.circumscribed_radius + 0.5 + _MARGIN
     lower, upper = points.min(axis=0) - reach, points.max(axis=0) + reach
     if wanted is None:
-        return path, Surroundings(context.costmap, footprint, obstacles_near(context, lower, upper))
+        return path, Surroundings(context.costmap, footprint, context.obstacles_near(lower, upper))
     near = wanted.all_obstacles.in_box(np.asarray(lower), np.asarray(upper))
     return path.with_frame(wanted.frame), Surroundings(wanted.costmap, footprint, near)

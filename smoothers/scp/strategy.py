@@ -14,6 +14,7 @@ import numpy as np
 
 from optdock.errors import SmootherCancelled, SmootherTimedOut
 from optdock.geometry.clothoid import ClothoidSpline
+from optdock.interfaces import SmoothingStatus
 from optdock.path import ClothoidSegment, Path
 from optdock.verification import certify_path, pose_clearance
 from smoothers.scp.collision.scene import scene_around
@@ -76,12 +77,12 @@ class Given(NamedTuple):
     """A path that is an answer as it stands, where it is certified.
 
     Attributes:
-        origin: Its name in the report.
+        status: Of the result.
         path: Which one, or None.
         ends_all: Whether nothing is left to search for where there is one and something is certified.
     """
 
-    origin: str
+    status: SmoothingStatus
     path: Callable[[Call, AnytimeSettings], Path | None]
     ends_all: bool = False
 
@@ -149,8 +150,8 @@ def input_answer(call: Call, settings: AnytimeSettings) -> Path | None:
 
 
 STRATEGY: tuple[Given | Search, ...] = (
-    Given("input", input_answer),
-    Given("line", direct_line, ends_all=True),
+    Given(SmoothingStatus.INPUT_KEPT, input_answer),
+    Given(SmoothingStatus.STRAIGHT, direct_line, ends_all=True),
     # The first search that ends with a certified path, or for want of time, is the last one.
     Search(lambda guesses: guesses.rest_of_earlier),
     Search(lambda guesses: guesses.first),
@@ -158,18 +159,18 @@ STRATEGY: tuple[Given | Search, ...] = (
     Search(lambda guesses: guesses.rest_of_earlier, thoroughly=True),
     Search(lambda guesses: guesses.first, thoroughly=True),
     Search(lambda guesses: guesses.other, thoroughly=True, after_the_goal=True),
-    Given("warm_start", earlier_answer),
+    Given(SmoothingStatus.WARM_START_KEPT, earlier_answer),
 )
 """Everything that is tried, in this order."""
 
 
 class Incumbent(NamedTuple):
-    """A certified path, its certificate, its cost, and its origin: `search` or that of a given path."""
+    """A certified path, its certificate, its cost, and its status where it was given and not searched for."""
 
     path: Path
     certificate: Certificate
     cost: float
-    origin: str = "search"
+    given: SmoothingStatus | None = None
 
 
 @dataclass
@@ -250,7 +251,7 @@ class Solver:
         path = row.path(self.call, self.settings.anytime)
         if path is None:
             return False
-        self._offer(path, row.origin)
+        self._offer(path, row.status)
         if not row.ends_all or self.outcome.incumbent is None:
             return False
         self.outcome.converged = True
@@ -332,12 +333,12 @@ class Solver:
             return refuse_certificate(outcome.refused).error()
         return refuse_search(self._nlp, closest, self.call.problem.dock.final_straight).error()
 
-    def _offer(self, path: Path, origin: str) -> None:
+    def _offer(self, path: Path, status: SmoothingStatus) -> None:
         """A result from elsewhere, if it is certified."""
         certificate = self._judged(path, self.deadline.elapsed)
         if certificate.certified:
             cost = self._nlp.cost.of_clothoids(path, self.call.problem.dock.final_straight)
-            self.outcome.incumbent = Incumbent(path, certificate, cost, origin)
+            self.outcome.incumbent = Incumbent(path, certificate, cost, status)
             self.outcome.first_certified = self.deadline.elapsed
 
     def _search_and_repair(self, nlp: NonlinearProgram, guess: Guess) -> None:

@@ -14,7 +14,7 @@ from optdock.dock import Dock
 from optdock.errors import FailedToSmoothPath, SmootherCancelled, SmootherException
 from optdock.geometry.footprint import Footprint
 from optdock.geometry.pose import Pose2
-from optdock.interfaces import PluginContext, Smoother, never_cancelled
+from optdock.interfaces import PluginContext, Smoother, SmoothingStatus, never_cancelled
 from optdock.limits import MotionLimits
 from optdock.obstacles import ObstacleSet
 from optdock.path import ClothoidSegment, Direction, Path
@@ -142,7 +142,7 @@ def test_moving_the_world_moves_the_path(smoother, family):
     )
     here = smoother.smooth(case.raw_path, LONG, problem=case.problem)
     there = smoother.smooth(raw, LONG, problem=moved)
-    assert there.report["cost"] == pytest.approx(here.report["cost"], rel=1e-4)
+    assert there.report.cost == pytest.approx(here.report.cost, rel=1e-4)
     for share in np.linspace(0.0, 1.0, 9):
         expected = motion @ here.path.pose_at(share * here.path.length)
         assert expected.distance_to(there.path.pose_at(share * there.path.length)) < 5e-3
@@ -155,7 +155,7 @@ def test_a_mirrored_world_has_a_mirrored_path(smoother, cases):
     other = cases.open_problem(Pose2(GOAL.x, -GOAL.y, 0.0), obstacles=[rock * flip])
     first = smoother.smooth(cases.kinked(*S_CURVE), LONG, problem=one)
     second = smoother.smooth(cases.kinked(*np.array(S_CURVE) * flip), LONG, problem=other)
-    assert second.report["cost"] == pytest.approx(first.report["cost"], rel=1e-6)
+    assert second.report.cost == pytest.approx(first.report.cost, rel=1e-6)
     share = np.linspace(0.0, 1.0, 20)
     left, right = first.path.poses_at(share * first.path.length), second.path.poses_at(share * second.path.length)
     assert left * [1.0, -1.0, -1.0] == pytest.approx(right, abs=1e-5)
@@ -169,13 +169,13 @@ def test_a_certified_clothoid_is_exchanged_for_a_cheaper_path_only(smoother, fam
     solver = Solver(pool_of_this_thread(), Deadline(LONG), never_cancelled, smoother.settings)
     nlp, _ = solver.prepared(smoother.call_for(straightened, case.problem))
     better = smoother.smooth(straightened, LONG, problem=case.problem)
-    assert better.report["status"] == "converged"
-    assert better.report["cost"] < nlp.cost.of_clothoids(straightened, case.problem.dock.final_straight)
+    assert better.report.status is SmoothingStatus.CONVERGED
+    assert better.report.cost < nlp.cost.of_clothoids(straightened, case.problem.dock.final_straight)
     path, costs = better.path, []
     for _ in range(8):
         result = smoother.smooth(path, LONG, problem=case.problem)
-        costs.append(result.report["cost"])
-        if result.report["status"] == "input_kept":
+        costs.append(result.report.cost)
+        if result.report.status is SmoothingStatus.INPUT_KEPT:
             break
         path = result.path
     assert result.path is path
@@ -188,7 +188,7 @@ def test_the_first_certified_path_is_complete_where_no_more_was_asked_for():
     for parameters in ({"stop_at_first": True}, {"max_iterations": 3}):
         result = CasadiSmoother(**parameters).smooth(case.raw_path, LONG, problem=case.problem)
         assert result.completed
-        assert result.report["total_s"] < 0.5 * LONG
+        assert result.report.total_s < 0.5 * LONG
 
 
 def test_an_earlier_result_in_another_frame_is_none(smoother):
@@ -207,7 +207,7 @@ def test_a_straight_line_is_kept_as_it_is(smoother, cases):
     line = Path((ClothoidSegment(ClothoidSpline(Pose2(0.0, 0.0, 0.0), [0.0, 3.0], [0.0, 0.0])),), "map")
     result = smoother.smooth(line, LONG, problem=cases.open_problem(goal))
     assert result.path is line
-    assert result.report["status"] == "input_kept"
+    assert result.report.status is SmoothingStatus.INPUT_KEPT
 
 
 @pytest.mark.parametrize("sign", [1.0, -1.0])
@@ -217,7 +217,7 @@ def test_from_the_staging_pose_only_the_straight_is_left(smoother, cases, sign):
     result = smoother.smooth(Path.from_poses([Pose2(0.0, 0.0, 0.0), goal]), LONG, problem=problem)
     assert certify_path(result.path, problem).certified
     assert result.path.length == pytest.approx(0.3)
-    assert result.report["status"] == "direct"
+    assert result.report.status is SmoothingStatus.STRAIGHT
 
 
 def test_a_start_within_the_final_straight_is_refused(smoother, cases):
@@ -257,7 +257,7 @@ def test_a_dock_may_be_touched_at_the_goal(smoother, cases, straight):
     problem = dataclasses.replace(cases.open_problem(GOAL), dock=Dock(GOAL, dock, final_straight=straight))
     result = smoother.smooth(cases.kinked(*S_CURVE), LONG, problem=problem)
     assert certify_path(result.path, problem).certified
-    assert result.report["iterations"] < 10
+    assert result.report.iterations < 10
 
 
 def test_duplicate_poses_change_nothing(smoother, cases):
@@ -266,7 +266,7 @@ def test_duplicate_poses_change_nothing(smoother, cases):
     twice = Path.from_poses(np.repeat(poses, 3, axis=0))
     problem = cases.open_problem(GOAL)
     first, second = (smoother.smooth(path, LONG, problem=problem) for path in (raw, twice))
-    assert second.report["cost"] == pytest.approx(first.report["cost"], rel=1e-9)
+    assert second.report.cost == pytest.approx(first.report.cost, rel=1e-9)
 
 
 def test_a_rotation_in_place_becomes_a_drivable_turn(smoother, cases):
@@ -301,8 +301,8 @@ def test_the_first_certified_path_can_be_asked_for():
     case = instance("parallel", 0)
     first = CasadiSmoother(stop_at_first=True).smooth(case.raw_path, LONG, problem=case.problem)
     best = CasadiSmoother().smooth(case.raw_path, LONG, problem=case.problem)
-    assert first.report["iterations"] < best.report["iterations"]
-    assert first.report["cost"] > best.report["cost"]
+    assert first.report.iterations < best.report.iterations
+    assert first.report.cost > best.report.cost
 
 
 def test_cancelling_stops_the_work(smoother):
@@ -320,8 +320,8 @@ def test_a_warm_start_needs_fewer_iterations(smoother, family):
     cold = smoother.smooth(case.raw_path, LONG, problem=moved)
     warm = smoother.smooth(case.raw_path, LONG, problem=moved, warm_start=before.path)
     assert certify_path(warm.path, moved).certified
-    assert warm.report["iterations"] < cold.report["iterations"]
-    assert warm.report["cost"] == pytest.approx(cold.report["cost"], rel=0.01)
+    assert warm.report.iterations < cold.report.iterations
+    assert warm.report.cost == pytest.approx(cold.report.cost, rel=0.01)
 
 
 def test_a_warm_start_further_along_the_path(smoother):
@@ -350,7 +350,7 @@ def test_a_warm_start_with_other_gears_is_ignored(smoother):
     earlier = smoother.smooth(other.raw_path, LONG, problem=other.problem).path
     result = smoother.smooth(case.raw_path, LONG, problem=case.problem, warm_start=earlier)
     plain = smoother.smooth(case.raw_path, LONG, problem=case.problem)
-    assert result.report["cost"] == plain.report["cost"]
+    assert result.report.cost == plain.report.cost
 
 
 def test_the_wrong_gear_for_the_dock_is_refused(smoother, cases):
@@ -428,7 +428,7 @@ def test_warm_up_leaves_nothing_to_build():
     plugin = CasadiSmoother()
     plugin.warm_up()
     case = instance("open_s", 0)
-    assert plugin.smooth(case.raw_path, LONG, problem=case.problem).report["build_s"] == 0.0
+    assert plugin.smooth(case.raw_path, LONG, problem=case.problem).report.build_s == 0.0
 
 
 def test_warm_up_pushes_out_of_an_obstacle_too(monkeypatch):
@@ -451,7 +451,7 @@ def test_reverse_is_forward_seen_backwards(smoother, cases):
     )
     first = smoother.smooth(forward, LONG, problem=one)
     second = smoother.smooth(backward, LONG, problem=other)
-    assert second.report["cost"] == pytest.approx(first.report["cost"], rel=1e-9)
+    assert second.report.cost == pytest.approx(first.report.cost, rel=1e-9)
 
 
 def test_warming_up_survives_parameters_that_find_no_path(monkeypatch):
@@ -492,10 +492,10 @@ def test_a_cluttered_scene_that_needs_finer_nodes_gets_them():
 
 def test_a_side_that_rolls_around_a_corner_needs_fewer_steps_when_they_overshoot(monkeypatch):
     case, first = instance("long_approach", 24), CasadiSmoother(stop_at_first=True)
-    taken = first.smooth(case.raw_path, LONG, problem=case.problem).report["iterations"]
+    taken = first.smooth(case.raw_path, LONG, problem=case.problem).report.iterations
     loop = dataclasses.replace(DEFAULT_SETTINGS.loop, overshot=0.0)
     monkeypatch.setattr(first, "settings", dataclasses.replace(DEFAULT_SETTINGS, loop=loop))
-    assert taken < first.smooth(case.raw_path, LONG, problem=case.problem).report["iterations"]
+    assert taken < first.smooth(case.raw_path, LONG, problem=case.problem).report.iterations
 
 
 def test_an_earlier_result_that_still_holds_is_better_than_none(smoother, monkeypatch):
@@ -504,7 +504,7 @@ def test_an_earlier_result_that_still_holds_is_better_than_none(smoother, monkey
     gap = instance("gap_blocked", 0)
     monkeypatch.setattr(Solver, "_try", lambda self, _search: setattr(self.outcome, "converged", True))
     again = smoother.smooth(case.raw_path, LONG, problem=case.problem, warm_start=earlier)
-    assert again.report["status"] == "warm_start_kept"
+    assert again.report.status is SmoothingStatus.WARM_START_KEPT
     assert again.path is earlier
     moved = dataclasses.replace(case.problem, start=gap.problem.start)
     assert not is_clothoid_answer(earlier, moved, DEFAULT_SETTINGS.anytime)
