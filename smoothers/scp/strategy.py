@@ -16,7 +16,7 @@ from optdock.errors import SmootherCancelled, SmootherTimedOut
 from optdock.geometry.clothoid import ClothoidSpline
 from optdock.interfaces import SmoothingStatus
 from optdock.path import ClothoidSegment, Path
-from optdock.verification import certify_path, pose_clearance
+from optdock.verification import certify_path, end_clearances
 from smoothers.scp.collision.scene import scene_around
 from smoothers.scp.goal_projection import exact_path
 from smoothers.scp.initial_guess import InitialGuesses, rest_of_earlier_result
@@ -286,7 +286,7 @@ class Solver:
         """
         self._look_at_the_clock()
         path, problem, resolution = call.path, call.problem, self.settings.resolution
-        start_clearance, nearest = pose_clearance(problem.start, problem.robot.footprint, problem.all_obstacles)
+        start_clearance, nearest, *_ = end_clearances(problem)
         refusal = refuse_start(path, problem, start_clearance, nearest)
         if refusal is None:
             refusal = refuse_approach(path, problem, start_clearance)
