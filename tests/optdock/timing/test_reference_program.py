@@ -1,48 +1,53 @@
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from optdock.limits import SpeedZone
 from optdock.path import Path
-from optdock.timing.arcs import launch_arc, stop_arc
-from optdock.timing.bounds import Bounds
-from optdock.timing.gears import courses_of
-from optdock.timing.grid import acceleration_profile, grid_of
-from optdock.timing.guess import initial_guess
+from optdock.timing.forward_backward import forward_backward_pass
 from optdock.timing.motion import State, state_after
-from optdock.timing.reference import solve_reference
-from optdock.timing.smooth import cell_phases
-from optdock.timing.spline import applied, coefficients_of, limit_rows, ripple_bands, spline_of
+from optdock.timing.path_limits import ReferenceBounds, limits_along
+from optdock.timing.reference_program import (
+    applied,
+    coefficients_of,
+    initial_guess,
+    limit_rows,
+    ripple_bands,
+    solve_reference,
+    spline_of,
+    spline_phases,
+)
+from optdock.timing.settings import NEAR_OPTIMAL
 
 REST = State()
 
 
-def _posed(make, all_limits, seed, start=REST):
+def _solved(make, all_limits, seed, start=REST):
     path = make.random_path(np.random.default_rng(seed), length=3.0)
-    course = courses_of(path, all_limits, SpeedZone(0.15, 0.4))[0]
-    bounds = Bounds(course)
-    profile = acceleration_profile(bounds, start)
-    launch, stop = launch_arc(bounds, start), stop_arc(bounds)
-    grid = grid_of(bounds, profile, launch.state, stop.state, 0.08)
-    guess = initial_guess(grid, bounds, profile, launch.state, stop.state)
-    return bounds, grid, guess, launch, stop
+    along = limits_along(path, all_limits, SpeedZone(0.15, 0.4))[0]
+    bounds = ReferenceBounds(along, replace(NEAR_OPTIMAL, ripple=0.0))
+    return bounds, solve_reference(bounds, start)
 
 
 @pytest.mark.parametrize("seed", range(4))
 def test_the_grid_stands_on_the_zone_and_on_the_jumps_that_matter(make, all_limits, seed):
-    bounds, grid, _guess, launch, stop = _posed(make, all_limits, seed)
-    assert grid.knots[grid.zone] == pytest.approx(bounds.course.zone_start, abs=1e-12)
+    bounds, found = _solved(make, all_limits, seed)
+    grid, launch, stop = found.grid, found.launch, found.stop
+    assert grid.knots[grid.zone] == pytest.approx(bounds.limits.zone_start, abs=1e-12)
     assert (grid.knots[0], grid.knots[-1]) == (launch.state.s, stop.state.s)
     assert np.all(grid.steps > 0.0)
-    jumps = bounds.course.s[bounds.jumps]
+    jumps = bounds.limits.s[bounds.jumps]
     jumps = jumps[(jumps > grid.knots[0]) & (jumps < grid.knots[-1])]
     on_a_knot = [np.min(np.abs(grid.knots - s)) < 1e-9 for s in jumps]
     assert np.mean(on_a_knot) > 0.6
 
 
 def test_the_stop_arc_ends_at_rest_at_the_end(make, all_limits):
-    _bounds, _grid, _guess, launch, stop = _posed(make, all_limits, 1)
+    _bounds, found = _solved(make, all_limits, 1)
+    launch, stop = found.launch, found.stop
     assert state_after(stop.state, *stop.phases[0]) == pytest.approx((3.0, 0.0, 0.0), abs=1e-12)
     assert state_after(State(), *launch.phases[0]) == pytest.approx(tuple(launch.state), abs=1e-15)
 
@@ -64,8 +69,8 @@ def test_stencils_are_value_slope_and_curvature_of_one_spline():
 @pytest.mark.parametrize("seed", range(4))
 @pytest.mark.parametrize("start", [State(), State(0.0, 0.15, 0.1)])
 def test_the_reference_keeps_its_limits_and_its_ends(make, all_limits, seed, start):
-    bounds, grid, guess, launch, stop = _posed(make, all_limits, seed, start)
-    found = solve_reference(grid, bounds, guess, (launch.state, stop.state), 0.0)
+    _bounds, found = _solved(make, all_limits, seed, start)
+    grid, launch, stop = found.grid, found.launch, found.stop
     assert found.iterations < 30
     ends = [(found.s[i], found.v[i], found.a[i]) for i in (0, -1)]
     assert ends == [tuple(launch.state), tuple(stop.state)]
@@ -82,8 +87,9 @@ def test_the_reference_keeps_its_limits_and_its_ends(make, all_limits, seed, sta
 @pytest.mark.parametrize("seed", range(3))
 def test_an_independent_solver_finds_no_faster_spline(make, all_limits, seed):
     casadi = pytest.importorskip("casadi")
-    bounds, grid, guess, launch, stop = _posed(make, all_limits, seed)
-    found = solve_reference(grid, bounds, guess, (launch.state, stop.state), 0.0)
+    bounds, found = _solved(make, all_limits, seed)
+    grid, launch, stop = found.grid, found.launch, found.stop
+    guess = initial_guess(grid, bounds, forward_backward_pass(bounds, REST), launch.state, stop.state)
     spline = spline_of(grid.steps)
     rows = limit_rows(grid, bounds, spline)
     start = coefficients_of(grid.steps, guess, launch.state, stop.state)
@@ -111,10 +117,9 @@ def test_an_independent_solver_finds_no_faster_spline(make, all_limits, seed):
 
 
 def test_cell_phases_reproduce_the_knots(make, all_limits):
-    bounds, grid, guess, launch, stop = _posed(make, all_limits, 2)
-    found = solve_reference(grid, bounds, guess, (launch.state, stop.state), 0.0)
-    state = launch.state
-    for n, phase in enumerate(cell_phases(found.s, found.v, found.a)):
+    _bounds, found = _solved(make, all_limits, 2)
+    state = found.launch.state
+    for n, phase in enumerate(spline_phases(found.s, found.v, found.a)):
         state = state_after(state, *phase)
         if n % 2:
             knot = (n + 1) // 2
@@ -133,10 +138,8 @@ def test_ripple_bands_are_the_squared_steps_of_the_second_derivative():
 
 
 def test_knots_stand_wider_where_the_robot_cruises(make, all_limits):
-    course = courses_of(Path((make.spline([6.0], [0.0, 0.0]),)), all_limits, SpeedZone())[0]
-    bounds = Bounds(course)
-    profile = acceleration_profile(bounds, REST)
-    grid = grid_of(bounds, profile, launch_arc(bounds, REST).state, stop_arc(bounds).state, 0.08)
+    along = limits_along(Path((make.spline([6.0], [0.0, 0.0]),)), all_limits, SpeedZone())[0]
+    grid = solve_reference(ReferenceBounds(along), REST).grid
     duration = np.diff(grid.time)
     assert duration[grid.steps.size // 2] == pytest.approx(0.16, rel=0.05)
     assert duration[0] == pytest.approx(0.08, rel=0.05)

@@ -6,17 +6,22 @@ import inspect
 import math
 from concurrent.futures import ThreadPoolExecutor
 
+import numpy as np
 import pytest
 import ruckig
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
 from optdock.errors import PluginError
-from optdock.timing import moves
-from optdock.timing.motion import Motion, State
-from optdock.timing.moves import Box, full_stop, move
+from optdock.limits import SpeedZone
+from optdock.timing import ruckig_moves
+from optdock.timing.motion import DriveBounds, Motion, State
+from optdock.timing.near_optimal import reference_motion
+from optdock.timing.path_limits import ReferenceBounds, Tightening, limits_along, worst_ratio
+from optdock.timing.ruckig_moves import move
+from optdock.timing.start_states import full_stop
 
-BOX = Box(0.5, 0.4, 0.6, 1.5)
+BOX = DriveBounds(0.5, 0.4, 0.6, 1.5)
 
 
 def assert_reaches(start, target, phases):
@@ -34,8 +39,8 @@ def test_the_loop_that_returns_to_its_own_moving_state_is_refused():
 
 def test_dipping_below_zero_inside_a_phase_counts_as_reversing():
     # The speed is positive at both ends of the only phases but negative between them.
-    assert not moves._drives_forward(State(0.0, 0.1, -0.6), ((1.0, 1.0),))
-    assert moves._drives_forward(State(0.0, 0.2, -0.6), ((1.0, 1.0),))
+    assert not ruckig_moves._drives_forward(State(0.0, 0.1, -0.6), ((1.0, 1.0),))
+    assert ruckig_moves._drives_forward(State(0.0, 0.2, -0.6), ((1.0, 1.0),))
 
 
 def test_a_start_beyond_the_speed_bound_keeps_its_brake_phases():
@@ -89,7 +94,7 @@ def test_stopping_ignores_the_speed_bound_and_leaves_the_position_interface():
 @settings(max_examples=200)
 @given(*(st.floats(-2.0, 2.0) for _ in range(4)), st.floats(-3.0, 3.0))
 def test_full_braking_in_closed_form_is_what_ruckig_finds(speed, deceleration, acceleration, jerk, start):
-    box = Box(1.0, 10.0**acceleration, 10.0**deceleration, 10.0**jerk)
+    box = DriveBounds(1.0, 10.0**acceleration, 10.0**deceleration, 10.0**jerk)
     state = State(0.0, 10.0**speed, start)
     assume(start >= 0.0 or state.v > 1.001 * start * start / (2.0 * box.jerk))
     given, found = ruckig.InputParameter(1), ruckig.Trajectory(1)
@@ -122,10 +127,12 @@ def test_threads_do_not_share_ruckig_objects():
 
 def test_intermediate_positions_are_never_set():
     # With one, the community edition calls a cloud service.
-    names = [node.attr for node in ast.walk(ast.parse(inspect.getsource(moves))) if isinstance(node, ast.Attribute)]
+    names = [
+        node.attr for node in ast.walk(ast.parse(inspect.getsource(ruckig_moves))) if isinstance(node, ast.Attribute)
+    ]
     assert "intermediate_positions" not in names
     move(State(), State(1.0), BOX)
-    assert list(moves._tool().input.intermediate_positions) == []
+    assert list(ruckig_moves._tool().input.intermediate_positions) == []
 
 
 def test_a_missing_ruckig_is_told_with_its_remedy(monkeypatch):
@@ -133,11 +140,11 @@ def test_a_missing_ruckig_is_told_with_its_remedy(monkeypatch):
         raise ImportError(f"No module named {name!r}")
 
     monkeypatch.setattr(importlib, "import_module", missing)
-    moves._ruckig.cache_clear()
+    ruckig_moves._ruckig.cache_clear()
     with pytest.raises(PluginError, match="pip install ruckig"):
-        moves._ruckig()
+        ruckig_moves._ruckig()
     monkeypatch.undo()
-    moves._ruckig.cache_clear()
+    ruckig_moves._ruckig.cache_clear()
 
 
 STATES = st.tuples(st.floats(0.0, 0.5), st.floats(-0.6, 0.4))
@@ -162,3 +169,45 @@ def _arrays(times):
     import numpy as np
 
     return [np.array([value]) for value in times]
+
+
+def _bounds(make, all_limits, seed, **more):
+    path = make.random_path(np.random.default_rng(seed), length=3.0)
+    return ReferenceBounds(limits_along(path, all_limits, SpeedZone(0.15, 0.4))[0], **more)
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_moves_join_to_one_motion_over_the_gear(make, all_limits, seed):
+    bounds = _bounds(make, all_limits, seed)
+    found = reference_motion(bounds, State())
+    motion = Motion.of(State(), found.phases)
+    assert tuple(motion.end) == pytest.approx((3.0, 0.0, 0.0), abs=1e-9)
+    assert len(found.moves) >= 2  # always split at the zone
+    assert found.sound
+    assert worst_ratio(bounds.limits, motion).path <= 1.0
+
+
+def test_tightening_a_stretch_slows_it_down(make, all_limits):
+    free = Motion.of(State(), reference_motion(_bounds(make, all_limits, 4), State()).phases)
+    tight = _bounds(make, all_limits, 4, tightenings=(Tightening(1.0, 1.5, 0.8),))
+    slow = Motion.of(State(), reference_motion(tight, State()).phases)
+    s = np.linspace(1.05, 1.45, 9)
+    fast_v, slow_v = (motion.at(motion.crossing_times(s))[1] for motion in (free, slow))
+    assert np.all(slow_v < fast_v)
+    assert slow.duration > free.duration
+
+
+def test_a_reference_needs_room_between_launch_and_stop(make, all_limits):
+    along = limits_along(make.random_path(np.random.default_rng(0), length=3.0), all_limits, SpeedZone())[0]
+    short = ReferenceBounds(along.after(along.length - 1e-3))
+    assert tuple(Motion.of(State(), reference_motion(short, State()).phases).end) == pytest.approx((1e-3, 0.0, 0.0))
+    assert reference_motion(short, State(0.0, 0.0, 0.4)) is None  # leading this acceleration back takes more
+
+
+def test_a_cell_without_a_move_is_driven_as_the_reference_drives_it(make, all_limits, monkeypatch):
+    bounds = _bounds(make, all_limits, 2)
+    monkeypatch.setattr(ruckig_moves, "move", lambda *_: None)
+    found = reference_motion(bounds, State())
+    motion = Motion.of(State(), found.phases)
+    assert tuple(motion.end) == pytest.approx((3.0, 0.0, 0.0), abs=1e-8)
+    assert worst_ratio(bounds.limits, motion).stretch <= 1.02
