@@ -11,7 +11,7 @@ from optdock.geometry.footprint import Footprint
 from optdock.geometry.pose import Pose2, Twist2
 from optdock.obstacles import ObstacleSet
 from optdock.verification import pose_clearance
-from optdock.verification.sweep import free_motion
+from optdock.verification.time_of_impact import free_motion
 
 BOX = Footprint.rectangle(0.4, 0.3, 0.5)
 ORIGIN = Pose2(0.0, 0.0, 0.0)

@@ -6,7 +6,7 @@ import pytest
 from optdock.geometry.clothoid import ClothoidSpline
 from optdock.geometry.pose import Pose2
 from optdock.path import ClothoidSegment, Path, PolylineSegment
-from optdock.verification.motion import PathMotion
+from optdock.verification.motion_bounds import PathMotion
 
 
 def two_gears():

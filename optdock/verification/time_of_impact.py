@@ -1,11 +1,11 @@
-"""How long a footprint can move at a constant body velocity before it comes too close to an obstacle.
+"""Time of impact: how long a footprint can move at a constant body velocity before it comes too close to an obstacle.
 
-Between two looks at the scene the same bound holds as in `clearance`: along the axis n that attains the distance d, a
-footprint vertex v moves by at least `n.v' dt - M dt^2 / 2`. At a constant twist v' is known exactly and
+Between two looks at the scene the same bound holds as in `conservative_advancement`: along the axis n that attains the
+distance d, a footprint vertex v moves by at least `n.v' dt - M dt^2 / 2`. At a constant twist v' is known exactly and
 M = |yaw rate| * |v'|, constant in time, so the longest safe step has a closed form. A straight motion needs one step.
 
-Where pieces may touch, their wholes are looked at as well, as in `contact`: a needle must not slip between two
-obstacles that touch each other, nor a post into a fan of thin pieces, deeper than 3 micrometres.
+Where pieces may touch, their wholes are looked at as well, as in `contact_tolerance`: a needle must not slip between
+two obstacles that touch each other, nor a post into a fan of thin pieces, deeper than 3 micrometres.
 """
 
 from __future__ import annotations
@@ -17,7 +17,8 @@ import numpy as np
 
 from optdock.geometry.pose import transform_points
 from optdock.geometry.separation import separation
-from optdock.verification.contact import deep_pairs
+from optdock.verification.certificate import TOLERANCE
+from optdock.verification.contact_tolerance import deep_pairs
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -30,8 +31,7 @@ if TYPE_CHECKING:
 
 __all__ = ["Sweep", "free_motion"]
 
-_SLACK = 1e-6  # [m]: lets a motion run along an obstacle at exactly the required clearance
-_APART = 2.0 * _SLACK  # [m]: pieces that keep this distance share nothing, neither alone nor as wholes
+_APART = 2.0 * TOLERANCE  # [m]: pieces that keep this distance share nothing, neither alone nor as wholes
 _SHALLOW = 0.01  # [m]: overlap of a robot at rest in its dock; a motion may lead out of it, not deeper
 _SHORTEST_STEP = 1e-4  # [s]: when no longer step can be proven, the motion counts as blocked
 _MOST_STEPS = 2000
@@ -60,7 +60,7 @@ def free_motion(
         duration: How long to look [s].
         clearance: Distance to keep [m].
     """
-    reach = footprint.circumscribed_radius + math.hypot(twist.linear, twist.lateral) * duration + clearance + _SLACK
+    reach = footprint.circumscribed_radius + math.hypot(twist.linear, twist.lateral) * duration + clearance + TOLERANCE
     centre = np.array([pose.x, pose.y])
     near = np.flatnonzero(obstacles.box_distance(centre[None])[0] <= reach)
     if near.size == 0:
@@ -133,7 +133,7 @@ def _safe_steps(body: ConvexBody, scene: ObstacleSet, pose: Pose2, twist: Twist2
     velocity = forward + twist.angular * np.column_stack((-arm[:, 1], arm[:, 0]))  # (k, 2)
     bend = abs(twist.angular) * float(np.max(np.hypot(velocity[:, 0], velocity[:, 1])))
     height, rise = found.axis @ points.T, found.axis @ velocity.T  # (m, k)
-    spare = height - height.min(axis=1, keepdims=True) + np.maximum(found.distance - required + _SLACK, 0.0)[:, None]
+    spare = height - height.min(axis=1, keepdims=True) + np.maximum(found.distance - required + TOLERANCE, 0.0)[:, None]
     steps: FloatArray = _time_until_spent(spare, rise, bend).min(axis=1)
     return steps
 

@@ -1,4 +1,4 @@
-"""A path as cells of smooth motion, with bounds on how far any footprint point strays within a cell.
+"""Motion bounds: a path as cells of smooth motion, and how fast and how bent any footprint point moves within a cell.
 
 Within a cell the body moves as `pose(u)`, u from u0 to u1. A body point b has the world position p(u) + R(yaw(u)) b, so
 
@@ -16,7 +16,6 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from optdock.errors import InvalidPath
 from optdock.path import ClothoidSegment, PolylineSegment
 
 if TYPE_CHECKING:
@@ -164,9 +163,8 @@ def _segment_poses(segment: Segment, u: FloatArray) -> tuple[FloatArray, FloatAr
 def _segment_bounds(segment: Segment, cells: Cells, first: FloatArray, last: FloatArray) -> CellMotion:
     if isinstance(segment, PolylineSegment):
         return _polyline_bounds(segment, cells)
-    if isinstance(segment, ClothoidSegment):
-        return _clothoid_bounds(segment, cells, first, last)
-    raise InvalidPath(f"cannot verify a segment of type {type(segment).__name__}")
+    assert isinstance(segment, ClothoidSegment)  # a path holds nothing else
+    return _clothoid_bounds(segment, cells, first, last)
 
 
 def _polyline_bounds(segment: PolylineSegment, cells: Cells) -> CellMotion:

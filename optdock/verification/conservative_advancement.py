@@ -1,46 +1,64 @@
-"""The proof of clearance for every point of a path.
+"""Conservative advancement: the proof of clearance for every point of a path.
 
-The path is cut into cells. A cell is cleared when its first half is cleared from its first pose and its last half
-from its last pose (`half_cells`); a cell that is not is cut in two, until it is cleared, a pose in it breaks the rule,
-or it is given up, which counts as broken. Cells that are cleared by the tolerance only are proven a second time: there
-nothing may lie deep inside anything (`contact`).
+Where a pose keeps a distance, bounds of the motion say how far the robot may advance from it before that distance can
+be spent. Here the advance is of second order. Let n be the axis that attains the exact distance d of the footprint at
+u0 to an obstacle. A fixed axis is a valid lower bound at every other u as well, and along n every footprint vertex v
+moves by at least `n.v'(u0) du - M du^2 / 2`, M a bound of its acceleration (`motion_bounds`). So at u0 + du the
+distance is at least
+
+    d + min_v (n.v + n.v' du) - min_v n.v - M du^2 / 2                                    (*)
+
+which is concave in du: over a stretch it is smallest at one of the two ends. Motion along a wall costs nothing, as
+n.v' = 0 there; first-order advancement, which knows no direction, would have to creep.
+
+The path is subdivided into cells. A cell is cleared when its first half is cleared by the advance from its first pose
+and its last half by the advance back from its last pose; a cell that is not is bisected, until it is cleared, a pose in
+it breaks the rule, or it is given up, which counts as broken. The minimum that is reported is found by branch and
+bound: cells whose lower bound is well below the smallest clearance of a pose so far are bisected further.
+
+Cells that are cleared by the tolerance only are proven a second time: there nothing may lie deep inside anything
+(`contact_tolerance`).
 """
 
 from __future__ import annotations
 
+import functools
 from collections import deque
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
 from optdock.deadline import never_late
-from optdock.verification.contact import DEPTH, deep_pairs
-from optdock.verification.half_cells import HalfCells, body_bounds, half_cell_bounds, pose_clearances, rounded
-from optdock.verification.motion import Cells, PathMotion
+from optdock.geometry.separation import separation
+from optdock.verification.certificate import SHARPNESS, TOLERANCE
+from optdock.verification.contact_tolerance import DEPTH, deep_pairs
+from optdock.verification.motion_bounds import Cells, PathMotion
+from optdock.verification.proximity import bounded, bounded_footprint, broad_phase, pose_clearances
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
     from optdock.geometry.arrays import BoolArray, FloatArray, IntArray
     from optdock.geometry.pose import Pose2
+    from optdock.geometry.separation import ConvexBody
     from optdock.obstacles import ObstacleSet
     from optdock.path import Path
     from optdock.problem import DockingProblem
-    from optdock.verification.half_cells import HalfBounds, RoundedBody
-    from optdock.verification.motion import CellEnds, CellMotion, Nodes
+    from optdock.verification.motion_bounds import CellEnds, CellMotion, Nodes
+    from optdock.verification.proximity import BoundedBody
 
-__all__ = ["ClearanceProof", "prove_clearance"]
+__all__ = ["AdvanceBounds", "Advances", "ClearanceProof", "advance_bounds", "prove_clearance"]
 
-TOLERANCE = 1e-6  # [m], accepted shortfall; covers rounding where contact is allowed
-SHARPNESS = 1e-3  # [m]: the reported minimum is at most this far below a clearance that occurs
 _BLOCK = 4000  # cells looked at in one go, some milliseconds; a deadline is looked at in between
 _MAX_STEP = 0.08  # [m], first cells
 _MOST_FIRST = 100_000  # of them; on paths beyond 8 km they are longer
-_MAX_LEVELS = 24  # of halving
+_MAX_LEVELS = 24  # of bisection
 _CHEAP = 48  # cells: a round of fewer takes hardly less time, so few open ones are cut into many parts at once
 _MAX_POSES = 60_000  # added by refinement
 _WORTHWHILE = 0.7  # of the obstacles: where more are near, leaving out the rest costs more than it saves
 _CROP = 1.0  # [m]: obstacles further from the swept area than this are looked at only when nothing is as near
+_MAX_PAIRS = 200_000  # of an advance and an obstacle looked at in one go; bounds memory and time
+_MAX_CORNERS = 50_000  # of a body and an obstacle, met at all advances looked at in one go; likewise
 
 
 class ClearanceProof(NamedTuple):
@@ -76,7 +94,7 @@ class _Round(NamedTuple):
     attained: float
 
     def settled(self, keep: BoolArray | IntArray) -> FloatArray:
-        """Bound, requirement, place and row of the cells at `keep`, Shape (n, 4)."""
+        """Bound, place, requirement and row of the cells at `keep`, Shape (n, 4)."""
         table: FloatArray = np.column_stack((self.bound, self.s, self.required, self.row.astype(np.float64)))[keep]
         return table
 
@@ -98,19 +116,28 @@ def prove_clearance(path: Path, problem: DockingProblem, is_late: Callable[[], b
     clearances, _ = pose_clearances(ends, footprint, obstacles)
     start_clearance, attained = float(clearances[0]), float(clearances.min())
     motion = PathMotion(path)
-    prover = _Prover(motion, problem, start_clearance, attained, is_late)
-    near = prover.run(crop=_CROP)
-    if near.proven <= _CROP or len(prover.near) == len(obstacles):
+    subdivision = _Subdivision(motion, problem, start_clearance, attained, _CROP, is_late)
+    near = subdivision.run()
+    if near.proven <= _CROP or len(subdivision.near) == len(obstacles):
         return near
     # What was left out is at least `_CROP` away: it cannot break the rule, but it may hold the minimum.
     if is_late():
         margin = min(near.margin, _CROP - problem.clearance.required)
         return near._replace(proven=min(near.proven, _CROP), margin=margin)
-    return _Prover(motion, problem, start_clearance, attained, is_late).run(crop=np.inf)
+    return _Subdivision(motion, problem, start_clearance, attained, np.inf, is_late).run()
 
 
-class _Prover:
-    """Carries the fixed inputs of one proof, and its counters, through the rounds."""
+class _Subdivision:
+    """Cells of one path, bisected round by round: the fixed inputs of a proof, and its counters.
+
+    Args:
+        motion: The path as cells.
+        problem: What must hold.
+        start_clearance: Clearance of the start pose [m].
+        attained: Smallest clearance of a pose on the path so far [m].
+        crop: Obstacles further from the swept area are left out [m].
+        is_late: See `prove_clearance`.
+    """
 
     def __init__(
         self,
@@ -118,28 +145,29 @@ class _Prover:
         problem: DockingProblem,
         start_clearance: float,
         attained: float,
+        crop: float,
         is_late: Callable[[], bool],
     ) -> None:
         self.motion, self.problem, self.start_clearance = motion, problem, start_clearance
         self.attained, self.is_late = attained, is_late
         self.step = max(_MAX_STEP, motion.path.length / _MOST_FIRST)
         self.poses = 0
-
-    def run(self, crop: float) -> ClearanceProof:
-        """Rounds of cells until each is proven, violated or given up; obstacles beyond `crop` [m] are left out."""
         # At the goal the path often has just what is required: a last cell of full length would need a second round.
-        cells = self.motion.cells(self.step).last_halved()
-        budget = _MAX_POSES + cells.first.size
+        self.cells = motion.cells(self.step).last_halved()
+        self.ends = self._ends(self.cells)
+        self.near, self.original = self._crop(self.ends[1], crop)
+
+    def run(self) -> ClearanceProof:
+        """Rounds of cells until each is proven, violated or given up."""
+        budget = _MAX_POSES + self.cells.first.size
         settled: list[FloatArray] = []
         violations: list[FloatArray] = []
         forgiven: list[Cells] = []
         given_up: list[FloatArray] = [np.zeros((0, 4))]
-        whole, at_first = cells, self._ends(cells)
-        self.near, self.original = self._crop(at_first[1], crop)
-        waiting = deque((0, block) for block in cells.blocks(_BLOCK))
+        waiting = deque((0, block) for block in self.cells.blocks(_BLOCK))
         while waiting:
             level, cells = waiting.popleft()
-            ends, nodes = at_first if cells is whole else self._ends(cells)
+            ends, nodes = self.ends if cells is self.cells else self._ends(cells)
             if settled and level == 0 and self.is_late():
                 given_up.append(_unknown(nodes.s[ends.first]))  # of a long path this was not begun with
                 continue
@@ -160,23 +188,23 @@ class _Prover:
                 finer = cells.rows(open_cells).cut(2**halvings)
                 waiting.extend((level + halvings, block) for block in finer.blocks(_BLOCK))
         if forgiven and not sum(map(len, violations)):
-            deep = self._look_deep(Cells(*map(np.concatenate, zip(*forgiven, strict=True))))
+            deep = self._prove_contact(Cells(*map(np.concatenate, zip(*forgiven, strict=True))))
             for rows, more in zip((violations, given_up), deep, strict=True):
                 rows.append(more)
         return self._summary(np.concatenate(settled), np.concatenate(violations), np.concatenate(given_up))
 
-    def _look_deep(self, cells: Cells) -> tuple[FloatArray, FloatArray]:
+    def _prove_contact(self, cells: Cells) -> tuple[FloatArray, FloatArray]:
         """Poses at which something lies deep inside something, and what cannot be proven; as `run` collects them."""
         robot = self.problem.robot.footprint
         at = self._ends(cells)[1].poses[:, :2]
         reach = robot.circumscribed_radius + self.step
         pairs = deep_pairs(robot, self.near, at.min(axis=0) - reach, at.max(axis=0) + reach)
-        found = [self._apart(rounded(bodies), rocks, cells) for bodies, rocks in pairs]
+        found = [self._apart(bounded(bodies), rocks, cells) for bodies, rocks in pairs]
         violations, given_up = zip(*found, strict=True) if found else ((), ())
         return np.concatenate((np.zeros((0, 7)), *violations)), np.concatenate((np.zeros((0, 4)), *given_up))
 
     def _apart(
-        self, bodies: tuple[RoundedBody, ...], rocks: ObstacleSet, cells: Cells
+        self, bodies: tuple[BoundedBody, ...], rocks: ObstacleSet, cells: Cells
     ) -> tuple[FloatArray, FloatArray]:
         """Prove that bodies and obstacles share no interior in any of the cells."""
         level, budget = 0, self.poses + _MAX_POSES
@@ -184,15 +212,13 @@ class _Prover:
             ends, nodes = self._ends(cells)
             self.poses += nodes.s.size
             bounds = self.motion.bounds(cells, nodes.poses[ends.first], nodes.poses[ends.last])
-            halves = body_bounds(
-                bodies, _halves(nodes, ends, bounds), rocks, np.zeros(2 * cells.first.size), self.is_late
-            )
             n = cells.first.size
-            bound = np.minimum(halves.bound[:n], halves.bound[n:])
-            bad = np.flatnonzero(halves.distance < 0.0)
+            found = advance_bounds(bodies, _from_both_ends(nodes, ends, bounds), rocks, np.zeros(2 * n), self.is_late)
+            bound = np.minimum(found.bound[:n], found.bound[n:])
+            bad = np.flatnonzero(found.distance < 0.0)
             if bad.size:
-                k = bad[np.argmin(halves.distance[bad])]
-                return self._deep_violation(nodes, int(halves.pose[k]), float(halves.distance[k])), np.zeros((0, 4))
+                k = bad[np.argmin(found.distance[bad])]
+                return self._deep_violation(nodes, int(found.pose[k]), float(found.distance[k])), np.zeros((0, 4))
             open_cells = np.flatnonzero(~(bound >= 0.0))
             if open_cells.size == 0:
                 return np.zeros((0, 7)), np.zeros((0, 4))
@@ -237,21 +263,22 @@ class _Prover:
         self.poses += nodes.s.size
         distances = self._distances(nodes)
         required = self._required_in_cells(distances, ends, bounds)
-        care = np.maximum(required, self.attained)
-        stretches = _halves(nodes, ends, bounds)
-        halves = half_cell_bounds(self.problem.robot.footprint, stretches, self.near, np.tile(care, 2), self.is_late)
-        earlier = halves.bound[:n] <= halves.bound[n:]
+        exact_within = np.tile(np.maximum(required, self.attained), 2)
+        advances = _from_both_ends(nodes, ends, bounds)
+        bodies = bounded_footprint(self.problem.robot.footprint)
+        found = advance_bounds(bodies, advances, self.near, exact_within, self.is_late)
+        earlier = found.bound[:n] <= found.bound[n:]
         pick = np.where(earlier, np.arange(n), np.arange(n) + n)
-        violations = self._violations(nodes, halves, self._required(*distances))
-        attained = float(np.min(halves.distance, initial=np.inf))
-        place = nodes.s[stretches.pose[pick]]
-        return _Round(halves.bound[pick], required, halves.row[pick], place, violations, attained)
+        violations = self._violations(nodes, found, self._required(*distances))
+        attained = float(np.min(found.distance, initial=np.inf))
+        place = nodes.s[advances.pose[pick]]
+        return _Round(found.bound[pick], required, found.row[pick], place, violations, attained)
 
-    def _violations(self, nodes: Nodes, halves: HalfBounds, required: FloatArray) -> FloatArray:
+    def _violations(self, nodes: Nodes, found: AdvanceBounds, required: FloatArray) -> FloatArray:
         """Poses looked at exactly that break the rule, Shape (m, 7), see `ClearanceProof`."""
-        bad = np.flatnonzero(halves.distance < required[halves.pose] - TOLERANCE)
-        at = halves.pose[bad]
-        columns = (nodes.s[at], halves.distance[bad], required[at], 1.0 * halves.obstacle[bad])
+        bad = np.flatnonzero(found.distance < required[found.pose] - TOLERANCE)
+        at = found.pose[bad]
+        columns = (nodes.s[at], found.distance[bad], required[at], 1.0 * found.obstacle[bad])
         return np.column_stack((*columns, nodes.poses[at]))
 
     def _required_in_cells(
@@ -291,9 +318,149 @@ def _distance(nodes: Nodes, point: Pose2) -> FloatArray:
     return distance
 
 
-def _halves(nodes: Nodes, ends: CellEnds, bounds: CellMotion) -> HalfCells:
-    """First the first halves, seen from the first poses, then the last halves, seen from the last."""
+def _from_both_ends(nodes: Nodes, ends: CellEnds, bounds: CellMotion) -> Advances:
+    """Over the first half of every cell from its first pose, then back over the last half from its last pose."""
     velocity = np.concatenate((bounds.velocity_first, -bounds.velocity_last))
     columns = (0.5 * bounds.width, bounds.speed, bounds.turn, bounds.bend, bounds.twist)
     pose = np.concatenate((ends.first, ends.last))
-    return HalfCells(nodes.poses, pose, velocity, *(np.tile(column, 2) for column in columns))
+    return Advances(nodes.poses, pose, velocity, *(np.tile(column, 2) for column in columns))
+
+
+class Advances(NamedTuple):
+    """Stretches of motion that begin at known poses; n of them at k poses, as neighbours share theirs.
+
+    `poses`: Shape (k, 3). `pose`: where each begins, Shape (n,). `velocity`: d pose / du there, into the stretch,
+    Shape (n, 3). The others Shape (n,): `width` in u; bounds within the cell of |p'| `speed`, |yaw'| `turn`, |p''|
+    `bend`, |yaw''| + yaw'^2 `twist`.
+    """
+
+    poses: FloatArray
+    pose: IntArray
+    velocity: FloatArray
+    width: FloatArray
+    speed: FloatArray
+    turn: FloatArray
+    bend: FloatArray
+    twist: FloatArray
+
+    def rows(self, keep: slice) -> tuple[Advances, IntArray]:
+        """The stretches at `keep`, and which of the poses they still hold."""
+        used, pose = np.unique(self.pose[keep], return_inverse=True)
+        return Advances(self.poses[used], pose, *(column[keep] for column in self[2:])), used
+
+
+class AdvanceBounds(NamedTuple):
+    """Lower bound [m] and nearest obstacle row of every stretch, Shape (n,), and what was looked at exactly.
+
+    `pose`, `obstacle`, `distance`: pose index, obstacle row, signed distance [m], Shape (m,) each.
+    """
+
+    bound: FloatArray
+    row: IntArray
+    pose: IntArray
+    obstacle: IntArray
+    distance: FloatArray
+
+    def merged(self, other: AdvanceBounds) -> AdvanceBounds:
+        """The smaller bound of the two, and both lists of poses."""
+        mine = self.bound <= other.bound
+        return AdvanceBounds(
+            np.where(mine, self.bound, other.bound),
+            np.where(mine, self.row, other.row),
+            np.concatenate((self.pose, other.pose)),
+            np.concatenate((self.obstacle, other.obstacle)),
+            np.concatenate((self.distance, other.distance)),
+        )
+
+
+def advance_bounds(
+    bodies: tuple[BoundedBody, ...],
+    advances: Advances,
+    obstacles: ObstacleSet,
+    exact_within: FloatArray,
+    is_late: Callable[[], bool] = never_late,
+) -> AdvanceBounds:
+    """Lower bounds of the clearance over stretches of motion, by (*).
+
+    Args:
+        bodies: What moves as one, at least one.
+        advances: Where it moves.
+        obstacles: At least one.
+        exact_within: Shape (n,) [m]: what may come closer than this is left to the narrow phase; the broad phase
+            bounds the rest.
+        is_late: Asked between blocks of some milliseconds; once it is true, bounds not begun with are -inf.
+    """
+    n = advances.width.size
+    corners = max(len(one.body.vertices) for one in bodies) + obstacles.vertices.shape[1]
+    block = max(1, min(_MAX_PAIRS // len(obstacles), _MAX_CORNERS // corners))
+    if n <= block:
+        parts: list[AdvanceBounds] = []
+        for body in bodies:
+            if parts and is_late():
+                return functools.reduce(AdvanceBounds.merged, [*parts, _nothing_known(n)])
+            parts.append(_body_bounds(body, advances, obstacles, exact_within))
+        return functools.reduce(AdvanceBounds.merged, parts)
+    blocks: list[AdvanceBounds] = []
+    for rows in (slice(start, start + block) for start in range(0, n, block)):
+        if blocks and is_late():
+            blocks.append(_nothing_known(n - rows.start))
+            break
+        some, used = advances.rows(rows)
+        found = advance_bounds(bodies, some, obstacles, exact_within[rows], is_late)
+        blocks.append(found._replace(pose=used[found.pose]))
+    return AdvanceBounds(*(np.concatenate(columns) for columns in zip(*blocks, strict=True)))
+
+
+def _nothing_known(count: int) -> AdvanceBounds:
+    none = np.zeros(0, dtype=np.int64)
+    return AdvanceBounds(np.full(count, -np.inf), np.zeros(count, dtype=np.int64), none, none, np.zeros(0))
+
+
+def _body_bounds(
+    bounded: BoundedBody, advances: Advances, obstacles: ObstacleSet, exact_within: FloatArray
+) -> AdvanceBounds:
+    body, reach = bounded.body, bounded.reach
+    poses, width, n = advances.poses, advances.width, advances.width.size
+    travel = width * (advances.speed + reach * advances.turn)
+    gaps = broad_phase(bounded, poses, obstacles)
+    within = np.full(len(poses), -np.inf)
+    np.maximum.at(within, advances.pose, exact_within + travel)
+    at, o = np.nonzero(~(gaps >= within[:, None]))
+    exact = separation(body, poses[at], obstacles.pieces(o))
+    bounds = gaps[advances.pose] - travel[:, None]
+    i, pair = _met(advances.pose, at, len(poses))
+    drift = _directional(body, poses[at[pair]], advances.velocity[i], exact.axis[pair], width[i])
+    stray = 0.5 * (advances.bend + reach * advances.twist)[i] * width[i] ** 2
+    distance = exact.distance[pair]
+    bounds[i, o[pair]] = np.minimum(distance, distance + drift - stray)
+    bounds[np.isnan(bounds)] = -np.inf  # what is not a number proves nothing, and must not be lost in comparisons
+    row = np.argmin(bounds, axis=1)
+    return AdvanceBounds(bounds[np.arange(n), row], row, at, o, exact.distance)
+
+
+def _met(pose: IntArray, at: IntArray, count: int) -> tuple[IntArray, IntArray]:
+    """Every stretch with every pair of the pose where it begins: indices of stretches and of pairs, Shape (q,) each.
+
+    Args:
+        pose: Where each stretch begins.
+        at: The pose of each pair, ascending.
+        count: How many poses there are.
+    """
+    begin = np.searchsorted(at, np.arange(count + 1))
+    size = (begin[1:] - begin[:-1])[pose]
+    stretch = np.repeat(np.arange(pose.size), size)
+    first = begin[pose] - (np.cumsum(size) - size)
+    return stretch, np.arange(stretch.size) + first[stretch]
+
+
+def _directional(
+    body: ConvexBody, poses: FloatArray, velocity: FloatArray, axis: FloatArray, width: FloatArray
+) -> FloatArray:
+    """First-order part of (*): min_v (n.v + n.v' du) - min_v n.v at du = width. Shape (m,) [m]."""
+    c, s = np.cos(poses[:, 2]), np.sin(poses[:, 2])
+    across, along = axis[:, 0] * c + axis[:, 1] * s, axis[:, 1] * c - axis[:, 0] * s  # the axis in the body's frame
+    x, y = body.vertices[:, :1], body.vertices[:, 1:]
+    height = across * x + along * y  # (v, m)
+    rate = axis[:, 0] * velocity[:, 0] + axis[:, 1] * velocity[:, 1] + velocity[:, 2] * (along * x - across * y)
+    change: FloatArray = (height + width * rate).min(axis=0) - height.min(axis=0)
+    return change

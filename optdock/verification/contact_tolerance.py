@@ -1,6 +1,6 @@
-"""What the accepted shortfall must not hide: overlaps that are shallow piece by piece, but deep as a whole.
+"""Contact tolerance: what it must not hide are overlaps that are shallow piece by piece, but deep as a whole.
 
-Where no clearance is required a pair of convex pieces may overlap by the tolerance t of `clearance`, which covers
+Where no clearance is required a pair of convex pieces may overlap by the tolerance t of a certificate, which covers
 rounding. For two convex shapes that is harmless: all that they share lies within t of the outline of either. But a
 footprint that is not convex, and obstacles that touch each other, are unions of pieces that only meet. A needle
 entering between two touching boxes goes by t into either and by any depth into both; a post below a micrometre inside a
@@ -30,6 +30,7 @@ from optdock.geometry.footprint import convex_body
 from optdock.geometry.polygon import convex_cover
 from optdock.geometry.separation import separation
 from optdock.obstacles import ObstacleSet
+from optdock.verification.certificate import TOLERANCE
 
 if TYPE_CHECKING:
     from shapely.geometry.base import BaseGeometry
@@ -40,7 +41,7 @@ if TYPE_CHECKING:
 
 __all__ = ["DEPTH", "deep_pairs", "deepest"]
 
-DEPTH = 2e-6  # [m]; twice the tolerance, so that forgiven contact stays clear of the core by half of it
+DEPTH = 2.0 * TOLERANCE  # [m]: forgiven contact stays clear of the core by half of it
 _CRACK = 1e-7  # [m]: half the width of gaps between obstacles that count as none
 _MARGIN = 0.1  # [m] around the box of interest: its own edges must not count as outline within
 _ARC = 4  # segments of a quarter circle

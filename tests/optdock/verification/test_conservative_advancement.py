@@ -20,9 +20,10 @@ from optdock.obstacles import ObstacleSet
 from optdock.path import ClothoidSegment, Direction, Path, PolylineSegment
 from optdock.problem import ClearanceRule, DockingProblem
 from optdock.robot import Robot
-from optdock.verification import certify_path, clearance, half_cells, pose_clearance
-from optdock.verification.clearance import _Prover
-from optdock.verification.motion import PathMotion
+from optdock.verification import certify_path, conservative_advancement, pose_clearance
+from optdock.verification.conservative_advancement import AdvanceBounds, Advances, _Subdivision, advance_bounds
+from optdock.verification.motion_bounds import PathMotion
+from optdock.verification.proximity import bounded_footprint
 
 ROBOT = Robot(Footprint.rectangle(0.45, 0.45, 0.6), MotionLimits())
 REQUIRED = 0.05
@@ -117,7 +118,7 @@ def test_the_violating_pose_of_a_turn_in_place_shows_it():
 def test_what_is_given_up_still_bounds_the_clearance(monkeypatch):
     path = curved_path()
     obstacles = beside(path, 1.7, REQUIRED + 0.0001, 1)
-    monkeypatch.setattr("optdock.verification.clearance._MAX_LEVELS", 0)
+    monkeypatch.setattr("optdock.verification.conservative_advancement._MAX_LEVELS", 0)
     certificate = certify_path(path, problem_for(path, obstacles))
     assert kinds(certificate) == {"unproven"}
     assert certificate.min_clearance < REQUIRED
@@ -126,7 +127,7 @@ def test_what_is_given_up_still_bounds_the_clearance(monkeypatch):
 
 
 def test_a_proof_that_runs_out_of_poses_before_it_is_sharp_is_a_proof(monkeypatch):
-    monkeypatch.setattr("optdock.verification.clearance._MAX_POSES", 0)
+    monkeypatch.setattr("optdock.verification.conservative_advancement._MAX_POSES", 0)
     path = curved_path()
     certificate = certify_path(path, problem_for(path, beside(path, 1.7, REQUIRED + 0.03, 1)))
     assert certificate.certified
@@ -154,7 +155,10 @@ def test_a_late_certificate_counts_what_is_proven_and_refuses_the_rest():
 def test_more_time_proves_more():
     path = curved_path()
     problem = problem_for(path, beside(path, 1.7, REQUIRED + 0.0001, 1))
-    margins = [certify_path(path, problem, is_late=late_after(rounds)).margin for rounds in range(8)]
+    margins = [
+        certify_path(Path(path.segments), problem, is_late=late_after(rounds)).margin  # nothing is kept of it
+        for rounds in range(8)
+    ]
     assert margins == sorted(margins)
     assert margins[0] < -1e-6 < margins[-1]
 
@@ -316,7 +320,7 @@ def test_outlines_of_many_corners_fit_into_memory():
 
 
 def test_a_path_of_more_poses_than_refinement_may_add_can_still_be_proven(monkeypatch):
-    monkeypatch.setattr("optdock.verification.clearance._MAX_POSES", 60)
+    monkeypatch.setattr("optdock.verification.conservative_advancement._MAX_POSES", 60)
     path = curved_path()
     obstacles = beside(path, 1.7, REQUIRED + 0.0001, 1)
     fine = Path((PolylineSegment(path.sample(0.005).poses),))
@@ -466,7 +470,7 @@ def test_the_requirement_of_a_cell_holds_for_all_of_its_poses(seed):
     rule = ClearanceRule(0.3, 0.0, float(rng.uniform(0.2, 1.5)))
     problem = problem_for(path, ObstacleSet.from_polygons([square(5.0, 5.0)]), clearance=rule)
     start_clearance = float(rng.uniform(0.0, 0.4))
-    prover = _Prover(PathMotion(path), problem, start_clearance, 0.0, never_late)
+    prover = _Subdivision(PathMotion(path), problem, start_clearance, 0.0, np.inf, never_late)
     cells = prover.motion.cells(0.3)
     ends = cells.ends()
     nodes = prover.motion.nodes(ends.segment, ends.u)
@@ -504,8 +508,8 @@ def test_far_from_everything_the_clearance_is_a_bound(late):
 
 @pytest.mark.parametrize(("far", "runs"), [(0, 1), (9, 2)])
 def test_one_proof_is_enough_where_nothing_was_left_out(monkeypatch, far, runs):
-    path, made, run = curved_path(), [], _Prover.run
-    monkeypatch.setattr(_Prover, "run", lambda self, crop: made.append(crop) or run(self, crop))
+    path, made, run = curved_path(), [], _Subdivision.run
+    monkeypatch.setattr(_Subdivision, "run", lambda self: made.append(1) or run(self))
     boxes = [square(1.0, 3.0, 0.3), *(square(50.0 + k, 50.0, 0.3) for k in range(far))]
     certificate = certify_path(path, problem_for(path, ObstacleSet.from_polygons(boxes)))
     assert certificate.min_clearance > 1.0
@@ -516,7 +520,7 @@ def test_a_long_path_is_looked_at_in_blocks_between_which_a_deadline_counts(monk
     path = clothoid([0.0, 20.0], [0.0, 0.0])
     problem = problem_for(path, ObstacleSet.from_polygons([square(10.0, 1.0, 0.3), square(14.0, -0.7, 0.1)]))
     whole = certify_path(path, problem)
-    monkeypatch.setattr(clearance, "_BLOCK", 16)
+    monkeypatch.setattr(conservative_advancement, "_BLOCK", 16)
     parts = certify_path(Path(path.segments), problem)
     assert parts.certified
     assert parts.min_clearance == pytest.approx(whole.min_clearance, abs=1e-3)
@@ -531,7 +535,7 @@ def test_many_obstacles_are_looked_at_in_blocks_between_which_a_deadline_counts(
     posts = [square(x, y, 0.02) for x, y in zip(rng.uniform(0, 3, 80), rng.choice([-1, 1], 80) * 0.6, strict=True)]
     problem = problem_for(path, ObstacleSet.from_polygons(posts))
     assert certify_path(path, problem).certified
-    monkeypatch.setattr(half_cells, "_MAX_PAIRS", 100)
+    monkeypatch.setattr(conservative_advancement, "_MAX_PAIRS", 100)
     assert certify_path(Path(path.segments), problem).certified
     assert kinds(certify_path(Path(path.segments), problem, is_late=late_after(3))) == {"unproven"}
 
@@ -553,3 +557,104 @@ def test_the_kept_verdict_is_that_of_the_path_itself_not_of_an_equal_one():
     assert certify_path(straight, problem).certified
     assert not certify_path(detour, problem).certified
     assert certify_path(straight, problem) is certify_path(straight, problem)
+
+
+# One advance from a pose, against dense sampling.
+
+BAR = Footprint.rectangle(0.9, 0.3, 0.4)
+DART = Footprint(np.array([[0.4, 0.0], [-0.4, 0.3], [-0.2, 0.0], [-0.4, -0.3]]))
+
+
+def stretch_of(spline, width):
+    """The first half of the cell from 0 to 2 `width` on a spline with one piece."""
+    at, last = spline.poses_at(0.0), 2.0 * width
+    kappa = np.abs(spline.curvature_at([0.0, last])).max()
+    velocity = np.array([[np.cos(at[0, 2]), np.sin(at[0, 2]), spline.curvature_at(0.0)[0]]])
+    rate = abs(float(spline.curvature_rate_at(0.0)[0]))
+    columns = (width, 1.0, kappa, kappa, rate + kappa**2)
+    return Advances(at, np.array([0]), velocity, *(np.array([value]) for value in columns))
+
+
+def dense_distance(spline, width, footprint, rocks):
+    outlines = shapely.polygons(transform_points(spline.poses_at(np.linspace(0.0, width, 80)), footprint.vertices))
+    return float(shapely.distance(outlines[:, None], shapely.polygons(rocks)).min())
+
+
+@given(st.integers(0, 100_000))
+def test_the_bound_holds_along_sharply_curved_stretches(seed):
+    rng = np.random.default_rng(seed)
+    footprint, width = (BAR, DART)[seed % 2], rng.uniform(0.02, 0.3)
+    spline = ClothoidSpline(Pose2(*rng.uniform(-1.0, 1.0, 3)), [0.0, 2.0 * width], rng.uniform(-6.0, 6.0, 2))
+    rocks = [rng.uniform(-1.5, 1.5, 2) + 0.01 * np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]]) for _ in range(40)]
+    distances = [dense_distance(spline, width, footprint, [rock]) for rock in rocks]
+    free = [rock for rock, distance in zip(rocks, distances, strict=True) if distance > 0.0]
+    found = advance_bounds(
+        bounded_footprint(footprint), stretch_of(spline, width), ObstacleSet.from_polygons(free), np.array([3.0])
+    )
+    assert found.bound[0] <= dense_distance(spline, width, footprint, free) + 1e-9
+
+
+def test_a_body_that_swings_towards_a_post_is_seen_coming():
+    # A quarter of a metre on a circle of 0.4 m: the front swings 8 cm further to the left than its tangent says.
+    spline = ClothoidSpline(Pose2(0.0, 0.0, 0.0), [0.0, 0.5], [2.5, 2.5])
+    post = np.array([0.9, 0.7]) + 0.001 * np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]])
+    truth = dense_distance(spline, 0.25, BAR, [post])
+    bound = advance_bounds(
+        bounded_footprint(BAR), stretch_of(spline, 0.25), ObstacleSet.from_polygons([post]), np.array([3.0])
+    ).bound[0]
+    assert truth < 0.1
+    assert bound <= truth
+
+
+@pytest.mark.parametrize("most", [1, 7, 50, 10_000])
+def test_blocks_change_nothing(monkeypatch, most):
+    rng = np.random.default_rng(1)
+    poses = rng.uniform(-1.0, 1.0, (9, 3))
+    pose = rng.integers(0, 9, 14)
+    columns = [np.full(14, value) for value in (0.05, 1.0, 0.5, 0.5, 0.5)]
+    many = Advances(poses, pose, rng.normal(size=(14, 3)), *columns)
+    rocks = ObstacleSet.from_polygons(
+        [rng.uniform(-2.0, 2.0, 2) + np.array([[0, 0], [0.1, 0], [0, 0.2]]) for _ in range(6)]
+    )
+    care = np.full(14, 0.4)
+    whole = advance_bounds(bounded_footprint(DART), many, rocks, care)
+    monkeypatch.setattr(conservative_advancement, "_MAX_PAIRS", most)
+    parts = advance_bounds(bounded_footprint(DART), many, rocks, care)
+    assert parts.bound.tolist() == whole.bound.tolist()
+    assert parts.row.tolist() == whole.row.tolist()
+    seen = [set(zip(one.pose, one.obstacle, one.distance, strict=True)) for one in (whole, parts)]
+    assert seen[0] == seen[1]
+
+
+def test_the_bound_falls_as_fast_as_a_point_on_a_circle():
+    """A body of a millimetre on a circle, a post inside it: the whole second-order term is needed."""
+    speck, width = Footprint.rectangle(0.0005, 0.0005, 0.001), 0.1
+    spline = ClothoidSpline(Pose2(0.0, 0.0, 0.0), [0.0, 2.0 * width], [2.5, 2.5])
+    wall = np.array([[-1.0, 0.05], [1.0, 0.05], [1.0, 0.06], [-1.0, 0.06]])
+    truth = dense_distance(spline, width, speck, [wall])
+    found = advance_bounds(
+        bounded_footprint(speck), stretch_of(spline, width), ObstacleSet.from_polygons([wall]), np.array([1.0])
+    )
+    assert truth - 5e-4 < found.bound[0] <= truth
+
+
+def test_what_is_not_a_number_proves_nothing():
+    one = stretch_of(ClothoidSpline(Pose2(0.0, 0.0, 0.0), [0.0, 0.1], [0.0, 0.0]), 0.05)
+    endless = one._replace(twist=np.array([np.inf]), width=np.array([0.0]))  # inf * 0
+    post = ObstacleSet.from_polygons([np.array([[1.2, 0.3], [1.3, 0.3], [1.3, 0.4]])])
+    with np.errstate(invalid="ignore"):
+        for footprint in (BAR, DART):
+            assert advance_bounds(bounded_footprint(footprint), endless, post, np.array([3.0])).bound.tolist() == [
+                -np.inf
+            ]
+
+
+def test_the_smaller_of_two_bounds_is_kept_and_minus_infinity_first():
+    def bounds(*values):
+        count = len(values)
+        none = np.zeros(0, dtype=np.int64)
+        return AdvanceBounds(np.array(values), np.arange(count), none, none, np.zeros(0))
+
+    first, second = bounds(1.0, -np.inf, 2.0), bounds(0.5, 3.0, -np.inf)
+    assert first.merged(second).bound.tolist() == [0.5, -np.inf, -np.inf]
+    assert second.merged(first).bound.tolist() == [0.5, -np.inf, -np.inf]
