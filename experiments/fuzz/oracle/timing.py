@@ -122,15 +122,20 @@ def _on_path(law: _Law, motion: Motion, phase: Ints, dt: Floats) -> _Instants:
 
 
 def _places(law: _Law, motion: Motion) -> _Instants:
-    """Entry, middle and exit of every piece of the path."""
+    """Entry, middle and exit of every piece of the path.
+
+    Distance counts from the start of each phase: beside a spike of curvature one unit in the last place of a metre is
+    much of the way that the speed has for a change.
+    """
     n = motion.h.size
     piece, share = np.repeat(np.arange(n), 3), np.tile([0.0, 0.5, 1.0], n)
     wanted = motion.s_at(piece, share)
     phase = np.clip(np.searchsorted(np.maximum.accumulate(law.s), wanted) - 1, 0, law.width.size - 1)
     low, high = np.zeros(wanted.size), law.width[phase]
+    from_border = law._replace(s=np.zeros(law.s.size))
     for _ in range(_BISECTIONS):
         middle = 0.5 * (low + high)
-        ahead = law.at(phase, middle)[0] >= wanted
+        ahead = from_border.at(phase, middle)[0] >= wanted - law.s[phase]
         low, high = np.where(ahead, low, middle), np.where(ahead, middle, high)
     return _Instants(phase, 0.5 * (low + high), piece, share)
 
