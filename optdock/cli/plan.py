@@ -59,12 +59,15 @@ class _Nav2Sources(NamedTuple):
 def _loaded(scenario: Path | None, nav2: _Nav2Sources) -> Scenario:
     from optdock.config import load_scenario
     from optdock.nav2.scenario import nav2_scenario
+    from optdock.report import table
 
     given = [name for name, value in nav2._asdict().items() if value is not None]
     if scenario is not None and not given:
         return load_scenario(scenario)
     if scenario is None and nav2.params is not None and nav2.map is not None and nav2.start is not None:
-        return nav2_scenario(nav2.params, nav2.map, nav2.start, docks_source=nav2.docks, dock_name=nav2.dock)
+        found = nav2_scenario(nav2.params, nav2.map, nav2.start, docks_source=nav2.docks, dock_name=nav2.dock)
+        typer.echo(table(found.costmap_rows))
+        return found
     raise InvalidValue("give either a scenario file, or --nav2-params with --map, --dock and --start")
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -17,6 +18,7 @@ from optdock.io.maps import load_map
 from optdock.io.numbers import is_number, unit_fault
 from optdock.limits import MotionLimits, SpeedZone
 from optdock.nav2.docks import DockEntry, DockType, load_dock_database
+from optdock.nav2.global_costmap import file_costmap
 from optdock.nav2.params import Nav2Params, load_nav2_params
 from optdock.parameters import closest
 from optdock.pipeline import DEFAULT_TIME_BUDGET, PluginChoices
@@ -26,7 +28,7 @@ from optdock.robot import Robot
 if TYPE_CHECKING:
     from optdock.nav2.costmap_params import CostmapParams
 
-__all__ = ["nav2_limits", "nav2_scenario"]
+__all__ = ["Nav2Scenario", "nav2_limits", "nav2_scenario"]
 
 # Our limit, the velocity smoother's vector, which component of it, and that component's sign.
 _SMOOTHER_LIMITS = (
@@ -43,6 +45,17 @@ _SMOOTHER_LIMITS = (
 _UNITS = {("max_velocity", "x"): "m/s", ("min_velocity", "x"): "m/s"}
 
 
+@dataclass(frozen=True, eq=False)
+class Nav2Scenario(Scenario):
+    """A scenario from Nav2's files.
+
+    Args:
+        costmap_rows: What became of every part of the file's costmaps: name and outcome.
+    """
+
+    costmap_rows: tuple[tuple[str, str], ...] = ()
+
+
 def nav2_scenario(
     params_source: str | Path,
     map_source: str | Path,
@@ -50,12 +63,14 @@ def nav2_scenario(
     *,
     docks_source: str | Path | None = None,
     dock_name: str | None = None,
-) -> Scenario:
+) -> Nav2Scenario:
     """The problem of driving into a dock that Nav2's files describe.
 
     The footprint, padded, is the global costmap's; speeds and accelerations are the velocity smoother's; approach
     speed and gear are the docking server's and the dock type's. Nav2 knows no curvature limit, no outline of the dock
     and no clearance in metres: there are none, but for `ClearanceRule`'s default.
+
+    The costmap is the file's global one, built over the map as `file_costmap` says.
 
     Args:
         params_source: Parameter file.
@@ -76,18 +91,20 @@ def nav2_scenario(
     dock = _chosen(docks, dock_name, str(docks_source or params_source))
     costmap_params = _global_costmap(params)
     _check_frame(dock, costmap_params, str(docks_source or params_source))
-    costmap = load_map(map_source).costmap
-    dock_type = _type_of(dock, params)
+    dock_type, pose = _type_of(dock, params), _start(start)
+    station = Dock(dock.pose, direction=dock_type.dock_direction, approach=_approach(params, dock_type))
+    built = file_costmap(params, costmap_params, load_map(map_source), pose, station)
     problem = DockingProblem(
-        start=_start(start),
-        dock=Dock(dock.pose, direction=dock_type.dock_direction, approach=_approach(params, dock_type)),
+        start=pose,
+        dock=station,
         robot=Robot(costmap_params.outline, nav2_limits(params)),
-        costmap=costmap,
+        costmap=built.costmap,
         frame=dock.frame,
     )
     faults: list[Fault] = []
     controller, checker = (plugin_choice(kind, {}, faults) for kind in ("controller", "goal_checker"))
-    return Scenario(problem, DEFAULT_TIME_BUDGET, PluginChoices(), controller, checker, Path(params_source))
+    plugins, source = PluginChoices(), Path(params_source)
+    return Nav2Scenario(problem, DEFAULT_TIME_BUDGET, plugins, controller, checker, source, built.rows)
 
 
 def _chosen(docks: Mapping[str, DockEntry], name: str | None, source: str) -> DockEntry:
