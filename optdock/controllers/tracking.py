@@ -24,17 +24,16 @@ from optdock.trajectory import Trajectory
 from optdock.verification import pose_clearances
 
 if TYPE_CHECKING:
-    from optdock.geometry.pose import Pose2, Twist2
     from optdock.interfaces import GoalChecker
     from optdock.lifecycle import PluginContext
-    from optdock.limits import MotionLimits
     from optdock.path import Path
 
 __all__ = ["TrackingController", "TrackingControllerParameters", "rate_limited", "require_free_stop"]
 
-
 _SETTLING = 0.2  # [s], time constant with which the reference's rate approaches its target
 _PEAK_MARGIN = 1.2  # without a configured robot: headroom for feedback above the trajectory's own peaks
+_SPACING = 0.05  # [m] between the poses looked at on the way to a stop; no robot is so short that a post fits between
+_DEEPER = 1e-6  # [m]: a robot that touches something may drive on as long as it does not go deeper
 
 
 class TrackingControllerParameters(PluginParameters):
@@ -290,10 +289,6 @@ def _approach(value: float, target: float, rise: float, fall: float) -> float:
         return braked if left <= 0.0 else _approach(0.0, target, rise * left, fall)
     bound = rise if abs(target) > abs(value) else fall
     return value + min(max(target - value, -bound), bound)
-
-
-_SPACING = 0.05  # [m] between the poses that are looked at; no robot is so short that a post fits between them
-_DEEPER = 1e-6  # [m]: a robot that touches something may drive on as long as it does not go deeper
 
 
 def require_free_stop(

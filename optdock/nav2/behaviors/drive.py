@@ -19,10 +19,7 @@ from optdock.parameters import PluginParameters, parse_parameters
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    from optdock.deadline import Deadline
-    from optdock.geometry.pose import Pose2, Twist2
-    from optdock.interfaces import BehaviorResult
-    from optdock.nav2.behaviors.collision import CollisionGate
+    from optdock.geometry.pose import Pose2
 
 __all__ = ["BackUp", "DriveOnHeading"]
 
