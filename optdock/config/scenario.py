@@ -10,9 +10,9 @@ from typing import TYPE_CHECKING
 from pydantic import ValidationError
 
 from optdock.config.document import SECTIONS, ScenarioDocument, known_keys
-from optdock.config.faults import Fault, faults_of, report
 from optdock.config.plugin_sections import plugin_choice
 from optdock.errors import InvalidFile, OptdockError
+from optdock.io.faults import Fault, faults_of, report
 from optdock.io.maps import load_map
 from optdock.io.yaml_lines import load_yaml
 from optdock.obstacles import ObstacleSet

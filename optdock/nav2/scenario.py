@@ -8,12 +8,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from optdock.config.faults import Fault
 from optdock.config.plugin_sections import plugin_choice
 from optdock.config.scenario import Scenario
 from optdock.dock import Dock
 from optdock.errors import DockNotInDB, DockNotValid, InvalidFile, InvalidValue
 from optdock.geometry.pose import Pose2
+from optdock.io.faults import Fault
 from optdock.io.maps import load_map
 from optdock.io.numbers import is_number, unit_fault
 from optdock.limits import MotionLimits, SpeedZone
