@@ -2,20 +2,21 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from optdock.io.plan_file import CERTIFIED, PlanError, PlanFile, TrajectoryColumns, finite_or_null, strict_json
-from optdock.pipeline import PartialPlan
+from optdock.io.plan_file import CERTIFIED, PlanError, PlanFile, finite_or_null, strict_json
+from optdock.plan import PartialPlan
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from optdock.errors import OptdockError
     from optdock.geometry.arrays import FloatArray
-    from optdock.pipeline import DockPlan
+    from optdock.plan import DockPlan
     from optdock.simulation import Run
     from optdock.verification import Certificate
 
@@ -42,18 +43,7 @@ class Row(NamedTuple):
 
 def plan_file(plan: DockPlan, frame: str, period: float) -> PlanFile:
     """A certified plan as a file's content, its trajectory sampled every `period` [s]."""
-    certificate = {**plan.certificate.as_dict(), "trajectory": plan.trajectory_certificate.as_dict()}
-    return PlanFile(
-        status=CERTIFIED,
-        completed=plan.completed,
-        frame=frame,
-        raw_path=plan.raw_path,
-        path=plan.path,
-        trajectory=TrajectoryColumns.from_trajectory(plan.trajectory, period),
-        time_law=plan.trajectory.time_law,
-        certificate=certificate,
-        timing_ms=plan.timing_ms,
-    )
+    return dataclasses.replace(plan.as_file(period), frame=frame)
 
 
 def failed_plan_file(error: OptdockError, frame: str) -> PlanFile:

@@ -48,7 +48,7 @@ def _compared(scenario: Scenario, picture: Path) -> list[PathFigures]:
     from optdock.cli.solving import solved
     from optdock.comparison import PathFigures, figures_of
     from optdock.errors import OptdockError
-    from optdock.pipeline import PartialPlan
+    from optdock.plan import PartialPlan
 
     name, problem = scenario.source.stem, scenario.problem
     try:

@@ -12,7 +12,7 @@ from optdock.cli.progress import working
 
 if TYPE_CHECKING:
     from optdock.config import Scenario
-    from optdock.pipeline import DockPlan
+    from optdock.plan import DockPlan
     from optdock.simulation import Run
 
 __all__ = ["demo"]

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from optdock.pipeline import DockPlan, PartialPlan
+    from optdock.plan import DockPlan, PartialPlan
     from optdock.problem import DockingProblem
 
 __all__ = ["draw_plan"]

@@ -78,7 +78,7 @@ def _plan_and_write(
     from optdock.cli.solving import solved_or_saved
     from optdock.errors import OptdockError
     from optdock.io.plan_file import save_plan
-    from optdock.pipeline import PartialPlan
+    from optdock.plan import PartialPlan
     from optdock.report import plan_file, plan_rows, table
 
     spacing, period = steps

@@ -7,14 +7,13 @@ from typing import TYPE_CHECKING
 from optdock.cli.exits import NOT_CERTIFIED, status_of
 from optdock.errors import OptdockError
 from optdock.io.plan_file import save_plan
-from optdock.pipeline import plan_dock
 from optdock.report import failed_plan_file
 
 if TYPE_CHECKING:
     from pathlib import Path
 
     from optdock.config import Scenario
-    from optdock.pipeline import DockPlan
+    from optdock.plan import DockPlan
 
 __all__ = ["solved", "solved_or_saved"]
 
@@ -25,8 +24,7 @@ def solved(scenario: Scenario, time_budget: float | None = None) -> DockPlan:
     Raises:
         OptdockError: There is none; see `plan_dock`.
     """
-    budget = scenario.time_budget if time_budget is None else time_budget
-    return plan_dock(scenario.problem, time_budget=budget, plugins=scenario.plugins)
+    return scenario.plan(time_budget)
 
 
 def solved_or_saved(scenario: Scenario, out: Path, time_budget: float | None, spacing: float) -> DockPlan:

@@ -8,12 +8,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from optdock.config.plugin_sections import plugin_choice
 from optdock.config.scenario import Scenario
 from optdock.dock import Dock
 from optdock.errors import DockNotInDB, DockNotValid, InvalidFile, InvalidValue
 from optdock.geometry.pose import Pose2
-from optdock.io.faults import Fault
 from optdock.io.maps import load_map
 from optdock.io.numbers import is_number, unit_fault
 from optdock.limits import MotionLimits, SpeedZone
@@ -21,7 +19,6 @@ from optdock.nav2.docks import DockEntry, DockType, load_dock_database
 from optdock.nav2.global_costmap import file_costmap
 from optdock.nav2.params import Nav2Params, load_nav2_params
 from optdock.parameters import closest
-from optdock.pipeline import DEFAULT_TIME_BUDGET, PluginChoices
 from optdock.problem import DockingProblem
 from optdock.robot import Robot
 
@@ -92,7 +89,10 @@ def nav2_scenario(
     costmap_params = _global_costmap(params)
     _check_frame(dock, costmap_params, str(docks_source or params_source))
     dock_type, pose = _type_of(dock, params), _start(start)
-    station = Dock(dock.pose, direction=dock_type.dock_direction, approach=_approach(params, dock_type))
+    zone = _approach(params, dock_type)
+    station = Dock(
+        dock.pose, direction=dock_type.dock_direction, approach_speed=zone.speed, approach_distance=zone.distance
+    )
     built = file_costmap(params, costmap_params, load_map(map_source), pose, station)
     problem = DockingProblem(
         start=pose,
@@ -101,10 +101,7 @@ def nav2_scenario(
         costmap=built.costmap,
         frame=dock.frame,
     )
-    faults: list[Fault] = []
-    controller, checker = (plugin_choice(kind, {}, faults) for kind in ("controller", "goal_checker"))
-    plugins, source = PluginChoices(), Path(params_source)
-    return Nav2Scenario(problem, DEFAULT_TIME_BUDGET, plugins, controller, checker, source, built.rows)
+    return Nav2Scenario(problem, source=Path(params_source), costmap_rows=built.rows)
 
 
 def _chosen(docks: Mapping[str, DockEntry], name: str | None, source: str) -> DockEntry:

@@ -28,7 +28,7 @@ _FOOTPRINTS = 24  # drawn along a path at most
 
 
 def save_plan_picture(
-    target: FilePath,
+    target: str | FilePath,
     problem: DockingProblem,
     *,
     raw_path: Path | None = None,
