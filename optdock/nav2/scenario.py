@@ -56,7 +56,7 @@ class Nav2Scenario(Scenario):
 def nav2_scenario(
     params_source: str | Path,
     map_source: str | Path,
-    start: str,
+    start: Pose2 | str,
     *,
     docks_source: str | Path | None = None,
     dock_name: str | None = None,
@@ -72,7 +72,7 @@ def nav2_scenario(
     Args:
         params_source: Parameter file.
         map_source: Map (map_server YAML).
-        start: `x,y,yaw` in the map's frame [m, m, rad].
+        start: Where the robot is, in the map's frame; or `x,y,yaw` as the command line gives it [m, m, rad].
         docks_source: Dock database; None: the docks in the parameter file.
         dock_name: Which dock; may be None where there is exactly one.
 
@@ -139,7 +139,9 @@ def _check_frame(dock: DockEntry, costmap: CostmapParams, source: str) -> None:
         )
 
 
-def _start(text: str) -> Pose2:
+def _start(text: Pose2 | str) -> Pose2:
+    if isinstance(text, Pose2):
+        return text
     try:
         pose = Pose2.from_sequence([float(part) for part in text.split(",")])
     except ValueError as error:
