@@ -14,10 +14,10 @@ from optdock.nav2.layers.dock import DockLayer
 from optdock.nav2.layers.inflation import InflationLayer
 from optdock.nav2.layers.obstacle import ObstacleLayer
 from optdock.nav2.layers.static import StaticLayer
-from optdock.nav2.provided_plugins import provided
+from optdock.nav2.provided_plugins import Nav2Plugin, provided
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Mapping, Sequence
 
     from optdock.costmap.costmap import Costmap
     from optdock.costmap.occupancy import OccupancyGrid
@@ -65,7 +65,7 @@ def file_costmap(
     layers, rows = _layers(params, listed, grid, dock)
     tracked = params.nodes[node].get("track_unknown_space")
     built = LayeredCostmap.of_map(grid, layers, described.outline, track_unknown_space=tracked is not False)
-    inflating = [layer for layer in layers.values() if isinstance(layer, InflationLayer) and layer.is_enabled()]
+    inflating = [layer for layer in layers.values() if isinstance(layer, InflationLayer)]
     for layer in inflating:
         layer.set_parameters(enabled=False)
     known = built.update(start)
@@ -73,7 +73,8 @@ def file_costmap(
         layer.set_parameters(enabled=True)
     costs = np.where(known.data == NO_INFORMATION, NO_INFORMATION, built.update(start).data)
     others = [(name, _why_not(name)) for name in params.costmaps if name != described.name]
-    return FileCostmap(known.with_data(costs), (_head(described, grid), _unknown(tracked), *rows, *others))
+    head = (described.name, _place(grid, rolls=params.nodes[node].get("rolling_window") is True))
+    return FileCostmap(known.with_data(costs), (head, ("unknown cells", _unknown(tracked)), *rows, *others))
 
 
 def _node_of(params: Nav2Params, described: CostmapParams) -> str:
@@ -86,45 +87,54 @@ def _layers(
 ) -> tuple[dict[str, Layer], list[tuple[str, str]]]:
     layers: dict[str, Layer] = {}
     rows: list[tuple[str, str]] = []
-    has_map = False
     for instance in listed:
         found = provided(instance, params)
         if found.refused:
             raise InvalidFile(f"{params.source}:{instance.line}: {instance.name}: {found.reason}")
-        layer = found.plugin
-        if not isinstance(layer, Layer):
-            rows.append((instance.name, f"skipped: {_NO_FILTERS if instance.kind == 'filter' else found.reason}"))
-            continue
-        if isinstance(layer, StaticLayer):
-            if has_map:
-                rows.append((instance.name, "skipped: there is no second map"))
-                continue
-            layer.set_map(grid)
-            has_map = True
-        if isinstance(layer, DockLayer):
-            layer.set_dock(dock)
-        blind = isinstance(layer, ObstacleLayer)
-        rows.append((instance.name, f"used: {'ObstacleLayer; nothing has been seen yet' if blind else found.outcome}"))
-        layers[instance.name] = layer
-    if has_map:
+        layer, outcome = _used(found, grid, dock, has_map=_has_map(layers))
+        rows.append((instance.name, outcome))
+        if layer is not None:
+            layers[instance.name] = layer
+    if _has_map(layers):
         return layers, rows
     static = StaticLayer()
     static.set_map(grid)
     name = _ADDED if _ADDED not in layers else f"{_ADDED} of the map"
-    return {name: static, **layers}, [(name, "added: the file lists none, but a map was given"), *rows]
+    return {name: static, **layers}, [(name, "added: the file uses none, but a map was given"), *rows]
 
 
-def _head(described: CostmapParams, grid: OccupancyGrid) -> tuple[str, str]:
+def _has_map(layers: Mapping[str, Layer]) -> bool:
+    return any(isinstance(layer, StaticLayer) for layer in layers.values())
+
+
+def _used(found: Nav2Plugin, grid: OccupancyGrid, dock: Dock, *, has_map: bool) -> tuple[Layer | None, str]:
+    """The layer with what it needs, or None; and what became of it."""
+    layer = found.plugin
+    if not isinstance(layer, Layer):
+        return None, f"skipped: {_NO_FILTERS if found.instance.kind == 'filter' else found.reason}"
+    if not layer.is_enabled():
+        return None, "skipped: enabled is false"
+    if isinstance(layer, StaticLayer):
+        if has_map:
+            return None, "skipped: there is no second map"
+        layer.set_map(grid)
+    if isinstance(layer, DockLayer):
+        layer.set_dock(dock)
+    blind = isinstance(layer, ObstacleLayer)
+    return layer, f"used: {'ObstacleLayer; nothing has been seen yet' if blind else found.outcome}"
+
+
+def _place(grid: OccupancyGrid, *, rolls: bool) -> str:
     rows, columns = grid.data.shape
     size = f"{columns * grid.resolution:g} m x {rows * grid.resolution:g} m, cells of {grid.resolution:g} m"
-    return described.name, f"built in the place and size of the map: {size}"
+    return f"built in the place and size of the map: {size}{'; it does not roll, the whole map is known' * rolls}"
 
 
-def _unknown(tracked: object) -> tuple[str, str]:
+def _unknown(tracked: object) -> str:
     if tracked is False:
-        return "unknown cells", "free: track_unknown_space is false"
+        return "free: track_unknown_space is false"
     silent = "" if tracked is True else " (track_unknown_space is not given; Nav2 would take them for free)"
-    return "unknown cells", f"obstacles{silent}"
+    return f"obstacles{silent}"
 
 
 def _why_not(name: str) -> str:

@@ -12,7 +12,7 @@ from optdock.geometry.pose import Pose2
 from optdock.nav2.global_costmap import file_costmap
 from optdock.nav2.params import load_nav2_params
 
-SIDE = 0.05
+SIDE, NAME = 0.05, "global_costmap"
 START, DOCK = Pose2(0.5, 1.5, 0.0), Dock(Pose2(2.5, 1.5, 0.0))
 STATIC = 'static_layer: {plugin: "nav2_costmap_2d::StaticLayer", map_topic: map}'
 INFLATION = 'inflation: {plugin: "nav2_costmap_2d::InflationLayer", inflation_radius: 0.7, cost_scaling_factor: 3.0}'
@@ -40,7 +40,7 @@ def hall():
     return OccupancyGrid(occupancy, SIDE)
 
 
-def built(read, grid=None, described="global_costmap"):
+def built(read, grid=None, described=NAME):
     costmap, rows = file_costmap(read, read.costmaps[described], grid or hall(), START, DOCK)
     return costmap, dict(rows)
 
@@ -85,9 +85,12 @@ def test_unknown_cells_are_what_the_file_says_and_obstacles_where_it_is_silent(t
 
 
 def test_the_map_is_in_the_costmap_also_where_the_file_lists_no_static_layer(tmp_path):
-    costmap, rows = built(params(tmp_path, INFLATION))
-    assert costmap.data[30, 30] == 254
-    assert rows["static_layer"] == "added: the file lists none, but a map was given"
+    added = "added: the file uses none, but a map was given"
+    for layers in ([INFLATION], [STATIC[:-1] + ", enabled: false}", INFLATION]):
+        costmap, rows = file_costmap(read := params(tmp_path, *layers), read.costmaps[NAME], hall(), START, DOCK)
+        assert costmap.data[30, 30] == 254
+        assert ("static_layer", added) in rows
+    assert ("static_layer", "skipped: enabled is false") in rows
 
 
 def test_what_is_skipped_is_said_with_its_reason(tmp_path):
@@ -95,7 +98,9 @@ def test_what_is_skipped_is_said_with_its_reason(tmp_path):
     voxels = 'voxels: {plugin: "nav2_costmap_2d::VoxelLayer"}'
     seen = 'seen: {plugin: "nav2_costmap_2d::ObstacleLayer", observation_sources: scan, scan: {topic: /scan}}'
     keepout = '      filters: [keepout]\n      keepout: {plugin: "nav2_costmap_2d::KeepoutFilter"}\n'
-    _, rows = built(params(tmp_path, STATIC, second, voxels, seen, node=keepout, local=True))
+    rolling = "      rolling_window: true\n"
+    _, rows = built(params(tmp_path, STATIC, second, voxels, seen, node=keepout + rolling, local=True))
+    assert rows[NAME].endswith("; it does not roll, the whole map is known")
     assert rows["other_map"] == "skipped: there is no second map"
     assert rows["voxels"] == "skipped: optdock has no layer of this class"
     assert rows["seen"] == "used: ObstacleLayer; nothing has been seen yet"
