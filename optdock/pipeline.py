@@ -56,7 +56,7 @@ from optdock.plugins import PluginChoice, create_plugin, plugin_from
 from optdock.problem import DockingProblem
 from optdock.robot import Robot
 from optdock.trajectory import Trajectory
-from optdock.verification import certify_path, certify_trajectory, pose_clearance
+from optdock.verification import TOLERANCE, certify_path, certify_trajectory, end_clearances
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -84,7 +84,6 @@ _PLAIN_TIMING = "Windowed"  # needs no repair
 # Share of the budget, its least and most [s], kept back from the smoother for timing the path and proving the motion.
 _RESERVED_SHARE, _RESERVED_LEAST, _RESERVED_MOST = 0.3, 0.004, 0.03
 _PROOF = 0.001  # [s], kept back from the time parameterizer for the proof of its motion
-_CONTACT_TOLERANCE = 1e-6  # [m]
 
 # A plugin by its name, by its name with parameters, or the object itself.
 PlannerLike: TypeAlias = "str | PluginChoice | GlobalPlanner"
@@ -153,8 +152,13 @@ def plan_dock(  # noqa: PLR0913 - what may be chosen is chosen by name
         _warm_once(*map(type, plugins))
         began = time.monotonic()
         run = _Run(problem, plugins, warm_start, _Cancellation(cancel_checker), time_budget, so_far)
-        with garbage_collection_paused():
-            return run.plan()
+        try:
+            with garbage_collection_paused():
+                plan = run.plan()
+        finally:
+            _WAITS.append(run.longest_wait)
+        logger.info("%s; %s", plan, ", ".join(f"{stage} {ms:.1f} ms" for stage, ms in plan.timing_ms.items()))
+        return plan
     except OptdockError as error:
         so_far.timing_ms["total"] = 1e3 * (time.monotonic() - began)
         error.partial = so_far
@@ -191,11 +195,13 @@ def _warm_once(planner: type[GlobalPlanner], smoother: type[Smoother], timing: t
     problem = DockingProblem(
         Pose2(-2.0, 0.1, 0.1), Dock(Pose2(0.0, 0.0, 0.0), outline), Robot(Footprint.rectangle(0.3, 0.3, 0.5), limits)
     )
+    clock = Deadline(10.0)
     with contextlib.suppress(Exception):  # also of constructors that need parameters: what is wrong shows in its call
         plugins = _Plugins(planner(), smoother(), timing())
         with contextlib.suppress(OptdockError):
-            _Run(problem, plugins, None, _Cancellation(never_cancelled), 10.0, PartialPlan()).plan()
+            _Run(problem, plugins, None, _Cancellation(never_cancelled), clock.seconds, PartialPlan()).plan()
         plugins.smoother.warm_up()
+    logger.info("libraries loaded and caches filled in %.1f s, once per process", clock.elapsed)
 
 
 class _Plugins(NamedTuple):
@@ -261,20 +267,17 @@ class _Run:
 
     def plan(self) -> DockPlan:
         """All stages in turn; `so_far` holds what exists when one of them raises."""
-        try:
-            with self._timed("plan"):
-                check_ends(self.problem)
-                raw = self.so_far.raw_path = self._raw_path()
-            with self._timed("smooth"):
-                result = self._smoothed(raw)
-                path = self.so_far.path = _plain(result.path, self.plugins.smoother, self.problem.frame)
-            with self._timed("certify"):
-                certificate = self._certified(path)
-            motion = self._certified_motion(path)
-        finally:
-            _WAITS.append(self.longest_wait)
+        with self._timed("plan"):
+            check_ends(self.problem)
+            raw = self.so_far.raw_path = self._raw_path()
+        with self._timed("smooth"):
+            result = self._smoothed(raw)
+            path = self.so_far.path = _plain(result.path, self.plugins.smoother, self.problem.frame)
+        with self._timed("certify"):
+            certificate = self._certified(path)
+        motion = self._certified_motion(path)
         timing = {**self.so_far.timing_ms, "total": 1e3 * self.deadline.elapsed}
-        plan = DockPlan(
+        return DockPlan(
             problem=self.problem,
             raw_path=raw,
             path=path,
@@ -286,8 +289,6 @@ class _Run:
             smoothing_report=result.report,
             timing_report=motion.report,
         )
-        logger.info("%s", plan)
-        return plan
 
     @contextlib.contextmanager
     def _timed(self, stage: str) -> Iterator[None]:
@@ -385,7 +386,7 @@ class _Run:
         with self._timed("time"):
             result = self._timing(method, path)
         if result.status is not TimingStatus.OK:
-            raise _timing_failure(result)
+            raise result.failure()
         trajectory = _returned(result.trajectory, Trajectory, method, "the trajectory of its result")
         if trajectory.path is not path and trajectory.path.digest != path.digest:
             message = f"{method.name} timed another path than the certified one"
@@ -448,15 +449,15 @@ def check_ends(problem: DockingProblem) -> None:
         StartOccupied: The footprint at the start overlaps an obstacle.
         GoalOccupied: The footprint at the goal is closer to an obstacle than required there.
     """
-    for name, pose, off_map, occupied in (
-        ("start", problem.start, StartOutsideMapBounds, StartOccupied),
-        ("goal", problem.goal, GoalOutsideMapBounds, GoalOccupied),
+    found = end_clearances(problem)
+    for name, pose, off_map, occupied, clearance, row in (
+        ("start", problem.start, StartOutsideMapBounds, StartOccupied, found.start, found.nearest_to_start),
+        ("goal", problem.goal, GoalOutsideMapBounds, GoalOccupied, found.goal, found.nearest_to_goal),
     ):
         if problem.costmap is not None and not bool(problem.costmap.contains(pose.as_array()[None, :2])[0]):
             raise off_map(f"the {name} ({pose.x:.3f}, {pose.y:.3f}) lies off the map", where={"pose": [pose.x, pose.y]})
-        clearance, row = pose_clearance(pose, problem.robot.footprint, problem.all_obstacles)
         required = problem.clearance.at_dock if name == "goal" else 0.0
-        if clearance < required - _CONTACT_TOLERANCE:
+        if clearance < required - TOLERANCE:
             obstacle = problem.all_obstacles.name_of(row)
             what = (
                 f"overlaps {obstacle} by {-clearance:.4f} m"
@@ -493,13 +494,3 @@ def _plain(path: Path, plugin: Plugin, frame: str) -> Path:
         return (path if type(path) is Path else Path(path.segments, path.frame)).with_frame(frame)
     except InvalidPath as error:
         raise PluginError(f"{type(plugin).__name__} returned a {error}") from error
-
-
-def _timing_failure(result: TimingResult) -> FailedToTimePath:
-    where = {"status": result.status.name, "worst_ratio": result.worst_ratio, "overshoot": result.overshoot}
-    if result.limit:
-        where["limit"] = result.limit
-    if result.at_s is not None:
-        where["s"] = result.at_s
-    kind = TimingTimedOut if result.status is TimingStatus.TIMED_OUT else FailedToTimePath
-    return kind(f"the path cannot be timed: {result.status.name}: {result.reason or 'no reason given'}", where=where)

@@ -21,7 +21,7 @@ from optdock.parameters import PluginParameters
 from optdock.path import Path, may_be_one_frame
 from optdock.problem import DockingProblem
 from optdock.robot import Robot
-from optdock.verification import certify_path, pose_clearance
+from optdock.verification import certify_path, end_clearances
 from smoothers._ck.anytime import Incumbent, Outcome, Runner
 from smoothers._ck.budget import Budget
 from smoothers._ck.initial import Resolution, Tuning, make_task
@@ -166,7 +166,7 @@ class CasadiSmoother(Smoother):
         thoroughly: bool = False,
     ) -> Task:
         budget.look()
-        start_clearance, nearest = pose_clearance(problem.start, problem.robot.footprint, problem.all_obstacles)
+        start_clearance, nearest, *_ = end_clearances(problem)
         refusal = refuse_start(path, problem, start_clearance, nearest)
         if refusal is None:
             refusal = refuse_approach(path, problem, start_clearance)
