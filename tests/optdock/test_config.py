@@ -1,7 +1,6 @@
 import math
 import struct
 import zlib
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -95,15 +94,6 @@ def test_defaults_hold_where_the_file_is_silent(tmp_path):
     assert loaded.problem.dock.direction is DockDirection.AUTO
     names = [choice.name for choice in (loaded.planner, loaded.smoother, loaded.goal_checker)]
     assert names == ["DockPlanner", "CasadiSmoother", "DockGoalChecker"]
-
-
-def test_the_scenario_of_the_readme_is_one_and_ends_by_the_axis_goal_checker(tmp_path):
-    readme = (Path(__file__).parents[2] / "README.md").read_text()
-    snippet = readme.split("A scenario file:\n\n```yaml\n")[1].split("```")[0]
-    write_map(tmp_path / "maps", np.full((4, 4), 254))
-    loaded = scenario(tmp_path, snippet)
-    assert loaded.goal_checker.name == "AxisGoalChecker"
-    assert loaded.goal_checker.parameters["stopped"] is True
 
 
 @pytest.mark.parametrize(
