@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 from pydantic import Field
 
+from optdock.controllers.checks import checked_speed_limit, checked_task
 from optdock.controllers.delay_estimate import DelayEstimate
-from optdock.controllers.moving_reference import Look, Reference
-from optdock.controllers.requests import checked_speed_limit, checked_task
+from optdock.controllers.moving_reference import Reference, ReferenceState
 from optdock.controllers.tracking_law import Gains, tracking_command
 from optdock.errors import ControllerInvalidPath, FailedToTimePath, NoValidControl
 from optdock.geometry.pose import Pose2, Twist2
@@ -102,7 +102,9 @@ class TrackingController(Controller):
     def __init__(self, **parameters: object) -> None:
         super().__init__(**parameters)
         self._speed_limit: tuple[float, bool] | None = None
-        self._seen: tuple[Look, float] | None = None  # the reference of the last call, and the robot's lag behind it
+        self._seen: tuple[ReferenceState, float] | None = (
+            None  # the reference of the last call, and the robot's lag behind it
+        )
         self._reference: Reference | None = None
         self._limits = MotionLimits()
         self._last = Twist2()
@@ -210,7 +212,7 @@ class TrackingController(Controller):
         self._seen = None
         self._anchored = True
 
-    def _advanced(self, reference: Reference) -> Look:
+    def _advanced(self, reference: Reference) -> ReferenceState:
         """The reference one period after it was last seen; on the first call, where it begins."""
         p = self.parameters
         if self._seen is not None:
@@ -218,7 +220,7 @@ class TrackingController(Controller):
             settling = 0.0 if self._cancelled else _SETTLING
             reference.advance(before, p.period, self._target_rate(reference, lag), self._limits, settling)
         preview = self._delay.delay if p.preview is None else p.preview
-        return reference.look(preview + 0.5 * p.period)
+        return reference.state(preview + 0.5 * p.period)
 
     def _check_error(self, error: Pose2) -> None:
         p, distance = self.parameters, math.hypot(error.x, error.y)
@@ -229,7 +231,9 @@ class TrackingController(Controller):
                 where={"along": error.x, "cross": error.y, "yaw": error.yaw},
             )
 
-    def _wanted(self, reference: Reference, now: Look, error: Pose2, goal_checker: GoalChecker | None) -> Twist2:
+    def _wanted(
+        self, reference: Reference, now: ReferenceState, error: Pose2, goal_checker: GoalChecker | None
+    ) -> Twist2:
         if self._cancelled and reference.rate == 0.0:
             return Twist2()
         p = self.parameters
