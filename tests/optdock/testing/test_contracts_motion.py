@@ -181,7 +181,7 @@ class Shortsighted(DriveOnHeading):
 
     resource_info = CostmapInfoType.GLOBAL
 
-    def _gate(self):
+    def _checker(self):
         return CollisionChecker(self.context, 0.0, CostmapInfoType.LOCAL)
 
 
