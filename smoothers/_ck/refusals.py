@@ -13,6 +13,7 @@ from optdock.path import Direction
 from optdock.verification import pose_clearances
 
 if TYPE_CHECKING:
+    from optdock.geometry.arrays import FloatArray
     from optdock.path import Path
     from optdock.problem import DockingProblem
     from optdock.verification import Certificate
@@ -26,17 +27,20 @@ _STRAIGHT_SAMPLES = 13
 
 
 class Refusal(NamedTuple):
-    """One bound in the way: its name, where along the path, by how much, at which obstacle, and a sentence."""
+    """One bound in the way: its name, where along the path, by how much, at which obstacle, a sentence, the pose."""
 
     reason: str
     s: float
     amount: float
     obstacle: str
     message: str
+    pose: FloatArray | None = None
 
     def error(self, **more: object) -> FailedToSmoothPath:
         """The exception that says so."""
         where = {"reason": self.reason, "s": self.s, "amount": self.amount, "obstacle": self.obstacle, **more}
+        if self.pose is not None:
+            where["pose"] = self.pose.tolist()
         return FailedToSmoothPath(f"{self.reason}: {self.message}", where=where)
 
 
@@ -84,7 +88,7 @@ def refuse_approach(path: Path, problem: DockingProblem, start_clearance: float)
     s = path.length - abs(float(back[k]))
     what = "the goal" if back[k] == 0.0 else f"the final straight {abs(back[k]):.3f} m before the goal"
     message = f"{what} leaves {distance[k]:.4f} m to {name}, {required[k]:.4f} m are required"
-    return Refusal("approach_blocked", s, float(short[k]), name, message)
+    return Refusal("approach_blocked", s, float(short[k]), name, message, poses[k])
 
 
 def refuse_search(task: Task, last: Iterate, final_straight: float) -> Refusal:
@@ -99,9 +103,10 @@ def refuse_search(task: Task, last: Iterate, final_straight: float) -> Refusal:
         return _unreachable(task, last, final_straight)
     k = int(np.argmin(last.clearance.margin))
     name = task.world.obstacles.name_of(int(last.clearance.pairs.obstacle[k]))
-    s = float(last.rollout.steps[: int(last.clearance.pairs.interval[k])].sum())
+    at = int(last.clearance.pairs.interval[k])
+    s = float(last.rollout.steps[:at].sum())
     message = f"{last.shortfall:.4f} m are missing to the required clearance from {name} at s = {s:.3f} m"
-    return Refusal("clearance", s, last.shortfall, name, message)
+    return Refusal("clearance", s, last.shortfall, name, message, last.rollout.poses[at])
 
 
 def refuse_certificate(certificate: Certificate) -> Refusal:
@@ -121,4 +126,5 @@ def _unreachable(task: Task, last: Iterate, final_straight: float) -> Refusal:
     target = f"the final straight, {final_straight:.3f} m before the goal," if final_straight > 0.0 else "the goal"
     message = f"a path with these gears misses {target} by {missed:.3f} m and {turned:.3f} rad"
     message += f"; at the limit: {', '.join(tight)}" if tight else ""
-    return Refusal("goal_unreachable", float(last.variables.lengths.sum()), missed, "", message)
+    length = float(last.variables.lengths.sum())
+    return Refusal("goal_unreachable", length, missed, "", message, last.rollout.poses[-1])
