@@ -39,7 +39,7 @@ __all__ = [
 DRAWN_BY_THE_MAP = ("map", "unknown", "map border")
 _GREYS = {"free": 255, "unknown": 225, "occupied": 70}
 _MAP_ORDER = 0.8  # above the grid, below all else
-_NARROWEST = 5.0  # [inch] that hold a legend and a title
+_SLIMMEST = 0.55  # shorter side over longer: what stands beside a straight path is seen, and a legend has room
 _MARGIN = 0.6  # [m] around everything of interest
 
 
@@ -54,10 +54,7 @@ class View(NamedTuple):
     def figure_size(self, width: float = 9.0, tallest: float = 9.0) -> tuple[float, float]:
         """Inches that show the view with equal axes and room for labels."""
         ratio = (self.top - self.bottom) / (self.right - self.left)
-        height = width * ratio
-        return (
-            (width, max(3.2, height + 0.9)) if height <= tallest else (max(_NARROWEST, tallest / ratio + 0.9), tallest)
-        )
+        return (width, width * ratio + 0.9) if width * ratio <= tallest else (tallest / ratio + 0.9, tallest)
 
 
 def view_of(problem: DockingProblem, paths: Sequence[FloatArray]) -> View:
@@ -68,7 +65,9 @@ def view_of(problem: DockingProblem, paths: Sequence[FloatArray]) -> View:
     if problem.dock.footprint is not None:
         points.append(transform_points(ends[1:], problem.dock.footprint.vertices)[0])
     everything = np.vstack(points)
-    (left, bottom), (right, top) = everything.min(axis=0) - _MARGIN, everything.max(axis=0) + _MARGIN
+    middle, half = 0.5 * (everything.min(axis=0) + everything.max(axis=0)), 0.5 * np.ptp(everything, axis=0) + _MARGIN
+    half = np.maximum(half, _SLIMMEST * half.max())
+    (left, bottom), (right, top) = middle - half, middle + half
     return View(float(left), float(right), float(bottom), float(top))
 
 
@@ -91,6 +90,8 @@ def _draw_map(axes: Axes, costmap: Costmap, view: View) -> None:
     grey[costmap.data == NO_INFORMATION] = _GREYS["unknown"]
     grey[costmap.data == LETHAL] = _GREYS["occupied"]
     (x0, y0), (x1, y1) = costmap.lower, costmap.upper
+    axes.set_facecolor(str(_GREYS["unknown"] / 255.0))  # so is the world off the map
+    axes.fill([x0, x1, x1, x0], [y0, y0, y1, y1], color="white", zorder=0.0)
     axes.imshow(
         grey,
         cmap=_greys(),
