@@ -7,8 +7,7 @@ from typing import TYPE_CHECKING, Literal, NamedTuple
 
 from pydantic import Field
 
-from checkers._errors import is_stopped
-from checkers._plan import longer_than
+from checkers._measures import is_stopped, longer_than
 from optdock.errors import InvalidValue
 from optdock.interfaces import GoalChecker, Tolerances
 from optdock.parameters import PluginParameters

@@ -7,8 +7,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 from pydantic import Field
 
-from checkers._errors import is_stopped, yaw_error
-from checkers._plan import longer_than
+from checkers._measures import is_stopped, longer_than, yaw_error
 from optdock.dock import DockTolerances
 from optdock.interfaces import GoalChecker, Tolerances
 from optdock.parameters import PluginParameters

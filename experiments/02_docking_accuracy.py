@@ -17,7 +17,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from optdock.controllers.graceful_law import GracefulLaw, egocentric
 from optdock.dock import Dock, DockDirection
 from optdock.errors import OptdockError
 from optdock.geometry.footprint import Footprint
@@ -25,6 +24,7 @@ from optdock.geometry.pose import Pose2
 from optdock.interfaces import Controller, GoalChecker
 from optdock.io.atomic_file import write_text
 from optdock.limits import MotionLimits, SpeedZone
+from optdock.nav2.graceful_law import GracefulLaw, egocentric
 from optdock.pipeline import plan_dock
 from optdock.plugins import create_plugin
 from optdock.problem import DockingProblem

@@ -12,12 +12,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 from scipy.ndimage import distance_transform_edt
 
-from optdock.costmap import Costmap, obstacles_from_costmap
-from optdock.costmap.distance_field import DistanceField
-from optdock.costmap.footprint_cost import footprint_cost_at, outline_cost_at
-from optdock.costmap.inflation import InflationRule, inflation_costs
-from optdock.geometry.footprint import Footprint
+from optdock.costmap import obstacles_from_costmap
 from optdock.io.maps import load_map
+from optdock.nav2.layers.inflation import InflationRule, inflation_costs
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -54,17 +51,10 @@ def report_grids() -> None:
     """A grid of 1000 x 1000 cells of 5 cm, half a percent of them lethal."""
     rng = np.random.default_rng(0)
     lethal = rng.random((1000, 1000)) < 0.005
-    costmap = Costmap(lethal * np.uint8(254), 0.05)
-    field, robot = DistanceField.from_costmap(costmap), Footprint.rectangle(0.4, 0.4, 0.6)
-    poses = np.column_stack((rng.uniform(2.0, 48.0, (200, 2)), rng.uniform(-3.0, 3.0, 200)))
     rule = InflationRule(0.22, 0.70, 3.0)
     for name, work in {
         "distance transform alone": lambda: distance_transform_edt(~lethal),
         "inflation, radius 0.70 m": lambda: inflation_costs(lethal, 0.05, rule),
-        "signed distance field": lambda: DistanceField.from_costmap(costmap),
-        "field at 1600 points": lambda: field.distance_at(np.tile(poses[:, :2], (8, 1))),
-        "footprint cost, 200 poses": lambda: footprint_cost_at(costmap, robot, poses),
-        "outline cost, 200 poses": lambda: outline_cost_at(costmap, robot, poses),
     }.items():
         print(f"{name:<30}{best_ms(work):>10.2f} ms")
 

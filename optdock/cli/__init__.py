@@ -65,8 +65,8 @@ def plugins(
         if nav2_params is None:
             typer.echo(table([(plugin.kind, plugin.name, plugin.target) for plugin in available_plugins()]))
             return
-        from optdock.config import nav2_costmap_rows, nav2_plugin_rows
-        from optdock.io.nav2_params import load_nav2_params
+        from optdock.nav2.params import load_nav2_params
+        from optdock.nav2.provided_plugins import nav2_costmap_rows, nav2_plugin_rows
 
         params = load_nav2_params(nav2_params)
         for rows in (nav2_plugin_rows(params), nav2_costmap_rows(params)):

@@ -112,7 +112,8 @@ class _Nav2Sources(NamedTuple):
 
 
 def _loaded(scenario: Path | None, nav2: _Nav2Sources) -> Scenario:
-    from optdock.config import load_scenario, nav2_scenario
+    from optdock.config import load_scenario
+    from optdock.nav2.scenario import nav2_scenario
 
     given = [name for name, value in nav2._asdict().items() if value is not None]
     if scenario is not None and not given:

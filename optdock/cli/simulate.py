@@ -208,7 +208,7 @@ def driven(scenario: Scenario, plan: DockPlan, seed: int, world: World = _USUAL)
 
 
 def _checked(world: World) -> World:
-    from optdock.io.units import unit_fault
+    from optdock.io.numbers import unit_fault
 
     for name, value in world._asdict().items():
         if not (math.isfinite(value) and value >= 0.0):

@@ -1,15 +1,13 @@
-"""Scenario files and Nav2's files in, frozen values out."""
+"""Scenario files in, frozen values out; and what may stand in them."""
 
-from optdock.config.nav2_plugins import Nav2Plugin, nav2_costmap_rows, nav2_plugin_rows, nav2_plugins
-from optdock.config.nav2_scenario import nav2_scenario
+from optdock.config.reference import KeyReference, plugin_reference, scenario_reference, scenario_schema
 from optdock.config.scenario import Scenario, load_scenario
 
 __all__ = [
-    "Nav2Plugin",
+    "KeyReference",
     "Scenario",
     "load_scenario",
-    "nav2_costmap_rows",
-    "nav2_plugin_rows",
-    "nav2_plugins",
-    "nav2_scenario",
+    "plugin_reference",
+    "scenario_reference",
+    "scenario_schema",
 ]

@@ -1,15 +1,16 @@
 """The structure of a scenario file, `optdock-scenario/1`: keys, types, defaults, and the values they stand for.
 
 Rules about values live in the constructors of the values; here they are called key by key, so that one reading
-reports every fault.
+reports every fault. What is said about a key (`_key`) is all that the scenario reference and the JSON schema of
+`optdock.config.reference` say about it; descriptions hold their unit in brackets.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
-from dataclasses import dataclass
-from typing import Annotated, Literal
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from typing import Annotated, Any, Literal
 
 from pydantic import (
     AfterValidator,
@@ -17,19 +18,21 @@ from pydantic import (
     BeforeValidator,
     ConfigDict,
     Field,
+    GetJsonSchemaHandler,
     ValidationInfo,
+    WithJsonSchema,
     field_validator,
     model_validator,
 )
 from pydantic_core import core_schema
 
+from optdock.config.plugin_sections import PLUGIN_DEFAULTS
 from optdock.dock import Dock, DockDirection
 from optdock.errors import InvalidValue
 from optdock.geometry.footprint import Footprint
 from optdock.geometry.polygon import simple_polygon
 from optdock.geometry.pose import Pose2
-from optdock.io.numbers import is_number
-from optdock.io.units import check_outline, check_speed, check_yaw
+from optdock.io.numbers import check_outline, check_speed, check_yaw, is_number
 from optdock.limits import MotionLimits, SpeedZone
 from optdock.pipeline import DEFAULT_TIME_BUDGET
 from optdock.problem import ClearanceRule
@@ -85,22 +88,77 @@ def _distance(value: float) -> float:
 
 @dataclass(frozen=True)
 class _Parsed:
-    """Annotation: the field is what `parse` makes of the value; pydantic does not look into its type."""
+    """Annotation: the field is what `parse` makes of the value; pydantic does not look into its type.
+
+    `schema` is what a JSON schema says of the value, `form` how a person writes it.
+    """
 
     parse: Callable[[object], object]
+    form: str
+    schema: Mapping[str, object] = field(hash=False)
 
     def __get_pydantic_core_schema__(self, source: object, handler: object) -> core_schema.CoreSchema:
         """Pydantic's hook."""
         return core_schema.no_info_plain_validator_function(self.parse)
 
+    def __get_pydantic_json_schema__(self, core: object, handler: object) -> dict[str, object]:
+        """Pydantic's hook."""
+        return {**self.schema, "x-form": self.form}
+
+
+_POINTS = {
+    "type": "array",
+    "minItems": 3,
+    "items": {"type": "array", "items": {"type": "number"}, "minItems": 2, "maxItems": 2},
+}
+_RADIUS = {
+    "type": "object",
+    "properties": {"radius": {"type": "number", "exclusiveMinimum": 0}},
+    "required": ["radius"],
+    "additionalProperties": False,
+}
+_POSE = {"type": "array", "items": {"type": "number"}, "minItems": 3, "maxItems": 3}
 
 Number = Annotated[float, Field(strict=True)]
 Distance = Annotated[Number, AfterValidator(_distance)]
-PoseValue = Annotated[Pose2, _Parsed(_pose)]
-FootprintValue = Annotated[Footprint, _Parsed(_outline)]
+PoseValue = Annotated[Pose2, _Parsed(_pose, "[x, y, yaw]", _POSE)]
+FootprintValue = Annotated[
+    Footprint,
+    _Parsed(
+        _outline,
+        "[[x, y], ...], the same as text, or {radius: r}",
+        {"anyOf": [_POINTS, {"type": "string"}, _RADIUS]},
+    ),
+]
 Speed = Annotated[Number, AfterValidator(_speed)]
-PolygonValue = Annotated[list[list[float]], _Parsed(_polygon)]
-Section = dict[str, object]
+PolygonValue = Annotated[list[list[float]], _Parsed(_polygon, "[[x, y], ...]", _POINTS)]
+Section = Annotated[
+    dict[str, object], WithJsonSchema({"type": "object", "x-form": "{plugin: NAME, parameter: value, ...}"})
+]
+
+
+def _key(
+    description: str,
+    default: object = ...,
+    *,
+    absent: str = "",
+    above: float | None = None,
+    least: float | None = None,
+    finite: bool = False,
+) -> Any:  # noqa: ANN401 - as pydantic's Field
+    """A key of the file.
+
+    Args:
+        description: What it is, with its unit in brackets.
+        default: Its default; without one it is required.
+        absent: What its absence means, where the default does not say so.
+        above: Exclusive lower bound, as the constructors have it.
+        least: Inclusive lower bound.
+        finite: Whether infinity, which YAML writes `.inf`, is refused.
+    """
+    said = {"exclusiveMinimum": above, "minimum": least, "x-absent": absent or None, "x-finite": finite or None}
+    extra: Any = {name: value for name, value in said.items() if value is not None}
+    return Field(default, description=description, json_schema_extra=extra)
 
 
 class _Part(BaseModel):
@@ -113,18 +171,40 @@ _LIMITS = MotionLimits()
 class LimitsDocument(_Part):
     """`robot.limits`; what is not given keeps the default of `MotionLimits`."""
 
-    max_speed: Speed = _LIMITS.max_speed
-    max_reverse_speed: Speed = _LIMITS.max_reverse_speed
-    max_acceleration: Number = _LIMITS.max_acceleration
-    max_deceleration: Number = _LIMITS.max_deceleration
-    max_jerk: Number = _LIMITS.max_jerk
-    max_yaw_rate: Number = _LIMITS.max_yaw_rate
-    max_yaw_acceleration: Number = _LIMITS.max_yaw_acceleration
-    max_lateral_acceleration: Number = _LIMITS.max_lateral_acceleration
-    max_wheel_speed: Speed = _LIMITS.max_wheel_speed
-    track_width: Number = _LIMITS.track_width
-    max_curvature: Number = _LIMITS.max_curvature
-    max_curvature_rate: Number = _LIMITS.max_curvature_rate
+    max_speed: Speed = _key("largest speed forward [m/s]", _LIMITS.max_speed, above=0, finite=True)
+    max_reverse_speed: Speed = _key("largest speed in reverse [m/s]", _LIMITS.max_reverse_speed, above=0, finite=True)
+    max_acceleration: Number = _key(
+        "speeding up, in either gear [m/s^2]", _LIMITS.max_acceleration, above=0, finite=True
+    )
+    max_deceleration: Number = _key(
+        "slowing down, in either gear [m/s^2]", _LIMITS.max_deceleration, above=0, finite=True
+    )
+    max_jerk: Number = _key("change of acceleration [m/s^3]", _LIMITS.max_jerk, above=0, finite=True)
+    max_yaw_rate: Number = _key("turning left or right [rad/s]", _LIMITS.max_yaw_rate, above=0, absent="unlimited")
+    max_yaw_acceleration: Number = _key(
+        "change of the yaw rate [rad/s^2]", _LIMITS.max_yaw_acceleration, above=0, absent="unlimited"
+    )
+    max_lateral_acceleration: Number = _key(
+        "speed^2 * |curvature| [m/s^2]", _LIMITS.max_lateral_acceleration, above=0, absent="unlimited"
+    )
+    max_wheel_speed: Speed = _key(
+        "rim speed of either wheel [m/s]", _LIMITS.max_wheel_speed, above=0, absent="unlimited"
+    )
+    track_width: Number = _key(
+        "distance between the wheels, for max_wheel_speed [m]", _LIMITS.track_width, least=0, finite=True
+    )
+    max_curvature: Number = _key(
+        "1 / smallest turning radius [1/m]",
+        _LIMITS.max_curvature,
+        above=0,
+        absent="unlimited",
+    )
+    max_curvature_rate: Number = _key(
+        "|d curvature / ds|: how fast the steering turns along the path [1/m^2]",
+        _LIMITS.max_curvature_rate,
+        above=0,
+        absent="unlimited",
+    )
 
     @field_validator("*")
     @classmethod
@@ -140,10 +220,12 @@ class LimitsDocument(_Part):
 class RobotDocument(_Part):
     """`robot`."""
 
-    footprint: FootprintValue | None = None
-    radius: Number | None = None
-    drive: Drive = Drive.DIFFERENTIAL
-    limits: LimitsDocument = LimitsDocument()
+    footprint: FootprintValue | None = _key(
+        "outline in the robot's frame, whose origin follows the path [m]", None, absent="radius must be given"
+    )
+    radius: Number | None = _key("of a round robot [m]", None, above=0, absent="footprint must be given")
+    drive: Drive = _key("how it steers", Drive.DIFFERENTIAL)
+    limits: LimitsDocument = _key("bounds on the motion", LimitsDocument(), absent="each limit's own default")
 
     @field_validator("radius")
     @classmethod
@@ -167,12 +249,20 @@ class RobotDocument(_Part):
 class DockDocument(_Part):
     """`dock`."""
 
-    pose: PoseValue
-    footprint: FootprintValue | None = None
-    direction: DockDirection = DockDirection.AUTO
-    final_straight: Number = 0.0
-    approach_speed: Speed = math.inf
-    approach_distance: Distance = 0.0
+    pose: PoseValue = _key("the robot's pose when docked [m, m, rad]")
+    footprint: FootprintValue | None = _key(
+        "outline of the station in the docked robot's frame, an obstacle [m]", None, absent="no obstacle"
+    )
+    direction: DockDirection = _key(
+        "gear of the last motion; auto: the planner chooses by the side of the start", DockDirection.AUTO
+    )
+    final_straight: Number = _key("straight run at the end of the path [m]", 0.0, least=0, finite=True)
+    approach_speed: Speed = _key(
+        "largest speed over the last approach_distance [m/s]", math.inf, above=0, absent="no slower stretch"
+    )
+    approach_distance: Distance = _key(
+        "length of the slow stretch at the end of the path; needed by approach_speed [m]", 0.0, least=0, finite=True
+    )
 
     @field_validator("final_straight")
     @classmethod
@@ -202,9 +292,16 @@ class DockDocument(_Part):
 class StartDocument(_Part):
     """`start`."""
 
-    pose: PoseValue
-    speed: Annotated[Speed, Field(allow_inf_nan=False)] = 0.0
-    curvature: Annotated[Number, Field(allow_inf_nan=False)] | None = None
+    pose: PoseValue = _key("where the robot is [m, m, rad]")
+    speed: Annotated[Speed, Field(allow_inf_nan=False)] = _key(
+        "signed, negative in reverse [m/s]", 0.0, finite=True, absent="at rest"
+    )
+    curvature: Annotated[Number, Field(allow_inf_nan=False)] | None = _key(
+        "of the path's first point along the travel, left positive [1/m]",
+        None,
+        finite=True,
+        absent="free at rest, 0 in motion",
+    )
 
     @property
     def known_curvature(self) -> float | None:
@@ -218,9 +315,14 @@ _CLEARANCE = ClearanceRule()
 class ClearanceDocument(_Part):
     """`clearance`; one number holds everywhere, also at the dock."""
 
-    required: Distance = _CLEARANCE.required
-    at_dock: Distance = _CLEARANCE.at_dock
-    taper: Distance = _CLEARANCE.taper
+    required: Distance = _key("away from the dock [m]", _CLEARANCE.required, least=0, finite=True)
+    at_dock: Distance = _key("at the dock, at most `required` [m]", _CLEARANCE.at_dock, least=0, finite=True)
+    taper: Distance = _key(
+        "distance from the dock over which it grows from at_dock to required [m]",
+        _CLEARANCE.taper,
+        least=0,
+        finite=True,
+    )
 
     @model_validator(mode="after")
     def _grows(self) -> ClearanceDocument:
@@ -236,23 +338,47 @@ def _clearance(value: object) -> object:
     return {"required": value, "at_dock": value} if is_number(value) else value
 
 
+class _OrNumber:
+    """Annotation: in the JSON schema, a number may stand here too."""
+
+    def __get_pydantic_json_schema__(
+        self, core: core_schema.CoreSchema, handler: GetJsonSchemaHandler
+    ) -> dict[str, object]:
+        """Pydantic's hook."""
+        return {"anyOf": [handler(core), {"type": "number", "minimum": 0}]}
+
+
 class ScenarioDocument(_Part):
     """A whole scenario file."""
 
-    format: Literal["optdock-scenario/1"]
-    frame: str = "map"
-    map: str | None = None
-    obstacles: list[PolygonValue] = []
-    robot: RobotDocument
-    dock: DockDocument
-    start: StartDocument
-    clearance: Annotated[ClearanceDocument, BeforeValidator(_clearance)] = ClearanceDocument()
-    time_budget: Number = DEFAULT_TIME_BUDGET
-    planner: Section = {}
-    smoother: Section = {}
-    timing: Section = {}
-    controller: Section = {}
-    goal_checker: Section = {}
+    format: Literal["optdock-scenario/1"] = _key("what this file is")
+    frame: str = _key("name of the coordinate frame", "map")
+    map: str | None = _key(
+        "map (map_server YAML), relative to this file; unknown cells and the world beyond it are obstacles",
+        None,
+        absent="only the obstacles below count",
+    )
+    obstacles: list[PolygonValue] = _key("polygons, convex or not, in either orientation [m]", [], absent="none")
+    robot: RobotDocument = _key("outline, drive and limits")
+    dock: DockDocument = _key("where the robot must end, and how")
+    start: StartDocument = _key("where and how the robot begins")
+    clearance: Annotated[ClearanceDocument, BeforeValidator(_clearance), _OrNumber()] = _key(
+        "distance that the footprint keeps from everything; one number holds everywhere, also at the dock [m]",
+        ClearanceDocument(),
+        absent="each key's own default",
+    )
+    time_budget: Number = _key("wall-clock time for planning [s]", DEFAULT_TIME_BUDGET, above=0, finite=True)
+    planner: Section = _key("what makes the raw path, and its parameters", {}, absent=PLUGIN_DEFAULTS["planner"])
+    smoother: Section = _key("what makes the smoothing, and its parameters", {}, absent=PLUGIN_DEFAULTS["smoother"])
+    timing: Section = _key("what makes the time law, and its parameters", {}, absent=PLUGIN_DEFAULTS["timing"])
+    controller: Section = _key(
+        "what drives in `optdock simulate`, and its parameters", {}, absent=PLUGIN_DEFAULTS["controller"]
+    )
+    goal_checker: Section = _key(
+        "what decides there that the robot has arrived, and its parameters",
+        {},
+        absent=PLUGIN_DEFAULTS["goal_checker"],
+    )
 
     @field_validator("time_budget")
     @classmethod

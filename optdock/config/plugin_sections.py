@@ -10,15 +10,14 @@ from pydantic import ValidationError
 
 from optdock.config.faults import Fault, faults_of
 from optdock.errors import PluginError
-from optdock.io.numbers import is_number
-from optdock.io.units import unit_fault
+from optdock.io.numbers import is_number, unit_fault
 from optdock.pipeline import PluginChoice, PluginChoices
 from optdock.plugins import INTERFACES, load_plugin
 
 if TYPE_CHECKING:
     from optdock.lifecycle import Plugin
 
-__all__ = ["PLUGIN_DEFAULTS", "plugin_choice"]
+__all__ = ["PLUGIN_DEFAULTS", "plugin_choice", "plural"]
 
 # The plugin of a section that names none.
 PLUGIN_DEFAULTS: Mapping[str, str] = {
@@ -50,7 +49,7 @@ def plugin_choice(kind: str, section: object, faults: list[Fault]) -> PluginChoi
         faults.append(Fault((kind, "plugin"), f"must be text, got {asked!r}"))
         return PluginChoice(name, {})
     try:
-        plugin = load_plugin(INTERFACES[_plural(kind)], asked)
+        plugin = load_plugin(INTERFACES[plural(kind)], asked)
     except PluginError as error:
         faults.append(Fault((kind, "plugin"), str(error)))
         return PluginChoice(name, {})
@@ -60,7 +59,7 @@ def plugin_choice(kind: str, section: object, faults: list[Fault]) -> PluginChoi
 
 def parameter_faults(plugin: type[Plugin], parameters: Mapping[str, object], base: tuple[str, ...]) -> list[Fault]:
     """What a plugin's parameter model finds wrong with `parameters`."""
-    fields = plugin.Parameters.model_fields
+    fields = {spec.alias or name: spec for name, spec in plugin.Parameters.model_fields.items()}
     try:
         plugin.Parameters.model_validate(dict(parameters))
     except ValidationError as error:
@@ -71,5 +70,6 @@ def parameter_faults(plugin: type[Plugin], parameters: Mapping[str, object], bas
     return [Fault((*base, name), fault) for name, fault in asked if fault]
 
 
-def _plural(kind: str) -> str:
+def plural(kind: str) -> str:
+    """The kind of plugins, one of `INTERFACES`, that a section names."""
     return kind if kind == "timing" else f"{kind}s"

@@ -6,27 +6,32 @@ import dataclasses
 import math
 from typing import TYPE_CHECKING
 
+import numpy as np
 from pydantic import Field
 
-from optdock.controllers._ahead import require_free_stop
-from optdock.controllers._delay import DelayEstimate
-from optdock.controllers._law import Gains, tracking_command
-from optdock.controllers._limiter import rate_limited
-from optdock.controllers._reference import Look, Reference
-from optdock.controllers._requests import checked_speed_limit, checked_task
+from optdock.controllers.delay_estimate import DelayEstimate
+from optdock.controllers.moving_reference import Look, Reference
+from optdock.controllers.requests import checked_speed_limit, checked_task
+from optdock.controllers.tracking_law import Gains, tracking_command
 from optdock.errors import ControllerInvalidPath, NoValidControl
 from optdock.geometry.pose import Pose2, Twist2
 from optdock.interfaces import Controller, TimeParameterizer
 from optdock.limits import MotionLimits, SpeedZone
 from optdock.parameters import PluginParameters
 from optdock.robot import Drive, admissible
+from optdock.surroundings import obstacles_near
 from optdock.trajectory import Trajectory
+from optdock.verification import pose_clearances
 
 if TYPE_CHECKING:
+    from optdock.geometry.pose import Pose2, Twist2
     from optdock.interfaces import GoalChecker
+    from optdock.lifecycle import PluginContext
+    from optdock.limits import MotionLimits
     from optdock.path import Path
 
-__all__ = ["TrackingController", "TrackingControllerParameters"]
+__all__ = ["TrackingController", "TrackingControllerParameters", "rate_limited", "require_free_stop"]
+
 
 _SETTLING = 0.2  # [s], time constant with which the reference's rate approaches its target
 _PEAK_MARGIN = 1.2  # without a configured robot: headroom for feedback above the trajectory's own peaks
@@ -70,9 +75,9 @@ class TrackingController(Controller):
     first call after `set_path` starts at the nearest point of the trajectory's first gear when the robot is not at its
     beginning, no faster than the robot is. At cusps the reference rests as its time law does.
 
-    **Law.** See `_law`; the feed-forward is that of the middle of the coming period, `preview` ahead. Without a
+    **Law.** See `tracking_law`; the feed-forward is that of the middle of the coming period, `preview` ahead. Without a
     given `preview` it is identified from the first ramp on, by comparing the measured speed with the commands
-    (`_delay`); it is kept from path to path, until `reset`.
+    (`delay_estimate`); it is kept from path to path, until `reset`.
 
     **Finish.** At the trajectory's end the same law holds the last pose: errors along and in yaw decay exponentially
     to zero, without a dead band of its own. A drive that ignores small commands is given at least `min_speed`
@@ -262,3 +267,71 @@ class TrackingController(Controller):
 
 def _at_least(value: float, least: float) -> float:
     return math.copysign(max(abs(value), least), value) if value != 0.0 else 0.0
+
+
+def rate_limited(previous: Twist2, wanted: Twist2, limits: MotionLimits, period: float) -> Twist2:
+    """The command nearest to `wanted` that `previous` can become within `period` [s].
+
+    Speeding up is bounded by max_acceleration, slowing down by max_deceleration, in either gear.
+    """
+    linear = _approach(
+        previous.linear, wanted.linear, limits.max_acceleration * period, limits.max_deceleration * period
+    )
+    turn = limits.max_yaw_acceleration * period
+    angular = _approach(previous.angular, wanted.angular, turn, turn)
+    return Twist2(linear, angular)
+
+
+def _approach(value: float, target: float, rise: float, fall: float) -> float:
+    """`value` moved towards `target`: away from zero by at most `rise`, towards zero by at most `fall`."""
+    if value * target < 0.0:
+        braked = _approach(value, 0.0, rise, fall)
+        left = 1.0 - abs(value) / fall if math.isfinite(fall) else 1.0
+        return braked if left <= 0.0 else _approach(0.0, target, rise * left, fall)
+    bound = rise if abs(target) > abs(value) else fall
+    return value + min(max(target - value, -bound), bound)
+
+
+_SPACING = 0.05  # [m] between the poses that are looked at; no robot is so short that a post fits between them
+_DEEPER = 1e-6  # [m]: a robot that touches something may drive on as long as it does not go deeper
+
+
+def require_free_stop(
+    context: PluginContext, pose: Pose2, command: Twist2, limits: MotionLimits, period: float, tolerance: float
+) -> None:
+    """Refuse a command after which the robot could no longer stop before it is `tolerance` deep in something.
+
+    One period of the command, then braking along its arc: the poses on that way are looked at, with the whole
+    footprint, among everything that the context holds, its costmaps as they are now. A plan that ends in contact with
+    the dock brakes no harder than this, so noise and control errors up to the tolerance do not stop it.
+
+    Args:
+        context: Surroundings; without a footprint nothing is checked.
+        pose: Measured.
+        command: To be given now.
+        limits: How hard the robot can brake.
+        period: Until the next command [s].
+        tolerance: Accepted depth [m].
+
+    Raises:
+        NoValidControl: As described; `where` holds the obstacle and the depth.
+    """
+    if context.footprint is None:
+        return
+    speed = abs(command.linear)
+    time = period + 0.5 * speed / limits.max_deceleration  # braking covers half of what the command would
+    centre, reach = np.array([pose.x, pose.y]), context.footprint.circumscribed_radius + speed * time
+    obstacles = obstacles_near(context, centre - reach, centre + reach)
+    if len(obstacles) == 0:
+        return
+    times = np.linspace(0.0, time, 2 + math.ceil(speed * time / _SPACING))
+    poses = np.array([pose.moved(command, float(t)).as_array() for t in times])
+    clearance, row = pose_clearances(poses, context.footprint, obstacles, within=0.0)
+    worst = int(np.argmin(clearance))
+    if clearance[worst] < min(-tolerance, clearance[0] - _DEEPER):
+        depth, obstacle = -float(clearance[worst]), obstacles.name_of(int(row[worst]))
+        raise NoValidControl(
+            f"{context.name}: collision ahead: even braking now, the footprint goes {depth:.3f} m into {obstacle}, "
+            f"more than collision_tolerance = {tolerance} m",
+            where={"obstacle": obstacle, "depth": depth},
+        )

@@ -15,7 +15,7 @@ from optdock.costmap.costs import OCCUPANCY_UNKNOWN, OccupancyArray
 from optdock.costmap.occupancy import OccupancyGrid
 from optdock.errors import InvalidFile, InvalidValue
 from optdock.io.map_image import GreyImage, load_grey_image
-from optdock.io.units import unit_fault
+from optdock.io.numbers import unit_fault
 from optdock.io.yaml_lines import Document, load_yaml
 
 if TYPE_CHECKING:

@@ -4,18 +4,18 @@ import dataclasses
 
 import pytest
 
-from optdock.behaviors._reversal import reversed_path
 from optdock.dock import Dock
 from optdock.errors import ControllerInvalidPath, InvalidPath
 from optdock.geometry.footprint import Footprint
 from optdock.geometry.pose import Pose2
 from optdock.interfaces import Controller, GlobalPlanner, PluginContext, Smoother
 from optdock.io.plan_file import PlanFile, load_plan, save_plan
+from optdock.nav2.behaviors.undock_plan import reversed_path
 from optdock.path import Path, may_be_one_frame
 from optdock.pipeline import plan_dock
 from optdock.plugins import create_plugin
 from optdock.report import plan_file
-from optdock.testing.contracts_scene import GOAL, ORIGIN, raw_path, scene_problem
+from optdock.testing.contracts.scene import GOAL, ORIGIN, raw_path, scene_problem
 from optdock.verification import certify_path
 
 DEPOT = dataclasses.replace(scene_problem(), frame="depot")

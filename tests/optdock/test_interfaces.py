@@ -10,7 +10,6 @@ from enum import IntEnum
 import pytest
 
 from optdock import errors, interfaces
-from optdock.behaviors import _results as codes
 from optdock.errors import OptdockError
 from optdock.interfaces import (
     Behavior,
@@ -30,6 +29,7 @@ from optdock.interfaces import (
     Tolerances,
     never_cancelled,
 )
+from optdock.nav2.behaviors import results as codes
 from optdock.plugins import INTERFACES
 
 # Interface, Nav2's method, ours, whether an author must write it, its parameters after self.

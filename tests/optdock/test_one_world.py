@@ -22,7 +22,7 @@ from optdock.robot import Drive, Robot
 from optdock.simulation import run_closed_loop
 from optdock.simulation.closed_loop import SimulationSettings
 from optdock.surroundings import obstacles_near
-from optdock.testing.contracts_scene import bent_path, post_inside_the_bend, scene_problem
+from optdock.testing.contracts.scene import bent_path, post_inside_the_bend, scene_problem
 from optdock.verification import certify_path, pose_clearance
 
 LIMITS = MotionLimits(max_curvature=1.5, max_curvature_rate=6.0)

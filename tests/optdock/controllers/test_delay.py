@@ -2,7 +2,7 @@
 
 import pytest
 
-from optdock.controllers._delay import DelayEstimate
+from optdock.controllers.delay_estimate import DelayEstimate
 from optdock.geometry.footprint import Footprint
 from optdock.geometry.pose import Pose2, Twist2
 from optdock.limits import MotionLimits

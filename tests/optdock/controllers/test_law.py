@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from optdock.controllers._law import Gains, tracking_command
+from optdock.controllers.tracking_law import Gains, tracking_command
 from optdock.geometry.pose import Pose2, Twist2
 
 GAINS = Gains(along=2.0, convergence_distance=0.25, damping=1.0, turn=1.0)

@@ -12,9 +12,9 @@ from typer.testing import CliRunner
 from optdock.cli import app
 from optdock.config import Scenario, load_scenario
 from optdock.errors import InvalidFile
-from optdock.io.dock_database import load_dock_database
-from optdock.io.nav2_params import Nav2Params, load_nav2_params
 from optdock.io.plan_file import PlanFile, load_plan
+from optdock.nav2.docks import load_dock_database
+from optdock.nav2.params import Nav2Params, load_nav2_params
 
 SCENARIO = {
     "format": "optdock-scenario/1",

@@ -7,12 +7,13 @@ import pytest
 from typer.testing import CliRunner
 
 from optdock.cli import app
-from optdock.config import load_scenario, nav2_scenario
+from optdock.config import load_scenario
 from optdock.errors import InvalidFile
-from optdock.io.dock_database import load_dock_database
 from optdock.io.maps import load_map
-from optdock.io.nav2_params import load_nav2_params
-from optdock.io.units import unit_fault
+from optdock.io.numbers import unit_fault
+from optdock.nav2.docks import load_dock_database
+from optdock.nav2.params import load_nav2_params
+from optdock.nav2.scenario import nav2_scenario
 
 SCENARIO = """\
 format: optdock-scenario/1

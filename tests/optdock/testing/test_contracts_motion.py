@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 from pydantic import Field
 
-from optdock.behaviors._collision import CollisionGate
-from optdock.behaviors.drive import DriveOnHeading
 from optdock.controllers.tracking import TrackingController
 from optdock.costmap.costs import LETHAL
 from optdock.errors import ControllerException
 from optdock.geometry.pose import Twist2
 from optdock.interfaces import BehaviorResult, BehaviorStatus, Bounds, CostmapInfoType, Layer
+from optdock.nav2.behaviors.collision import CollisionGate
+from optdock.nav2.behaviors.drive import DriveOnHeading
 from optdock.parameters import PluginParameters
 from optdock.path import Path
 from optdock.testing.contracts import BehaviorContract, ContractBroken, ControllerContract, LayerContract

@@ -11,8 +11,14 @@ from optdock.interfaces import GoalChecker, LifecycleState, Tolerances
 from optdock.parameters import PluginParameters
 from optdock.plugins import INTERFACES
 from optdock.testing.contracts import GoalCheckerContract, PluginContract
-from optdock.testing.contracts_polls import PollCounter, poll_gaps, require_cancellable
-from optdock.testing.contracts_rules import ContractBroken, refused, require
+from optdock.testing.contracts.rules import (
+    ContractBroken,
+    PollCounter,
+    poll_gaps,
+    refused,
+    require,
+    require_cancellable,
+)
 
 
 class NearParameters(PluginParameters):

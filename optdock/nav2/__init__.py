@@ -1,0 +1,12 @@
+"""What speaks Nav2: its files, its costmap, its behaviors and its path follower; the method knows nothing of it.
+
+- `params`: a parameter file: its plugins, costmaps, dock types and docks (`plugin_lists`, `costmap_params`, `numbers`).
+- `docks`: dock databases and dock types.
+- `scenario`: the docking problem that these files describe.
+- `provided_plugins`: which of a file's plugins are provided here, with which parameters, and why the others are not.
+- `layered_costmap`, `layers`: one master grid, and the layers that write into it.
+- `behaviors`: Wait, Spin, BackUp, DriveOnHeading, Undock.
+- `graceful`, `graceful_law`: the GracefulController and its control law, the baseline to beat.
+
+Nav2's smoothers are in `smoothers.nav2`, its goal checkers in `checkers.nav2`.
+"""
