@@ -22,8 +22,9 @@ from optdock.config import Scenario
 from optdock.errors import OptdockError
 from optdock.interfaces import Controller, GoalChecker
 from optdock.io.atomic_file import write_text
-from optdock.pipeline import PartialPlan, PluginChoice, PluginChoices, plan_dock, warm_up
-from optdock.plugins import create_plugin
+from optdock.pipeline import warm_up
+from optdock.plan import PartialPlan
+from optdock.plugins import PluginChoice, create_plugin
 from optdock.report import table
 from optdock.simulation import Actuation, SimulationSettings, run_closed_loop
 
@@ -31,7 +32,7 @@ sys.path.insert(0, str(Path(__file__).parent))
 from real_maps import DRAWN_SCENARIOS, HINT, SCENARIOS, MapScenario, maps_folder, problem_of
 
 if TYPE_CHECKING:
-    from optdock.pipeline import DockPlan
+    from optdock.plan import DockPlan
     from optdock.simulation import Run
 
 OUT = Path("results") / Path(__file__).stem
@@ -60,14 +61,16 @@ class Result(NamedTuple):
 def scenario_of(task: MapScenario, maps: Path) -> Scenario:
     """The task as a scenario, as if read from a file."""
     name = re.sub(r"[^a-z0-9]+", "_", task.name.lower())
-    return Scenario(problem_of(task, maps), TIME_BUDGET, PluginChoices(), CONTROLLER, CHECKER, Path(f"{name}.yaml"))
+    return Scenario(
+        problem_of(task, maps), TIME_BUDGET, controller=CONTROLLER, goal_checker=CHECKER, source=Path(f"{name}.yaml")
+    )
 
 
 def solve(scenario: Scenario) -> Result:
     """Plan and drive one scenario."""
     problem = scenario.problem
     try:
-        plan = plan_dock(problem, time_budget=scenario.time_budget, plugins=scenario.plugins)
+        plan = scenario.plan()
     except OptdockError as error:
         return Result(scenario, None, None, f"{type(error).__name__}: {error}", error)
     settings = SimulationSettings(actuation=ACTUATION, obstacles=problem.all_obstacles, seed=1, **WORLD)

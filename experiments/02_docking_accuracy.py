@@ -23,7 +23,7 @@ from optdock.geometry.footprint import Footprint
 from optdock.geometry.pose import Pose2
 from optdock.interfaces import Controller, GoalChecker
 from optdock.io.atomic_file import write_text
-from optdock.limits import MotionLimits, SpeedZone
+from optdock.limits import MotionLimits
 from optdock.nav2.graceful_law import GracefulLaw, egocentric
 from optdock.pipeline import plan_dock
 from optdock.plugins import create_plugin
@@ -42,7 +42,7 @@ LIMITS = MotionLimits(
     max_curvature=3.0, max_curvature_rate=30.0,
 )  # fmt: skip
 ROBOT = Robot(Footprint.rectangle(0.3, 0.3, 0.5), LIMITS)
-DOCK = Dock(GOAL, direction=DockDirection.FORWARD, approach=SpeedZone(0.1, 0.1))
+DOCK = Dock(GOAL, direction=DockDirection.FORWARD, approach_speed=0.1, approach_distance=0.1)
 WORLDS = {
     "perfect": SimulationSettings(),
     "lag, latency, noise": SimulationSettings(

@@ -18,7 +18,7 @@ from optdock.dock import Dock, DockDirection
 from optdock.geometry.footprint import Footprint
 from optdock.geometry.pose import Pose2
 from optdock.io.maps import load_map
-from optdock.limits import MotionLimits, SpeedZone
+from optdock.limits import MotionLimits
 from optdock.problem import ClearanceRule, DockingProblem
 from optdock.robot import Robot
 
@@ -156,7 +156,8 @@ def problem_of(scenario: MapScenario, maps: Path | None = None) -> DockingProble
         outline,
         DockDirection.BACKWARD if scenario.backward else DockDirection.FORWARD,
         final_straight=0.3,
-        approach=SpeedZone(0.1, 0.3),
+        approach_speed=0.1,
+        approach_distance=0.3,
     )
     return DockingProblem(
         start=start,

@@ -1,40 +1,132 @@
 """optdock: certified docking trajectories for wheeled robots.
 
-    import optdock
-    problem = optdock.load_scenario("bay.yaml").problem
-    plan = optdock.plan_dock(problem, time_budget=0.1)
+    import optdock as od
 
-Names are imported on first use, so that `import optdock` stays cheap.
+    robot = od.Robot(od.Footprint.rectangle(0.45, 0.45, 0.6), od.MotionLimits(max_curvature=1.5))
+    problem = od.DockingProblem(od.Pose2(1.0, 0.2, 0.4), od.Dock(od.Pose2(4.0, 1.0, 0.0)), robot)
+    plan = od.plan_dock(problem, time_budget=0.1)
+
+Every name below is imported on its first use, so that `import optdock` stays cheap. Plugins are found by their entry
+points, as `plan_dock` finds them: nothing here imports the packages that hold them.
 """
 
 from __future__ import annotations
 
-import importlib
 import logging
+from importlib import import_module
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
+    from checkers.axis import AxisGoalChecker
     from optdock.config import Scenario, load_scenario
-    from optdock.pipeline import DockPlan, plan_dock, warm_up
+    from optdock.controllers.tracking import TrackingController
+    from optdock.costmap.costmap import Costmap
+    from optdock.dock import Dock
+    from optdock.errors import (
+        Cancelled,
+        CertificationFailed,
+        FailedToSmoothPath,
+        FailedToTimePath,
+        GoalOccupied,
+        InvalidFile,
+        InvalidValue,
+        NoValidPathCouldBeFound,
+        OptdockError,
+        PluginError,
+        StartOccupied,
+        TimedOut,
+    )
+    from optdock.geometry.footprint import Footprint
+    from optdock.geometry.pose import Pose2
+    from optdock.io.maps import load_map
+    from optdock.io.plan_file import load_plan
+    from optdock.lifecycle import PluginContext
+    from optdock.limits import MotionLimits
+    from optdock.obstacles import ObstacleSet
+    from optdock.path import Path
+    from optdock.pipeline import plan_dock, warm_up
+    from optdock.plan import DockPlan
+    from optdock.planners.dock_planner import DockPlanner
+    from optdock.problem import ClearanceRule, DockingProblem
+    from optdock.robot import Robot
+    from optdock.timing.near_optimal import NearOptimal
+    from optdock.trajectory import Trajectory
     from optdock.verification import Certificate, certify_path, certify_trajectory
+    from smoothers import CasadiSmoother
 
-_HOMES = {
-    "Certificate": "optdock.verification",
-    "DockPlan": "optdock.pipeline",
-    "Scenario": "optdock.config",
-    "certify_path": "optdock.verification",
-    "certify_trajectory": "optdock.verification",
-    "load_scenario": "optdock.config",
-    "plan_dock": "optdock.pipeline",
-    "warm_up": "optdock.pipeline",
+_MODULES = {
+    "optdock.config": ("Scenario", "load_scenario"),
+    "optdock.costmap.costmap": ("Costmap",),
+    "optdock.dock": ("Dock",),
+    "optdock.errors": (
+        "Cancelled",
+        "CertificationFailed",
+        "FailedToSmoothPath",
+        "FailedToTimePath",
+        "GoalOccupied",
+        "InvalidFile",
+        "InvalidValue",
+        "NoValidPathCouldBeFound",
+        "OptdockError",
+        "PluginError",
+        "StartOccupied",
+        "TimedOut",
+    ),
+    "optdock.geometry.footprint": ("Footprint",),
+    "optdock.geometry.pose": ("Pose2",),
+    "optdock.io.maps": ("load_map",),
+    "optdock.io.plan_file": ("load_plan",),
+    "optdock.lifecycle": ("PluginContext",),
+    "optdock.limits": ("MotionLimits",),
+    "optdock.obstacles": ("ObstacleSet",),
+    "optdock.path": ("Path",),
+    "optdock.pipeline": ("plan_dock", "warm_up"),
+    "optdock.plan": ("DockPlan",),
+    "optdock.problem": ("ClearanceRule", "DockingProblem"),
+    "optdock.robot": ("Robot",),
+    "optdock.trajectory": ("Trajectory",),
+    "optdock.verification": ("Certificate", "certify_path", "certify_trajectory"),
 }
+_HOMES = {name: module for module, names in _MODULES.items() for name in names}
+_PLUGINS = ("AxisGoalChecker", "CasadiSmoother", "DockPlanner", "NearOptimal", "TrackingController")
 
 __all__ = [
+    "AxisGoalChecker",
+    "Cancelled",
+    "CasadiSmoother",
     "Certificate",
+    "CertificationFailed",
+    "ClearanceRule",
+    "Costmap",
+    "Dock",
     "DockPlan",
+    "DockPlanner",
+    "DockingProblem",
+    "FailedToSmoothPath",
+    "FailedToTimePath",
+    "Footprint",
+    "GoalOccupied",
+    "InvalidFile",
+    "InvalidValue",
+    "MotionLimits",
+    "NearOptimal",
+    "NoValidPathCouldBeFound",
+    "ObstacleSet",
+    "OptdockError",
+    "Path",
+    "PluginContext",
+    "PluginError",
+    "Pose2",
+    "Robot",
     "Scenario",
+    "StartOccupied",
+    "TimedOut",
+    "TrackingController",
+    "Trajectory",
     "certify_path",
     "certify_trajectory",
+    "load_map",
+    "load_plan",
     "load_scenario",
     "plan_dock",
     "warm_up",
@@ -45,6 +137,15 @@ logging.getLogger(__name__).addHandler(logging.NullHandler())
 
 
 def __getattr__(name: str) -> object:
-    if name not in _HOMES:
+    if name in _HOMES:
+        found: object = getattr(import_module(_HOMES[name]), name)
+    elif name in _PLUGINS:
+        found = import_module("optdock.plugins").plugin_class(name)
+    else:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    return getattr(importlib.import_module(_HOMES[name]), name)
+    globals()[name] = found
+    return found
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *__all__})

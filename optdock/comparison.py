@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
     from optdock.config import Scenario
     from optdock.path import Path, Segment
-    from optdock.pipeline import PluginChoice
+    from optdock.plugins import PluginChoice
     from optdock.problem import DockingProblem
 
 __all__ = ["PathFigures", "comparison_csv", "comparison_table", "figures_of", "worst_joint_angle"]
@@ -82,7 +82,7 @@ def figures_of(scenario: Scenario, kind: str, path: Path, duration: float | None
         max_curvature=certificate.max_curvature,
         worst_joint=math.degrees(worst_joint_angle(path)),
         min_clearance=certificate.min_clearance,
-        duration=_duration(path, scenario.problem, scenario.plugins.timing) if duration is None else duration,
+        duration=_duration(path, scenario.problem, scenario.timing) if duration is None else duration,
     )
 
 

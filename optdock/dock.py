@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import math
 from dataclasses import dataclass, field
 from enum import Enum
@@ -58,18 +59,21 @@ class Dock:
         direction: Gear of the last motion, a `DockDirection` or its word; AUTO lets the planner choose by the side of
             the start.
         final_straight: Length of the straight run at the end [m].
-        approach: Slow stretch at the end of the path.
+        approach_speed: Largest speed over the last `approach_distance` of the path, in either gear [m/s].
+        approach_distance: How far before the end that begins [m]; 0: nowhere.
         tolerances: When the robot counts as docked.
 
     Raises:
-        InvalidValue: final_straight is not finite and >= 0, the direction is none, or a part is of another class.
+        InvalidValue: final_straight or approach_distance is not finite and >= 0, approach_speed is not > 0, the
+            direction is none, or a part is of another class.
     """
 
     pose: Pose2
     footprint: Footprint | None = None
     direction: DockDirection = DockDirection.AUTO
     final_straight: float = 0.0
-    approach: SpeedZone = field(default_factory=SpeedZone)
+    approach_speed: float = math.inf
+    approach_distance: float = 0.0
     tolerances: DockTolerances = field(default_factory=DockTolerances)
 
     def __post_init__(self) -> None:
@@ -77,8 +81,14 @@ class Dock:
         if self.footprint is not None:
             instance(Footprint, self.footprint, "dock.footprint")
         object.__setattr__(self, "direction", member(DockDirection, self.direction, "dock.direction"))
-        instance(SpeedZone, self.approach, "dock.approach")
+        object.__setattr__(self, "approach_speed", self.approach.speed)
+        object.__setattr__(self, "approach_distance", self.approach.distance)
         instance(DockTolerances, self.tolerances, "dock.tolerances")
         object.__setattr__(self, "final_straight", finite_number(self.final_straight, "dock.final_straight"))
         if not self.final_straight >= 0.0:
             raise InvalidValue(f"dock.final_straight: must be finite and >= 0 m, got {self.final_straight}")
+
+    @functools.cached_property
+    def approach(self) -> SpeedZone:
+        """The slow stretch at the end of the path."""
+        return SpeedZone(self.approach_speed, self.approach_distance)

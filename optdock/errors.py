@@ -13,39 +13,35 @@ if TYPE_CHECKING:
 
 __all__ = [
     "BehaviorException",
+    "Cancelled",
     "CertificationFailed",
     "ControllerException",
     "ControllerInvalidPath",
-    "ControllerTimedOut",
     "DockNotInDB",
     "DockNotValid",
-    "FailedToMakeProgress",
     "FailedToSmoothPath",
     "FailedToTimePath",
     "GoalOccupied",
     "GoalOutsideMapBounds",
-    "InvalidController",
     "InvalidFile",
     "InvalidPath",
-    "InvalidPlanner",
-    "InvalidSmoother",
     "InvalidValue",
     "LifecycleError",
     "MissingExtra",
     "NoValidControl",
     "NoValidPathCouldBeFound",
     "OptdockError",
-    "PatienceExceeded",
     "PlannerCancelled",
     "PlannerException",
     "PlannerTimedOut",
     "PluginError",
-    "SmoothedPathInCollision",
     "SmootherCancelled",
     "SmootherException",
     "SmootherTimedOut",
     "StartOccupied",
     "StartOutsideMapBounds",
+    "TimedOut",
+    "TimingCancelled",
     "TimingTimedOut",
 ]
 
@@ -99,6 +95,14 @@ class PluginError(OptdockError):
     """A plugin is unknown, cannot be imported or does not keep its interface."""
 
 
+class TimedOut(OptdockError):
+    """The deadline came first, whoever was at work: the planner, the smoother or the time parameterizer."""
+
+
+class Cancelled(OptdockError):
+    """The cancel checker asked to stop, whoever was at work."""
+
+
 class CertificationFailed(OptdockError):
     """The independent certificate refuses a result that a solver proposed."""
 
@@ -111,22 +115,20 @@ class FailedToTimePath(OptdockError):
     code = 600
 
 
-class TimingTimedOut(FailedToTimePath):
+class TimingTimedOut(FailedToTimePath, TimedOut):
     """The deadline came before the time law; the path is certified and hangs on the error."""
 
     code = 601
+
+
+class TimingCancelled(Cancelled):
+    """The cancel checker asked to stop while a smoothed path was timed, or the motion proven."""
 
 
 class PlannerException(OptdockError):
     """Any failure of a global planner."""
 
     code = 200
-
-
-class InvalidPlanner(PlannerException):
-    """The planner asked for does not exist."""
-
-    code = 201
 
 
 class StartOutsideMapBounds(PlannerException):
@@ -153,7 +155,7 @@ class GoalOccupied(PlannerException):
     code = 206
 
 
-class PlannerTimedOut(PlannerException):
+class PlannerTimedOut(PlannerException, TimedOut):
     """The planner ran out of time."""
 
     code = 207
@@ -165,7 +167,7 @@ class NoValidPathCouldBeFound(PlannerException):
     code = 208
 
 
-class PlannerCancelled(PlannerException):
+class PlannerCancelled(PlannerException, Cancelled):
     """The cancel checker asked the planner to stop."""
 
     code = 0
@@ -177,28 +179,10 @@ class ControllerException(OptdockError):
     code = 100
 
 
-class InvalidController(ControllerException):
-    """The controller asked for does not exist."""
-
-    code = 101
-
-
 class ControllerInvalidPath(ControllerException):
     """The controller was given no path, or one it cannot follow."""
 
     code = 103
-
-
-class PatienceExceeded(ControllerException):
-    """No valid command was found for longer than the failure tolerance."""
-
-    code = 104
-
-
-class FailedToMakeProgress(ControllerException):
-    """The robot does not move although it is commanded to."""
-
-    code = 105
 
 
 class NoValidControl(ControllerException):
@@ -207,34 +191,16 @@ class NoValidControl(ControllerException):
     code = 106
 
 
-class ControllerTimedOut(ControllerException):
-    """The controller did not arrive in time."""
-
-    code = 107
-
-
 class SmootherException(OptdockError):
     """Any failure of a smoother."""
 
     code = 500
 
 
-class InvalidSmoother(SmootherException):
-    """The smoother asked for does not exist."""
-
-    code = 501
-
-
-class SmootherTimedOut(SmootherException):
+class SmootherTimedOut(SmootherException, TimedOut):
     """The deadline came before any certified path."""
 
     code = 502
-
-
-class SmoothedPathInCollision(SmootherException):
-    """The smoothed path comes closer to an obstacle than required."""
-
-    code = 503
 
 
 class FailedToSmoothPath(SmootherException):
@@ -249,7 +215,7 @@ class InvalidPath(SmootherException):
     code = 505
 
 
-class SmootherCancelled(SmootherException):
+class SmootherCancelled(SmootherException, Cancelled):
     """The cancel checker asked the smoother to stop."""
 
     code = 0

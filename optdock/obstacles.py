@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
@@ -16,7 +17,7 @@ from optdock.geometry.pose import transform_points
 from optdock.geometry.separation import ConvexPieces
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Sequence
+    from collections.abc import Sequence
 
     from numpy.typing import ArrayLike
 
@@ -27,7 +28,7 @@ if TYPE_CHECKING:
 __all__ = ["ObstacleSet"]
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class ObstacleSet(FrozenArrays):
     """Convex counter-clockwise polygons, padded to one vertex count by repeating the last vertex.
 
@@ -92,8 +93,26 @@ class ObstacleSet(FrozenArrays):
         """Short digest of the polygons, in their order."""
         return digest(self.vertices)
 
+    def __repr__(self) -> str:
+        named = list(dict.fromkeys(self.names))
+        more = f" and {len(named) - 4} more" if len(named) > 4 else ""
+        return f"<ObstacleSet of {len(self)} convex pieces{': ' if named else ''}{', '.join(named[:4])}{more}>"
+
     def __len__(self) -> int:
         return int(self.vertices.shape[0])
+
+    @classmethod
+    def of(cls, obstacles: ObstacleSet | Iterable[ArrayLike], name: str = "obstacles") -> ObstacleSet:
+        """The set itself; or that of simple polygons, as `from_polygons`.
+
+        Raises:
+            InvalidValue: Neither a set nor polygons, or a polygon is none; the message says which.
+        """
+        if isinstance(obstacles, cls):
+            return obstacles
+        if isinstance(obstacles, str | Mapping) or not isinstance(obstacles, Iterable):
+            raise InvalidValue(f"{name}: must be an ObstacleSet or a list of polygons, got {type(obstacles).__name__}")
+        return cls.from_polygons(obstacles, name)
 
     @classmethod
     def empty(cls) -> ObstacleSet:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from enum import IntEnum
+from enum import Enum, IntEnum
 from typing import TYPE_CHECKING, NamedTuple
 
 if TYPE_CHECKING:
@@ -11,17 +11,60 @@ if TYPE_CHECKING:
 
     from optdock.path import Path
     from optdock.trajectory import Trajectory
+    from optdock.verification import Certificate
 
 __all__ = [
     "BehaviorResult",
     "BehaviorStatus",
     "Bounds",
     "CostmapInfoType",
+    "SmoothingReport",
     "SmoothingResult",
+    "SmoothingStatus",
+    "TimingReport",
     "TimingResult",
     "TimingStatus",
     "Tolerances",
 ]
+
+
+class SmoothingStatus(str, Enum):
+    """Where a smoother's path comes from."""
+
+    CONVERGED = "converged"  # a local optimum
+    STOPPED = "stopped"  # the best when the time, or the number of iterations, was used up
+    INPUT_KEPT = "input kept"  # the input is an answer, and none better was found
+    WARM_START_KEPT = "warm start kept"  # the earlier result is an answer still, and no other was found
+    STRAIGHT = "straight"  # the straight line from start to goal is an answer: nothing is shorter
+
+
+@dataclass(frozen=True)
+class SmoothingReport:
+    """What a smoother says about its work; None and empty where it does not say.
+
+    Args:
+        status: Where the path comes from.
+        cost: Of the path, in the smoother's own terms.
+        iterations: How many there were.
+        setup_s: Seconds before the first iteration, `build_s` left out.
+        build_s: Seconds spent on what later calls in this process will find built.
+        certify_s: Seconds spent on proofs.
+        first_certified_s: Seconds until the first certified path.
+        total_s: Seconds of the call.
+        certificate: Of the path, where the smoother proved it; nobody has to believe it.
+        extra: Whatever else a plugin has to say.
+    """
+
+    status: SmoothingStatus | None = None
+    cost: float | None = None
+    iterations: int | None = None
+    setup_s: float | None = None
+    build_s: float | None = None
+    certify_s: float | None = None
+    first_certified_s: float | None = None
+    total_s: float | None = None
+    certificate: Certificate | None = None
+    extra: Mapping[str, object] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,12 +74,12 @@ class SmoothingResult:
     Args:
         path: The smoothed path; always usable.
         completed: False when the time limit stopped the work early.
-        report: Numbers about the work, for people and logs: seconds per stage, iterations, cost.
+        report: About the work.
     """
 
     path: Path
     completed: bool = True
-    report: Mapping[str, object] = field(default_factory=dict)
+    report: SmoothingReport = field(default_factory=SmoothingReport)
 
 
 class TimingStatus(IntEnum):
@@ -48,6 +91,21 @@ class TimingStatus(IntEnum):
     BAD_START = 3
     FAIL = 4
     TIMED_OUT = 5
+
+
+@dataclass(frozen=True)
+class TimingReport:
+    """What a time parameterizer says about its work.
+
+    Args:
+        gears: How every gear was timed, in driving order, in the words of the method.
+        replaced: Why `plan_dock` took the motion of the plain method instead of the chosen one's; empty: it did not.
+        extra: Whatever else a plugin has to say.
+    """
+
+    gears: tuple[str, ...] = ()
+    replaced: str = ""
+    extra: Mapping[str, object] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,7 +120,7 @@ class TimingResult:
             there is no motion to offer: BAD_START, FAIL, TIMED_OUT.
         worst_ratio: Largest quotient of a quantity and its limit; at most 1 when OK.
         overshoot: Distance that full braking needs beyond the end of the gear segment [m]; 0 unless CANNOT_STOP.
-        report: Numbers about the work.
+        report: About the work.
         reason: Why it is not OK, one sentence with numbers; empty when OK.
         limit: The limit in the way, by its name in `MotionLimits`, or `approach_speed`; empty where no single one is.
         at_s: Where along the path that is decided [m]; None where it is not one place.
@@ -72,7 +130,7 @@ class TimingResult:
     trajectory: Trajectory | None
     worst_ratio: float = 0.0
     overshoot: float = 0.0
-    report: Mapping[str, object] = field(default_factory=dict)
+    report: TimingReport = field(default_factory=TimingReport)
     reason: str = ""
     limit: str = ""
     at_s: float | None = None

@@ -38,7 +38,7 @@ if TYPE_CHECKING:
 __all__ = ["ClothoidSegment", "Direction", "Path", "PathSamples", "PolylineSegment", "Segment", "may_be_one_frame"]
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Path(FrozenArrays):
     """Gear segments in driving order; between two of them is a cusp.
 
@@ -114,6 +114,10 @@ class Path(FrozenArrays):
             raise InvalidPath(f"path: stands in frame {self.frame!r}, not in {frame!r}; transform it first")
         return dataclasses.replace(self, frame=frame)
 
+    def __repr__(self) -> str:
+        gears = ", ".join(segment.direction.name.lower() for segment in self.segments)
+        return f"<Path {self.length:.3f} m {gears}, {self.start.brief} -> {self.end.brief}{_in_frame(self.frame)}>"
+
     @property
     def length(self) -> float:
         """Arc length over all gears [m]."""
@@ -185,6 +189,10 @@ class Path(FrozenArrays):
             block._replace(s=block.s + start) for block, start in zip(blocks, self.segment_starts[:-1], strict=True)
         )
         return _joined(list(shifted))
+
+
+def _in_frame(frame: str) -> str:
+    return f" in {frame!r}" if frame else ""
 
 
 def may_be_one_frame(first: str, second: str) -> bool:

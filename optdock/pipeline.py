@@ -8,21 +8,29 @@ import functools
 import logging
 import math
 import time
-from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, NamedTuple, TypeVar
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING, NamedTuple, TypeAlias, TypeVar
 
 from optdock.deadline import Deadline, garbage_collection_paused
 from optdock.dock import Dock
-from optdock.end_poses import check_ends
 from optdock.errors import (
+    Cancelled,
     CertificationFailed,
     FailedToTimePath,
+    GoalOccupied,
+    GoalOutsideMapBounds,
+    InvalidPath,
     InvalidValue,
+    LifecycleError,
     OptdockError,
     PlannerCancelled,
     PlannerTimedOut,
     PluginError,
+    SmootherCancelled,
     SmootherTimedOut,
+    StartOccupied,
+    StartOutsideMapBounds,
+    TimingCancelled,
     TimingTimedOut,
 )
 from optdock.geometry.checked import instance, number
@@ -30,145 +38,86 @@ from optdock.geometry.footprint import Footprint
 from optdock.geometry.pose import Pose2
 from optdock.interfaces import (
     GlobalPlanner,
+    LifecycleState,
     PluginContext,
     Smoother,
+    SmoothingReport,
     SmoothingResult,
     TimeParameterizer,
+    TimingReport,
     TimingResult,
     TimingStatus,
     never_cancelled,
 )
 from optdock.limits import MotionLimits
 from optdock.path import Path
-from optdock.plugins import create_plugin
+from optdock.plan import DockPlan, PartialPlan, where_broken
+from optdock.plugins import PluginChoice, create_plugin, plugin_from
 from optdock.problem import DockingProblem
 from optdock.robot import Robot
 from optdock.trajectory import Trajectory
-from optdock.verification import certify_path, certify_trajectory
+from optdock.verification import certify_path, certify_trajectory, pose_clearance
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Mapping
+    from collections.abc import Callable, Iterator
 
     from optdock.lifecycle import Plugin
     from optdock.verification import Certificate, TrajectoryCertificate
 
-__all__ = ["DockPlan", "PartialPlan", "PluginChoice", "PluginChoices", "plan_dock", "warm_up"]
+__all__ = [
+    "DEFAULT_PLANNER",
+    "DEFAULT_SMOOTHER",
+    "DEFAULT_TIME_BUDGET",
+    "DEFAULT_TIMING",
+    "PlannerLike",
+    "SmootherLike",
+    "TimingLike",
+    "plan_dock",
+    "warm_up",
+]
 
 logger = logging.getLogger(__name__)
 
 DEFAULT_TIME_BUDGET = 0.1  # [s]
+DEFAULT_PLANNER, DEFAULT_SMOOTHER, DEFAULT_TIMING = "DockPlanner", "CasadiSmoother", "NearOptimal"
+_PLAIN_TIMING = "Windowed"  # needs no repair
 # Share of the budget, its least and most [s], kept back from the smoother for timing the path and proving the motion.
 _RESERVED_SHARE, _RESERVED_LEAST, _RESERVED_MOST = 0.3, 0.004, 0.03
 _PROOF = 0.001  # [s], kept back from the time parameterizer for the proof of its motion
+_CONTACT_TOLERANCE = 1e-6  # [m]
 
-P = TypeVar("P", bound="Plugin")
+# A plugin by its name, by its name with parameters, or the object itself.
+PlannerLike: TypeAlias = "str | PluginChoice | GlobalPlanner"
+SmootherLike: TypeAlias = "str | PluginChoice | Smoother"
+TimingLike: TypeAlias = "str | PluginChoice | TimeParameterizer"
+
 _T = TypeVar("_T")
 
 
-@dataclass(frozen=True)
-class PluginChoice:
-    """Which plugin fills a role, and its parameters.
-
-    Raises:
-        InvalidValue: The name is no text.
-    """
-
-    name: str
-    parameters: Mapping[str, object] = field(default_factory=dict)
-
-    def __post_init__(self) -> None:
-        instance(str, self.name, "plugin choice: name")
-
-
-_PLAIN_TIMING = PluginChoice("Windowed")
-
-
-@dataclass(frozen=True)
-class PluginChoices:
-    """The three plugins of the pipeline.
-
-    Raises:
-        InvalidValue: One of them is no `PluginChoice`.
-    """
-
-    planner: PluginChoice = PluginChoice("DockPlanner")
-    smoother: PluginChoice = PluginChoice("CasadiSmoother")
-    timing: PluginChoice = PluginChoice("NearOptimal")
-
-    def __post_init__(self) -> None:
-        for role in ("planner", "smoother", "timing"):
-            instance(PluginChoice, getattr(self, role), f"plugin choices: {role}")
-
-
-@dataclass(frozen=True, eq=False)
-class DockPlan:
-    """A certified plan.
-
-    Args:
-        raw_path: What the planner made; not certified, kept for comparison.
-        path: The certified path.
-        trajectory: The certified motion along it.
-        certificate: The proof of the path.
-        trajectory_certificate: The proof of the motion limits.
-        completed: False when the deadline stopped the smoothing early; the result is certified all the same.
-        timing_ms: Wall-clock milliseconds per stage: plan, smooth, certify, time, total.
-        smoothing_report: What the smoother says about its work.
-        timing_report: What the time parameterizer says about its work.
-    """
-
-    raw_path: Path
-    path: Path
-    trajectory: Trajectory
-    certificate: Certificate
-    trajectory_certificate: TrajectoryCertificate
-    completed: bool
-    timing_ms: Mapping[str, float]
-    smoothing_report: Mapping[str, object] = field(default_factory=dict)
-    timing_report: Mapping[str, object] = field(default_factory=dict)
-
-    @property
-    def frame(self) -> str:
-        """Name of the coordinate frame that every pose of the plan stands in."""
-        return self.path.frame
-
-
-@dataclass(eq=False)
-class PartialPlan:
-    """Whatever exists of a plan so far; hangs as `partial` on the error that ended it.
-
-    Args:
-        raw_path: The planner's path, or None.
-        path: The smoothed path, or None; not necessarily certified.
-        certificate: The verdict on `path`, or None.
-        timing_ms: Wall-clock milliseconds of the stages that ran.
-    """
-
-    raw_path: Path | None = None
-    path: Path | None = None
-    certificate: Certificate | None = None
-    timing_ms: dict[str, float] = field(default_factory=dict)
-
-    @classmethod
-    def left_by(cls, error: OptdockError) -> PartialPlan:
-        """What a call had finished when it failed; nothing where the error does not say."""
-        return error.partial if isinstance(error.partial, cls) else cls()
-
-
-def plan_dock(
+def plan_dock(  # noqa: PLR0913 - what may be chosen is chosen by name
     problem: DockingProblem,
     *,
     time_budget: float = DEFAULT_TIME_BUDGET,
-    plugins: PluginChoices | None = None,
+    planner: PlannerLike = DEFAULT_PLANNER,
+    smoother: SmootherLike = DEFAULT_SMOOTHER,
+    timing: TimingLike = DEFAULT_TIMING,
+    warm_start: DockPlan | Path | None = None,
     cancel_checker: Callable[[], bool] = never_cancelled,
 ) -> DockPlan:
     """Plan, smooth, prove and time a docking motion.
+
+    Planner, smoother and time parameterizer are names of installed plugins, or plugins: `CasadiSmoother(spans=32)`. An
+    object must not be configured; it is for the time of the call, and serves one call at a time.
 
     Args:
         problem: From where, to where, with what, among what.
         time_budget: Wall-clock seconds for the whole call, but for the first call of a process with these plugins:
             there the clock starts when they are warm; see `warm_up`.
-        plugins: Which planner, smoother and time parameterizer to use.
-        cancel_checker: Polled at least every 5 ms by the stages that take long.
+        planner: Makes the raw path.
+        smoother: Makes it drivable.
+        timing: Gives it its time law.
+        warm_start: An earlier plan, or its path, for a problem much like this one: the smoother may begin there.
+        cancel_checker: Polled at least every 5 ms by the stages that take long; what it raises is passed on as it is.
 
     Returns:
         The certified plan.
@@ -179,36 +128,93 @@ def plan_dock(
         StartOccupied: Also GoalOccupied, StartOutsideMapBounds, GoalOutsideMapBounds: an end pose is impossible.
         NoValidPathCouldBeFound: The planner finds no raw path.
         FailedToSmoothPath: No path near the raw one keeps every bound.
-        SmootherTimedOut: The deadline came before the first certified path.
         FailedToTimePath: No time law keeps the motion limits.
-        TimingTimedOut: The deadline came before the time law, or before its proof.
-        PlannerTimedOut: The deadline came before the raw path.
+        TimedOut: The deadline came before the raw path (PlannerTimedOut), before the first certified path
+            (SmootherTimedOut), or before the time law or its proof (TimingTimedOut).
+        Cancelled: `cancel_checker` returned True; PlannerCancelled, SmootherCancelled or TimingCancelled.
         CertificationFailed: A plugin returned something that cannot be proven.
-        PluginError: A plugin is unknown, returned something of another type, or raised what is no error of ours; that
-            is the cause.
+        PluginError: A plugin is unknown, returned something of another type, or raised what its interface does not
+            name; that is the cause.
+        LifecycleError: A plugin is configured already.
 
-    Every error carries `partial`, a `PartialPlan`.
+    Every error carries `partial`, a `PartialPlan`, once the plugins are at work.
     """
     time_budget = number(time_budget, "time_budget")
     if not (math.isfinite(time_budget) and time_budget > 0.0):
         raise InvalidValue(f"time_budget: must be finite and > 0 s, got {time_budget}")
     instance(DockingProblem, problem, "problem")
-    choices = PluginChoices() if plugins is None else instance(PluginChoices, plugins, "plugins")
-    warm_up(choices)
-    run = _Run(problem, Deadline(time_budget - _margin(time_budget)), cancel_checker, time_budget)
+    if isinstance(warm_start, DockPlan):
+        warm_start = warm_start.path
+    if warm_start is not None:
+        instance(Path, warm_start, "warm_start")
+    so_far, began = PartialPlan(), time.monotonic()
     try:
+        plugins = _Plugins.chosen(planner, smoother, timing)
+        _warm_once(*map(type, plugins))
+        began = time.monotonic()
+        run = _Run(problem, plugins, warm_start, _Cancellation(cancel_checker), time_budget, so_far)
         with garbage_collection_paused():
-            plan = run.plan(choices)
+            plan = run.plan()
         stages = ", ".join(f"{stage} {ms:.1f} ms" for stage, ms in plan.timing_ms.items())
         logger.info("certified plan: %.2f m, %.2f s; %s", plan.path.length, plan.trajectory.duration, stages)
         return plan
     except OptdockError as error:
-        run.so_far.timing_ms["total"] = 1e3 * run.deadline.elapsed
-        error.partial = run.so_far
-        logger.info("no plan after %.1f ms: %s", 1e3 * run.deadline.elapsed, error)
+        so_far.timing_ms["total"] = 1e3 * (time.monotonic() - began)
+        error.partial = so_far
+        logger.info("no plan after %.1f ms: %s", so_far.timing_ms["total"], error)
         raise
-    finally:
-        _WAITS.append(run.longest_wait)
+
+
+def warm_up(
+    planner: PlannerLike = DEFAULT_PLANNER,
+    smoother: SmootherLike = DEFAULT_SMOOTHER,
+    timing: TimingLike = DEFAULT_TIMING,
+) -> None:
+    """Load libraries and build what the plugins build once, so that no later call pays for it.
+
+    Takes about a second the first time in a process, nothing after that. Plans a small problem; what is wrong with a
+    plugin shows when it meets a real one.
+
+    Args:
+        planner: As of `plan_dock`.
+        smoother: As of `plan_dock`.
+        timing: As of `plan_dock`.
+
+    Raises:
+        PluginError: A plugin is unknown or cannot be built.
+        InvalidValue: A parameter of a plugin is wrong.
+    """
+    _warm_once(*map(type, _Plugins.chosen(planner, smoother, timing)))
+
+
+@functools.cache
+def _warm_once(planner: type[GlobalPlanner], smoother: type[Smoother], timing: type[TimeParameterizer]) -> None:
+    limits = MotionLimits(max_curvature=2.0, max_curvature_rate=8.0)
+    outline = Footprint.rectangle(0.6, -0.4, 0.5)
+    problem = DockingProblem(
+        Pose2(-2.0, 0.1, 0.1), Dock(Pose2(0.0, 0.0, 0.0), outline), Robot(Footprint.rectangle(0.3, 0.3, 0.5), limits)
+    )
+    began = time.monotonic()
+    with contextlib.suppress(Exception):  # also of constructors that need parameters: what is wrong shows in its call
+        plugins = _Plugins(planner(), smoother(), timing())
+        with contextlib.suppress(OptdockError):
+            _Run(problem, plugins, None, _Cancellation(never_cancelled), 10.0, PartialPlan()).plan()
+        plugins.smoother.warm_up()
+    logger.info("libraries loaded and caches filled in %.1f s, once per process", time.monotonic() - began)
+
+
+class _Plugins(NamedTuple):
+    planner: GlobalPlanner
+    smoother: Smoother
+    timing: TimeParameterizer
+
+    @classmethod
+    def chosen(cls, planner: PlannerLike, smoother: SmootherLike, timing: TimingLike) -> _Plugins:
+        return cls(
+            plugin_from(GlobalPlanner, planner, "planner"),
+            plugin_from(Smoother, smoother, "smoother"),
+            plugin_from(TimeParameterizer, timing, "timing"),
+        )
 
 
 # How long the machine kept each of the last calls waiting [s]; on a quiet one about none.
@@ -226,86 +232,111 @@ def _margin(budget: float) -> float:
     return min(usual, _MARGIN_SHARE * budget, _MARGIN_MOST)
 
 
-def warm_up(plugins: PluginChoices | None = None) -> None:
-    """Load libraries and build what the plugins build once, so that no later call pays for it.
+class _Cancellation:
+    """The caller's cancel checker, and what it raised: that is the caller's own, whoever polled it."""
 
-    Takes about a second the first time in a process, nothing after that. Plans a small problem; what is wrong with a
-    plugin shows when it meets a real one.
+    def __init__(self, checker: Callable[[], bool]) -> None:
+        self._checker, self.raised = checker, None
 
-    Args:
-        plugins: Which planner, smoother and time parameterizer; None: the default ones.
-    """
-    choices = plugins or PluginChoices()
-    _warm_once(choices.planner.name, choices.smoother.name, choices.timing.name)
+    raised: BaseException | None
 
-
-@functools.cache
-def _warm_once(planner: str, smoother: str, timing: str) -> None:
-    choices = PluginChoices(PluginChoice(planner), PluginChoice(smoother), PluginChoice(timing))
-    limits = MotionLimits(max_curvature=2.0, max_curvature_rate=8.0)
-    outline = Footprint.rectangle(0.6, -0.4, 0.5)
-    problem = DockingProblem(
-        Pose2(-2.0, 0.1, 0.1), Dock(Pose2(0.0, 0.0, 0.0), outline), Robot(Footprint.rectangle(0.3, 0.3, 0.5), limits)
-    )
-    clock = Deadline(10.0)
-    with contextlib.suppress(OptdockError):
-        _Run(problem, clock, never_cancelled, 10.0).plan(choices)
-        with _typed(choices.smoother):
-            create_plugin(Smoother, smoother).warm_up()
-    logger.info("libraries loaded and caches filled in %.1f s, once per process", clock.elapsed)
+    def __call__(self) -> bool:
+        try:
+            return bool(self._checker())
+        except BaseException as error:
+            self.raised = error
+            raise
 
 
 @dataclass(eq=False)
 class _Run:
-    """One call of `plan_dock`."""
+    """One call of `plan_dock`: its stages in driving order, and what they share."""
 
     problem: DockingProblem
-    deadline: Deadline
-    cancel_checker: Callable[[], bool]
+    plugins: _Plugins
+    warm_start: Path | None
+    cancelled: _Cancellation
     budget: float
-    so_far: PartialPlan = field(default_factory=PartialPlan)
+    so_far: PartialPlan
+    deadline: Deadline = field(init=False)
     longest_wait: float = 0.0
 
-    def plan(self, choices: PluginChoices) -> DockPlan:
-        """All stages in turn; `so_far` holds what exists when one of them raises."""
-        self._timed("plan", lambda: check_ends(self.problem))
-        raw = self._timed("plan", lambda: self._raw_path(choices.planner))
-        self.so_far.raw_path = raw
-        result = self._timed("smooth", lambda: self._smooth(choices.smoother, raw))
-        self.so_far.path = path = _plain(result.path).with_frame(self.problem.frame)
-        certificate = self._timed("certify", lambda: self._certified(path))
-        motion = self._certified_motion(choices.timing, path)
-        completed = result.completed and not self.deadline.passed()
-        timing = {**self.so_far.timing_ms, "total": 1e3 * self.deadline.elapsed}
-        return DockPlan(
-            raw, path, motion.trajectory, certificate, motion.proof, completed, timing, result.report, motion.report
-        )
+    def __post_init__(self) -> None:
+        self.deadline = Deadline(self.budget - _margin(self.budget))
 
-    def _timed(self, stage: str, work: Callable[[], _T]) -> _T:
+    def plan(self) -> DockPlan:
+        """All stages in turn; `so_far` holds what exists when one of them raises."""
+        try:
+            with self._timed("plan"):
+                check_ends(self.problem)
+                raw = self.so_far.raw_path = self._raw_path()
+            with self._timed("smooth"):
+                result = self._smoothed(raw)
+                path = self.so_far.path = _plain(result.path, self.plugins.smoother, self.problem.frame)
+            with self._timed("certify"):
+                certificate = self._certified(path)
+            motion = self._certified_motion(path)
+        finally:
+            _WAITS.append(self.longest_wait)
+        timing = {**self.so_far.timing_ms, "total": 1e3 * self.deadline.elapsed}
+        plan = DockPlan(
+            problem=self.problem,
+            raw_path=raw,
+            path=path,
+            trajectory=motion.trajectory,
+            certificate=certificate,
+            trajectory_certificate=motion.proof,
+            completed=result.completed and not self.deadline.passed(),
+            timing_ms=timing,
+            smoothing_report=result.report,
+            timing_report=motion.report,
+        )
+        logger.info("%s", plan)
+        return plan
+
+    @contextlib.contextmanager
+    def _timed(self, stage: str) -> Iterator[None]:
         began, worked = self.deadline.elapsed, time.thread_time()
         try:
-            return work()
+            yield
         finally:
             took = self.deadline.elapsed - began
             self.longest_wait = max(self.longest_wait, took - (time.thread_time() - worked))
             self.so_far.timing_ms[stage] = self.so_far.timing_ms.get(stage, 0.0) + 1e3 * took
 
-    def _configured(self, interface: type[P], choice: PluginChoice) -> P:
-        plugin = create_plugin(interface, choice.name, choice.parameters)
-        plugin.configure(self._context(choice))
-        return plugin
+    @contextlib.contextmanager
+    def _at_work(self, plugin: Plugin) -> Iterator[None]:
+        """A plugin, configured for the problem; whatever it raises that its interface does not name is its own fault.
 
-    def _context(self, choice: PluginChoice) -> PluginContext:
-        return PluginContext(name=choice.name, problem=self.problem)
+        Raises:
+            PluginError: With what it raised as the cause.
+        """
+        name = type(plugin).__name__
+        if plugin.state is not LifecycleState.UNCONFIGURED:
+            raise LifecycleError(f"{name} is {plugin.state.value}; plan_dock configures the plugins that it is given")
+        try:
+            plugin.configure(PluginContext(name=plugin.name, problem=self.problem))
+            try:
+                yield
+            except (InvalidValue, InvalidPath) as error:  # nothing that the caller gave: the problem is valid
+                raise PluginError(f"{name} failed: {type(error).__name__}: {error}") from error
+            finally:
+                plugin.cleanup()
+        except Exception as error:
+            if isinstance(error, OptdockError) or self.cancelled.raised is not None:
+                raise
+            raise PluginError(f"{name} failed: {type(error).__name__}: {error}") from error
+        finally:
+            if self.cancelled.raised is not None:
+                raise self.cancelled.raised from None
 
     def _asked_to_stop(self) -> bool:
-        return self.cancel_checker() or self.deadline.passed()
+        return self.cancelled() or self.deadline.passed()
 
-    def _raw_path(self, choice: PluginChoice) -> Path:
-        late = f"the planner used up the time budget of {self.budget:.3g} s"
+    def _raw_path(self) -> Path:
+        planner, late = self.plugins.planner, f"the planner used up the time budget of {self.budget:.3g} s"
         try:
-            with _typed(choice):
-                planner = self._configured(GlobalPlanner, choice)
+            with self._at_work(planner):
                 path = planner.create_plan(self.problem.start, self.problem.goal, self._asked_to_stop)
         except PlannerCancelled as error:
             if self.deadline.passed():
@@ -313,94 +344,97 @@ class _Run:
             raise
         if self.deadline.passed():
             raise PlannerTimedOut(late)
-        return _plain(_returned(path, Path, choice)).with_frame(self.problem.frame)
+        return _plain(_returned(path, Path, planner), planner, self.problem.frame)
 
-    def _smooth(self, choice: PluginChoice, raw: Path) -> SmoothingResult:
-        allowance = self.deadline.left - _reserve(self.budget)
+    def _smoothed(self, raw: Path) -> SmoothingResult:
+        smoother, allowance = self.plugins.smoother, self.deadline.left - _reserve(self.budget)
         if allowance <= 0.0:
             raise SmootherTimedOut(f"nothing is left of the time budget of {self.budget:.3g} s for smoothing")
-        with _typed(choice):
-            smoother = self._configured(Smoother, choice)
-            result = smoother.smooth(raw, allowance, problem=self.problem, cancel_checker=self.cancel_checker)
-        _returned(_returned(result, SmoothingResult, choice).path, Path, choice, "the path of its result")
+        with self._at_work(smoother):
+            result = smoother.smooth(
+                raw, allowance, problem=self.problem, warm_start=self.warm_start, cancel_checker=self.cancelled
+            )
+        _returned(result, SmoothingResult, smoother)
+        _returned(result.path, Path, smoother, "the path of its result")
+        _returned(result.report, SmoothingReport, smoother, "the report of its result")
         return result
 
     def _certified(self, path: Path) -> Certificate:
-        certificate = certify_path(path, self.problem, is_late=self.deadline.passed)
+        certificate = certify_path(path, self.problem, is_late=self._asked_to_stop)
         self.so_far.certificate = certificate
-        if certificate.certified:
-            return certificate
-        reason, where = certificate.reason, _where(certificate)
-        if self._was_cut_short(certificate):
-            raise SmootherTimedOut(f"the proof of the smoothed path was cut short: {reason}", where=where)
-        raise CertificationFailed(f"the smoothed path is not certified: {reason}", where=where)
+        self._require(certificate, "smoothed path", SmootherCancelled, SmootherTimedOut)
+        return certificate
 
-    def _was_cut_short(self, proof: Certificate | TrajectoryCertificate) -> bool:
-        """Whether nothing but the deadline stands in the way of a proof, as far as it went."""
-        return self.deadline.passed() and all(violation.kind == "unproven" for violation in proof.violations)
-
-    def _certified_motion(self, choice: PluginChoice, path: Path) -> _Motion:
+    def _certified_motion(self, path: Path) -> _Motion:
         """The motion of the chosen method, or where that fails its proof, of the method that never needs repair.
 
         That the path cannot be timed is an answer; any other error of the method is its own mistake.
         """
-        parameterizer = create_plugin(TimeParameterizer, choice.name, choice.parameters)
+        chosen = self.plugins.timing
         try:
-            return self._proven_motion(choice, parameterizer, path)
-        except FailedToTimePath:
+            return self._proven_motion(chosen, path)
+        except (FailedToTimePath, Cancelled, LifecycleError):
             raise
         except OptdockError as error:
-            if choice.name == _PLAIN_TIMING.name:
+            plain = create_plugin(TimeParameterizer, _PLAIN_TIMING)
+            if type(chosen) is type(plain):
                 raise
-            logger.warning("%s: %s; timed by %s instead", choice.name, error, _PLAIN_TIMING.name)
+            logger.warning("%s: %s; timed by %s instead", chosen.name, error, _PLAIN_TIMING)
             try:
-                plain = create_plugin(TimeParameterizer, _PLAIN_TIMING.name)
-                motion = self._proven_motion(_PLAIN_TIMING, plain, path)
+                motion = self._proven_motion(plain, path)
             except FailedToTimePath:
                 raise error from None
-            return motion._replace(report={**motion.report, "replaced": f"{choice.name}: {error}"})
+            return motion._replace(report=replace(motion.report, replaced=f"{chosen.name}: {error}"))
 
-    def _proven_motion(self, choice: PluginChoice, parameterizer: TimeParameterizer, path: Path) -> _Motion:
-        robot, dock, deadline = self.problem.robot, self.problem.dock, self.deadline
-        result = self._timed("time", lambda: self._time(choice, parameterizer, path))
+    def _proven_motion(self, method: TimeParameterizer, path: Path) -> _Motion:
+        with self._timed("time"):
+            result = self._timing(method, path)
         if result.status is not TimingStatus.OK:
             raise _timing_failure(result)
-        trajectory = _returned(result.trajectory, Trajectory, choice, "the trajectory of its result")
+        trajectory = _returned(result.trajectory, Trajectory, method, "the trajectory of its result")
         if trajectory.path is not path and trajectory.path.digest != path.digest:
-            message = f"{choice.name} timed another path than the certified one"
+            message = f"{method.name} timed another path than the certified one"
             raise CertificationFailed(message, where={"kind": "path"})
-        if type(trajectory) is not Trajectory or trajectory.path is not path:
-            trajectory = Trajectory(path, trajectory.time_law)
-        speed = abs(self.problem.start_speed)
-        proof = self._timed(
-            "certify",
-            lambda: certify_trajectory(
-                trajectory,
-                robot.limits,
-                dock.approach,
-                start_speed=speed,
-                start_acceleration=0.0,
-                is_late=deadline.passed,
-            ),
-        )
-        if not proof.certified:
-            if self._was_cut_short(proof):
-                raise TimingTimedOut(f"the proof of the motion was cut short: {proof.reason}", where=_where(proof))
-            raise CertificationFailed(f"the trajectory is not certified: {proof.reason}", where=_where(proof))
-        return _Motion(Trajectory(path, trajectory.time_law, self.problem.fingerprint), proof, result.report)
+        trajectory = Trajectory(path, trajectory.time_law, self.problem.fingerprint)
+        limits, zone, speed = self.problem.robot.limits, self.problem.dock.approach, abs(self.problem.start_speed)
+        with self._timed("certify"):
+            proof = certify_trajectory(
+                trajectory, limits, zone, start_speed=speed, start_acceleration=0.0, is_late=self._asked_to_stop
+            )
+        self._require(proof, "trajectory", TimingCancelled, TimingTimedOut)
+        return _Motion(trajectory, proof, result.report)
 
-    def _time(self, choice: PluginChoice, parameterizer: TimeParameterizer, path: Path) -> TimingResult:
-        robot, dock = self.problem.robot, self.problem.dock
+    def _timing(self, method: TimeParameterizer, path: Path) -> TimingResult:
         allowance = self.deadline.left - _PROOF
         if allowance <= 0.0:
             raise TimingTimedOut(f"nothing is left of the time budget of {self.budget:.3g} s for timing")
-        with _typed(choice):
-            parameterizer.configure(self._context(choice))
-            result = parameterizer.parameterize(
-                path, robot.limits, dock.approach, start_speed=abs(self.problem.start_speed), max_time=allowance
-            )
-        _returned(_returned(result, TimingResult, choice).status, TimingStatus, choice, "the status of its result")
+        if self.cancelled():
+            raise TimingCancelled("cancelled before the path was timed")
+        limits, zone, speed = self.problem.robot.limits, self.problem.dock.approach, abs(self.problem.start_speed)
+        with self._at_work(method):
+            result = method.parameterize(path, limits, zone, start_speed=speed, max_time=allowance)
+        _returned(result, TimingResult, method)
+        _returned(result.status, TimingStatus, method, "the status of its result")
+        _returned(result.report, TimingReport, method, "the report of its result")
         return result
+
+    def _require(
+        self,
+        verdict: Certificate | TrajectoryCertificate,
+        what: str,
+        cancelled: type[Cancelled],
+        late: type[OptdockError],
+    ) -> None:
+        """Raise what stands in the way of a proof; where nothing is broken as far as it went, that is the clock."""
+        if verdict.certified:
+            return
+        where = where_broken(verdict)
+        if all(violation.kind == "unproven" for violation in verdict.violations):
+            if self.cancelled():
+                raise cancelled(f"cancelled while the {what} was proven", where=where)
+            if self.deadline.passed():
+                raise late(f"the proof of the {what} was cut short: {verdict.reason}", where=where)
+        raise CertificationFailed(f"the {what} is not certified: {verdict.reason}", where=where)
 
 
 class _Motion(NamedTuple):
@@ -408,7 +442,33 @@ class _Motion(NamedTuple):
 
     trajectory: Trajectory
     proof: TrajectoryCertificate
-    report: Mapping[str, object]
+    report: TimingReport
+
+
+def check_ends(problem: DockingProblem) -> None:
+    """Refuse end poses that no path can have.
+
+    Raises:
+        StartOutsideMapBounds: Also GoalOutsideMapBounds: the position lies off the problem's costmap.
+        StartOccupied: The footprint at the start overlaps an obstacle.
+        GoalOccupied: The footprint at the goal is closer to an obstacle than required there.
+    """
+    for name, pose, off_map, occupied in (
+        ("start", problem.start, StartOutsideMapBounds, StartOccupied),
+        ("goal", problem.goal, GoalOutsideMapBounds, GoalOccupied),
+    ):
+        if problem.costmap is not None and not bool(problem.costmap.contains(pose.as_array()[None, :2])[0]):
+            raise off_map(f"the {name} ({pose.x:.3f}, {pose.y:.3f}) lies off the map", where={"pose": [pose.x, pose.y]})
+        clearance, row = pose_clearance(pose, problem.robot.footprint, problem.all_obstacles)
+        required = problem.clearance.at_dock if name == "goal" else 0.0
+        if clearance < required - _CONTACT_TOLERANCE:
+            obstacle = problem.all_obstacles.name_of(row)
+            what = (
+                f"overlaps {obstacle} by {-clearance:.4f} m"
+                if clearance < 0.0
+                else (f"is {clearance:.4f} m from {obstacle}, required {required:.4f} m")
+            )
+            raise occupied(f"the footprint at the {name} {what}", where={"obstacle": obstacle, "clearance": clearance})
 
 
 def _reserve(budget: float) -> float:
@@ -416,36 +476,28 @@ def _reserve(budget: float) -> float:
     return min(max(_RESERVED_SHARE * budget, _RESERVED_LEAST), _RESERVED_MOST)
 
 
-@contextlib.contextmanager
-def _typed(choice: PluginChoice) -> Iterator[None]:
-    """Whatever a plugin raises that is no error of ours is an error of the plugin.
-
-    Raises:
-        PluginError: With the foreign exception as its cause.
-    """
-    try:
-        yield
-    except OptdockError:
-        raise
-    except Exception as error:
-        raise PluginError(f"{choice.name} failed: {type(error).__name__}: {error}") from error
-
-
-def _returned(value: object, kind: type[_T], choice: PluginChoice, part: str = "") -> _T:
+def _returned(value: object, kind: type[_T], plugin: Plugin, part: str = "") -> _T:
     """What a plugin returned, or a part of it, of the type that its interface promises.
 
     Raises:
         PluginError: It is of another type.
     """
     if not isinstance(value, kind):
-        promised = f"{choice.name} must return a {kind.__name__}{part and ' as '}{part}"
+        promised = f"{type(plugin).__name__} must return a {kind.__name__}{part and ' as '}{part}"
         raise PluginError(f"{promised}, got {type(value).__name__}")
     return value
 
 
-def _plain(path: Path) -> Path:
-    """The path, of no subclass: one could have other poses than the segments that are proven."""
-    return path if type(path) is Path else Path(path.segments, path.frame)
+def _plain(path: Path, plugin: Plugin, frame: str) -> Path:
+    """The path, of no subclass: one could have other poses than the segments that are proven.
+
+    Raises:
+        PluginError: It stands in another frame than the problem.
+    """
+    try:
+        return (path if type(path) is Path else Path(path.segments, path.frame)).with_frame(frame)
+    except InvalidPath as error:
+        raise PluginError(f"{type(plugin).__name__} returned a {error}") from error
 
 
 def _timing_failure(result: TimingResult) -> FailedToTimePath:
@@ -456,8 +508,3 @@ def _timing_failure(result: TimingResult) -> FailedToTimePath:
         where["s"] = result.at_s
     kind = TimingTimedOut if result.status is TimingStatus.TIMED_OUT else FailedToTimePath
     return kind(f"the path cannot be timed: {result.status.name}: {result.reason or 'no reason given'}", where=where)
-
-
-def _where(certificate: Certificate | TrajectoryCertificate) -> Mapping[str, object]:
-    first = certificate.violations[0]
-    return {"kind": first.kind, "s": first.s, "amount": first.amount, **first.where}

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass, field
 from functools import cache
 from importlib.metadata import EntryPoint, entry_points
 from typing import TYPE_CHECKING, NamedTuple, TypeVar
 
-from optdock.errors import OptdockError, PluginError
+from optdock.errors import InvalidValue, OptdockError, PluginError
+from optdock.geometry.checked import instance
 from optdock.interfaces import (
     Behavior,
     Controller,
@@ -22,7 +24,16 @@ from optdock.parameters import closest, parse_parameters
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-__all__ = ["INTERFACES", "PluginInfo", "available_plugins", "create_plugin", "load_plugin"]
+__all__ = [
+    "INTERFACES",
+    "PluginChoice",
+    "PluginInfo",
+    "available_plugins",
+    "create_plugin",
+    "load_plugin",
+    "plugin_class",
+    "plugin_from",
+]
 
 INTERFACES: Mapping[str, type[Plugin]] = {
     "planners": GlobalPlanner,
@@ -48,6 +59,21 @@ class PluginInfo(NamedTuple):
     kind: str
     name: str
     target: str
+
+
+@dataclass(frozen=True)
+class PluginChoice:
+    """A plugin by name, and its parameters, as a file asks for it.
+
+    Raises:
+        InvalidValue: The name is no text.
+    """
+
+    name: str
+    parameters: Mapping[str, object] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        instance(str, self.name, "plugin choice: name")
 
 
 @cache
@@ -113,3 +139,37 @@ def create_plugin(interface: type[P], name: str, parameters: Mapping[str, object
     except Exception as error:  # foreign code may raise anything while it is built
         target = f"{plugin_class.__module__}:{plugin_class.__qualname__}"
         raise PluginError(f"plugin {name} ({target}) cannot be built: {error}") from error
+
+
+def plugin_from(interface: type[P], asked: str | PluginChoice | P, role: str) -> P:
+    """The plugin that a caller asks for: by name, by name with parameters, or the object itself.
+
+    Args:
+        interface: What it must be.
+        asked: The plugin.
+        role: What it is asked for as, for messages.
+
+    Raises:
+        PluginError: As `create_plugin`.
+        InvalidValue: It is none of the three, or a parameter is wrong.
+    """
+    if isinstance(asked, interface):
+        return asked
+    if isinstance(asked, str):
+        return create_plugin(interface, asked)
+    if isinstance(asked, PluginChoice):
+        return create_plugin(interface, asked.name, asked.parameters)
+    got = asked.__name__ + " itself" if isinstance(asked, type) else type(asked).__name__
+    raise InvalidValue(f"{role}: must be a {interface.__name__} or the name of one, got {got}")
+
+
+def plugin_class(name: str) -> type[Plugin]:
+    """The installed plugin class called `name`, of whatever kind.
+
+    Raises:
+        PluginError: No kind has such a plugin, or it cannot be imported.
+    """
+    for kind, interface in INTERFACES.items():
+        if name in _found(kind):
+            return load_plugin(interface, name)
+    raise PluginError(f"unknown plugin {name!r}: no installed distribution has an entry point of that name")

@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import functools
 import math
+import numbers
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
@@ -12,6 +13,7 @@ import numpy as np
 
 from optdock.costmap.cell_obstacles import mapped_obstacles
 from optdock.costmap.costmap import Costmap
+from optdock.costmap.costs import FREE_SPACE, LETHAL, NO_INFORMATION
 from optdock.dock import Dock
 from optdock.errors import InvalidValue
 from optdock.fingerprint import ProblemFingerprint, digest
@@ -22,10 +24,16 @@ from optdock.obstacles import ObstacleSet
 from optdock.robot import Robot
 
 if TYPE_CHECKING:
+    from collections.abc import Iterable
+
+    from numpy.typing import ArrayLike
+
+    from optdock.costmap.costs import CostArray
     from optdock.geometry.arrays import FloatArray
 
 __all__ = ["ClearanceRule", "DockingProblem"]
 
+OCCUPIED_FROM = 65  # of 100: map_server's default `occupied_thresh`
 # A robot that starts closer to an obstacle than required must leave it at least at this slope.
 START_RELIEF_SLOPE = 0.5
 
@@ -46,6 +54,19 @@ class ClearanceRule:
     required: float = 0.05
     at_dock: float = 0.0
     taper: float = 0.5
+
+    @classmethod
+    def of(cls, value: float | ClearanceRule, name: str = "clearance") -> ClearanceRule:
+        """The rule itself; or that of one number [m], which holds everywhere, also at the dock.
+
+        Raises:
+            InvalidValue: Neither a rule nor a finite number >= 0.
+        """
+        if isinstance(value, cls):
+            return value
+        if isinstance(value, bool) or not isinstance(value, numbers.Real):
+            raise InvalidValue(f"{name}: must be a ClearanceRule or one number [m], got {type(value).__name__}")
+        return cls(float(value), float(value))
 
     def __post_init__(self) -> None:
         for name in ("required", "at_dock", "taper"):
@@ -70,7 +91,7 @@ class ClearanceRule:
         return np.minimum(near_goal, near_start)
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, init=False, repr=False)
 class DockingProblem(FrozenArrays):
     """From where, to where, with what, among what.
 
@@ -81,8 +102,10 @@ class DockingProblem(FrozenArrays):
         start: Where the robot is.
         dock: Where it must end; its station is an obstacle.
         robot: What drives.
-        obstacles: What it must not touch.
-        clearance: How far it must stay away.
+        obstacles: What it must not touch: an `ObstacleSet`, or simple polygons, convex or not, Shape (n, 2) [m] each;
+            the i-th is called `obstacles[i]`.
+        clearance: How far it must stay away: a `ClearanceRule`, or one number [m] that holds everywhere, also at the
+            dock.
         start_speed: Speed at the start, signed, negative in reverse [m/s].
         start_curvature: Curvature at the start along the travel [1/m]; None leaves it free.
         costmap: What is known of the surroundings as a grid; None where only obstacles are. Read when the problem is
@@ -94,22 +117,48 @@ class DockingProblem(FrozenArrays):
         all_obstacles: The obstacles, the cells of the costmap, and the station last.
 
     Raises:
-        InvalidValue: start_speed or start_curvature is not finite, or a part is of another class.
+        InvalidValue: start_speed or start_curvature is not finite, a polygon is none (the message says which), or a
+            part is of another class.
     """
 
     start: Pose2
     dock: Dock
     robot: Robot
-    obstacles: ObstacleSet = field(default_factory=ObstacleSet.empty)
-    clearance: ClearanceRule = field(default_factory=ClearanceRule)
-    start_speed: float = 0.0
-    start_curvature: float | None = None
-    costmap: Costmap | None = None
-    frame: str = "map"
-    unknown_is_obstacle: bool = True
-    all_obstacles: ObstacleSet = field(init=False, repr=False)
+    obstacles: ObstacleSet
+    clearance: ClearanceRule
+    start_speed: float
+    start_curvature: float | None
+    costmap: Costmap | None
+    frame: str
+    unknown_is_obstacle: bool
+    all_obstacles: ObstacleSet = field(init=False)
 
-    def __post_init__(self) -> None:
+    # Written out, because it takes more kinds of values than the fields hold.
+    def __init__(  # noqa: PLR0913, PLR0917 - a problem has as many parts
+        self,
+        start: Pose2,
+        dock: Dock,
+        robot: Robot,
+        obstacles: ObstacleSet | Iterable[ArrayLike] = (),
+        clearance: ClearanceRule | float = ClearanceRule(),
+        start_speed: float = 0.0,
+        start_curvature: float | None = None,
+        costmap: Costmap | None = None,
+        frame: str = "map",
+        unknown_is_obstacle: bool = True,  # noqa: FBT001, FBT002 - nobody counts so far
+    ) -> None:
+        vars(self).update(
+            start=start,
+            dock=dock,
+            robot=robot,
+            obstacles=ObstacleSet.of(obstacles),
+            clearance=ClearanceRule.of(clearance),
+            start_speed=start_speed,
+            start_curvature=start_curvature,
+            costmap=costmap,
+            frame=frame,
+            unknown_is_obstacle=unknown_is_obstacle,
+        )
         self._check_parts()
         everything = self.obstacles
         if self.costmap is not None:
@@ -127,8 +176,6 @@ class DockingProblem(FrozenArrays):
             (Pose2, "start"),
             (Dock, "dock"),
             (Robot, "robot"),
-            (ObstacleSet, "obstacles"),
-            (ClearanceRule, "clearance"),
             (str, "frame"),
             (bool, "unknown_is_obstacle"),
         )
@@ -139,6 +186,72 @@ class DockingProblem(FrozenArrays):
         object.__setattr__(self, "start_speed", finite_number(self.start_speed, "start.speed"))
         if self.start_curvature is not None:
             object.__setattr__(self, "start_curvature", finite_number(self.start_curvature, "start.curvature"))
+
+    @classmethod
+    def from_grid(  # noqa: PLR0913 - a grid and a problem
+        cls,
+        occupancy: ArrayLike,
+        resolution: float,
+        origin: tuple[float, float],
+        *,
+        start: Pose2,
+        dock: Dock,
+        robot: Robot,
+        obstacles: ObstacleSet | Iterable[ArrayLike] = (),
+        clearance: ClearanceRule | float = ClearanceRule(),
+        occupied_from: int = OCCUPIED_FROM,
+        unknown_is_obstacle: bool = True,
+        frame: str = "map",
+    ) -> DockingProblem:
+        """A problem among the cells of a grid: the grid goes in once, and everybody sees it.
+
+        Args:
+            occupancy: Shape (rows, columns): row 0 lies at the lowest y, column 0 at the lowest x, as in ROS's
+                OccupancyGrid (an image has its row 0 at the top: hand in `image[::-1]`). Either booleans, True is
+                occupied; or integers as in ROS, 0 (free) to 100 (occupied) and -1 (unknown).
+            resolution: Side of a cell [m].
+            origin: Lower left corner of the cell in row 0 and column 0, x and y [m].
+            start: Where the robot is.
+            dock: Where it must end; its station is an obstacle.
+            robot: What drives.
+            obstacles: What it must not touch beside the cells.
+            clearance: How far it must stay away.
+            occupied_from: Cells of this occupancy and more are obstacles, 1..100; map_server's `occupied_thresh` is
+                0.65 by default.
+            unknown_is_obstacle: Whether unknown cells are.
+            frame: Name of the coordinate frame.
+
+        Raises:
+            InvalidValue: As the constructor, or the array is none of the two, or has no cell.
+        """
+        return cls(
+            start=start,
+            dock=dock,
+            robot=robot,
+            obstacles=obstacles,
+            clearance=clearance,
+            costmap=Costmap(_costs(occupancy, occupied_from), resolution, origin),
+            frame=frame,
+            unknown_is_obstacle=unknown_is_obstacle,
+        )
+
+    def __repr__(self) -> str:
+        counted = f"{len(self.obstacles)} obstacle pieces" + (f", {self.costmap!r}" if self.costmap else "")
+        ends = f"{self.start.brief} -> {self.goal.brief} in {self.frame!r}"
+        return f"<DockingProblem {ends}, {counted}, clearance {self.clearance.required:g} m>"
+
+    def starting_at(self, start: Pose2, speed: float = 0.0, curvature: float | None = None) -> DockingProblem:
+        """The same problem from another start.
+
+        Args:
+            start: Where the robot is.
+            speed: Its speed there, signed, negative in reverse [m/s].
+            curvature: Its curvature there along the travel [1/m]; None leaves it free.
+
+        Raises:
+            InvalidValue: As the constructor.
+        """
+        return dataclasses.replace(self, start=start, start_speed=speed, start_curvature=curvature)
 
     @property
     def goal(self) -> Pose2:
@@ -174,3 +287,18 @@ class DockingProblem(FrozenArrays):
             start=digest(self.start.as_array(), self.start_speed, steered),
             frame=self.frame,
         )
+
+
+def _costs(occupancy: ArrayLike, occupied_from: int) -> CostArray:
+    """Costs of a grid of booleans, or of occupancies -1 and 0..100: free, occupied or unknown."""
+    grid = np.asarray(occupancy)
+    if grid.dtype.kind not in "biu":
+        raise InvalidValue(f"occupancy: must be booleans, or integers -1 (unknown) and 0..100, got {grid.dtype}")
+    if isinstance(occupied_from, bool) or not (isinstance(occupied_from, int) and 1 <= occupied_from <= 100):
+        raise InvalidValue(f"occupied_from: must be an integer in 1..100, got {occupied_from!r}")
+    if grid.dtype.kind == "b":
+        return np.where(grid, LETHAL, FREE_SPACE).astype(np.uint8)
+    wrong = grid[(grid < -1) | (grid > 100)]
+    if wrong.size:
+        raise InvalidValue(f"occupancy: must be -1 (unknown) or 0..100, got {int(wrong[0])}")
+    return np.select([grid < 0, grid >= occupied_from], [NO_INFORMATION, LETHAL], FREE_SPACE).astype(np.uint8)

@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from optdock.io.plan_file import CERTIFIED, PlanError, PlanFile, TrajectoryColumns, finite_or_null, strict_json
+from optdock.io.plan_file import CERTIFIED, PlanError, PlanFile, finite_or_null, strict_json
 from optdock.limits import LIMIT_UNITS
-from optdock.pipeline import PartialPlan
+from optdock.plan import PartialPlan
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from optdock.errors import OptdockError
     from optdock.geometry.arrays import FloatArray
     from optdock.limits import MotionLimits
-    from optdock.pipeline import DockPlan
+    from optdock.plan import DockPlan
     from optdock.simulation import Run
     from optdock.verification import Certificate
 
@@ -27,7 +27,6 @@ __all__ = [
     "certificate_rows",
     "failed_plan_file",
     "limit_rows",
-    "plan_file",
     "plan_rows",
     "run_json",
     "run_rows",
@@ -43,22 +42,6 @@ class Row(NamedTuple):
 
     name: str
     value: str
-
-
-def plan_file(plan: DockPlan, frame: str, period: float) -> PlanFile:
-    """A certified plan as a file's content, its trajectory sampled every `period` [s]."""
-    certificate = {**plan.certificate.as_dict(), "trajectory": plan.trajectory_certificate.as_dict()}
-    return PlanFile(
-        status=CERTIFIED,
-        completed=plan.completed,
-        frame=frame,
-        raw_path=plan.raw_path,
-        path=plan.path,
-        trajectory=TrajectoryColumns.from_trajectory(plan.trajectory, period),
-        time_law=plan.trajectory.time_law,
-        certificate=certificate,
-        timing_ms=plan.timing_ms,
-    )
 
 
 def failed_plan_file(error: OptdockError, frame: str) -> PlanFile:

@@ -19,10 +19,10 @@ if TYPE_CHECKING:
     from optdock.fingerprint import ProblemFingerprint
     from optdock.geometry.arrays import FloatArray
 
-__all__ = ["TimeLaw", "Trajectory", "TrajectorySamples", "TrajectoryState"]
+__all__ = ["TimeLaw", "TimedPoses", "Trajectory", "TrajectorySamples", "TrajectoryState"]
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class TimeLaw(FrozenArrays):
     """Distance travelled over time, in phases of constant jerk.
 
@@ -70,6 +70,9 @@ class TimeLaw(FrozenArrays):
         if not (np.all(np.isfinite(states)) and np.isfinite(self.times[-1])):
             raise InvalidValue("time law: the motion goes beyond all numbers; durations and jerks are too large")
         object.__setattr__(self, "states", readonly(states))
+
+    def __repr__(self) -> str:
+        return f"<TimeLaw {self.duration:.3f} s in {self.durations.size} phases of constant jerk>"
 
     @property
     def duration(self) -> float:
@@ -121,7 +124,18 @@ class TrajectorySamples(NamedTuple):
     yaw_acceleration: FloatArray
 
 
-@dataclass(frozen=True, eq=False)
+class TimedPoses(NamedTuple):
+    """A trajectory as arrays: `t`, Shape (n,) [s]; `poses`, Shape (n, 3): x [m], y [m], yaw [rad]; and `twists`.
+
+    `twists` has Shape (n, 2): speed along the heading, negative in reverse [m/s], and yaw rate [rad/s].
+    """
+
+    t: FloatArray
+    poses: FloatArray
+    twists: FloatArray
+
+
+@dataclass(frozen=True, eq=False, repr=False)
 class Trajectory(FrozenArrays):
     """A timed motion: a path, and a time law over its arc length.
 
@@ -142,6 +156,10 @@ class Trajectory(FrozenArrays):
         # Subclasses too are refused: what overrides poses or distances is another motion, of which nothing is known.
         exactly(Path, self.path, "trajectory.path")
         exactly(TimeLaw, self.time_law, "trajectory.time_law")
+
+    def __repr__(self) -> str:
+        proven = ", proven" if self.certified_for is not None else ""
+        return f"<Trajectory {self.duration:.3f} s along {self.path!r}{proven}>"
 
     @property
     def frame(self) -> str:
@@ -170,6 +188,20 @@ class Trajectory(FrozenArrays):
         count = max(1, int(np.ceil(self.duration / period - 1e-9)))
         grid = np.minimum(np.arange(count + 1) * period, self.duration)
         return self.sample_at(np.unique(np.concatenate((grid, self.cusp_times))))
+
+    def sampled(self, period: float) -> TimedPoses:
+        """Times, poses and twists every `period` [s]; the last sample is the end, at most one period later.
+
+        Raises:
+            InvalidValue: The period is not a finite number > 0.
+        """
+        step = finite_number(period, "period")
+        if not step > 0.0:
+            raise InvalidValue(f"period: must be > 0 s, got {period}")
+        whole = int(np.ceil(self.duration / step * (1.0 - 1e-12)))  # the end is no sample of its own after a rounding
+        samples = self.sample_at(np.append(step * np.arange(max(whole, 1)), self.duration))
+        poses = np.column_stack((samples.x, samples.y, samples.yaw))
+        return TimedPoses(samples.t, poses, np.column_stack((samples.speed, samples.yaw_rate)))
 
     @property
     def cusp_times(self) -> FloatArray:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import math
 from dataclasses import replace
 from typing import TYPE_CHECKING, ClassVar, Literal
 
@@ -15,7 +14,7 @@ from optdock.dock import Dock
 from optdock.errors import SmootherException, SmootherTimedOut
 from optdock.geometry.footprint import Footprint
 from optdock.geometry.pose import Pose2
-from optdock.interfaces import Smoother, SmoothingResult, never_cancelled
+from optdock.interfaces import Smoother, SmoothingReport, SmoothingResult, SmoothingStatus, never_cancelled
 from optdock.limits import MotionLimits
 from optdock.obstacles import ObstacleSet
 from optdock.parameters import PluginParameters
@@ -240,18 +239,21 @@ def _failure(task: Task, outcome: Outcome, max_time: float, final_straight: floa
 def _result(outcome: Outcome, budget: Budget, setup: float, build: float) -> SmoothingResult:
     best = outcome.incumbent
     assert best is not None  # the caller has raised otherwise
-    first = outcome.first_certified
-    kept = {"input": "input_kept", "line": "direct", "warm_start": "warm_start_kept"}
-    status = kept.get(best.origin, "converged" if outcome.converged else "budget")
-    report = {
-        "status": status,
-        "cost": best.cost,
-        "iterations": outcome.iterations,
-        "setup_s": setup - build,
-        "build_s": build,
-        "certify_s": outcome.certify_time,
-        "first_certified_s": first if first is not None else math.nan,
-        "total_s": budget.elapsed,
-        "certificate": best.certificate,
+    kept = {
+        "input": SmoothingStatus.INPUT_KEPT,
+        "line": SmoothingStatus.STRAIGHT,
+        "warm_start": SmoothingStatus.WARM_START_KEPT,
     }
+    searched = SmoothingStatus.CONVERGED if outcome.converged else SmoothingStatus.STOPPED
+    report = SmoothingReport(
+        status=kept.get(best.origin, searched),
+        cost=best.cost,
+        iterations=outcome.iterations,
+        setup_s=setup - build,
+        build_s=build,
+        certify_s=outcome.certify_time,
+        first_certified_s=outcome.first_certified,
+        total_s=budget.elapsed,
+        certificate=best.certificate,
+    )
     return SmoothingResult(best.path, outcome.converged, report)

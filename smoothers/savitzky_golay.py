@@ -13,7 +13,7 @@ from pydantic import Field, model_validator
 
 from optdock.deadline import Deadline
 from optdock.errors import SmootherCancelled, SmootherTimedOut
-from optdock.interfaces import Smoother, SmoothingResult, never_cancelled
+from optdock.interfaces import Smoother, SmoothingReport, SmoothingResult, never_cancelled
 from optdock.parameters import PluginParameters, checked_seconds
 from smoothers._nav2_poses import directional_pieces, path_of, poses_of, with_travel_yaw
 from smoothers._nav2_surroundings import task_of
@@ -132,7 +132,7 @@ class SavitzkyGolaySmoother(Smoother):
             filtered, kept = filtered + 1, kept + collides
         if not completed and filtered == 0:
             raise SmootherTimedOut(f"no piece was filtered within the allowed {max_time} s; allow more max_time")
-        report = {"pieces": filtered, "kept": kept, "seconds": deadline.elapsed}
+        report = SmoothingReport(total_s=deadline.elapsed, extra={"pieces": filtered, "kept": kept})
         return SmoothingResult(path_of(poses, path), completed, report)
 
     def _filtered(self, poses: FloatArray) -> FloatArray:

@@ -17,7 +17,7 @@ from pydantic import Field, model_validator
 from optdock.costmap.costs import MAX_NON_OBSTACLE, NO_INFORMATION
 from optdock.deadline import Deadline
 from optdock.errors import SmootherCancelled, SmootherTimedOut
-from optdock.interfaces import Smoother, SmoothingResult, never_cancelled
+from optdock.interfaces import Smoother, SmoothingReport, SmoothingResult, never_cancelled
 from optdock.parameters import PluginParameters, checked_seconds
 from smoothers._nav2_poses import directional_pieces, path_of, poses_of, with_travel_yaw
 from smoothers._nav2_surroundings import task_of
@@ -123,8 +123,8 @@ class SimpleSmoother(Smoother):
 
     `completed` is False where the time limit stopped the sweeps; the last whole sweep is returned then, which entered
     nothing either. A piece whose poses would bring the footprint into something that they cleared before stays as it
-    was, unless `check_for_collisions` is off; what happens between the poses is not looked at. `report["ended_by"]`
-    says for every piece what ended it: `tolerance`, `obstacle`, `max_its`, `time`, `collision`.
+    was, unless `check_for_collisions` is off; what happens between the poses is not looked at. `ended_by` in the
+    report's `extra` says for every piece what ended it: `tolerance`, `obstacle`, `max_its`, `time`, `collision`.
 
     Args:
         **parameters: Fields of `SimpleParameters`.
@@ -177,7 +177,7 @@ class SimpleSmoother(Smoother):
         if not completed and run.sweeps == 0:
             raise SmootherTimedOut(f"no sweep was finished within the allowed {max_time} s; allow more max_time")
         ended_by = tuple(end.value for end in run.ends)
-        report = {"sweeps": run.sweeps, "ended_by": ended_by, "seconds": deadline.elapsed}
+        report = SmoothingReport(iterations=run.sweeps, total_s=deadline.elapsed, extra={"ended_by": ended_by})
         return SmoothingResult(path_of(poses, path), completed, report)
 
     def _smooth_piece(self, poses: FloatArray, run: _Run) -> tuple[FloatArray, _End]:

@@ -20,7 +20,7 @@ from optdock.dock import Dock
 from optdock.errors import OptdockError
 from optdock.geometry.footprint import Footprint
 from optdock.geometry.pose import Pose2
-from optdock.limits import MotionLimits, SpeedZone
+from optdock.limits import MotionLimits
 from optdock.pipeline import plan_dock, warm_up
 from optdock.problem import DockingProblem
 from optdock.robot import Robot
@@ -141,6 +141,6 @@ def open_hall(seed: int) -> DockingProblem:
     )
     cells = np.full((400, 400), 254, dtype=np.uint8)
     cells[2:-2, 2:-2] = 0
-    dock = Dock(goal, final_straight=0.3, approach=SpeedZone(0.1, 0.3))
+    dock = Dock(goal, final_straight=0.3, approach_speed=0.1, approach_distance=0.3)
     robot = Robot(Footprint.rectangle(0.4, 0.4, 0.6), limits)
     return DockingProblem(start, dock, robot, costmap=Costmap(cells, 0.05, (-10.0, -10.0)))

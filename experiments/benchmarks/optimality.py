@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import math
 import statistics
 from typing import TYPE_CHECKING
 
@@ -47,5 +48,5 @@ def _gap(family: str, seed: int) -> float | None:
             result = smoother.smooth(task.raw_path, _TIME, problem=task.problem)
         except SmootherException:
             return None
-        costs.append(float(str(result.report["cost"])))
+        costs.append(math.nan if result.report.cost is None else result.report.cost)
     return 100.0 * (costs[0] / costs[1] - 1.0)

@@ -23,7 +23,7 @@ from experiments.benchmarks.smoothing_tables import (
     warm_table,
 )
 from experiments.benchmarks.tables import Table, yardstick
-from optdock.interfaces import Smoother
+from optdock.interfaces import Smoother, SmoothingReport
 from optdock.plugins import create_plugin, load_plugin
 from optdock.testing.families import FAMILIES, FEASIBLE_FAMILIES, INFEASIBLE_FAMILIES, instance
 
@@ -130,5 +130,5 @@ def _baselines(
 
 def _untouched(family: str, seed: int) -> Run:
     drawn = instance(family, seed)
-    call = Call(0.0, 0.0, drawn.raw_path, completed=True, reason="", report={})
+    call = Call(0.0, 0.0, drawn.raw_path, completed=True, reason="", report=SmoothingReport())
     return Run(drawn, call, judged(drawn.raw_path, drawn.problem))

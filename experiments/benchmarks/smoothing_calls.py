@@ -8,12 +8,11 @@ from typing import TYPE_CHECKING
 
 from experiments.benchmarks.tables import Timer
 from optdock.errors import SmootherException, SmootherTimedOut
+from optdock.interfaces import SmoothingReport
 from optdock.testing.dense_check import dense_check
 from optdock.verification import certify_path
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
-
     from optdock.interfaces import Smoother
     from optdock.path import Path
     from optdock.problem import DockingProblem
@@ -43,11 +42,11 @@ class Call:
     path: Path | None
     completed: bool
     reason: str
-    report: Mapping[str, object]
+    report: SmoothingReport
 
     def number(self, name: str) -> float:
         """A number of the report, NaN where it has none."""
-        value = self.report.get(name)
+        value = getattr(self.report, name)
         return float(value) if isinstance(value, (int, float)) else math.nan
 
 
@@ -84,7 +83,7 @@ def called(
     except SmootherException as error:
         wall, cpu = timer.wall, timer.cpu
         timed_out = isinstance(error, SmootherTimedOut)
-        return Call(wall, cpu, None, False, "timed out" if timed_out else _reason(error), {})  # noqa: FBT003 - a field
+        return Call(wall, cpu, None, False, "timed out" if timed_out else _reason(error), SmoothingReport())  # noqa: FBT003 - a field
     return Call(timer.wall, timer.cpu, result.path, result.completed, "", result.report)
 
 

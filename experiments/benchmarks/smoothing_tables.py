@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import itertools
 import math
+from dataclasses import replace
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
 from experiments.benchmarks.smoothing_calls import best_of, called, judged
 from experiments.benchmarks.tables import Table, Timer, fixed_work, percentile
-from optdock.dock import Dock
 from optdock.geometry.pose import Pose2
 from optdock.problem import DockingProblem
 from optdock.testing.families import instance
@@ -181,7 +181,7 @@ def _with_moved_dock(drawn: Instance) -> DockingProblem:
     shift, angle, turn = MAX_SHIFT * rng.uniform(), rng.uniform(-math.pi, math.pi), MAX_TURN * rng.uniform(-1.0, 1.0)
     move = Pose2(shift * math.cos(angle), shift * math.sin(angle), turn)
     old, problem = drawn.problem.dock, drawn.problem
-    dock = Dock(old.pose @ move, old.footprint, old.direction, old.final_straight, old.approach, old.tolerances)
+    dock = replace(old, pose=old.pose @ move)
     return DockingProblem(problem.start, dock, problem.robot, problem.obstacles, problem.clearance)
 
 

@@ -184,8 +184,7 @@ def fresh_table(count: int, seed: int) -> Table:
         case = clothoid_case(seed, i, hard=i % 2 == 1) if i % 4 == 3 else random_case(seed, i, hard=i % 3 == 0)
         item = run(NearOptimal(), case, 1)
         statuses[item.result.status.name] += 1
-        gears = item.result.report["gears"]
-        repairs.update(gears if isinstance(gears, list) else [])
+        repairs.update(item.result.report.gears)
         if item.result.status is TimingStatus.OK and item.result.trajectory is not None:
             broken += not clean(item)
             worst = max(worst, (worst_quotient(case, item.result.trajectory), case.name))

@@ -74,8 +74,7 @@ class Tally:
         )
         self.seconds.append(timer.cpu)
         self.counts[f"{name}: {result.status.name}"] += 1
-        gears = result.report.get("gears", [])
-        self.repairs.update(gears if isinstance(gears, list) else [])
+        self.repairs.update(result.report.gears)
         if result.status is not TimingStatus.OK or result.trajectory is None:
             if "not certified" in result.reason:
                 self.counts[f"{name}: FAIL, no plan passed its proof"] += 1
@@ -112,14 +111,15 @@ def random_problems(seed: int) -> Iterator[DockingProblem]:
         if maps_folder().is_dir() and rng.random() < 0.7:
             problem = problem_of(SCENARIOS[int(rng.choice(_SCENES))])
             length = float(rng.uniform(0.2, 0.5))
-            dock = replace(problem.dock, approach=SpeedZone(float(rng.uniform(0.05, 0.15)), length))
+            speed = float(rng.uniform(0.05, 0.15))
+            dock = replace(problem.dock, approach_speed=speed, approach_distance=length)
             dock = replace(dock, final_straight=length if rng.random() < 0.7 else 0.3)
             aside = Pose2(-float(rng.uniform(1.0, 2.5)), float(rng.uniform(-0.6, 0.6)), float(rng.uniform(-0.8, 0.8)))
             problem = replace(problem, dock=dock, start=dock.pose @ aside)
         else:
             problem = instance(str(rng.choice(families)), int(rng.integers(1_000_000))).problem
             straight = max(problem.dock.final_straight, 0.1)
-            problem = replace(problem, dock=replace(problem.dock, approach=SpeedZone(0.1, straight)))
+            problem = replace(problem, dock=replace(problem.dock, approach_speed=0.1, approach_distance=straight))
         speed = float(rng.uniform(0.02, 0.25)) if rng.random() < 0.34 else 0.0
         yield replace(problem, start_speed=speed if problem.dock.direction != "backward" else -speed)
 

@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 
     from optdock.comparison import PathFigures
     from optdock.config import Scenario
-    from optdock.pipeline import DockPlan, PartialPlan
+    from optdock.plan import DockPlan, PartialPlan
 
 __all__ = ["PlanOutputs", "compare", "draw_profile", "plan", "solved", "write"]
 
@@ -147,12 +147,11 @@ def solved(scenario: Scenario, time_budget: float | None = None, outputs: PlanOu
         OptdockError: There is no certified plan, see `plan_dock`; or the plan file cannot be written.
     """
     from optdock.io.plan_file import save_plan
-    from optdock.pipeline import PartialPlan, plan_dock
+    from optdock.plan import PartialPlan
     from optdock.report import failed_plan_file
 
-    budget = scenario.time_budget if time_budget is None else time_budget
     try:
-        return plan_dock(scenario.problem, time_budget=budget, plugins=scenario.plugins)
+        return scenario.plan(time_budget)
     except OptdockError as error:
         if status_of(error) == NOT_CERTIFIED:
             if outputs.file is not None:
@@ -169,11 +168,8 @@ def write(scenario: Scenario, found: DockPlan, outputs: PlanOutputs) -> None:
         InvalidFile: A file cannot be written.
         InvalidValue: The samples would be too many.
     """
-    from optdock.io.plan_file import save_plan
-    from optdock.report import plan_file
-
     if outputs.file is not None:
-        save_plan(outputs.file, plan_file(found, scenario.problem.frame, outputs.period), spacing=outputs.spacing)
+        found.save(outputs.file, spacing=outputs.spacing, period=outputs.period)
     _draw(outputs.picture, scenario, found, f"certified, {found.trajectory.duration:.1f} s")
 
 
@@ -277,7 +273,7 @@ def _is_scenario(source: Path) -> bool:
 def _compared(scenario: Scenario, picture: Path) -> list[PathFigures]:
     """Both rows of one scenario, and its picture; a failure becomes a row and a line on stderr."""
     from optdock.comparison import PathFigures, figures_of
-    from optdock.pipeline import PartialPlan
+    from optdock.plan import PartialPlan
 
     name, drawn = scenario.source.stem, PlanOutputs(picture=picture)
     try:

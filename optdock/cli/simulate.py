@@ -28,7 +28,7 @@ from optdock.errors import InvalidValue
 
 if TYPE_CHECKING:
     from optdock.config import Scenario
-    from optdock.pipeline import DockPlan
+    from optdock.plan import DockPlan
     from optdock.simulation import Run
 
 __all__ = ["World", "demo", "driven", "simulate"]

@@ -33,7 +33,7 @@ from optdock.geometry.footprint import Footprint
 from optdock.geometry.polygon import simple_polygon
 from optdock.geometry.pose import Pose2
 from optdock.io.numbers import check_outline, check_speed, check_yaw, is_number
-from optdock.limits import MotionLimits, SpeedZone
+from optdock.limits import MotionLimits
 from optdock.pipeline import DEFAULT_TIME_BUDGET
 from optdock.problem import ClearanceRule
 from optdock.robot import Drive, Robot
@@ -285,8 +285,7 @@ class DockDocument(_Part):
 
     def value(self) -> Dock:
         """The dock."""
-        zone = SpeedZone(self.approach_speed, self.approach_distance)
-        return Dock(self.pose, self.footprint, self.direction, self.final_straight, zone)
+        return Dock(**dict(self))
 
 
 class StartDocument(_Part):

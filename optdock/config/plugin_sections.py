@@ -11,8 +11,8 @@ from pydantic import ValidationError
 from optdock.config.faults import Fault, faults_of
 from optdock.errors import PluginError
 from optdock.io.numbers import is_number, unit_fault
-from optdock.pipeline import PluginChoice, PluginChoices
-from optdock.plugins import INTERFACES, load_plugin
+from optdock.pipeline import DEFAULT_PLANNER, DEFAULT_SMOOTHER, DEFAULT_TIMING
+from optdock.plugins import INTERFACES, PluginChoice, load_plugin
 
 if TYPE_CHECKING:
     from optdock.lifecycle import Plugin
@@ -21,9 +21,9 @@ __all__ = ["PLUGIN_DEFAULTS", "plugin_choice", "plural"]
 
 # The plugin of a section that names none.
 PLUGIN_DEFAULTS: Mapping[str, str] = {
-    "planner": PluginChoices().planner.name,
-    "smoother": PluginChoices().smoother.name,
-    "timing": PluginChoices().timing.name,
+    "planner": DEFAULT_PLANNER,
+    "smoother": DEFAULT_SMOOTHER,
+    "timing": DEFAULT_TIMING,
     "controller": "TrackingController",
     "goal_checker": "DockGoalChecker",
 }

@@ -11,16 +11,18 @@ from pydantic import ValidationError
 
 from optdock.config.document import SECTIONS, ScenarioDocument, known_keys
 from optdock.config.faults import Fault, faults_of, report
-from optdock.config.plugin_sections import plugin_choice
+from optdock.config.plugin_sections import PLUGIN_DEFAULTS, plugin_choice
 from optdock.errors import InvalidFile, OptdockError
 from optdock.io.maps import load_map
 from optdock.io.yaml_lines import load_yaml
 from optdock.obstacles import ObstacleSet
-from optdock.pipeline import PluginChoice, PluginChoices
+from optdock.pipeline import DEFAULT_TIME_BUDGET, plan_dock
+from optdock.plugins import PluginChoice
 from optdock.problem import DockingProblem
 
 if TYPE_CHECKING:
     from optdock.costmap.costmap import Costmap
+    from optdock.plan import DockPlan
 
 __all__ = ["Scenario", "load_scenario"]
 
@@ -32,18 +34,39 @@ class Scenario:
     Args:
         problem: The docking problem.
         time_budget: Wall-clock seconds for planning it.
-        plugins: Planner, smoother and time parameterizer.
+        planner: Makes the raw path.
+        smoother: Makes it drivable.
+        timing: Gives it its time law.
         controller: What drives the result in `optdock simulate`.
         goal_checker: What decides there that the robot has arrived.
         source: The file.
     """
 
     problem: DockingProblem
-    time_budget: float
-    plugins: PluginChoices
-    controller: PluginChoice
-    goal_checker: PluginChoice
-    source: Path
+    time_budget: float = DEFAULT_TIME_BUDGET
+    planner: PluginChoice = PluginChoice(PLUGIN_DEFAULTS["planner"])
+    smoother: PluginChoice = PluginChoice(PLUGIN_DEFAULTS["smoother"])
+    timing: PluginChoice = PluginChoice(PLUGIN_DEFAULTS["timing"])
+    controller: PluginChoice = PluginChoice(PLUGIN_DEFAULTS["controller"])
+    goal_checker: PluginChoice = PluginChoice(PLUGIN_DEFAULTS["goal_checker"])
+    source: Path = Path("scenario.yaml")
+
+    def plan(self, time_budget: float | None = None) -> DockPlan:
+        """The certified plan, by the plugins and in the time that the file asks for.
+
+        Args:
+            time_budget: Wall-clock seconds; None: the file's.
+
+        Raises:
+            OptdockError: There is none; see `plan_dock`.
+        """
+        return plan_dock(
+            self.problem,
+            time_budget=self.time_budget if time_budget is None else time_budget,
+            planner=self.planner,
+            smoother=self.smoother,
+            timing=self.timing,
+        )
 
 
 def load_scenario(source: str | Path) -> Scenario:
@@ -66,10 +89,8 @@ def load_scenario(source: str | Path) -> Scenario:
     return Scenario(
         problem=_problem(document, costmap),
         time_budget=document.time_budget,
-        plugins=PluginChoices(choices["planner"], choices["smoother"], choices["timing"]),
-        controller=choices["controller"],
-        goal_checker=choices["goal_checker"],
         source=source,
+        **choices,
     )
 
 

@@ -32,7 +32,7 @@ __all__ = ["FREE_SPACE", "INSCRIBED", "LETHAL", "NO_INFORMATION", "Costmap"]
 _FAR = 2.0**40  # cells; farther points, and points that are not finite, count as this far off the map
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Costmap:
     """Square cells with a cost each; cell (i, j) is column i (along x) and row j (along y).
 
@@ -62,6 +62,10 @@ class Costmap:
         object.__setattr__(self, "data", _checked_costs(self.data))
         if not all(math.isfinite(value) for value in self.upper):
             raise InvalidValue(f"costmap: its upper corner must be finite, got {self.upper}; check the resolution")
+
+    def __repr__(self) -> str:
+        (x, y), side = self.origin, self.resolution
+        return f"<Costmap {self.columns} x {self.rows} cells of {side:g} m from ({x:g}, {y:g}) m>"
 
     @classmethod
     def from_occupancy(

@@ -26,7 +26,7 @@ _POINT = re.compile(rf"\[\s*({_NUMBER})[\s,]+({_NUMBER})\s*\]")
 _RADIUS_SIDES = 32  # of the polygon around a circle: it sticks out by at most 0.5 % of the radius
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Footprint(FrozenArrays):
     """A simple polygon around the robot, in its own frame (x forward, y left).
 
@@ -47,6 +47,9 @@ class Footprint(FrozenArrays):
         vertices = simple_polygon(self.vertices, "footprint")
         object.__setattr__(self, "vertices", vertices)
         object.__setattr__(self, "bodies", tuple(convex_body(piece) for piece in convex_pieces(vertices)))
+
+    def __repr__(self) -> str:
+        return f"<Footprint {self.length:.4g} m x {self.width:.4g} m, {len(self.vertices)} corners>"
 
     @classmethod
     def from_radius(cls, radius: float) -> Footprint:

@@ -90,6 +90,11 @@ class Pose2:
                 raise InvalidValue(f"pose.{name}: must be within +-{most:g} {unit}, got {value:g}")
             object.__setattr__(self, name, value)
 
+    @property
+    def brief(self) -> str:
+        """`(x, y, yaw)` in four digits, for messages."""
+        return f"({self.x:.4g}, {self.y:.4g}, {self.yaw:.4g})"
+
     def __matmul__(self, other: Pose2) -> Pose2:
         c, s = math.cos(self.yaw), math.sin(self.yaw)
         return Pose2(self.x + c * other.x - s * other.y, self.y + s * other.x + c * other.y, self.yaw + other.yaw)

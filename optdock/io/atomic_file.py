@@ -18,7 +18,7 @@ __all__ = ["replacing", "write_text"]
 
 
 @contextmanager
-def replacing(target: Path) -> Iterator[Path]:
+def replacing(target: str | Path) -> Iterator[Path]:
     """A temporary path beside `target` that takes its place when the block ends without an exception.
 
     A reader of `target` sees the old file or the new one, never a part. Missing folders are made, links are followed.
@@ -28,6 +28,7 @@ def replacing(target: Path) -> Iterator[Path]:
     Raises:
         InvalidFile: The target is a folder, or its folder cannot be made or written to.
     """
+    target = Path(target)
     try:
         if target.exists() and not (target.is_file() or target.is_dir()):
             yield target
@@ -53,7 +54,7 @@ def _beside(target: Path) -> Iterator[Path]:
             temporary.unlink()
 
 
-def write_text(target: Path, text: str) -> None:
+def write_text(target: str | Path, text: str) -> None:
     """Write `text` as UTF-8, whole or not at all.
 
     Raises:

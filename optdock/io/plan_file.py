@@ -173,7 +173,7 @@ def strict_json(document: Mapping[str, object]) -> str:
     return "{" + ",\n ".join(lines) + "}\n"
 
 
-def save_plan(target: FilePath, plan: PlanFile, *, spacing: float = DEFAULT_SPACING) -> None:
+def save_plan(target: str | FilePath, plan: PlanFile, *, spacing: float = DEFAULT_SPACING) -> None:
     """Write a plan file.
 
     Args:
@@ -232,7 +232,7 @@ class _PlanDocument(_Model):
     error: _ErrorDocument | None = None
 
 
-def load_plan(source: FilePath) -> PlanFile:
+def load_plan(source: str | FilePath) -> PlanFile:
     """Read a plan file, also one that optdock did not write; keys it does not know are ignored.
 
     Raises:

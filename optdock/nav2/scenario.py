@@ -7,8 +7,6 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from optdock.config.faults import Fault
-from optdock.config.plugin_sections import plugin_choice
 from optdock.config.scenario import Scenario
 from optdock.dock import Dock
 from optdock.errors import DockNotInDB, DockNotValid, InvalidFile, InvalidValue
@@ -19,7 +17,6 @@ from optdock.limits import MotionLimits, SpeedZone
 from optdock.nav2.docks import DockEntry, DockType, load_dock_database
 from optdock.nav2.params import Nav2Params, load_nav2_params
 from optdock.parameters import closest
-from optdock.pipeline import DEFAULT_TIME_BUDGET, PluginChoices
 from optdock.problem import DockingProblem
 from optdock.robot import Robot
 
@@ -78,16 +75,17 @@ def nav2_scenario(
     _check_frame(dock, costmap_params, str(docks_source or params_source))
     costmap = load_map(map_source).costmap
     dock_type = _type_of(dock, params)
+    zone = _approach(params, dock_type)
     problem = DockingProblem(
         start=_start(start),
-        dock=Dock(dock.pose, direction=dock_type.dock_direction, approach=_approach(params, dock_type)),
+        dock=Dock(
+            dock.pose, direction=dock_type.dock_direction, approach_speed=zone.speed, approach_distance=zone.distance
+        ),
         robot=Robot(costmap_params.outline, nav2_limits(params)),
         costmap=costmap,
         frame=dock.frame,
     )
-    faults: list[Fault] = []
-    controller, checker = (plugin_choice(kind, {}, faults) for kind in ("controller", "goal_checker"))
-    return Scenario(problem, DEFAULT_TIME_BUDGET, PluginChoices(), controller, checker, Path(params_source))
+    return Scenario(problem, source=Path(params_source))
 
 
 def _chosen(docks: Mapping[str, DockEntry], name: str | None, source: str) -> DockEntry:

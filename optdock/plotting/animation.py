@@ -30,7 +30,7 @@ _HOLD = 1500  # [ms] on the last frame
 
 
 def save_animation(
-    target: Path,
+    target: str | Path,
     problem: DockingProblem,
     times: FloatArray,
     poses: FloatArray,
@@ -107,7 +107,7 @@ class _Stage:
         return picture.quantize(palette=self._palette, dither=Images.Dither.NONE)
 
 
-def _write(target: Path, frames: list[Image], milliseconds: float) -> None:
+def _write(target: str | Path, frames: list[Image], milliseconds: float) -> None:
     step = int(min(milliseconds, 1e3 * _FRAME_TIME))
     with replacing(target) as temporary:
         frames[0].save(

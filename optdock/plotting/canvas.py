@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import textwrap
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 from optdock.errors import InvalidValue, MissingExtra
 from optdock.io.atomic_file import replacing
 
 if TYPE_CHECKING:
-    from pathlib import Path
-
     from matplotlib.axes import Axes
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
@@ -71,7 +70,7 @@ def legend_below(figure: Figure, axes: Axes) -> None:
     )
 
 
-def format_of(target: Path) -> str:
+def format_of(target: str | Path) -> str:
     """The picture format that the suffix of `target` names, PNG without one.
 
     Raises:
@@ -79,13 +78,13 @@ def format_of(target: Path) -> str:
         MissingExtra: Matplotlib is not installed.
     """
     known = canvas_of(new_figure(1.0, 1.0)).get_supported_filetypes()
-    kind = target.suffix.removeprefix(".").lower() or "png"
+    kind = Path(target).suffix.removeprefix(".").lower() or "png"
     if kind not in known:
         raise InvalidValue(f"{target}: must end in one of {', '.join(sorted(known))}, got .{kind}")
     return kind
 
 
-def save_figure(figure: Figure, target: Path) -> None:
+def save_figure(figure: Figure, target: str | Path) -> None:
     """Write a picture, whole or not at all; the suffix chooses the format, PNG without one.
 
     Raises:

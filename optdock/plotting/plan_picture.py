@@ -40,7 +40,7 @@ _FOOTPRINTS = 24  # drawn along a path at most
 
 
 def save_plan_picture(  # noqa: PLR0913 - one parameter for each thing that is drawn
-    target: FilePath,
+    target: str | FilePath,
     problem: DockingProblem,
     *,
     raw_path: Path | None = None,
@@ -115,7 +115,7 @@ def _draw_smoothed(axes: Axes, path: Path) -> None:
 def _draw_closest(axes: Axes, problem: DockingProblem, path: Path, certificate: Certificate) -> None:
     """The pose of the least clearance, as the certificate has it."""
     if math.isfinite(certificate.min_clearance):
-        label = f"min clearance: {1e3 * certificate.min_clearance:.0f} mm to {certificate.nearest}"
+        label = f"closest: {1e3 * certificate.min_clearance:.0f} mm to {certificate.nearest}"
         _mark(axes, problem, path.poses_at(certificate.at_s), label)
 
 

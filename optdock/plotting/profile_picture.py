@@ -33,7 +33,7 @@ class _Panel(NamedTuple):
 
 
 def save_profile_picture(
-    target: Path, trajectory: Trajectory, limits: MotionLimits, zone: SpeedZone, *, title: str = ""
+    target: str | Path, trajectory: Trajectory, limits: MotionLimits, zone: SpeedZone, *, title: str = ""
 ) -> None:
     """Draw speed, acceleration, jerk, curvature, yaw rate and yaw acceleration over time, each with its limits.
 

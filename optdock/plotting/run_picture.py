@@ -23,7 +23,7 @@ __all__ = ["save_run_picture"]
 _FOOTPRINTS = 24  # drawn, equally far apart
 
 
-def save_run_picture(target: Path, problem: DockingProblem, run: Run, *, title: str = "") -> None:
+def save_run_picture(target: str | Path, problem: DockingProblem, run: Run, *, title: str = "") -> None:
     """Draw the driven poses over the planned ones, and the tracking errors and speeds over time.
 
     Args:

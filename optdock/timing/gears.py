@@ -12,7 +12,7 @@ import numpy as np
 
 from optdock.deadline import Deadline
 from optdock.errors import InvalidValue
-from optdock.interfaces import TimingResult, TimingStatus
+from optdock.interfaces import TimingReport, TimingResult, TimingStatus
 from optdock.path import Path, PolylineSegment
 from optdock.timing.allowance import Allowance
 from optdock.timing.course import Course, Slowness, course_of
@@ -168,7 +168,7 @@ def _turn_in_place(segment: Segment) -> tuple[float, float]:
 
 def _result(path: Path, plans: list[GearPlan], start: tuple[float, float]) -> TimingResult:
     worst = max(plans, key=lambda gear: gear.status)  # the statuses are in order of gravity
-    report = {"gears": [gear.how for gear in plans]}
+    report = TimingReport(tuple(gear.how for gear in plans))
     ratio = max(gear.ratio for gear in plans)
     trajectory = None
     if worst.status not in (TimingStatus.FAIL, TimingStatus.BAD_START, TimingStatus.TIMED_OUT):

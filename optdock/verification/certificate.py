@@ -35,7 +35,7 @@ class Violation:
     where: Mapping[str, object] = field(default_factory=dict)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Certificate:
     """The verdict on a path.
 
@@ -68,6 +68,14 @@ class Certificate:
     poses_checked: int
     problem: ProblemFingerprint
     path: str
+
+    def __repr__(self) -> str:
+        if not self.certified:
+            return f"<Certificate: not certified, {self.reason}>"
+        if not self.nearest:
+            return f"<Certificate: {self.length:.3f} m certified, no obstacle>"
+        closest = f"{self.min_clearance:.4f} m to {self.nearest} at s = {self.at_s:.3f} m"
+        return f"<Certificate: {self.length:.3f} m certified, closest {closest}>"
 
     @property
     def certified(self) -> bool:
@@ -102,7 +110,7 @@ class Certificate:
         }
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class TrajectoryCertificate:
     """The verdict on a trajectory's motion limits.
 
@@ -117,6 +125,12 @@ class TrajectoryCertificate:
     ratios: Mapping[str, float]
     duration: float
     path: str
+
+    def __repr__(self) -> str:
+        if not self.certified:
+            return f"<TrajectoryCertificate: not certified, {self.reason}>"
+        name, ratio = max(self.ratios.items(), key=lambda item: item[1], default=("nothing", 0.0))
+        return f"<TrajectoryCertificate: {self.duration:.3f} s certified, {name} at {100.0 * ratio:.1f} % of its limit>"
 
     @property
     def certified(self) -> bool:

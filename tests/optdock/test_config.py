@@ -93,7 +93,7 @@ def test_defaults_hold_where_the_file_is_silent(tmp_path):
     assert loaded.problem.frame == "map"
     assert loaded.problem.robot.footprint.inscribed_radius == pytest.approx(0.3)
     assert loaded.problem.dock.direction is DockDirection.AUTO
-    names = [choice.name for choice in (loaded.plugins.planner, loaded.plugins.smoother, loaded.goal_checker)]
+    names = [choice.name for choice in (loaded.planner, loaded.smoother, loaded.goal_checker)]
     assert names == ["DockPlanner", "CasadiSmoother", "DockGoalChecker"]
 
 

@@ -75,7 +75,7 @@ def test_planning_is_not_stopped_by_a_collection():
     assert gc.isenabled()
 
 
-def test_a_planner_is_asked_to_stop_at_the_deadline(monkeypatch):
+def test_a_planner_is_asked_to_stop_at_the_deadline():
     asked = []
 
     class Endless(GlobalPlanner):
@@ -84,11 +84,10 @@ def test_a_planner_is_asked_to_stop_at_the_deadline(monkeypatch):
                 asked.append(np.sum(np.ones(10)))
             return Path.from_poses([start, goal])
 
-    def made(interface, name, parameters=None):
-        return Endless() if interface is GlobalPlanner else create_plugin(interface, name, parameters)
+        def warm_up(self):
+            asked.clear()
 
-    warm_up()
-    monkeypatch.setattr("optdock.pipeline.create_plugin", made)
+    warm_up(planner=create_plugin(GlobalPlanner, "DockPlanner"))
     with pytest.raises(PlannerTimedOut, match="used up the time budget of 0.02 s"):
-        plan_dock(PROBLEM, time_budget=0.02)
+        plan_dock(PROBLEM, time_budget=0.02, planner=Endless())
     assert asked

@@ -176,7 +176,7 @@ def test_the_certifying_smoother_never_reports_a_certificate_through_it(context)
     smoother.configure(context)
     found = smoother.smooth(STRAIGHT, 5.0)
     near = obstacles_near(context, np.array([-1.0, -2.0]), np.array([4.0, 2.0]))
-    assert found.report["certificate"].certified
+    assert found.report.certificate.certified
     assert certify_path(found.path, problem(obstacles=near, clearance=ClearanceRule(0.0, 0.0, 0.0))).certified
 
 
@@ -186,7 +186,7 @@ def test_configured_and_called_with_a_problem_is_the_same():
     by_context.configure(PluginContext(problem=task, footprint=BOX))
     mine, theirs = by_context.smooth(STRAIGHT, 5.0), by_call.smooth(STRAIGHT, 5.0, problem=task)
     assert mine.path.digest == theirs.path.digest
-    assert mine.report["certificate"].problem == theirs.report["certificate"].problem == task.fingerprint
+    assert mine.report.certificate.problem == theirs.report.certificate.problem == task.fingerprint
 
 
 def test_a_configured_costmap_counts_beside_the_problem_of_the_call():

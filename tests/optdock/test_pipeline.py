@@ -9,32 +9,50 @@ import pytest
 from optdock.costmap.costmap import Costmap
 from optdock.dock import Dock, DockDirection
 from optdock.errors import (
+    Cancelled,
     CertificationFailed,
     FailedToSmoothPath,
     FailedToTimePath,
     GoalOccupied,
     GoalOutsideMapBounds,
     InvalidValue,
+    LifecycleError,
     NoValidPathCouldBeFound,
     OptdockError,
     PlannerCancelled,
+    PlannerTimedOut,
     PluginError,
+    SmootherCancelled,
     SmootherTimedOut,
     StartOccupied,
     StartOutsideMapBounds,
+    TimingCancelled,
 )
 from optdock.geometry.footprint import Footprint
 from optdock.geometry.pose import Pose2
-from optdock.interfaces import GlobalPlanner, Smoother, SmoothingResult, TimeParameterizer, TimingResult, TimingStatus
-from optdock.limits import MotionLimits, SpeedZone
+from optdock.interfaces import (
+    GlobalPlanner,
+    PluginContext,
+    Smoother,
+    SmoothingResult,
+    TimeParameterizer,
+    TimingResult,
+    TimingStatus,
+    never_cancelled,
+)
+from optdock.limits import MotionLimits
 from optdock.obstacles import ObstacleSet
 from optdock.path import Path
-from optdock.pipeline import PartialPlan, PluginChoice, PluginChoices, _warm_once, plan_dock, warm_up
-from optdock.plugins import create_plugin
+from optdock.pipeline import _warm_once, plan_dock, warm_up
+from optdock.plan import PartialPlan
+from optdock.planners.dock_planner import DockPlanner
+from optdock.plugins import PluginChoice, create_plugin
 from optdock.problem import ClearanceRule, DockingProblem
 from optdock.robot import Robot
 from optdock.testing.dense_check import dense_check
+from optdock.timing.windowed import Windowed
 from optdock.verification import certify_path, certify_trajectory
+from smoothers import CasadiSmoother
 
 BUDGET = 20.0  # [s]: these tests are about verdicts, not about time
 LIMITS = MotionLimits(max_yaw_rate=1.0, max_yaw_acceleration=2.0, max_curvature=1.5, max_curvature_rate=6.0)
@@ -45,7 +63,14 @@ GOAL = Pose2(4.0, 1.0, 0.0)
 
 def dock(**changes):
     return Dock(
-        **{"pose": GOAL, "footprint": STATION, "final_straight": 0.3, "approach": SpeedZone(0.1, 0.3), **changes}
+        **{
+            "pose": GOAL,
+            "footprint": STATION,
+            "final_straight": 0.3,
+            "approach_speed": 0.1,
+            "approach_distance": 0.3,
+            **changes,
+        }
     )
 
 
@@ -126,9 +151,8 @@ def test_corners_of_rectangles_come_in_pairs(lower):
 
 
 def test_a_budget_too_small_for_anything_is_a_time_out():
-    assert isinstance(failure(problem(), time_budget=1e-9), OptdockError)
-    error = failure(problem(), time_budget=1e-6)
-    assert type(error).__name__ in ("PlannerTimedOut", "SmootherTimedOut")
+    for budget in (1e-9, 1e-6):
+        assert type(failure(problem(), time_budget=budget)) in (PlannerTimedOut, SmootherTimedOut)
 
 
 def test_start_in_collision():
@@ -200,8 +224,7 @@ def test_a_start_too_fast_to_stop():
 
 
 def test_an_unknown_plugin_is_named():
-    choices = PluginChoices(smoother=PluginChoice("CasadiSmother"))
-    assert isinstance(failure(problem(), plugins=choices), PluginError)
+    assert isinstance(failure(problem(), smoother="CasadiSmother"), PluginError)
 
 
 @pytest.mark.parametrize(
@@ -212,7 +235,7 @@ def test_an_unknown_plugin_is_named():
     ],
 )
 def test_a_timing_that_was_asked_for_wrongly_is_not_replaced(choice, error, message):
-    found = failure(problem(), plugins=PluginChoices(timing=choice))
+    found = failure(problem(), timing=choice)
     assert isinstance(found, error)
     assert message in str(found)
 
@@ -221,8 +244,13 @@ def test_a_timing_that_was_asked_for_wrongly_is_not_replaced(choice, error, mess
     ("ask", "message"),
     [
         (lambda: plan_dock(None), "problem: must be a DockingProblem, got NoneType"),
-        (lambda: plan_dock(problem(), plugins="NearOptimal"), "plugins: must be a PluginChoices, got str"),
-        (lambda: PluginChoices(planner="DockPlanner"), "planner: must be a PluginChoice, got str"),
+        (lambda: plan_dock(problem(), planner=3), "planner: must be a GlobalPlanner or the name of one, got int"),
+        (
+            lambda: plan_dock(problem(), timing=Liar()),
+            "timing: must be a TimeParameterizer or the name of one, got Liar",
+        ),
+        (lambda: plan_dock(problem(), smoother=Liar), "got Liar itself"),
+        (lambda: plan_dock(problem(), warm_start="plan.json"), "warm_start: must be a Path, got str"),
         (lambda: PluginChoice(["DockPlanner"]), "name: must be a str, got list"),
     ],
 )
@@ -242,30 +270,19 @@ class Liar(Smoother):
         return SmoothingResult(path)
 
 
-def test_a_smoother_is_never_believed(monkeypatch):
-    monkeypatch.setattr("optdock.pipeline.create_plugin", _with_liar)
-    error = failure(problem(start=Pose2(0.5, 0.3, -0.4)))
+def test_a_smoother_is_never_believed():
+    error = failure(problem(start=Pose2(0.5, 0.3, -0.4)), smoother=Liar())
     assert isinstance(error, CertificationFailed)
     assert error.partial.certificate is not None
     assert not error.partial.certificate.certified
 
 
-def _with_liar(interface, name, parameters=None):
-    return Liar() if interface is Smoother else create_plugin(interface, name, parameters)
-
-
-def test_the_smoother_time_out_is_passed_on(monkeypatch):
+def test_the_smoother_time_out_is_passed_on():
     class Slow(Liar):
         def smooth(self, path, max_time, *, problem=None, warm_start=None, cancel_checker=None):
             raise SmootherTimedOut("too slow")
 
-    monkeypatch.setattr(
-        "optdock.pipeline.create_plugin",
-        lambda interface, name, parameters=None: (
-            Slow() if interface is Smoother else _with_liar(interface, name, parameters)
-        ),
-    )
-    error = failure(problem())
+    error = failure(problem(), smoother=Slow())
     assert error.code == 502
     assert error.partial.raw_path is not None
     assert error.partial.path is None
@@ -318,17 +335,12 @@ class Empty(TimeParameterizer):
         (Empty, "must return a Trajectory as the trajectory of its result, got str"),
     ],
 )
-def test_a_timing_plugin_is_never_believed_and_never_the_end(monkeypatch, timing, why):
-    def made(interface, name, parameters=None):
-        wrong = interface is TimeParameterizer and name != "Windowed"
-        return timing() if wrong else create_plugin(interface, name, parameters)
-
-    monkeypatch.setattr("optdock.pipeline.create_plugin", made)
-    plan = plan_dock(problem(), time_budget=BUDGET)
+def test_a_timing_plugin_is_never_believed_and_never_the_end(timing, why):
+    plan = plan_dock(problem(), time_budget=BUDGET, timing=timing())
     assert plan.trajectory.path is plan.path
     assert plan.trajectory_certificate.certified
     assert certify_trajectory(plan.trajectory, LIMITS, dock().approach).certified
-    assert why in str(plan.timing_report["replaced"])
+    assert why in plan.timing_report.replaced
 
 
 def test_whatever_a_plugin_raises_is_typed(monkeypatch):
@@ -336,18 +348,14 @@ def test_whatever_a_plugin_raises_is_typed(monkeypatch):
         def smooth(self, path, max_time, *, problem=None, warm_start=None, cancel_checker=None):
             return path.segments[99]
 
-    def made(interface, name, parameters=None):
-        return Careless() if interface is Smoother else create_plugin(interface, name, parameters)
-
-    monkeypatch.setattr("optdock.pipeline.create_plugin", made)
-    error = failure(problem())
+    error = failure(problem(), smoother=Careless())
     assert isinstance(error, PluginError)
     assert "IndexError" in str(error)
     assert isinstance(error.__cause__, IndexError)
     monkeypatch.setattr(Careless, "smooth", lambda self, path, max_time, **rest: path)
-    assert "must return a SmoothingResult, got Path" in str(failure(problem()))
+    assert "must return a SmoothingResult, got Path" in str(failure(problem(), smoother=Careless()))
     monkeypatch.setattr(Careless, "smooth", lambda self, path, max_time, **rest: SmoothingResult(None))
-    assert "must return a Path as the path of its result, got NoneType" in str(failure(problem()))
+    assert "must return a Path as the path of its result, got NoneType" in str(failure(problem(), smoother=Careless()))
 
 
 class Elsewhere(Path):
@@ -357,22 +365,16 @@ class Elsewhere(Path):
         return super().poses_at(s) + 1.0
 
 
-@pytest.mark.parametrize("role", [GlobalPlanner, Smoother])
-def test_a_path_that_overrides_its_poses_is_never_handed_out(monkeypatch, role):
-    def made(interface, name, parameters=None):
-        plugin = create_plugin(interface, name, parameters)
-        if interface is role is GlobalPlanner:
-            plan = plugin.create_plan
-            plugin.create_plan = lambda *arguments: Elsewhere(plan(*arguments).segments)
-        elif interface is role is Smoother:
-            smooth = plugin.smooth
-            plugin.smooth = lambda *arguments, **more: SmoothingResult(
-                Elsewhere(smooth(*arguments, **more).path.segments)
-            )
-        return plugin
+def test_a_path_that_overrides_its_poses_is_never_handed_out():
+    class Planner(DockPlanner):
+        def create_plan(self, start, goal, cancel_checker=never_cancelled):
+            return Elsewhere(super().create_plan(start, goal, cancel_checker).segments)
 
-    monkeypatch.setattr("optdock.pipeline.create_plugin", made)
-    plan = plan_dock(problem(), time_budget=BUDGET)
+    class Smoothing(CasadiSmoother):
+        def smooth(self, *arguments, **more):
+            return SmoothingResult(Elsewhere(super().smooth(*arguments, **more).path.segments))
+
+    plan = plan_dock(problem(), time_budget=BUDGET, planner=Planner(), smoother=Smoothing())
     assert type(plan.raw_path) is type(plan.path) is type(plan.trajectory.path) is Path
 
 
@@ -384,3 +386,86 @@ def test_warming_up_warms_the_smoother_itself(monkeypatch):
     warm_up()
     assert len(warmed) == 1
     _warm_once.cache_clear()
+
+
+class Patience:
+    """A cancel checker that runs out when it has been asked `times` times."""
+
+    def __init__(self, times, error=None):
+        self.left, self.error = times, error
+
+    def __call__(self):
+        self.left -= 1
+        if self.left <= 0 and self.error is not None:
+            raise self.error
+        return self.left <= 0
+
+
+def test_cancelling_stops_every_stage():
+    """Asked once more each time until the plan is made: every stage gives up with its own error, none is left out."""
+    asked = Patience(10**9)
+    plan_dock(problem(), time_budget=BUDGET, cancel_checker=asked)
+    total = 10**9 - asked.left
+    seen = {type(failure(problem(), cancel_checker=Patience(times))) for times in range(1, total + 1, 3)}
+    seen.add(type(failure(problem(), cancel_checker=Patience(total))))
+    assert seen == {PlannerCancelled, SmootherCancelled, TimingCancelled}
+    assert all(issubclass(kind, Cancelled) for kind in seen)
+
+
+class Interrupted(Exception):
+    """The caller's own."""
+
+
+def test_what_a_cancel_checker_raises_is_the_callers_own():
+    asked = Patience(10**9)
+    plan_dock(problem(), time_budget=BUDGET, cancel_checker=asked)
+    total = 10**9 - asked.left
+    for times in (1, total // 4, total // 2, total):
+        with pytest.raises(Interrupted):
+            plan_dock(problem(), time_budget=BUDGET, cancel_checker=Patience(times, Interrupted()))
+
+
+class Mistaken(GlobalPlanner, Smoother):
+    """A plugin that makes a value nobody can make, or a path in another frame."""
+
+    def create_plan(self, start, goal, cancel_checker=never_cancelled):
+        return Path.from_poses([start])
+
+    def smooth(self, path, max_time, *, problem=None, warm_start=None, cancel_checker=None):
+        return SmoothingResult(Path(path.segments, "elsewhere"))
+
+
+def test_an_invalid_value_of_a_plugin_is_the_plugins_error():
+    for error in (failure(problem(), planner=Mistaken()), failure(problem(), smoother=Mistaken())):
+        assert type(error) is PluginError
+        assert str(error).startswith("Mistaken ")
+
+
+def test_plugins_are_names_or_objects_and_give_the_same_plan():
+    named = plan_dock(
+        problem(), time_budget=BUDGET, timing="Windowed", smoother=PluginChoice("CasadiSmoother", {"spans": 16})
+    )
+    smoother, timing = CasadiSmoother(spans=16), Windowed()
+    for _ in range(2):  # an object is free again afterwards
+        made = plan_dock(problem(), time_budget=BUDGET, planner=DockPlanner(), smoother=smoother, timing=timing)
+        assert made.path.digest == named.path.digest
+        assert made.trajectory.duration == named.trajectory.duration
+    assert plan_dock(problem(), time_budget=BUDGET).path.digest != named.path.digest
+
+
+@pytest.mark.parametrize("role", ["planner", "smoother", "timing"])
+def test_a_plugin_that_serves_somebody_else_is_refused(role):
+    plugin = {"planner": DockPlanner, "smoother": CasadiSmoother, "timing": Windowed}[role]()
+    plugin.configure(PluginContext(problem=problem()))
+    error = failure(problem(), **{role: plugin})
+    assert isinstance(error, LifecycleError)
+    assert plugin.context.problem is not None
+
+
+def test_a_plan_helps_to_make_the_next_one():
+    first = plan_dock(problem(), time_budget=BUDGET)
+    nearby = problem().starting_at(first.path.pose_at(0.4))
+    for earlier in (first, first.path):
+        again = plan_dock(nearby, time_budget=BUDGET, warm_start=earlier)
+        assert again.certificate.certified
+        assert again.smoothing_report.iterations <= plan_dock(nearby, time_budget=BUDGET).smoothing_report.iterations

@@ -119,7 +119,7 @@ def test_the_closest_pose_is_the_one_of_the_certificate(problem, path):
     (mark,) = axes.get_lines()
     pose = path.pose_at(certificate.at_s)
     assert mark.get_xydata()[0] == pytest.approx([pose.x, pose.y])
-    said = f"min clearance: {1e3 * certificate.min_clearance:.0f} mm to {certificate.nearest}"
+    said = f"closest: {1e3 * certificate.min_clearance:.0f} mm to {certificate.nearest}"
     assert axes.get_legend_handles_labels()[1] == [said]
 
 

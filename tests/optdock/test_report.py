@@ -7,7 +7,7 @@ from optdock.errors import NoValidPathCouldBeFound, OptdockError
 from optdock.fingerprint import ProblemFingerprint
 from optdock.geometry.pose import Pose2
 from optdock.path import Path
-from optdock.pipeline import PartialPlan
+from optdock.plan import PartialPlan
 from optdock.report import certificate_rows, failed_plan_file, run_json, run_rows, table
 from optdock.simulation import Run
 from optdock.verification import Certificate

@@ -36,7 +36,7 @@ def test_the_cost_never_grows_with_the_budget():
             costs.append(math.inf)
             continue
         assert certify_path(result.path, case.problem).certified
-        costs.append(result.report["cost"])
+        costs.append(result.report.cost)
     assert costs == sorted(costs, reverse=True)
     assert costs[-1] < costs[0]
     assert result.completed

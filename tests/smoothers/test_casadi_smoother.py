@@ -12,7 +12,7 @@ from optdock.dock import Dock
 from optdock.errors import FailedToSmoothPath, SmootherCancelled
 from optdock.geometry.footprint import Footprint
 from optdock.geometry.pose import Pose2
-from optdock.interfaces import PluginContext, Smoother
+from optdock.interfaces import PluginContext, Smoother, SmoothingStatus
 from optdock.limits import MotionLimits
 from optdock.obstacles import ObstacleSet
 from optdock.path import ClothoidSegment, Direction, Path
@@ -139,7 +139,7 @@ def test_moving_the_world_moves_the_path(smoother, family):
     )
     here = smoother.smooth(case.raw_path, LONG, problem=case.problem)
     there = smoother.smooth(raw, LONG, problem=moved)
-    assert there.report["cost"] == pytest.approx(here.report["cost"], rel=1e-4)
+    assert there.report.cost == pytest.approx(here.report.cost, rel=1e-4)
     for share in np.linspace(0.0, 1.0, 9):
         expected = motion @ here.path.pose_at(share * here.path.length)
         assert expected.distance_to(there.path.pose_at(share * there.path.length)) < 5e-3
@@ -152,7 +152,7 @@ def test_a_mirrored_world_has_a_mirrored_path(smoother, cases):
     other = cases.open_problem(Pose2(GOAL.x, -GOAL.y, 0.0), obstacles=[rock * flip])
     first = smoother.smooth(cases.kinked(*S_CURVE), LONG, problem=one)
     second = smoother.smooth(cases.kinked(*np.array(S_CURVE) * flip), LONG, problem=other)
-    assert second.report["cost"] == pytest.approx(first.report["cost"], rel=1e-6)
+    assert second.report.cost == pytest.approx(first.report.cost, rel=1e-6)
     share = np.linspace(0.0, 1.0, 20)
     left, right = first.path.poses_at(share * first.path.length), second.path.poses_at(share * second.path.length)
     assert left * [1.0, -1.0, -1.0] == pytest.approx(right, abs=1e-5)
@@ -164,10 +164,10 @@ def test_a_certified_clothoid_is_never_exchanged_for_a_costlier_path(smoother):
     again = smoother.smooth(once.path, LONG, problem=case.problem)
     third = smoother.smooth(again.path, LONG, problem=case.problem)
     assert certify_path(third.path, case.problem).certified
-    if third.report["status"] == "input_kept":
+    if third.report.status is SmoothingStatus.INPUT_KEPT:
         assert third.path is again.path
     else:
-        assert third.report["cost"] < again.report["cost"]
+        assert third.report.cost < again.report.cost
 
 
 def test_the_first_certified_path_is_complete_where_no_more_was_asked_for():
@@ -176,7 +176,7 @@ def test_the_first_certified_path_is_complete_where_no_more_was_asked_for():
     for parameters in ({"stop_at_first": True}, {"max_iterations": 3}):
         result = CasadiSmoother(**parameters).smooth(case.raw_path, LONG, problem=case.problem)
         assert result.completed
-        assert result.report["total_s"] < 0.5 * LONG
+        assert result.report.total_s < 0.5 * LONG
 
 
 def test_an_earlier_result_in_another_frame_is_none(smoother):
@@ -195,7 +195,7 @@ def test_a_straight_line_is_kept_as_it_is(smoother, cases):
     line = Path((ClothoidSegment(ClothoidSpline(Pose2(0.0, 0.0, 0.0), [0.0, 3.0], [0.0, 0.0])),), "map")
     result = smoother.smooth(line, LONG, problem=cases.open_problem(goal))
     assert result.path is line
-    assert result.report["status"] == "input_kept"
+    assert result.report.status is SmoothingStatus.INPUT_KEPT
 
 
 @pytest.mark.parametrize("sign", [1.0, -1.0])
@@ -205,7 +205,7 @@ def test_from_the_staging_pose_only_the_straight_is_left(smoother, cases, sign):
     result = smoother.smooth(Path.from_poses([Pose2(0.0, 0.0, 0.0), goal]), LONG, problem=problem)
     assert certify_path(result.path, problem).certified
     assert result.path.length == pytest.approx(0.3)
-    assert result.report["status"] == "direct"
+    assert result.report.status is SmoothingStatus.STRAIGHT
 
 
 def test_a_start_within_the_final_straight_is_refused(smoother, cases):
@@ -245,7 +245,7 @@ def test_a_dock_may_be_touched_at_the_goal(smoother, cases, straight):
     problem = dataclasses.replace(cases.open_problem(GOAL), dock=Dock(GOAL, dock, final_straight=straight))
     result = smoother.smooth(cases.kinked(*S_CURVE), LONG, problem=problem)
     assert certify_path(result.path, problem).certified
-    assert result.report["iterations"] < 10
+    assert result.report.iterations < 10
 
 
 def test_duplicate_poses_change_nothing(smoother, cases):
@@ -254,7 +254,7 @@ def test_duplicate_poses_change_nothing(smoother, cases):
     twice = Path.from_poses(np.repeat(poses, 3, axis=0))
     problem = cases.open_problem(GOAL)
     first, second = (smoother.smooth(path, LONG, problem=problem) for path in (raw, twice))
-    assert second.report["cost"] == pytest.approx(first.report["cost"], rel=1e-9)
+    assert second.report.cost == pytest.approx(first.report.cost, rel=1e-9)
 
 
 def test_a_rotation_in_place_becomes_a_drivable_turn(smoother, cases):
@@ -289,8 +289,8 @@ def test_the_first_certified_path_can_be_asked_for():
     case = instance("parallel", 0)
     first = CasadiSmoother(stop_at_first=True).smooth(case.raw_path, LONG, problem=case.problem)
     best = CasadiSmoother().smooth(case.raw_path, LONG, problem=case.problem)
-    assert first.report["iterations"] < best.report["iterations"]
-    assert first.report["cost"] > best.report["cost"]
+    assert first.report.iterations < best.report.iterations
+    assert first.report.cost > best.report.cost
 
 
 def test_cancelling_stops_the_work(smoother):
@@ -308,8 +308,8 @@ def test_a_warm_start_needs_fewer_iterations(smoother, family):
     cold = smoother.smooth(case.raw_path, LONG, problem=moved)
     warm = smoother.smooth(case.raw_path, LONG, problem=moved, warm_start=before.path)
     assert certify_path(warm.path, moved).certified
-    assert warm.report["iterations"] < cold.report["iterations"]
-    assert warm.report["cost"] == pytest.approx(cold.report["cost"], rel=0.01)
+    assert warm.report.iterations < cold.report.iterations
+    assert warm.report.cost == pytest.approx(cold.report.cost, rel=0.01)
 
 
 def test_a_warm_start_further_along_the_path(smoother):
@@ -338,7 +338,7 @@ def test_a_warm_start_with_other_gears_is_ignored(smoother):
     earlier = smoother.smooth(other.raw_path, LONG, problem=other.problem).path
     result = smoother.smooth(case.raw_path, LONG, problem=case.problem, warm_start=earlier)
     plain = smoother.smooth(case.raw_path, LONG, problem=case.problem)
-    assert result.report["cost"] == plain.report["cost"]
+    assert result.report.cost == plain.report.cost
 
 
 def test_the_wrong_gear_for_the_dock_is_refused(smoother, cases):
@@ -416,7 +416,7 @@ def test_warm_up_leaves_nothing_to_build():
     plugin = CasadiSmoother()
     plugin.warm_up()
     case = instance("open_s", 0)
-    assert plugin.smooth(case.raw_path, LONG, problem=case.problem).report["build_s"] == 0.0
+    assert plugin.smooth(case.raw_path, LONG, problem=case.problem).report.build_s == 0.0
 
 
 def test_warm_up_pushes_out_of_an_obstacle_too(monkeypatch):
@@ -438,7 +438,7 @@ def test_reverse_is_forward_seen_backwards(smoother, cases):
     )
     first = smoother.smooth(forward, LONG, problem=one)
     second = smoother.smooth(backward, LONG, problem=other)
-    assert second.report["cost"] == pytest.approx(first.report["cost"], rel=1e-9)
+    assert second.report.cost == pytest.approx(first.report.cost, rel=1e-9)
 
 
 def test_warming_up_never_fails():
@@ -454,9 +454,9 @@ def test_a_cluttered_scene_that_needs_finer_nodes_gets_them():
 
 def test_a_side_that_rolls_around_a_corner_needs_fewer_steps_when_they_overshoot(monkeypatch):
     case, first = instance("long_approach", 24), CasadiSmoother(stop_at_first=True)
-    taken = first.smooth(case.raw_path, LONG, problem=case.problem).report["iterations"]
+    taken = first.smooth(case.raw_path, LONG, problem=case.problem).report.iterations
     monkeypatch.setattr("smoothers._ck.scp._NEARLY_CLEAR", 0.0)
-    assert taken < first.smooth(case.raw_path, LONG, problem=case.problem).report["iterations"]
+    assert taken < first.smooth(case.raw_path, LONG, problem=case.problem).report.iterations
 
 
 def test_an_earlier_result_that_still_holds_is_better_than_none(smoother, monkeypatch):
@@ -465,7 +465,7 @@ def test_an_earlier_result_that_still_holds_is_better_than_none(smoother, monkey
     gap = instance("gap_blocked", 0)
     monkeypatch.setattr(Runner, "run", lambda self, _task: self.finished())
     again = smoother.smooth(case.raw_path, LONG, problem=case.problem, warm_start=earlier)
-    assert again.report["status"] == "warm_start_kept"
+    assert again.report.status is SmoothingStatus.WARM_START_KEPT
     assert again.path is earlier
     moved = dataclasses.replace(case.problem, start=gap.problem.start)
     assert not may_be_kept(earlier, moved)

@@ -116,7 +116,7 @@ def test_a_time_limit_leaves_later_pieces_as_they_were_and_says_so():
     result = smoother.smooth(Path.from_poses(before), 1.5)  # made, asked before the first piece: 1; the second: 2
     after, whole = poses_of(result.path), smoothed(before)
     assert not result.completed
-    assert result.report["pieces"] == 1
+    assert result.report.extra["pieces"] == 1
     assert after[: COUNT - 1] == pytest.approx(whole[: COUNT - 1], abs=1e-15)
     assert (after[COUNT:] == poses_of(Path.from_poses(before))[COUNT:]).all()
     assert smoother.smooth(Path.from_poses(before), 2.5).completed

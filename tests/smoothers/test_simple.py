@@ -179,7 +179,7 @@ def test_a_sweep_into_an_obstacle_is_undone_and_ends_the_work(cost):
     in_the_way = Costmap(np.full((1, 1), cost, dtype=np.uint8), 1e-9, tuple(after_nine[5, :2] - 5e-10))
     result = stopped_by(in_the_way)
     assert result.completed  # False would mean the time limit
-    assert result.report["ended_by"] == ("obstacle",)
+    assert result.report.extra["ended_by"] == ("obstacle",)
     assert poses_of(result.path) == pytest.approx(poses_of(after_eight.path), abs=1e-15)
 
 
@@ -199,7 +199,7 @@ def test_too_few_sweeps_are_reported_and_warned_about(caplog):
     with caplog.at_level(logging.WARNING):
         result = SimpleSmoother(max_its=5).smooth(Path.from_poses(corner()), 10.0)
     assert result.completed
-    assert (result.report["sweeps"], result.report["ended_by"]) == (4, ("max_its",))
+    assert (result.report.iterations, result.report.extra["ended_by"]) == (4, ("max_its",))
     assert "still moving after 5 sweeps" in caplog.text
 
 
@@ -216,7 +216,7 @@ def test_a_time_limit_returns_the_last_whole_sweep_and_says_so(sweeps):
     result = limited_to(sweeps, corner())
     whole = SimpleSmoother(max_its=sweeps + 1, do_refinement=False).smooth(Path.from_poses(corner()), 10.0)
     assert not result.completed
-    assert result.report["ended_by"] == ("time",)
+    assert result.report.extra["ended_by"] == ("time",)
     assert poses_of(result.path) == pytest.approx(poses_of(whole.path), abs=1e-15)
 
 

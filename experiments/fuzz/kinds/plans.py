@@ -18,7 +18,7 @@ from optdock.pipeline import plan_dock, warm_up
 
 if TYPE_CHECKING:
     from experiments.fuzz.case import Case
-    from optdock.pipeline import DockPlan
+    from optdock.plan import DockPlan
 
 __all__ = ["draw", "judge"]
 

@@ -12,8 +12,8 @@ from optdock.geometry.pose import Pose2
 from optdock.interfaces import PluginContext, TimeParameterizer, TimingStatus
 from optdock.limits import SpeedZone
 from optdock.path import Path
-from optdock.pipeline import PluginChoices, plan_dock
-from optdock.plugins import create_plugin
+from optdock.pipeline import DEFAULT_TIMING, TimingLike, plan_dock
+from optdock.plugins import plugin_from
 from optdock.segments import ClothoidSegment, Direction, PolylineSegment
 from optdock.verification import certify_path, certify_trajectory
 
@@ -41,7 +41,7 @@ def plan_undock(
     *,
     staging_distance: float = 0.7,
     time_budget: float = 2.0,
-    plugins: PluginChoices | None = None,
+    timing: TimingLike = DEFAULT_TIMING,
 ) -> UndockPlan:
     """A certified motion from the dock to where the docking path began.
 
@@ -54,21 +54,20 @@ def plan_undock(
         path: The path that was driven into the dock, or None.
         staging_distance: Distance of the staging pose from the dock [m]; used without a path.
         time_budget: Wall-clock seconds per planned direction.
-        plugins: Of the pipeline; the timing plugin also times the way out.
+        timing: Times the way out, and a way in that is planned.
 
     Raises:
         CertificationFailed: The given path does not keep its clearance any more, or the motion breaks a limit.
         FailedToTimePath: The way out cannot be timed.
         OptdockError: No way was found; see `plan_dock`.
     """
-    choices = plugins or PluginChoices()
     if path is None:
-        path, certificate = _planned(problem, staging_distance, time_budget, choices)
+        path, certificate = _planned(problem, staging_distance, time_budget, timing)
     else:
         certificate = certify_path(path, _from(problem, path.start))
         if not certificate.certified:
             raise CertificationFailed(f"the way out is not certified: {certificate.reason}")
-    trajectory = _timed(reversed_path(path), problem, choices)
+    trajectory = _timed(reversed_path(path), problem, timing)
     proof = certify_trajectory(trajectory, problem.robot.limits, SpeedZone())
     if not proof.certified:
         raise CertificationFailed(f"the motion out of the dock is not certified: {proof.reason}")
@@ -76,7 +75,7 @@ def plan_undock(
 
 
 def _planned(
-    problem: DockingProblem, distance: float, time_budget: float, choices: PluginChoices
+    problem: DockingProblem, distance: float, time_budget: float, timing: TimingLike
 ) -> tuple[Path, Certificate]:
     """The first docking path that can be planned from a staging pose, or the first reason why not."""
     auto = problem.dock.direction is DockDirection.AUTO
@@ -88,7 +87,7 @@ def _planned(
         dock = dataclasses.replace(problem.dock, direction=direction)
         try:
             plan = plan_dock(
-                dataclasses.replace(_from(problem, staging), dock=dock), time_budget=time_budget, plugins=choices
+                dataclasses.replace(_from(problem, staging), dock=dock), time_budget=time_budget, timing=timing
             )
         except OptdockError as error:
             failure = failure or error
@@ -102,9 +101,9 @@ def _from(problem: DockingProblem, start: Pose2) -> DockingProblem:
     return dataclasses.replace(problem, start=start, start_speed=0.0, start_curvature=None)
 
 
-def _timed(path: Path, problem: DockingProblem, choices: PluginChoices) -> Trajectory:
-    parameterizer = create_plugin(TimeParameterizer, choices.timing.name, choices.timing.parameters)
-    parameterizer.configure(PluginContext(name=choices.timing.name, problem=problem))
+def _timed(path: Path, problem: DockingProblem, timing: TimingLike) -> Trajectory:
+    parameterizer = plugin_from(TimeParameterizer, timing, "timing")
+    parameterizer.configure(PluginContext(name=parameterizer.name, problem=problem))
     result = parameterizer.parameterize(path, problem.robot.limits, SpeedZone())
     if result.status is not TimingStatus.OK or result.trajectory is None:
         raise FailedToTimePath(f"the way out of the dock cannot be timed: {result.status.name}")

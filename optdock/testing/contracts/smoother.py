@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 from functools import partial
 from typing import TYPE_CHECKING, ClassVar
 
@@ -11,7 +10,7 @@ import numpy as np
 
 from optdock.errors import InvalidValue, SmootherCancelled, SmootherException, SmootherTimedOut
 from optdock.geometry.pose import Pose2, normalize_angle
-from optdock.interfaces import PluginContext, Smoother, SmoothingResult
+from optdock.interfaces import PluginContext, Smoother, SmoothingReport, SmoothingResult
 from optdock.obstacles import ObstacleSet
 from optdock.path import Path
 from optdock.testing.contracts.plugin import PluginContract
@@ -25,7 +24,7 @@ from optdock.testing.contracts.scene import (
     scene_context,
     scene_problem,
 )
-from optdock.verification import Certificate, certify_path, pose_clearances
+from optdock.verification import certify_path, pose_clearances
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -106,8 +105,8 @@ class SmootherContract(PluginContract[Smoother]):
             result = smoother.smooth(raw_path(), _AMPLE, problem=in_call)
         except SmootherException as error:
             return type(error), str(error)
-        claim = result.report.get("certificate")
-        if isinstance(claim, Certificate) and claim.certified:
+        claim = result.report.certificate
+        if claim is not None and claim.certified:
             verdict = certify_path(result.path, problem)
             require(verdict.certified, f"what is reported as certified is: {verdict.reason}")
         return _numbers(result.path)
@@ -130,8 +129,7 @@ class SmootherContract(PluginContract[Smoother]):
             require(isinstance(result, SmoothingResult), f"a SmoothingResult, got {type(result).__name__}")
             require(isinstance(result.path, Path) and result.path.length > 0.0, "its path is a Path with a length")
             require(isinstance(result.completed, bool), f"completed is a bool, got {result.completed!r}")
-            named = isinstance(result.report, Mapping) and all(isinstance(key, str) for key in result.report)
-            require(named, f"the report has names, got {result.report!r}")
+            require(isinstance(result.report, SmoothingReport), f"a SmoothingReport, got {result.report!r}")
 
     def test_the_input_is_not_touched(self) -> None:
         """`smooth`: the result is returned; unlike Nav2's, the input stays what it was."""

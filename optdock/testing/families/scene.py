@@ -12,7 +12,7 @@ from optdock.costmap.costmap import FREE_SPACE, LETHAL, Costmap
 from optdock.dock import Dock, DockDirection
 from optdock.geometry.footprint import Footprint
 from optdock.geometry.pose import Pose2, transform_points
-from optdock.limits import MotionLimits, SpeedZone
+from optdock.limits import MotionLimits
 from optdock.path import Direction, Path
 from optdock.robot import Drive, Robot
 from optdock.testing.families.motion import Gear, Kink, Piece, motion_to, straight, turn
@@ -129,7 +129,8 @@ class Scene:
             Footprint(self.dock),
             DockDirection.BACKWARD if reverse else DockDirection.FORWARD,
             FINAL_STRAIGHT,
-            SpeedZone(0.1, FINAL_STRAIGHT),
+            approach_speed=0.1,
+            approach_distance=FINAL_STRAIGHT,
         )
 
 

@@ -15,7 +15,8 @@ from optdock.errors import InvalidValue
 from optdock.geometry.pose import Pose2
 from optdock.interfaces import PluginContext
 from optdock.path import Path
-from optdock.pipeline import PluginChoice, PluginChoices, plan_dock
+from optdock.pipeline import plan_dock
+from optdock.plugins import PluginChoice
 from optdock.simulation import Actuation, SimulationSettings, run_closed_loop
 
 DOCKING = {"along_path_tolerance": 0.02, "cross_track_tolerance": 0.02, "stopped": True}
@@ -42,8 +43,7 @@ def drive(trajectory, problem, checker, *, beside=(), goal=None, **world):
 
 @pytest.mark.parametrize("timing", ["NearOptimal", "Windowed"])
 def test_plan_ruckig_controller_and_axis_goal_checker_dock_the_robot(scenario, timing):
-    choices = PluginChoices(timing=PluginChoice(timing))
-    plan = plan_dock(scenario.problem, time_budget=5.0, plugins=choices)
+    plan = plan_dock(scenario.problem, time_budget=5.0, timing=timing)
     assert plan.certificate.certified
     assert plan.trajectory_certificate.certified
     assert plan.trajectory_certificate.ratios["jerk"] <= 1.0

@@ -34,7 +34,7 @@ def test_a_zone_that_begins_at_a_knot_is_kept(method, make):
         assert result.status is TimingStatus.OK
         proof = certify_trajectory(result.trajectory, limits, zone, start_speed=0.0, start_acceleration=0.0)
         assert proof.certified, proof.reason
-        assert "stretched" not in result.report["gears"][0]
+        assert "stretched" not in result.report.gears[0]
         free = SpeedZone(0.1, zone.distance + 1e-9)
         assert result.trajectory.duration == pytest.approx(
             method.parameterize(path, limits, free).trajectory.duration, rel=1e-3
@@ -64,7 +64,7 @@ def gears(make):
 def test_a_refused_gear_gets_the_next_plan_and_the_others_keep_theirs(gears, all_limits):
     result = time_path(gears, all_limits, SpeedZone(), (0.0, 0.0), reckless_then_careful)
     assert result.status is TimingStatus.OK
-    assert result.report["gears"] == ["reckless", "windowed"]
+    assert result.report.gears == ("reckless", "windowed")
     assert certify_trajectory(result.trajectory, all_limits, SpeedZone()).certified
     assert result.worst_ratio <= 1.0 + 1e-6
 
@@ -83,5 +83,5 @@ def test_a_moving_start_whose_plans_are_refused_stops_first(make, all_limits):
         return (plan_windows if start == State() else reckless)(course, start, allowance)
 
     result = time_path(path, all_limits, SpeedZone(), (0.4, 0.0), careful_from_rest)
-    assert (result.status, result.report["gears"]) == (TimingStatus.OK, ["stop and go"])
+    assert (result.status, result.report.gears) == (TimingStatus.OK, ("stop and go",))
     assert certify_trajectory(result.trajectory, all_limits, SpeedZone(), start_speed=0.4).certified

@@ -47,7 +47,9 @@ def curve(knots, curvature, start=ORIGIN, sign=1):
 
 def problem_of(path, limits=LIMITS, zone=ZONE, **options):
     robot = Robot(Footprint.rectangle(0.4, 0.4, 0.6), limits)
-    return DockingProblem(path.start, Dock(path.end, approach=zone), robot, **options)
+    return DockingProblem(
+        path.start, Dock(path.end, approach_speed=zone.speed, approach_distance=zone.distance), robot, **options
+    )
 
 
 def timed(path, limits=LIMITS, zone=ZONE, start_speed=0.0):
@@ -111,7 +113,7 @@ def test_no_family_is_refuted_at_any_period(number):
     problem = dataclasses.replace(
         drawn.problem,
         robot=dataclasses.replace(drawn.problem.robot, limits=limits),
-        dock=dataclasses.replace(drawn.problem.dock, approach=ZONE),
+        dock=dataclasses.replace(drawn.problem.dock, approach_speed=ZONE.speed, approach_distance=ZONE.distance),
         start_speed=speed * int(drawn.witness.segments[0].direction),
     )
     for path in (drawn.witness, drawn.raw_path)[: 2 - number % 2]:

@@ -1,0 +1,197 @@
+"""Plans: what `plan_dock` returns, and what exists of one when it fails. They print, save and draw themselves."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
+
+from optdock.errors import CertificationFailed, InvalidFile, OptdockError
+from optdock.io.plan_file import (
+    CERTIFIED,
+    DEFAULT_PERIOD,
+    DEFAULT_SPACING,
+    PlanFile,
+    TrajectoryColumns,
+    load_plan,
+    save_plan,
+)
+from optdock.outcomes import SmoothingReport, TimingReport
+from optdock.trajectory import Trajectory
+from optdock.verification import certify_path, certify_trajectory
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+    from pathlib import Path as FilePath
+
+    from optdock.path import Path
+    from optdock.problem import DockingProblem
+    from optdock.verification import Certificate, TrajectoryCertificate
+
+__all__ = ["DockPlan", "PartialPlan", "where_broken"]
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class DockPlan:
+    """A certified plan.
+
+    Args:
+        problem: What was asked for, and what path and motion are proven against.
+        raw_path: What the planner made; not certified, kept for comparison.
+        path: The certified path.
+        trajectory: The certified motion along it.
+        certificate: The proof of the path.
+        trajectory_certificate: The proof of the motion limits.
+        completed: False when the deadline stopped the smoothing early; the result is certified all the same.
+        timing_ms: Wall-clock milliseconds per stage: plan, smooth, certify, time, total.
+        smoothing_report: What the smoother says about its work.
+        timing_report: What the time parameterizer says about its work.
+    """
+
+    problem: DockingProblem
+    raw_path: Path
+    path: Path
+    trajectory: Trajectory
+    certificate: Certificate
+    trajectory_certificate: TrajectoryCertificate
+    completed: bool
+    timing_ms: Mapping[str, float]
+    smoothing_report: SmoothingReport = field(default_factory=SmoothingReport)
+    timing_report: TimingReport = field(default_factory=TimingReport)
+
+    def __str__(self) -> str:
+        status = CERTIFIED if self.completed else f"{CERTIFIED}, stopped early by the time budget"
+        parts = [f"{status}: {self.path.length:.2f} m in {self.trajectory.duration:.2f} s"]
+        if math.isfinite(self.certificate.min_clearance):
+            parts.append(f"closest {self.certificate.min_clearance:.3f} m to {self.certificate.nearest}")
+        if "total" in self.timing_ms:
+            parts.append(f"planned in {self.timing_ms['total']:.1f} ms")
+        return ", ".join(parts)
+
+    def __repr__(self) -> str:
+        return f"<DockPlan {self}>"
+
+    @property
+    def frame(self) -> str:
+        """Name of the coordinate frame that every pose of the plan stands in."""
+        return self.path.frame
+
+    def as_file(self, period: float = DEFAULT_PERIOD) -> PlanFile:
+        """The content of its plan file, the trajectory sampled at most every `period` [s].
+
+        Raises:
+            InvalidValue: The period is not > 0, or far too small.
+        """
+        return PlanFile(
+            status=CERTIFIED,
+            completed=self.completed,
+            frame=self.frame,
+            raw_path=self.raw_path,
+            path=self.path,
+            trajectory=TrajectoryColumns.from_trajectory(self.trajectory, period),
+            time_law=self.trajectory.time_law,
+            certificate={**self.certificate.as_dict(), "trajectory": self.trajectory_certificate.as_dict()},
+            timing_ms=self.timing_ms,
+        )
+
+    def save(self, target: str | FilePath, *, spacing: float = DEFAULT_SPACING, period: float = DEFAULT_PERIOD) -> None:
+        """Write a plan file, format `optdock-plan/1`.
+
+        Args:
+            target: Where.
+            spacing: Largest distance between path samples [m].
+            period: Largest time between trajectory samples [s].
+
+        Raises:
+            InvalidFile: The file cannot be written.
+            InvalidValue: Spacing or period is not > 0, or far too small.
+        """
+        save_plan(target, self.as_file(period), spacing=spacing)
+
+    @classmethod
+    def load(cls, source: str | FilePath, problem: DockingProblem) -> DockPlan:
+        """Read a plan file and prove its path and its motion anew, for `problem`; what the file claims plays no part.
+
+        `load_plan` reads a file without judging it.
+
+        Args:
+            source: The file, with the exact time law that `save` writes.
+            problem: What the plan must solve now.
+
+        Raises:
+            InvalidFile: The file cannot be read, breaks its format, or holds no path, raw path or time law.
+            InvalidPath: It stands in another frame than the problem.
+            CertificationFailed: It does not solve `problem`, or not any more.
+        """
+        found = load_plan(source)
+        if found.path is None or found.raw_path is None or found.time_law is None:
+            missing = [name for name in ("raw_path", "path", "time_law") if getattr(found, name) is None]
+            listed = ", ".join("trajectory.phases" if name == "time_law" else name for name in missing)
+            raise InvalidFile(f"{source}: holds no {listed}, so there is no plan to prove")
+        path, raw_path = found.path.with_frame(problem.frame), found.raw_path.with_frame(problem.frame)
+        certificate = certify_path(path, problem)
+        motion = Trajectory(path, found.time_law, problem.fingerprint)
+        proof = certify_trajectory(
+            motion, problem.robot.limits, problem.dock.approach, start_speed=abs(problem.start_speed)
+        )
+        for what, verdict in (("path", certificate), ("motion", proof)):
+            if not verdict.certified:
+                message = f"{source}: its {what} is not certified for this problem: {verdict.reason}"
+                raise CertificationFailed(message, where=where_broken(verdict))
+        return cls(problem, raw_path, path, motion, certificate, proof, found.completed, found.timing_ms)
+
+    def plot(self, target: str | FilePath, title: str = "") -> None:
+        """Draw map, obstacles, dock, paths, the swept footprint, and the tightest place.
+
+        Args:
+            target: Where; the suffix chooses the format.
+            title: Above the picture; empty: the plan in a line.
+
+        Raises:
+            MissingExtra: Matplotlib is not installed.
+            InvalidFile: The file cannot be written.
+            InvalidValue: The suffix names no picture format.
+        """
+        from optdock.plotting import save_plan_picture
+
+        save_plan_picture(
+            target,
+            self.problem,
+            raw_path=self.raw_path,
+            path=self.path,
+            certificate=self.certificate,
+            title=title or str(self),
+        )
+
+
+@dataclass(eq=False, repr=False)
+class PartialPlan:
+    """Whatever exists of a plan so far; hangs as `partial` on the error that ended it.
+
+    Args:
+        raw_path: The planner's path, or None.
+        path: The smoothed path, or None; not necessarily certified.
+        certificate: The verdict on `path`, or None.
+        timing_ms: Wall-clock milliseconds of the stages that ran.
+    """
+
+    raw_path: Path | None = None
+    path: Path | None = None
+    certificate: Certificate | None = None
+    timing_ms: dict[str, float] = field(default_factory=dict)
+
+    @classmethod
+    def left_by(cls, error: OptdockError) -> PartialPlan:
+        """What a call had finished when it failed; nothing where the error does not say."""
+        return error.partial if isinstance(error.partial, cls) else cls()
+
+    def __repr__(self) -> str:
+        has = [name for name in ("raw_path", "path", "certificate") if getattr(self, name) is not None]
+        spent = f" after {self.timing_ms['total']:.1f} ms" if "total" in self.timing_ms else ""
+        return f"<PartialPlan with {', '.join(has) or 'nothing'}{spent}>"
+
+
+def where_broken(verdict: Certificate | TrajectoryCertificate) -> Mapping[str, object]:
+    """What an error says about the first violation of a verdict."""
+    first = verdict.violations[0]
+    return {"kind": first.kind, "s": first.s, "amount": first.amount, **first.where}
