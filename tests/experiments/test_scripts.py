@@ -44,6 +44,7 @@ def as_before(monkeypatch, tmp_path):
 )
 def test_help_is_given_and_nothing_is_run(as_before, tmp_path, monkeypatch, capsys, command):
     monkeypatch.setattr(sys, "argv", [*command, "--help"])
+    monkeypatch.delitem(sys.modules, f"{command[0]}.__main__", raising=False)
     run = runpy.run_path if command[0].endswith(".py") else runpy.run_module
     with pytest.raises(SystemExit) as left:
         run(command[0], run_name="__main__")
