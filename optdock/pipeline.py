@@ -507,4 +507,4 @@ def _timing_failure(result: TimingResult) -> FailedToTimePath:
     if result.at_s is not None:
         where["s"] = result.at_s
     kind = TimingTimedOut if result.status is TimingStatus.TIMED_OUT else FailedToTimePath
-    return kind(f"the path cannot be timed: {result.status.name}: {result.reason or 'no reason given'}", where=where)
+    return kind(f"the path cannot be timed: {result.reason or result.status.name}", where=where)

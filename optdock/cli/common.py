@@ -30,6 +30,7 @@ __all__ = [
     "listen",
     "one_line",
     "reported",
+    "spare",
     "status_of",
     "working",
 ]
@@ -109,6 +110,23 @@ def check_picture(option: str, picture: Path | None) -> None:
             format_of(picture)
         except InvalidValue as error:
             raise InvalidValue(f"{option}: {error}") from error
+
+
+def spare(source: Path | None, *targets: Path | None) -> None:
+    """Refuse to write over the file that is read.
+
+    Raises:
+        InvalidValue: A target is that file.
+    """
+    for target in targets:
+        if (
+            source is not None
+            and target is not None
+            and target.exists()
+            and source.exists()
+            and target.samefile(source)
+        ):
+            raise InvalidValue(f"{target}: is the scenario, and would be overwritten; choose another name")
 
 
 def checked_positive(option: str, value: float | None, unit: str) -> None:

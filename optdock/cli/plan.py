@@ -20,6 +20,7 @@ from optdock.cli.common import (
     checked_positive,
     one_line,
     reported,
+    spare,
     status_of,
     working,
 )
@@ -99,6 +100,7 @@ def plan(  # noqa: PLR0913 - one parameter per option
         checked_positive("--time-budget", time_budget, "s")
         check_picture("--plot", plot)
         check_picture("--profile", profile)
+        spare(scenario, out, plot, profile)
         found = _loaded(scenario, _Nav2Sources(nav2_params, map_, docks, dock, start))
         _plan_and_tell(found, time_budget, PlanOutputs(out, plot, spacing, period), profile)
 

@@ -21,6 +21,7 @@ from optdock.cli.common import (
     check_picture,
     checked_positive,
     reported,
+    spare,
     working,
 )
 from optdock.cli.plan import PlanOutputs, draw_profile, solved, write
@@ -82,6 +83,7 @@ def simulate(  # noqa: PLR0913 - one parameter per option
         checked_positive("--time-budget", time_budget, "s")
         check_picture("--plot", plot)
         _check_animation(gif)
+        spare(scenario, out, plot, gif)
         loaded = load_scenario(scenario)
         run = driven(loaded, solved(loaded, time_budget, PlanOutputs(picture=plot)), seed, world)
         _write(loaded, run, seed, out, (plot, gif))
@@ -209,10 +211,15 @@ def driven(scenario: Scenario, plan: DockPlan, seed: int, world: World = _USUAL)
 
 def _checked(world: World) -> World:
     from optdock.io.numbers import unit_fault
+    from optdock.simulation import Actuation
 
     for name, value in world._asdict().items():
         if not (math.isfinite(value) and value >= 0.0):
             raise InvalidValue(f"--{name.replace('_', '-')}: must be finite and >= 0, got {value}")
+    try:
+        Actuation(world.lag, world.lag, world.latency)
+    except InvalidValue as error:  # of what is finite and >= 0, the latency alone has another rule
+        raise InvalidValue(f"--latency: {str(error).partition(': ')[2]}") from error
     fault = unit_fault(world.yaw_noise, "rad")
     if fault:
         raise InvalidValue(f"--yaw-noise: {fault}")

@@ -149,13 +149,13 @@ def approach_axis(start: Pose2, goal: Pose2, geometry: DockGeometry, parameters:
 def _check_geometry(geometry: DockGeometry, safety_distance: float) -> None:
     if not geometry.robot_length > 0.0:
         raise NoValidPathCouldBeFound(
-            f"dock planner, step 1: the robot's length must be > 0 m, got {geometry.robot_length:.6g} m; "
+            f"dock planner: the robot's length must be > 0 m, got {geometry.robot_length:.6g} m; "
             "check the robot's footprint",
             where={"step": "geometry", "robot_length": geometry.robot_length},
         )
     if not safety_distance > 0.0:
         raise NoValidPathCouldBeFound(
-            "dock planner, step 1: safety distance 2 * (robot radius + calib_safety_distance) must be > 0 m, got "
+            "dock planner: the safety distance 2 * (robot radius + calib_safety_distance) must be > 0 m, got "
             f"{safety_distance:.6g} m with a radius of {geometry.robot_radius:.6g} m; raise calib_safety_distance",
             where={"step": "geometry", "safety_distance": safety_distance},
         )
@@ -167,17 +167,16 @@ def _check_direction(direction: Direction, wanted: DockDirection, ahead: float) 
         return
     side = "in front of" if ahead > 0.0 else "behind"
     raise NoValidPathCouldBeFound(
-        f"dock planner, step 3: the start is {abs(ahead):.6g} m {side} the docked robot, so it can only dock "
-        f"{found.value}, but direction is {wanted.value}; start from the other side or set direction to auto",
+        f"dock planner: the start is {abs(ahead):.6g} m {side} the docked robot, from where it can only dock "
+        f"{found.value}, but direction is {wanted.value}; start on the other side, or let direction be auto",
         where={"step": "direction", "wanted": wanted.value, "possible": found.value, "ahead": ahead},
     )
 
 
 def _not_beyond_c(along: float, distance_min_c: float) -> NoValidPathCouldBeFound:
     return NoValidPathCouldBeFound(
-        f"dock planner, step 3: the start must lie beyond C, more than (robot length + dock length) / 2 = "
-        f"{distance_min_c:.6g} m from the goal along the approach axis, got {along:.6g} m "
-        f"(t = {along / distance_min_c:.6g}, must be > 1); start farther from the dock",
+        f"dock planner: the start is {along:.6g} m from the goal along the dock's axis, must be more than half of the "
+        f"robot's and the dock's length together, {distance_min_c:.6g} m; start farther out along that axis",
         where={"step": "beyond_c", "along": along, "distance_min_c": distance_min_c, "t": along / distance_min_c},
     )
 

@@ -129,7 +129,7 @@ def _gear_plans(course: Course | None, state: State, plan: GearPlanner, allowanc
         return
     duration = expected_duration(course)
     if duration > LONGEST:
-        reason = f"the gear would take about {duration:.3g} s; motions of more than {LONGEST:.0f} s are not planned"
+        reason = f"the drive would take about {duration:.3g} s; motions of more than {LONGEST:.0f} s are not planned"
         yield GearPlan(TimingStatus.FAIL, how="refused", reason=reason, s=course.begin)
         return
     yield from plans_from(course, state, plan, allowance)

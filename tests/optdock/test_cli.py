@@ -503,6 +503,11 @@ def test_an_impossible_world_ends_with_status_2(option, value):
     assert result.stderr.startswith(f"{option}: must be finite and >= 0, got ")
 
 
+def test_a_latency_that_cannot_be_simulated_is_refused_by_its_option():
+    result = run("simulate", write(), "--latency", "100")
+    assert (result.exit_code, result.stderr) == (2, "--latency: must be <= 10.0 s, got 100.0\n")
+
+
 @pytest.mark.parametrize("arguments", [["fly"], ["plan", "--fast"], ["certify", "plan.json"], ["simulate"]])
 def test_wrong_usage_ends_with_status_2(arguments):
     assert run(*arguments).exit_code == 2
@@ -511,7 +516,46 @@ def test_wrong_usage_ends_with_status_2(arguments):
 def test_an_output_that_cannot_be_written_ends_with_status_2():
     result = run("plan", write(), "--out", "bay.yaml/plan.json")
     assert result.exit_code == 2
-    assert result.stderr.startswith("bay.yaml/plan.json: cannot be written: ")
+    assert result.stderr == "bay.yaml/plan.json: cannot be written: bay.yaml is a file, not a folder\n"
+
+
+@pytest.mark.parametrize("command", [["plan", "--out"], ["plan", "--profile"], ["simulate", "--out"]])
+def test_no_command_writes_over_its_scenario(command):
+    write()
+    name = "bay.yaml" if command[1] == "--out" else "bay.png"
+    pathlib.Path("bay.yaml").replace(name)
+    result = run(command[0], name, command[1], f"./{name}")
+    assert result.exit_code == 2
+    assert result.stderr == f"{name}: is the scenario, and would be overwritten; choose another name\n"
+    assert pathlib.Path(name).read_text() == SCENARIO
+
+
+@pytest.mark.parametrize(
+    ("text", "format_"),
+    [("image: map.png\nresolution: 0.05\n", ""), ("format: optdock-plan/1\n", "; its format is 'optdock-plan/1'")],
+)
+def test_a_file_of_another_kind_is_said_to_be_no_scenario(text, format_):
+    result = run("plan", write(text))
+    assert result.exit_code == 2
+    assert result.stderr == f"bay.yaml: is no scenario: it has none of the keys robot, dock and start{format_}\n"
+
+
+def test_a_map_of_one_pixel_is_a_map():
+    pathlib.Path("m.pgm").write_bytes(b"P5\n1 1\n255\n\xfe")
+    write("image: m.pgm\nresolution: 0.1\norigin: [0, 0, 0]\nnegate: 0\noccupied_thresh: 0.65\nfree_thresh: 0.2\n", name="m.yaml")  # fmt: skip  # noqa: E501
+    result = run("plan", write(SCENARIO, "robot:", "map: m.yaml\nrobot:"), "--plot", "p.png")
+    assert result.exit_code == 3
+    assert result.stderr == "StartOutsideMapBounds: the start (1.000, 0.200) lies off the map\n"
+
+
+def test_names_with_blanks_and_letters_of_any_language_are_names(tmp_path):
+    folder = tmp_path / "ein Ordner mit ü"
+    folder.mkdir()
+    (folder / "Bucht ß.yaml").write_text(SCENARIO)
+    (tmp_path / "link.yaml").symlink_to(folder / "Bucht ß.yaml")
+    for source in (folder / "Bucht ß.yaml", "link.yaml"):
+        assert run("plan", source, "--out", folder / "пла н.json", "--plot", folder / "図.png").exit_code == 0
+    assert (folder / "図.png").stat().st_size > 1000
 
 
 def test_the_program_itself_exits_like_the_tests_say(tmp_path):
