@@ -1,4 +1,4 @@
-# make demo | test | fuzz | bench | experiments; everything runs in .venv, made on first use with PYTHON.
+# make demo | test | docs | fuzz | bench | experiments; everything runs in .venv, made on first use with PYTHON.
 PYTHON ?= python3
 VENV := .venv
 SECONDS := 600
@@ -7,10 +7,11 @@ JOBS := 1
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
 
-.PHONY: help demo test check unit fuzz bench experiments clean
+.PHONY: help demo test check unit docs fuzz bench experiments clean
 help:
 	@echo "make demo         built-in docking scenario, start to finish, pictures in demo/"
 	@echo "make test         the whole check: ruff, mypy, import-linter, pytest with doctests"
+	@echo "make docs         the documentation, warnings are errors; open site/index.html"
 	@echo "make fuzz         random problems against an independent oracle; SECONDS=600 SEED=1 JOBS=1, failures in results/fuzz/"
 	@echo "make bench        benchmarks, tables on stdout"
 	@echo "make experiments  every numbered script in experiments/, results in results/; on Nav2's maps too with OPTDOCK_DATA"
@@ -37,6 +38,11 @@ unit: $(STAMP)
 
 test: check unit
 
+docs: $(STAMP)
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check -e '.[docs]'
+	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --quiet --strict
+	@echo "open site/index.html"
+
 fuzz: $(STAMP)
 	$(BIN)/python -m experiments.fuzz --seconds $(SECONDS) --seed $(SEED) --jobs $(JOBS)
 
@@ -49,4 +55,4 @@ experiments: $(STAMP)
 	for script in experiments/[0-9]*.py; do echo "$$script"; $(BIN)/python $$script || failed=1; done; exit $$failed
 
 clean:
-	rm -rf $(VENV) demo results
+	rm -rf $(VENV) demo results site

@@ -136,16 +136,18 @@ __version__ = "0.1.0"
 logging.getLogger(__name__).addHandler(logging.NullHandler())
 
 
-def __getattr__(name: str) -> object:
-    if name in _HOMES:
-        found: object = getattr(import_module(_HOMES[name]), name)
-    elif name in _PLUGINS:
-        found = import_module("optdock.plugins").plugin_class(name)
-    else:
-        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    globals()[name] = found
-    return found
-
-
 def __dir__() -> list[str]:
     return sorted({*globals(), *__all__})
+
+
+if not TYPE_CHECKING:  # who reads the types must be told that a misspelt name does not exist
+
+    def __getattr__(name: str) -> object:
+        if name in _HOMES:
+            found = getattr(import_module(_HOMES[name]), name)
+        elif name in _PLUGINS:
+            found = import_module("optdock.plugins").plugin_class(name)
+        else:
+            raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+        globals()[name] = found
+        return found

@@ -10,10 +10,9 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from optdock.errors import OptdockError
-from optdock.interfaces import TimeParameterizer
+from optdock.errors import FailedToTimePath
 from optdock.path import ClothoidSegment
-from optdock.plugins import create_plugin
+from optdock.plugins import timed_by
 from optdock.report import table
 from optdock.verification import certify_path
 
@@ -88,14 +87,10 @@ def figures_of(scenario: Scenario, kind: str, path: Path, duration: float | None
 
 def _duration(path: Path, problem: DockingProblem, choice: PluginChoice) -> float | None:
     """None where the limits allow no motion along the path, as at a corner."""
-    timer = create_plugin(TimeParameterizer, choice.name, choice.parameters)
     try:
-        result = timer.parameterize(
-            path, problem.robot.limits, problem.dock.approach, start_speed=abs(problem.start_speed)
-        )
-    except OptdockError:
+        return timed_by(choice, path, problem, start_speed=abs(problem.start_speed)).duration
+    except FailedToTimePath:
         return None
-    return result.trajectory.duration if result.status == 0 and result.trajectory is not None else None
 
 
 def worst_joint_angle(path: Path) -> float:

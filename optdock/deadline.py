@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import copy
 import gc
 import math
 import time
@@ -11,7 +12,11 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
-__all__ = ["Deadline", "garbage_collection_paused", "never_late"]
+__all__ = ["ENDLESS", "Deadline", "OutOfTime", "garbage_collection_paused", "never_late"]
+
+
+class OutOfTime(Exception):
+    """A stage saw that its time is up; nothing of it can be used. It never leaves the package that raised it."""
 
 
 def never_late() -> bool:
@@ -56,6 +61,24 @@ class Deadline:
     def passed(self) -> bool:
         """Whether no time is left; a method, so that it serves as a `cancel_checker` or `is_late`."""
         return self.elapsed >= self.seconds
+
+    def look(self) -> None:
+        """Go on only while there is time.
+
+        Raises:
+            OutOfTime: There is none left.
+        """
+        if self.passed():
+            raise OutOfTime
+
+    def shortened(self, by: float = 0.0, at_most: float = math.inf) -> Deadline:
+        """The same beginning and clock, but it passes `by` seconds earlier, and never later than after `at_most`."""
+        earlier = copy.copy(self)
+        earlier.seconds = min(self.seconds - by, at_most)
+        return earlier
+
+
+ENDLESS = Deadline()
 
 
 @contextlib.contextmanager

@@ -21,11 +21,15 @@ from optdock.costmap.costmap import Costmap
 from optdock.errors import InvalidValue, LifecycleError
 from optdock.geometry.checked import instance
 from optdock.geometry.footprint import Footprint
+from optdock.obstacles import ObstacleSet
+from optdock.outcomes import CostmapInfoType
 from optdock.parameters import PluginParameters, parse_parameters
 from optdock.problem import DockingProblem
 
 if TYPE_CHECKING:
     from collections.abc import Callable
+
+    from optdock.geometry.arrays import FloatArray
 
 __all__ = ["LifecycleState", "Plugin", "PluginContext"]
 
@@ -105,6 +109,36 @@ class PluginContext:
         # As it is now, and without the world beyond it: a local grid ends where nobody has looked yet.
         local = obstacles_from_costmap(self.local_costmap, unknown_is_obstacle=found.unknown_is_obstacle, border=False)
         return dataclasses.replace(found, obstacles=found.obstacles + local)
+
+    def costmaps(self, needs: CostmapInfoType) -> tuple[Costmap, ...]:
+        """The costmaps that `needs` names; where there is no local one, the other serves both."""
+        local = self.costmap if self.local_costmap is None else self.local_costmap
+        asked = {
+            CostmapInfoType.NONE: (),
+            CostmapInfoType.LOCAL: (local,),
+            CostmapInfoType.GLOBAL: (self.costmap,),
+            CostmapInfoType.BOTH: (local, self.costmap),
+        }[needs]
+        return tuple(grid for grid in dict.fromkeys(asked) if grid is not None)
+
+    def obstacles_near(
+        self, lower: FloatArray, upper: FloatArray, needs: CostmapInfoType = CostmapInfoType.BOTH
+    ) -> ObstacleSet:
+        """The obstacles that meet a box: the problem's, and the cells of the costmaps that `needs` names, as they are.
+
+        The problem's always count, and with them the cells of the global costmap, which is a part of it.
+
+        Args:
+            lower: Lower corner, Shape (2,) [m].
+            upper: Upper corner, Shape (2,) [m].
+            needs: Which costmaps count beside the problem; who does not choose sees both.
+        """
+        problem = self.problem
+        found = ObstacleSet.empty() if problem is None else problem.all_obstacles.in_box(lower, upper)
+        for grid in self.costmaps(needs):
+            if problem is None or grid is not problem.costmap:
+                found = found + obstacles_from_costmap(grid, region=(lower, upper))
+        return found
 
 
 class Plugin(ABC):

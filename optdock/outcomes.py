@@ -6,6 +6,8 @@ from dataclasses import dataclass, field
 from enum import Enum, IntEnum
 from typing import TYPE_CHECKING, NamedTuple
 
+from optdock.errors import FailedToTimePath, TimingTimedOut
+
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
@@ -134,6 +136,17 @@ class TimingResult:
     reason: str = ""
     limit: str = ""
     at_s: float | None = None
+
+    def failure(self) -> FailedToTimePath:
+        """The error that says why this is not OK."""
+        where: dict[str, object] = {"status": self.status.name}
+        where |= {"worst_ratio": self.worst_ratio, "overshoot": self.overshoot}
+        if self.limit:
+            where["limit"] = self.limit
+        if self.at_s is not None:
+            where["s"] = self.at_s
+        kind = TimingTimedOut if self.status is TimingStatus.TIMED_OUT else FailedToTimePath
+        return kind(f"the path cannot be timed: {self.reason or self.status.name}", where=where)
 
 
 class CostmapInfoType(IntEnum):

@@ -153,10 +153,12 @@ def plan_dock(  # noqa: PLR0913 - what may be chosen is chosen by name
         _warm_once(*map(type, plugins))
         began = time.monotonic()
         run = _Run(problem, plugins, warm_start, _Cancellation(cancel_checker), time_budget, so_far)
-        with garbage_collection_paused():
-            plan = run.plan()
-        stages = ", ".join(f"{stage} {ms:.1f} ms" for stage, ms in plan.timing_ms.items())
-        logger.info("certified plan: %.2f m, %.2f s; %s", plan.path.length, plan.trajectory.duration, stages)
+        try:
+            with garbage_collection_paused():
+                plan = run.plan()
+        finally:
+            _WAITS.append(run.longest_wait)
+        logger.info("%s; %s", plan, ", ".join(f"{stage} {ms:.1f} ms" for stage, ms in plan.timing_ms.items()))
         return plan
     except OptdockError as error:
         so_far.timing_ms["total"] = 1e3 * (time.monotonic() - began)
@@ -194,13 +196,13 @@ def _warm_once(planner: type[GlobalPlanner], smoother: type[Smoother], timing: t
     problem = DockingProblem(
         Pose2(-2.0, 0.1, 0.1), Dock(Pose2(0.0, 0.0, 0.0), outline), Robot(Footprint.rectangle(0.3, 0.3, 0.5), limits)
     )
-    began = time.monotonic()
+    clock = Deadline(10.0)
     with contextlib.suppress(Exception):  # also of constructors that need parameters: what is wrong shows in its call
         plugins = _Plugins(planner(), smoother(), timing())
         with contextlib.suppress(OptdockError):
-            _Run(problem, plugins, None, _Cancellation(never_cancelled), 10.0, PartialPlan()).plan()
+            _Run(problem, plugins, None, _Cancellation(never_cancelled), clock.seconds, PartialPlan()).plan()
         plugins.smoother.warm_up()
-    logger.info("libraries loaded and caches filled in %.1f s, once per process", time.monotonic() - began)
+    logger.info("libraries loaded and caches filled in %.1f s, once per process", clock.elapsed)
 
 
 class _Plugins(NamedTuple):
@@ -266,20 +268,17 @@ class _Run:
 
     def plan(self) -> DockPlan:
         """All stages in turn; `so_far` holds what exists when one of them raises."""
-        try:
-            with self._timed("plan"):
-                check_ends(self.problem)
-                raw = self.so_far.raw_path = self._raw_path()
-            with self._timed("smooth"):
-                result = self._smoothed(raw)
-                path = self.so_far.path = _plain(result.path, self.plugins.smoother, self.problem.frame)
-            with self._timed("certify"):
-                certificate = self._certified(path)
-            motion = self._certified_motion(path)
-        finally:
-            _WAITS.append(self.longest_wait)
+        with self._timed("plan"):
+            check_ends(self.problem)
+            raw = self.so_far.raw_path = self._raw_path()
+        with self._timed("smooth"):
+            result = self._smoothed(raw)
+            path = self.so_far.path = _plain(result.path, self.plugins.smoother, self.problem.frame)
+        with self._timed("certify"):
+            certificate = self._certified(path)
+        motion = self._certified_motion(path)
         timing = {**self.so_far.timing_ms, "total": 1e3 * self.deadline.elapsed}
-        plan = DockPlan(
+        return DockPlan(
             problem=self.problem,
             raw_path=raw,
             path=path,
@@ -291,8 +290,6 @@ class _Run:
             smoothing_report=result.report,
             timing_report=motion.report,
         )
-        logger.info("%s", plan)
-        return plan
 
     @contextlib.contextmanager
     def _timed(self, stage: str) -> Iterator[None]:
@@ -390,7 +387,7 @@ class _Run:
         with self._timed("time"):
             result = self._timing(method, path)
         if result.status is not TimingStatus.OK:
-            raise _timing_failure(result)
+            raise result.failure()
         trajectory = _returned(result.trajectory, Trajectory, method, "the trajectory of its result")
         if trajectory.path is not path and trajectory.path.digest != path.digest:
             message = f"{method.name} timed another path than the certified one"
@@ -498,13 +495,3 @@ def _plain(path: Path, plugin: Plugin, frame: str) -> Path:
         return (path if type(path) is Path else Path(path.segments, path.frame)).with_frame(frame)
     except InvalidPath as error:
         raise PluginError(f"{type(plugin).__name__} returned a {error}") from error
-
-
-def _timing_failure(result: TimingResult) -> FailedToTimePath:
-    where = {"status": result.status.name, "worst_ratio": result.worst_ratio, "overshoot": result.overshoot}
-    if result.limit:
-        where["limit"] = result.limit
-    if result.at_s is not None:
-        where["s"] = result.at_s
-    kind = TimingTimedOut if result.status is TimingStatus.TIMED_OUT else FailedToTimePath
-    return kind(f"the path cannot be timed: {result.reason or result.status.name}", where=where)

@@ -19,10 +19,17 @@ from optdock.interfaces import (
     Smoother,
     TimeParameterizer,
 )
+from optdock.lifecycle import PluginContext
+from optdock.limits import MotionLimits, SpeedZone
+from optdock.outcomes import TimingStatus
 from optdock.parameters import closest, parse_parameters
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
+
+    from optdock.path import Path
+    from optdock.problem import DockingProblem
+    from optdock.trajectory import Trajectory
 
 __all__ = [
     "INTERFACES",
@@ -33,6 +40,7 @@ __all__ = [
     "load_plugin",
     "plugin_class",
     "plugin_from",
+    "timed_by",
 ]
 
 INTERFACES: Mapping[str, type[Plugin]] = {
@@ -159,8 +167,46 @@ def plugin_from(interface: type[P], asked: str | PluginChoice | P, role: str) ->
         return create_plugin(interface, asked)
     if isinstance(asked, PluginChoice):
         return create_plugin(interface, asked.name, asked.parameters)
-    got = asked.__name__ + " itself" if isinstance(asked, type) else type(asked).__name__
-    raise InvalidValue(f"{role}: must be a {interface.__name__} or the name of one, got {got}")
+    if isinstance(asked, type):
+        raise InvalidValue(
+            f"{role}: must be a {interface.__name__}, got the class {asked.__name__}; write {asked.__name__}()"
+        )
+    raise InvalidValue(f"{role}: must be a {interface.__name__} or the name of one, got {type(asked).__name__}")
+
+
+def timed_by(
+    timing: str | PluginChoice | TimeParameterizer,
+    path: Path,
+    problem: DockingProblem | None,
+    *,
+    zone: SpeedZone | None = None,
+    start_speed: float = 0.0,
+) -> Trajectory:
+    """The motion along a path by a time parameterizer, under the limits of a problem; nothing proves it here.
+
+    Args:
+        timing: The method: its name, its name with parameters, or a plugin that is not configured.
+        path: Where to drive.
+        problem: Its robot's limits count; None: the default limits.
+        zone: Slow stretch at the end; None: that of the problem's dock.
+        start_speed: Along the travel, >= 0 in either gear [m/s].
+
+    Raises:
+        FailedToTimePath: The method has no motion from this start that keeps the limits.
+        PluginError: As `create_plugin`.
+        LifecycleError: The plugin is configured already.
+        InvalidValue: A parameter or the start speed is wrong.
+    """
+    parameterizer = plugin_from(TimeParameterizer, timing, "timing")
+    limits, approach = (problem.robot.limits, problem.dock.approach) if problem else (MotionLimits(), SpeedZone())
+    parameterizer.configure(PluginContext(name=parameterizer.name, problem=problem))
+    try:
+        result = parameterizer.parameterize(path, limits, approach if zone is None else zone, start_speed=start_speed)
+    finally:
+        parameterizer.cleanup()
+    if result.status is not TimingStatus.OK or result.trajectory is None:
+        raise result.failure()
+    return result.trajectory
 
 
 def plugin_class(name: str) -> type[Plugin]:

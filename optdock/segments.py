@@ -79,7 +79,7 @@ class Segment(Protocol):
         ...
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class ClothoidSegment(FrozenArrays):
     """A gear segment that is exactly a clothoid spline: what the smoother returns."""
 
@@ -90,6 +90,9 @@ class ClothoidSegment(FrozenArrays):
         if type(self.spline) is not ClothoidSpline:
             found = type(self.spline).__name__
             raise InvalidValue(f"path: a clothoid segment's spline: must be a ClothoidSpline, got {found}")
+
+    def __repr__(self) -> str:
+        return f"<ClothoidSegment {self.length:.3f} m {self.direction.name.lower()}, {self.knots.size - 1} pieces>"
 
     @property
     def direction(self) -> Direction:
@@ -119,7 +122,7 @@ class ClothoidSegment(FrozenArrays):
         return self.spline.curvature_rate_at(s)
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class PolylineSegment(FrozenArrays):
     """A gear segment given by poses: what any planner hands over.
 
@@ -156,6 +159,9 @@ class PolylineSegment(FrozenArrays):
         object.__setattr__(self, "poses", readonly(poses))
         object.__setattr__(self, "knots", readonly(np.concatenate(([0.0], np.cumsum(arc)))))
         object.__setattr__(self, "node_curvature", readonly(nodes))
+
+    def __repr__(self) -> str:
+        return f"<PolylineSegment {self.length:.3f} m {self.direction.name.lower()}, {len(self.poses)} poses>"
 
     @property
     def length(self) -> float:

@@ -1,14 +1,19 @@
-"""Trajectories: a path composed with a time law, `pose(t) = path(s(t))`."""
+"""Trajectories: a path composed with a time law, `pose(t) = path(s(t))`.
+
+The motion under constant jerk has its one home here: `constant_jerk` within a phase, `border_states` over many. Apart
+from it only the oracles know the cubic, whose independence is their worth: `experiments/fuzz/oracle/timing.py` and the
+direct transcription in `experiments/benchmarks/timing_reference.py`.
+"""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple, TypeVar
 
 import numpy as np
 
 from optdock.errors import InvalidValue
-from optdock.geometry.arrays import FrozenArrays, frozen_array, readonly
+from optdock.geometry.arrays import FloatArray, FrozenArrays, frozen_array, readonly
 from optdock.geometry.checked import exactly, finite_number
 from optdock.geometry.pose import Pose2, Twist2
 from optdock.path import Path
@@ -17,9 +22,58 @@ if TYPE_CHECKING:
     from numpy.typing import ArrayLike
 
     from optdock.fingerprint import ProblemFingerprint
-    from optdock.geometry.arrays import FloatArray
 
-__all__ = ["TimeLaw", "TimedPoses", "Trajectory", "TrajectorySamples", "TrajectoryState"]
+__all__ = [
+    "TimeLaw",
+    "TimedPoses",
+    "Trajectory",
+    "TrajectorySamples",
+    "TrajectoryState",
+    "border_states",
+    "constant_jerk",
+]
+
+Number = TypeVar("Number", float, FloatArray)
+
+
+def constant_jerk(t: Number, s: Number, v: Number, a: Number, jerk: Number) -> tuple[Number, Number, Number]:
+    """Distance, speed and acceleration after a time `t` of constant jerk; numbers, or arrays of one shape.
+
+    s + v t + a t^2 / 2 + j t^3 / 6 and its derivatives.
+
+    Args:
+        t: Time since the state [s].
+        s: Distance [m].
+        v: Speed [m/s].
+        a: Acceleration [m/s^2].
+        jerk: [m/s^3].
+    """
+    gain = t * jerk
+    return s + t * (v + t * (0.5 * a + gain / 6.0)), v + t * (a + 0.5 * gain), a + gain
+
+
+def border_states(durations: FloatArray, jerks: FloatArray, start: tuple[float, float, float]) -> FloatArray:
+    """Distance, speed and acceleration at the borders of phases of constant jerk.
+
+    Args:
+        durations: Shape (n,) [s].
+        jerks: Shape (n,) [m/s^3].
+        start: Distance, speed and acceleration at the first border.
+
+    Returns:
+        Shape (3, n + 1).
+    """
+    states = np.empty((3, durations.size + 1))
+    s, v, a = states
+    gain = durations * jerks
+    s[0], v[0], a[0] = 0.0, 0.0, 0.0
+    np.cumsum(gain, out=a[1:])
+    a += start[2]
+    np.cumsum(durations * (a[:-1] + 0.5 * gain), out=v[1:])
+    v += start[1]
+    np.cumsum(durations * (v[:-1] + durations * (0.5 * a[:-1] + gain / 6.0)), out=s[1:])
+    s += start[0]
+    return states
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -61,12 +115,12 @@ class TimeLaw(FrozenArrays):
             raise InvalidValue("time law.durations: must be > 0 s")
         for name in ("start_s", "start_speed", "start_acceleration"):
             object.__setattr__(self, name, finite_number(getattr(self, name), f"time law.{name}"))
-        first = np.array([self.start_s, self.start_speed, self.start_acceleration], dtype=np.float64)
+        start = self.start_s, self.start_speed, self.start_acceleration
         for name, value in (("durations", durations), ("jerks", jerks)):
             object.__setattr__(self, name, value)
         object.__setattr__(self, "times", readonly(np.concatenate(([0.0], np.cumsum(durations)))))
         with np.errstate(over="ignore", invalid="ignore"):
-            states = _border_states(durations, jerks, first)
+            states = np.ascontiguousarray(border_states(durations, jerks, start).T)
         if not (np.all(np.isfinite(states)) and np.isfinite(self.times[-1])):
             raise InvalidValue("time law: the motion goes beyond all numbers; durations and jerks are too large")
         object.__setattr__(self, "states", readonly(states))
@@ -83,18 +137,8 @@ class TimeLaw(FrozenArrays):
         """Distance, speed, acceleration, jerk at times `t`, Shape (n,) [s], clipped. Shape (n, 4)."""
         points = np.clip(np.atleast_1d(np.asarray(t, dtype=np.float64)), 0.0, self.duration)
         phase = np.clip(np.searchsorted(self.times, points, side="right") - 1, 0, self.durations.size - 1)
-        dt, jerk = points - self.times[phase], self.jerks[phase]
-        s, v, a = self.states[phase].T
-        return np.column_stack(
-            (s + dt * (v + dt * (a / 2.0 + dt * jerk / 6.0)), v + dt * (a + dt * jerk / 2.0), a + dt * jerk, jerk)
-        )
-
-
-def _border_states(durations: FloatArray, jerks: FloatArray, first: FloatArray) -> FloatArray:
-    a = first[2] + np.concatenate(([0.0], np.cumsum(jerks * durations)))
-    v = first[1] + np.concatenate(([0.0], np.cumsum(durations * (a[:-1] + jerks * durations / 2.0))))
-    gain = durations * (v[:-1] + durations * (a[:-1] / 2.0 + jerks * durations / 6.0))
-    return np.column_stack((first[0] + np.concatenate(([0.0], np.cumsum(gain))), v, a))
+        (s, v, a), jerk = self.states[phase].T, self.jerks[phase]
+        return np.column_stack((*constant_jerk(points - self.times[phase], s, v, a, jerk), jerk))
 
 
 class TrajectoryState(NamedTuple):
@@ -159,7 +203,7 @@ class Trajectory(FrozenArrays):
 
     def __repr__(self) -> str:
         proven = ", proven" if self.certified_for is not None else ""
-        return f"<Trajectory {self.duration:.3f} s along {self.path!r}{proven}>"
+        return f"<Trajectory {self.duration:.3f} s over {self.path.length:.3f} m{proven}>"
 
     @property
     def frame(self) -> str:

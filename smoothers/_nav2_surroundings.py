@@ -9,7 +9,6 @@ import numpy as np
 
 from optdock.errors import InvalidPath
 from optdock.path import Path
-from optdock.surroundings import obstacles_near
 from optdock.verification import pose_clearances
 
 if TYPE_CHECKING:
@@ -70,6 +69,6 @@ def task_of(path: Path, problem: DockingProblem | None, context: PluginContext) 
     reach = footprint.circumscribed_radius + 0.5 + _MARGIN
     lower, upper = points.min(axis=0) - reach, points.max(axis=0) + reach
     if wanted is None:
-        return path, Surroundings(context.costmap, footprint, obstacles_near(context, lower, upper))
+        return path, Surroundings(context.costmap, footprint, context.obstacles_near(lower, upper))
     near = wanted.all_obstacles.in_box(np.asarray(lower), np.asarray(upper))
     return path.with_frame(wanted.frame), Surroundings(wanted.costmap, footprint, near)

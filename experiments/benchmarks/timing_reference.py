@@ -15,7 +15,7 @@ import numpy as np
 
 from experiments.benchmarks.timing_paths import GaussianSegment
 from optdock.path import ClothoidSegment
-from optdock.timing.gears import courses_of
+from optdock.timing.path_limits import limits_along
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -217,10 +217,10 @@ def acceleration_bound(case: Case) -> float:
     """
     logging.getLogger("toppra").setLevel(logging.ERROR)
     total, speed = 0.0, case.start[0]
-    for course in courses_of(case.path, case.limits, case.zone):
-        if course is not None:
-            s = np.linspace(0.0, course.length, _BOUND_POINTS)
-            points = course.points_at(s)
+    for limits in limits_along(case.path, case.limits, case.zone):
+        if limits is not None:
+            s = np.linspace(0.0, limits.length, _BOUND_POINTS)
+            points = limits.points_at(s)
             total += _fastest(s, points.curvature, points.rate, points.slowness**-2.0, speed, case.limits)
         speed = 0.0
     return total

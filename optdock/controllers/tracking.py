@@ -13,13 +13,12 @@ from optdock.controllers.delay_estimate import DelayEstimate
 from optdock.controllers.moving_reference import Look, Reference
 from optdock.controllers.requests import checked_speed_limit, checked_task
 from optdock.controllers.tracking_law import Gains, tracking_command
-from optdock.errors import ControllerInvalidPath, NoValidControl
+from optdock.errors import ControllerInvalidPath, FailedToTimePath, NoValidControl
 from optdock.geometry.pose import Pose2, Twist2
-from optdock.interfaces import Controller, TimeParameterizer
-from optdock.limits import MotionLimits, SpeedZone
+from optdock.interfaces import Controller
+from optdock.limits import MotionLimits
 from optdock.parameters import PluginParameters
 from optdock.robot import Drive, admissible
-from optdock.surroundings import obstacles_near
 from optdock.trajectory import Trajectory
 from optdock.verification import pose_clearances
 
@@ -184,16 +183,13 @@ class TrackingController(Controller):
         return self.context.problem.robot.drive if self.context.problem else Drive.DIFFERENTIAL
 
     def _timed(self, path: Path) -> Trajectory:
-        from optdock.plugins import create_plugin
+        from optdock.plugins import timed_by
 
-        problem = self.context.problem
-        limits, zone = (problem.robot.limits, problem.dock.approach) if problem else (MotionLimits(), SpeedZone())
         moving = max(0.0, path.segments[0].direction * self._last.linear)
-        parameterizer = create_plugin(TimeParameterizer, self.parameters.time_parameterizer)
-        result = parameterizer.parameterize(path, limits, zone, start_speed=moving)
-        if result.trajectory is None or result.status != 0:
-            raise ControllerInvalidPath(f"TrackingController: the path cannot be timed: {result.status.name}")
-        return result.trajectory
+        try:
+            return timed_by(self.parameters.time_parameterizer, path, self.context.problem, start_speed=moving)
+        except FailedToTimePath as error:
+            raise ControllerInvalidPath(f"TrackingController: {error}") from error
 
     def _limits_for(self, reference: Reference) -> MotionLimits:
         if self.context.problem:
@@ -321,7 +317,7 @@ def require_free_stop(
     speed = abs(command.linear)
     time = period + 0.5 * speed / limits.max_deceleration  # braking covers half of what the command would
     centre, reach = np.array([pose.x, pose.y]), context.footprint.circumscribed_radius + speed * time
-    obstacles = obstacles_near(context, centre - reach, centre + reach)
+    obstacles = context.obstacles_near(centre - reach, centre + reach)
     if len(obstacles) == 0:
         return
     times = np.linspace(0.0, time, 2 + math.ceil(speed * time / _SPACING))

@@ -40,7 +40,7 @@ def _refined_breaks(knots: FloatArray, curvature: FloatArray) -> FloatArray:
     return np.append(knots[owner] + steps[owner] * rank / parts[owner], knots[-1])
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class ClothoidSpline(FrozenArrays):
     """A drivable curve: `yaw'(s) = curvature(s)`, `(x, y)'(s) = direction * (cos yaw, sin yaw)`.
 
@@ -100,6 +100,10 @@ class ClothoidSpline(FrozenArrays):
         x = self.start.x + self.sign * np.concatenate(([0.0], np.cumsum(moves[:, 0])))
         y = self.start.y + self.sign * np.concatenate(([0.0], np.cumsum(moves[:, 1])))
         return np.column_stack((x, y, yaw, kappa))
+
+    def __repr__(self) -> str:
+        gear = "forward" if self.sign > 0 else "reverse"
+        return f"<ClothoidSpline {self.length:.3f} m {gear} from {self.start.brief}, {self.knots.size - 1} pieces>"
 
     @property
     def length(self) -> float:

@@ -14,7 +14,6 @@ import numpy as np
 
 from optdock.errors import InvalidValue
 from optdock.geometry.arrays import frozen_array, readonly
-from optdock.geometry.quadrature import adaptive_integral
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike
@@ -143,39 +142,6 @@ class Nurbs:
         yaw[~np.any(heading, axis=1)] = np.nan
         return yaw
 
-    @cached_property
-    def length(self) -> float:
-        """Arc length [m], by adaptive Gauss-Lobatto quadrature of |dC/du| between the knots."""
-        low, high = self.domain
-        inner = self.knots[(self.knots > low) & (self.knots < high)]
-        breaks = np.unique(np.concatenate(([low], inner, [high])))
-        return adaptive_integral(self._speed_at, breaks)
-
-    def reversed(self) -> Nurbs:
-        """The same curve on the same domain, run the other way."""
-        knots = (self.knots[0] + self.knots[-1]) - self.knots[::-1]
-        return Nurbs(self.control_points[::-1], self.weights[::-1], self.degree, knots)
-
-    def with_knot(self, u: float) -> Nurbs:
-        """The same curve with one more knot at `u` ([Piegl1997] eq. 5.15).
-
-        Raises:
-            InvalidValue: `u` is not strictly inside the domain, or is a knot `degree` times already.
-        """
-        low, high = self.domain
-        if not low < u < high:
-            raise InvalidValue(f"nurbs: a new knot must lie strictly inside [{low}, {high}], got {u}")
-        p = self.degree
-        span = int(np.searchsorted(self.knots, u, side="right")) - 1
-        share = np.ones(len(self.control_points) + 1)
-        moved = np.arange(span - p + 1, span + 1)
-        share[moved] = (u - self.knots[moved]) / (self.knots[moved + p] - self.knots[moved])
-        share[span + 1 :] = 0.0
-        old = self._homogeneous_points
-        padded = np.vstack((old[:1], old, old[-1:]))
-        new = share[:, None] * padded[1:] + (1.0 - share[:, None]) * padded[:-1]
-        return Nurbs(new[:, :2] / new[:, 2:], new[:, 2], p, np.insert(self.knots, span + 1, u))
-
     @property
     def _homogeneous_points(self) -> FloatArray:
         return np.column_stack((self.control_points * self.weights[:, None], self.weights))
@@ -197,10 +163,6 @@ class Nurbs:
         if order >= 2:
             found.append((a[2][:, :2] - 2.0 * a[1][:, 2:] * found[1] - a[2][:, 2:] * found[0]) / w)
         return tuple(found)
-
-    def _speed_at(self, u: FloatArray) -> FloatArray:
-        first = self.derivative_at(u)
-        return np.hypot(first[:, 0], first[:, 1])
 
 
 def _scaled_legs(points: FloatArray, span: FloatArray, degree: int) -> FloatArray:

@@ -92,8 +92,8 @@ class Pose2:
 
     @property
     def brief(self) -> str:
-        """`(x, y, yaw)` in four digits, for messages."""
-        return f"({self.x:.4g}, {self.y:.4g}, {self.yaw:.4g})"
+        """`(x, y, yaw)` to a tenth of a millimetre, for people."""
+        return "({:.7g}, {:.7g}, {:.7g})".format(*(round(value, 4) + 0.0 for value in (self.x, self.y, self.yaw)))
 
     def __matmul__(self, other: Pose2) -> Pose2:
         c, s = math.cos(self.yaw), math.sin(self.yaw)

@@ -71,7 +71,7 @@ class PlanError(NamedTuple):
         return cls(error.code, str(error), error.where)
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class PlanFile:
     """The content of a plan file; what does not exist is None.
 
@@ -106,6 +106,11 @@ class PlanFile:
         for name in ("raw_path", "path"):
             path: Path | None = getattr(self, name)
             object.__setattr__(self, name, None if path is None else path.with_frame(self.frame))
+
+    def __repr__(self) -> str:
+        has = [name for name in ("raw_path", "path", "trajectory", "time_law") if getattr(self, name) is not None]
+        reason = f" ({self.error.message})" if self.error is not None else ""
+        return f"<PlanFile {self.status}{reason}, with {', '.join(has) or 'nothing'} in {self.frame!r}>"
 
     def as_json(self, *, spacing: float = DEFAULT_SPACING) -> str:
         """The file's text.

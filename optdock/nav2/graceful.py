@@ -16,7 +16,6 @@ from optdock.interfaces import Controller
 from optdock.nav2.graceful_law import GracefulLaw
 from optdock.parameters import PluginParameters
 from optdock.path import Direction, Path
-from optdock.surroundings import obstacles_near
 from optdock.trajectory import Trajectory
 from optdock.verification.sweep import free_motion
 
@@ -243,7 +242,7 @@ class GracefulController(Controller):
         reach = 2.0 * p.max_lookahead + _ROLLOUT_STEP * p.v_linear_max
         reach += 0.0 if outline is None else outline.circumscribed_radius
         centre = np.array([pose.x, pose.y])
-        return obstacles_near(self.context, centre - reach, centre + reach)
+        return self.context.obstacles_near(centre - reach, centre + reach)
 
     def _is_free(self, target: Pose2, pose: Pose2, gear: Direction, obstacles: ObstacleSet) -> bool:
         footprint = self.context.footprint

@@ -155,7 +155,7 @@ def _check_geometry(geometry: DockGeometry, safety_distance: float) -> None:
         )
     if not safety_distance > 0.0:
         raise NoValidPathCouldBeFound(
-            "dock planner: the safety distance 2 * (robot radius + calib_safety_distance) must be > 0 m, got "
+            "dock planner: the safety distance, 2 * (robot radius + calib_safety_distance), must be > 0 m, got "
             f"{safety_distance:.6g} m with a radius of {geometry.robot_radius:.6g} m; raise calib_safety_distance",
             where={"step": "geometry", "safety_distance": safety_distance},
         )
@@ -167,16 +167,16 @@ def _check_direction(direction: Direction, wanted: DockDirection, ahead: float) 
         return
     side = "in front of" if ahead > 0.0 else "behind"
     raise NoValidPathCouldBeFound(
-        f"dock planner: the start is {abs(ahead):.6g} m {side} the docked robot, from where it can only dock "
-        f"{found.value}, but direction is {wanted.value}; start on the other side, or let direction be auto",
+        f"dock planner: the start is {abs(ahead):.6g} m {side} the docked robot, so it can only dock "
+        f"{found.value}, but direction is {wanted.value}; start from the other side, or set direction to auto",
         where={"step": "direction", "wanted": wanted.value, "possible": found.value, "ahead": ahead},
     )
 
 
 def _not_beyond_c(along: float, distance_min_c: float) -> NoValidPathCouldBeFound:
     return NoValidPathCouldBeFound(
-        f"dock planner: the start is {along:.6g} m from the goal along the dock's axis, must be more than half of the "
-        f"robot's and the dock's length together, {distance_min_c:.6g} m; start farther out along that axis",
+        f"dock planner: the start is {along:.6g} m from the docked pose along the axis of the dock, and must be more "
+        f"than {distance_min_c:.6g} m from it, half the lengths of robot and dock; start farther out along the axis",
         where={"step": "beyond_c", "along": along, "distance_min_c": distance_min_c, "t": along / distance_min_c},
     )
 

@@ -4,42 +4,62 @@ Segment 1 takes the robot from the start to the approach axis, segment 2 runs al
 NURBS curves through three control points. The result is a raw path: its first tangent ignores the yaw of the start,
 curvature is unbounded where the control legs are short and jumps at the joint, there is a corner for `dir` 0, and the
 robot's outline is not checked. Making it drivable is the smoother's work.
+
+Told in the order of the method: the plan, how its curves are sampled (step 5), where and how segment 1 joins the axis
+(step 6), and how the parts become a path (steps 7 and 8).
 """
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from enum import IntEnum
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
 from optdock.errors import (
     GoalOccupied,
     GoalOutsideMapBounds,
+    NoValidPathCouldBeFound,
     PlannerCancelled,
     PlannerException,
     StartOccupied,
     StartOutsideMapBounds,
 )
 from optdock.geometry.arrays import readonly
+from optdock.geometry.nurbs import Nurbs
 from optdock.geometry.pose import unwrap_yaw
 from optdock.interfaces import never_cancelled
 from optdock.path import Direction, Path, PolylineSegment
 from optdock.planners.approach_axis import ApproachAxis, DockGeometry, approach_axis
-from optdock.planners.curve_sampling import CurveSampler
-from optdock.planners.joint_search import Joint, JointKind, find_joint
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
     from optdock.costmap.costmap import Costmap
-    from optdock.geometry.arrays import FloatArray
+    from optdock.geometry.arrays import FloatArray, IntArray
     from optdock.geometry.pose import Pose2
     from optdock.planners.dock_parameters import DockPlannerParameters
 
-__all__ = ["TwoSegmentPlan", "plan_two_segment"]
+__all__ = [
+    "MAX_SAMPLES",
+    "CurveSampler",
+    "Joint",
+    "JointKind",
+    "TwoSegmentPlan",
+    "find_joint",
+    "interior_angles",
+    "plan_two_segment",
+]
 
 _SAME_POSITION = 1e-9  # [m]
+_SAME_DISTANCE = 1e-9  # [m]; decides ties alike in every frame
+_SAME_ANGLE = 1e-9  # [rad]
+_ON_AXIS = 1e-6  # [m]
+_REVERSE_SLACK = 0.05  # [rad], of the source
+MAX_SAMPLES = 200_000  # of one curve; a path of 1 km at 5 mm
+_CHUNK = 5_000  # samples between two looks at the cancel checker, about 2 ms
 
 
 @dataclass(frozen=True, eq=False)
@@ -157,6 +177,182 @@ def _sampler(
         cost_threshold=parameters.cost_threshold,
         cancel_checker=cancel_checker,
     )
+
+
+@dataclass(frozen=True, eq=False)
+class CurveSampler:
+    """Samples curves through control points.
+
+    Args:
+        degree: NURBS degree.
+        step: Coarsest step of u.
+        resolution: Largest distance of neighbouring poses [m].
+        costmap: Where every sample must be free, or None to check nothing.
+        cost_threshold: A cost at or above this blocks.
+        cancel_checker: Polled while sampling.
+    """
+
+    degree: int
+    step: float
+    resolution: float
+    costmap: Costmap | None
+    cost_threshold: int
+    cancel_checker: Callable[[], bool]
+
+    def poses(self, control_points: FloatArray, direction: Direction, name: str) -> FloatArray:
+        """Poses from u = 0 to 1, yaw along the tangent, or against it in reverse.
+
+        Neighbours are at most `resolution` apart: the step of u is `resolution / max |dC/du|`. The source takes the
+        mean of |dC/du|, the length, and so spaces poses up to twice too far where the curve is fast. As in the source
+        the last pose takes the yaw of the one before it. Samples that are not finite are skipped.
+
+        Args:
+            control_points: Shape (n, 2) [m], n > degree; unit weights.
+            direction: Gear.
+            name: What to call the curve in a message.
+
+        Returns:
+            Shape (m, 3) [m, m, rad], m >= 2.
+
+        Raises:
+            NoValidPathCouldBeFound: A sample is blocked, too few are finite, or it would take over MAX_SAMPLES.
+            PlannerCancelled: The cancel checker returned True.
+        """
+        curve = Nurbs(control_points, degree=self.degree)
+        u = np.linspace(0.0, 1.0, self._count(curve, name) + 1, dtype=np.float64)
+        chunks = [self._chunk(curve, u[i : i + _CHUNK], direction, name) for i in range(0, u.size, _CHUNK)]
+        found = np.concatenate(chunks)
+        if len(found) < 2:
+            raise NoValidPathCouldBeFound(
+                f"dock planner: {name} is empty: only {len(found)} of {u.size} samples are finite; its control points "
+                f"are {control_points.tolist()}",
+                where={"step": name, "control_points": control_points.tolist()},
+            )
+        found[-1, 2] = found[-2, 2]
+        return found
+
+    def _count(self, curve: Nurbs, name: str) -> int:
+        steps = max(curve.speed_bound / self.resolution, (1.0 - 1e-6) / self.step)
+        if not steps <= MAX_SAMPLES:
+            raise NoValidPathCouldBeFound(
+                f"dock planner: {name} would take {steps:.3g} samples, at most {MAX_SAMPLES}: its control points span "
+                f"{np.ptp(curve.control_points, axis=0).max():.6g} m at a resolution of {self.resolution:.6g} m; start "
+                "nearer",
+                where={"step": name, "samples": steps, "resolution": self.resolution},
+            )
+        return math.ceil(steps * (1.0 + 1e-9))  # rounding must not lift a spacing above the resolution
+
+    def _chunk(self, curve: Nurbs, u: FloatArray, direction: Direction, name: str) -> FloatArray:
+        if self.cancel_checker():
+            raise PlannerCancelled(f"dock planner: cancelled while sampling {name}")
+        points = curve.points_at(u)
+        self._check_free(points, name)
+        yaw = curve.tangent_yaw_at(u) + (math.pi if direction is Direction.REVERSE else 0.0)
+        poses = np.column_stack((points, yaw))
+        return poses[np.all(np.isfinite(poses), axis=1)]
+
+    def _check_free(self, points: FloatArray, name: str) -> None:
+        if self.costmap is None:
+            return
+        costs = self.costmap.cost_at(points)
+        blocked = np.flatnonzero(costs >= self.cost_threshold)
+        if blocked.size:
+            x, y = (float(value) for value in points[blocked[0]])
+            cost = int(costs[blocked[0]])
+            raise NoValidPathCouldBeFound(
+                f"dock planner: {name} is blocked at ({x:.3f}, {y:.3f}): cost {cost} there, must be < cost_threshold "
+                f"= {self.cost_threshold}",
+                where={"step": name, "x": x, "y": y, "cost": cost, "cost_threshold": self.cost_threshold},
+            )
+
+
+class JointKind(IntEnum):
+    """The source's `dir`."""
+
+    TOWARD = 1  # turns onto the axis toward the dock, tangent at the end
+    AWAY = -1  # turns onto the axis away from the dock, then changes gear
+    CORNER = 0  # drives straight to the axis and turns there
+
+
+class Joint(NamedTuple):
+    """How segment 1 reaches the axis.
+
+    `dir`, the index `middle` on the centreline where its middle control point lies (-1 for none), and its three control
+    points, Shape (3, 2) [m].
+    """
+
+    dir: JointKind
+    middle: int
+    control_points: FloatArray
+
+
+def find_joint(start: FloatArray, centreline: FloatArray, angle_threshold: float) -> Joint:
+    """The joint of segment 1, tried in the order TOWARD, AWAY, CORNER.
+
+    A start on the axis needs no turn and goes straight to C even where C is too near for the sampled search.
+
+    Args:
+        start: Position A, Shape (2,) [m].
+        centreline: Samples of the straight line from C to F, Shape (n, 2) [m], n >= 2.
+        angle_threshold: Smallest interior angle between the rays from the joint to A and along the axis [rad].
+    """
+    distance = np.hypot(*(centreline - start).T)
+    nearest = int(np.argmax(distance <= distance.min() + _SAME_DISTANCE))
+    toward = _first_wide(start, centreline, np.arange(nearest, 0, -1), centreline[0], angle_threshold)
+    if toward is not None and _fits(distance[toward], centreline[toward], centreline[0]):
+        return _toward(start, centreline, toward, distance[toward])
+    if _distance_to_line(start, centreline) <= _ON_AXIS:
+        return Joint(JointKind.TOWARD, 0, _straight(start, centreline[0]))
+    indices = np.arange(nearest, len(centreline))
+    away = _first_wide(start, centreline, indices, centreline[-1], angle_threshold - _REVERSE_SLACK)
+    if away is not None and _fits(distance[away], centreline[away], centreline[-1]):
+        return Joint(JointKind.AWAY, away, np.array([start, centreline[away], centreline[-1]]))
+    return Joint(JointKind.CORNER, -1, _straight(start, centreline[nearest]))
+
+
+def interior_angles(at: FloatArray, first: FloatArray, second: FloatArray) -> FloatArray:
+    """Angles in [0, pi] at points `at`, Shape (n, 2), between the rays to two points; 0 where a ray has no length.
+
+    >>> interior_angles(np.zeros((1, 2)), np.array([0.0, 2.0]), np.array([-1.0, 0.0])) / np.pi
+    array([0.5])
+    """
+    a, b = first - at, second - at
+    cross = np.abs(a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0])
+    angles: FloatArray = np.arctan2(cross, np.sum(a * b, axis=1))
+    return angles
+
+
+def _first_wide(
+    start: FloatArray, centreline: FloatArray, indices: IntArray, end: FloatArray, threshold: float
+) -> int | None:
+    """The first of `indices` whose angle between the rays to start and to `end` reaches the threshold."""
+    at = centreline[indices]
+    real = np.hypot(*(at - start).T) > _SAME_DISTANCE  # a ray of rounding noise has no angle
+    wide = (interior_angles(at, start, end) >= threshold - _SAME_ANGLE) & real
+    return int(indices[np.argmax(wide)]) if wide.any() else None
+
+
+def _fits(leg: float, joint: FloatArray, end: FloatArray) -> bool:
+    """Whether the run-in from the joint to `end` is at least as long as the way to the joint."""
+    return bool(np.hypot(*(end - joint)) >= leg - _SAME_DISTANCE)
+
+
+def _toward(start: FloatArray, centreline: FloatArray, index: int, leg: float) -> Joint:
+    """Equal legs, to one sample: an arc that ends tangent to the axis."""
+    ahead = centreline[index::-1]
+    far = np.hypot(*(ahead - centreline[index]).T) >= leg - _SAME_DISTANCE
+    end = ahead[int(np.argmax(far))]
+    return Joint(JointKind.TOWARD, index, np.array([start, centreline[index], end]))
+
+
+def _straight(start: FloatArray, end: FloatArray) -> FloatArray:
+    return np.array([start, 0.5 * (start + end), end])
+
+
+def _distance_to_line(point: FloatArray, line: FloatArray) -> float:
+    along = line[-1] - line[0]
+    away = point - line[0]
+    return abs(float(along[0] * away[1] - along[1] * away[0])) / float(np.hypot(*along))
 
 
 def _assembled(

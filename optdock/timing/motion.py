@@ -1,4 +1,4 @@
-"""Motions: phases of constant jerk, light enough for inner loops."""
+"""Motions: phases of constant jerk, light enough for inner loops. `optdock.trajectory` has the formula."""
 
 from __future__ import annotations
 
@@ -6,17 +6,18 @@ from typing import TYPE_CHECKING, NamedTuple, TypeAlias
 
 import numpy as np
 
+from optdock.timing.settings import SAMPLING
+from optdock.trajectory import border_states, constant_jerk
+
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
     from optdock.geometry.arrays import FloatArray
 
-__all__ = ["Motion", "Phases", "State", "braking_slack", "state_after", "stretched"]
+__all__ = ["DriveBounds", "Motion", "Phases", "State", "braking_slack", "duration_of", "state_after", "stretched"]
 
 Phases: TypeAlias = "tuple[tuple[float, float], ...]"
 """Duration [s] and jerk [m/s^3] of every phase, in order."""
-
-_MOST_SAMPLES = 40_000  # of a motion, 320 kB a column: slower motions are sampled more coarsely, never in more memory
 
 
 class State(NamedTuple):
@@ -27,18 +28,30 @@ class State(NamedTuple):
     a: float = 0.0
 
 
+class DriveBounds(NamedTuple):
+    """Constant bounds of one motion, all > 0: speed [m/s], acceleration, deceleration [m/s^2], jerk [m/s^3]."""
+
+    speed: float
+    acceleration: float
+    deceleration: float
+    jerk: float
+
+
 def state_after(state: State, duration: float, jerk: float) -> State:
     """The state after one phase."""
-    s, v, a = state
-    return State(
-        s + duration * (v + duration * (a / 2.0 + duration * jerk / 6.0)),
-        v + duration * (a + duration * jerk / 2.0),
-        a + duration * jerk,
-    )
+    return State(*constant_jerk(duration, *state, jerk))
+
+
+def duration_of(phases: Phases) -> float:
+    """Total time [s]."""
+    return sum(duration for duration, _jerk in phases)
 
 
 def stretched(phases: Phases, factor: float) -> Phases:
-    """The same motion from rest, slower in time by `factor`: every limit that held still holds."""
+    """The same motion from rest, slower in time by `factor`: every limit that held still holds.
+
+    Speeds fall with the factor, accelerations with its square, jerk with its cube.
+    """
     return tuple((duration * factor, jerk / factor**3) for duration, jerk in phases)
 
 
@@ -68,11 +81,7 @@ class Motion(NamedTuple):
         table = np.array([phase for phase in phases if phase[0] > 0.0], dtype=np.float64).reshape(-1, 2)
         durations, jerks = table[:, 0], table[:, 1]
         times = np.concatenate(([0.0], np.cumsum(durations)))
-        a = start.a + np.concatenate(([0.0], np.cumsum(jerks * durations)))
-        v = start.v + np.concatenate(([0.0], np.cumsum(durations * (a[:-1] + jerks * durations / 2.0))))
-        gain = durations * (v[:-1] + durations * (a[:-1] / 2.0 + jerks * durations / 6.0))
-        s = start.s + np.concatenate(([0.0], np.cumsum(gain)))
-        return cls(durations, jerks, times, np.stack((s, v, a)))
+        return cls(durations, jerks, times, border_states(durations, jerks, start))
 
     @property
     def start(self) -> State:
@@ -97,14 +106,12 @@ class Motion(NamedTuple):
     def at(self, t: FloatArray) -> FloatArray:
         """Distance, speed, acceleration at times `t`, Shape (n,) [s], in [0, duration]. Shape (3, n)."""
         phase = np.minimum(np.searchsorted(self.times, t, side="right") - 1, self.durations.size - 1)
-        dt, jerk = t - self.times[phase], self.jerks[phase]
         s, v, a = self.states[:, phase]
-        half = 0.5 * dt * jerk
-        return np.stack((s + dt * (v + dt * (0.5 * a + half / 3.0)), v + dt * (a + half), a + dt * jerk))
+        return np.stack(constant_jerk(t - self.times[phase], s, v, a, self.jerks[phase]))
 
     def sample_times(self, period: float) -> FloatArray:
-        """All phase borders, and times at most `period` [s] apart; further where that were beyond `_MOST_SAMPLES`."""
-        count = int(min(self.duration / period, _MOST_SAMPLES)) + 1
+        """All phase borders, and times at most `period` [s] apart; further where those were too many."""
+        count = int(min(self.duration / period, SAMPLING.most_samples)) + 1
         return np.union1d(self.times, np.minimum(np.arange(count) * max(period, self.duration / count), self.duration))
 
     def crossing_times(self, s: FloatArray) -> FloatArray:
@@ -119,3 +126,15 @@ class Motion(NamedTuple):
             step = (distance - s) / np.maximum(speed, 1e-3)
             t = np.clip(t - np.clip(step, -0.01, 0.01), 0.0, self.duration)
         return t
+
+    def cut(self, t: float) -> tuple[Phases, State]:
+        """The phases before time `t` [s], and the state then."""
+        kept: list[tuple[float, float]] = []
+        state, left = self.start, t
+        for duration, jerk in self.phases:
+            part = min(duration, left)
+            if part <= 0.0:
+                break
+            kept.append((part, jerk))
+            state, left = state_after(state, part, jerk), left - part
+        return tuple(kept), state

@@ -7,6 +7,7 @@ acceleration is zero, and the border speeds are those that the windows on both s
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -15,43 +16,38 @@ from pydantic import Field
 from optdock.deadline import Deadline
 from optdock.interfaces import TimeParameterizer, TimingStatus
 from optdock.parameters import PluginParameters
-from optdock.timing.allowance import look
-from optdock.timing.gears import time_path
-from optdock.timing.motion import Motion, Phases, State, state_after
-from optdock.timing.moves import Box, load_ruckig, move
-from optdock.timing.start import GearPlan, arrived_plan
+from optdock.timing.checks import SegmentPlan, arrived_plan
+from optdock.timing.motion import DriveBounds, Motion, Phases, State, state_after
+from optdock.timing.ruckig_moves import load_ruckig, move
+from optdock.timing.settings import WINDOWED, WindowedSettings
+from optdock.timing.strategy import time_path
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
+    from collections.abc import Iterator
 
     from optdock.geometry.arrays import FloatArray
     from optdock.interfaces import TimingResult
     from optdock.limits import MotionLimits, SpeedZone
     from optdock.path import Path
-    from optdock.timing.allowance import Allowance
-    from optdock.timing.course import Course
+    from optdock.timing.path_limits import PathLimits
+    from optdock.timing.strategy import Deadlines
 
-__all__ = ["Windowed", "plan_windows"]
-
-_MARGIN = 1e-3  # of the speed caps: curvature between the nodes of a curve that is no clothoid
+__all__ = ["Window", "Windowed", "reachable_speed", "s_curve_length", "windowed_plans"]
 
 
 class WindowedParameters(PluginParameters):
     """Parameters of `Windowed`."""
 
-    max_window: float = Field(default=1.0, gt=0.0, description="longest window [m]")
-    cap_ratio: float = Field(default=1.2, gt=1.0, description="largest quotient of two speed caps in a window")
-    yaw_share: float = Field(
-        default=0.8, gt=0.0, lt=1.0, description="share of the yaw acceleration for speed^2 * rate"
+    max_window: float = Field(default=WINDOWED.max_window, gt=0.0, description="longest window [m]")
+    cap_ratio: float = Field(
+        default=WINDOWED.cap_ratio, gt=1.0, description="largest quotient of two speed caps in a window"
     )
-
-
-class Window(NamedTuple):
-    """A stretch [m] and the constant limits that keep all others within it."""
-
-    left: float
-    right: float
-    box: Box
+    yaw_share: float = Field(
+        default=WINDOWED.yaw_share,
+        gt=0.0,
+        lt=1.0,
+        description="share of the yaw acceleration for speed^2 * rate",
+    )
 
 
 class Windowed(TimeParameterizer):
@@ -85,123 +81,118 @@ class Windowed(TimeParameterizer):
             PluginError: The package ruckig is not installed.
         """
         deadline = Deadline(max_time)
-        return time_path(path, limits, zone, (start_speed, start_acceleration), self._plan, deadline)
+        return time_path(path, limits, zone, (start_speed, start_acceleration), self._plans, deadline)
 
-    def _plan(self, course: Course, start: State, allowance: Allowance) -> Iterator[GearPlan]:
-        return plan_windows(course, start, allowance, self.parameters)
-
-
-_DEFAULTS = WindowedParameters()
+    def _plans(self, limits: PathLimits, start: State, deadlines: Deadlines) -> Iterator[SegmentPlan]:
+        return windowed_plans(limits, start, deadlines, replace(WINDOWED, **self.parameters.model_dump()))
 
 
-def plan_windows(
-    course: Course, start: State, allowance: Allowance, parameters: WindowedParameters = _DEFAULTS
-) -> Iterator[GearPlan]:
-    """Windows over one gear, at most one plan.
+class Window(NamedTuple):
+    """A stretch [m] and the constant limits that keep all others within it."""
+
+    left: float
+    right: float
+    bounds: DriveBounds
+
+
+def windowed_plans(
+    limits: PathLimits, start: State, deadlines: Deadlines, settings: WindowedSettings = WINDOWED
+) -> Iterator[SegmentPlan]:
+    """Windows over one segment, one plan.
 
     FAIL where they cannot be reached from the start state with the acceleration led to 0.
 
     Raises:
         OutOfTime: Before anything was found.
     """
-    yield _planned(course, start, allowance.is_over, parameters)
-
-
-def _planned(course: Course, start: State, is_late: Callable[[], bool], parameters: WindowedParameters) -> GearPlan:
-    jerk = course.limits.max_jerk
+    jerk = limits.drive.max_jerk
     head: Phases = ((abs(start.a) / jerk, -math.copysign(jerk, start.a)),) if start.a else ()
     level = state_after(start, *head[0]) if head else start
     level = level._replace(v=max(level.v, 0.0))  # below only by rounding: the start need not roll backwards
-    if level.s >= course.length:
+    if level.s >= limits.length:
         reason = "no room to end the start acceleration"
-        return GearPlan(TimingStatus.FAIL, how="windowed", reason=reason, limit="max_jerk", s=course.begin)
-    windows = _windows(course.after(level.s), parameters, is_late)
-    speeds = _border_speeds(windows, level.v, is_late)
+        yield SegmentPlan(TimingStatus.FAIL, how="windowed", reason=reason, limit="max_jerk", s=limits.begin)
+        return
+    windows = _windows(limits.after(level.s), settings, deadlines.last)
+    speeds = _border_speeds(windows, level.v, deadlines.last)
     if speeds[0] < level.v:
         reason = f"the windows allow {speeds[0]:.6g} m/s at the start, not {level.v:.6g} m/s"
-        return GearPlan(TimingStatus.FAIL, how="windowed", reason=reason, s=course.begin)
-    phases = head + _driven(windows, speeds, is_late)
-    return arrived_plan(course, Motion.of(start, phases), "windowed")
-
-
-def _driven(windows: list[Window], speeds: list[float], is_late: Callable[[], bool]) -> Phases:
-    """The motions of all windows; they end early at one that cannot be driven."""
-    phases: list[tuple[float, float]] = []
+        yield SegmentPlan(TimingStatus.FAIL, how="windowed", reason=reason, s=limits.begin)
+        return
+    phases = list(head)
     for window, v0, v1 in zip(windows, speeds[:-1], speeds[1:], strict=True):
-        look(is_late)
-        found = move(State(0.0, v0), State(window.right - window.left, v1), window.box)
+        deadlines.last.look()
+        found = move(State(0.0, v0), State(window.right - window.left, v1), window.bounds)
         if found is None:
-            break
+            break  # the motion ends early, and does not count as arrived
         phases.extend(found)
-    return tuple(phases)
+    yield arrived_plan(limits, Motion.of(start, phases), "windowed")
 
 
-def _windows(course: Course, parameters: WindowedParameters, is_late: Callable[[], bool]) -> list[Window]:
-    bend = np.maximum(np.abs(course.curvature[:-1]), np.abs(course.curvature[1:]))
-    rate = np.maximum(np.abs(course.rate_left), np.abs(course.rate_right))
-    yaw_share = parameters.yaw_share * course.limits.max_yaw_acceleration
-    slowness = np.maximum(course.cell_slowness, np.sqrt(rate * (1.0 / yaw_share)))
-    cuts = _cuts(course, slowness, parameters)
-    look(is_late)
-    peaks = (np.maximum.reduceat(column, cuts[:-1]) for column in (slowness, bend, rate))
-    rows = zip(course.s[cuts[:-1]], course.s[cuts[1:]], *peaks, strict=True)
-    return [_window(course, *(float(value) for value in row)) for row in rows]
+def _windows(limits: PathLimits, settings: WindowedSettings, deadline: Deadline) -> list[Window]:
+    """The windows, each with the worst of all limits in it."""
+    bend = np.maximum(np.abs(limits.curvature[:-1]), np.abs(limits.curvature[1:]))
+    slowness = limits.maximum_velocity_curve(settings.yaw_share)
+    cuts = _cuts(limits, slowness, settings)
+    deadline.look()
+    slowness, bend, rate = (np.maximum.reduceat(column, cuts[:-1]) for column in (slowness, bend, limits.steepest))
+    drive, used = limits.drive, 1.0 - settings.margin
+    speed = used / slowness
+    spare = (drive.max_yaw_acceleration - speed * speed * rate) * used
+    ceiling = np.divide(spare, bend, out=np.full(bend.size, np.inf), where=bend > 0.0)
+    rise, fall = np.minimum(drive.max_acceleration, ceiling), np.minimum(drive.max_deceleration, ceiling)
+    columns = (limits.s[cuts[:-1]], limits.s[cuts[1:]], speed, rise, fall)
+    return [
+        Window(left, right, DriveBounds(fastest, most, least, drive.max_jerk))
+        for left, right, fastest, most, least in zip(*(column.tolist() for column in columns), strict=True)
+    ]
 
 
-def _cuts(course: Course, slowness: FloatArray, parameters: WindowedParameters) -> list[int]:
+def _cuts(limits: PathLimits, slowness: FloatArray, settings: WindowedSettings) -> list[int]:
     """Indices of the nodes between windows: where the cap leaves its band, the length runs out, the zone begins."""
-    zone = int(np.searchsorted(course.s, course.zone_start - 1e-12)) if course.has_zone else -1
+    zone = int(np.searchsorted(limits.s, limits.zone_start - 1e-12)) if limits.has_zone else -1
     cuts, low, high, begin = [0], math.inf, 0.0, 0.0
-    longest = parameters.max_window * (1.0 + 1e-9)  # rounding of arc lengths must not shift the borders
-    for i, (value, s) in enumerate(zip(slowness.tolist(), course.s[1:].tolist(), strict=True)):
+    longest = settings.max_window * (1.0 + 1e-9)  # rounding of arc lengths must not shift the borders
+    for i, (value, s) in enumerate(zip(slowness.tolist(), limits.s[1:].tolist(), strict=True)):
         low, high = min(low, value), max(high, value)
-        if i > cuts[-1] and (high > parameters.cap_ratio * low or s - begin > longest or i == zone):
+        if i > cuts[-1] and (high > settings.cap_ratio * low or s - begin > longest or i == zone):
             cuts.append(i)
             low = high = value
-            begin = float(course.s[i])
-    return [*cuts, course.s.size - 1]
+            begin = float(limits.s[i])
+    return [*cuts, limits.s.size - 1]
 
 
-def _window(course: Course, left: float, right: float, slowness: float, bend: float, rate: float) -> Window:
-    limits = course.limits
-    speed = (1.0 - _MARGIN) / slowness
-    spare = (limits.max_yaw_acceleration - speed * speed * rate) * (1.0 - _MARGIN)
-    ceiling = spare / bend if bend > 0.0 else math.inf
-    acceleration, deceleration = min(limits.max_acceleration, ceiling), min(limits.max_deceleration, ceiling)
-    return Window(left, right, Box(speed, acceleration, deceleration, limits.max_jerk))
-
-
-def _border_speeds(windows: list[Window], start_speed: float, is_late: Callable[[], bool]) -> list[float]:
-    """Speeds at the window borders, zero acceleration: backward from rest, then forward from `start_speed`."""
-    caps = [window.box.speed for window in windows]
+def _border_speeds(windows: list[Window], start_speed: float, deadline: Deadline) -> list[float]:
+    """Speeds at the window borders, zero acceleration: a backward pass from rest, a forward pass from `start_speed`."""
+    caps = [window.bounds.speed for window in windows]
     speeds = [caps[0], *map(min, caps[:-1], caps[1:]), 0.0]
     for i in range(len(windows) - 1, -1, -1):
-        look(is_late)
-        box = windows[i].box
-        speeds[i] = min(speeds[i], _reachable(windows[i], speeds[i + 1], box.deceleration, speeds[i]))
+        deadline.look()
+        deceleration = windows[i].bounds.deceleration
+        speeds[i] = min(speeds[i], reachable_speed(windows[i], speeds[i + 1], deceleration, speeds[i]))
     if speeds[0] < start_speed:
         return speeds
     speeds[0] = start_speed
     for i, window in enumerate(windows):
-        look(is_late)
-        speeds[i + 1] = _reachable(window, speeds[i], window.box.acceleration, speeds[i + 1])
+        deadline.look()
+        speeds[i + 1] = reachable_speed(window, speeds[i], window.bounds.acceleration, speeds[i + 1])
     return speeds
 
 
-def _reachable(window: Window, slow: float, acceleration: float, wanted: float) -> float:
+def reachable_speed(window: Window, slow: float, acceleration: float, wanted: float) -> float:
     """The largest speed <= `wanted` that an S-curve from `slow` reaches within the window."""
-    length, jerk = (window.right - window.left) * (1.0 - 1e-9), window.box.jerk
-    if wanted <= slow or _ramp_length(slow, wanted, acceleration, jerk) <= length:
+    length, jerk = (window.right - window.left) * (1.0 - 1e-9), window.bounds.jerk
+    if wanted <= slow or s_curve_length(slow, wanted, acceleration, jerk) <= length:
         return wanted
     full = acceleration * acceleration / jerk
-    if _ramp_length(slow, slow + full, acceleration, jerk) <= length:
+    if s_curve_length(slow, slow + full, acceleration, jerk) <= length:
         # (v1^2 - v0^2) / (2 A) + (v0 + v1) A / (2 J) = length
         found = math.sqrt((slow - 0.5 * full) ** 2 + 2.0 * acceleration * length) - 0.5 * full
     else:
         # (2 v0 + g) sqrt(g / J) = length with g = v1 - v0: u^3 + p u = q with u = sqrt(g)
         root = _cubic_root(2.0 * slow, length * math.sqrt(jerk))
         found = slow + root * root
-    while found > slow and _ramp_length(slow, found, acceleration, jerk) > length:  # a few roundings of a small gain
+    while found > slow and s_curve_length(slow, found, acceleration, jerk) > length:  # some roundings of a small gain
         found = math.nextafter(found, slow)
     return found
 
@@ -214,7 +205,7 @@ def _cubic_root(p: float, q: float) -> float:
     return 2.0 * scale * math.sinh(math.asinh(0.5 * q / scale**3) / 3.0)
 
 
-def _ramp_length(slow: float, fast: float, acceleration: float, jerk: float) -> float:
+def s_curve_length(slow: float, fast: float, acceleration: float, jerk: float) -> float:
     """Length of the S-curve between two speeds with zero acceleration at both ends: mean speed * time."""
     gain = fast - slow
     full = acceleration * acceleration / jerk

@@ -114,7 +114,7 @@ def test_verbose_is_accepted_before_and_after_the_command(arguments):
     command = [sys.executable, "-c", "from optdock.cli import main; main()", *arguments]
     result = subprocess.run(command, capture_output=True, text=True, check=False)
     assert result.returncode == 0
-    said = re.findall(r"certified plan: (\S+) m", result.stderr)
+    said = re.findall(r"certified: (\S+) m in ", result.stderr)
     assert said == ([] if "-v" not in arguments else [f"{load_plan('plan.json').path.length:.2f}"])
 
 

@@ -136,14 +136,18 @@ def test_every_value_shows_itself_in_a_line():
     plan = small_plan()
     grid = od.Costmap(np.zeros((40, 60), dtype=np.uint8), 0.05, (-1.0, 0.0))
     values = [
-        *(plan, plan.path, plan.raw_path, plan.trajectory, plan.trajectory.time_law, plan.problem),
         *(
-            plan.certificate,
-            plan.trajectory_certificate,
-            plan.problem.robot.footprint,
-            plan.problem.all_obstacles,
+            plan,
+            plan.path,
+            plan.raw_path,
+            plan.trajectory,
+            plan.trajectory.time_law,
+            plan.problem,
+            plan.as_file(),
             grid,
         ),
+        *(*plan.path.segments, *plan.raw_path.segments, plan.path.segments[0].spline),
+        *(plan.certificate, plan.trajectory_certificate, plan.problem.robot.footprint, plan.problem.all_obstacles),
     ]
     for value in values:
         assert len(repr(value)) < 240, repr(value)

@@ -51,27 +51,19 @@ def test_quarter_circle_has_curvature_one_over_radius(radius, turn):
     np.testing.assert_allclose(curvature * radius, turn, atol=1e-9)
 
 
-def test_quarter_circle_is_a_circle_of_the_right_length_and_heading():
+def test_quarter_circle_is_a_circle_of_the_right_heading():
     curve = quarter_circle(2.0)
     points = curve.points_at(GRID)
     np.testing.assert_allclose(np.hypot(*points.T), 2.0, atol=1e-14)
-    assert curve.length == pytest.approx(math.pi, abs=1e-12)
     around = np.arctan2(points[:, 1], points[:, 0]) + 0.5 * math.pi
     np.testing.assert_allclose(curve.tangent_yaw_at(GRID), around, atol=1e-12)
 
 
-def test_a_parabola_has_its_textbook_curvature_and_length():
-    # y = x^2 for x in [0, 1] as a Bezier curve: curvature 2 / (1 + 4 x^2)^1.5 and a known arc length.
+def test_a_parabola_has_its_textbook_curvature():
+    # y = x^2 for x in [0, 1] as a Bezier curve: curvature 2 / (1 + 4 x^2)^1.5.
     curve = Nurbs([[0.0, 0.0], [0.5, 0.0], [1.0, 1.0]])
     np.testing.assert_allclose(curve.points_at(GRID), np.column_stack((GRID, GRID**2)), atol=1e-15)
     np.testing.assert_allclose(curve.curvature_at(GRID), 2.0 / (1.0 + 4.0 * GRID**2) ** 1.5, rtol=1e-12)
-    assert curve.length == pytest.approx(0.5 * math.sqrt(5.0) + 0.25 * math.asinh(2.0), abs=1e-13)
-
-
-def test_a_line_that_folds_back_counts_both_ways():
-    # x(u) = 2 u (1 - u) + 0.3 u^2 turns at u = 1 / 1.7.
-    top = 1.0 / 1.7
-    assert Nurbs([[0.0, 0.0], [1.0, 0.0], [0.3, 0.0]]).length == pytest.approx(2.0 * top - 0.3, abs=1e-11)
 
 
 def test_default_knots_are_clamped():
@@ -108,30 +100,12 @@ def test_scaling_all_weights_changes_nothing(shape, factor):
 
 @given(shapes(min_leg=0.1))
 def test_a_reversed_curve_runs_back_with_opposite_curvature(shape):
-    curve, back = shape.curve(), shape.curve().reversed()
+    curve, back = shape.curve(), Nurbs(shape.points[::-1], shape.weights[::-1], shape.degree)
     u = np.linspace(0.013, 0.977, 17)  # off the knots, where one-sided derivatives would be compared
     np.testing.assert_allclose(back.points_at(1.0 - u), curve.points_at(u), atol=1e-11)
     np.testing.assert_allclose(back.derivative_at(1.0 - u), -curve.derivative_at(u), atol=1e-9)
     moving = np.hypot(*curve.derivative_at(u).T) > 1.0
     np.testing.assert_allclose(back.curvature_at(1.0 - u)[moving], -curve.curvature_at(u)[moving], atol=1e-6)
-
-
-@given(shapes(), st.floats(0.01, 0.99))
-def test_knot_insertion_keeps_the_curve(shape, u):
-    curve = shape.curve()
-    assume(np.sum(curve.knots == u) < shape.degree)
-    finer = curve.with_knot(u)
-    assert len(finer.control_points) == len(curve.control_points) + 1
-    np.testing.assert_allclose(finer.points_at(GRID), curve.points_at(GRID), atol=1e-11)
-
-
-def test_inserting_a_knot_degree_times_puts_a_control_point_on_the_curve():
-    curve = quarter_circle(1.0)
-    cut = curve.with_knot(0.3).with_knot(0.3)
-    np.testing.assert_allclose(cut.control_points[2], curve.points_at(0.3)[0], atol=1e-15)
-    assert cut.length == pytest.approx(curve.length, abs=1e-13)
-    with pytest.raises(InvalidValue, match="repeated more than degree = 2"):
-        cut.with_knot(0.3)
 
 
 @given(shapes(min_leg=0.1))
@@ -179,15 +153,6 @@ def test_speed_bound_is_attained_at_the_ends_of_a_polynomial_curve():
     assert np.hypot(*curve.derivative_at(0.0)[0]) == pytest.approx(10.0)
 
 
-@given(shapes(min_leg=0.1))
-def test_length_agrees_with_a_fine_polyline(shape):
-    curve = shape.curve()
-    u = np.union1d(np.linspace(0.0, 1.0, 4001), curve.knots)
-    chords = np.hypot(*np.diff(curve.points_at(u), axis=0).T).sum()
-    assert chords <= curve.length * (1.0 + 1e-9)
-    assert curve.length == pytest.approx(chords, rel=1e-4)
-
-
 @given(shapes())
 def test_geomdl_agrees(shape):
     from geomdl import NURBS
@@ -209,15 +174,14 @@ def test_geomdl_agrees(shape):
 def test_where_a_curve_stands_still_the_tangent_is_the_one_it_leaves_or_arrives_with():
     leaving = Nurbs([[0.0, 0.0], [0.0, 0.0], [1.0, 1.0]])
     assert leaving.tangent_yaw_at(0.0)[0] == pytest.approx(math.pi / 4.0)
-    arriving = leaving.reversed()
+    arriving = Nurbs(leaving.control_points[::-1])
     np.testing.assert_allclose(arriving.tangent_yaw_at([0.5, 1.0]), -0.75 * math.pi)
     assert math.isnan(leaving.curvature_at(0.0)[0])
     assert leaving.curvature_at(0.5)[0] == pytest.approx(0.0)
 
 
-def test_a_curve_in_one_point_has_no_length_tangent_or_curvature():
+def test_a_curve_in_one_point_has_no_tangent_or_curvature():
     still = Nurbs([[1.0, 2.0]] * 3)
-    assert still.length == 0.0
     assert np.isnan(still.tangent_yaw_at(GRID)).all()
     assert np.isnan(still.curvature_at(GRID)).all()
 
@@ -226,7 +190,6 @@ def test_arguments_are_clipped_to_the_domain():
     curve = Nurbs([[0.0, 0.0], [1.0, 1.0], [2.0, 0.0]], knots=[2.0, 2.0, 2.0, 6.0, 6.0, 6.0])
     assert curve.domain == (2.0, 6.0)
     np.testing.assert_array_equal(curve.points_at([-1.0, 9.0]), [[0.0, 0.0], [2.0, 0.0]])
-    assert curve.length == pytest.approx(Nurbs([[0.0, 0.0], [1.0, 1.0], [2.0, 0.0]]).length)
 
 
 def test_arrays_are_copied_and_read_only():
@@ -264,13 +227,10 @@ def test_broken_curves_are_refused_with_their_rule(arguments, message):
         Nurbs(**{"control_points": THREE, **arguments})
 
 
-def test_orders_and_knots_out_of_range_are_refused():
+def test_orders_out_of_range_are_refused():
     curve = Nurbs(THREE)
     with pytest.raises(InvalidValue, match="order of a derivative must be 1 or 2, got 3"):
         curve.derivative_at(0.5, order=3)
-    for u in (0.0, 1.0, 1.5):
-        with pytest.raises(InvalidValue, match="strictly inside"):
-            curve.with_knot(u)
 
 
 def test_importing_nurbs_does_not_import_scipy():

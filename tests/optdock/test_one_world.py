@@ -21,7 +21,6 @@ from optdock.problem import ClearanceRule, DockingProblem
 from optdock.robot import Drive, Robot
 from optdock.simulation import run_closed_loop
 from optdock.simulation.closed_loop import SimulationSettings
-from optdock.surroundings import obstacles_near
 from optdock.testing.contracts.scene import bent_path, post_inside_the_bend, scene_problem
 from optdock.verification import certify_path, pose_clearance
 
@@ -146,7 +145,7 @@ def test_nav2s_smoothers_take_back_what_would_collide(name, bend):
 
 @pytest.mark.parametrize("context", WORLDS.values(), ids=WORLDS)
 def test_every_plugin_meets_the_same_obstacle(context):
-    near = obstacles_near(context, np.array([-1.0, -2.0]), np.array([4.0, 2.0]))
+    near = context.obstacles_near(np.array([-1.0, -2.0]), np.array([4.0, 2.0]))
     assert pose_clearance(Pose2(1.5, 0.0, 0.0), BOX, near)[0] == pytest.approx(-0.1, abs=1e-9)
 
     controller = create_plugin(Controller, "GracefulController", {"initial_rotation": False})
@@ -175,7 +174,7 @@ def test_the_certifying_smoother_never_reports_a_certificate_through_it(context)
     smoother = create_plugin(Smoother, "CasadiSmoother", {"max_curvature": 1.5, "max_curvature_rate": 6.0})
     smoother.configure(context)
     found = smoother.smooth(STRAIGHT, 5.0)
-    near = obstacles_near(context, np.array([-1.0, -2.0]), np.array([4.0, 2.0]))
+    near = context.obstacles_near(np.array([-1.0, -2.0]), np.array([4.0, 2.0]))
     assert found.report.certificate.certified
     assert certify_path(found.path, problem(obstacles=near, clearance=ClearanceRule(0.0, 0.0, 0.0))).certified
 
@@ -213,7 +212,7 @@ def test_local_and_global_costmaps_are_told_apart():
     low, high = np.array([0.0, -1.0]), np.array([2.5, 2.0])
 
     def found(needs):
-        return sorted(tuple(np.round(row, 2)) for row in obstacles_near(context, low, high, needs).lower)
+        return sorted(tuple(np.round(row, 2)) for row in context.obstacles_near(low, high, needs).lower)
 
     assert found(CostmapInfoType.NONE) == []
     assert found(CostmapInfoType.LOCAL) == [(1.4, 0.1)]

@@ -249,7 +249,7 @@ def test_a_timing_that_was_asked_for_wrongly_is_not_replaced(choice, error, mess
             lambda: plan_dock(problem(), timing=Liar()),
             "timing: must be a TimeParameterizer or the name of one, got Liar",
         ),
-        (lambda: plan_dock(problem(), smoother=Liar), "got Liar itself"),
+        (lambda: plan_dock(problem(), smoother=Liar), r"got the class Liar; write Liar\(\)"),
         (lambda: plan_dock(problem(), warm_start="plan.json"), "warm_start: must be a Path, got str"),
         (lambda: PluginChoice(["DockPlanner"]), "name: must be a str, got list"),
     ],

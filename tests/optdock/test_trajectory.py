@@ -103,3 +103,26 @@ def test_trajectories_survive_pickling():
     trajectory = motion()
     copy = pickle.loads(pickle.dumps(trajectory))
     assert copy.at(1.2) == trajectory.at(1.2)
+
+
+@pytest.mark.parametrize("period", [0.02, 0.1, 0.3, 1.0, 7.0])
+def test_samples_come_every_period_and_end_at_the_end(period):
+    path = Path((ClothoidSegment(ClothoidSpline(Pose2(1.0, 2.0, 0.3), [0.0, 1.0], [0.0, 0.5])),))
+    trajectory = Trajectory(path, TimeLaw([1.0, 1.0, 1.0, 1.0], [0.5, -0.5, -0.5, 0.5], 0.0))
+    t, poses, twists = trajectory.sampled(period)
+    assert (poses.shape, twists.shape) == ((t.size, 3), (t.size, 2))
+    assert t[0] == 0.0
+    assert t[-1] == trajectory.duration
+    assert np.allclose(np.diff(t)[:-1], period, atol=1e-12)
+    assert 0.0 < t[-1] - t[-2] <= period * (1.0 + 1e-9)
+    for row, when in enumerate(t):
+        state = trajectory.at(when)
+        np.testing.assert_allclose(poses[row], state.pose.as_array(), atol=1e-12)
+        np.testing.assert_allclose(twists[row], [state.twist.linear, state.twist.angular], atol=1e-12)
+
+
+@pytest.mark.parametrize("period", [0.0, -0.1, np.nan, np.inf, "0.02", True])
+def test_a_sampling_period_is_a_positive_number(period):
+    trajectory = Trajectory(Path.from_poses([[0, 0, 0], [1, 0, 0]]), TimeLaw([1.0, 1.0], [1.0, -1.0]))
+    with pytest.raises(InvalidValue, match="period"):
+        trajectory.sampled(period)

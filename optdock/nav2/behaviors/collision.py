@@ -9,7 +9,6 @@ import numpy as np
 
 from optdock.errors import BehaviorException
 from optdock.interfaces import CostmapInfoType
-from optdock.surroundings import asked_costmaps, obstacles_near
 from optdock.verification.sweep import free_motion
 
 if TYPE_CHECKING:
@@ -40,7 +39,7 @@ class CollisionGate:
         self, context: PluginContext, clearance: float, needs: CostmapInfoType = CostmapInfoType.LOCAL
     ) -> None:
         self._context, self._clearance, self._needs = context, clearance, needs
-        if context.footprint is None or (context.problem is None and not asked_costmaps(context, needs)):
+        if context.footprint is None or (context.problem is None and not context.costmaps(needs)):
             raise BehaviorException(
                 f"{context.name}: cannot check for collisions: configure it with a problem or with a costmap and a "
                 f"footprint, or set disable_collision_checks"
@@ -52,7 +51,7 @@ class CollisionGate:
         travel = math.hypot(twist.linear, twist.lateral) * duration
         reach = self._footprint.circumscribed_radius + travel + self._clearance
         centre = np.array([pose.x, pose.y])
-        obstacles = obstacles_near(self._context, centre - reach, centre + reach, self._needs)
+        obstacles = self._context.obstacles_near(centre - reach, centre + reach, self._needs)
         found = free_motion(self._footprint, obstacles, pose, twist, duration, self._clearance)
         if found.row < 0:
             return ""

@@ -9,11 +9,10 @@ from optdock.dock import DockDirection
 from optdock.errors import CertificationFailed, FailedToTimePath, OptdockError
 from optdock.geometry.clothoid import ClothoidSpline
 from optdock.geometry.pose import Pose2
-from optdock.interfaces import PluginContext, TimeParameterizer, TimingStatus
 from optdock.limits import SpeedZone
 from optdock.path import Path
 from optdock.pipeline import DEFAULT_TIMING, TimingLike, plan_dock
-from optdock.plugins import plugin_from
+from optdock.plugins import timed_by
 from optdock.segments import ClothoidSegment, Direction, PolylineSegment
 from optdock.verification import certify_path, certify_trajectory
 
@@ -102,12 +101,10 @@ def _from(problem: DockingProblem, start: Pose2) -> DockingProblem:
 
 
 def _timed(path: Path, problem: DockingProblem, timing: TimingLike) -> Trajectory:
-    parameterizer = plugin_from(TimeParameterizer, timing, "timing")
-    parameterizer.configure(PluginContext(name=parameterizer.name, problem=problem))
-    result = parameterizer.parameterize(path, problem.robot.limits, SpeedZone())
-    if result.status is not TimingStatus.OK or result.trajectory is None:
-        raise FailedToTimePath(f"the way out of the dock cannot be timed: {result.status.name}")
-    return result.trajectory
+    try:
+        return timed_by(timing, path, problem, zone=SpeedZone())
+    except FailedToTimePath as error:
+        raise FailedToTimePath(f"the way out of the dock: {error}", where=error.where) from error
 
 
 def reversed_path(path: Path) -> Path:

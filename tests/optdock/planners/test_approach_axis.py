@@ -80,9 +80,7 @@ def test_calibration_widens_the_safety_distance():
 @pytest.mark.parametrize("x", [4.0, 3.6, 3.5, 4.5, 4.2])
 @pytest.mark.parametrize("y", [1.0, 3.0])
 def test_a_start_not_beyond_c_is_refused(x, y):
-    with pytest.raises(
-        NoValidPathCouldBeFound, match=r"from the goal along the dock.s axis, must be more than .* 0.5 m"
-    ) as e:
+    with pytest.raises(NoValidPathCouldBeFound, match=r"must be more than 0.5 m from it") as e:
         axis_from(x, y)
     assert e.value.where["step"] == "beyond_c"
     assert e.value.where["t"] == pytest.approx(abs(4.0 - x) / 0.5)
@@ -102,13 +100,13 @@ def test_a_wanted_direction_that_the_side_contradicts_is_refused(x, wanted, poss
 
 
 def test_a_robot_without_length_is_refused():
-    with pytest.raises(NoValidPathCouldBeFound, match="dock planner: the robot's length must be > 0 m, got 0 m"):
+    with pytest.raises(NoValidPathCouldBeFound, match="the robot's length must be > 0 m, got 0 m"):
         axis_from(1.0, 1.0, geometry=GEOMETRY._replace(robot_length=0.0))
 
 
 @pytest.mark.parametrize("calibration", [-0.5, -2.0])
 def test_a_safety_distance_that_is_not_positive_is_refused(calibration):
-    with pytest.raises(NoValidPathCouldBeFound, match=r"safety distance .* must be > 0 m") as caught:
+    with pytest.raises(NoValidPathCouldBeFound, match=r"safety distance, .* must be > 0 m") as caught:
         axis_from(1.0, 1.0, calib_safety_distance=calibration)
     assert caught.value.where["safety_distance"] == pytest.approx(2.0 * (0.5 + calibration))
     assert axis_from(1.0, 1.0, calib_safety_distance=-0.49).safety_distance == pytest.approx(0.02)

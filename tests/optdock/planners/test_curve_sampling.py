@@ -10,7 +10,7 @@ from optdock.errors import NoValidPathCouldBeFound, PlannerCancelled
 from optdock.geometry.nurbs import Nurbs
 from optdock.interfaces import never_cancelled
 from optdock.path import Direction
-from optdock.planners.curve_sampling import MAX_SAMPLES, CurveSampler
+from optdock.planners.two_segment import MAX_SAMPLES, CurveSampler
 
 ARC = np.array([[0.0, 0.0], [2.0, 0.0], [3.0, 1.5]])
 
@@ -35,7 +35,8 @@ def test_neighbours_are_never_farther_apart_than_the_resolution(points, resoluti
 def test_the_mean_speed_alone_would_space_poses_too_far():
     # Why the step is not resolution / length, as in the source: the control legs are longer than the arc.
     curve = Nurbs(ARC)
-    u = np.linspace(0.0, 1.0, math.ceil(curve.length / 0.05) + 1)
+    length = np.hypot(*np.diff(curve.points_at(np.linspace(0.0, 1.0, 10_001)), axis=0).T).sum()
+    u = np.linspace(0.0, 1.0, math.ceil(length / 0.05) + 1)
     assert np.hypot(*np.diff(curve.points_at(u), axis=0).T).max() > 0.05 * 1.1
 
 

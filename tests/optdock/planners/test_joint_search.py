@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from optdock.planners.joint_search import JointKind, find_joint, interior_angles
+from optdock.planners.two_segment import JointKind, find_joint, interior_angles
 
 # C at the origin, F at 6 m, a sample every 5 cm; the dock lies toward negative x.
 LINE = np.column_stack((np.linspace(0.0, 6.0, 121), np.zeros(121)))

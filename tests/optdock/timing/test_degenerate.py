@@ -2,17 +2,24 @@
 
 from __future__ import annotations
 
+import dataclasses
+
 import numpy as np
 import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
+from optdock.geometry.clothoid import ClothoidSpline
 from optdock.geometry.pose import Pose2
 from optdock.interfaces import TimingStatus
 from optdock.limits import MotionLimits, SpeedZone
-from optdock.path import Path
+from optdock.path import ClothoidSegment, Path
+from optdock.testing.drives import s_curve_drive
 from optdock.timing.near_optimal import NearOptimal
+from optdock.timing.path_limits import limits_along
+from optdock.timing.settings import SAMPLING
 from optdock.timing.windowed import Windowed
+from optdock.verification import certify_trajectory
 
 METHODS = (NearOptimal(), NearOptimal(smooth=True), Windowed())
 LENGTHS = st.one_of(st.sampled_from([1e-9, 1e-6, 1e-3, 0.05]), st.floats(1e-3, 2.0))
@@ -109,3 +116,71 @@ def test_slow_limits_are_as_good_as_fast_ones(make, dense):
     result = NearOptimal().parameterize(path, limits, SpeedZone(0.002, 0.05))
     assert_honest(result, path, limits, SpeedZone(0.002, 0.05), (0.0, 0.0), dense)
     assert result.status is TimingStatus.OK
+
+
+TURNING = MotionLimits(
+    max_yaw_rate=1.0, max_yaw_acceleration=2.0, max_lateral_acceleration=0.5, max_wheel_speed=0.7, track_width=0.4
+)
+ZONE = SpeedZone(0.1, 0.3)
+PATH = Path((ClothoidSegment(ClothoidSpline(Pose2(0.0, 0.0, 0.0), [0.0, 1.0, 2.0, 3.0], [0.0, 0.8, -0.5, 0.0])),))
+NAMES = [
+    field.name
+    for field in dataclasses.fields(TURNING)
+    if field.name.startswith("max_") and "curvature" not in field.name
+]
+
+
+@pytest.mark.parametrize("method", [NearOptimal, Windowed])
+@pytest.mark.parametrize("name", [name for name in NAMES if name != "max_reverse_speed"])
+@pytest.mark.parametrize("value", [1e-12, 1e-9, 1e-5, 1e-2, 1e3, 1e9])
+def test_an_extreme_limit_has_a_named_outcome(method, name, value):
+    limits = dataclasses.replace(TURNING, **{name: value})
+    result = method().parameterize(PATH, limits, ZONE)
+    if result.status is TimingStatus.OK:
+        assert certify_trajectory(result.trajectory, limits, ZONE, start_speed=0.0).certified
+    else:
+        assert result.status is TimingStatus.FAIL
+        assert result.reason
+
+
+def test_a_motion_of_hours_is_refused_with_its_duration():
+    result = NearOptimal().parameterize(PATH, dataclasses.replace(TURNING, max_speed=1e-5), ZONE)
+    assert result.status is TimingStatus.FAIL
+    assert "about 3e+05 s; motions of more than 3600 s" in result.reason
+
+
+@pytest.mark.parametrize("seed", range(12))
+def test_the_expected_duration_is_about_the_true_one(seed):
+    rng = np.random.default_rng(seed)
+    knots = np.linspace(0.0, rng.uniform(0.5, 8.0), 7)
+    curve = ClothoidSpline(Pose2(0.0, 0.0, 0.0), knots, np.append(rng.uniform(-1.5, 1.5, 6), 0.0))
+    path = Path((ClothoidSegment(curve),))
+    (along,) = limits_along(path, TURNING, ZONE)
+    true = NearOptimal().parameterize(path, TURNING, ZONE).trajectory.duration
+    assert 0.4 * true <= along.duration_estimate <= 1.05 * true
+    assert true < SAMPLING.longest_motion
+
+
+COARSE = MotionLimits(
+    max_yaw_rate=0.4,
+    max_yaw_acceleration=1.0,
+    max_lateral_acceleration=0.15,
+    max_wheel_speed=0.45,
+    track_width=0.4,
+)
+CURVE = s_curve_drive(Pose2(0.0, 0.0, 0.0)).path
+
+
+@pytest.mark.parametrize("method", [NearOptimal, Windowed])
+@pytest.mark.parametrize("spacing", [0.005, 0.02, 0.05, 0.1, 0.2])
+def test_what_is_timed_is_certified(method, spacing):
+    path = Path.from_poses(CURVE.sample(spacing).poses)
+    result = method().parameterize(path, COARSE, SpeedZone())
+    assert certify_trajectory(result.trajectory, COARSE, SpeedZone()).certified
+
+
+@pytest.mark.parametrize("spacing", [0.005, 0.05])
+def test_sampling_costs_little_time(spacing):
+    exact = NearOptimal().parameterize(CURVE, COARSE, SpeedZone()).trajectory.duration
+    sampled = NearOptimal().parameterize(Path.from_poses(CURVE.sample(spacing).poses), COARSE, SpeedZone())
+    assert sampled.trajectory.duration == pytest.approx(exact, rel=0.01)

@@ -13,8 +13,8 @@ from optdock.interfaces import TimeParameterizer, TimingStatus
 from optdock.limits import MotionLimits, SpeedZone
 from optdock.path import Path
 from optdock.plugins import create_plugin
-from optdock.timing.moves import Box
-from optdock.timing.windowed import Window, Windowed, _ramp_length, _reachable
+from optdock.timing.motion import DriveBounds
+from optdock.timing.windowed import Window, Windowed, reachable_speed, s_curve_length
 
 NO_ZONE = SpeedZone()
 
@@ -122,12 +122,12 @@ def test_found_as_a_plugin(make, all_limits):
 
 @settings(max_examples=300)
 @given(*(st.floats(-4.0, 3.0) for _ in range(3)), st.one_of(st.just(0.0), st.floats(1e-9, 10.0)), st.floats(0.0, 1.0))
-def test_the_reachable_speed_uses_up_the_window(length, acceleration, jerk, slow, share):
-    box = Box(1.0, 10.0**acceleration, 10.0**acceleration, 10.0**jerk)
+def test_thereachable_speed_speed_uses_up_the_window(length, acceleration, jerk, slow, share):
+    box = DriveBounds(1.0, 10.0**acceleration, 10.0**acceleration, 10.0**jerk)
     window = Window(0.0, 10.0**length, box)
-    found = _reachable(window, slow, box.acceleration, math.inf)
-    assert _ramp_length(slow, found, box.acceleration, box.jerk) <= 10.0**length
+    found = reachable_speed(window, slow, box.acceleration, math.inf)
+    assert s_curve_length(slow, found, box.acceleration, box.jerk) <= 10.0**length
     faster = found + 1e-7 * (found - slow) + 8.0 * math.ulp(found)
-    assert _ramp_length(slow, faster, box.acceleration, box.jerk) >= 10.0**length * (1.0 - 2e-9)
+    assert s_curve_length(slow, faster, box.acceleration, box.jerk) >= 10.0**length * (1.0 - 2e-9)
     wanted = slow + share * (found - slow)
-    assert _reachable(window, slow, box.acceleration, wanted) == wanted
+    assert reachable_speed(window, slow, box.acceleration, wanted) == wanted

@@ -1,0 +1,249 @@
+"""Pages made from the code: what a reader finds there cannot be stale.
+
+A line `<!-- made: NAME ARGUMENT -->` in a page is replaced by what `NAME` makes.
+"""
+
+from __future__ import annotations
+
+import ast
+import html
+import inspect
+import json
+import re
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator, Sequence
+
+    from mkdocs.config.defaults import MkDocsConfig
+    from mkdocs.structure.files import Files
+
+    from optdock.config import KeyReference
+
+__all__ = ["MARKER", "ROOT", "modules_of", "on_files", "on_page_markdown"]
+
+ROOT = Path(__file__).resolve().parents[2]
+MARKER = re.compile(r"^<!-- made: (?P<name>\w+) ?(?P<argument>[^\n]*?) ?-->$", re.MULTILINE)
+
+
+def on_page_markdown(markdown: str, **_: object) -> str:
+    """Hook of MkDocs: fill in what is made."""
+    return MARKER.sub(lambda found: _MAKERS[found["name"]](found["argument"]), markdown)
+
+
+# The map: modules with the first line of their docstring.
+
+
+def modules_of(package: str) -> list[Path]:
+    """The modules directly in a folder, `__init__` first, relative to the root."""
+    found = sorted((ROOT / package).glob("*.py"), key=lambda path: (path.name != "__init__.py", path.name))
+    return [path.relative_to(ROOT) for path in found]
+
+
+def _map(package: str) -> str:
+    rows = [row for path in modules_of(package) for row in _map_row(path)]
+    return '<div class="tree" markdown="0"><dl>\n' + "\n".join(rows) + "\n</dl></div>"
+
+
+def _map_row(path: Path) -> Iterator[str]:
+    tree = ast.parse((ROOT / path).read_text(encoding="utf-8"))
+    says = (ast.get_docstring(tree) or "").split("\n\n")[0].replace("\n", " ")
+    if path.name == "__init__.py" and len(tree.body) <= 1 and not says:
+        return
+    names = [] if path.name == "__init__.py" else _public_names(tree)
+    listed = f' <span class="names">{", ".join(names)}</span>' if names else ""
+    yield f'<dt id="{path.as_posix().replace("/", "-")}">{path.as_posix()}</dt><dd>{_inline(says)}{listed}</dd>'
+
+
+def _public_names(tree: ast.Module) -> list[str]:
+    for node in tree.body:
+        if isinstance(node, ast.Assign) and getattr(node.targets[0], "id", "") == "__all__":
+            return [str(name) for name in ast.literal_eval(node.value)]
+    return []
+
+
+def _inline(text: str) -> str:
+    return re.sub(r"`([^`]+)`", r"<code>\1</code>", html.escape(text, quote=False))
+
+
+# Keys of scenario files, and parameters of plugins.
+
+
+def _scenario(prefix: str) -> str:
+    """The keys below a section, or those of the top level."""
+    from optdock.config import scenario_reference
+
+    rows = scenario_reference()
+    if prefix:
+        return _table(
+            [row._replace(key=row.key[len(prefix) + 1 :]) for row in rows if row.key.startswith(f"{prefix}.")]
+        )
+    return _table([row for row in rows if "." not in row.key])
+
+
+def _table(rows: Sequence[KeyReference]) -> str:
+    head = "| key | what it is | type and rule | unit | absent means |\n|---|---|---|---|---|\n"
+    return head + "\n".join(map(_row, rows))
+
+
+def _row(row: KeyReference) -> str:
+    rule = f"{row.type}, {row.rule}" if row.rule else row.type
+    absent = "**required**" if row.required else _absent(row)
+    cells = (f"`{row.key}`", row.description, rule, row.unit, absent)
+    return "| " + " | ".join(cell.replace("|", "\\|").replace("\n", " ") for cell in cells) + " |"
+
+
+def _absent(row: KeyReference) -> str:
+    if not row.default or row.default in row.absent:
+        return row.absent
+    return f"`{row.default}`" if row.absent in ("", row.default) else f"`{row.default}`: {row.absent}"
+
+
+def _plugins(kind: str) -> str:
+    from optdock.plugins import available_plugins
+
+    return "\n\n".join(_plugin(kind, info.name) for info in available_plugins() if info.kind == kind)
+
+
+def _plugin(kind: str, name: str) -> str:
+    from optdock.config import plugin_reference
+    from optdock.plugins import INTERFACES, load_plugin
+
+    cls, rows = load_plugin(INTERFACES[kind], name), plugin_reference(kind, name)
+    says = inspect.cleandoc(cls.__doc__ or "").split("\n\n")[0].replace("\n", " ")
+    where = Path(inspect.getfile(cls)).relative_to(ROOT).as_posix()
+    return f"### {name}\n\n{says} (`{where}`)\n\n{_table(rows) if rows else 'It has no parameters.'}\n"
+
+
+# The library: signatures and docstrings.
+
+_SECTION = re.compile(r"^(Args|Attributes|Returns|Raises|Yields):$", re.MULTILINE)
+_ENTRY = re.compile(r"^(?P<name>[^\n:]+):(?P<text>(?: [^\n]*)?(?:\n[ ]+[^\n]*|\n(?=\n[ ]+))*)", re.MULTILINE)
+
+
+def _api(names: str) -> str:
+    """What these names of the front door, or interfaces, are."""
+    import optdock
+    from optdock import interfaces
+
+    return "\n\n".join(
+        _described(name, getattr(optdock, name, None) or getattr(interfaces, name)) for name in names.split()
+    )
+
+
+def _described(name: str, value: Any) -> str:
+    where = Path(inspect.getfile(value)).relative_to(ROOT).as_posix()
+    head = f"### {name}\n\n{_signature(name, value)}\n\n{_docstring(value)}\n\n<small>`{where}`</small>"
+    members = [_member(key, member) for key, member in vars(value).items() if not key.startswith("_")]
+    listed = "\n".join(filter(None, members)) if inspect.isclass(value) else ""
+    return f"{head}\n\n{listed}" if listed else head
+
+
+def _signature(name: str, value: Any) -> str:
+    if inspect.isclass(value) and issubclass(value, Exception):
+        return f"```python\n{name}: code {value.code}, a {value.__mro__[1].__name__}\n```"  # type: ignore[attr-defined]
+    plugin = hasattr(value, "Parameters") or inspect.isabstract(value)
+    parameters = [] if plugin else list(inspect.signature(value).parameters.values())
+    shown = [str(one.replace(annotation=_short(one.annotation))) for one in parameters if one.name != "self"]
+    if any(one.kind is one.KEYWORD_ONLY for one in parameters):
+        shown.insert([one.kind is one.KEYWORD_ONLY for one in parameters].index(True), "*")
+    line = f"{name}({'**parameters' if plugin else ', '.join(shown)})"
+    broken = f"{name}(\n    " + ",\n    ".join(shown) + ",\n)"
+    return f"```python\n{line if len(line) < 84 else broken}\n```"
+
+
+def _short(annotation: object) -> object:
+    text = annotation if isinstance(annotation, str) else getattr(annotation, "__name__", "")
+    return inspect.Parameter.empty if not text or text == "_empty" else _Bare(text)
+
+
+class _Bare(str):
+    """A string without quotes in a signature."""
+
+    __slots__ = ()
+
+    def __repr__(self) -> str:
+        return str(self)
+
+
+def _docstring(value: object) -> str:
+    """A Google style docstring as Markdown."""
+    parts = _SECTION.split(inspect.cleandoc(value.__doc__ or ""))
+    sections = [f"**{title}**\n\n{_entries(body)}" for title, body in zip(parts[1::2], parts[2::2], strict=True)]
+    return "\n\n".join([_with_doctests(parts[0].strip()), *sections])
+
+
+def _with_doctests(text: str) -> str:
+    blocks = [f"```python\n{block}\n```" if block.startswith(">>>") else block for block in text.split("\n\n")]
+    return "\n\n".join(blocks)
+
+
+def _entries(body: str) -> str:
+    entries, rest = inspect.cleandoc(body).split("\n\n", 1) if "\n\n" in body.strip() else (inspect.cleandoc(body), "")
+    found = list(_ENTRY.finditer(entries))
+    listed = "\n".join(f"- `{one['name'].strip()}`: {' '.join(one['text'].split())}" for one in found)
+    return f"{listed or entries}\n\n{inspect.cleandoc(rest)}".strip()
+
+
+def _member(name: str, member: Any) -> str:
+    """One line about a method or property."""
+    call = getattr(member, "__func__", getattr(member, "fget", getattr(member, "func", member)))
+    if not inspect.isfunction(call) or not call.__doc__:
+        return ""
+    names = [one for one in inspect.signature(call).parameters.values() if one.name not in ("self", "cls")]
+    spelled = (
+        f"{name}({', '.join(str(one.replace(annotation=one.empty)) for one in names)})"
+        if call is not getattr(member, "fget", getattr(member, "func", None))
+        else name
+    )
+    says = inspect.cleandoc(call.__doc__).split("\n\n")[0].replace("\n", " ")
+    return f"- `{spelled}`: {says}"
+
+
+# Commands.
+
+
+def _commands(_: str) -> str:
+    import typer
+    from optdock.cli.app import app
+
+    command = typer.main.get_command(app)
+    names = command.list_commands(None)  # type: ignore[attr-defined, arg-type]
+    return "\n\n".join(_command(name, command.commands[name]) for name in names)  # type: ignore[attr-defined]
+
+
+def _command(name: str, command: Any) -> str:
+    rows = [_option(parameter) for parameter in command.params if parameter.name != "help"]
+    head = "| option | meaning | default |\n|---|---|---|\n"
+    return f"## optdock {name}\n\n{inspect.cleandoc(command.help or '')}\n\n{head}" + "\n".join(rows)
+
+
+def _option(parameter: Any) -> str:
+    spelled = ", ".join(parameter.opts) if parameter.param_type_name == "option" else str(parameter.name).upper()
+    default = "" if parameter.default is None or callable(parameter.default) else str(parameter.default)
+    words = re.sub(r"\\\[", "[", getattr(parameter, "help", "") or "")
+    default = (
+        "**required**" if parameter.required else f"`{default}`" if default not in ("", "False", "[]", "()") else ""
+    )
+    return "| " + " | ".join(cell.replace("|", "\\|") for cell in (f"`{spelled}`", words, default)) + " |"
+
+
+_MAKERS: dict[str, Callable[[str], str]] = {
+    "api": _api,
+    "commands": _commands,
+    "map": _map,
+    "plugins": _plugins,
+    "scenario": _scenario,
+}
+
+
+def on_files(files: Files, config: MkDocsConfig) -> Files:
+    """Hook of MkDocs: lay the schema of scenario files beside the pages."""
+    from mkdocs.structure.files import File
+
+    from optdock.config import scenario_schema
+
+    text = json.dumps(scenario_schema(), indent=1, allow_nan=False)
+    files.append(File.generated(config, "scenario.schema.json", content=text))
+    return files

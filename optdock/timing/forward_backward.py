@@ -1,0 +1,42 @@
+"""The forward-backward pass: the fastest speeds under caps and accelerations alone.
+
+Without jerk the time-optimal x = v^2 is the largest function below the maximum velocity curve whose slope 2 a stays
+between -2 D and 2 A: one sweep forward, one backward [Bobrow1985]. Its running time, *pseudo time*, spreads the knots
+of the reference.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from optdock.geometry.arrays import FloatArray
+    from optdock.timing.motion import State
+    from optdock.timing.path_limits import ReferenceBounds
+
+__all__ = ["SpeedProfile", "forward_backward_pass"]
+
+_SLOWEST = 1e-4  # [m/s]: pseudo time counts no speed below this, as the profile rests at its ends
+
+
+class SpeedProfile(NamedTuple):
+    """The acceleration-limited speeds on the nodes of the limits: v^2 [m^2/s^2] and time [s], Shape (n,)."""
+
+    speed_squared: FloatArray
+    time: FloatArray
+
+
+def forward_backward_pass(bounds: ReferenceBounds, start: State) -> SpeedProfile:
+    """The fastest v^2 under caps, acceleration and deceleration alone, yaw acceleration as a cap at a = 0."""
+    limits, drive = bounds.limits, bounds.limits.drive
+    cell = np.minimum(bounds.speed_squared, bounds.yaw / np.maximum(limits.steepest, 1e-9))
+    x = np.minimum(np.append(cell, 0.0), np.insert(cell, 0, start.v * start.v))
+    rise, fall = 2.0 * drive.max_acceleration * limits.s, 2.0 * drive.max_deceleration * limits.s
+    x = np.minimum.accumulate(x - rise) + rise
+    x = (np.minimum.accumulate((x + fall)[::-1]))[::-1] - fall
+    x = np.maximum(x, 0.0)
+    v = np.sqrt(x)
+    gain = 2.0 * np.diff(limits.s) / np.maximum(v[:-1] + v[1:], _SLOWEST)
+    return SpeedProfile(x, np.concatenate(([0.0], np.cumsum(gain))))

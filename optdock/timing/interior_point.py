@@ -1,0 +1,179 @@
+"""The interior point: a banded primal-dual method for the reference program, on plain arrays.
+
+    minimize   sum_m h_m / sqrt(c_{m+1}) + c' Q c / 2
+    subject to A c <= 1,   |x''_m(c)| f_m <= 2 J sqrt(c_{m+1})^-1,   two coefficients given at each end.
+
+Every row touches three neighbouring coefficients, so Newton's normal matrix is pentadiagonal, and Q, the price on jerk
+steps, adds one band: each iteration is one LAPACK `dpbsv`. The right side of the jerk rows is convex in c; linearized
+it is an inner approximation, as in the convex-concave procedure [Lipp2016]. Newton drops its curvature. The method is
+that of [Wright1997] with slacks, S + G = 0, S Z = mu, and separate steps for both.
+"""
+
+from __future__ import annotations
+
+from functools import cache
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from optdock.geometry.arrays import FloatArray
+    from optdock.timing.settings import InteriorPoint
+
+__all__ = ["Program", "applied", "load_lapack", "solve"]
+
+
+def applied(stencil: FloatArray, c: FloatArray) -> FloatArray:
+    """Stencils on three neighbouring coefficients, Shape (3, ..., M), times coefficients, Shape (M + 2,)."""
+    total: FloatArray = stencil[0] * c[:-2] + stencil[1] * c[1:-1] + stencil[2] * c[2:]
+    return total
+
+
+class Program(NamedTuple):
+    """The program: M cells, M + 2 coefficients of which two are given at each end.
+
+    Attributes:
+        steps: Lengths of the cells h, Shape (M,) [m].
+        rows: Linear constraints A c <= 1 as stencils, Shape (3, rows, M).
+        curve: x'' / (2 J) as stencils, Shape (3, M).
+        right_share: Weight of c_{i+1} in the value at knot i, Shape (M + 1,).
+        ripple: Upper bands of Q, Shape (4, M + 2), LAPACK's storage.
+    """
+
+    steps: FloatArray
+    rows: FloatArray
+    curve: FloatArray
+    right_share: FloatArray
+    ripple: FloatArray
+
+
+def solve(program: Program, c: FloatArray, settings: InteriorPoint, look: Callable[[], None]) -> tuple[FloatArray, int]:
+    """Coefficients that nearly minimize the program, and the number of iterations.
+
+    Args:
+        program: What to minimize.
+        c: First iterate, positive inside, exact in the two coefficients at each end, Shape (M + 2,).
+        settings: When to stop, and how to step.
+        look: Called in every iteration; it may raise.
+    """
+    iterate = _Iterate(program, c)
+    slack = np.maximum(-iterate.value, settings.smallest_slack)
+    mu = settings.first_gap * iterate.objective / slack.size
+    dual = mu / slack
+    iteration = 0
+    for iteration in range(1, settings.most_iterations + 1):
+        look()
+        primal = iterate.value + slack
+        weight = dual / slack
+        change = iterate.newton_change(weight, mu / slack + weight * primal)
+        if not np.isfinite(change).all():
+            break  # no spline keeps the limits; the last one is still a motion
+        slack_change = -primal - applied(iterate.stencil, change)
+        dual_change = mu / slack - dual - weight * slack_change
+        step = min(
+            _longest(slack, slack_change, settings.to_boundary),
+            _longest(c[1:-1], change[1:-1], settings.largest_decrease),
+        )
+        dual_step = _longest(dual, dual_change, settings.to_boundary)
+        c, slack, dual = c + step * change, slack + step * slack_change, dual + dual_step * dual_change
+        iterate.move_to(c, frozen=iteration > settings.freeze)
+        gap = float(np.vdot(slack, dual))
+        residual = float(np.abs(iterate.value + slack).max())
+        if gap < settings.gap * iterate.objective and residual < settings.residual:
+            break
+        shorter = min(step, dual_step)
+        share = next((share for longer, share in settings.centering if shorter > longer), settings.short_centering)
+        mu = share * gap / slack.size
+    return c, iteration
+
+
+class _Iterate:
+    """The program at the current coefficients: constraint values, their stencils, Newton's normal equations."""
+
+    def __init__(self, program: Program, c: FloatArray) -> None:
+        self.program = program
+        self.products = _products(program.rows)
+        self.stencil = np.concatenate((program.rows, np.zeros((3, 2, program.steps.size))), axis=1)
+        self.value = np.empty(self.stencil.shape[1:])
+        self.move_to(c, frozen=False)
+
+    def move_to(self, c: FloatArray, *, frozen: bool) -> None:
+        """Evaluate everything at `c`; `frozen` keeps f as it is. Jerk rows are in units of 2 J / sqrt(c)."""
+        program = self.program
+        if not frozen:  # f: sqrt(c) over the largest speed in each cell
+            knot = c[:-1] + program.right_share * (c[1:] - c[:-1])
+            largest = np.maximum(np.maximum(knot[:-1], knot[1:]), c[1:-1])
+            self.share: FloatArray = np.sqrt(c[1:-1] / largest)
+        self.c = c
+        root = self.root = np.sqrt(c[1:-1])
+        self.value[:-2] = applied(program.rows, c) - 1.0
+        scaled = program.curve * root
+        bend = applied(scaled, c)
+        self.value[-2] = bend - self.share
+        self.value[-1] = -bend - self.share
+        self.stencil[:, -2] = scaled
+        self.stencil[:, -1] = -scaled
+        self.stencil[1, -2:] += 0.5 * self.share / (root * root)
+
+    @property
+    def objective(self) -> float:
+        """Time [s]."""
+        return float(np.dot(self.program.steps, 1.0 / self.root))
+
+    def newton_change(self, weight: FloatArray, target: FloatArray) -> FloatArray:
+        """Solution of (H + A' W A) dc = -grad - A' target; zero at the two given coefficients on each side.
+
+        Args:
+            weight: The diagonal of W, Shape (rows + 2, M).
+            target: Shape (rows + 2, M).
+        """
+        ripple = self.program.ripple
+        normal = np.einsum("rm,prm->pm", weight[:-2], self.products)
+        normal += np.einsum("rm,prm->pm", weight[-2:], _products(self.stencil[:, -2:]))
+        slope = np.einsum("rm,prm->pm", target, self.stencil)
+        square = self.root * self.root
+        cube = self.program.steps / (self.root * square)
+        band = np.array(ripple[:, 2:-2], order="F")
+        band[3] += normal[0, 2:] + normal[1, 1:-1] + normal[2, :-2] + (0.75 * cube / square)[1:-1]
+        band[2, 1:] += (normal[3, 2:] + normal[4, 1:-1])[:-1]
+        band[1, 2:] += normal[5, 2:-2]
+        force = (0.5 * cube)[1:-1] - (slope[0, 2:] + slope[1, 1:-1] + slope[2, :-2])
+        force -= _lapack().product(3, 1.0, ripple, self.c)[2:-2]
+        _factor, solution, info = _lapack().solve(band, force)
+        change = np.zeros(self.program.steps.size + 2)
+        if info == 0:
+            change[2:-2] = solution
+        return change
+
+
+def _products(stencil: FloatArray) -> FloatArray:
+    """Products of the stencil's columns 00, 11, 22, 01, 12, 02; Shape (6, rows, M)."""
+    return stencil[[0, 1, 2, 0, 1, 0]] * stencil[[0, 1, 2, 1, 2, 2]]
+
+
+def _longest(values: FloatArray, change: FloatArray, share: float) -> float:
+    """The longest step, at most 1, along which no value loses more than `share` of itself."""
+    worst = float((change / values).min())
+    return min(1.0, -share / worst) if worst < 0.0 else 1.0
+
+
+class _Lapack(NamedTuple):
+    """Solver of a banded positive definite system, and product of a banded symmetric matrix with a vector."""
+
+    solve: Callable[[FloatArray, FloatArray], tuple[object, FloatArray, int]]
+    product: Callable[[int, float, FloatArray, FloatArray], FloatArray]
+
+
+def load_lapack() -> None:
+    """Import LAPACK now."""
+    _lapack()
+
+
+@cache
+def _lapack() -> _Lapack:
+    from scipy.linalg.blas import dsbmv
+    from scipy.linalg.lapack import dpbsv
+
+    return _Lapack(dpbsv, dsbmv)

@@ -1,0 +1,499 @@
+"""Path limits: what curvature and drive allow along one segment of a path, and how much of it a motion uses.
+
+Over arc length s a segment has the curvature k(s) = dtheta/ds and its rate k'(s). With the speed v and its rate a,
+
+    v <= min(v_max, sqrt(a_lat / |k|), w_max / |k|, v_wheel / (1 + b |k| / 2), v_zone)    the speed caps,
+    |a k + v^2 k'| <= al                                                                  the yaw acceleration.
+
+The *maximum velocity curve* [Bobrow1985] [Shin1985] is the least of the caps and of sqrt(al / |k'|), beyond which no
+motion at constant speed keeps the yaw acceleration. Speeds are kept as their reciprocals, `slowness`: the largest of
+them counts, and a limit that is infinite vanishes.
+
+In order: the speed caps, the limits along a segment, the dense check of a motion, and what the reference may use.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+from optdock.geometry.arrays import readonly
+from optdock.path import ClothoidSegment, Direction, PolylineSegment
+from optdock.timing.motion import DriveBounds, Motion
+from optdock.timing.settings import NEAR_OPTIMAL, SAMPLING, NearOptimalSettings
+
+if TYPE_CHECKING:
+    from optdock.geometry.arrays import FloatArray, IntArray
+    from optdock.limits import MotionLimits, SpeedZone
+    from optdock.path import Path, Segment
+
+__all__ = [
+    "KEPT",
+    "NO_LENGTH",
+    "LimitPoints",
+    "PathLimits",
+    "Ratios",
+    "ReferenceBounds",
+    "SpeedCaps",
+    "Tightening",
+    "Worst",
+    "limits_along",
+    "motion_ratios",
+    "segment_limits",
+    "worst_ratio",
+    "yaw_ratio",
+]
+
+KEPT = 1.0 + 1e-9  # rounding of a quotient that is meant to be at most 1
+NO_LENGTH = 1e-11  # [m]: the knots of a shorter segment are one
+_LEFT_OF_NODE = 1e-7  # of a cell: where the curvature rate to the left of a node is read
+
+
+def yaw_ratio(drive: MotionLimits, curvature: FloatArray, rate: FloatArray, v: FloatArray, a: FloatArray) -> FloatArray:
+    """|a k + v^2 k'| over its limit. Shape (n,) as all that is given."""
+    ratio: FloatArray = np.abs(a * curvature + v * v * rate) * (1.0 / drive.max_yaw_acceleration)
+    return ratio
+
+
+class LimitPoints(NamedTuple):
+    """Shape (n,) each: curvature [1/m], curvature rate [1/m^2], slowness = 1 / speed cap [s/m]."""
+
+    curvature: FloatArray
+    rate: FloatArray
+    slowness: FloatArray
+
+
+@dataclass(frozen=True)
+class SpeedCaps:
+    """1 / speed cap as a function of curvature: the largest of the reciprocal limits, so `inf` limits vanish.
+
+    Args:
+        drive: What the drive can do.
+        direction: Gear.
+    """
+
+    drive: MotionLimits
+    direction: Direction
+
+    @property
+    def max_speed(self) -> float:
+        """The direction's own speed limit [m/s]."""
+        return self.drive.max_speed if self.direction > 0 else self.drive.max_reverse_speed
+
+    def slowness(self, curvature: FloatArray, excess: FloatArray | float = 0.0) -> FloatArray:
+        """Speed, yaw rate, lateral acceleration and both wheels' speeds, at |curvature| + excess. Shape (n,) [s/m].
+
+        Both wheels: |v +- (b/2) v k| <= v_wheel  <=>  v (1 + b |k| / 2) <= v_wheel.
+        """
+        bend, drive = np.abs(curvature) + excess, self.drive
+        slowness = np.maximum(1.0 / self.max_speed, bend * (1.0 / drive.max_yaw_rate))
+        if np.isfinite(drive.max_lateral_acceleration):
+            slowness = np.maximum(slowness, np.sqrt(bend * (1.0 / drive.max_lateral_acceleration)))
+        if np.isfinite(drive.max_wheel_speed):
+            slowness = np.maximum(slowness, (1.0 + 0.5 * drive.track_width * bend) / drive.max_wheel_speed)
+        return slowness
+
+    def tightest(self, bend: float) -> tuple[str, str]:
+        """The limit that decides at |curvature| `bend` [1/m]: its name in `MotionLimits`, and that with its value."""
+        drive = self.drive
+        speed = "max_speed" if self.direction > 0 else "max_reverse_speed"
+        table = (
+            (1.0 / self.max_speed, speed, "m/s"),
+            (bend / drive.max_yaw_rate, "max_yaw_rate", "rad/s"),
+            (math.sqrt(bend / drive.max_lateral_acceleration), "max_lateral_acceleration", "m/s^2"),
+            ((1.0 + 0.5 * drive.track_width * bend) / drive.max_wheel_speed, "max_wheel_speed", "m/s"),
+        )
+        _slowness, name, unit = max(table)
+        return name, f"{name} = {getattr(drive, name):.4g} {unit}"
+
+
+@dataclass(frozen=True, eq=False)
+class PathLimits:
+    """Curvature over one segment: continuous and linear between nodes; its rate linear in a cell, jumping at nodes.
+
+    Args:
+        s: Nodes, Shape (n,) [m], n >= 2, first 0, strictly increasing, every knot and the zone start among them.
+        curvature: At the nodes, Shape (n,) [1/m].
+        rate_left: d curvature / ds just right of every cell's left node, Shape (n - 1,) [1/m^2].
+        rate_right: Just left of every cell's right node, Shape (n - 1,) [1/m^2].
+        caps: Speed caps by curvature.
+        zone_start: Where the speed zone begins: exactly a node; `length` without a zone [m].
+        zone_speed: Speed limit from there on [m/s].
+        excess: What the speed caps add to |curvature| at the nodes, Shape (n,) [1/m]; None: nothing.
+        begin: Where this begins on the whole path [m]; messages count from there.
+
+    Attributes:
+        slowness: 1 / speed cap at the nodes, zone not included, Shape (n,) [s/m].
+        steepest: The larger |rate| of every cell, Shape (n - 1,) [1/m^2].
+        length: [m].
+        duration_estimate: Along the maximum velocity curve, or from rest to rest under acceleration or jerk alone: the
+            longest. Never more than a fraction above the true duration [s].
+    """
+
+    s: FloatArray
+    curvature: FloatArray
+    rate_left: FloatArray
+    rate_right: FloatArray
+    caps: SpeedCaps
+    zone_start: float
+    zone_speed: float
+    excess: FloatArray | None = None
+    begin: float = 0.0
+    slowness: FloatArray = field(init=False, repr=False)
+    steepest: FloatArray = field(init=False, repr=False)
+    length: float = field(init=False)
+    duration_estimate: float = field(init=False)
+
+    def __post_init__(self) -> None:
+        slowness = self.caps.slowness(self.curvature, 0.0 if self.excess is None else self.excess)
+        object.__setattr__(self, "slowness", readonly(slowness))
+        steepest = np.maximum(np.abs(self.rate_left), np.abs(self.rate_right))
+        object.__setattr__(self, "steepest", readonly(steepest))
+        length, drive = float(self.s[-1]), self.drive
+        object.__setattr__(self, "length", length)
+        along_curve = float(np.sum(np.diff(self.s) * self.maximum_velocity_curve()))
+        by_drive = math.sqrt(2.0 * length * (1.0 / drive.max_acceleration + 1.0 / drive.max_deceleration))
+        by_jerk = math.exp(math.log(32.0 * length / drive.max_jerk) / 3.0)
+        object.__setattr__(self, "duration_estimate", max(along_curve, by_drive, by_jerk))
+
+    @property
+    def drive(self) -> MotionLimits:
+        """What the drive can do."""
+        return self.caps.drive
+
+    @property
+    def drive_bounds(self) -> DriveBounds:
+        """The drive's own bounds, whatever the path."""
+        drive = self.drive
+        return DriveBounds(self.caps.max_speed, drive.max_acceleration, drive.max_deceleration, drive.max_jerk)
+
+    @property
+    def has_zone(self) -> bool:
+        """Whether the speed zone reaches into this segment."""
+        return self.zone_start < self.length
+
+    def maximum_velocity_curve(self, yaw_share: float = 1.0) -> FloatArray:
+        """Slowness of the maximum velocity curve over every cell, the zone included. Shape (n - 1,) [s/m].
+
+        Args:
+            yaw_share: Of the yaw acceleration that v^2 |k'| may use.
+        """
+        slowness = np.maximum(self.slowness[:-1], self.slowness[1:])
+        if self.has_zone:
+            slow = self.s[1:] > self.zone_start + 1e-12
+            slowness = np.where(slow, np.maximum(slowness, 1.0 / self.zone_speed), slowness)
+        turning = np.sqrt(self.steepest * (1.0 / (yaw_share * self.drive.max_yaw_acceleration)))
+        curve: FloatArray = np.maximum(slowness, turning)
+        return curve
+
+    def cells_at(self, s: FloatArray) -> IntArray:
+        """Index of the cell that holds each point, Shape (n,)."""
+        found: IntArray = np.searchsorted(self.s, s, side="right") - 1
+        cells: IntArray = np.minimum(np.maximum(found, 0), self.s.size - 2)
+        return cells
+
+    def points_at(self, s: FloatArray) -> LimitPoints:
+        """Everything at arc lengths `s`, Shape (n,) [m]; the right side at nodes. Slowness includes the zone."""
+        cell = self.cells_at(s)
+        left = self.s[cell]
+        share = (s - left) / (self.s[cell + 1] - left)
+        curvature = self.curvature[cell] + share * (self.curvature[cell + 1] - self.curvature[cell])
+        rate = self.rate_left[cell] + share * (self.rate_right[cell] - self.rate_left[cell])
+        excess = 0.0 if self.excess is None else np.interp(s, self.s, self.excess)
+        slowness = self.caps.slowness(curvature, excess)
+        if self.has_zone:
+            slowness = np.where(s >= self.zone_start, np.maximum(slowness, 1.0 / self.zone_speed), slowness)
+        return LimitPoints(curvature, rate, slowness)
+
+    def cap_at(self, s: float) -> tuple[str, str]:
+        """The speed cap that decides at `s` [m]: the name of its limit, and that with its value."""
+        point = self.points_at(np.array([s]))
+        name, words = self.caps.tightest(abs(float(point.curvature[0])))
+        zone = self.has_zone and s >= self.zone_start and float(point.slowness[0]) <= 1.0 / self.zone_speed
+        return ("approach_speed", f"approach_speed = {self.zone_speed:.4g} m/s") if zone else (name, words)
+
+    def after(self, start: float) -> PathLimits:
+        """What is left from `start` [m] on, 0 <= start < length, renumbered from 0."""
+        if start <= 0.0:
+            return self
+        cell = int(self.cells_at(np.array([start]))[0])
+        if self.s[cell + 1] - start <= 1e-12:
+            cell += 1
+        point = self.points_at(np.array([start]))
+        keep = slice(cell + 1, None)
+        zone_start = self.zone_start - start if self.zone_start > self.s[cell] else 0.0
+        return PathLimits(
+            s=readonly(np.concatenate(([0.0], self.s[keep] - start))),
+            curvature=readonly(np.concatenate((point.curvature, self.curvature[keep]))),
+            rate_left=readonly(np.concatenate((point.rate, self.rate_left[keep]))),
+            rate_right=self.rate_right[cell:],
+            caps=self.caps,
+            zone_start=max(0.0, zone_start),
+            zone_speed=self.zone_speed,
+            excess=None if self.excess is None else np.append(np.interp(start, self.s, self.excess), self.excess[keep]),
+            begin=self.begin + start,
+        )
+
+
+def limits_along(path: Path, drive: MotionLimits, zone: SpeedZone) -> list[PathLimits | None]:
+    """The limits of every segment of a path; None for a segment of no length."""
+    zone_start = path.length - zone.distance if zone.distance > 0.0 and math.isfinite(zone.speed) else math.inf
+    return [
+        segment_limits(
+            segment, SpeedCaps(drive, segment.direction), zone_start - float(begin), zone.speed, float(begin)
+        )
+        if segment.length > NO_LENGTH
+        else None
+        for segment, begin in zip(path.segments, path.segment_starts[:-1], strict=True)
+    ]
+
+
+def segment_limits(
+    segment: Segment, caps: SpeedCaps, zone_start: float, zone_speed: float, begin: float = 0.0
+) -> PathLimits:
+    """The limits along one segment.
+
+    Args:
+        segment: Clothoid spline or polyline.
+        caps: Speed caps by curvature.
+        zone_start: Where the speed zone begins in this segment; at or beyond its length: not here [m].
+        zone_speed: Speed limit from there on [m/s].
+        begin: Where the segment begins on the whole path [m].
+    """
+    exact = isinstance(segment, ClothoidSegment)
+    spacing = SAMPLING.clothoid_spacing if exact else SAMPLING.polyline_spacing
+    zone_start = min(max(zone_start, 0.0), segment.length)
+    s = _nodes(segment, max(spacing, segment.length / SAMPLING.most_nodes), zone_start)
+    zone_start = float(s[np.argmin(np.abs(s - zone_start))])  # of a knot and a zone within rounding one node is left
+    cells = np.diff(s)
+    return PathLimits(
+        s=readonly(s),
+        curvature=readonly(segment.curvature_at(s)),
+        rate_left=readonly(segment.curvature_rate_at(s[:-1])),
+        rate_right=readonly(segment.curvature_rate_at(s[1:] - _LEFT_OF_NODE * cells)),
+        caps=caps,
+        zone_start=zone_start,
+        zone_speed=zone_speed,
+        excess=_step_excess(segment, s) if isinstance(segment, PolylineSegment) else None,
+        begin=begin,
+    )
+
+
+def _step_excess(segment: PolylineSegment, s: FloatArray) -> FloatArray:
+    """By how much the curvature of the steps exceeds that between the poses, which is their mean. Shape (n,) [1/m].
+
+    A coarse polyline turns a whole step at the step's curvature; `certify_trajectory` judges it so.
+    """
+    steps = np.abs(segment.step_curvature)
+    at_poses = np.maximum(np.append(steps, 0.0), np.insert(steps, 0, 0.0))
+    excess: FloatArray = np.maximum(np.interp(s, segment.knots, at_poses) - np.abs(segment.curvature_at(s)), 0.0)
+    return excess
+
+
+def _nodes(segment: Segment, spacing: float, zone_start: float) -> FloatArray:
+    """The segment's knots and the zone start, with equal steps of at most `spacing` between them."""
+    knots = np.union1d(segment.knots, [zone_start])
+    knots = knots[np.concatenate(([True], np.diff(knots) > 1e-12 * max(1.0, segment.length)))]
+    knots[-1] = segment.length
+    steps = np.diff(knots)
+    parts = np.maximum(1, np.ceil(steps / spacing - 1e-9)).astype(np.int64)
+    owner = np.repeat(np.arange(steps.size), parts)
+    rank = np.arange(parts.sum()) - np.repeat(np.cumsum(parts) - parts, parts)
+    return np.append(knots[owner] + steps[owner] * rank / parts[owner], knots[-1])
+
+
+class Worst(NamedTuple):
+    """The largest quotient of a quantity and its limit, where it occurs, and what it means for time.
+
+    Args:
+        ratio: Largest quotient.
+        s: Where [m].
+        path: Factor on time that keeps speeds and yaw acceleration, whose limits depend on the path.
+        drive: Factor on time that keeps acceleration and jerk.
+        limit: Name of the limit where the ratio is above 1; empty where it is not.
+    """
+
+    ratio: float
+    s: float
+    path: float
+    drive: float
+    limit: str = ""
+
+    @property
+    def stretch(self) -> float:
+        """Factor on time that keeps every limit: speeds fall with its first power, accelerations with its second."""
+        return max(self.path, self.drive)
+
+    def words(self, begin: float) -> str:
+        """What is broken, by how much and where on the path, where the segment begins at `begin` [m]."""
+        return f"{self.ratio:.6g} times {self.limit or 'a limit'} at s = {begin + self.s:.4f} m"
+
+
+class Ratios(NamedTuple):
+    """Quotients of quantities and limits at distances `s`, Shape (n,); lateral acceleration as its root.
+
+    `drive` is of the acceleration at the first of these distances only: it is linear between them.
+    """
+
+    s: FloatArray
+    speed: FloatArray
+    yaw: FloatArray
+    drive: FloatArray
+
+
+def motion_ratios(limits: PathLimits, motion: Motion, times: FloatArray | None = None) -> Ratios:
+    """All limits at time samples, at phase borders, and at every node with the rates on both its sides.
+
+    Between nodes curvature and its rate are linear and the motion is smooth, so the maxima sit at the nodes up to the
+    time sampling; time samples alone would miss narrow features. At the nodes speed and acceleration are interpolated
+    between time samples, wrong by at most period^2 * jerk / 8. Jerk is the caller's: it is the phases themselves.
+    """
+    t = motion.sample_times(SAMPLING.check_period) if times is None else times
+    s, v, a = motion.at(t)
+    s = np.minimum(np.maximum.accumulate(s), limits.length)
+    inner, drive = limits.s[1:-1], limits.drive
+    first, last = np.searchsorted(inner, (s[0], s[-1]))
+    nodes = inner[first:last]
+    node_v, node_a = np.interp(nodes, s, v), np.interp(nodes, s, a)
+    points = limits.points_at(s)
+    slowness = limits.slowness[1:-1][first:last]
+    if limits.has_zone:
+        slowness = np.where(nodes >= limits.zone_start, np.maximum(slowness, 1.0 / limits.zone_speed), slowness)
+    curvature = limits.curvature[1:-1][first:last]
+    left = yaw_ratio(drive, curvature, limits.rate_right[:-1][first:last], node_v, node_a)
+    right = yaw_ratio(drive, curvature, limits.rate_left[1:][first:last], node_v, node_a)
+    yaw = yaw_ratio(drive, points.curvature, points.rate, v, a)
+    return Ratios(
+        s=np.concatenate((s, nodes)),
+        speed=np.concatenate((v * points.slowness, node_v * slowness)),
+        yaw=np.concatenate((yaw, np.maximum(left, right))),
+        drive=np.maximum(a * (1.0 / drive.max_acceleration), a * (-1.0 / drive.max_deceleration)),
+    )
+
+
+def worst_ratio(limits: PathLimits, motion: Motion, times: FloatArray | None = None) -> Worst:
+    """The worst of all limits along a motion, jerk included; at `times`, Shape (n,) [s], instead of the usual ones."""
+    ratios = motion_ratios(limits, motion, times)
+    largest = np.maximum(ratios.speed, ratios.yaw)
+    np.maximum(largest[: ratios.drive.size], ratios.drive, out=largest[: ratios.drive.size])
+    worst = int(np.argmax(largest))
+    steepest = int(np.argmax(np.abs(motion.jerks)))
+    jerk = abs(float(motion.jerks[steepest])) / limits.drive.max_jerk
+    path = max(float(ratios.speed.max()), math.sqrt(float(ratios.yaw.max())))
+    drive = max(math.sqrt(max(0.0, float(ratios.drive.max()))), jerk ** (1.0 / 3.0))
+    if jerk > largest[worst] * KEPT:
+        return Worst(jerk, float(motion.states[0, steepest]), path, drive, "max_jerk" if jerk > 1.0 else "")
+    limit = _limit_name(limits, motion, ratios, worst) if largest[worst] > 1.0 else ""
+    return Worst(float(largest[worst]), float(ratios.s[worst]), path, drive, limit)
+
+
+def _limit_name(limits: PathLimits, motion: Motion, ratios: Ratios, k: int) -> str:
+    """The limit of which the k-th quotients, the largest of all, use most."""
+    if k < ratios.drive.size and ratios.drive[k] >= max(ratios.speed[k], ratios.yaw[k]):
+        rising = float(motion.states[2].max()) / limits.drive.max_acceleration >= ratios.drive[k] * (1.0 - 1e-9)
+        return "max_acceleration" if rising else "max_deceleration"
+    return "max_yaw_acceleration" if ratios.yaw[k] >= ratios.speed[k] else limits.cap_at(float(ratios.s[k]))[0]
+
+
+class Tightening(NamedTuple):
+    """A stretch [m] in which speeds are to be smaller by `factor` than the limits allow."""
+
+    left: float
+    right: float
+    factor: float
+
+
+@dataclass(frozen=True, eq=False)
+class ReferenceBounds:
+    """The limits of a segment less margins: what the reference may use per cell, and what moves are checked against.
+
+    Args:
+        limits: The segment's.
+        settings: Of the near-optimal method; its margins are what is left unused.
+        relief: Up to this distance no margin is taken: full braking from a moving start leaves none [m].
+        tightenings: Stretches to take slower.
+
+    Attributes:
+        speed_squared: Bound on v^2 in each cell, for the reference, Shape (n - 1,) [m^2/s^2].
+        yaw: Bound on the yaw acceleration in each cell, for the reference, Shape (n - 1,) [rad/s^2].
+        cap_squared: v^2 at which a cell meets its speed caps, no margin, Shape (n - 1,) [m^2/s^2].
+        jumps: Indices of the inner nodes where the curvature rate jumps by so much that it matters.
+    """
+
+    limits: PathLimits
+    settings: NearOptimalSettings = NEAR_OPTIMAL
+    relief: float = 0.0
+    tightenings: tuple[Tightening, ...] = ()
+    speed_squared: FloatArray = field(init=False, repr=False)
+    yaw: FloatArray = field(init=False, repr=False)
+    cap_squared: FloatArray = field(init=False, repr=False)
+    jumps: IntArray = field(init=False, repr=False)
+    _left: FloatArray = field(init=False, repr=False)
+    _slope: FloatArray = field(init=False, repr=False)
+
+    def __post_init__(self) -> None:
+        limits, margins = self.limits, self.settings.margins
+        left, right = limits.slowness[:-1], limits.slowness[1:]
+        if limits.has_zone:
+            slow = np.where(limits.s[:-1] >= limits.zone_start, 1.0 / limits.zone_speed, 0.0)
+            left, right = np.maximum(left, slow), np.maximum(right, slow)
+        table = np.stack((limits.curvature[:-1], limits.rate_left, left))
+        ends = np.stack((limits.curvature[1:], limits.rate_right, right))
+        relieved = limits.s[:-1] < self.relief
+        factor = self._factors()
+        cap = np.maximum(left, right) ** -2.0
+        speed = (factor * np.where(relieved, 1.0 - margins.relieved_speed, 1.0 - margins.speed)) ** 2
+        yaw = factor**2 * np.where(relieved, 1.0 - margins.relieved_yaw, 1.0 - margins.yaw)
+        jump = np.abs(limits.rate_left[1:] - limits.rate_right[:-1]) * np.minimum(cap[1:], cap[:-1])
+        jumps = np.flatnonzero(jump > margins.jump * limits.drive.max_yaw_acceleration) + 1
+        object.__setattr__(self, "jumps", jumps)
+        for name, value in (
+            ("cap_squared", cap),
+            ("speed_squared", cap * speed),
+            ("yaw", np.minimum(limits.drive.max_yaw_acceleration, 1e12) * yaw),
+            ("_left", table),
+            ("_slope", (ends - table) / np.diff(limits.s)),
+        ):
+            object.__setattr__(self, name, readonly(value))
+
+    def _factors(self) -> FloatArray:
+        s = self.limits.s
+        factor: FloatArray = np.ones(s.size - 1)
+        for stretch in self.tightenings:
+            inside = (s[1:] > stretch.left) & (s[:-1] < stretch.right)
+            factor = np.where(inside, np.minimum(factor, stretch.factor), factor)
+        return factor
+
+    @property
+    def jerk(self) -> float:
+        """Bound on the jerk in the reference [m/s^3]."""
+        return self.limits.drive.max_jerk * (1.0 - self.settings.margins.jerk)
+
+    def curve_at(self, s: FloatArray) -> FloatArray:
+        """Curvature, its rate, and slowness, linear in each cell. Shape (3, n)."""
+        cell = self.limits.cells_at(s)
+        values: FloatArray = self._left[:, cell] + self._slope[:, cell] * (s - self.limits.s[cell])
+        return values
+
+    def excess_at(self, s: FloatArray, v: FloatArray, a: FloatArray) -> FloatArray:
+        """By how much time would have to be stretched there for the checked limits to hold; > 1 is too fast.
+
+        Shape (n,). Speeds scale with 1 / c, accelerations with 1 / c^2.
+        """
+        curvature, rate, slowness = self.curve_at(s)
+        yaw = yaw_ratio(self.limits.drive, curvature, rate, v, a)
+        return self._checked(s, np.maximum(v * slowness, np.sqrt(yaw)))
+
+    def jump_excess_at(self, nodes: IntArray, v: FloatArray, a: FloatArray) -> FloatArray:
+        """As `excess_at`, at `nodes`, of the yaw acceleration with the rates on both their sides. Shape (n,)."""
+        limits, curvature = self.limits, self.limits.curvature[nodes]
+        sides = (limits.rate_right[nodes - 1], limits.rate_left[nodes])
+        left, right = (yaw_ratio(limits.drive, curvature, rate, v, a) for rate in sides)
+        return self._checked(limits.s[nodes], np.sqrt(np.maximum(left, right)))
+
+    def _checked(self, s: FloatArray, excess: FloatArray) -> FloatArray:
+        share = 1.0 / (1.0 - self.settings.margins.check)
+        return excess * (np.where(s < self.relief, 1.0, share) if self.relief > 0.0 else share)

@@ -1,0 +1,472 @@
+"""The reference program: a C1 quadratic spline of x = v^2 over arc length, convex but for jerk.
+
+With x = v^2 the acceleration is x' / 2 and the yaw acceleration k x' / 2 + k' x: both are linear, and the time
+integral of 1 / sqrt(x) is convex [Verscheure2009]. Jerk is x'' sqrt(x) / 2, the extension that is not. Every
+quadratic spline of x is a real motion, so a jerk-limited move between the states at any two of its knots exists.
+
+    minimize   sum h_m / sqrt(c_{m+1})  (+ a price on jerk steps between cells, which keeps jerk from chattering)
+    subject to x_i <= X_i,  -D <= a_i <= A,  |k a + k' x| <= yaw   at the knots,
+               |k a + k' x| <= yaw,  |x''| vmax <= 2 J             in the cells.
+
+At v = 0 the x domain is singular: jerk-limited motion leaves rest as x ~ s^(4/3), and no spline with zero slope and
+zero value ever moves. So arcs of constant jerk, launch and stop, lead from rest to the reference and back.
+
+In order: the arcs, the knots with the limits on them, the spline's linear maps, the rows, the initial guess, the
+solution, its own motion.
+"""
+
+from __future__ import annotations
+
+import bisect
+import math
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+from optdock.deadline import ENDLESS
+from optdock.timing.forward_backward import SpeedProfile, forward_backward_pass
+from optdock.timing.interior_point import Program, applied, solve
+from optdock.timing.motion import Phases, State, state_after
+
+if TYPE_CHECKING:
+    from optdock.deadline import Deadline
+    from optdock.geometry.arrays import BoolArray, FloatArray, IntArray
+    from optdock.timing.path_limits import PathLimits, ReferenceBounds
+
+__all__ = [
+    "Arc",
+    "Grid",
+    "Reference",
+    "Spline",
+    "coefficients_of",
+    "grid_of",
+    "initial_guess",
+    "launch_arc",
+    "limit_rows",
+    "ripple_bands",
+    "solve_reference",
+    "spline_of",
+    "spline_phases",
+    "stop_arc",
+]
+
+
+class Arc(NamedTuple):
+    """Phases at one end of the reference, and the state where it meets the reference."""
+
+    phases: Phases
+    state: State
+
+
+def stop_arc(bounds: ReferenceBounds) -> Arc:
+    """Constant +J into rest at the end: length J t^3 / 6, from v = J t^2 / 2, a = -J t."""
+    jerk = bounds.jerk
+    a = _end_acceleration(bounds, bounds.limits.drive.max_deceleration, 0.0, 0.0, at_end=True)
+    time = a / jerk
+    return Arc(((time, jerk),), State(bounds.limits.length - jerk * time**3 / 6.0, 0.5 * jerk * time * time, -a))
+
+
+def launch_arc(bounds: ReferenceBounds, start: State) -> Arc:
+    """Constant +J from rest or from a crawl; nothing where the start is fast enough already."""
+    jerk, settings = bounds.jerk, bounds.settings.arcs
+    a = _end_acceleration(bounds, bounds.limits.drive.max_acceleration, start.v, start.a, at_end=False)
+    if start.v * start.v >= settings.slow_share**2 * float(bounds.cap_squared[0]):
+        return Arc((), start)
+    if start.a < a:
+        phase = ((a - start.a) / jerk, jerk)
+    elif start.v < 0.5 * start.a * settings.hold:
+        phase = (settings.hold, 0.0)
+    else:
+        return Arc((), start)
+    return Arc((phase,), state_after(start, *phase))
+
+
+def _end_acceleration(bounds: ReferenceBounds, drive: float, v: float, a: float, *, at_end: bool) -> float:
+    """The acceleration that an arc of jerk J from (or, mirrored, to) speed `v`, acceleration `a` may reach.
+
+    Led back to zero at once it peaks at v + (2 a_end^2 - a^2) / (2 J), which stays well below the local cap.
+    """
+    limits, jerk, settings = bounds.limits, bounds.jerk, bounds.settings.arcs
+    top = max(settings.drive_share * drive, a)
+    reach = max(state_after(State(0.0, v, a), (top - a) / jerk, jerk).s, 1e-9)
+    cells = _cells_within(limits, reach, at_end=at_end)
+    bend, rate = float(np.abs(limits.curvature[cells]).max()), float(limits.steepest[cells].max())
+    yaw = limits.drive.max_yaw_acceleration
+    local = min(math.sqrt(float(bounds.speed_squared[cells].min())), math.sqrt(yaw / rate) if rate > 0.0 else math.inf)
+    return min(
+        math.sqrt(max(0.0, jerk * (settings.speed_share * local - v) + 0.5 * a * a)),
+        top,
+        settings.drive_share * yaw / bend if bend > 0.0 else math.inf,
+        math.pow(6.0 * settings.length_share * limits.length * jerk * jerk, 1.0 / 3.0),
+    )
+
+
+def _cells_within(limits: PathLimits, reach: float, *, at_end: bool) -> slice:
+    """The cells within `reach` [m] of an end."""
+    if at_end:
+        return slice(max(0, int(limits.s.searchsorted(limits.length - reach)) - 1), None)
+    return slice(0, int(limits.s.searchsorted(reach)) + 1)
+
+
+class Grid(NamedTuple):
+    """Knots of the reference and the limits there.
+
+    Attributes:
+        knots: Shape (M + 1,) [m].
+        steps: Shape (M,) [m].
+        bound: Largest v^2 at the knots, the least of both half cells around, Shape (M + 1,) [m^2/s^2].
+        curvature: At the knots, Shape (M + 1,) [1/m].
+        rate: Largest and least of the rates on both sides of the knots, Shape (2, M + 1) [1/m^2].
+        yaw: Yaw acceleration for the reference, at the knots, Shape (M + 1,) [rad/s^2].
+        centre_curvature: At the cell centres, Shape (M,) [1/m].
+        centre_rate: As `rate`, at the cell centres, Shape (2, M) [1/m^2].
+        zone: Index of the knot at the zone start; 0 without one inside.
+        time: Pseudo time of the knots, Shape (M + 1,) [s].
+    """
+
+    knots: FloatArray
+    steps: FloatArray
+    bound: FloatArray
+    curvature: FloatArray
+    rate: FloatArray
+    yaw: FloatArray
+    centre_curvature: FloatArray
+    centre_rate: FloatArray
+    zone: int
+    time: FloatArray
+
+
+def grid_of(bounds: ReferenceBounds, profile: SpeedProfile, first: State, last: State) -> Grid:
+    """Knots from `first` to `last`, a step of pseudo time apart, wider where the robot cruises, on every large jump."""
+    limits, step, settings = bounds.limits, bounds.settings.step, bounds.settings.knots
+    clock = _cruise_clock(bounds, profile)
+    sizes = _jump_sizes(bounds, profile, bounds.jumps)
+    jumps = bounds.jumps[sizes > settings.jump * limits.drive.max_yaw_acceleration]
+    breaks = _breaks(bounds, profile, (first, last), jumps)
+    times = np.interp(breaks, limits.s, clock)
+    parts = np.maximum(1, np.rint(np.diff(times) / step)).astype(np.int64)
+    parts[np.argmax(np.diff(times))] += max(0, settings.least_cells - int(parts.sum()))
+    owner = np.repeat(np.arange(parts.size), parts)
+    rank = np.arange(owner.size) - np.repeat(np.cumsum(parts) - parts, parts)
+    inner = np.interp(times[owner] + np.diff(times)[owner] * rank / parts[owner], clock, limits.s)
+    knots = np.append(np.where(rank == 0, breaks[owner], inner), breaks[-1])
+    return _limits_on(bounds, profile, knots, limits.s[jumps])
+
+
+def _cruise_clock(bounds: ReferenceBounds, profile: SpeedProfile) -> FloatArray:
+    """Pseudo time at the nodes, running slower where the profile stays level: few knots are needed there."""
+    limits, settings = bounds.limits, bounds.settings.knots
+    total = float(profile.time[-1])
+    times = np.linspace(0.0, total, max(2, int(total / settings.cruise_sample)) + 1)
+    x = np.interp(times, profile.time, profile.speed_squared)
+    turning = np.interp(times, profile.time[1:], profile.speed_squared[1:] * limits.steepest)
+    x = np.where(turning > settings.cruise_yaw * limits.drive.max_yaw_acceleration, 0.0, x)
+    reach = settings.cruise_reach
+    around = np.lib.stride_tricks.sliding_window_view(np.pad(x, reach), 2 * reach + 1)
+    level = around.min(axis=1) > settings.cruise_level * around.max(axis=1)
+    density = np.where(level, settings.cruise_density, 1.0)
+    clock = np.concatenate(([0.0], np.cumsum(0.5 * (density[:-1] + density[1:]) * np.diff(times))))
+    at_nodes: FloatArray = np.interp(profile.time, times, clock)
+    return at_nodes
+
+
+def _breaks(bounds: ReferenceBounds, profile: SpeedProfile, ends: tuple[State, State], jumps: IntArray) -> FloatArray:
+    """Where a knot must be: both ends, the zone start; the largest jumps of the rate that are far enough apart."""
+    limits, settings, (first, last) = bounds.limits, bounds.settings.knots, ends
+    gap = settings.least_step * bounds.settings.step
+    fixed = [first.s, last.s]
+    if limits.has_zone and first.s + 1e-9 < limits.zone_start < last.s - 1e-9:
+        fixed.append(limits.zone_start)
+    found = jumps[(limits.s[jumps] > first.s) & (limits.s[jumps] < last.s)]
+    if found.size * gap > settings.crowded * (profile.time[-1] - profile.time[0]):
+        found = found[:0]
+    taken = np.sort(np.interp(fixed, limits.s, profile.time)).tolist()
+    size = _jump_sizes(bounds, profile, found)
+    for i in found[np.argsort(-size, kind="stable")].tolist():
+        time = float(profile.time[i])
+        place = min(max(bisect.bisect(taken, time), 1), len(taken) - 1)  # both ends are taken
+        if taken[place] - time > gap and time - taken[place - 1] > gap:
+            taken.insert(place, time)
+            fixed.append(float(limits.s[i]))
+    if first.a < 0.0:  # the coefficient v^2 + a h of the first cell must stay positive
+        nearest = first.s - 0.4 * first.v * first.v / first.a
+        if nearest < min(s for s in fixed if s > first.s):
+            fixed.append(nearest)
+    return np.array(sorted(fixed))
+
+
+def _jump_sizes(bounds: ReferenceBounds, profile: SpeedProfile, nodes: IntArray) -> FloatArray:
+    """v^2 times the jump of the curvature rate [rad/s^2]."""
+    limits = bounds.limits
+    sizes: FloatArray = np.abs(limits.rate_left[nodes] - limits.rate_right[nodes - 1]) * profile.speed_squared[nodes]
+    return sizes
+
+
+def _limits_on(bounds: ReferenceBounds, profile: SpeedProfile, knots: FloatArray, jumps: FloatArray) -> Grid:
+    limits = bounds.limits
+    centres = 0.5 * (knots[:-1] + knots[1:])
+    cells = limits.cells_at(np.concatenate((knots[:1], centres, knots[-1:])))
+    cells[-1] = limits.s.size - 2
+    curvature, right, _slow = bounds.curve_at(knots)
+    _k, left, _slow = bounds.curve_at(knots - 1e-9)
+    centre_curvature, centre_rate, _slow = bounds.curve_at(centres)
+    rate = np.stack((np.maximum(left, right), np.minimum(left, right)))
+    centre_rate = np.stack((centre_rate, centre_rate))
+    hidden = _hidden_jumps(jumps, knots)
+    if hidden.any():
+        rate, centre_rate = _extremes(limits, knots, hidden, rate, centre_rate)
+    zone = int(np.searchsorted(knots, limits.zone_start - 1e-12)) if limits.has_zone else 0
+    return Grid(
+        knots=knots,
+        steps=np.diff(knots),
+        bound=_least_between(bounds.speed_squared, cells[:-1], cells[1:]),
+        curvature=curvature,
+        rate=rate,
+        yaw=_least_between(bounds.yaw, cells[:-1], cells[1:]),
+        centre_curvature=centre_curvature,
+        centre_rate=centre_rate,
+        zone=0 if zone >= knots.size - 1 else zone,
+        time=np.interp(knots, limits.s, profile.time),
+    )
+
+
+def _hidden_jumps(places: FloatArray, knots: FloatArray) -> BoolArray:
+    """Whether each cell of the grid holds a jump that no knot stands on, Shape (M,)."""
+    nearest = knots[np.minimum(np.searchsorted(knots, places - 1e-9), knots.size - 1)]
+    places = places[np.abs(nearest - places) > 1e-9]
+    counts = np.searchsorted(places, knots)
+    found: BoolArray = np.diff(counts) > 0
+    return found
+
+
+def _extremes(
+    limits: PathLimits, knots: FloatArray, hidden: BoolArray, rate: FloatArray, centre_rate: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Rates at knots and centres, each over the half cell around it where cells hide jumps."""
+    quarter = 0.25 * np.diff(knots)
+    borders = np.stack((knots[:-1] + quarter, knots[1:] - quarter), axis=1).ravel()
+    cells = limits.cells_at(np.concatenate((knots[:1], borders, knots[-1:] - 1e-9)))
+    high = np.maximum(limits.rate_left, limits.rate_right)
+    low = np.minimum(limits.rate_left, limits.rate_right)
+    spread = np.stack((-_least_between(-high, cells[:-1], cells[1:]), _least_between(low, cells[:-1], cells[1:])))
+    beside = np.append(hidden, False) | np.insert(hidden, 0, False)
+    return np.where(beside, spread[:, ::2], rate), np.where(hidden, spread[:, 1::2], centre_rate)
+
+
+def _least_between(values: FloatArray, first: IntArray, last: IntArray) -> FloatArray:
+    """Minimum of `values[first[i] : last[i] + 1]` for every i."""
+    pairs = np.stack((first, last + 1), axis=1).ravel()
+    least: FloatArray = np.minimum.reduceat(np.append(values, np.inf), pairs)[::2]
+    return least
+
+
+class Spline(NamedTuple):
+    """Linear maps from the coefficients, as stencils on c_m, c_{m+1}, c_{m+2} of cell m; Shape (3, M) each.
+
+    Knot i: x_i = wl c_i + wr c_{i+1}, wr = h_{i-1} / (h_{i-1} + h_i), a_i = (c_{i+1} - c_i) / (h_{i-1} + h_i).
+    Cell m: x'' = 2 (a_{m+1} - a_m) / h_m, centre x = (x_m + x_{m+1}) / 2 - x'' h^2 / 8.
+
+    Attributes:
+        right_value: x at the right knot of the cell.
+        right_slope: Acceleration there.
+        centre_value: x at the centre.
+        centre_slope: Acceleration there.
+        curve: x''.
+        right_share: Weight wr of c_{i+1} in x_i, Shape (M + 1,).
+    """
+
+    right_value: FloatArray
+    right_slope: FloatArray
+    centre_value: FloatArray
+    centre_slope: FloatArray
+    curve: FloatArray
+    right_share: FloatArray
+
+
+def spline_of(steps: FloatArray) -> Spline:
+    """The maps of a spline with cells of lengths `steps`, Shape (M,) [m]."""
+    padded = np.concatenate((steps[:1], steps, steps[-1:]))
+    both = padded[:-1] + padded[1:]
+    right_share = padded[:-1] / both
+    value = np.stack((1.0 - right_share, right_share))  # (2, M + 1) on c_i, c_{i+1}
+    slope = np.stack((-1.0 / both, 1.0 / both))
+    zero = np.zeros((1, steps.size))
+    left_value, left_slope = (np.concatenate((part[:, :-1], zero)) for part in (value, slope))
+    right_value, right_slope = (np.concatenate((zero, part[:, 1:])) for part in (value, slope))
+    curve = 2.0 * (right_slope - left_slope) / steps
+    centre_value = 0.5 * (left_value + right_value) - curve * (steps * steps / 8.0)
+    return Spline(right_value, right_slope, centre_value, 0.5 * (left_slope + right_slope), curve, right_share)
+
+
+def coefficients_of(steps: FloatArray, guess: FloatArray, first: State, last: State) -> FloatArray:
+    """Coefficients near `guess`, v^2 at the knots; two on each side are exact: c = x -+ a h."""
+    middle = 0.5 * (guess[:-1] + guess[1:])
+    c = np.concatenate(([0.0], np.maximum(middle, 1e-3 * max(float(middle.max()), 1e-12)), [0.0]))
+    x0, x1 = first.v * first.v, last.v * last.v
+    c[0], c[1] = x0 - first.a * steps[0], x0 + first.a * steps[0]
+    c[-2], c[-1] = x1 - last.a * steps[-1], x1 + last.a * steps[-1]
+    return c
+
+
+def limit_rows(grid: Grid, bounds: ReferenceBounds, spline: Spline) -> FloatArray:
+    """Constraints A c <= 1: speed, acceleration, deceleration, and yaw acceleration at knots and centres.
+
+    At a knot the yaw rows take the largest and the least of the rates on its two sides: x is never negative.
+
+    Returns:
+        Stencils on three neighbouring coefficients each, Shape (3, rows, M); the rows of the last knot, which is
+        given, are zero.
+    """
+    value, slope = spline.right_value, spline.right_slope
+    drive, share = bounds.limits.drive, 1.0 - bounds.settings.margins.drive
+    rows = [value / grid.bound[1:], slope / (share * drive.max_acceleration), -slope / (share * drive.max_deceleration)]
+    turning = np.isfinite(drive.max_yaw_acceleration)
+    if turning:
+        yaw, turn, rate = grid.yaw[1:], grid.curvature[1:] * slope, grid.rate[:, 1:]
+        rows += [(turn + rate[0] * value) / yaw, -(turn + rate[1] * value) / yaw]
+    for row in rows:
+        row[:, -1] = 0.0
+    if turning:
+        yaw = 0.5 * (grid.yaw[:-1] + grid.yaw[1:])
+        value, turn, rate = spline.centre_value, grid.centre_curvature * spline.centre_slope, grid.centre_rate
+        rows += [(turn + rate[0] * value) / yaw, -(turn + rate[1] * value) / yaw]
+    return np.stack(rows, axis=1)
+
+
+def ripple_bands(spline: Spline, weight: FloatArray) -> FloatArray:
+    """Upper bands of the matrix Q with c' Q c / 2 = sum of (weight * step of x'' between neighbouring cells)^2.
+
+    Args:
+        spline: The maps.
+        weight: Per pair of neighbouring cells, Shape (M - 1,).
+
+    Returns:
+        Shape (4, M + 2), LAPACK's storage: entry (3 - d, j) is Q[j - d, j].
+    """
+    left, right, zero = spline.curve[:, :-1], spline.curve[:, 1:], np.zeros((1, weight.size))
+    row = weight * (np.concatenate((zero, right)) - np.concatenate((left, zero)))  # (4, M - 1) on c_m .. c_{m+3}
+    bands = np.zeros((4, weight.size + 3), order="F")
+    for offset in range(4):
+        for i in range(4 - offset):
+            bands[3 - offset, i + offset : i + offset + weight.size] += 2.0 * row[i] * row[i + offset]
+    return bands
+
+
+def initial_guess(grid: Grid, bounds: ReferenceBounds, profile: SpeedProfile, first: State, last: State) -> FloatArray:
+    """Where the interior point starts: v^2 at the knots, Shape (M + 1,) [m^2/s^2].
+
+    The acceleration-limited profile, averaged over the time that jerk needs to swing from one drive limit to the other,
+    and below the launch from the first state and the stop to the last. Its quality decides the number of iterations: 10
+    instead of 20.
+    """
+    drive, settings, time = bounds.limits.drive, bounds.settings.guess, grid.time
+    total = float(profile.time[-1])
+    times = np.linspace(0.0, total, max(3, int(total / settings.sample) + 1))
+    # Speed grows to its peak before the acceleration exceeds sqrt(peak * jerk): no higher drive limit is ever felt.
+    felt = math.sqrt(drive.max_jerk * math.sqrt(float(profile.speed_squared.max())))
+    half = 0.5 * (min(drive.max_acceleration, felt) + min(drive.max_deceleration, felt)) / drive.max_jerk
+    samples = min(times.size, int(half * (times.size - 1) / total) + 1)
+    mean = _box_mean(np.interp(times, profile.time, profile.speed_squared), samples)
+    x = settings.share * np.interp(time, times, mean)
+    since, until = time - time[0], time[-1] - time
+    if first.v > 0.0:
+        share = np.minimum(1.0, since / settings.blend)
+        x = (1.0 - share) * first.v**2 + share * x
+    jerk = bounds.jerk
+    launch = np.maximum(first.v + since * (first.a + 0.5 * jerk * since), 0.1 * first.v + 1e-4)
+    stop = last.v + until * (-last.a + 0.5 * jerk * until)
+    below: FloatArray = np.minimum(x, np.minimum(launch, stop) ** 2)
+    return below
+
+
+def _box_mean(values: FloatArray, half: int) -> FloatArray:
+    """Mean over 2 half + 1 samples, zero beyond the ends."""
+    total = np.cumsum(np.concatenate((np.zeros(half + 1), values, np.zeros(half))))
+    mean: FloatArray = (total[2 * half + 1 :] - total[: -2 * half - 1]) / (2 * half + 1)
+    return mean
+
+
+class Reference(NamedTuple):
+    """States at the knots of the spline, and the arcs on both its sides.
+
+    Attributes:
+        s: Shape (M + 1,) [m].
+        v: Shape (M + 1,) [m/s].
+        a: Shape (M + 1,) [m/s^2].
+        curve: x'' of the cells, Shape (M,) [1/s^2].
+        grid: Its knots.
+        launch: Before it, perhaps without phases.
+        stop: Behind it.
+        iterations: Of the interior point.
+    """
+
+    s: FloatArray
+    v: FloatArray
+    a: FloatArray
+    curve: FloatArray
+    grid: Grid
+    launch: Arc
+    stop: Arc
+    iterations: int
+
+    @property
+    def durations(self) -> FloatArray:
+        """Of the cells, Shape (M,) [s]: the acceleration is linear in s there."""
+        durations: FloatArray = 2.0 * np.diff(self.s) / (self.v[:-1] + self.v[1:])
+        return durations
+
+
+def solve_reference(bounds: ReferenceBounds, start: State, deadline: Deadline = ENDLESS) -> Reference | None:
+    """The fastest spline under `bounds` from a start state to rest, with its arcs.
+
+    None where launch and stop leave no room for it, and where no spline keeps the limits.
+
+    Raises:
+        OutOfTime: The deadline passed.
+    """
+    deadline.look()
+    limits, settings = bounds.limits, bounds.settings
+    profile = forward_backward_pass(bounds, start)
+    launch, stop = launch_arc(bounds, start), stop_arc(bounds)
+    first, last = launch.state, stop.state
+    if last.s - first.s < settings.arcs.least_rest * limits.length:
+        return None
+    grid = grid_of(bounds, profile, first, last)
+    guess, spline = initial_guess(grid, bounds, profile, first, last), spline_of(grid.steps)
+    # A swing from -J to J is a step of x'' by 4 J / v.
+    ripple = settings.smooth_ripple if settings.smooth else settings.ripple
+    bands = ripple_bands(spline, np.sqrt(0.5 * ripple * guess[1:-1]) / (4.0 * bounds.jerk))
+    rows, curve = limit_rows(grid, bounds, spline), spline.curve / (2.0 * bounds.jerk)
+    program = Program(grid.steps, rows, curve, spline.right_share, bands)
+    with np.errstate(over="ignore", invalid="ignore", divide="ignore"):  # of slacks, where no spline keeps the limits
+        c = coefficients_of(grid.steps, guess, first, last)
+        c, iterations = solve(program, c, settings.interior_point, deadline.look)
+    x, a = np.append(0.0, applied(spline.right_value, c)), np.append(0.0, applied(spline.right_slope, c))
+    v = np.sqrt(np.maximum(x, 1e-12))
+    np.clip(a, -limits.drive.max_deceleration, limits.drive.max_acceleration, out=a)
+    v[0], a[0], v[-1], a[-1] = first.v, first.a, last.v, last.a
+    found = Reference(grid.knots, v, a, applied(spline.curve, c), grid, launch, stop, iterations)
+    longest = settings.strategy.hopeless * max(limits.duration_estimate, float(profile.time[-1]))
+    return found if float(np.sum(found.durations)) <= longest else None
+
+
+def spline_phases(s: FloatArray, v: FloatArray, a: FloatArray) -> Phases:
+    """The reference itself as a motion: two phases of equal duration for every cell, exact at the knots.
+
+    Within a cell acceleration is linear in s, so jerk x''/2 * v changes only with the speed. From the gains of speed
+    and acceleration over a cell of duration 2 h,
+    j1 = Q - P / 2 and j2 = 3 P / 2 - Q with P = da / h, Q = (dv - 2 a h) / h^2.
+    The distance is then (2 v + dv) h - da h^2 / 3, which gives h.
+
+    Args:
+        s: Distances of states that a spline of v^2 can join, Shape (n,) [m].
+        v: Their speeds [m/s].
+        a: Their accelerations [m/s^2].
+    """
+    ds, dv, da = np.diff(s), np.diff(v), np.diff(a)
+    both = v[:-1] + v[1:]
+    h = 2.0 * ds / (both + np.sqrt(np.maximum(both * both - 4.0 / 3.0 * da * ds, 0.0)))
+    gain, curve = da / h, (dv - 2.0 * a[:-1] * h) / (h * h)
+    first, second = curve - 0.5 * gain, 1.5 * gain - curve
+    phases = np.stack((np.repeat(h, 2), np.stack((first, second), axis=1).ravel()), axis=1)
+    return tuple((duration, jerk) for duration, jerk in phases.tolist())

@@ -1,0 +1,167 @@
+"""Start states: full braking decides what can be driven from (v0, a0), in closed form.
+
+Viability: among all controls from a start state full braking (jerk -J to -D, hold, +J to rest) gives the least speed at
+every distance: compare da/ds = j / v. So the speed caps can be kept if and only if the full-braking curve stays below
+them; where it does not, no other motion breaks them less.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+from optdock.interfaces import TimingStatus
+from optdock.timing.checks import SegmentPlan
+from optdock.timing.motion import DriveBounds, Motion, Phases, State, braking_slack
+from optdock.timing.path_limits import KEPT, worst_ratio, yaw_ratio
+from optdock.timing.settings import SAMPLING
+
+if TYPE_CHECKING:
+    from optdock.geometry.arrays import FloatArray
+    from optdock.limits import MotionLimits
+    from optdock.timing.path_limits import PathLimits
+
+__all__ = ["NO_DISTANCE", "Braking", "StartVerdict", "full_stop", "judge_start"]
+
+NO_DISTANCE = 1e-9  # [m]: nothing is left to plan
+
+
+def full_stop(start: State, bounds: DriveBounds) -> Phases:
+    """Full braking to rest, wherever that is, in closed form: -J to the deceleration, hold, +J to rest.
+
+    From a state that need not roll backwards: v >= 0, and v >= a^2 / (2 J) where a < 0. Leading the acceleration from a
+    to -b and on to 0 changes the speed by (a^2 - 2 b^2) / (2 J); the largest b is the deceleration, and what is left of
+    the speed then is braked off at b. A deceleration beyond it is led back first.
+    """
+    _s, v, a = start
+    jerk, most = bounds.jerk, bounds.deceleration
+    if a < -most:
+        spare = max(0.0, v - 0.5 * a * a / jerk)  # after +J straight to rest; held at -D, where +J passes it
+        phases = ((-most - a) / jerk, jerk), (spare / most, 0.0), (most / jerk, jerk)
+    else:
+        brake = min(most, math.sqrt(max(0.0, jerk * v + 0.5 * a * a)))
+        hold = max(0.0, v + (0.5 * a * a - brake * brake) / jerk) / most if brake == most else 0.0
+        phases = ((a + brake) / jerk, -jerk), (hold, 0.0), (brake / jerk, jerk)
+    return tuple(phase for phase in phases if phase[0] > 0.0)
+
+
+class Braking:
+    """Full braking from a start state on a segment.
+
+    Args:
+        limits: The segment's.
+        start: Moving forward, or at rest with acceleration > 0.
+
+    Attributes:
+        motion: The braking motion; it may end beyond the segment.
+        times: Where it is looked at: phase borders, a grid, every node of the limits, Shape (n,) [s].
+        states: Distance, speed, acceleration there, Shape (3, n).
+        path_ratios: Quotients with limits of the path that no motion from this start keeps better, Shape (n,): the
+            speed caps; the speed beyond which no acceleration keeps the yaw acceleration,
+            v^2 = (al + |k| * (D if k k' > 0 else A)) / |k'|; the yaw acceleration at the start itself.
+        cap_ratios: The speed caps alone, Shape (n,).
+        yaw_ratios: Quotients of the yaw acceleration, Shape (n,).
+        drive_ratios: Quotients of the acceleration, which full braking leads into its limits as fast as it can.
+        ratios: The larger of both, Shape (n,).
+    """
+
+    def __init__(self, limits: PathLimits, start: State) -> None:
+        self.motion = Motion.of(start, full_stop(start, limits.drive_bounds))
+        inside = limits.s[(limits.s > 0.0) & (limits.s < self.motion.end.s)]
+        grid = self.motion.sample_times(SAMPLING.braking_period)
+        self.times = np.union1d(grid, self.motion.crossing_times(inside)) if inside.size else grid
+        self.states = self.motion.at(self.times)
+        s, v, a = self.states
+        drive, points = limits.drive, limits.points_at(np.clip(s, 0.0, limits.length))
+        self.yaw_ratios = yaw_ratio(drive, points.curvature, points.rate, v, a)
+        relief = np.where(points.curvature * points.rate > 0.0, drive.max_deceleration, drive.max_acceleration)
+        spare = drive.max_yaw_acceleration + np.abs(points.curvature) * relief
+        self.cap_ratios = v * points.slowness
+        self.path_ratios = np.maximum(self.cap_ratios, v * np.sqrt(np.abs(points.rate) / spare))
+        self.path_ratios[0] = max(self.path_ratios[0], self.yaw_ratios[0])
+        self.drive_ratios = np.maximum(a / drive.max_acceleration, -a / drive.max_deceleration)
+        self.ratios: FloatArray = np.maximum(self.path_ratios, self.drive_ratios)
+
+    def tight_length(self, slack: float, yaw_share: float) -> float:
+        """How far from the start braking leaves no room for margins [m].
+
+        Args:
+            slack: Where it is closer than this, relative, to the limits.
+            yaw_share: Where it uses more of the yaw acceleration.
+        """
+        tight = np.flatnonzero(self.path_ratios > 1.0 - slack)
+        turning = np.flatnonzero(self.yaw_ratios <= yaw_share)
+        last = max(int(tight[-1]) + 1 if tight.size else 0, int(turning[0]) if turning.size else self.times.size)
+        return float(self.states[0, min(last, self.times.size - 1)])
+
+
+class StartVerdict(NamedTuple):
+    """What full braking says of a moving start.
+
+    Args:
+        refusal: Why no motion from it keeps every limit; None where one may.
+        ways_on: From where a plan may go on, best first: the phases until then, and the state then; empty: nowhere.
+    """
+
+    refusal: SegmentPlan | None
+    ways_on: tuple[tuple[Phases, State], ...] = ()
+
+
+def judge_start(limits: PathLimits, start: State) -> StartVerdict:
+    """Whether the limits of a segment can be kept from a moving start; every impossible one told by its name."""
+    if start.v < 0.0 or braking_slack(start, limits.drive.max_jerk) < 0.0:
+        reason = f"from v = {start.v:.6g} m/s, a = {start.a:.6g} m/s^2 the robot rolls backwards whatever is done"
+        limit = "" if start.v < 0.0 else "max_jerk"
+        status = TimingStatus.BAD_START
+        return StartVerdict(SegmentPlan(status, how="none", reason=reason, limit=limit, s=limits.begin, arrives=False))
+    braking = Braking(limits, start)
+    brake = braking.motion
+    if not np.isfinite(braking.states).all():
+        reason = f"full braking from {start} is beyond all numbers"
+        return StartVerdict(SegmentPlan(TimingStatus.FAIL, how="none", reason=reason, s=limits.begin, arrives=False))
+    needed, left, begin = brake.end.s, limits.length, limits.begin
+    if needed > left + NO_DISTANCE:
+        distances = f"{needed:.6g} m, the stop at s = {begin + left:.6g} m is {left:.6g} m away"
+        reason = f"full braking from {start.v:.6g} m/s needs {distances}"
+        ratio, status, limit = worst_ratio(limits, brake).ratio, TimingStatus.CANNOT_STOP, "max_deceleration"
+        return StartVerdict(
+            SegmentPlan(status, brake.phases, ratio, needed - left, "brake", reason, limit, begin + left, arrives=False)
+        )
+    stopped = brake.phases, State(needed)
+    broken = np.flatnonzero(braking.ratios > KEPT)
+    if broken.size == 0:
+        return StartVerdict(None, (stopped,))
+    worst = int(np.argmax(braking.ratios))
+    cap = limits.cap_at(min(max(float(braking.states[0, worst]), 0.0), left))
+    limit, sentence = _broken_limit(braking, worst, cap, begin, limits.drive)
+    reason = f"{sentence} under full braking; no motion from this start does better"
+    ratio, where = float(braking.ratios[worst]), begin + float(braking.states[0, worst])
+    kept_again = float(braking.times[min(int(broken[-1]) + 1, braking.times.size - 1)])
+    status = TimingStatus.START_INFEASIBLE
+    refusal = SegmentPlan(status, brake.phases, ratio, 0.0, "brake", reason, limit, where)
+    return StartVerdict(refusal, (brake.cut(kept_again), stopped))
+
+
+def _broken_limit(braking: Braking, k: int, cap: tuple[str, str], begin: float, drive: MotionLimits) -> tuple[str, str]:
+    """The limit that decides at the k-th of `times`: its name, and in words by how much and where it is broken.
+
+    Args:
+        braking: Looked at.
+        k: Where.
+        cap: The speed cap there, its name and that in words.
+        begin: Where the segment begins on the whole path [m].
+        drive: What the drive can do.
+    """
+    s, v, a = (float(value) for value in braking.states[:, k])
+    ratio, yaw = float(braking.ratios[k]), float(braking.yaw_ratios[0])
+    place = f"at s = {begin + s:.4f} m is {ratio:.4g} times"
+    if braking.drive_ratios[k] > braking.path_ratios[k]:
+        name = "max_acceleration" if a > 0.0 else "max_deceleration"
+        return name, f"acceleration {a:.4g} m/s^2 {place} {name} = {getattr(drive, name):.4g} m/s^2"
+    turning = "max_yaw_acceleration", f"max_yaw_acceleration = {drive.max_yaw_acceleration:.4g} rad/s^2"
+    if k == 0 and yaw >= ratio:
+        return turning[0], f"yaw acceleration {yaw * drive.max_yaw_acceleration:.4g} rad/s^2 {place} {turning[1]}"
+    name, words = cap if braking.cap_ratios[k] >= ratio else turning
+    return name, f"speed {v:.4g} m/s {place} what {words} allows"

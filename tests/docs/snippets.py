@@ -1,0 +1,84 @@
+"""The code blocks of a page, and how they are run: in order, in one process, in a folder of the page's own."""
+
+import contextlib
+import io
+import re
+import shlex
+from pathlib import Path
+from typing import NamedTuple
+
+from typer.testing import CliRunner
+
+from optdock.cli import app
+
+ROOT = Path(__file__).resolve().parents[2]
+PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
+
+_FENCE = re.compile(
+    r"^(?:<!-- not run: (?P<reason>[^\n]+?) -->\n+)?^(?P<mark>```+)(?P<head>[^\n]*)\n(?P<body>.*?)^(?P=mark)$",
+    re.MULTILINE | re.DOTALL,
+)
+_TITLE = re.compile(r'title="([^"]+)"')
+_STATUS = re.compile(r"#\s*exit status (\d)\s*$")
+
+
+class Block(NamedTuple):
+    """A fenced block: its language, the file that it is or empty, its text, its line, and why it is not run."""
+
+    language: str
+    title: str
+    body: str
+    line: int
+    reason: str
+
+
+def blocks_of(page):
+    """The fenced blocks of a page, in order."""
+    text = page.read_text(encoding="utf-8")
+    for found in _FENCE.finditer(text):
+        head = found["head"].strip()
+        title = _TITLE.search(head)
+        line = text.count("\n", 0, found.start("head")) + 1
+        yield Block(
+            head.split()[0] if head else "", title[1] if title else "", found["body"], line, found["reason"] or ""
+        )
+
+
+def run_page(page, folder):
+    """Run every block of a page that is not marked; what one defines the next ones know.
+
+    Returns:
+        How many blocks were run.
+    """
+    (folder / "examples").symlink_to(ROOT / "examples")
+    known, count = {"__name__": "__page__"}, 0
+    for block in blocks_of(page):
+        where = f"{page.relative_to(ROOT)}:{block.line}"
+        if block.title:
+            (folder / block.title).write_text(block.body, encoding="utf-8")
+        if block.reason or block.language not in {"python", "sh"} or block.title:
+            continue
+        count += 1
+        try:
+            _RUNNERS[block.language](block, known, where)
+        except BaseException as error:
+            error.add_note(where) if hasattr(error, "add_note") else None
+            raise AssertionError(f"{where}: {type(error).__name__}: {error}") from error
+    return count
+
+
+def _run_python(block, known, where):
+    with contextlib.redirect_stdout(io.StringIO()):
+        exec(compile("\n" * block.line + block.body, where, "exec"), known)
+
+
+def _run_shell(block, known, where):
+    for line in filter(str.strip, block.body.splitlines()):
+        expected = _STATUS.search(line)
+        program, *arguments = shlex.split(line, comments=True)
+        assert program == "optdock", f"{where}: mark what is no command of ours: {line}"
+        result = CliRunner().invoke(app, arguments)
+        assert result.exit_code == int(expected[1] if expected else 0), f"{line}\n{result.output}"
+
+
+_RUNNERS = {"python": _run_python, "sh": _run_shell}

@@ -1,0 +1,199 @@
+"""What the documentation names exists: citations, modules, equations, errors, reasons, keys."""
+
+import ast
+import functools
+import importlib
+import inspect
+import re
+import sys
+from pathlib import Path
+
+import pytest
+
+import optdock
+from optdock import errors
+from optdock.outcomes import TimingStatus
+from optdock.testing.families import FAMILIES, instance
+
+ROOT = Path(__file__).resolve().parents[2]
+DOCS = ROOT / "docs"
+PACKAGES = ("optdock", "smoothers", "checkers")
+CODE = sorted(path for package in PACKAGES for path in (ROOT / package).rglob("*.py"))
+WRITTEN = [ROOT / "README.md", *sorted(DOCS.rglob("*.md"))]
+KEY = re.compile(r"\[([A-Z][A-Za-z]+\d{4}[a-z]?)\](?!\()")
+EQUATION = re.compile(
+    r"^\$\$\n(?:% *(?P<path>[^:\n]+):? *(?P<names>[^\n]*)\n)?(?P<tex>.+?)\n\$\$$", re.MULTILINE | re.DOTALL
+)
+
+sys.path.insert(0, str(DOCS / "tools"))
+generated = importlib.import_module("generated")
+
+
+@functools.cache
+def parsed(path):
+    return ast.parse(path.read_text(encoding="utf-8"))
+
+
+def calls_of(name):
+    """The first arguments, where they are constants, of all calls of `name` in the code."""
+    calls = (node for path in CODE for node in ast.walk(parsed(path)) if isinstance(node, ast.Call) and node.args)
+    first = (call.args[0] for call in calls if getattr(call.func, "id", "") == name)
+    return {argument.value for argument in first if isinstance(argument, ast.Constant)}
+
+
+def keys_in(paths):
+    return {key: path.name for path in paths for key in KEY.findall(path.read_text(encoding="utf-8"))}
+
+
+def defined_keys():
+    return re.findall(r"^\[([A-Z][A-Za-z]+\d{4}[a-z]?)\] ", (DOCS / "bibliography.md").read_text(), re.MULTILINE)
+
+
+def test_every_citation_is_in_the_bibliography_and_every_entry_is_cited():
+    defined = defined_keys()
+    assert len(defined) == len(set(defined))
+    citing = [*CODE, *sorted((ROOT / "tests").rglob("*.py")), ROOT / "DESIGN.md", *WRITTEN]
+    cited = keys_in(path for path in citing if path.name != "bibliography.md" and path != Path(__file__))
+    assert {key: where for key, where in cited.items() if key not in defined} == {}
+    assert sorted(set(defined) - set(cited)) == []
+
+
+def equations():
+    return [(page, found) for page in sorted(DOCS.rglob("*.md")) for found in EQUATION.finditer(page.read_text())]
+
+
+def defined_names(path):
+    kinds = (ast.FunctionDef, ast.ClassDef)
+    return {node.name for node in ast.walk(parsed(ROOT / path)) if isinstance(node, kinds)}
+
+
+def test_every_equation_is_numbered_once_and_names_a_module_that_has_what_it_names():
+    numbers = [re.search(r"\\tag\{(\w+)\}", found["tex"]) for _, found in equations()]
+    assert all(numbers)
+    assert len({number[1] for number in numbers}) == len(numbers) > 50
+    wrong = [
+        (page.name, found["path"], name)
+        for page, found in equations()
+        for name in re.split(r",\s*", found["names"] or "")
+        if not (found["path"] and name and name in defined_names(found["path"].strip()))
+    ]
+    assert wrong == []
+
+
+def test_every_reference_to_an_equation_has_one():
+    known = {re.search(r"\\tag\{(\w+)\}", found["tex"])[1] for _, found in equations()}
+    referred = {number for page in WRITTEN for number in re.findall(r"\(([PSCTK]\d+)\)", page.read_text())}
+    assert referred - known == set()
+
+
+NAMED = re.compile(r"`((?:optdock|smoothers|checkers|examples|tests|experiments|docs)[/.][\w/.]*\w)/?`")
+
+
+def exists(name):
+    """Whether a path or a dotted name is there."""
+    if "/" in name or (ROOT / name).is_file():
+        return (ROOT / name).exists()
+    parts = name.split(".")
+    for length in range(len(parts), 0, -1):
+        try:
+            found = importlib.import_module(".".join(parts[:length]))
+        except ModuleNotFoundError:
+            continue
+        for part in parts[length:]:
+            found = getattr(found, part, None)
+        return found is not None
+    return False
+
+
+GROUPS = {"optdock.planners", "optdock.smoothers", "optdock.goal_checkers", "optdock.behaviors", "optdock.layers"}
+
+
+def test_every_path_and_module_that_is_named_exists():
+    named = {name: page.name for page in WRITTEN for name in NAMED.findall(page.read_text(encoding="utf-8"))}
+    assert len(named) > 20
+    assert {name: page for name, page in named.items() if name not in GROUPS and not exists(name)} == {}
+
+
+def test_the_map_has_every_module_once():
+    marks = re.findall(r"<!-- made: map (\S+) -->", (DOCS / "map.md").read_text())
+    assert len(marks) == len(set(marks))
+    shown = [path for package in marks for path in generated.modules_of(package)]
+    assert sorted(shown) == [path.relative_to(ROOT) for path in CODE]
+
+
+def test_every_module_says_in_its_first_line_what_it_is():
+    first = {path: (ast.get_docstring(parsed(path)) or "").split("\n")[0] for path in CODE}
+    assert [path.name for path, line in first.items() if not line.endswith(".") and path.name != "__init__.py"] == []
+
+
+REFUSALS = (DOCS / "reference" / "refusals.md").read_text(encoding="utf-8")
+TOLD = set(re.findall(r"`([^`\n]+)`", REFUSALS))
+
+
+def test_every_error_is_explained_with_its_code():
+    found = {
+        name: value
+        for name, value in vars(errors).items()
+        if inspect.isclass(value) and issubclass(value, errors.OptdockError)
+    }
+    assert sorted(set(found) - TOLD) == []
+    rows = dict(re.findall(r"^\| `(\w+)` \| (\d+) \|", REFUSALS, re.MULTILINE))
+    assert {name: code for name, code in rows.items() if found[name].code != int(code)} == {}
+    families = {"OptdockError", "TimedOut", "Cancelled"}
+    written = {*rows, *re.findall(r"`(\w+)` \(code \d+\)", REFUSALS)}
+    assert sorted(set(found) - written - families) == []
+
+
+def test_every_reason_of_a_refusal_is_explained():
+    reasons = calls_of("Refusal")
+    assert {"goal_unreachable", "clearance", "approach_blocked"} <= reasons
+    assert reasons | {status.name for status in TimingStatus if status.value} <= TOLD
+
+
+def test_every_kind_of_violation_is_explained():
+    kinds = calls_of("Violation")
+    assert {"clearance", "slip", "rest", "coverage"} <= kinds <= TOLD
+
+
+def test_steps_of_the_planner_are_explained():
+    steps = {
+        value.value
+        for path in (ROOT / "optdock" / "planners").glob("*.py")
+        for node in ast.walk(parsed(path))
+        if isinstance(node, ast.Dict)
+        for key, value in zip(node.keys, node.values, strict=True)
+        if isinstance(key, ast.Constant) and key.value == "step" and isinstance(value, ast.Constant)
+    }
+    assert {"beyond_c", "direction"} <= steps <= TOLD
+
+
+def test_everything_at_the_front_door_is_on_the_page_of_the_library():
+    page = (DOCS / "reference" / "api.md").read_text()
+    shown = {name for names in re.findall(r"<!-- made: api ([^\n]+) -->", page) for name in names.split()}
+    assert set(optdock.__all__) - shown == set()
+
+
+@pytest.mark.parametrize(
+    "kind", ["planners", "smoothers", "timing", "controllers", "goal_checkers", "behaviors", "layers"]
+)
+def test_every_installed_plugin_is_on_the_page_of_plugins(kind):
+    from optdock.plugins import available_plugins
+
+    made = generated.on_page_markdown(f"<!-- made: plugins {kind} -->")
+    own = [info for info in available_plugins() if info.kind == kind and info.target.split(".")[0] in PACKAGES]
+    assert [f"### {info.name}" in made for info in own] == [True] * len(own) != []
+    assert "made: plugins " + kind in (DOCS / "reference" / "plugins.md").read_text()
+
+
+def test_every_key_of_a_scenario_is_on_its_page():
+    from optdock.config import scenario_reference
+
+    page = generated.on_page_markdown((DOCS / "reference" / "scenario.md").read_text())
+    heads = re.findall(r"^\| `([\w.]+)`", page, re.MULTILINE)
+    assert len(heads) == len(scenario_reference())
+
+
+def test_infeasible_families_have_their_reasons_explained():
+    reasons = {instance(family, 0).expected_reason for family in FAMILIES} - {"", None}
+    assert reasons
+    assert reasons <= TOLD

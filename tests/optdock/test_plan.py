@@ -1,0 +1,107 @@
+"""Plans: saved, loaded and proven anew, drawn, shown in a line."""
+
+import dataclasses
+import sys
+from pathlib import Path as FilePath
+
+import numpy as np
+import pytest
+
+from optdock.dock import Dock
+from optdock.errors import CertificationFailed, InvalidFile, InvalidPath, InvalidValue, MissingExtra, OptdockError
+from optdock.geometry.footprint import Footprint
+from optdock.geometry.pose import Pose2
+from optdock.io.plan_file import PlanFile, load_plan, save_plan
+from optdock.limits import MotionLimits
+from optdock.pipeline import plan_dock
+from optdock.plan import DockPlan, PartialPlan
+from optdock.problem import DockingProblem
+from optdock.robot import Robot
+
+LIMITS = MotionLimits(max_curvature=2.0, max_curvature_rate=8.0)
+PROBLEM = DockingProblem(
+    Pose2(-2.0, 0.3, 0.1),
+    Dock(Pose2(0.0, 0.0, 0.0), final_straight=0.2),
+    Robot(Footprint.rectangle(0.3, 0.3, 0.5), LIMITS),
+    obstacles=[[(-2.0, 0.8), (0.0, 0.8), (0.0, 1.0), (-2.0, 1.0)]],
+)
+
+
+@pytest.fixture(scope="module")
+def plan():
+    return plan_dock(PROBLEM, time_budget=20.0)
+
+
+@pytest.mark.parametrize("kind", [str, FilePath])
+def test_a_saved_plan_is_the_same_plan_when_it_is_loaded(plan, tmp_path, kind):
+    target = kind(tmp_path / "plans" / "one.json")
+    plan.save(target)
+    loaded = DockPlan.load(target, PROBLEM)
+    assert loaded.path.digest == plan.path.digest
+    assert loaded.certificate == plan.certificate
+    assert loaded.trajectory_certificate == plan.trajectory_certificate
+    t = np.linspace(0.0, plan.trajectory.duration, 50)
+    np.testing.assert_array_equal(loaded.trajectory.time_law.at(t), plan.trajectory.time_law.at(t))
+    assert loaded.trajectory.certified_for == PROBLEM.fingerprint
+    assert loaded.timing_ms == plan.timing_ms
+
+
+def test_a_loaded_plan_is_proven_for_the_problem_at_hand(plan, tmp_path):
+    plan.save(tmp_path / "plan.json")
+    blocked = dataclasses.replace(PROBLEM, obstacles=[[(-1.2, -0.1), (-1.0, -0.1), (-1.0, 0.1), (-1.2, 0.1)]])
+    with pytest.raises(CertificationFailed, match="its path is not certified for this problem: .*obstacles") as caught:
+        DockPlan.load(tmp_path / "plan.json", blocked)
+    assert caught.value.where["kind"] == "clearance"
+    slower = dataclasses.replace(LIMITS, max_speed=0.1)
+    slow = dataclasses.replace(PROBLEM, robot=dataclasses.replace(PROBLEM.robot, limits=slower))
+    with pytest.raises(CertificationFailed, match="its motion is not certified for this problem: speed"):
+        DockPlan.load(tmp_path / "plan.json", slow)
+    with pytest.raises(InvalidPath, match="stands in frame 'map'"):
+        DockPlan.load(tmp_path / "plan.json", dataclasses.replace(PROBLEM, frame="odom"))
+
+
+@pytest.mark.parametrize("missing", ["raw_path", "path", "time_law"])
+def test_a_file_without_a_whole_plan_is_none(plan, tmp_path, missing):
+    save_plan(tmp_path / "part.json", dataclasses.replace(plan.as_file(), **{missing: None}))
+    with pytest.raises(InvalidFile, match=r"part.json: holds no .*, so there is no plan to prove"):
+        DockPlan.load(tmp_path / "part.json", PROBLEM)
+    assert isinstance(load_plan(str(tmp_path / "part.json")), PlanFile)
+
+
+def test_spacing_and_period_are_those_asked_for(plan, tmp_path):
+    plan.save(tmp_path / "plan.json", spacing=0.1, period=0.5)
+    found = load_plan(tmp_path / "plan.json")
+    assert np.diff(found.trajectory.t).max() == pytest.approx(0.5)
+    with pytest.raises(InvalidValue, match="spacing"):
+        plan.save(tmp_path / "plan.json", spacing=0.0)
+
+
+@pytest.mark.parametrize("kind", [str, FilePath])
+def test_a_plan_draws_itself(plan, tmp_path, kind):
+    plan.plot(kind(tmp_path / "plan.png"))
+    assert (tmp_path / "plan.png").read_bytes().startswith(b"\x89PNG")
+    with pytest.raises(InvalidValue, match="must end in one of"):
+        plan.plot(kind(tmp_path / "plan.txt"))
+
+
+def test_without_matplotlib_it_says_what_to_install(plan, tmp_path, monkeypatch):
+    monkeypatch.setitem(sys.modules, "matplotlib.figure", None)
+    with pytest.raises(MissingExtra, match="optdock\\[plot\\]"):
+        plan.plot(tmp_path / "plan.png")
+
+
+def test_a_plan_in_a_line(plan):
+    length, seconds = plan.path.length, plan.trajectory.duration
+    closest, total = plan.certificate.min_clearance, plan.timing_ms["total"]
+    where = f"closest {closest:.3f} m to obstacles[0]"
+    assert str(plan) == f"certified: {length:.2f} m in {seconds:.2f} s, {where}, planned in {total:.1f} ms"
+    assert repr(plan) == f"<DockPlan {plan}>"
+    assert str(dataclasses.replace(plan, completed=False)).startswith("certified, stopped early by the time budget: ")
+    alone = plan_dock(dataclasses.replace(PROBLEM, obstacles=()), time_budget=20.0)
+    assert "closest" not in str(alone)
+
+
+def test_what_exists_of_a_plan_in_a_line(plan):
+    assert repr(PartialPlan()) == "<PartialPlan with nothing>"
+    assert repr(PartialPlan(plan.raw_path, timing_ms={"total": 3.25})) == "<PartialPlan with raw_path after 3.2 ms>"
+    assert PartialPlan.left_by(OptdockError("never begun")).raw_path is None

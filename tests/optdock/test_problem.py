@@ -1,0 +1,186 @@
+"""The docking problem takes plain values: polygons, one number, a grid; and says which of them is wrong."""
+
+import dataclasses
+import math
+
+import numpy as np
+import pytest
+
+from optdock.costmap.costmap import Costmap
+from optdock.dock import Dock
+from optdock.errors import FailedToSmoothPath, InvalidValue, StartOccupied
+from optdock.geometry.footprint import Footprint
+from optdock.geometry.pose import Pose2
+from optdock.limits import MotionLimits
+from optdock.obstacles import ObstacleSet
+from optdock.pipeline import plan_dock
+from optdock.problem import ClearanceRule, DockingProblem
+from optdock.robot import Robot
+
+ROBOT = Robot(Footprint.rectangle(0.3, 0.3, 0.4), MotionLimits(max_curvature=2.0, max_curvature_rate=8.0))
+DOCK = Dock(Pose2(3.0, 1.0, 0.0))
+START = Pose2(0.5, 1.0, 0.0)
+BOX = [(1, 2), (3, 2), (3, 2.4), (1, 2.4)]
+
+
+def problem(**parts):
+    return DockingProblem(**{"start": START, "dock": DOCK, "robot": ROBOT, **parts})
+
+
+@pytest.mark.parametrize(
+    "polygons", [[BOX], ([[x, y] for x, y in BOX],), [np.array(BOX)], np.array([BOX]), (box for box in [BOX])]
+)
+def test_plain_polygons_are_obstacles(polygons):
+    made, same = problem(obstacles=polygons), problem(obstacles=ObstacleSet.from_polygons([BOX]))
+    assert type(made.obstacles) is ObstacleSet
+    assert made.fingerprint == same.fingerprint
+    assert made.obstacles.name_of(0) == "obstacles[0]"
+
+
+def test_no_obstacles_are_none():
+    for nothing in ([], (), ObstacleSet.empty()):
+        assert len(problem(obstacles=nothing).all_obstacles) == 0
+    assert problem().fingerprint == problem(obstacles=[]).fingerprint
+
+
+@pytest.mark.parametrize(
+    ("obstacles", "message"),
+    [
+        ([BOX, [(0, 0), (1, 0)]], r"^obstacles\[1\]"),
+        ([BOX, BOX, [(0, 0), (1, 1), (1, 0), (0, 1)]], r"^obstacles\[2\]"),
+        ([BOX, [(0, 0), (1, math.nan), (1, 0)]], r"^obstacles\[1\]"),
+        ([BOX, "wall"], r"^obstacles\[1\]"),
+        (BOX, r"^obstacles\[0\]"),
+        ("wall", "^obstacles: must be an ObstacleSet or a list of polygons, got str"),
+        (3, "^obstacles: must be an ObstacleSet or a list of polygons, got int"),
+        (None, "^obstacles: must be an ObstacleSet or a list of polygons, got NoneType"),
+        ({"wall": BOX}, "^obstacles: must be an ObstacleSet or a list of polygons, got dict"),
+        (Footprint(np.array(BOX)), "^obstacles: must be an ObstacleSet or a list of polygons, got Footprint"),
+    ],
+)
+def test_a_polygon_that_is_none_is_named(obstacles, message):
+    with pytest.raises(InvalidValue, match=message):
+        problem(obstacles=obstacles)
+
+
+@pytest.mark.parametrize("value", [0.05, np.float64(0.05), 0, 1])
+def test_one_clearance_holds_everywhere_also_at_the_dock(value):
+    rule = problem(clearance=value).clearance
+    assert type(rule) is ClearanceRule
+    assert (rule.required, rule.at_dock) == (value, value)
+    np.testing.assert_array_equal(rule.required_at(np.array([0.0, 0.1, 5.0]), np.full(3, 9.0), 9.0), float(value))
+
+
+@pytest.mark.parametrize("value", [-0.1, math.nan, math.inf, True, "0.05", None, [0.05]])
+def test_a_clearance_is_a_rule_or_a_number(value):
+    with pytest.raises(InvalidValue, match="^clearance"):
+        problem(clearance=value)
+
+
+def test_another_start_changes_nothing_else():
+    case = problem(obstacles=[BOX], clearance=0.1, start_speed=0.2, start_curvature=0.0, frame="hall")
+    moved = case.starting_at(Pose2(0.2, 1.5, 0.1))
+    assert (moved.start, moved.start_speed, moved.start_curvature) == (Pose2(0.2, 1.5, 0.1), 0.0, None)
+    assert moved.fingerprint.differences(case.fingerprint) == ("start",)
+    driving = case.starting_at(Pose2(0.2, 1.5, 0.1), speed=-0.1, curvature=0.3)
+    assert (driving.start_speed, driving.start_curvature) == (-0.1, 0.3)
+
+
+# Row 0 is the lowest y: a wall of cells above the way, and one occupied cell at the lower left corner of the grid.
+GRID = np.zeros((40, 80), dtype=np.int8)
+GRID[0, 0] = 100
+GRID[30:32, 20:60] = 100
+
+
+def from_grid(grid, **more):
+    return DockingProblem.from_grid(grid, 0.05, (-0.2, 0.1), start=START, dock=DOCK, robot=ROBOT, **more)
+
+
+def boxes(case):
+    """Lower and upper corners of all pieces that stand on the map."""
+    inside = [i for i in range(len(case.all_obstacles)) if case.all_obstacles.name_of(i) == "map"]
+    corners = np.column_stack((case.all_obstacles.lower, case.all_obstacles.upper))[inside]
+    return sorted(tuple(row) for row in np.round(corners, 9).tolist())
+
+
+def test_row_0_of_a_grid_is_the_lowest_y_and_column_0_the_lowest_x():
+    assert boxes(from_grid(GRID)) == [(-0.2, 0.1, -0.15, 0.15), (0.8, 1.6, 2.8, 1.7)]
+
+
+def test_upside_down_or_transposed_it_is_another_world():
+    """The grid has no symmetry: whoever mixes up rows and columns, or up and down, does not see the same obstacles."""
+    seen = [boxes(from_grid(grid)) for grid in (GRID, GRID[::-1], GRID[:, ::-1], GRID.T)]
+    assert all(seen[i] != seen[j] for i in range(4) for j in range(i))
+
+
+def test_the_picture_of_a_grid_shows_it_where_the_obstacles_are(tmp_path):
+    """The wall lies at a larger y than the way, so in the picture it is above it."""
+    from PIL import Image
+
+    plan_dock(from_grid(GRID), time_budget=20.0).plot(tmp_path / "plan.png")
+    pixels = np.asarray(Image.open(tmp_path / "plan.png").convert("RGB"), dtype=int)
+    grey, blue = (np.all(np.abs(pixels - colour) <= 2, axis=2) for colour in ([70, 70, 70], [0, 114, 178]))
+    wall, way = (np.flatnonzero(colour.sum(axis=1) > 0.2 * pixels.shape[1]) for colour in (grey, blue))
+    assert wall.size > 0
+    assert way.size > 0
+    assert wall.max() < way.min()
+
+
+@pytest.mark.parametrize("kind", [np.int8, np.int64, np.uint8, list])
+def test_integers_are_occupancies(kind):
+    grid = GRID.tolist() if kind is list else GRID.astype(kind)
+    assert boxes(from_grid(grid)) == boxes(from_grid(GRID))
+
+
+def test_booleans_are_occupied_or_free():
+    assert boxes(from_grid(GRID > 0)) == boxes(from_grid(GRID))
+    assert len(boxes(from_grid(np.zeros_like(GRID, dtype=bool)))) == 0
+
+
+def test_what_is_probably_occupied_is_an_obstacle():
+    for occupancy in range(101):
+        grid = np.zeros((4, 4), dtype=np.int8)
+        grid[1, 2] = occupancy
+        assert (len(boxes(from_grid(grid))) == 1) is (occupancy >= 65)
+        assert (len(boxes(from_grid(grid, occupied_from=20))) == 1) is (occupancy >= 20)
+
+
+def test_unknown_cells_are_obstacles_unless_told_otherwise():
+    grid = GRID.copy()
+    grid[15:20, 5:20] = -1  # under the robot at the start
+    assert "unknown" in from_grid(grid).all_obstacles.names
+    with pytest.raises(StartOccupied, match="unknown"):
+        plan_dock(from_grid(grid), time_budget=20.0)
+    assert plan_dock(from_grid(grid, unknown_is_obstacle=False), time_budget=20.0).certificate.certified
+
+
+def test_the_grid_and_the_obstacles_beside_it_both_count():
+    across = [[(1.5, 0.2), (1.6, 0.2), (1.6, 1.9), (1.5, 1.9)]]
+    assert plan_dock(from_grid(GRID), time_budget=20.0).certificate.certified
+    with pytest.raises(FailedToSmoothPath):
+        plan_dock(from_grid(GRID, obstacles=across), time_budget=20.0)
+
+
+def test_a_grid_is_a_costmap():
+    costmap = Costmap(np.where(GRID > 0, 254, 0), 0.05, (-0.2, 0.1))
+    assert from_grid(GRID, clearance=0.1).fingerprint == problem(costmap=costmap, clearance=0.1).fingerprint
+    assert dataclasses.replace(from_grid(GRID), start=DOCK.pose).costmap is not None
+
+
+@pytest.mark.parametrize(
+    ("grid", "more", "message"),
+    [
+        (GRID.astype(float), {}, "occupancy: must be booleans, or integers -1"),
+        ([["free"]], {}, "occupancy: must be booleans, or integers -1"),
+        (np.array([[0, 101]]), {}, "occupancy: must be -1 .* got 101"),
+        (np.array([[0, -2]]), {}, "occupancy: must be -1 .* got -2"),
+        (np.array([[0, 255]], dtype=np.uint8), {}, "occupancy: must be -1 .* got 255"),
+        (GRID[0], {}, r"must have shape \(rows, columns\)"),
+        (np.zeros((0, 3), dtype=int), {}, "at least one cell"),
+        (GRID, {"occupied_from": 0}, "occupied_from: must be an integer in 1..100"),
+        (GRID, {"occupied_from": 0.65}, "occupied_from: must be an integer in 1..100"),
+    ],
+)
+def test_a_grid_that_is_none_is_refused(grid, more, message):
+    with pytest.raises(InvalidValue, match=message):
+        from_grid(grid, **more)

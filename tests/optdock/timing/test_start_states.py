@@ -1,0 +1,179 @@
+"""Impossible starts name the limit in the way and the place, in bounded time and memory."""
+
+from __future__ import annotations
+
+import time
+import tracemalloc
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from optdock.interfaces import TimingStatus
+from optdock.limits import MotionLimits, SpeedZone
+from optdock.path import Direction, Path
+from optdock.timing.motion import Motion, State, braking_slack
+from optdock.timing.near_optimal import NearOptimal
+from optdock.timing.path_limits import SpeedCaps, limits_along, segment_limits
+from optdock.timing.start_states import Braking
+from optdock.timing.windowed import Windowed
+
+STRAIGHT_LIMITS = MotionLimits(max_speed=1.0, max_acceleration=0.4, max_deceleration=0.5, max_jerk=1.5)
+
+
+@pytest.fixture(scope="module")
+def along(make):
+    return segment_limits(make.spline([3.0], [0.0, 0.0]), SpeedCaps(STRAIGHT_LIMITS, Direction.FORWARD), 9.0, 9.0)
+
+
+@given(
+    v=st.floats(0.2, 0.8),
+    a=st.floats(-0.3, 0.4),
+    jerks=st.lists(st.tuples(st.floats(0.05, 0.5), st.floats(-1.5, 1.5)), min_size=1, max_size=8),
+)
+def test_no_control_is_slower_anywhere_than_full_braking(along, v, a, jerks):
+    # da/ds = j / v: with the least jerk from the same state nothing gets below, as long as a >= -D.
+    start = State(0.0, v, a)
+    if braking_slack(start, STRAIGHT_LIMITS.max_jerk) <= 0.01:
+        return
+    brake, other = Braking(along, start).motion, Motion.of(start, jerks)
+    t = np.linspace(0.0, other.duration, 200)
+    s, speed, acceleration = other.at(t)
+    legal = np.cumsum((speed < 0.0) | (acceleration < -STRAIGHT_LIMITS.max_deceleration)) == 0
+    settling = brake.times[-2]  # the last phase leads the deceleration back to zero
+    inside = legal & (s < brake.at(np.array([settling]))[0, 0])
+    if not inside.any():
+        return
+    slowest = brake.at(brake.crossing_times(s[inside]))[1]
+    assert np.all(speed[inside] >= slowest - 1e-6)
+
+
+def test_ratios_are_one_exactly_at_the_caps(make):
+    limits = MotionLimits(max_yaw_rate=0.5, max_deceleration=0.6, max_jerk=2.0)
+    segment = make.spline([0.2, 1.0], [1.0, 1.0, 1.0])
+    along = limits_along(Path((segment,)), limits, SpeedZone())[0]
+    assert Braking(along, State(0.0, 0.5)).path_ratios.max() == pytest.approx(1.0)
+    assert Braking(along, State(0.0, 0.45)).path_ratios.max() == pytest.approx(0.9)
+
+
+def test_the_yaw_cap_is_the_speed_no_acceleration_can_save(make):
+    # v^2 k' - D k <= al while braking with D.
+    limits = MotionLimits(max_speed=2.0, max_yaw_acceleration=0.5, max_deceleration=0.5, max_jerk=100.0)
+    along = limits_along(Path((make.spline([0.2, 2.0], [0.0, 0.4, 0.4]),)), limits, SpeedZone())[0]
+    braking = Braking(along, State(0.0, 0.7))
+    s, v, _a = braking.states
+    rising = (s > 0.0) & (s < 0.2 - 1e-9)
+    fastest = np.sqrt((0.5 + 2.0 * s[rising] * 0.5) / 2.0)
+    np.testing.assert_allclose(braking.path_ratios[rising], np.maximum(v[rising] / fastest, v[rising] / 2.0))
+
+
+def test_tight_length_ends_where_braking_leaves_room(make):
+    limits = MotionLimits(max_yaw_rate=0.5, max_deceleration=0.6, max_jerk=2.0)
+    along = limits_along(Path((make.spline([3.0], [1.0, 1.0]),)), limits, SpeedZone())[0]
+    assert Braking(along, State(0.0, 0.3)).tight_length(0.01, 0.95) == 0.0
+    length = Braking(along, State(0.0, 0.5)).tight_length(0.01, 0.95)
+    assert 0.0 < length < 0.1
+    assert Braking(along, State(0.0, 0.5)).tight_length(0.1, 0.95) > length
+
+
+METHODS = (NearOptimal(), Windowed())
+LIMITS = MotionLimits(max_speed=0.5, max_acceleration=0.4, max_deceleration=0.5, max_jerk=2.0, track_width=0.4)
+
+
+@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize(
+    ("limit", "value", "ratio"),
+    [  # at 0.4 m/s on an arc of curvature 1/m; of a square root where the limit is on the speed's square
+        ("max_speed", 0.2, 2.0),
+        ("max_yaw_rate", 0.25, 1.6),
+        ("max_lateral_acceleration", 0.04, 2.0),
+        ("max_wheel_speed", 0.3, 1.6),
+    ],
+)
+def test_too_fast_for_a_limit_names_it_with_place_and_ratio(method, limit, value, ratio, make):
+    limits = MotionLimits(**{**LIMITS.__dict__, limit: value})
+    path = Path((make.spline([3.0], [1.0, 1.0]),))
+    result = method.parameterize(path, limits, SpeedZone(), start_speed=0.4)
+    assert (result.status, result.limit, result.at_s) == (TimingStatus.START_INFEASIBLE, limit, 0.0)
+    assert result.worst_ratio == pytest.approx(ratio, rel=1e-6)
+    assert f"{ratio:.4g} times what {limit} = {value:.4g}" in result.reason
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_the_zone_yaw_acceleration_and_acceleration_are_named_too(method, make):
+    straight, bend = Path((make.spline([3.0], [0.0, 0.0]),)), Path((make.spline([0.5, 2.0], [0.0, 1.5, 1.5]),))
+    turning = MotionLimits(**{**LIMITS.__dict__, "max_yaw_acceleration": 0.2})
+    asked = (
+        (straight, LIMITS, SpeedZone(0.1, 2.9), (0.4, 0.0), "approach_speed", 0.1),
+        (bend, turning, SpeedZone(), (0.4, 0.0), "max_yaw_acceleration", 0.0),
+        (straight, LIMITS, SpeedZone(), (0.2, 0.6), "max_acceleration", 0.0),
+        (straight, LIMITS, SpeedZone(), (0.4, -0.7), "max_deceleration", 0.0),
+    )
+    for path, limits, zone, (speed, acceleration), limit, at_s in asked:
+        result = method.parameterize(path, limits, zone, start_speed=speed, start_acceleration=acceleration)
+        assert (result.status, result.limit) == (TimingStatus.START_INFEASIBLE, limit)
+        assert result.at_s == pytest.approx(at_s, abs=0.005)
+        assert limit in result.reason
+        assert f"s = {result.at_s:.4f} m" in result.reason
+
+
+def test_every_other_end_has_a_reason_and_its_place(make):
+    path = Path((make.spline([0.1], [0.0, 0.0]), make.spline([1.0], [0.0, 0.0], sign=-1)))
+    result = NearOptimal().parameterize(path, LIMITS, SpeedZone(), start_speed=0.5)
+    assert (result.status, result.limit) == (TimingStatus.CANNOT_STOP, "max_deceleration")
+    assert result.at_s == pytest.approx(0.1)
+    assert "the stop at s = 0.1 m is 0.1 m away" in result.reason
+    result = NearOptimal().parameterize(path, LIMITS, SpeedZone(), start_speed=0.01, start_acceleration=-0.4)
+    assert (result.status, result.limit, result.at_s) == (TimingStatus.BAD_START, "max_jerk", 0.0)
+    assert NearOptimal().parameterize(path, LIMITS, SpeedZone()).reason == ""
+
+
+@pytest.mark.parametrize(("seed", "wheel"), [(0, 0.107), (1, 0.107), (2, 0.02)])
+def test_a_start_beyond_the_wheel_speed_on_a_winding_path_is_refused_at_once(seed, wheel, make):
+    # No spline keeps the limits behind such a start; its iterations ended at a motion of weeks, sampled every 20 ms.
+    limits = MotionLimits(
+        max_speed=0.8562,
+        max_acceleration=1.1285,
+        max_deceleration=1.4352,
+        max_jerk=0.8177,
+        max_yaw_acceleration=0.5290519638904887,
+        max_wheel_speed=wheel,
+        track_width=0.8002328573265608,
+    )
+    knots = np.linspace(0.0, 5.0, 50)
+    path = Path((make.spline(np.diff(knots), 0.6 * np.sin(knots + seed)),))
+    NearOptimal().parameterize(path, limits, SpeedZone())  # imports
+    tracemalloc.start()
+    began = time.process_time()
+    try:
+        result = NearOptimal().parameterize(path, limits, SpeedZone(), start_speed=0.2842)
+        peak = tracemalloc.get_traced_memory()[1]
+    finally:
+        tracemalloc.stop()
+    assert (result.status, result.limit) == (TimingStatus.START_INFEASIBLE, "max_wheel_speed")
+    assert peak < 100e6
+    assert time.process_time() - began < 1.0  # 20 ms on a quiet machine; tracing and others take the rest
+
+
+@pytest.mark.parametrize("speed", [1e-3, 40.0])
+def test_braking_for_days_needs_no_memory(speed, make):
+    limits = MotionLimits(**{**LIMITS.__dict__, "max_deceleration": 6e-4, "max_speed": 50.0})
+    path = Path((make.spline([300.0], [0.0, 0.0]),))
+    tracemalloc.start()
+    try:
+        result = NearOptimal().parameterize(path, limits, SpeedZone(), start_speed=speed)
+        peak = tracemalloc.get_traced_memory()[1]
+    finally:
+        tracemalloc.stop()
+    assert result.status is (TimingStatus.CANNOT_STOP if speed == 40.0 else TimingStatus.OK)
+    assert peak < 100e6
+
+
+def test_samples_of_a_motion_of_a_year_are_bounded():
+    motion = Motion.of(State(0.0, 0.0, 0.0), [(1.0, 1e-3), (3e7, 0.0), (1.0, -1e-3)])
+    times = motion.sample_times(0.008)
+    assert times.size < 50_000
+    assert set(motion.times) <= set(times)
+    short = Motion.of(State(), [(1.0, 1.0), (1.0, -1.0)]).sample_times(0.008)
+    assert np.diff(short).max() <= 0.008 + 1e-12
