@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import shutil
+import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, NamedTuple
 
@@ -120,8 +121,14 @@ def demo(
             advance("driven")
         typer.echo(table([*plan_rows(plan), *limit_rows(scenario.problem.robot.limits), *run_rows(run)]))
         typer.echo(f"\nThe scenario, the plan, the run and their pictures are in {out}. Next, for example:")
-        typer.echo(f"  optdock plan {out / 'scenario.yaml'} --plot plan.png")
+        typer.echo(f"  {_program()} plan {out / 'scenario.yaml'} --plot plan.png")
         _refuse_fault(run)
+
+
+def _program() -> str:
+    """What to type for this program: its name where the shell finds it, else its file."""
+    called = sys.argv[0]
+    return called if Path(called).stem == "optdock" and shutil.which("optdock") is None else "optdock"
 
 
 def _demo_files(folder: Path) -> Path:

@@ -25,6 +25,7 @@ __all__ = ["save_animation"]
 
 _FRAME_TIME = 0.1  # [s]
 _MOST_FRAMES = 150
+_APART = 0.15  # [m] between the outlines that the robot leaves behind
 _BORDER = 0.06  # [inch] of white around the axes
 _HOLD = 1500  # [ms] on the last frame
 
@@ -36,7 +37,7 @@ def save_animation(
     poses: FloatArray,
     on_frame: Callable[[int, int], None] | None = None,
 ) -> None:
-    """Draw the footprint driving through the scene, ten frames a second, faster where the drive is long.
+    """Draw the robot driving, and what it swept, ten frames a second, faster where the drive is long.
 
     Args:
         target: Where; a GIF.
@@ -87,6 +88,10 @@ class _Stage:
         (self._outline,) = self._axes.fill(
             [0.0, 0.0, 1.0], [0.0, 1.0, 0.0], facecolor=COLOURS["robot"], edgecolor="black", alpha=0.85
         )
+        (self._trace,) = self._axes.fill(
+            [0.0, 0.0, 1.0], [0.0, 1.0, 0.0], fill=False, edgecolor=COLOURS["robot"], linewidth=0.6
+        )
+        self._left_behind: FloatArray | None = None  # the pose whose outline was drawn last
         (self._arrow,) = self._axes.plot([], [], color="black", linewidth=2.0)
         self._palette: Image | None = None  # of the first frame, which shows every colour there will be
         self._clock = self._axes.text(0.02, 0.96, "", transform=self._axes.transAxes, va="top", fontsize=11)
@@ -99,6 +104,11 @@ class _Stage:
         self._arrow.set_data(*transform_points(pose, self._nose)[0].T)
         self._clock.set_text(clock)
         self._canvas.restore_region(self._background)
+        if self._left_behind is None or np.hypot(*(pose - self._left_behind)[0, :2]) >= _APART:
+            self._left_behind = pose
+            self._trace.set_xy(self._outline.get_xy())
+            self._axes.draw_artist(self._trace)
+            self._background = self._canvas.copy_from_bbox(self._axes.figure.bbox)
         for artist in (self._outline, self._arrow, self._clock):
             self._axes.draw_artist(artist)
         picture = Images.fromarray(np.asarray(self._canvas.buffer_rgba())[..., :3].copy()).crop(self._crop)
