@@ -65,7 +65,9 @@ def save_plan_picture(  # noqa: PLR0913 - one parameter for each thing that is d
         InvalidFile: The file cannot be written.
     """
     drawn = [each for each in (raw_path, path) if each is not None]
-    view = view_of(problem, [each.sample(_SPACING).poses for each in drawn])
+    place = None if refusal is None else _place(problem, refusal, drawn[-1] if drawn else None).as_array()[None]
+    shown = [each.sample(_SPACING).poses for each in drawn]
+    view = view_of(problem, shown if place is None else [*shown, place])
     figure = new_figure(*view.figure_size())
     axes = figure.add_subplot()
     draw_scene(axes, problem, view)
@@ -80,10 +82,10 @@ def save_plan_picture(  # noqa: PLR0913 - one parameter for each thing that is d
     size = 0.6 * problem.robot.footprint.circumscribed_radius
     draw_arrow(axes, problem.start, size, COLOURS["start"], "start")
     draw_arrow(axes, problem.goal, size, COLOURS["goal"], "goal")
-    if path is not None and certificate is not None:
+    if refusal is not None and place is not None:
+        _draw_refusal(axes, problem, refusal, place)
+    elif path is not None and certificate is not None:
         _draw_closest(axes, problem, path, certificate)
-    if refusal is not None:
-        _draw_refusal(axes, problem, refusal, drawn[-1] if drawn else None)
     entitle(figure, title)
     legend_below(figure, axes)
     save_figure(figure, target)
@@ -119,10 +121,9 @@ def _draw_closest(axes: Axes, problem: DockingProblem, path: Path, certificate: 
         _mark(axes, problem, path.poses_at(certificate.at_s), label)
 
 
-def _draw_refusal(axes: Axes, problem: DockingProblem, refusal: OptdockError, path: Path | None) -> None:
-    """Where a refusal points to, and the obstacle that it names."""
-    pose = _place(problem, refusal, path)
-    _mark(axes, problem, pose.as_array()[None], "refused here")
+def _draw_refusal(axes: Axes, problem: DockingProblem, refusal: OptdockError, place: FloatArray) -> None:
+    """Where a refusal points to, Shape (1, 3), and the obstacle that it names."""
+    _mark(axes, problem, place, "refused here")
     obstacles = problem.all_obstacles
     named = [row for row in range(len(obstacles)) if obstacles.name_of(row) == refusal.where.get("obstacle")]
     if named and obstacles.name_of(named[0]) not in DRAWN_BY_THE_MAP:

@@ -112,6 +112,12 @@ def test_a_refusal_is_marked_where_it_says(tmp_path, problem, path, speaks_of):
     assert colours_in(tmp_path / "p.png").get(COLOURS["hot"], 0) > 50
 
 
+def test_a_refused_pose_far_from_every_path_is_in_the_picture(tmp_path, problem, path):
+    refusal = FailedToSmoothPath("no", where={"pose": [-9.0, 7.0, 0.0]})
+    save_plan_picture(tmp_path / "p.png", problem, raw_path=path, refusal=refusal)
+    assert colours_in(tmp_path / "p.png").get(COLOURS["hot"], 0) > 20
+
+
 def test_the_closest_pose_is_the_one_of_the_certificate(problem, path):
     certificate = certify_path(path, problem)
     axes = new_figure(5.0, 5.0).add_subplot()
