@@ -58,6 +58,10 @@ class Deadline:
         """Seconds left, negative when overdrawn."""
         return self.seconds - self.elapsed
 
+    def fits(self, seconds: float) -> bool:
+        """Whether work of this length ends in time."""
+        return self.elapsed + seconds <= self.seconds
+
     def passed(self) -> bool:
         """Whether no time is left; a method, so that it serves as a `cancel_checker` or `is_late`."""
         return self.elapsed >= self.seconds

@@ -5,6 +5,7 @@ from __future__ import annotations
 import difflib
 import math
 from collections.abc import Mapping
+from enum import Enum
 from numbers import Real
 from typing import TYPE_CHECKING, TypeVar, get_args
 
@@ -77,10 +78,30 @@ def parse_parameters(model: type[P], values: Mapping[str, object], owner: str) -
     """
     if not isinstance(values, Mapping):
         raise InvalidValue(f"{owner}: parameters must be a mapping of names to values, got {values!r}")
+    # Every plan makes its plugins anew, with the same values: what cannot be written into is checked once.
+    is_plain = all(map(_is_plain, values.values()))
+    key = (model, *((str(name), type(value), repr(value)) for name, value in values.items())) if is_plain else ()
+    known = _CHECKED.get(key)
+    if isinstance(known, model):
+        return known
     try:
-        return model.model_validate({str(name): value for name, value in values.items()})
+        checked = model.model_validate({str(name): value for name, value in values.items()})
     except ValidationError as error:
         raise InvalidValue("\n".join(_fault(model, owner, item) for item in error.errors())) from error
+    if is_plain and all(_is_plain(value) for _, value in checked):
+        if len(_CHECKED) >= _MOST_KEPT:
+            _CHECKED.clear()
+        _CHECKED[key] = checked
+    return checked
+
+
+_MOST_KEPT = 256  # of many a process uses few
+_CHECKED: dict[tuple[object, ...], PluginParameters] = {}
+
+
+def _is_plain(value: object) -> bool:
+    """Whether nobody can write into it."""
+    return isinstance(value, Enum) or type(value) in (bool, int, float, str, type(None))
 
 
 def _fault(model: type[PluginParameters], owner: str, item: Mapping[str, object]) -> str:

@@ -56,7 +56,7 @@ from optdock.plugins import PluginChoice, create_plugin, plugin_from
 from optdock.problem import DockingProblem
 from optdock.robot import Robot
 from optdock.trajectory import Trajectory
-from optdock.verification import certify_path, certify_trajectory, pose_clearance
+from optdock.verification import TOLERANCE, certify_path, certify_trajectory, end_clearances
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -84,7 +84,6 @@ _PLAIN_TIMING = "Windowed"  # needs no repair
 # Share of the budget, its least and most [s], kept back from the smoother for timing the path and proving the motion.
 _RESERVED_SHARE, _RESERVED_LEAST, _RESERVED_MOST = 0.3, 0.004, 0.03
 _PROOF = 0.001  # [s], kept back from the time parameterizer for the proof of its motion
-_CONTACT_TOLERANCE = 1e-6  # [m]
 
 # A plugin by its name, by its name with parameters, or the object itself.
 PlannerLike: TypeAlias = "str | PluginChoice | GlobalPlanner"
@@ -450,15 +449,15 @@ def check_ends(problem: DockingProblem) -> None:
         StartOccupied: The footprint at the start overlaps an obstacle.
         GoalOccupied: The footprint at the goal is closer to an obstacle than required there.
     """
-    for name, pose, off_map, occupied in (
-        ("start", problem.start, StartOutsideMapBounds, StartOccupied),
-        ("goal", problem.goal, GoalOutsideMapBounds, GoalOccupied),
+    found = end_clearances(problem)
+    for name, pose, off_map, occupied, clearance, row in (
+        ("start", problem.start, StartOutsideMapBounds, StartOccupied, found.start, found.nearest_to_start),
+        ("goal", problem.goal, GoalOutsideMapBounds, GoalOccupied, found.goal, found.nearest_to_goal),
     ):
         if problem.costmap is not None and not bool(problem.costmap.contains(pose.as_array()[None, :2])[0]):
             raise off_map(f"the {name} ({pose.x:.3f}, {pose.y:.3f}) lies off the map", where={"pose": [pose.x, pose.y]})
-        clearance, row = pose_clearance(pose, problem.robot.footprint, problem.all_obstacles)
         required = problem.clearance.at_dock if name == "goal" else 0.0
-        if clearance < required - _CONTACT_TOLERANCE:
+        if clearance < required - TOLERANCE:
             obstacle = problem.all_obstacles.name_of(row)
             what = (
                 f"overlaps {obstacle} by {-clearance:.4f} m"

@@ -7,13 +7,13 @@ from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from smoothers.casadi_smoother import CasadiSmoother
-    from smoothers.savitzky_golay import SavitzkyGolaySmoother
-    from smoothers.simple import SimpleSmoother
+    from smoothers.nav2.savitzky_golay import SavitzkyGolaySmoother
+    from smoothers.nav2.simple import SimpleSmoother
 
 _HOMES = {
     "CasadiSmoother": "smoothers.casadi_smoother",
-    "SavitzkyGolaySmoother": "smoothers.savitzky_golay",
-    "SimpleSmoother": "smoothers.simple",
+    "SavitzkyGolaySmoother": "smoothers.nav2.savitzky_golay",
+    "SimpleSmoother": "smoothers.nav2.simple",
 }
 
 __all__ = ["CasadiSmoother", "SavitzkyGolaySmoother", "SimpleSmoother"]

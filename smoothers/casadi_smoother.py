@@ -3,49 +3,44 @@
 from __future__ import annotations
 
 import contextlib
-from dataclasses import replace
+import dataclasses
 from typing import TYPE_CHECKING, ClassVar, Literal
 
 import numpy as np
-from pydantic import Field
+from pydantic import Field, field_validator
 
-from optdock.deadline import garbage_collection_paused
-from optdock.dock import Dock
-from optdock.errors import SmootherException, SmootherTimedOut
+from optdock.costmap.cell_obstacles import obstacles_from_costmap
+from optdock.deadline import Deadline, garbage_collection_paused
+from optdock.dock import Dock, DockDirection
+from optdock.errors import InvalidValue, SmootherException
 from optdock.geometry.footprint import Footprint
 from optdock.geometry.pose import Pose2
 from optdock.interfaces import Smoother, SmoothingReport, SmoothingResult, SmoothingStatus, never_cancelled
 from optdock.limits import MotionLimits
 from optdock.obstacles import ObstacleSet
-from optdock.parameters import PluginParameters
+from optdock.parameters import PluginParameters, checked_seconds
 from optdock.path import Path, may_be_one_frame
-from optdock.problem import DockingProblem
+from optdock.problem import ClearanceRule, DockingProblem
 from optdock.robot import Robot
-from optdock.verification import certify_path, pose_clearance
-from smoothers._ck.anytime import Incumbent, Outcome, Runner
-from smoothers._ck.budget import Budget
-from smoothers._ck.initial import Resolution, Tuning, make_task
-from smoothers._ck.kept import direct_line, input_cost, may_be_kept
-from smoothers._ck.qp import pool_of_this_thread
-from smoothers._ck.refusals import refuse_approach, refuse_certificate, refuse_search, refuse_start
-from smoothers._ck.spline import exact_path
-from smoothers._ck.steps import prepare_programs
-from smoothers._ck.surroundings import configured_problem, covers, problem_between_ends
-from smoothers._ck.task import reference_scales
-from smoothers._ck.terms import Weights
-from smoothers._ck.warm import remaining
-from smoothers._ck.world import world_around
+from optdock.verification import certify_path
+from smoothers.scp.cost import Weights
+from smoothers.scp.problem import Formulation
+from smoothers.scp.qp_step import pool_of_this_thread, prepare_programs
+from smoothers.scp.refusals import refuse_certificate
+from smoothers.scp.settings import DEFAULT_SETTINGS, Settings
+from smoothers.scp.strategy import Call, Solver
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from smoothers._ck.task import Task
-    from smoothers._ck.world import World
+    from optdock.lifecycle import PluginContext
+    from smoothers.scp.strategy import Incumbent, Outcome
 
 __all__ = ["CasadiSmoother", "CasadiSmootherParameters"]
 
-_LONGEST_SPAN = 1.2  # of the smallest turning radius
-_MANY_OBSTACLES, _AMONG_MANY = 60, 1.3
+_SAME_POSE = 1e-6  # [m], [rad]: as the certificate's
+_READ_AROUND = 1.5  # [m]: how far around the path the costmap is read, beyond the footprint
+_SPACING = 0.2  # [m] between the points that say where a path is
 
 
 class CasadiSmootherParameters(PluginParameters):
@@ -62,8 +57,16 @@ class CasadiSmootherParameters(PluginParameters):
     spans: int = Field(24, ge=8, le=80, description="least number of pieces of linear curvature over the whole path")
     interval: float = Field(0.0625, gt=0, description="distance of collision nodes for a robot of 1 m [m]")
     max_iterations: int = Field(60, ge=1, description="convex steps")
-    backend: Literal["scp", "ipopt"] = Field("scp", description="ipopt: slow reference, not for production")
+    backend: Literal["scp"] = Field("scp", description="sequential convex programming, the only one")
     stop_at_first: bool = Field(default=False, description="return the first certified path")
+
+    @field_validator("backend", mode="before")
+    @classmethod
+    def _no_reference(cls, value: object) -> object:
+        if value == "ipopt":
+            message = "the ipopt reference is no part of the smoother any more; call"
+            raise ValueError(f"{message} smooth_by_ipopt in experiments/benchmarks/ipopt_reference.py")
+        return value
 
 
 class CasadiSmoother(Smoother):
@@ -76,6 +79,7 @@ class CasadiSmoother(Smoother):
 
     Parameters: ClassVar[type[PluginParameters]] = CasadiSmootherParameters
     parameters: CasadiSmootherParameters
+    settings: Settings = DEFAULT_SETTINGS
 
     def smooth(
         self,
@@ -100,19 +104,21 @@ class CasadiSmoother(Smoother):
 
         Raises:
             InvalidPath: The path names another frame than the problem.
+            InvalidValue: `max_time` is not finite, or negative; there is no problem and no footprint.
             FailedToSmoothPath: `where["reason"]` names the bound in the way: `start_in_collision`, `start_curvature`,
                 `direction`, `approach_blocked`, `goal_unreachable`, `clearance`; `s` [m], `amount` and `obstacle` say
                 where and by how much.
             SmootherTimedOut: No certified path within `max_time`.
             SmootherCancelled: `cancel_checker` returned True.
         """
+        deadline = Deadline(checked_seconds(max_time, "max_time"), self.context.clock)
         with garbage_collection_paused():
-            return self._smoothed(path, Budget(max_time, self.context.clock), problem, warm_start, cancel_checker)
+            return self._smoothed(path, deadline, problem, warm_start, cancel_checker)
 
     def _smoothed(
         self,
         path: Path,
-        budget: Budget,
+        deadline: Deadline,
         problem: DockingProblem | None,
         warm_start: Path | None,
         cancel_checker: Callable[[], bool],
@@ -120,31 +126,27 @@ class CasadiSmoother(Smoother):
         pool = pool_of_this_thread()
         built = pool.build_time
         wanted = self._wanted(path, problem)
-        path, warm_start = path.with_frame(wanted.frame), _in_frame(warm_start, wanted.frame)
-        task = self._prepared(path, wanted, warm_start, budget)
-        setup, chosen = budget.elapsed, self.parameters
-        if chosen.backend == "ipopt":
-            return self._reference(task, wanted, budget)
-        runner = Runner(wanted, pool, budget, cancel_checker, chosen.max_iterations, chosen.stop_at_first)
-        if may_be_kept(path, wanted):
-            runner.offer(path, input_cost(path, task.cost, wanted.dock.final_straight), "input")
-        line = direct_line(path, wanted)
-        if line is not None:
-            runner.offer(line, input_cost(line, task.cost, wanted.dock.final_straight), "line")
-        outcome = runner.run(task) if line is None or runner.outcome.incumbent is None else runner.finished()
-        if outcome.incumbent is None and outcome.converged and len(task.world.obstacles) > _MANY_OBSTACLES:
-            task = self._prepared(path, wanted, warm_start, budget, thoroughly=True)
-            outcome = runner.run(task)
-        if outcome.incumbent is None and outcome.converged and warm_start and may_be_kept(warm_start, wanted):
-            runner.offer(warm_start, input_cost(warm_start, task.cost, wanted.dock.final_straight), "warm_start")
-        if outcome.incumbent is None:
-            raise _failure(task, outcome, budget.seconds, wanted.dock.final_straight)
-        if problem is None and self.context.problem is None and not covers(path, outcome.incumbent.path):
-            self._confirm(outcome.incumbent.path)
-        return _result(outcome, budget, setup, pool.build_time - built)
+        path = path.with_frame(wanted.frame)
+        solver = Solver(pool, deadline, cancel_checker, self.settings)
+        best = solver.follow_strategy(self.call_for(path, wanted, warm_start))
+        if problem is None and self.context.problem is None and not covers(path, best.path):
+            self._confirm(best.path)
+        return _result(best, solver.outcome, deadline, pool.build_time - built)
+
+    def call_for(self, path: Path, problem: DockingProblem, earlier: Path | None = None) -> Call:
+        """What the parameters and the arguments of a call ask for."""
+        chosen = self.parameters
+        weights = Weights(
+            chosen.length_weight, chosen.curvature_weight, chosen.curvature_rate_weight, chosen.tracking_weight
+        )
+        # An earlier result that cannot stand in this frame is none for this problem.
+        usable = earlier is not None and may_be_one_frame(earlier.frame, problem.frame)
+        earlier = earlier.with_frame(problem.frame) if earlier is not None and usable else None
+        formulation = Formulation(weights, chosen.spans, chosen.interval)
+        return Call(path, problem, earlier, formulation, chosen.max_iterations, chosen.stop_at_first)
 
     def warm_up(self) -> None:
-        """Build what the first call would build, and load the solvers."""
+        """Build what the first call would build, load the solvers, and measure how fast this machine is."""
         start, goal = Pose2(0.0, 0.0, 0.0), Pose2(3.0, 0.3, 0.0)
         low, high = np.array([[0.0, 0.6], [1.4, -0.2]]), np.array([[4.0, 0.9], [1.6, -0.1]])
         limits = MotionLimits(max_curvature=1.5, max_curvature_rate=6.0)
@@ -152,46 +154,16 @@ class CasadiSmoother(Smoother):
         # A wall beside the input and a post on it: pushing out is warmed up too.
         obstacles = ObstacleSet.from_rectangles(low, high, "warm-up")
         problem = DockingProblem(start, Dock(goal, final_straight=0.2), robot, obstacles)
-        with contextlib.suppress(SmootherException):  # unusual parameters may fail here, and build all the same
-            self.smooth(Path.from_poses([start, Pose2(1.5, 0.0, 0.1), goal]), 10.0, problem=problem)
-        prepare_programs(pool_of_this_thread())
-
-    def _prepared(
-        self,
-        path: Path,
-        problem: DockingProblem,
-        earlier: Path | None,
-        budget: Budget,
-        *,
-        thoroughly: bool = False,
-    ) -> Task:
-        budget.look()
-        start_clearance, nearest = pose_clearance(problem.start, problem.robot.footprint, problem.all_obstacles)
-        refusal = refuse_start(path, problem, start_clearance, nearest)
-        if refusal is None:
-            refusal = refuse_approach(path, problem, start_clearance)
-        if refusal is not None:
-            raise refusal.error()
-        budget.look()
-        shares = np.linspace(0.0, 1.0, 40)
-        positions = np.concatenate([segment.poses_at(shares * segment.length)[:, :2] for segment in path.segments])
-        world = world_around(problem, positions, start_clearance)
-        tuning = self._tuning(world, problem.robot.limits, 1.0 if thoroughly else _AMONG_MANY)
-        if thoroughly:
-            world = replace(world, is_thinned=False)
-        budget.look()
-        return make_task(path, problem, world, tuning, remaining(earlier, path, problem))
-
-    def _tuning(self, world: World, limits: MotionLimits, among_many: float) -> Tuning:
-        chosen = self.parameters
-        # Longer robots are larger in everything: their obstacles too can be watched at larger distances.
-        interval = chosen.interval * max(1.0, world.body.radius / 0.55)
-        # Every node meets every obstacle: among many, fewer nodes save a sixth of the time for 0.3 % of the cost.
-        interval *= among_many if len(world.obstacles) > _MANY_OBSTACLES else 1.0
-        weights = Weights(
-            chosen.length_weight, chosen.curvature_weight, chosen.curvature_rate_weight, chosen.tracking_weight
-        )
-        return Tuning(Resolution(chosen.spans, _LONGEST_SPAN / reference_scales(limits)[0], interval), weights)
+        path = Path.from_poses([start, Pose2(1.5, 0.0, 0.1), goal])
+        pool, chosen, paces = pool_of_this_thread(), self.settings.anytime, []
+        for _ in range(3):  # the first call loads and builds, the others are measured
+            deadline = Deadline(10.0, self.context.clock)
+            solver = Solver(pool, deadline, never_cancelled, self.settings)
+            with contextlib.suppress(SmootherException):  # unusual parameters may fail here, and build all the same
+                solver.follow_strategy(self.call_for(path, problem))
+            paces.append(solver.outcome.pace)
+        prepare_programs(pool, self.settings.step)
+        pool.pace = float(np.clip(min(paces[1:]) / chosen.pace_at_warm_up, *chosen.pace_range))
 
     def _wanted(self, path: Path, called_with: DockingProblem | None) -> DockingProblem:
         problem = self.context.problem_at_hand(called_with)
@@ -210,50 +182,66 @@ class CasadiSmoother(Smoother):
         if not certificate.certified:
             raise refuse_certificate(certificate).error()
 
-    def _reference(self, task: Task, problem: DockingProblem, budget: Budget) -> SmoothingResult:
-        from smoothers._ck.ipopt_backend import solve_reference
 
-        iterate, settled = solve_reference(task, budget)
-        path = exact_path(task, iterate.variables, problem.dock.final_straight)[0].with_frame(problem.frame)
-        certificate = certify_path(path, problem)
-        if not certificate.certified:
-            raise refuse_search(task, iterate, problem.dock.final_straight).error(certificate=certificate.reason)
-        outcome = Outcome(Incumbent(path, certificate, iterate.cost), iterate, converged=settled)
-        return _result(outcome, budget, 0.0, 0.0)
+def configured_problem(path: Path, problem: DockingProblem) -> DockingProblem:
+    """The configured problem; where `path` begins or ends elsewhere, with that end instead.
 
-
-def _in_frame(earlier: Path | None, frame: str) -> Path | None:
-    """An earlier result, where it can stand in this frame; one that cannot is none for this problem."""
-    return earlier.with_frame(frame) if earlier is not None and may_be_one_frame(earlier.frame, frame) else None
+    A path that begins elsewhere begins at rest with free steering. One that ends elsewhere does not dock: the station
+    is an obstacle like others, and no gear, final straight or slow approach is asked for.
+    """
+    if path.start.gap_to(problem.start) > _SAME_POSE:
+        problem = dataclasses.replace(problem, start=path.start, start_speed=0.0, start_curvature=None)
+    if path.end.gap_to(problem.goal) > _SAME_POSE:
+        elsewhere = Dock(path.end, direction=DockDirection.AUTO)
+        problem = dataclasses.replace(problem, obstacles=problem.all_obstacles, dock=elsewhere)
+    return problem
 
 
-def _failure(task: Task, outcome: Outcome, max_time: float, final_straight: float) -> SmootherException:
-    if not outcome.converged or outcome.last is None:
-        message = f"no certified path within {1e3 * max_time:.1f} ms"
-        return SmootherTimedOut(message, where={"iterations": outcome.iterations})
-    if outcome.refused is not None and outcome.last.feasible:
-        return refuse_certificate(outcome.refused).error()
-    return refuse_search(task, outcome.last, final_straight).error()
+def problem_between_ends(
+    path: Path, context: PluginContext, limits: MotionLimits, clearance: float, final_straight: float
+) -> DockingProblem:
+    """From the first pose of `path` to its last, among the occupied cells of the context's costmaps around it.
+
+    The problem holds the cells that were read, not the grid; `covers` tells whether a result stayed among them.
+
+    Raises:
+        InvalidValue: The context has no footprint.
+    """
+    if context.footprint is None:
+        raise InvalidValue(f"{context.name}: configure it with a footprint, or pass a problem to smooth()")
+    points = path.sample(_SPACING).poses[:, :2]
+    reach = context.footprint.circumscribed_radius + clearance + _READ_AROUND
+    region = points.min(axis=0) - reach, points.max(axis=0) + reach
+    obstacles = ObstacleSet.empty()
+    if context.costmap is not None:
+        obstacles = obstacles_from_costmap(context.costmap, region=region)
+    if context.local_costmap is not None and context.local_costmap is not context.costmap:
+        obstacles = obstacles + obstacles_from_costmap(context.local_costmap, region=region, border=False)
+    rule = ClearanceRule(required=clearance, at_dock=0.0, taper=0.5 if clearance > 0.0 else 0.0)
+    dock = Dock(path.end, final_straight=final_straight)
+    robot = Robot(context.footprint, limits)
+    return DockingProblem(path.start, dock, robot, obstacles, rule, frame=path.frame)
 
 
-def _result(outcome: Outcome, budget: Budget, setup: float, build: float) -> SmoothingResult:
-    best = outcome.incumbent
-    assert best is not None  # the caller has raised otherwise
-    kept = {
-        "input": SmoothingStatus.INPUT_KEPT,
-        "line": SmoothingStatus.STRAIGHT,
-        "warm_start": SmoothingStatus.WARM_START_KEPT,
-    }
+def covers(path: Path, result: Path) -> bool:
+    """Whether the costmap read around `path` holds every cell that the footprint can meet on `result`."""
+    points, reached = path.sample(_SPACING).poses[:, :2], result.sample(_SPACING).poses[:, :2]
+    slack = _READ_AROUND - _SPACING
+    inside = (reached >= points.min(axis=0) - slack) & (reached <= points.max(axis=0) + slack)
+    return bool(inside.all())
+
+
+def _result(best: Incumbent, outcome: Outcome, deadline: Deadline, build: float) -> SmoothingResult:
     searched = SmoothingStatus.CONVERGED if outcome.converged else SmoothingStatus.STOPPED
     report = SmoothingReport(
-        status=kept.get(best.origin, searched),
+        status=best.given or searched,
         cost=best.cost,
         iterations=outcome.iterations,
-        setup_s=setup - build,
+        setup_s=outcome.setup_time - build,
         build_s=build,
         certify_s=outcome.certify_time,
         first_certified_s=outcome.first_certified,
-        total_s=budget.elapsed,
+        total_s=deadline.elapsed,
         certificate=best.certificate,
     )
     return SmoothingResult(best.path, outcome.converged, report)

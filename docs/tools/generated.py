@@ -183,7 +183,7 @@ def _entries(body: str) -> str:
     entries, rest = inspect.cleandoc(body).split("\n\n", 1) if "\n\n" in body.strip() else (inspect.cleandoc(body), "")
     found = list(_ENTRY.finditer(entries))
     listed = "\n".join(f"- `{one['name'].strip()}`: {' '.join(one['text'].split())}" for one in found)
-    return f"{listed or entries}\n\n{inspect.cleandoc(rest)}".strip()
+    return f"{listed or entries}\n\n{_with_doctests(inspect.cleandoc(rest))}".strip()
 
 
 def _member(name: str, member: Any) -> str:

@@ -72,7 +72,10 @@ class _Blocks(BlockProcessor):
         tex, number = found["tex"], _TAG.search(found["tex"])
         box = etree.SubElement(parent, "div", {"class": "equation"})
         body = etree.SubElement(box, "div", {"class": "formula"})
-        body.text = self.parser.md.htmlStash.store(mathml(_TAG.sub("", tex), "block"))
+        # Formulas side by side may stand one above the other on narrow screens.
+        whole = _TAG.sub("", tex)
+        pieces = [whole] if "\\begin" in whole else re.split(r"\s*\\qquad\s*", whole)
+        body.text = self.parser.md.htmlStash.store("".join(mathml(piece, "block") for piece in pieces))
         if number:
             box.set("id", number[1])
             link = etree.SubElement(box, "a", {"class": "number", "href": f"#{number[1]}"})

@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 import argparse
-import math
 import statistics
 from typing import TYPE_CHECKING
 
+from experiments.benchmarks.ipopt_reference import smooth_by_ipopt
 from experiments.benchmarks.tables import Table
 from optdock.errors import SmootherException
-from optdock.interfaces import Smoother
-from optdock.plugins import create_plugin
 from optdock.testing.families import FEASIBLE_FAMILIES, instance
+from smoothers.casadi_smoother import CasadiSmoother
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -41,12 +40,11 @@ def _row(family: str, seeds: int) -> tuple[object, ...]:
 def _gap(family: str, seed: int) -> float | None:
     """Per cent above the reference; None where one of the two has no certified path."""
     task = instance(family, seed)
-    costs = []
-    for backend in ("scp", "ipopt"):
-        smoother = create_plugin(Smoother, "CasadiSmoother", {"backend": backend})
-        try:
-            result = smoother.smooth(task.raw_path, _TIME, problem=task.problem)
-        except SmootherException:
-            return None
-        costs.append(math.nan if result.report.cost is None else result.report.cost)
-    return 100.0 * (costs[0] / costs[1] - 1.0)
+    try:
+        found = CasadiSmoother().smooth(task.raw_path, _TIME, problem=task.problem)
+        reference = smooth_by_ipopt(task.raw_path, _TIME, task.problem)
+    except SmootherException:
+        return None
+    if found.report.cost is None or reference.report.cost is None:
+        return None
+    return 100.0 * (found.report.cost / reference.report.cost - 1.0)

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from optdock.verification import certify, clearance, half_cells, motion, path_rules, trajectory_cells, trajectory_rules
+from optdock.verification import certify, conservative_advancement, motion_bounds, path_rules, trajectory_rules
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -93,12 +93,12 @@ class _View:
 
 
 PLANTS: dict[str, Plant] = {
-    "tolerance_x5": Plant(clearance, "TOLERANCE", _five_times),
-    "first_order_centimetre": Plant(half_cells, "_directional", _centimetre_more),
+    "tolerance_x5": Plant(conservative_advancement, "TOLERANCE", _five_times),
+    "first_order_centimetre": Plant(conservative_advancement, "_directional", _centimetre_more),
     "dropped_obstacle": Plant(certify, "prove_clearance", _one_obstacle_less),
     "dropped_map_cell": Plant(certify, "prove_clearance", _one_map_cell_less),
-    "dropped_path_cell": Plant(motion.PathMotion, "cells", _middle_cell_less),
-    "dropped_time_cell": Plant(trajectory_cells, "_initial_cells", _middle_cell_less),
+    "dropped_path_cell": Plant(motion_bounds.PathMotion, "cells", _middle_cell_less),
+    "dropped_time_cell": Plant(trajectory_rules, "_initial_cells", _middle_cell_less),
     "curvature_x5": Plant(path_rules, "EXACT_RTOL", _five_times),
     "rest_x5": Plant(trajectory_rules, "REST_TOLERANCE", _five_times),
 }

@@ -20,10 +20,7 @@ if TYPE_CHECKING:
 
 __all__ = ["certify"]
 
-_SAME = 1e-6  # relative, and [m] or [1/m]
 _SAMPLED = 0.01  # relative, of the curvature of a path that is known by samples
-# The proven minimum lies at most this far below a clearance that occurs, see `certify_path` [m].
-_SHARPNESS = 1e-3
 
 
 def certify(
@@ -151,6 +148,7 @@ def _false_claims(plan: PlanFile, certificate: Certificate) -> Iterator[str]:
     """Every claim of the file that is better than the truth."""
     from optdock.io.numbers import is_number
     from optdock.io.plan_file import CERTIFIED
+    from optdock.verification import SHARPNESS, TOLERANCE
 
     claimed = plan.certificate or {}
     if not certificate.certified and plan.status == CERTIFIED:
@@ -158,15 +156,15 @@ def _false_claims(plan: PlanFile, certificate: Certificate) -> Iterator[str]:
     if not certificate.certified and claimed.get("certified") is True:
         yield "certificate.certified is true, the path is not certified"
     clearance = claimed.get("min_clearance")
-    if is_number(clearance) and clearance > certificate.min_clearance + _SHARPNESS + _SAME:
+    if is_number(clearance) and clearance > certificate.min_clearance + SHARPNESS + TOLERANCE:
         yield f"certificate.min_clearance is {clearance:.6g} m, proven are {certificate.min_clearance:.6g} m"
     for name, least, unit in (
         ("max_curvature", certificate.max_curvature, "1/m"),
         ("max_curvature_rate", certificate.max_curvature_rate, "1/m^2"),
     ):
         value = claimed.get(name)
-        if is_number(value) and value < least * (1.0 - _SAMPLED) - _SAME:
+        if is_number(value) and value < least * (1.0 - _SAMPLED) - TOLERANCE:
             yield f"certificate.{name} is {value:.6g} {unit}, the path has {least:.6g} {unit}"
     length = claimed.get("length")
-    if is_number(length) and not abs(length - certificate.length) <= _SAME * (1.0 + certificate.length):
+    if is_number(length) and not abs(length - certificate.length) <= TOLERANCE * (1.0 + certificate.length):
         yield f"certificate.length is {length:.6g} m, the path is {certificate.length:.6g} m long"

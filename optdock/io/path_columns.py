@@ -18,7 +18,7 @@ from optdock.errors import InvalidFile
 from optdock.geometry.clothoid import ClothoidSpline
 from optdock.geometry.pose import Pose2
 from optdock.path import ClothoidSegment, Direction, Path, PolylineSegment, Segment
-from optdock.verification.samples import half_unit
+from optdock.verification.sampled_motion import half_unit
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence

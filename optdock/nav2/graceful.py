@@ -17,7 +17,7 @@ from optdock.nav2.graceful_law import GracefulLaw
 from optdock.parameters import PluginParameters
 from optdock.path import Direction, Path
 from optdock.trajectory import Trajectory
-from optdock.verification.sweep import free_motion
+from optdock.verification.time_of_impact import free_motion
 
 if TYPE_CHECKING:
     from typing_extensions import Self

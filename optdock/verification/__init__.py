@@ -1,22 +1,55 @@
-"""The independent certificate: proves a path or trajectory, or names what is broken and where.
+"""The independent certificate: what is proven of a path and of a motion along it, by means that know no solver.
 
-Knows nothing of solvers: it reads the finished path and the problem, and nothing else.
+**Theorem (path).** Let `certify_path(path, problem)` be certified. Then at every point of the continuous path, not only
+at samples, the footprint keeps the clearance that the problem requires at that pose from every obstacle, up to
+`TOLERANCE`; where contact is allowed, nothing lies deeper than two tolerances inside anything, however the shapes are
+made of pieces. The path begins at the start and ends at the goal in the gear that the dock asks for, has no jump, its
+curvature and curvature rate stay within the robot's limits and its last stretch is straight.
+
+*Idea of the proof.* The axis that attains the distance d of two convex shapes at one pose still separates them by a
+lower bound at every other pose. Along it no point of the footprint moves faster, or is bent more, than bounds of the
+motion say. So a pose that keeps d clears a whole stretch of the path around it. Stretches that are not cleared are
+bisected until they are, until a pose in them breaks the rule, or until they are given up, which counts as broken.
+
+**Theorem (trajectory).** Let `certify_trajectory(trajectory, limits, zone)` be certified. Then at every instant speed,
+acceleration, deceleration, jerk, yaw rate, yaw acceleration, lateral acceleration and wheel speeds keep their limits up
+to `TOLERANCE`, relative; the motion covers its path once, never backwards, and rests at every cusp and at the end.
+
+A motion that is known by samples only is never certified; `check_sampled_motion` refutes it, or does not.
+
+It reads the finished path and the problem, and nothing else. Lengths are metres, angles radians, times seconds. The
+chapters, in the order in which a proof uses them:
+
+    certificate             what a proof says, and the one tolerance
+    motion_bounds           the path as cells of smooth motion: how fast and how bent a point of the footprint moves
+    contact_tolerance       why the tolerance hides no deep overlap where shapes are unions of pieces
+    proximity               the clearance of a pose: broad phase, narrow phase
+    conservative_advancement  from poses to stretches: subdivision, branch and bound, the proof of clearance
+    path_rules              frame, ends, joints, gears, slip, curvature, final straight
+    trajectory_rules        coverage, rest, limits along the time law and limits that depend on curvature
+    certify                 the two verdicts, each made once
+    memo                    what was proven of a frozen value is kept while it lives
+    sampled_motion          motions that others hand over as samples: rounding, and the place of each on its path
+    refutation              the inequalities that every lawful motion keeps between any two of its samples
+    time_of_impact          the same advance at a constant body velocity: how long a command is safe
 """
 
-from optdock.verification.certificate import Certificate, TrajectoryCertificate, Violation
-from optdock.verification.certify import certify_path
-from optdock.verification.half_cells import pose_clearance, pose_clearances
-from optdock.verification.sampled_motion import (
+from optdock.verification.certificate import SHARPNESS, TOLERANCE, Certificate, TrajectoryCertificate, Violation
+from optdock.verification.certify import certify_path, certify_trajectory
+from optdock.verification.proximity import EndClearances, end_clearances, pose_clearance, pose_clearances
+from optdock.verification.refutation import (
     SampledMotionVerdict,
     are_rounded_phases,
     check_sampled_motion,
     check_samples_of,
 )
-from optdock.verification.samples import SampledMotion
-from optdock.verification.trajectory_rules import certify_trajectory
+from optdock.verification.sampled_motion import SampledMotion
 
 __all__ = [
+    "SHARPNESS",
+    "TOLERANCE",
     "Certificate",
+    "EndClearances",
     "SampledMotion",
     "SampledMotionVerdict",
     "TrajectoryCertificate",
@@ -26,6 +59,7 @@ __all__ = [
     "certify_trajectory",
     "check_sampled_motion",
     "check_samples_of",
+    "end_clearances",
     "pose_clearance",
     "pose_clearances",
 ]

@@ -1,4 +1,4 @@
-"""What a verification says: certified, or every violation with its place and amount."""
+"""What a proof says: certified, or every violation with its place and amount; and the tolerance of all proofs."""
 
 from __future__ import annotations
 
@@ -11,7 +11,15 @@ if TYPE_CHECKING:
 
     from optdock.fingerprint import ProblemFingerprint
 
-__all__ = ["Certificate", "TrajectoryCertificate", "Violation"]
+__all__ = ["SHARPNESS", "TOLERANCE", "Certificate", "TrajectoryCertificate", "Violation"]
+
+# What every rule accepts beyond its bound: [m], [rad], [m/s], [m/s^2], [1/m], and relative to limits. It must cover the
+# rounding of arithmetic over kilometres (1e-9) and of files with six decimals, and what a solver leaves of an equation
+# (1e-8). It must not be felt by any robot: sensors and drives are a thousand times as coarse.
+TOLERANCE = 1e-6
+# [m]: the proven minimum of the clearance is at most this far below a clearance that occurs. Nobody plans finer; where
+# the minimum is at the dock, as it mostly is, sharpness costs nothing.
+SHARPNESS = 1e-3
 
 
 @dataclass(frozen=True)
@@ -116,7 +124,7 @@ class TrajectoryCertificate:
 
     Args:
         violations: Every broken rule; empty when certified.
-        ratios: Proven upper bound of each quantity over its limit; at most 1 (+ 1e-6) when certified.
+        ratios: Proven upper bound of each quantity over its limit; at most 1 + `TOLERANCE` when certified.
         duration: Total time [s].
         path: Digest of the path that the motion follows.
     """

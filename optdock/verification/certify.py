@@ -1,38 +1,45 @@
-"""`certify_path`: the independent verdict on a path."""
+"""`certify_path` and `certify_trajectory`: the two verdicts, each made once."""
 
 from __future__ import annotations
 
 import weakref
-from typing import TYPE_CHECKING
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Generic, TypeVar
 
 from optdock.deadline import never_late
-from optdock.verification.certificate import Certificate, Violation
-from optdock.verification.clearance import prove_clearance
-from optdock.verification.kept_proofs import KeptProofs
+from optdock.verification.certificate import Certificate, TrajectoryCertificate, Violation
+from optdock.verification.conservative_advancement import prove_clearance
+from optdock.verification.memo import Memo
 from optdock.verification.path_rules import max_curvature, max_curvature_rate, path_violations
+from optdock.verification.trajectory_rules import trajectory_violations
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Hashable
 
     from optdock.geometry.arrays import FloatArray
+    from optdock.limits import MotionLimits, SpeedZone
     from optdock.path import Path
     from optdock.problem import DockingProblem
-    from optdock.verification.clearance import ClearanceProof
+    from optdock.trajectory import TimeLaw, Trajectory
+    from optdock.verification.conservative_advancement import ClearanceProof
 
-__all__ = ["certify_path"]
+__all__ = ["certify_path", "certify_trajectory"]
+
+Subject = TypeVar("Subject")
+Verdict = TypeVar("Verdict", Certificate, TrajectoryCertificate)
 
 
 def certify_path(path: Path, problem: DockingProblem, *, is_late: Callable[[], bool] = never_late) -> Certificate:
     """Prove that `path` solves `problem`, or name what is broken and where.
 
-    Proven for every point of the continuous path: footprint clearance (second-order conservative advancement, see
-    `clearance`). Checked exactly: start and goal pose (1e-6 m, rad), joints, gears, curvature, curvature rate, start
-    curvature, final straight. A polyline is judged as linear motion between its poses, turning the short way, with the
+    Proven for every point of the continuous path: footprint clearance (second-order `conservative_advancement`).
+    Checked exactly: start and goal pose (`TOLERANCE`), joints, gears, curvature, curvature rate, start curvature,
+    final straight. A polyline is judged as linear motion between its poses, turning the short way, with the
     curvature of the arcs through them; a step whose arc is more than 5 mm from that motion is refused, and so are slips
     and jumps that are small one by one but add up.
 
     Where no clearance is required contact may overlap by a micrometre, and nothing lies deeper than two micrometres
-    inside anything, however the shapes are made of pieces (see `contact`).
+    inside anything, however the shapes are made of pieces (see `contact_tolerance`).
 
     Wherever two segments meet, also two of one gear, the curvature may jump: the robot must rest there.
 
@@ -51,13 +58,10 @@ def certify_path(path: Path, problem: DockingProblem, *, is_late: Callable[[], b
     Returns:
         The certificate; `certified` is True only if everything was proven.
     """
-    return _PROOFS.verdict(path, weakref.ref(problem), is_late, lambda asked: _judged(path, problem, asked))
+    return _made_once(_PATHS, path, weakref.ref(problem), is_late, lambda asked: _path_verdict(path, problem, asked))
 
 
-_PROOFS: KeptProofs[Path, Certificate] = KeptProofs()
-
-
-def _judged(path: Path, problem: DockingProblem, is_late: Callable[[], bool]) -> Certificate:
+def _path_verdict(path: Path, problem: DockingProblem, is_late: Callable[[], bool]) -> Certificate:
     proof = prove_clearance(path, problem, is_late)
     violations = (*path_violations(path, problem), *_clearance_violations(proof, problem))
     return Certificate(
@@ -97,3 +101,90 @@ def _too_close(row: FloatArray, problem: DockingProblem) -> Violation:
     )
     where = {"pose": row[4:].tolist(), "obstacle": obstacle, "clearance": clearance, "required": required}
     return Violation("clearance", message, s, required - clearance, where)
+
+
+def certify_trajectory(
+    trajectory: Trajectory,
+    limits: MotionLimits,
+    zone: SpeedZone,
+    *,
+    start_speed: float | None = None,
+    start_acceleration: float | None = None,
+    is_late: Callable[[], bool] = never_late,
+) -> TrajectoryCertificate:
+    """Prove that a trajectory keeps every motion limit, or name what is broken, when and by how much.
+
+    Within a step of a polyline, whose curvature is a difference quotient, 5 % beyond a limit on turning are accepted.
+
+    A proof is kept for as long as the time law lives, as those of paths are.
+
+    It does NOT look at clearance or at the path's own curvature bounds: see `certify_path`.
+
+    Args:
+        trajectory: The motion to judge.
+        limits: What the drive can do.
+        zone: Slow stretch at the end of the path.
+        start_speed: Speed along the travel that the motion must begin with [m/s]; None: not checked.
+        start_acceleration: Likewise [m/s^2].
+        is_late: For callers with a deadline, asked every few milliseconds. Once it is True whatever is not proven yet
+            is refused as `unproven`.
+
+    Returns:
+        The certificate; `certified` is True only if everything was proven.
+    """
+    start = (start_speed, start_acceleration)
+
+    def verdict(asked: Callable[[], bool]) -> TrajectoryCertificate:
+        violations, ratios = trajectory_violations(trajectory, limits, zone, start, asked)
+        return TrajectoryCertificate(violations, ratios, trajectory.time_law.duration, trajectory.path.digest)
+
+    against = (weakref.ref(trajectory.path), limits, zone, start)
+    return _made_once(_TIME_LAWS, trajectory.time_law, against, is_late, verdict)
+
+
+@dataclass(frozen=True)
+class _Kept(Generic[Verdict]):
+    """A verdict, what it was judged against, and whether the proof was made to its end."""
+
+    against: Hashable
+    verdict: Verdict
+    is_whole: bool
+
+
+_PATHS: Memo[Path, _Kept[Certificate]] = Memo()
+_TIME_LAWS: Memo[TimeLaw, _Kept[TrajectoryCertificate]] = Memo()
+
+
+def _made_once(
+    memo: Memo[Subject, _Kept[Verdict]],
+    subject: Subject,
+    against: Hashable,
+    is_late: Callable[[], bool],
+    prove: Callable[[Callable[[], bool]], Verdict],
+) -> Verdict:
+    """The verdict that is kept, or a new one.
+
+    A proof that was cut short may be certified all the same, only not sharp: then it serves callers that have a
+    deadline themselves. One that was cut short and is not certified is forgotten.
+
+    Args:
+        memo: Where verdicts of this kind are kept.
+        subject: What is judged.
+        against: What it is judged against; equal where the verdict must be the same.
+        is_late: The caller's deadline; `never_late` without one.
+        prove: Makes the proof, asking the callable that it is given whether it is late.
+    """
+    known = memo.recall(subject)
+    if known is not None and known.against == against and (known.is_whole or is_late is not never_late):
+        return known.verdict
+    was_late = False
+
+    def asked() -> bool:
+        nonlocal was_late
+        was_late = was_late or is_late()
+        return was_late
+
+    found = prove(asked)
+    if found.certified or not was_late:
+        memo.keep(subject, _Kept(against, found, not was_late))
+    return found

@@ -7,11 +7,10 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from optdock.dock import DockDirection
-from optdock.errors import InvalidPath
 from optdock.geometry.pose import Pose2, normalize_angle
 from optdock.path import ClothoidSegment, Direction, PolylineSegment, may_be_one_frame
 from optdock.segments import SAME_YAW
-from optdock.verification.certificate import Violation
+from optdock.verification.certificate import TOLERANCE, Violation
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -22,14 +21,13 @@ if TYPE_CHECKING:
 
 __all__ = ["max_curvature", "max_curvature_rate", "path_violations"]
 
-POSE_TOLERANCE = 1e-6  # [m], [rad]: start, goal and joints
-EXACT_RTOL = 1e-6  # curvature bounds on clothoid splines
+EXACT_RTOL = TOLERANCE  # curvature bounds on clothoid splines
 SAMPLED_RTOL = 1e-3  # curvature bounds on polylines, whose curvature is a difference quotient
 SLIP_TOLERANCE = 0.01  # [rad] between heading and motion of a polyline step
 BULGE_TOLERANCE = 0.005  # [m] between the straight motion of a polyline step and the arc that wheels would drive
 DRIFT_TOLERANCE, DRIFT_PER_METRE = 1e-3, 1e-4  # [m], [m/m] sideways in all; yaws rounded to 1e-4 rad drift as much
 LONGEST_STEP = 0.2  # [m] of sampling for which one step of full slip is allowed on top
-ROUNDING = 1e-6  # [m], [rad] of sampled poses: coordinates of files
+ROUNDING = TOLERANCE  # [m], [rad] of sampled poses: coordinates of files
 STRAIGHT_TOLERANCE = 1e-4  # [m], [rad]: a polyline's final straight
 
 
@@ -55,7 +53,7 @@ def _ends(path: Path, problem: DockingProblem) -> Iterator[Violation]:
         ("goal", path.end, problem.goal, path.length),
     ):
         error = found.gap_to(wanted)
-        if not error <= POSE_TOLERANCE:
+        if not error <= TOLERANCE:
             away = found.distance_to(wanted)
             turned = normalize_angle(found.yaw - wanted.yaw)
             message = f"the path misses the {kind} pose by {away:.3g} m and {turned:.3g} rad"
@@ -70,7 +68,7 @@ def _joints(path: Path, problem: DockingProblem) -> Iterator[Violation]:  # noqa
         end = Pose2.from_sequence(before.poses_at(before.length)[0])
         gap = end.gap_to(Pose2.from_sequence(_first_pose(after)))
         total += gap
-        if not total <= POSE_TOLERANCE:
+        if not total <= TOLERANCE:
             in_all = "" if total == gap else f", {total:.3g} in all so far"
             yield Violation("joint", f"the path jumps by {gap:.3g} at the cusp s = {s:.3f} m{in_all}", s, total)
             return
@@ -98,7 +96,7 @@ def _first_moving(segments: Sequence[Segment]) -> Segment:
     driven = 0.0
     for segment in segments:
         driven += segment.length
-        if driven > POSE_TOLERANCE:
+        if driven > TOLERANCE:
             return segment
     return segments[0]
 
@@ -209,7 +207,7 @@ def _creep(path: Path, problem: DockingProblem) -> Iterator[Violation]:  # noqa:
         still = steps.arc <= 0.0
         moved += float(np.sum(steps.chord[still]))
         turned += float(np.sum(np.abs(steps.turn[still & (np.abs(steps.turn) <= SAME_YAW)])))
-    if not max(moved, turned) <= POSE_TOLERANCE:
+    if not max(moved, turned) <= TOLERANCE:
         message = f"steps too short to count lead {moved:.3g} m and {turned:.3g} rad away in all"
         yield Violation("slip", message, 0.0, max(moved, turned))
 
@@ -234,9 +232,8 @@ def _curvature_samples(segment: Segment) -> tuple[FloatArray, FloatArray]:
     """Arc lengths and curvatures among which the segment's extreme curvature is."""
     if isinstance(segment, PolylineSegment):
         return segment.knots[:-1], segment.step_curvature
-    if isinstance(segment, ClothoidSegment):
-        return segment.knots, segment.spline.curvature
-    raise InvalidPath(f"cannot verify a segment of type {type(segment).__name__}")
+    assert isinstance(segment, ClothoidSegment)  # a path holds nothing else
+    return segment.knots, segment.spline.curvature
 
 
 def _rate_samples(segment: Segment) -> tuple[FloatArray, FloatArray]:
@@ -247,9 +244,8 @@ def _rate_samples(segment: Segment) -> tuple[FloatArray, FloatArray]:
         with np.errstate(divide="ignore", invalid="ignore"):
             rate = np.where(np.diff(curvature) == 0.0, 0.0, np.diff(curvature) / between)
         return segment.knots[1:-1], np.where(np.isnan(rate), np.inf, rate)
-    if isinstance(segment, ClothoidSegment):
-        return segment.knots[:-1], segment.spline.curvature_rates
-    raise InvalidPath(f"cannot verify a segment of type {type(segment).__name__}")
+    assert isinstance(segment, ClothoidSegment)  # a path holds nothing else
+    return segment.knots[:-1], segment.spline.curvature_rates
 
 
 def max_curvature(path: Path) -> float:
@@ -296,7 +292,7 @@ def _start_curvature(path: Path, problem: DockingProblem) -> Iterator[Violation]
         return
     first = path.segments[0]
     found = float(first.curvature_at(0.0)[0])
-    allowed = 1e-6
+    allowed = TOLERANCE
     if isinstance(first, PolylineSegment):
         # The first step's curvature is its mean over the step; at the start it differs by at most rate * step.
         limit = problem.robot.limits.max_curvature_rate
@@ -310,7 +306,7 @@ def _final_straight(path: Path, problem: DockingProblem) -> Iterator[Violation]:
     wanted, last = problem.dock.final_straight, path.segments[-1]
     if wanted <= 0.0:
         return
-    if last.length < wanted - POSE_TOLERANCE:
+    if last.length < wanted - TOLERANCE:
         message = f"the last gear is {last.length:.3f} m long, the final straight needs {wanted:.3f} m"
         yield Violation("final_straight", message, path.length, wanted - last.length)
         return
@@ -323,7 +319,7 @@ def _final_straight(path: Path, problem: DockingProblem) -> Iterator[Violation]:
         error, allowed = _straight_error(poses, problem.goal), STRAIGHT_TOLERANCE
     else:
         s = np.concatenate(([begin], last.knots[inside]))
-        error, allowed = np.abs(last.curvature_at(s)), POSE_TOLERANCE
+        error, allowed = np.abs(last.curvature_at(s)), TOLERANCE
     worst = float(np.max(error))
     if not worst <= allowed:
         at = path.length - wanted

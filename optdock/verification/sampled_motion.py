@@ -1,292 +1,272 @@
-"""Timed motions that are given by samples only: what the samples refute, and what they leave unproven.
+"""Map matching: a timed motion that is given by samples, and where on its path each of them is.
 
-Samples prove nothing about the instants between them, `certify_trajectory` needs the time law for that. But every
-motion within the limits keeps inequalities that hold between *any* two instants; samples that break one refute the
-motion, and no honest file breaks any, however far apart its samples are. Along the travel, with speed v, acceleration
-a = v', jerk |a'| <= J, -D <= a <= A, and samples h apart:
-
-    speeds               -D h <= v1 - v0 <= A h
-    accelerations        |a1 - a0| <= J h
-    speed, acceleration  |v1 - v0 - h (a0 + a1) / 2| <= J h^2 / 4               (trapezoid of a function of slope J)
-    speed, jerk          |(v2 - v1) / h1 - (v1 - v0) / h0| <= J (h0 + h1) / 2   (means of a over neighbours)
-    place, speed         |s1 - s0 - h (v0 + v1) / 2 + h^2 (a1 - a0) / 12| <= J h^3 sqrt(3) / 54, see `step_lengths`
-    yaw rates            |w1 - w0| <= limit * h
-
-They are asked of neighbours and of samples 2, 4, 8, ... apart, where the rounding of the numbers weighs less. At one
-instant the path, whose curvature k and its rate r are known, ties the columns: w = v k, w' = a k + v^2 r. And a robot
-that rests at a cusp between two samples, at time c, has v0 <= J (c - t0)^2 / 2, a0 <= J (c - t0), and lies at most
-J (c - t0)^3 / 6 before the cusp.
-
-What is left open: if the jerk keeps its limit between the samples too, speed leaves the chord between two of them by
-at most J h^2 / 8 (and A D h / (A + D)), acceleration by J h / 2, place by J h^3 / 12. If it does not, nothing is known
-there. So a motion is refuted here, or not refuted, never certified.
-
-Numbers of a column that all have three to five decimals stand for whatever rounds to them; the others are taken to
-1e-6. That too is left open.
+A pose alone does not tell: paths cross themselves, pass the same pose twice, and fold back at cusps. So samples are
+matched in the order of driving. The sign of the speed tells the gear: the runs of one sign must be the gears of the
+path, one after the other. Within a gear the distance driven between two samples follows from speeds and accelerations,
+see `step_lengths`; a place found this way is then moved along the path to where the pose is beside it. Where the
+errors of such steps could add up to more than `REACH`, the distance counts on from the place of the sample there.
 """
 
 from __future__ import annotations
 
-import math
-from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING
+import itertools
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from optdock.path import ClothoidSegment
-from optdock.problem import ClearanceRule
-from optdock.verification.certificate import Violation
-from optdock.verification.clearance import prove_clearance
-from optdock.verification.half_cells import pose_clearances
-from optdock.verification.sample_places import REACH, Places, places_of, step_lengths
-from optdock.verification.sample_rules import (
-    Judged,
-    Sums,
-    at_knots,
-    at_samples,
-    between_samples,
-    explained_rates,
-    rests,
-    through_rests,
-)
-from optdock.verification.samples import EXACT, Rounding, SampledMotion
+from optdock.verification.certificate import TOLERANCE, Violation
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Iterator, Sequence
 
+    from optdock.geometry.arrays import BoolArray, FloatArray, IntArray
     from optdock.limits import MotionLimits
     from optdock.path import Path
-    from optdock.problem import DockingProblem
-    from optdock.trajectory import Trajectory
 
-__all__ = ["SampledMotionVerdict", "are_rounded_phases", "check_sampled_motion", "check_samples_of"]
+__all__ = ["EXACT", "REACH", "Places", "Rounding", "SampledMotion", "Steps", "half_unit", "places_of", "step_lengths"]
 
-ON_PATH = math.sqrt(2.0) * EXACT  # [m], [rad]: x and y each to that
-_STEEPEST = 10.0  # [1/m]: no more of a curvature counts for that
-# [m], [rad]: how far poses may be off the path, where the clearance covers it. Three decimals move a pose by 0.7 mm;
-# along a curve of 2 1/m that is 1.4e-3 rad.
-OFF_PATH = 2e-3
-_DECIMALS = 6  # that a file's rounded phases keep
-_ROUNDED = 1e-5  # [s], [m/s^3], ...: of every number of such phases; ten units, as programs round what was rounded
+EXACT = TOLERANCE  # [m], [rad], ...: numbers with more decimals than five are taken to this
+CORRECTED_TRAPEZOID = np.sqrt(3.0) / 54.0  # the error of that rule is at most this * |second derivative| * width^3
+REACH = 0.02  # [m]: a sample is looked for so far around where it should be
+_MAX_BLOCKS = 2000  # times that the distance counts on anew
+_PROJECTIONS = 8
+_BESIDE = 1e-10  # [m]: such a sample needs no further projection
 
 
-@dataclass(frozen=True)
-class SampledMotionVerdict:
-    """What the samples of a motion say.
+class SampledMotion(NamedTuple):
+    """A timed motion in columns of Shape (n,), n >= 2, SI units, finite; t increases.
 
-    Args:
-        violations: Every broken rule; empty when the samples do not refute the motion.
-        samples: How many there are.
-        step: Longest time between two of them [s].
-        offset: How far the poses are off the path at most: distance [m], turn [rad].
-        unproven: By how much speed [m/s], acceleration [m/s^2], place [m], yaw rate [rad/s] may differ between samples
-            from what they say, if the jerk keeps its limit there; what nothing limits is left out.
+    Speed, acceleration and jerk are negative in reverse.
     """
 
-    violations: tuple[Violation, ...]
-    samples: int
-    step: float
-    offset: tuple[float, float] = (0.0, 0.0)
-    unproven: Mapping[str, float] = field(default_factory=dict)
-
-    @property
-    def off_path(self) -> bool:
-        """Whether poses lie beside the path, so that it takes its clearance to cover them."""
-        return max(self.offset) > ON_PATH
-
-    @property
-    def refuted(self) -> bool:
-        """Whether no motion within the limits has these samples."""
-        return bool(self.violations)
+    t: FloatArray
+    x: FloatArray
+    y: FloatArray
+    yaw: FloatArray
+    speed: FloatArray
+    acceleration: FloatArray
+    jerk: FloatArray
+    yaw_rate: FloatArray
+    yaw_acceleration: FloatArray
 
 
-def check_sampled_motion(motion: SampledMotion, path: Path, problem: DockingProblem) -> SampledMotionVerdict:
-    """Look for whatever refutes a motion that is known by its samples only.
+class Rounding(NamedTuple):
+    """By how much a number of each kind may differ from what it stands for."""
 
-    Every column is compared with every other, with the path and with the limits. Poses may be off the path by up to
-    2e-3 m and rad where the path keeps the required clearance with that much to spare; else they must lie on it to
-    1e-6.
+    place: float
+    yaw: float
+    speed: float
+    acceleration: float
+    jerk: float
+    yaw_rate: float
+    yaw_acceleration: float
+    time: float
 
-    Args:
-        motion: The samples.
-        path: The path they claim to follow; see `certify_path` for its own verdict.
-        problem: What must hold.
-
-    Returns:
-        The verdict; nothing is ever proven by samples alone.
-    """
-    step, limits = float(np.max(np.diff(motion.t))), problem.robot.limits
-    with np.errstate(over="ignore", invalid="ignore"):
-        found = _too_coarse(motion, limits) or _turn_in_place(path)
-        if found is not None:
-            return SampledMotionVerdict((found,), motion.t.size, step)
-        rounding = Rounding.of(motion)
-        places = places_of(motion, path, limits, (rounding.speed, rounding.acceleration))
-        if isinstance(places, Violation):
-            return SampledMotionVerdict((places,), motion.t.size, step)
-        judged = _judged(motion, path, problem, places, rounding)
-        offset, off = _off_path(judged, problem)
-        violations = tuple(off)
-        if max(offset) <= OFF_PATH:
-            violations += tuple(at_samples(judged, problem))
-            sure = judged if places.sure.all() else judged.rows(places.sure, limits)
-            violations += () if sure is judged else tuple(through_rests(judged, problem))
-            rules = (between_samples, at_knots, rests, explained_rates)
-            violations += tuple(violation for rule in rules for violation in rule(sure, problem))
-    return SampledMotionVerdict(violations, motion.t.size, step, offset, _unproven(judged, limits))
-
-
-def _too_coarse(motion: SampledMotion, limits: MotionLimits) -> Violation | None:
-    """Samples between which the robot may be anywhere within centimetres."""
-    dt = float(np.max(np.diff(motion.t)))
-    open_ = float(np.max(step_lengths(motion.t, np.abs(motion.speed), 0.0 * motion.t, limits).error))
-    if open_ <= REACH:
-        return None
-    message = f"samples up to {dt:.3g} s apart leave the motion between them open by {open_:.3g} m; sample it finer"
-    return Violation("too_coarse", message, 0.0, open_)
-
-
-def _turn_in_place(path: Path) -> Violation | None:
-    """As for a time law, distance is what places a motion on its path."""
-    for segment, start in zip(path.segments, path.segment_starts[:-1], strict=True):
-        still = np.flatnonzero(np.diff(segment.knots) <= 0.0)
-        if still.size:
-            s = float(start + segment.knots[still[0]])
-            message = f"the path turns in place at s = {s:.3f} m, where samples of a motion along it cannot be judged"
-            return Violation("coverage", message, s, 1.0)
-    return None
-
-
-def _judged(motion: SampledMotion, path: Path, problem: DockingProblem, places: Places, rounding: Rounding) -> Judged:
-    poses = places.poses
-    apart = np.hypot(motion.x - poses[:, 0], motion.y - poses[:, 1])
-    turned = np.abs(np.remainder(motion.yaw - poses[:, 2] + np.pi, 2.0 * np.pi) - np.pi)
-    # A pose that is on the path but `ON_PATH` further along it has turned by that much.
-    turned = np.maximum(turned - ON_PATH * np.minimum(np.abs(path.curvature_at(places.s)), _STEEPEST), 0.0)
-    v, a, j = (places.gear * column for column in (motion.speed, motion.acceleration, motion.jerk))
-    sums = Sums.of(motion, v, a, problem.robot.limits)
-    return Judged(motion, path, places.s, v, a, j, apart, turned, sums, rounding, math.sqrt(2.0) * rounding.place)
-
-
-def _off_path(judged: Judged, problem: DockingProblem) -> tuple[tuple[float, float], list[Violation]]:
-    """The largest distance and turn off the path, and what is wrong with them."""
-    motion, apart, turned = judged.motion, judged.apart, judged.turned
-    i = int(np.argmax(np.maximum(apart, turned)))
-    offset = (float(np.max(apart)), float(np.max(turned)))
-    place = f"pose at t = {motion.t[i]:.3f} s is {apart[i]:.4g} m and {turned[i]:.4g} rad off the path"
-    if not max(offset) <= OFF_PATH:
-        in_degrees = np.remainder(np.radians(motion.yaw) - judged.path.poses_at(judged.s)[:, 2] + np.pi, 2.0 * np.pi)
-        hint = "; is yaw in degrees?" if turned[i] > 0.1 and np.max(np.abs(in_degrees - np.pi)) < 0.1 else ""
-        return offset, [Violation("off_path", place + hint, float(judged.s[i]), max(offset))]
-    if max(offset) <= ON_PATH or _covers(judged.path, problem, offset):
-        return offset, []
-    message = f"{place}, and the clearance does not cover it"
-    return offset, [Violation("off_path", message, float(judged.s[i]), max(offset))]
-
-
-def _covers(path: Path, problem: DockingProblem, offset: tuple[float, float]) -> bool:
-    """Whether footprints that far off the path keep what is required beside it.
-
-    A pose off by e and turned by w moves no point of the footprint by more than e + R w, R the circumscribed radius.
-    So it is enough that the path keeps that much more than required, everywhere. The start may be closer than required
-    and has nothing to spare then.
-    """
-    more = offset[0] + problem.robot.footprint.circumscribed_radius * offset[1]
-    rule = problem.clearance
-    raised = replace(problem, clearance=ClearanceRule(rule.required + more, rule.at_dock + more, rule.taper))
-    start = problem.start.as_array()[None]
-    clearance, _ = pose_clearances(start, problem.robot.footprint, problem.all_obstacles)
-    proof = prove_clearance(path, raised)
-    proven = len(proof.violations) + len(proof.unproven) == 0
-    return proven and bool(clearance[0] >= rule.required + more)
-
-
-def _unproven(judged: Judged, limits: MotionLimits) -> dict[str, float]:
-    """See the module; the rounding of the numbers is added."""
-    h, rounding = float(np.max(np.diff(judged.motion.t))), judged.rounding
-    speed = min(limits.max_jerk * h**2 / 8.0, h / (1.0 / limits.max_acceleration + 1.0 / limits.max_deceleration))
-    bounds = {
-        "speed": speed + rounding.speed,
-        "acceleration": limits.max_jerk * h / 2.0 + rounding.acceleration,
-        "place": min(limits.max_jerk * h**3 / 12.0, speed * h) + judged.slack,
-    }
-    if np.isfinite(limits.max_yaw_rate) and all(isinstance(one, ClothoidSegment) for one in judged.path.segments):
-        steepest = max(float(np.max(np.abs(one.curvature_at(one.knots)))) for one in judged.path.segments)
-        bounds["yaw rate"] = steepest * bounds["speed"] + rounding.yaw_rate
-    return bounds
-
-
-def are_rounded_phases(trajectory: Trajectory, motion: SampledMotion) -> bool:
-    """Whether phases that miss their samples or a limit may do so because somebody rounded them.
-
-    They have six decimals at most, and lead no further from the samples than numbers that are off by r = 1e-5 each can
-    lead. With n phases of durations d and jerks j, the borders are off by n r, the acceleration by what its own
-    numbers add up to, e = r (1 + sum |j| + sum d), and by as much as it changes while the borders are off; speed and
-    distance by the integrals of that. What is further off is another motion.
-
-    Args:
-        trajectory: The path and the motion by the phases.
-        motion: The samples.
-    """
-    law = trajectory.time_law
-    if not np.array_equal(np.round(law.durations, _DECIMALS), law.durations):
-        return False
-    t, early = law.duration, _ROUNDED * law.durations.size
-    by_phases = trajectory.sample_at(motion.t)
-    steepest = float(np.max(np.abs(motion.acceleration))) + _ROUNDED
-    fastest = float(np.max(np.abs(motion.speed))) + _ROUNDED
-    e = _ROUNDED * (1.0 + float(np.sum(np.abs(law.jerks))) + t)
-    speed = _ROUNDED + t * e + early * steepest
-    place = _ROUNDED + t * speed + early * fastest + OFF_PATH
-    apart = np.hypot(motion.x - by_phases.x, motion.y - by_phases.y)
-    rough = Rounding.of(motion)
-    return bool(
-        abs(t - motion.t[-1]) <= early + rough.time
-        and np.max(np.abs(motion.acceleration - by_phases.acceleration))
-        <= e + early * float(np.max(np.abs(law.jerks))) + rough.acceleration
-        and np.max(np.abs(motion.speed - by_phases.speed)) <= speed + rough.speed
-        and np.max(apart) <= place + rough.place
-    )
-
-
-def check_samples_of(trajectory: Trajectory, motion: SampledMotion, problem: DockingProblem) -> SampledMotionVerdict:
-    """Whether samples are those of `trajectory`, to 1e-6 or to the rounding of their columns.
-
-    Poses that are further off than 1e-6 need the clearance to cover that. Where jerk and yaw acceleration jump, the
-    values on both sides count, and whatever lies between them.
-
-    Args:
-        trajectory: The motion; see `certify_trajectory` for its own verdict.
-        motion: The samples.
-        problem: What must hold.
-    """
-    step, count, rounding = float(np.max(np.diff(motion.t))), motion.t.size, Rounding.of(motion)
-    for name, found, wanted in (("begin", motion.t[0], 0.0), ("end", motion.t[-1], trajectory.duration)):
-        if not abs(found - wanted) <= EXACT + rounding.time:
-            message = f"the samples {name} at t = {found:.6g} s, the phases at {wanted:.6g} s"
-            violation = Violation("phases", message, 0.0, abs(float(found - wanted)))
-            return SampledMotionVerdict((violation,), count, step)
-    near = EXACT + rounding.time
-    exact, *sides = (trajectory.sample_at(motion.t + shift) for shift in (0.0, -near, near))
-    violations = []
-    for name in SampledMotion._fields[1:]:
-        found = getattr(motion, name)
-        around = np.array([getattr(samples, name) for samples in (exact, *sides)])
-        if name == "yaw":
-            around = found + np.remainder(around - found + np.pi, 2.0 * np.pi) - np.pi
-        off = np.maximum(around.min(axis=0) - found, found - around.max(axis=0))
-        allowed = rounding.place if name in ("x", "y") else getattr(rounding, name)
-        off = off - 4.0 * np.spacing(np.abs(found)) - allowed
-        i = int(np.argmax(off))
-        if not off[i] <= 0.0:
-            message = f"{name} at t = {motion.t[i]:.3f} s is {found[i]:.6g}, by the phases {around[0, i]:.6g}"
-            violations.append(Violation("phases", message, float(exact.s[i]), float(off[i] + allowed)))
-    apart = float(np.max(np.hypot(motion.x - exact.x, motion.y - exact.y)))
-    turned = float(np.max(np.abs(np.remainder(motion.yaw - exact.yaw + np.pi, 2.0 * np.pi) - np.pi)))
-    offset = (apart, turned)
-    if not violations and max(offset) > ON_PATH and not _covers(trajectory.path, problem, offset):
-        message = (
-            f"samples are up to {apart:.3g} m and {turned:.3g} rad off the path, and the clearance does not cover it"
+    @classmethod
+    def of(cls, motion: SampledMotion) -> Rounding:
+        """Half a unit of the last decimal of each kind of column; times on an even grid are exact."""
+        steps = np.diff(motion.t)
+        even = bool(np.ptp(steps) <= 1e-9 * steps[0])
+        resolution = float(np.spacing(np.max(np.abs(motion.t))))
+        return cls(
+            place=half_unit(motion.x, motion.y),
+            yaw=half_unit(motion.yaw),
+            speed=half_unit(motion.speed),
+            acceleration=half_unit(motion.acceleration),
+            jerk=half_unit(motion.jerk),
+            yaw_rate=half_unit(motion.yaw_rate),
+            yaw_acceleration=half_unit(motion.yaw_acceleration),
+            time=resolution if even else max(resolution, half_unit(motion.t, most=0.0)),
         )
-        violations.append(Violation("off_path", message, 0.0, max(offset)))
-    return SampledMotionVerdict(tuple(violations), count, step, offset)
+
+
+def half_unit(*columns: FloatArray, most: float = EXACT) -> float:
+    """Half a unit of the last decimal of these numbers, if they have three to five decimals; `most` otherwise."""
+    for decimals in (3, 4, 5):
+        if all(np.array_equal(np.round(column, decimals), column) for column in columns):
+            return 0.5 * 10.0**-decimals
+    return most
+
+
+class Places(NamedTuple):
+    """Where the samples are, Shape (n,) each: arc length `s` [m] and gear, 1 or -1; `poses` of the path there, (n, 3).
+
+    `sure`: False where a sample rests between two gears and accelerates, so that it may be on either side of the cusp.
+    """
+
+    s: FloatArray
+    gear: FloatArray
+    poses: FloatArray
+    sure: BoolArray
+
+
+class Steps(NamedTuple):
+    """Distances between samples, Shape (n - 1,) [m]: what speeds say, and by how much a motion may differ from it."""
+
+    length: FloatArray
+    error: FloatArray
+
+
+class _Gear(NamedTuple):
+    direction: int
+    begin: float
+    end: float
+
+
+def step_lengths(t: FloatArray, v: FloatArray, a: FloatArray, limits: MotionLimits) -> Steps:
+    """Distance between samples by the corrected trapezoid rule, and a bound of its error for every lawful motion.
+
+    With v' = a and |v''| <= J, partial integration gives
+
+        int v dt = h (v0 + v1) / 2 - h^2 (a1 - a0) / 12 + E,   E = -int (u (h - u) / 2 - h^2 / 12) v'' du
+
+    so |E| <= J h^3 sqrt(3) / 54. With |v'| <= A alone the trapezoid is off by at most A h^2 / 4; and no motion drives
+    backwards or further than V h. The smallest of the three bounds holds.
+
+    Args:
+        t: Times, increasing, Shape (n,) [s].
+        v: Speeds along the travel [m/s].
+        a: Accelerations along the travel [m/s^2].
+        limits: What the motion keeps.
+    """
+    h, change = np.diff(t), np.diff(a)
+    length = h * 0.5 * (v[:-1] + v[1:]) - h**2 / 12.0 * change
+    steepest = max(limits.max_acceleration, limits.max_deceleration)
+    fastest = max(limits.max_speed, limits.max_reverse_speed)
+    by_jerk = CORRECTED_TRAPEZOID * limits.max_jerk * h**3
+    by_acceleration = 0.25 * steepest * h**2 + h**2 / 12.0 * np.abs(change)
+    return Steps(length, np.minimum(np.minimum(by_jerk, by_acceleration), fastest * h + np.abs(length)))
+
+
+def places_of(motion: SampledMotion, path: Path, limits: MotionLimits, rest: tuple[float, float]) -> Places | Violation:
+    """The place of every sample, or why there is none.
+
+    Args:
+        motion: The samples.
+        path: What they claim to follow.
+        limits: What the motion keeps.
+        rest: Speeds and accelerations up to these count as none [m/s, m/s^2].
+    """
+    still, steady = rest
+    gears = _gears(path)
+    run = _runs(motion, gears, limits, still)
+    if isinstance(run, Violation):
+        return run
+    s, sign, poses = np.empty(motion.t.size), np.empty(motion.t.size), np.empty((motion.t.size, 3))
+    for index, (first, last) in _spans(run):
+        gear, rows = gears[index], slice(first, last)
+        sign[rows] = gear.direction
+        steps = step_lengths(
+            motion.t[rows], gear.direction * motion.speed[rows], gear.direction * motion.acceleration[rows], limits
+        )
+        blocks = _blocks(steps, np.diff(motion.t[rows]) * still)
+        if len(blocks) > _MAX_BLOCKS:
+            message = f"the samples leave their places on the path open {len(blocks)} times; sample the motion finer"
+            return Violation("too_coarse", message, gear.begin, float(len(blocks)))
+        travelled = np.concatenate(([0.0], np.cumsum(steps.length)))
+        at = gear.begin
+        for a, b in blocks:
+            part = slice(first + a, first + b)
+            expected = np.clip(at + travelled[a:b] - travelled[a], gear.begin, gear.end)
+            s[part], poses[part] = _beside(path, gear, expected, motion.x[part], motion.y[part])
+            at = s[first + b - 1]
+    unsure = (
+        (np.abs(motion.speed) <= still) & (np.abs(motion.acceleration) > steady) & _between_gears(motion, run, still)
+    )
+    return Places(s, sign, poses, ~unsure)
+
+
+def _gears(path: Path) -> list[_Gear]:
+    """The stretches of one direction each, in driving order."""
+    gears: list[_Gear] = []
+    for segment, begin, end in zip(path.segments, path.segment_starts[:-1], path.segment_starts[1:], strict=True):
+        if gears and gears[-1].direction == segment.direction:
+            gears[-1] = gears[-1]._replace(end=float(end))
+        else:
+            gears.append(_Gear(int(segment.direction), float(begin), float(end)))
+    return gears
+
+
+def _runs(motion: SampledMotion, gears: Sequence[_Gear], limits: MotionLimits, rest: float) -> IntArray | Violation:
+    """The gear of every sample, as an index, Shape (n,); a sample at rest has that of the one before it."""
+    moving = np.flatnonzero(np.abs(motion.speed) > rest)
+    if moving.size == 0:
+        return np.zeros(motion.t.size, dtype=np.int64)
+    sign = np.sign(motion.speed[moving])
+    begins = np.concatenate(([True], np.diff(sign) != 0.0))
+    found = sign[begins]
+    # A gear shorter than what can be driven from rest to rest within a step may have no moving sample.
+    hidden = limits.max_jerk * float(np.max(np.diff(motion.t))) ** 3 / 32.0
+    wanted = list(range(len(gears)))
+    if found.size != len(wanted):
+        wanted = [i for i in wanted if gears[i].end - gears[i].begin > hidden + rest]
+        wanted = [i for k, i in enumerate(wanted) if k == 0 or gears[i].direction != gears[wanted[k - 1]].direction]
+    directions = np.array([gears[i].direction for i in wanted])
+    common = min(found.size, directions.size)
+    wrong = np.flatnonzero(found[:common] != directions[:common])
+    if wrong.size or found.size != directions.size:
+        k = int(wrong[0]) if wrong.size else common
+        return _wrong_gear(motion, moving[begins], found, directions, k)
+    number = np.zeros(motion.t.size, dtype=np.int64)
+    number[moving[begins][1:]] = 1
+    runs: IntArray = np.array(wanted)[np.cumsum(number)]
+    return runs
+
+
+def _between_gears(motion: SampledMotion, run: IntArray, rest: float) -> BoolArray:
+    """Whether the moving samples before and after a sample are of different gears, Shape (n,)."""
+    moving = np.flatnonzero(np.abs(motion.speed) > rest)
+    if moving.size == 0:
+        return np.zeros(run.size, dtype=np.bool_)
+    after = np.clip(np.searchsorted(moving, np.arange(run.size)), 0, moving.size - 1)
+    between: BoolArray = run[moving[after]] != run
+    return between
+
+
+def _wrong_gear(
+    motion: SampledMotion, begins: IntArray, found: FloatArray, directions: FloatArray, k: int
+) -> Violation:
+    """What run number `k` does against the gears of the path."""
+    names = {1: "forward", -1: "in reverse"}
+    if k >= found.size:
+        message = f"direction: the motion ends before gear {k + 1} of the path, which goes {names[int(directions[k])]}"
+        return Violation("direction", message, 0.0, 1.0)
+    i = int(begins[k])
+    does = f"speed {motion.speed[i]:.4g} m/s at t = {motion.t[i]:.3f} s goes {names[int(found[k])]}"
+    where = (
+        f"gear {k + 1} of the path goes {names[int(directions[k])]}" if k < directions.size else "the path has ended"
+    )
+    return Violation("direction", f"direction: {does}, {where}", 0.0, abs(float(motion.speed[i])))
+
+
+def _spans(run: IntArray) -> Iterator[tuple[int, tuple[int, int]]]:
+    """Every gear with its first sample and the one after its last."""
+    edges = np.concatenate(([0], np.flatnonzero(np.diff(run)) + 1, [run.size]))
+    for first, last in itertools.pairwise(edges.tolist()):
+        yield int(run[first]), (first, last)
+
+
+def _blocks(steps: Steps, rounding: FloatArray) -> list[tuple[int, int]]:
+    """Samples, from and to, over which the errors of the steps add up to no more than `REACH`; neighbours share one."""
+    count = steps.length.size + 1
+    number = np.floor(np.cumsum(steps.error + rounding) / REACH).astype(np.int64)
+    cuts = np.flatnonzero(np.diff(number, prepend=0)).tolist()
+    borders = [0, *(cut for cut in cuts if cut > 0), count - 1]
+    return [(a, b + 1) for a, b in itertools.pairwise(borders)]
+
+
+def _beside(path: Path, gear: _Gear, s: FloatArray, x: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Arc lengths near `s`, Shape (n,), at which the path has the points beside it, and its poses there, (n, 3)."""
+    s, rows = s.copy(), np.arange(s.size)
+    poses = path.poses_at(s)
+    for _ in range(_PROJECTIONS):
+        here = poses[rows]
+        ahead = (x[rows] - here[:, 0]) * np.cos(here[:, 2]) + (y[rows] - here[:, 1]) * np.sin(here[:, 2])
+        moved = np.clip(s[rows] + gear.direction * np.clip(ahead, -2.0 * REACH, 2.0 * REACH), gear.begin, gear.end)
+        changed = np.abs(moved - s[rows]) > _BESIDE
+        rows = rows[changed]
+        if rows.size == 0:
+            break
+        s[rows] = moved[changed]
+        poses[rows] = path.poses_at(s[rows])
+    return s, poses

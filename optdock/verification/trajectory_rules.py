@@ -1,100 +1,100 @@
-"""`certify_trajectory`: the independent verdict on a motion's limits."""
+"""The rules of a trajectory: that its time law covers the path, rests where it must, and keeps every motion limit.
+
+Speed, acceleration and jerk are polynomials of degree 2, 1 and 0 in each phase of the time law: their extremes are
+exact. The limits that depend on curvature are proven by subdivision. Within a cell (no phase border, no knot of the
+path inside) jerk and curvature rate are constant, so every limited quantity f(t) is smooth and
+`max |f| <= max(|f(t0)|, |f(t1)|) + width^2 / 8 * max |f''|`. With v the speed, a its rate, j the jerk, k the curvature
+and r its rate per metre:
+
+    yaw rate v k          f'' = j k + 3 a v r
+    lateral v^2 k         f'' = 2 a^2 k + 2 v j k + 5 v^2 a r
+    yaw acc. a k + v^2 r  f'' = 4 j v r + 3 a^2 r
+    wheel v (1 +- b k/2)  f'' = j +- b/2 (j k + 3 a v r)
+
+Cells that the bound does not clear are bisected.
+
+Time within a cell counts from the start of its phase, and arc length from the knot before it, so that neither a long
+wait nor a long path costs digits. The cells of a phase run from event to event (its start, knots of the path, a grid),
+each in the phase and the piece of the path that are in force then; an event later in the list is in force later, also
+where two fall on the same instant. So every piece of the path has a cell, however short: where its width in time is
+none, what it asks of the drive is still looked at, and a jump of curvature within less than the resolution of time
+counts with the rate at which it jumps.
+
+A polyline is judged twice: with the curvature that it claims between its poses, and with that of its steps.
+"""
 
 from __future__ import annotations
 
+from collections import deque
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from optdock.deadline import never_late
 from optdock.path import Direction, PolylineSegment
-from optdock.verification.certificate import TrajectoryCertificate, Violation
-from optdock.verification.kept_proofs import KeptProofs
-from optdock.verification.trajectory_cells import RTOL, Instants, crossings, curved_limits
+from optdock.trajectory import constant_jerk
+from optdock.verification.certificate import TOLERANCE, Violation
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Sequence
+    from collections.abc import Callable, Iterator, Mapping, Sequence
 
-    from optdock.geometry.arrays import FloatArray
+    from optdock.geometry.arrays import FloatArray, IntArray
     from optdock.limits import MotionLimits, SpeedZone
-    from optdock.path import Path
+    from optdock.path import Path, Segment
     from optdock.trajectory import TimeLaw, Trajectory
 
-__all__ = ["certify_trajectory"]
+__all__ = ["STEP_RTOL", "trajectory_violations"]
 
-REST_TOLERANCE = 1e-6  # [m], [m/s], [m/s^2] at cusps and at the end
+REST_TOLERANCE = TOLERANCE  # [m], [m/s], [m/s^2] at cusps and at the ends
 REST_YAW_TOLERANCE = 1e-5  # [rad] at the ends: what a curvature of 10 1/m turns within `REST_TOLERANCE`
+STEP_RTOL = 0.05  # accepted excess over a limit, relative, of a polyline's step: its curvature is a difference quotient
+_MAX_WIDTH = 0.05  # [s], first cells
+_MAX_GRID = 20_000  # first cells of a long motion are wider
+_MAX_LEVELS = 22  # of bisection
+_MAX_CELLS = 1_000_000  # added by refinement; some seconds
+_BLOCK = 8_000  # cells judged in one go, some milliseconds; a deadline is looked at in between
+_BISECTIONS = 60  # leave 1e-18 of a phase
+_STEEPEST = 1e300  # [1/m^2]: a curvature rate beyond counts as this one, which no limit allows either
 
 
-def certify_trajectory(
-    trajectory: Trajectory,
-    limits: MotionLimits,
-    zone: SpeedZone,
-    *,
-    start_speed: float | None = None,
-    start_acceleration: float | None = None,
-    is_late: Callable[[], bool] = never_late,
-) -> TrajectoryCertificate:
-    """Prove that a trajectory keeps every motion limit, or name what is broken, when and by how much.
-
-    Within a step of a polyline, whose curvature is a difference quotient, 5 % beyond a limit on turning are accepted.
-
-    A proof is kept for as long as the trajectory lives, as those of paths are.
-
-    It does NOT look at clearance or at the path's own curvature bounds: see `certify_path`.
-
-    Args:
-        trajectory: The motion to judge.
-        limits: What the drive can do.
-        zone: Slow stretch at the end of the path.
-        start_speed: Speed along the travel that the motion must begin with [m/s]; None: not checked.
-        start_acceleration: Likewise [m/s^2].
-        is_late: For callers with a deadline, asked every few milliseconds. Once it is True whatever is not proven yet
-            is refused as `unproven`.
-
-    Returns:
-        The certificate; `certified` is True only if everything was proven.
-    """
-    start = (start_speed, start_acceleration)
-    return _PROOFS.verdict(
-        trajectory, (limits, zone, start), is_late, lambda asked: _judged(trajectory, limits, zone, start, asked)
-    )
-
-
-_PROOFS: KeptProofs[Trajectory, TrajectoryCertificate] = KeptProofs()
-
-
-def _judged(
+def trajectory_violations(
     trajectory: Trajectory,
     limits: MotionLimits,
     zone: SpeedZone,
     start: tuple[float | None, float | None],
     is_late: Callable[[], bool],
-) -> TrajectoryCertificate:
-    law = trajectory.time_law
-    structure = (*_coverage(trajectory), *_rest(trajectory), *_start(law, *start))
+) -> tuple[tuple[Violation, ...], dict[str, float]]:
+    """Every broken rule, and the proven ratio of each quantity to its limit; see `certify_trajectory`."""
+    path, law = trajectory.path, trajectory.time_law
+    extremes = _speed_extremes(law)
+    structure = (*_coverage(trajectory, extremes), *_rest(trajectory), *_start(law, *start))
     if any(v.kind == "coverage" for v in structure):
-        return TrajectoryCertificate(structure, {}, law.duration, trajectory.path.digest)
-    peaks = tuple(_stretch_peaks(trajectory, limits, zone))
-    bounded = [*_speed(peaks), *_rates(law, limits)]
-    ratios, curved = curved_limits(trajectory, limits, is_late)
-    plain = {violation.kind: violation for violation in bounded}
-    ratios = {**_plain_ratios(law, limits, peaks), **ratios}
-    violations = (*structure, *plain.values(), *curved)
-    return TrajectoryCertificate(violations, ratios, law.duration, trajectory.path.digest)
+        return structure, {}
+    stretches, judge = _segment_limits(path, limits, zone), _Judge(_curved_limits(limits), limits.track_width)
+    borders = stretches[:, :2].ravel()
+    with np.errstate(over="ignore", invalid="ignore"):
+        pieces = _path_pieces(path) if judge.limits else None
+        asked = borders if pieces is None else np.concatenate((borders, pieces.begin[1:]))
+        reached = _crossings(law, asked)  # one bisection for all places that are asked for
+        if pieces is not None:
+            _subdivide(_initial_cells(law, pieces, reached.rows(slice(borders.size, None))), judge, is_late)
+    peaks = tuple(_stretch_peaks(law, stretches, reached.rows(slice(borders.size)), extremes))
+    plain = {violation.kind: violation for violation in (*_speed(peaks), *_rates(law, limits))}
+    ratios = {**_plain_ratios(law, limits, peaks), **judge.ratios}
+    return (*structure, *plain.values(), *judge.violations()), ratios
 
 
-def _coverage(trajectory: Trajectory) -> Iterator[Violation]:
+def _coverage(trajectory: Trajectory, extremes: _Extremes) -> Iterator[Violation]:
     law, length = trajectory.time_law, trajectory.path.length
     for name, found, wanted in (("begins", law.states[0, 0], 0.0), ("ends", law.states[-1, 0], length)):
         if not abs(found - wanted) <= REST_TOLERANCE:
             message = f"the motion {name} at s = {found:.6g} m, not at {wanted:.6g} m"
             yield Violation("coverage", message, float(found), float(abs(found - wanted)))
     yield from _turns_beyond(trajectory)
-    slowest, at = _lowest_speed(law)
+    k = int(np.argmin(extremes.v))
+    slowest, at = float(extremes.v[k]), float(extremes.t[k])
     if slowest < -REST_TOLERANCE:
         yield Violation("coverage", f"the motion runs backwards at {-slowest:.3g} m/s, t = {at:.3f} s", 0.0, -slowest)
-    back = _distance_back(law)
+    back = _distance_back(law, extremes)
     if not back <= REST_TOLERANCE:
         yield Violation("coverage", f"the motion runs backwards by up to {back:.3g} m in all", 0.0, back)
     yield from _turns_in_place(trajectory.path)
@@ -103,8 +103,10 @@ def _coverage(trajectory: Trajectory) -> Iterator[Violation]:
 def _turns_beyond(trajectory: Trajectory) -> Iterator[Violation]:
     """What a motion leaves out at either end within the tolerance must not hold a turn."""
     law, path = trajectory.time_law, trajectory.path
-    for name, found, wanted in (("begins", law.states[0, 0], 0.0), ("ends", law.states[-1, 0], path.length)):
-        missed = abs(float(np.diff(path.poses_at([found, wanted])[:, 2])[0]))
+    ends = ("begins", law.states[0, 0], 0.0), ("ends", law.states[-1, 0], path.length)
+    yaws = path.poses_at([s for _, found, wanted in ends for s in (found, wanted)])[:, 2]
+    for (name, found, wanted), there, here in zip(ends, yaws[::2], yaws[1::2], strict=True):
+        missed = abs(float(here - there))
         if abs(found - wanted) <= REST_TOLERANCE and not missed <= REST_YAW_TOLERANCE:
             message = f"the motion {name} {missed:.3g} rad from where the path does"
             yield Violation("coverage", message, wanted, missed)
@@ -122,12 +124,12 @@ def _turns_in_place(path: Path) -> Iterator[Violation]:
                 yield Violation("coverage", message, s, turn)
 
 
-def _turning_points(law: TimeLaw) -> Instants:
+def _turning_points(law: TimeLaw) -> _Instants:
     """Where the speed of each phase is stationary, or the end of the phase nearest to that."""
     a = law.states[:-1, 2]
     with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
         dt = np.where(law.jerks != 0.0, -a / law.jerks, 0.0)
-    return Instants(np.arange(law.durations.size), np.clip(dt, 0.0, law.durations))
+    return _Instants(np.arange(law.durations.size), np.clip(dt, 0.0, law.durations))
 
 
 class _Extremes(NamedTuple):
@@ -150,18 +152,11 @@ def _speed_extremes(law: TimeLaw) -> _Extremes:
     )
 
 
-def _distance_back(law: TimeLaw) -> float:
+def _distance_back(law: TimeLaw, extremes: _Extremes) -> float:
     """Upper bound of the distance that the motion runs backwards [m]."""
-    speeds = _speed_extremes(law).v
-    borders, inside = speeds[: law.times.size], speeds[law.times.size :]
+    borders, inside = extremes.v[: law.times.size], extremes.v[law.times.size :]
     slowest = np.minimum(np.minimum(borders[:-1], borders[1:]), inside)
     return float(np.sum(law.durations * np.maximum(-slowest, 0.0)))
-
-
-def _lowest_speed(law: TimeLaw) -> tuple[float, float]:
-    found = _speed_extremes(law)
-    k = int(np.argmin(found.v))
-    return float(found.v[k]), float(found.t[k])
 
 
 def _rest(trajectory: Trajectory) -> Iterator[Violation]:
@@ -195,9 +190,8 @@ def _start(law: TimeLaw, speed: float | None, acceleration: float | None) -> Ite
             yield Violation("start_state", message, 0.0, abs(found - wanted))
 
 
-def _segment_limits(trajectory: Trajectory, limits: MotionLimits, zone: SpeedZone) -> FloatArray:
+def _segment_limits(path: Path, limits: MotionLimits, zone: SpeedZone) -> FloatArray:
     """Stretches with one speed limit: begin, end, limit. Shape (n, 3) [m, m, m/s]."""
-    path = trajectory.path
     top = {Direction.FORWARD: limits.max_speed, Direction.REVERSE: limits.max_reverse_speed}
     rows = [
         (a, b, top[segment.direction])
@@ -217,10 +211,8 @@ class _Peak(NamedTuple):
     s: float
 
 
-def _stretch_peaks(trajectory: Trajectory, limits: MotionLimits, zone: SpeedZone) -> Iterator[_Peak]:
-    law = trajectory.time_law
-    found, stretches = _speed_extremes(law), _segment_limits(trajectory, limits, zone)
-    entries = crossings(law, stretches[:, :2].ravel())
+def _stretch_peaks(law: TimeLaw, stretches: FloatArray, entries: _Instants, found: _Extremes) -> Iterator[_Peak]:
+    """The peak within every stretch, whose begins and ends the motion reaches at `entries`, in turn."""
     entry_times, entry_states = entries.times(law).reshape(-1, 2), entries.motion(law)[:, :2].reshape(-1, 2, 2)
     for (begin, end, limit), when, states in zip(stretches, entry_times, entry_states, strict=True):
         inside = (found.s >= begin) & (found.s <= end)
@@ -232,7 +224,7 @@ def _stretch_peaks(trajectory: Trajectory, limits: MotionLimits, zone: SpeedZone
 
 def _speed(peaks: Sequence[_Peak]) -> Iterator[Violation]:
     for limit, speed, t, s in peaks:
-        if not speed <= limit * (1.0 + RTOL):
+        if not speed <= limit * (1.0 + TOLERANCE):
             message = f"speed {speed:.4g} m/s at t = {t:.3f} s, s = {s:.3f} m exceeds {limit:.4g} m/s"
             yield Violation("speed", message, s, speed - limit)
 
@@ -244,7 +236,7 @@ def _rates(law: TimeLaw, limits: MotionLimits) -> Iterator[Violation]:
         ("jerk", np.abs(law.jerks), limits.max_jerk, law.states[:-1, 0]),
     ):
         k = int(np.argmax(value))
-        if not value[k] <= limit * (1.0 + RTOL):
+        if not value[k] <= limit * (1.0 + TOLERANCE):
             message = f"{kind} {value[k]:.4g} at t = {law.times[k]:.3f} s, s = {row[k]:.3f} m exceeds {limit:.4g}"
             yield Violation(kind, message, float(row[k]), float(value[k] - limit))
 
@@ -256,3 +248,264 @@ def _plain_ratios(law: TimeLaw, limits: MotionLimits, peaks: Sequence[_Peak]) ->
         "deceleration": float(np.max(-law.states[:, 2])) / limits.max_deceleration,
         "jerk": float(np.max(np.abs(law.jerks))) / limits.max_jerk,
     }
+
+
+class _Instants(NamedTuple):
+    """Moments of a motion, Shape (n,) each: the phase, and the time since its start [s]."""
+
+    phase: IntArray
+    since: FloatArray
+
+    def motion(self, law: TimeLaw) -> FloatArray:
+        """Distance, speed and acceleration, Shape (n, 3)."""
+        s, v, a = law.states[self.phase].T
+        return np.column_stack(constant_jerk(self.since, s, v, a, law.jerks[self.phase]))
+
+    def rows(self, keep: slice) -> _Instants:
+        """The moments at `keep`."""
+        return _Instants(self.phase[keep], self.since[keep])
+
+    def times(self, law: TimeLaw) -> FloatArray:
+        """The moments as times since the start of the motion, for messages. Shape (n,) [s]."""
+        times: FloatArray = law.times[self.phase] + self.since
+        return times
+
+
+def _crossings(law: TimeLaw, s: FloatArray) -> _Instants:
+    """First moments at which the distance reaches `s`, Shape (n,) [m], by bisection, as s(t) never decreases."""
+    reached = np.maximum.accumulate(law.states[:, 0])
+    phase = np.clip(np.searchsorted(reached, s, side="left") - 1, 0, law.durations.size - 1)
+    base, v, a = law.states[phase].T
+    half_a, sixth_j, wanted = a / 2.0, law.jerks[phase] / 6.0, s - base
+    low: FloatArray = np.zeros(s.size)
+    high: FloatArray = law.durations[phase]
+    for _ in range(_BISECTIONS):
+        middle = 0.5 * (low + high)
+        ahead = middle * (v + middle * (half_a + middle * sixth_j)) >= wanted
+        low, high = np.where(ahead, low, middle), np.where(ahead, middle, high)
+    return _Instants(phase, 0.5 * (low + high))
+
+
+class _Pieces(NamedTuple):
+    """Stretches of a path with a constant curvature rate, Shape (n,) each.
+
+    `begin`: arc length [m]; `first`, `last`: curvature at the ends; `rate`: its slope; `step`: the curvature of the
+    polyline's step, NaN on a clothoid.
+    """
+
+    begin: FloatArray
+    first: FloatArray
+    last: FloatArray
+    rate: FloatArray
+    step: FloatArray
+
+
+def _path_pieces(path: Path) -> _Pieces:
+    parts = [
+        _segment_pieces(segment, float(start))
+        for segment, start in zip(path.segments, path.segment_starts[:-1], strict=True)
+    ]
+    return _Pieces(*(np.concatenate(columns) for columns in zip(*parts, strict=True)))
+
+
+def _segment_pieces(segment: Segment, start: float) -> _Pieces:
+    knots, step = segment.knots, np.full(segment.knots.size - 1, np.nan)
+    curvature = segment.curvature_at(knots)
+    if isinstance(segment, PolylineSegment):
+        # Repeated poses have no length: the curvature between the poses beside them is what counts.
+        kept = np.flatnonzero(np.diff(knots, prepend=-1.0) > 0.0)
+        step = segment.step_curvature[kept[1:] - 1] / (1.0 + STEP_RTOL)
+        knots, curvature = knots[kept], curvature[kept]
+    with np.errstate(over="ignore"):
+        rate = np.clip(np.diff(curvature) / np.diff(knots), -_STEEPEST, _STEEPEST)
+    return _Pieces(start + knots[:-1], curvature[:-1], curvature[1:], rate, step)
+
+
+class _Cells(NamedTuple):
+    """Motion at the first instant of each cell, Shape (n,) each; r, j, the bounds of k and width do not change in it.
+
+    `t`: since the start of the motion, for messages [s]; `low`, `high`: curvature of the whole piece of the path.
+    """
+
+    t: FloatArray
+    width: FloatArray
+    s: FloatArray
+    v: FloatArray
+    a: FloatArray
+    j: FloatArray
+    k: FloatArray
+    r: FloatArray
+    low: FloatArray
+    high: FloatArray
+
+    def advanced(self, dt: FloatArray) -> _Cells:
+        """The motion `dt` later, by the cell's own polynomials."""
+        gain, v, a = constant_jerk(dt, np.zeros(dt.size), self.v, self.a, self.j)
+        k = np.clip(self.k + self.r * gain, self.low, self.high)
+        return self._replace(t=self.t + dt, width=self.width - dt, s=self.s + gain, v=v, a=a, k=k)
+
+    def rows(self, keep: IntArray | slice) -> _Cells:
+        """The cells at `keep`."""
+        return _Cells(*(column[keep] for column in self))
+
+    def and_also(self, more: _Cells) -> _Cells:
+        """These cells, then more."""
+        return _Cells(*(np.concatenate(columns) for columns in zip(self, more, strict=True)))
+
+    def halves(self) -> _Cells:
+        """Every cell cut in two."""
+        half = 0.5 * self.width
+        return self._replace(width=half).and_also(self.advanced(half))
+
+    def blocks(self) -> Iterator[_Cells]:
+        """The cells in groups that are judged in one go."""
+        for start in range(0, self.t.size, _BLOCK):
+            yield self.rows(slice(start, start + _BLOCK))
+
+
+def _initial_cells(law: TimeLaw, pieces: _Pieces, knots: _Instants) -> _Cells:
+    """Cells from event to event: starts of phases, knots of the path, and a grid of `_MAX_WIDTH` within each phase."""
+    phases = np.arange(law.durations.size)
+    most = max(1, _MAX_GRID // phases.size)
+    parts = np.clip(np.ceil(law.durations / _MAX_WIDTH), 1.0, most).astype(np.int64)
+    owner = np.repeat(phases, parts)
+    rank = np.arange(owner.size) - np.repeat(np.cumsum(parts) - parts, parts)  # 0 is the start of the phase
+    phase = np.concatenate((owner, knots.phase))
+    since = np.concatenate((law.durations[owner] * rank / parts[owner], knots.since))
+    kind = np.concatenate((np.where(rank == 0, 0, -1), np.arange(1, knots.phase.size + 1)))
+    order = np.lexsort((kind, since, phase))
+    phase, since, kind = phase[order], since[order], kind[order]
+    piece = np.cumsum(kind > 0)
+    at_knot = kind > 0
+    # Rounding may swap knots of one instant; the order along the path is the one that holds.
+    begins = pieces.begin[piece]
+    end = np.append(since[1:], 0.0)
+    is_last = np.append(phase[1:] != phase[:-1], True)
+    width = np.where(is_last, law.durations[phase], end) - since
+    s, v, a = _Instants(phase, since).motion(law).T
+    s = np.where(at_knot, begins, s)
+    first, last, rate = pieces.first[piece], pieces.last[piece], pieces.rate[piece]
+    low, high = np.minimum(first, last), np.maximum(first, last)
+    k = np.where(at_knot, first, np.clip(first + rate * (s - begins), low, high))
+    cells = _Cells(law.times[phase] + since, width, s, v, a, law.jerks[phase], k, rate, low, high)
+    # A polyline once more, turning as its steps do: their curvature is constant, not that between poses.
+    step = pieces.step[piece]
+    turning = cells._replace(k=step, r=np.zeros(step.size), low=step, high=step)
+    return cells.and_also(turning.rows(np.flatnonzero(np.isfinite(step))))
+
+
+def _quantities(cells: _Cells, track: float) -> Mapping[str, FloatArray]:
+    v, a, k, r = cells.v, cells.a, cells.k, cells.r
+    return {
+        "yaw_rate": np.abs(v * k),
+        "lateral_acceleration": v * v * np.abs(k),
+        "yaw_acceleration": np.abs(a * k + v * v * r),
+        "wheel_speed": np.abs(v) * (1.0 + 0.5 * track * np.abs(k)),
+    }
+
+
+def _bend(first: _Cells, last: _Cells, track: float) -> Mapping[str, FloatArray]:
+    """Bounds of |f''| over each cell."""
+    # Speed is a parabola with second derivative j: it leaves the chord by at most |j| width^2 / 8.
+    v = np.maximum(np.abs(first.v), np.abs(last.v)) + np.abs(first.j) * first.width**2 / 8.0
+    a = np.maximum(np.abs(first.a), np.abs(last.a))
+    k = np.maximum(np.abs(first.k), np.abs(last.k))
+    j, r = np.abs(first.j), np.abs(first.r)
+    yaw_rate = j * k + 3.0 * a * v * r
+    return {
+        "yaw_rate": yaw_rate,
+        "lateral_acceleration": 2.0 * a * a * k + 2.0 * v * j * k + 5.0 * v * v * a * r,
+        "yaw_acceleration": 4.0 * j * v * r + 3.0 * a * a * r,
+        "wheel_speed": j + 0.5 * track * yaw_rate,
+    }
+
+
+def _curved_limits(limits: MotionLimits) -> dict[str, float]:
+    """The limits that depend on curvature, where there are any."""
+    bounds = {
+        "yaw_rate": limits.max_yaw_rate,
+        "lateral_acceleration": limits.max_lateral_acceleration,
+        "yaw_acceleration": limits.max_yaw_acceleration,
+        "wheel_speed": limits.max_wheel_speed,
+    }
+    return {kind: limit for kind, limit in bounds.items() if np.isfinite(limit)}
+
+
+def _subdivide(first: _Cells, judge: _Judge, is_late: Callable[[], bool]) -> None:
+    """Judge cells, and bisect those that are neither cleared nor broken.
+
+    Cells that are not cleared when `is_late()` turns true, or when there have been too many, are `unproven`; the
+    ratios are infinite then.
+    """
+    waiting = deque((0, block) for block in first.blocks())
+    added = 0
+    while waiting:
+        level, cells = waiting.popleft()
+        if is_late():
+            judge.give_up(cells)
+            break
+        open_cells = judge.look_at(cells)
+        if open_cells.size == 0:
+            continue
+        rest = cells.rows(open_cells)
+        if level == _MAX_LEVELS or added > _MAX_CELLS:
+            judge.give_up(rest)
+            continue
+        halves = rest.halves()
+        added += halves.t.size
+        waiting.extend((level + 1, block) for block in halves.blocks())
+
+
+class _Judge:
+    """Looks at cells and keeps the worst of each quantity."""
+
+    def __init__(self, limits: Mapping[str, float], track: float) -> None:
+        self.limits, self.track = limits, track
+        self.ratios = dict.fromkeys(limits, 0.0)
+        self.found: dict[str, Violation] = {}
+
+    def look_at(self, cells: _Cells) -> IntArray:
+        """Judge cells; the rows of those that are neither cleared nor broken."""
+        last = cells.advanced(cells.width)
+        at_ends = (_quantities(cells, self.track), _quantities(last, self.track))
+        bend = _bend(cells, last, self.track)
+        open_cells = np.zeros(cells.t.size, dtype=np.bool_)
+        for kind, limit in self.limits.items():
+            # What is no number proves nothing: it counts as infinite where it arises.
+            seen = np.nan_to_num(np.maximum(at_ends[0][kind], at_ends[1][kind]), nan=np.inf, posinf=np.inf)
+            stray = np.where(cells.width > 0.0, bend[kind] * cells.width**2 / 8.0, 0.0)
+            proven = np.nan_to_num(seen + stray, nan=np.inf, posinf=np.inf)
+            broken = seen > limit * (1.0 + TOLERANCE)
+            cleared = proven <= limit * (1.0 + TOLERANCE)
+            self._raise_ratio(kind, float(np.max(np.where(cleared, proven, seen), initial=0.0)))
+            if broken.any():
+                ends = (cells, at_ends[0][kind]), (last, at_ends[1][kind])
+                worst = int(np.argmax(np.where(broken, seen, -1.0)))
+                self._note(kind, max((_exceeded(kind, limit, *end, worst) for end in ends), key=lambda one: one.amount))
+            open_cells |= ~cleared & ~broken
+        return np.flatnonzero(open_cells)
+
+    def give_up(self, cells: _Cells) -> None:
+        """Nothing is known of these cells."""
+        for kind in self.limits:
+            self._raise_ratio(kind, np.inf)
+        k = int(np.argmin(cells.t))
+        message = f"the limits on turning near t = {cells.t[k]:.3f} s, s = {cells.s[k]:.3f} m are not proven"
+        self._note("unproven", Violation("unproven", message, float(cells.s[k]), np.inf))
+
+    def violations(self) -> Iterator[Violation]:
+        """The worst of each quantity that breaks its limit, and of what is not proven."""
+        return (self.found[kind] for kind in (*self.limits, "unproven") if kind in self.found)
+
+    def _raise_ratio(self, kind: str, value: float) -> None:
+        self.ratios[kind] = max(self.ratios[kind], value / self.limits[kind])
+
+    def _note(self, kind: str, violation: Violation) -> None:
+        if kind not in self.found or violation.amount > self.found[kind].amount:
+            self.found[kind] = violation
+
+
+def _exceeded(kind: str, limit: float, cells: _Cells, value: FloatArray, k: int) -> Violation:
+    name, found = kind.replace("_", " "), float(np.nan_to_num(value[k], nan=np.inf, posinf=np.inf))
+    message = f"{name} {found:.5g} at t = {cells.t[k]:.3f} s, s = {cells.s[k]:.3f} m exceeds {limit:.5g}"
+    return Violation(kind, message, float(cells.s[k]), max(found - limit, 0.0))

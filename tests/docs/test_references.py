@@ -121,6 +121,13 @@ def test_the_map_has_every_module_once():
     assert sorted(shown) == [path.relative_to(ROOT) for path in CODE]
 
 
+def test_the_index_of_the_map_names_what_exists():
+    rows = re.findall(r"^\| [^|]+ \| `([\w/]+\.py)`: ([^|]+) \|$", (DOCS / "map.md").read_text(), re.MULTILINE)
+    assert len(rows) > 50
+    missing = {path: set(re.findall(r"`(\w+)`", names)) - defined_names(path) for path, names in rows}
+    assert {path: names for path, names in missing.items() if names} == {}
+
+
 def test_every_module_says_in_its_first_line_what_it_is():
     first = {path: (ast.get_docstring(parsed(path)) or "").split("\n")[0] for path in CODE}
     assert [path.name for path, line in first.items() if not line.endswith(".") and path.name != "__init__.py"] == []

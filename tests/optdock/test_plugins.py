@@ -10,7 +10,7 @@ from pydantic import Field
 from optdock.errors import InvalidValue, LifecycleError, PluginError
 from optdock.interfaces import GoalChecker, LifecycleState, Smoother, Tolerances
 from optdock.lifecycle import Plugin, PluginContext
-from optdock.parameters import PluginParameters
+from optdock.parameters import PluginParameters, parse_parameters
 from optdock.plugins import INTERFACES, available_plugins, create_plugin, load_plugin
 
 
@@ -38,6 +38,22 @@ class Near(GoalChecker):
     def on_configure(self):
         if self.context.name == "broken":
             raise InvalidValue("cannot be configured")
+
+
+class ListedParameters(PluginParameters):
+    names: list[str] = Field(default_factory=list)
+
+
+def test_equal_parameters_are_checked_once_and_those_that_can_be_written_into_are_nobody_elses():
+    values = {"tolerance": 0.2, "cycles": 4}
+    first = parse_parameters(NearParameters, values, "Near")
+    assert parse_parameters(NearParameters, dict(values), "Near") is first
+    assert parse_parameters(NearParameters, {"tolerance": 0.2, "cycles": 5}, "Near").cycles == 5
+    with pytest.raises(InvalidValue, match="cycles: must be a number"):
+        parse_parameters(NearParameters, {"tolerance": 0.2, "cycles": True}, "Near")
+    mine, other = (parse_parameters(ListedParameters, {}, "Listed") for _ in range(2))
+    mine.names.append("mine")
+    assert other.names == parse_parameters(ListedParameters, {}, "Listed").names == []
 
 
 def test_parameters_have_defaults_and_are_checked_all_at_once():

@@ -14,23 +14,23 @@ from optdock.obstacles import ObstacleSet
 from optdock.path import Path
 from optdock.problem import ClearanceRule, DockingProblem
 from optdock.robot import Robot
-from smoothers._ck.layout import layout_for
-from smoothers._ck.rollout import Variables
+from smoothers.scp.basis import basis_for
+from smoothers.scp.rollout import Variables
 
 FORWARD_TWICE = ((6, 2), (5, 3))
 L_SHAPE = np.array([[0.5, 0.3], [0.1, 0.3], [0.1, 0.5], [-0.4, 0.5], [-0.4, -0.3], [0.5, -0.3]])
 
 
-def random_variables(layout, rng, bend=1.0):
-    curvature = rng.uniform(-bend, bend, layout.num_knots)
-    return Variables(curvature, rng.uniform(0.8, 2.0, layout.num_gears))
+def random_variables(basis, rng, bend=1.0):
+    curvature = rng.uniform(-bend, bend, basis.num_knots)
+    return Variables(curvature, rng.uniform(0.8, 2.0, basis.num_gears))
 
 
 def random_path(seed, shape=FORWARD_TWICE, signs=(1.0, -1.0)):
     rng = np.random.default_rng(seed)
-    layout = layout_for(shape)
+    basis = basis_for(shape)
     start = np.array([*rng.uniform(-1.0, 1.0, 2), rng.uniform(-3.0, 3.0)])
-    return layout, random_variables(layout, rng), start, np.array(signs)
+    return basis, random_variables(basis, rng), start, np.array(signs)
 
 
 def open_problem(goal, *, obstacles=(), footprint=None, start=None, start_curvature=None, **limits):

@@ -10,8 +10,8 @@ from optdock.errors import InvalidPath, InvalidValue, SmootherCancelled, Smoothe
 from optdock.interfaces import PluginContext, Smoother
 from optdock.path import Direction, Path, PolylineSegment
 from optdock.plugins import create_plugin
-from smoothers._nav2_poses import poses_of
-from smoothers.savitzky_golay import SavitzkyGolaySmoother, savitzky_golay_weights
+from smoothers.nav2.pieces import poses_of
+from smoothers.nav2.savitzky_golay import SavitzkyGolaySmoother, savitzky_golay_weights
 
 COUNT = 25
 

@@ -13,8 +13,8 @@ from optdock.geometry.pose import Pose2
 from optdock.interfaces import PluginContext, Smoother
 from optdock.path import Direction, Path, PolylineSegment
 from optdock.plugins import create_plugin
-from smoothers._nav2_poses import poses_of
-from smoothers.simple import SimpleSmoother, _Sweep
+from smoothers.nav2.pieces import poses_of
+from smoothers.nav2.simple import SimpleSmoother, _Sweep
 
 IRREGULAR = np.array([0.0, 0.1, 0.2, 0.35, 0.4, 0.56, 0.9, 0.95, 1.3, 2.0, 2.5])
 

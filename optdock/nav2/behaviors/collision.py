@@ -9,7 +9,7 @@ import numpy as np
 
 from optdock.errors import BehaviorException
 from optdock.interfaces import CostmapInfoType
-from optdock.verification.sweep import free_motion
+from optdock.verification.time_of_impact import free_motion
 
 if TYPE_CHECKING:
     from optdock.geometry.footprint import Footprint

@@ -11,12 +11,13 @@ from optdock.dock import Dock
 from optdock.geometry.clothoid import ClothoidSpline
 from optdock.geometry.footprint import Footprint
 from optdock.geometry.pose import Pose2
-from optdock.limits import MotionLimits
+from optdock.limits import MotionLimits, SpeedZone
 from optdock.obstacles import ObstacleSet
 from optdock.path import ClothoidSegment, Path
 from optdock.problem import ClearanceRule, DockingProblem
 from optdock.robot import Robot
-from optdock.verification import certify, certify_path
+from optdock.trajectory import TimeLaw, Trajectory
+from optdock.verification import certify, certify_path, certify_trajectory
 
 BESIDE = ObstacleSet.from_polygons([[[1.0, 0.3001], [2.0, 0.3001], [2.0, 1.0], [1.0, 1.0]]])
 ROBOT = Robot(Footprint.rectangle(0.4, 0.4, 0.6), MotionLimits())
@@ -86,3 +87,37 @@ def test_a_certified_proof_that_was_cut_short_serves_who_is_in_a_hurry(proofs):
     assert whole.min_clearance > hurried.min_clearance + 0.001
     assert certify_path(path, task, is_late=lambda: True) is whole
     assert len(proofs) == 2
+
+
+def from_rest_to_rest():
+    """Over the three metres, with a quarter of a metre per second in the middle."""
+    return TimeLaw(np.full(4, 6.0), 3.0 / 432.0 * np.array([1.0, -1.0, -1.0, 1.0]))
+
+
+@pytest.fixture
+def motions(monkeypatch):
+    made, real = [], certify.trajectory_violations
+    monkeypatch.setattr(certify, "trajectory_violations", lambda *arguments: made.append(1) or real(*arguments))
+    return made
+
+
+def test_a_motion_is_proven_once_per_path_time_law_and_limits(motions):
+    path, law, limits = straight(), from_rest_to_rest(), MotionLimits()
+    there = certify_trajectory(Trajectory(path, law), limits, SpeedZone())
+    assert certify_trajectory(Trajectory(path, law, problem(path).fingerprint), limits, SpeedZone()) is there
+    assert len(motions) == 1
+    elsewhere = certify_trajectory(Trajectory(Path(path.segments), law), limits, SpeedZone())
+    slower = certify_trajectory(Trajectory(path, law), MotionLimits(max_speed=0.2), SpeedZone())
+    started = certify_trajectory(Trajectory(path, law), limits, SpeedZone(), start_speed=0.1)
+    found = [[violation.kind for violation in one.violations] for one in (there, elsewhere, slower, started)]
+    assert found == [[], [], ["speed"], ["start_state"]]
+    assert len(motions) == 4
+
+
+def test_no_motion_is_kept_alive():
+    motion = Trajectory(straight(), from_rest_to_rest())
+    certify_trajectory(motion, MotionLimits(), SpeedZone())
+    gone = weakref.ref(motion.path), weakref.ref(motion.time_law)
+    del motion
+    gc.collect()
+    assert [one() for one in gone] == [None, None]

@@ -1,0 +1,466 @@
+"""Conservative advancement: the proof of clearance for every point of a path.
+
+Where a pose keeps a distance, bounds of the motion say how far the robot may advance from it before that distance can
+be spent ([Mirtich1996]). Here the advance is of second order. Let n be the axis that attains the exact distance d of
+the footprint at u0 to an obstacle. A fixed axis is a valid lower bound at every other u as well, and along n every
+footprint vertex v moves by at least `n.v'(u0) du - M du^2 / 2`, M a bound of its acceleration (`motion_bounds`). So at
+u0 + du the distance is at least
+
+    d + min_v (n.v + n.v' du) - min_v n.v - M du^2 / 2                                    (*)
+
+which is concave in du: over a stretch it is smallest at one of the two ends. Motion along a wall costs nothing, as
+n.v' = 0 there; first-order advancement, which knows no direction, would have to creep.
+
+The path is subdivided into cells. A cell is cleared when its first half is cleared by the advance from its first pose
+and its last half by the advance back from its last pose; a cell that is not is bisected, until it is cleared, a pose in
+it breaks the rule, or it is given up, which counts as broken. The minimum that is reported is found by branch and
+bound: cells whose lower bound is well below the smallest clearance of a pose so far are bisected further.
+
+Cells that are cleared by the tolerance only are proven a second time: there nothing may lie deep inside anything
+(`contact_tolerance`).
+"""
+
+from __future__ import annotations
+
+import functools
+from collections import deque
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+from optdock.deadline import never_late
+from optdock.geometry.separation import separation
+from optdock.verification.certificate import SHARPNESS, TOLERANCE
+from optdock.verification.contact_tolerance import DEPTH, deep_pairs
+from optdock.verification.motion_bounds import Cells, PathMotion
+from optdock.verification.proximity import bounded, bounded_footprint, broad_phase, pose_clearances
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from optdock.geometry.arrays import BoolArray, FloatArray, IntArray
+    from optdock.geometry.pose import Pose2
+    from optdock.geometry.separation import ConvexBody
+    from optdock.obstacles import ObstacleSet
+    from optdock.path import Path
+    from optdock.problem import DockingProblem
+    from optdock.verification.motion_bounds import CellEnds, CellMotion, Nodes
+    from optdock.verification.proximity import BoundedBody
+
+__all__ = ["AdvanceBounds", "Advances", "ClearanceProof", "advance_bounds", "prove_clearance"]
+
+_BLOCK = 4000  # cells looked at in one go, some milliseconds; a deadline is looked at in between
+_MAX_STEP = 0.08  # [m], first cells
+_MOST_FIRST = 100_000  # of them; on paths beyond 8 km they are longer
+_MAX_LEVELS = 24  # of bisection
+_CHEAP = 48  # cells: a round of fewer takes hardly less time, so few open ones are cut into many parts at once
+_MAX_POSES = 60_000  # added by refinement
+_WORTHWHILE = 0.7  # of the obstacles: where more are near, leaving out the rest costs more than it saves
+_CROP = 1.0  # [m]: obstacles further from the swept area than this are looked at only when nothing is as near
+_MAX_PAIRS = 200_000  # of an advance and an obstacle looked at in one go; bounds memory and time
+_MAX_CORNERS = 50_000  # of a body and an obstacle, met at all advances looked at in one go; likewise
+
+
+class ClearanceProof(NamedTuple):
+    """What the proof found.
+
+    `proven`: lower bound of the clearance, everywhere on the path; with violations the smallest clearance among them.
+    `at_s`, `required`, `row`: where that is, what was required there, which obstacle (-1: none). `margin`: lower bound
+    of clearance - required, likewise. `violations`: (s, clearance, required, row, x, y, yaw) of poses that break the
+    rule, Shape (n, 7). `unproven`: (s, bound - required) of cells given up, Shape (m, 2). `poses`: poses looked at.
+    """
+
+    proven: float
+    at_s: float
+    required: float
+    row: int
+    margin: float
+    violations: FloatArray
+    unproven: FloatArray
+    poses: int
+
+
+class _Round(NamedTuple):
+    """One round over a set of cells.
+
+    Per cell: lower bound, requirement, obstacle row, place. Over all: violating poses, smallest clearance of a pose.
+    """
+
+    bound: FloatArray
+    required: FloatArray
+    row: IntArray
+    s: FloatArray
+    violations: FloatArray
+    attained: float
+
+    def settled(self, keep: BoolArray | IntArray) -> FloatArray:
+        """Bound, place, requirement and row of the cells at `keep`, Shape (n, 4)."""
+        table: FloatArray = np.column_stack((self.bound, self.s, self.required, self.row.astype(np.float64)))[keep]
+        return table
+
+
+def prove_clearance(path: Path, problem: DockingProblem, is_late: Callable[[], bool] = never_late) -> ClearanceProof:
+    """Prove the clearance rule of `problem` for every point of `path`, or find the poses that break it.
+
+    Args:
+        path: The path to judge.
+        problem: What must hold.
+        is_late: Polled after every round of cells. Once it is True what is proven counts, the minimum is sharpened no
+            further, and cells that are still open are given up.
+    """
+    footprint, obstacles = problem.robot.footprint, problem.all_obstacles
+    if len(obstacles) == 0:
+        nothing = np.zeros((0, 7))
+        return ClearanceProof(np.inf, 0.0, problem.clearance.required, -1, np.inf, nothing, nothing[:, :2], 0)
+    ends = np.stack((problem.start.as_array(), path.end.as_array()))
+    clearances, _ = pose_clearances(ends, footprint, obstacles)
+    start_clearance, attained = float(clearances[0]), float(clearances.min())
+    motion = PathMotion(path)
+    subdivision = _Subdivision(motion, problem, start_clearance, attained, _CROP, is_late)
+    near = subdivision.run()
+    if near.proven <= _CROP or len(subdivision.near) == len(obstacles):
+        return near
+    # What was left out is at least `_CROP` away: it cannot break the rule, but it may hold the minimum.
+    if is_late():
+        margin = min(near.margin, _CROP - problem.clearance.required)
+        return near._replace(proven=min(near.proven, _CROP), margin=margin)
+    return _Subdivision(motion, problem, start_clearance, attained, np.inf, is_late).run()
+
+
+class _Subdivision:
+    """Cells of one path, bisected round by round: the fixed inputs of a proof, and its counters.
+
+    Args:
+        motion: The path as cells.
+        problem: What must hold.
+        start_clearance: Clearance of the start pose [m].
+        attained: Smallest clearance of a pose on the path so far [m].
+        crop: Obstacles further from the swept area are left out [m].
+        is_late: See `prove_clearance`.
+    """
+
+    def __init__(
+        self,
+        motion: PathMotion,
+        problem: DockingProblem,
+        start_clearance: float,
+        attained: float,
+        crop: float,
+        is_late: Callable[[], bool],
+    ) -> None:
+        self.motion, self.problem, self.start_clearance = motion, problem, start_clearance
+        self.attained, self.is_late = attained, is_late
+        self.step = max(_MAX_STEP, motion.path.length / _MOST_FIRST)
+        self.poses = 0
+        # At the goal the path often has just what is required: a last cell of full length would need a second round.
+        self.cells = motion.cells(self.step).last_halved()
+        self.ends = self._ends(self.cells)
+        self.near, self.original = self._crop(self.ends[1], crop)
+
+    def run(self) -> ClearanceProof:
+        """Rounds of cells until each is proven, violated or given up."""
+        budget = _MAX_POSES + self.cells.first.size
+        settled: list[FloatArray] = []
+        violations: list[FloatArray] = []
+        forgiven: list[Cells] = []
+        given_up: list[FloatArray] = [np.zeros((0, 4))]
+        waiting = deque((0, block) for block in self.cells.blocks(_BLOCK))
+        while waiting:
+            level, cells = waiting.popleft()
+            ends, nodes = self.ends if cells is self.cells else self._ends(cells)
+            if settled and level == 0 and self.is_late():
+                given_up.append(_unknown(nodes.s[ends.first]))  # of a long path this was not begun with
+                continue
+            result = self._round(cells, ends, nodes)
+            self.attained = min(self.attained, result.attained)
+            is_last = level >= _MAX_LEVELS or self.poses > budget or self.is_late()
+            sharp = result.bound >= self.attained - SHARPNESS
+            proven = (result.bound >= result.required - TOLERANCE) & (sharp | is_last)
+            violations.append(result.violations)
+            settled.append(result.settled(proven))
+            if np.any(touching := proven & (result.bound < 0.0)):
+                forgiven.append(cells.rows(np.flatnonzero(touching)))
+            open_cells = np.flatnonzero(~(proven | self._touches_violation(ends, nodes, result)))
+            if open_cells.size and is_last:
+                given_up.append(result.settled(open_cells))
+            elif open_cells.size:
+                halvings = max(1, int(np.log2(_CHEAP / open_cells.size)))
+                finer = cells.rows(open_cells).cut(2**halvings)
+                waiting.extend((level + halvings, block) for block in finer.blocks(_BLOCK))
+        if forgiven and not sum(map(len, violations)):
+            deep = self._prove_contact(Cells(*map(np.concatenate, zip(*forgiven, strict=True))))
+            for rows, more in zip((violations, given_up), deep, strict=True):
+                rows.append(more)
+        return self._summary(np.concatenate(settled), np.concatenate(violations), np.concatenate(given_up))
+
+    def _prove_contact(self, cells: Cells) -> tuple[FloatArray, FloatArray]:
+        """Poses at which something lies deep inside something, and what cannot be proven; as `run` collects them."""
+        robot = self.problem.robot.footprint
+        at = self._ends(cells)[1].poses[:, :2]
+        reach = robot.circumscribed_radius + self.step
+        pairs = deep_pairs(robot, self.near, at.min(axis=0) - reach, at.max(axis=0) + reach)
+        found = [self._apart(bounded(bodies), rocks, cells) for bodies, rocks in pairs]
+        violations, given_up = zip(*found, strict=True) if found else ((), ())
+        return np.concatenate((np.zeros((0, 7)), *violations)), np.concatenate((np.zeros((0, 4)), *given_up))
+
+    def _apart(
+        self, bodies: tuple[BoundedBody, ...], rocks: ObstacleSet, cells: Cells
+    ) -> tuple[FloatArray, FloatArray]:
+        """Prove that bodies and obstacles share no interior in any of the cells."""
+        level, budget = 0, self.poses + _MAX_POSES
+        while True:
+            ends, nodes = self._ends(cells)
+            self.poses += nodes.s.size
+            bounds = self.motion.bounds(cells, nodes.poses[ends.first], nodes.poses[ends.last])
+            n = cells.first.size
+            found = advance_bounds(bodies, _from_both_ends(nodes, ends, bounds), rocks, np.zeros(2 * n), self.is_late)
+            bound = np.minimum(found.bound[:n], found.bound[n:])
+            bad = np.flatnonzero(found.distance < 0.0)
+            if bad.size:
+                k = bad[np.argmin(found.distance[bad])]
+                return self._deep_violation(nodes, int(found.pose[k]), float(found.distance[k])), np.zeros((0, 4))
+            open_cells = np.flatnonzero(~(bound >= 0.0))
+            if open_cells.size == 0:
+                return np.zeros((0, 7)), np.zeros((0, 4))
+            if level >= _MAX_LEVELS or self.poses > budget or self.is_late():
+                s = nodes.s[ends.first[open_cells]]
+                return np.zeros((0, 7)), np.column_stack((bound[open_cells] - DEPTH, s, 0.0 * s, 0.0 * s))
+            halvings = max(1, int(np.log2(_CHEAP / open_cells.size)))
+            cells, level = cells.rows(open_cells).cut(2**halvings), level + halvings
+
+    def _deep_violation(self, nodes: Nodes, at: int, distance: float) -> FloatArray:
+        """The pose as `ClearanceProof.violations` has it, with the obstacle piece that is nearest by itself."""
+        pose = nodes.poses[at]
+        _, row = pose_clearances(pose[None], self.problem.robot.footprint, self.near)
+        return np.array([[nodes.s[at], distance - DEPTH, 0.0, row[0], *pose]])
+
+    def _ends(self, cells: Cells) -> tuple[CellEnds, Nodes]:
+        ends = cells.ends()
+        return ends, self.motion.nodes(ends.segment, ends.u)
+
+    def _crop(self, nodes: Nodes, crop: float) -> tuple[ObstacleSet, IntArray]:
+        """The obstacles near the swept area, or all of them where none is near; and their rows in the problem."""
+        everything = self.problem.all_obstacles
+        at = nodes.poses[:, :2]  # a cell strays from its chord by less than its length
+        reach = self.problem.robot.footprint.circumscribed_radius + self.step + crop + self.problem.clearance.required
+        rows = everything.rows_in_box(at.min(axis=0) - reach, at.max(axis=0) + reach)
+        if rows.size == 0 or rows.size > _WORTHWHILE * len(everything):
+            return everything, np.arange(len(everything))
+        return everything.subset(rows), rows
+
+    def _touches_violation(self, ends: CellEnds, nodes: Nodes, result: _Round) -> BoolArray:
+        """Cells that hold a violating pose: no refinement can prove them."""
+        if len(result.violations) == 0:
+            return np.zeros(ends.first.size, dtype=bool)
+        low, high = nodes.s[ends.first], nodes.s[ends.last]
+        s = np.sort(result.violations[:, 0])
+        touched: BoolArray = np.searchsorted(s, low - 1e-9) < np.searchsorted(s, high + 1e-9, side="right")
+        return touched
+
+    def _round(self, cells: Cells, ends: CellEnds, nodes: Nodes) -> _Round:
+        bounds = self.motion.bounds(cells, nodes.poses[ends.first], nodes.poses[ends.last])
+        n = cells.first.size
+        self.poses += nodes.s.size
+        distances = self._distances(nodes)
+        required = self._required_in_cells(distances, ends, bounds)
+        exact_within = np.tile(np.maximum(required, self.attained), 2)
+        advances = _from_both_ends(nodes, ends, bounds)
+        bodies = bounded_footprint(self.problem.robot.footprint)
+        found = advance_bounds(bodies, advances, self.near, exact_within, self.is_late)
+        earlier = found.bound[:n] <= found.bound[n:]
+        pick = np.where(earlier, np.arange(n), np.arange(n) + n)
+        violations = self._violations(nodes, found, self._required(*distances))
+        attained = float(np.min(found.distance, initial=np.inf))
+        place = nodes.s[advances.pose[pick]]
+        return _Round(found.bound[pick], required, found.row[pick], place, violations, attained)
+
+    def _violations(self, nodes: Nodes, found: AdvanceBounds, required: FloatArray) -> FloatArray:
+        """Poses looked at exactly that break the rule, Shape (m, 7), see `ClearanceProof`."""
+        bad = np.flatnonzero(found.distance < required[found.pose] - TOLERANCE)
+        at = found.pose[bad]
+        columns = (nodes.s[at], found.distance[bad], required[at], 1.0 * found.obstacle[bad])
+        return np.column_stack((*columns, nodes.poses[at]))
+
+    def _required_in_cells(
+        self, distances: tuple[FloatArray, FloatArray], ends: CellEnds, bounds: CellMotion
+    ) -> FloatArray:
+        """Largest requirement within each cell: distance to a fixed point is convex along the chord."""
+        sag = bounds.bend * bounds.width**2 / 8.0
+        from_goal, from_start = (np.maximum(d[ends.first], d[ends.last]) + sag for d in distances)
+        return self._required(from_goal, from_start)
+
+    def _required(self, from_goal: FloatArray, from_start: FloatArray) -> FloatArray:
+        return self.problem.clearance.required_at(from_goal, from_start, self.start_clearance)
+
+    def _distances(self, nodes: Nodes) -> tuple[FloatArray, FloatArray]:
+        """Distances from the goal and from the start, Shape (n,) [m] each."""
+        return _distance(nodes, self.problem.goal), _distance(nodes, self.problem.start)
+
+    def _summary(self, settled: FloatArray, violations: FloatArray, given_up: FloatArray) -> ClearanceProof:
+        worst = violations[:, [1, 0, 2, 3]] if len(violations) else np.concatenate((settled, given_up))
+        unproven = np.column_stack((given_up[:, 1], given_up[:, 0] - given_up[:, 2]))
+        violations = violations.copy()
+        violations[:, 3] = self.original[violations[:, 3].astype(np.int64)]
+        proven, s, required, row = (float(value) for value in worst[np.argmin(worst[:, 0])])
+        margin = float(np.min(worst[:, 0] - worst[:, 2]))
+        return ClearanceProof(
+            proven, s, required, int(self.original[int(row)]), margin, violations, unproven, self.poses
+        )
+
+
+def _unknown(s: FloatArray) -> FloatArray:
+    """Rows of cells of which nothing is known, as `_Round.settled` has them."""
+    return np.column_stack((np.full(s.size, -np.inf), s, 0.0 * s, 0.0 * s))
+
+
+def _distance(nodes: Nodes, point: Pose2) -> FloatArray:
+    distance: FloatArray = np.hypot(nodes.poses[:, 0] - point.x, nodes.poses[:, 1] - point.y)
+    return distance
+
+
+def _from_both_ends(nodes: Nodes, ends: CellEnds, bounds: CellMotion) -> Advances:
+    """Over the first half of every cell from its first pose, then back over the last half from its last pose."""
+    velocity = np.concatenate((bounds.velocity_first, -bounds.velocity_last))
+    columns = (0.5 * bounds.width, bounds.speed, bounds.turn, bounds.bend, bounds.twist)
+    pose = np.concatenate((ends.first, ends.last))
+    return Advances(nodes.poses, pose, velocity, *(np.tile(column, 2) for column in columns))
+
+
+class Advances(NamedTuple):
+    """Stretches of motion that begin at known poses; n of them at k poses, as neighbours share theirs.
+
+    `poses`: Shape (k, 3). `pose`: where each begins, Shape (n,). `velocity`: d pose / du there, into the stretch,
+    Shape (n, 3). The others Shape (n,): `width` in u; bounds within the cell of |p'| `speed`, |yaw'| `turn`, |p''|
+    `bend`, |yaw''| + yaw'^2 `twist`.
+    """
+
+    poses: FloatArray
+    pose: IntArray
+    velocity: FloatArray
+    width: FloatArray
+    speed: FloatArray
+    turn: FloatArray
+    bend: FloatArray
+    twist: FloatArray
+
+    def rows(self, keep: slice) -> tuple[Advances, IntArray]:
+        """The stretches at `keep`, and which of the poses they still hold."""
+        used, pose = np.unique(self.pose[keep], return_inverse=True)
+        return Advances(self.poses[used], pose, *(column[keep] for column in self[2:])), used
+
+
+class AdvanceBounds(NamedTuple):
+    """Lower bound [m] and nearest obstacle row of every stretch, Shape (n,), and what was looked at exactly.
+
+    `pose`, `obstacle`, `distance`: pose index, obstacle row, signed distance [m], Shape (m,) each.
+    """
+
+    bound: FloatArray
+    row: IntArray
+    pose: IntArray
+    obstacle: IntArray
+    distance: FloatArray
+
+    def merged(self, other: AdvanceBounds) -> AdvanceBounds:
+        """The smaller bound of the two, and both lists of poses."""
+        mine = self.bound <= other.bound
+        return AdvanceBounds(
+            np.where(mine, self.bound, other.bound),
+            np.where(mine, self.row, other.row),
+            np.concatenate((self.pose, other.pose)),
+            np.concatenate((self.obstacle, other.obstacle)),
+            np.concatenate((self.distance, other.distance)),
+        )
+
+
+def advance_bounds(
+    bodies: tuple[BoundedBody, ...],
+    advances: Advances,
+    obstacles: ObstacleSet,
+    exact_within: FloatArray,
+    is_late: Callable[[], bool] = never_late,
+) -> AdvanceBounds:
+    """Lower bounds of the clearance over stretches of motion, by (*).
+
+    Args:
+        bodies: What moves as one, at least one.
+        advances: Where it moves.
+        obstacles: At least one.
+        exact_within: Shape (n,) [m]: what may come closer than this is left to the narrow phase; the broad phase
+            bounds the rest.
+        is_late: Asked between blocks of some milliseconds; once it is true, bounds not begun with are -inf.
+    """
+    n = advances.width.size
+    corners = max(len(one.body.vertices) for one in bodies) + obstacles.vertices.shape[1]
+    block = max(1, min(_MAX_PAIRS // len(obstacles), _MAX_CORNERS // corners))
+    if n <= block:
+        parts: list[AdvanceBounds] = []
+        for body in bodies:
+            if parts and is_late():
+                return functools.reduce(AdvanceBounds.merged, [*parts, _nothing_known(n)])
+            parts.append(_body_bounds(body, advances, obstacles, exact_within))
+        return functools.reduce(AdvanceBounds.merged, parts)
+    blocks: list[AdvanceBounds] = []
+    for rows in (slice(start, start + block) for start in range(0, n, block)):
+        if blocks and is_late():
+            blocks.append(_nothing_known(n - rows.start))
+            break
+        some, used = advances.rows(rows)
+        found = advance_bounds(bodies, some, obstacles, exact_within[rows], is_late)
+        blocks.append(found._replace(pose=used[found.pose]))
+    return AdvanceBounds(*(np.concatenate(columns) for columns in zip(*blocks, strict=True)))
+
+
+def _nothing_known(count: int) -> AdvanceBounds:
+    none = np.zeros(0, dtype=np.int64)
+    return AdvanceBounds(np.full(count, -np.inf), np.zeros(count, dtype=np.int64), none, none, np.zeros(0))
+
+
+def _body_bounds(
+    bounded: BoundedBody, advances: Advances, obstacles: ObstacleSet, exact_within: FloatArray
+) -> AdvanceBounds:
+    body, reach = bounded.body, bounded.reach
+    poses, width, n = advances.poses, advances.width, advances.width.size
+    travel = width * (advances.speed + reach * advances.turn)
+    gaps = broad_phase(bounded, poses, obstacles)
+    within = np.full(len(poses), -np.inf)
+    np.maximum.at(within, advances.pose, exact_within + travel)
+    at, o = np.nonzero(~(gaps >= within[:, None]))
+    exact = separation(body, poses[at], obstacles.pieces(o))
+    bounds = gaps[advances.pose] - travel[:, None]
+    i, pair = _met(advances.pose, at, len(poses))
+    drift = _directional(body, poses[at[pair]], advances.velocity[i], exact.axis[pair], width[i])
+    stray = 0.5 * (advances.bend + reach * advances.twist)[i] * width[i] ** 2
+    distance = exact.distance[pair]
+    bounds[i, o[pair]] = np.minimum(distance, distance + drift - stray)
+    bounds[np.isnan(bounds)] = -np.inf  # what is not a number proves nothing, and must not be lost in comparisons
+    row = np.argmin(bounds, axis=1)
+    return AdvanceBounds(bounds[np.arange(n), row], row, at, o, exact.distance)
+
+
+def _met(pose: IntArray, at: IntArray, count: int) -> tuple[IntArray, IntArray]:
+    """Every stretch with every pair of the pose where it begins: indices of stretches and of pairs, Shape (q,) each.
+
+    Args:
+        pose: Where each stretch begins.
+        at: The pose of each pair, ascending.
+        count: How many poses there are.
+    """
+    begin = np.searchsorted(at, np.arange(count + 1))
+    size = (begin[1:] - begin[:-1])[pose]
+    stretch = np.repeat(np.arange(pose.size), size)
+    first = begin[pose] - (np.cumsum(size) - size)
+    return stretch, np.arange(stretch.size) + first[stretch]
+
+
+def _directional(
+    body: ConvexBody, poses: FloatArray, velocity: FloatArray, axis: FloatArray, width: FloatArray
+) -> FloatArray:
+    """First-order part of (*): min_v (n.v + n.v' du) - min_v n.v at du = width. Shape (m,) [m]."""
+    c, s = np.cos(poses[:, 2]), np.sin(poses[:, 2])
+    across, along = axis[:, 0] * c + axis[:, 1] * s, axis[:, 1] * c - axis[:, 0] * s  # the axis in the body's frame
+    x, y = body.vertices[:, :1], body.vertices[:, 1:]
+    height = across * x + along * y  # (v, m)
+    rate = axis[:, 0] * velocity[:, 0] + axis[:, 1] * velocity[:, 1] + velocity[:, 2] * (along * x - across * y)
+    change: FloatArray = (height + width * rate).min(axis=0) - height.min(axis=0)
+    return change

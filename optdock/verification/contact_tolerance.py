@@ -1,0 +1,119 @@
+"""Contact tolerance: what it must not hide are overlaps that are shallow piece by piece, but deep as a whole.
+
+Where no clearance is required a pair of convex pieces may overlap by the tolerance t of a certificate, which covers
+rounding. For two convex shapes that is harmless: all that they share lies within t of the outline of either. But a
+footprint that is not convex, and obstacles that touch each other, are unions of pieces that only meet. A needle
+entering between two touching boxes goes by t into either and by any depth into both; a post below a micrometre inside a
+fan of thin pieces is in none of them by t.
+
+So where an overlap is forgiven the wholes are looked at. The *core* of a shape is what lies at least d inside it. It is
+covered by convex pieces again, and those must not overlap at all, not even by rounding: closed convex sets with a
+separating axis share no interior, and a union of sets that share no interior with X shares none with X. Therefore
+
+    no point of an obstacle lies more than d inside the footprint (core of the footprint against the obstacles), and
+    no point of the footprint lies more than d inside the obstacles as one (footprint against their core),
+
+with d = 2 micrometres, and gaps between obstacles below 0.2 micrometres counted as obstacle. Contact is not refused: an
+overlap of t along some axis leaves d - t between the core and the other shape. A convex footprint, and an obstacle
+that touches no other, need no look: there t itself is the bound. Arcs of the outline of a core are polygons inside the
+removed rim, so a core is never too small, but for the precision of the offset curves, one hundredth of d.
+"""
+
+from __future__ import annotations
+
+import functools
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from optdock.geometry.footprint import convex_body
+from optdock.geometry.polygon import convex_cover
+from optdock.geometry.separation import separation
+from optdock.obstacles import ObstacleSet
+from optdock.verification.certificate import TOLERANCE
+
+if TYPE_CHECKING:
+    from shapely.geometry.base import BaseGeometry
+
+    from optdock.geometry.arrays import FloatArray
+    from optdock.geometry.footprint import Footprint
+    from optdock.geometry.separation import ConvexBody
+
+__all__ = ["DEPTH", "deep_pairs", "deepest"]
+
+DEPTH = 2.0 * TOLERANCE  # [m]: forgiven contact stays clear of the core by half of it
+_CRACK = 1e-7  # [m]: half the width of gaps between obstacles that count as none
+_MARGIN = 0.1  # [m] around the box of interest: its own edges must not count as outline within
+_ARC = 4  # segments of a quarter circle
+
+
+def deep_pairs(
+    footprint: Footprint, obstacles: ObstacleSet, lower: FloatArray, upper: FloatArray
+) -> tuple[tuple[tuple[ConvexBody, ...], ObstacleSet], ...]:
+    """Bodies, and what they must not overlap at all within a box, Shape (2,) [m] each; nothing where no look is needed.
+
+    The core of the footprint and the obstacles, where the footprint is not convex; the footprint and the core of the
+    obstacles, where some touch each other.
+    """
+    pairs = (
+        (_footprint_core(footprint), obstacles),
+        (footprint.bodies, _obstacle_core(obstacles, lower, upper)),
+    )
+    return tuple((bodies, rocks) for bodies, rocks in pairs if bodies and len(rocks))
+
+
+def deepest(footprint: Footprint, pose: FloatArray, obstacles: ObstacleSet) -> float:
+    """Bound of the signed clearance at a pose, Shape (3,), from above: 0 unless something lies deeper than `DEPTH`."""
+    reach = footprint.circumscribed_radius
+    lower, upper = pose[:2] - reach, pose[:2] + reach
+    found = [
+        float(separation(body, np.tile(pose, (rows.size, 1)), rocks.pieces(rows)).distance.min())
+        for bodies, rocks in deep_pairs(footprint, obstacles, lower, upper)
+        for rows in (rocks.rows_in_box(lower, upper),)
+        for body in bodies
+        if rows.size
+    ]
+    smallest = min(found, default=0.0)
+    return smallest - DEPTH if smallest < 0.0 else 0.0
+
+
+@functools.lru_cache(maxsize=64)
+def _footprint_core(footprint: Footprint) -> tuple[ConvexBody, ...]:
+    if len(footprint.bodies) == 1:
+        return ()
+    import shapely
+
+    core = shapely.Polygon(footprint.vertices).buffer(-DEPTH, quad_segs=_ARC)
+    return tuple(convex_body(piece) for piece in convex_cover(core))
+
+
+def _obstacle_core(obstacles: ObstacleSet, lower: FloatArray, upper: FloatArray) -> ObstacleSet:
+    """Convex pieces of what lies at least `DEPTH` inside the obstacles that touch another, in a box and a margin."""
+    low, high = lower - _MARGIN, upper + _MARGIN
+    rows = obstacles.rows_in_box(low, high)
+    rows = rows[_touching(obstacles.lower[rows], obstacles.upper[rows])]
+    if rows.size == 0:
+        return ObstacleSet.empty()
+    import shapely
+
+    middle = 0.5 * (low + high)  # offset curves are made near the origin, where floats are finest
+    box = shapely.box(*(low - middle), *(high - middle))
+    shapes = shapely.intersection(shapely.polygons(obstacles.vertices[rows] - middle), box)
+    closed = shapely.union_all(shapely.buffer(shapes, _CRACK, join_style="mitre"))
+    core: BaseGeometry = closed.buffer(-(DEPTH + _CRACK), quad_segs=_ARC)
+    return ObstacleSet.from_pieces([piece + middle for piece in convex_cover(core)], "obstacles")
+
+
+def _touching(lower: FloatArray, upper: FloatArray) -> FloatArray:
+    """Which boxes meet another, but for a crack. Shape (m,)."""
+    order = np.argsort(lower[:, 0], kind="stable")
+    touches = np.zeros(len(order), dtype=np.bool_)
+    low, high = lower[order] - _CRACK, upper[order] + _CRACK
+    for i in range(len(order) - 1):
+        stop = int(np.searchsorted(low[:, 0], high[i, 0], side="right"))
+        met = np.flatnonzero((low[i + 1 : stop, 1] <= high[i, 1]) & (high[i + 1 : stop, 1] >= low[i, 1])) + i + 1
+        touches[met] = True
+        touches[i] |= met.size > 0
+    found: FloatArray = np.empty_like(touches)
+    found[order] = touches
+    return found

@@ -1,0 +1,193 @@
+"""Motion bounds: a path as cells of smooth motion, and how fast and how bent any footprint point moves within a cell.
+
+Within a cell the body moves as `pose(u)`, u from u0 to u1. A body point b has the world position p(u) + R(yaw(u)) b, so
+
+    velocity      p' + yaw' R90 R b
+    acceleration  at most |p''| + |b| (|yaw''| + yaw'^2)
+
+and both bounds are exact in the limit of small cells; [Zhang2006] bounds velocities along an axis in the same way. For
+a clothoid u is arc length: |p'| = 1, |p''| = |curvature|, yaw' = curvature, yaw'' = curvature rate. For a polyline u
+counts poses: p'' = yaw'' = 0.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+from optdock.path import ClothoidSegment, PolylineSegment
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from optdock.geometry.arrays import FloatArray, IntArray
+    from optdock.path import Path, Segment
+
+__all__ = ["CellEnds", "CellMotion", "Cells", "Nodes", "PathMotion"]
+
+
+class Cells(NamedTuple):
+    """Stretches of motion: segment index, parameter at the start and at the end, each Shape (n,)."""
+
+    segment: IntArray
+    first: FloatArray
+    last: FloatArray
+
+    def cut(self, parts: int) -> Cells:
+        """Every cell cut into equal parts."""
+        edges = self.first + (self.last - self.first) * (np.arange(1, parts) / parts)[:, None]
+        first, last = np.vstack((self.first, edges)), np.vstack((edges, self.last))
+        return Cells(np.tile(self.segment, parts), first.ravel(), last.ravel())
+
+    def last_halved(self) -> Cells:
+        """The last cell cut in two."""
+        last = self.rows(np.array([-1])).cut(2)
+        return Cells(
+            np.append(self.segment, last.segment[1:]),
+            np.concatenate((self.first[:-1], last.first)),
+            np.concatenate((self.last[:-1], last.last)),
+        )
+
+    def ends(self) -> CellEnds:
+        """Every place where a cell begins or ends, once."""
+        segment, u = np.tile(self.segment, 2), np.concatenate((self.first, self.last))
+        order = np.lexsort((u, segment))
+        new = np.ones(order.size, dtype=np.bool_)
+        new[1:] = (np.diff(u[order]) != 0.0) | (np.diff(segment[order]) != 0)
+        place = np.empty(order.size, dtype=np.int64)
+        place[order] = np.cumsum(new) - 1
+        chosen = order[new]
+        return CellEnds(segment[chosen], u[chosen], place[: self.first.size], place[self.first.size :])
+
+    def blocks(self, most: int) -> Iterator[Cells]:
+        """The cells in groups of `most`."""
+        if self.first.size <= most:
+            yield self
+            return
+        for start in range(0, self.first.size, most):
+            yield self.rows(slice(start, start + most))
+
+    def rows(self, keep: FloatArray | IntArray | slice) -> Cells:
+        """The cells at `keep`."""
+        return Cells(self.segment[keep], self.first[keep], self.last[keep])
+
+
+class CellEnds(NamedTuple):
+    """Where cells meet: segment and parameter of every place, Shape (k,); the places of first and last ends, (n,)."""
+
+    segment: IntArray
+    u: FloatArray
+    first: IntArray
+    last: IntArray
+
+
+class Nodes(NamedTuple):
+    """Poses of motion: Shape (n, 3), and their arc length on the whole path, Shape (n,) [m]."""
+
+    poses: FloatArray
+    s: FloatArray
+
+
+class CellMotion(NamedTuple):
+    """Bounds of the motion within each cell, Shape (n,) unless said.
+
+    `velocity_first`, `velocity_last`: d(x, y, yaw)/du at the two ends, Shape (n, 3). `width`: u1 - u0. `speed`: bound
+    of |p'|. `turn`: bound of |yaw'|. `bend`: bound of |p''|. `twist`: bound of |yaw''| + yaw'^2.
+    """
+
+    velocity_first: FloatArray
+    velocity_last: FloatArray
+    width: FloatArray
+    speed: FloatArray
+    turn: FloatArray
+    bend: FloatArray
+    twist: FloatArray
+
+
+@dataclass(frozen=True, eq=False)
+class PathMotion:
+    """The motion of a whole path."""
+
+    path: Path
+
+    def cells(self, max_step: float) -> Cells:
+        """Cells at most `max_step` [m] long that cover the path; none contains a knot in its interior."""
+        parts = [_segment_breaks(segment, max_step) for segment in self.path.segments]
+        owner = np.concatenate([np.full(part.size - 1, i) for i, part in enumerate(parts)])
+        return Cells(owner, np.concatenate([part[:-1] for part in parts]), np.concatenate([part[1:] for part in parts]))
+
+    def nodes(self, segment: IntArray, u: FloatArray) -> Nodes:
+        """Poses at parameters `u` of segments `segment`, Shape (n,) each."""
+        poses, s = np.empty((u.size, 3)), np.empty(u.size)
+        for i, one in enumerate(self.path.segments):
+            mine = segment == i if len(self.path.segments) > 1 else np.ones(u.size, dtype=bool)
+            poses[mine], local = _segment_poses(one, u[mine])
+            s[mine] = local + self.path.segment_starts[i]
+        return Nodes(poses, s)
+
+    def bounds(self, cells: Cells, first: FloatArray, last: FloatArray) -> CellMotion:
+        """Bounds of the motion in `cells`, whose end poses are `first` and `last`, Shape (n, 3) each."""
+        if len(self.path.segments) == 1:
+            return _segment_bounds(self.path.segments[0], cells, first, last)
+        n = cells.first.size
+        columns = [np.empty((n, 3)), np.empty((n, 3)), *(np.empty(n) for _ in range(5))]
+        for i, one in enumerate(self.path.segments):
+            mine = np.flatnonzero(cells.segment == i)
+            part = _segment_bounds(one, cells.rows(mine), first[mine], last[mine])
+            for column, value in zip(columns, part, strict=True):
+                column[mine] = value
+        return CellMotion(*columns)
+
+
+def _segment_breaks(segment: Segment, max_step: float) -> FloatArray:
+    if isinstance(segment, PolylineSegment):
+        return np.arange(segment.knots.size, dtype=np.float64)
+    knots = segment.knots
+    steps = np.diff(knots)
+    parts = np.maximum(1, np.ceil(steps / max_step)).astype(np.int64)
+    owner = np.repeat(np.arange(steps.size), parts)
+    rank = np.arange(parts.sum()) - np.repeat(np.cumsum(parts) - parts, parts)
+    return np.append(knots[owner] + steps[owner] * rank / parts[owner], knots[-1])
+
+
+def _segment_poses(segment: Segment, u: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Poses and local arc lengths."""
+    if isinstance(segment, PolylineSegment):
+        index = np.arange(segment.knots.size, dtype=np.float64)
+        columns = [np.interp(u, index, segment.poses[:, i]) for i in range(3)]
+        return np.column_stack(columns), np.interp(u, index, segment.knots)
+    return segment.poses_at(u), u
+
+
+def _segment_bounds(segment: Segment, cells: Cells, first: FloatArray, last: FloatArray) -> CellMotion:
+    if isinstance(segment, PolylineSegment):
+        return _polyline_bounds(segment, cells)
+    assert isinstance(segment, ClothoidSegment)  # a path holds nothing else
+    return _clothoid_bounds(segment, cells, first, last)
+
+
+def _polyline_bounds(segment: PolylineSegment, cells: Cells) -> CellMotion:
+    step = np.diff(segment.poses, axis=0)[np.floor(cells.first + 1e-9).astype(np.int64)]
+    speed, turn = np.hypot(step[:, 0], step[:, 1]), np.abs(step[:, 2])
+    return CellMotion(step, step, cells.last - cells.first, speed, turn, np.zeros(len(step)), turn**2)
+
+
+def _clothoid_bounds(segment: ClothoidSegment, cells: Cells, first: FloatArray, last: FloatArray) -> CellMotion:
+    width = cells.last - cells.first
+    piece = np.searchsorted(segment.knots, 0.5 * (cells.first + cells.last)) - 1
+    rate = segment.spline.curvature_rates[piece]
+    at_first = segment.spline.curvature[piece] + rate * (cells.first - segment.knots[piece])
+    at_last = at_first + rate * width
+    turn = np.maximum(np.abs(at_first), np.abs(at_last))
+    sign = float(segment.direction)
+    return CellMotion(
+        np.column_stack((sign * np.cos(first[:, 2]), sign * np.sin(first[:, 2]), at_first)),
+        np.column_stack((sign * np.cos(last[:, 2]), sign * np.sin(last[:, 2]), at_last)),
+        width,
+        np.ones(width.size),
+        turn,
+        turn,
+        np.abs(rate) + turn**2,
+    )

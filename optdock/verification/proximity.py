@@ -1,0 +1,163 @@
+"""Proximity queries, the clearance of a pose: a broad phase leaves most obstacles out, a narrow phase is exact.
+
+Broad phase ([Ericson2005] ch. 2): circles that cover a body against the bounding boxes of the obstacles, a lower bound
+of every distance. Narrow phase: the signed distance of convex polygons with the axis that attains it
+(`geometry.separation`), for the pairs that the broad phase cannot decide. Where a shallow overlap of pieces may hide a
+deep one of the wholes, that is looked for as well (`contact_tolerance`).
+"""
+
+from __future__ import annotations
+
+import functools
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+from optdock.geometry.pose import transform_points
+from optdock.geometry.separation import separation
+from optdock.verification.contact_tolerance import DEPTH, deepest
+from optdock.verification.memo import Memo
+
+if TYPE_CHECKING:
+    from optdock.geometry.arrays import FloatArray, IntArray
+    from optdock.geometry.footprint import Footprint
+    from optdock.geometry.pose import Pose2
+    from optdock.geometry.separation import ConvexBody
+    from optdock.obstacles import ObstacleSet
+    from optdock.problem import DockingProblem
+
+__all__ = [
+    "BoundedBody",
+    "EndClearances",
+    "bounded",
+    "bounded_footprint",
+    "broad_phase",
+    "end_clearances",
+    "pose_clearance",
+    "pose_clearances",
+]
+
+_MAX_CIRCLES = 3  # that bound a body; more of them cost more than the narrow phase that they save
+_NEARBY = 1.0  # [m]: obstacles further than this are looked at only when nothing is as near
+_NEAREST = 8  # obstacles of a pose that the narrow phase takes first; the others only if they may be nearer
+
+
+class EndClearances(NamedTuple):
+    """Signed clearances of the two end poses of a problem [m], and the rows of the obstacles nearest to them."""
+
+    start: float
+    nearest_to_start: int
+    goal: float
+    nearest_to_goal: int
+
+
+def end_clearances(problem: DockingProblem) -> EndClearances:
+    """The clearances of start and goal, found once for as long as the problem lives; inf and -1 without obstacles."""
+    known = _ENDS.recall(problem)
+    if known is None:
+        ends = np.stack((problem.start.as_array(), problem.goal.as_array()))
+        distance, row = pose_clearances(ends, problem.robot.footprint, problem.all_obstacles)
+        known = EndClearances(float(distance[0]), int(row[0]), float(distance[1]), int(row[1]))
+        _ENDS.keep(problem, known)
+    return known
+
+
+_ENDS: Memo[DockingProblem, EndClearances] = Memo()
+
+
+def pose_clearance(pose: Pose2, footprint: Footprint, obstacles: ObstacleSet) -> tuple[float, int]:
+    """Signed clearance of one pose [m] and the row of the nearest obstacle; (inf, -1) without obstacles."""
+    distance, row = pose_clearances(pose.as_array()[None], footprint, obstacles)
+    return float(distance[0]), int(row[0])
+
+
+def pose_clearances(
+    poses: FloatArray, footprint: Footprint, obstacles: ObstacleSet, within: float = np.inf
+) -> tuple[FloatArray, IntArray]:
+    """Signed clearances of poses and the rows of their nearest obstacles, Shape (n,) [m] and (n,).
+
+    Args:
+        poses: Shape (n, 3).
+        footprint: The outline.
+        obstacles: May be empty.
+        within: Where no obstacle is closer than this [m] the answer is (within, -1).
+    """
+    reach = footprint.circumscribed_radius + min(within, _NEARBY)
+    rows = obstacles.rows_in_box(poses[:, :2].min(axis=0) - reach, poses[:, :2].max(axis=0) + reach)
+    if rows.size < 0.5 * len(obstacles):
+        best, found = _nearest(poses, footprint, obstacles.subset(rows), within)
+        # What was left out is at least that far away.
+        if within <= _NEARBY or bool(np.all(best <= _NEARBY)):
+            return best, np.where(found >= 0, rows[found], -1) if rows.size else found
+    return _nearest(poses, footprint, obstacles, within)
+
+
+def _nearest(
+    poses: FloatArray, footprint: Footprint, obstacles: ObstacleSet, within: float
+) -> tuple[FloatArray, IntArray]:
+    """The nearest few by the broad phase first, then whatever else may be nearer than they are."""
+    n, m = len(poses), len(obstacles)
+    best: FloatArray = np.full(n, float(within))
+    row: IntArray = np.full(n, -1)
+    for body in bounded_footprint(footprint) if m else ():
+        apart = broad_phase(body, poses, obstacles)
+        count = min(m, _NEAREST)
+        nearest = np.zeros((n, m), dtype=np.bool_)
+        nearest[np.arange(n)[:, None], np.argpartition(apart, count - 1, axis=1)[:, :count]] = True
+        for some in (nearest, ~nearest):
+            i, o = np.nonzero(some & ~((apart >= best[:, None]) & (apart > 0.0)))
+            if i.size == 0:
+                continue
+            found = np.full((n, m), np.inf)
+            found[i, o] = separation(body.body, poses[i], obstacles.pieces(o)).distance
+            k = np.argmin(found, axis=1)
+            smallest = found[np.arange(n), k]
+            row, best = np.where(smallest < best, k, row), np.minimum(smallest, best)
+    for shallow in np.flatnonzero((best < 0.0) & (best > -DEPTH)).tolist():
+        best[shallow] = min(best[shallow], deepest(footprint, poses[shallow], obstacles))
+    return best, row
+
+
+class BoundedBody(NamedTuple):
+    """A convex body and its bounding circles: centres (k, 2) [m], common radius [m]; `reach` from the origin [m]."""
+
+    body: ConvexBody
+    centres: FloatArray
+    radius: float
+    reach: float
+
+
+def bounded(bodies: tuple[ConvexBody, ...]) -> tuple[BoundedBody, ...]:
+    """Bodies with what the broad phase needs."""
+    reach = (float(np.max(np.hypot(*body.vertices.T))) for body in bodies)
+    return tuple(BoundedBody(body, *_bounding_circles(body), far) for body, far in zip(bodies, reach, strict=True))
+
+
+@functools.lru_cache(maxsize=64)
+def bounded_footprint(footprint: Footprint) -> tuple[BoundedBody, ...]:
+    """The convex pieces of a footprint, once per footprint."""
+    return bounded(footprint.bodies)
+
+
+def broad_phase(body: BoundedBody, poses: FloatArray, obstacles: ObstacleSet) -> FloatArray:
+    """Lower bound of the distance of a body at every pose, Shape (n, 3), to every obstacle. Shape (n, m) [m].
+
+    Where it is not positive the body may overlap the obstacle by more.
+    """
+    at = transform_points(poses, body.centres)  # (n, circles, 2)
+    gaps = obstacles.box_distance(at[:, 0])
+    for k in range(1, len(body.centres)):
+        np.minimum(gaps, obstacles.box_distance(at[:, k]), out=gaps)
+    gaps -= body.radius
+    return gaps
+
+
+def _bounding_circles(body: ConvexBody) -> tuple[FloatArray, float]:
+    """Centres (k, 2) [m] and common radius [m] of circles that cover the body: one per square of its bounding box."""
+    low, high = body.vertices.min(axis=0), body.vertices.max(axis=0)
+    size = high - low
+    longer = int(np.argmax(size))
+    count = int(np.clip(np.ceil(size[longer] / max(size[1 - longer], 1e-300)), 1, _MAX_CIRCLES))
+    centres = np.tile(0.5 * (low + high), (count, 1))
+    centres[:, longer] = low[longer] + size[longer] * (np.arange(count) + 0.5) / count
+    return centres, 0.5 * float(np.hypot(size[longer] / count, size[1 - longer]))

@@ -1,0 +1,151 @@
+"""Time of impact: how long a footprint can move at a constant body velocity before it comes too close to an obstacle.
+
+Between two looks at the scene the same bound holds as in `conservative_advancement`: along the axis n that attains the
+distance d, a footprint vertex v moves by at least `n.v' dt - M dt^2 / 2`. At a constant twist v' is known exactly and
+M = |yaw rate| * |v'|, constant in time, so the longest safe step has a closed form. A straight motion needs one step.
+
+Where pieces may touch, their wholes are looked at as well, as in `contact_tolerance`: a needle must not slip between
+two obstacles that touch each other, nor a post into a fan of thin pieces, deeper than 3 micrometres.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+from optdock.geometry.pose import transform_points
+from optdock.geometry.separation import separation
+from optdock.verification.certificate import TOLERANCE
+from optdock.verification.contact_tolerance import deep_pairs
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from optdock.geometry.arrays import FloatArray
+    from optdock.geometry.footprint import Footprint
+    from optdock.geometry.pose import Pose2, Twist2
+    from optdock.geometry.separation import ConvexBody
+    from optdock.obstacles import ObstacleSet
+
+__all__ = ["Sweep", "free_motion"]
+
+_APART = 2.0 * TOLERANCE  # [m]: pieces that keep this distance share nothing, neither alone nor as wholes
+_SHALLOW = 0.01  # [m]: overlap of a robot at rest in its dock; a motion may lead out of it, not deeper
+_SHORTEST_STEP = 1e-4  # [s]: when no longer step can be proven, the motion counts as blocked
+_MOST_STEPS = 2000
+
+
+class Sweep(NamedTuple):
+    """`free`: how long the motion is proven free [s]; `row`: the obstacle in the way, -1 when there is none."""
+
+    free: float
+    row: int
+
+
+def free_motion(
+    footprint: Footprint, obstacles: ObstacleSet, pose: Pose2, twist: Twist2, duration: float, clearance: float = 0.0
+) -> Sweep:
+    """How long the footprint keeps its clearance from every obstacle, everywhere along the continuous motion.
+
+    An obstacle that is closer than `clearance` at the start, or overlaps by up to 1 cm, must not come any closer
+    instead: a robot in its dock may leave. With a deeper overlap nothing is free.
+
+    Args:
+        footprint: The robot's outline.
+        obstacles: What it must not touch.
+        pose: Where it starts.
+        twist: Its body velocity, constant.
+        duration: How long to look [s].
+        clearance: Distance to keep [m].
+    """
+    reach = footprint.circumscribed_radius + math.hypot(twist.linear, twist.lateral) * duration + clearance + TOLERANCE
+    centre = np.array([pose.x, pose.y])
+    near = np.flatnonzero(obstacles.box_distance(centre[None])[0] <= reach)
+    if near.size == 0:
+        return Sweep(duration, -1)
+    scene = obstacles.subset(near)
+    start = _distances(footprint.bodies, scene, pose)
+    if float(start.min()) < -_SHALLOW:
+        return Sweep(0.0, int(near[int(np.argmin(start))]))
+    pieces = _Group(footprint.bodies, scene, np.minimum(clearance, start))
+    may_touch = float(start.min()) < _APART
+    if not may_touch and clearance < _APART:
+        apart = pieces._replace(required=np.full(near.size, _APART))
+        if _march((apart,), pose, twist, duration)[0] >= duration:
+            return Sweep(duration, -1)
+        may_touch = True
+    deep = deep_pairs(footprint, scene, centre - reach, centre + reach) if may_touch else ()
+    # These must not overlap at all, or not more than they do at the start.
+    groups = (
+        pieces,
+        *(_Group(bodies, rocks, np.minimum(0.0, _distances(bodies, rocks, pose))) for bodies, rocks in deep),
+    )
+    free, end = _march(groups, pose, twist, duration)
+    if free >= duration:
+        return Sweep(duration, -1)
+    ahead = _distances(footprint.bodies, scene, end.moved(twist, _SHORTEST_STEP)) - pieces.required
+    return Sweep(free, int(near[int(np.argmin(ahead))]))
+
+
+class _Group(NamedTuple):
+    """Bodies that move as one, what they move among, and the distance to keep from each of it, Shape (m,) [m]."""
+
+    bodies: tuple[ConvexBody, ...]
+    scene: ObstacleSet
+    required: FloatArray
+
+
+def _march(groups: Sequence[_Group], pose: Pose2, twist: Twist2, duration: float) -> tuple[float, Pose2]:
+    """How long every group keeps its distances, `duration` at most [s], and the pose where the march ended."""
+    time = 0.0
+    for _ in range(_MOST_STEPS):
+        step = min(
+            float(_safe_steps(body, group.scene, pose, twist, group.required).min())
+            for group in groups
+            for body in group.bodies
+        )
+        if time + step >= duration:
+            return duration, pose
+        if step < _SHORTEST_STEP:
+            break
+        time, pose = time + step, pose.moved(twist, step)
+    return time, pose
+
+
+def _distances(bodies: tuple[ConvexBody, ...], scene: ObstacleSet, pose: Pose2) -> FloatArray:
+    """Signed distance of the nearest of the bodies to every obstacle, Shape (m,) [m]."""
+    poses = np.repeat(pose.as_array()[None], len(scene), axis=0)
+    pieces = scene.pieces(np.arange(len(scene)))
+    nearest: FloatArray = np.min([separation(body, poses, pieces).distance for body in bodies], axis=0)
+    return nearest
+
+
+def _safe_steps(body: ConvexBody, scene: ObstacleSet, pose: Pose2, twist: Twist2, required: FloatArray) -> FloatArray:
+    """For every obstacle the longest step that provably keeps its required distance, Shape (m,) [s]."""
+    poses = np.repeat(pose.as_array()[None], len(scene), axis=0)
+    found = separation(body, poses, scene.pieces(np.arange(len(scene))))
+    points = transform_points(poses[:1], body.vertices)[0]  # (k, 2)
+    arm = points - np.array([pose.x, pose.y])
+    c, s = math.cos(pose.yaw), math.sin(pose.yaw)
+    forward = np.array([c * twist.linear - s * twist.lateral, s * twist.linear + c * twist.lateral])
+    velocity = forward + twist.angular * np.column_stack((-arm[:, 1], arm[:, 0]))  # (k, 2)
+    bend = abs(twist.angular) * float(np.max(np.hypot(velocity[:, 0], velocity[:, 1])))
+    height, rise = found.axis @ points.T, found.axis @ velocity.T  # (m, k)
+    spare = height - height.min(axis=1, keepdims=True) + np.maximum(found.distance - required + TOLERANCE, 0.0)[:, None]
+    steps: FloatArray = _time_until_spent(spare, rise, bend).min(axis=1)
+    return steps
+
+
+def _time_until_spent(spare: FloatArray, rise: FloatArray, bend: float) -> FloatArray:
+    """The positive root of `spare + rise t - bend t^2 / 2`; infinite where there is none."""
+    falling = rise < 0.0
+    with np.errstate(divide="ignore"):
+        if bend <= 0.0:
+            straight: FloatArray = np.where(falling, spare / np.maximum(-rise, 1e-300), np.inf)
+            return straight
+        root = np.sqrt(rise * rise + 2.0 * bend * spare)
+        # Each branch is the form of the root that does not cancel for its sign of the rise.
+        bent: FloatArray = np.where(falling, 2.0 * spare / (root - rise), (rise + root) / bend)
+    return bent

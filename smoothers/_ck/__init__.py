@@ -1,1 +1,0 @@
-"""The parts of `CasadiSmoother`: sequential convex steps on clothoid splines."""

@@ -1,0 +1,182 @@
+"""The basis: splines of piecewise linear curvature, as constant matrices of the numbers of spans and intervals.
+
+Curvature is linear between knots, so the heading is linear in the knot curvatures: with `u` in [0, 1] along a gear of
+length L, `yaw(u) = yaw_start + L * integral_0^u hats(t) dt . K`. The integrals do not depend on the problem: a basis is
+built once per shape.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from smoothers.scp.settings import DEFAULT_SETTINGS
+
+if TYPE_CHECKING:
+    from optdock.geometry.arrays import FloatArray, IntArray
+
+__all__ = ["Basis", "Shape", "basis_for"]
+
+Shape = tuple[tuple[int, int], ...]
+"""Per gear: number of knot spans, and of collision intervals in each span."""
+
+_GAUSS = np.array([0.5 - 0.5 / np.sqrt(3.0), 0.5 + 0.5 / np.sqrt(3.0)])
+
+
+@dataclass(frozen=True, eq=False)
+class Basis:
+    """Arrays that depend on the shape alone. Nodes are interval ends; a cusp is a node of both of its gears.
+
+    Args:
+        shape: Per gear: knot spans and intervals per span.
+        num_knots: Knots of all gears.
+        num_gears: Gears.
+        num_nodes: Nodes of all gears.
+        num_intervals: Intervals of all gears.
+        size: Number of path variables: knot curvatures, then gear lengths.
+        knot_gear: Gear of each knot, Shape (num_knots,).
+        node_gear: Gear of each node, Shape (num_nodes,).
+        interval_gear: Gear of each interval, Shape (num_intervals,).
+        span_gear: Gear of each span.
+        knot_members: Shape (num_knots, num_gears), 1 where the knot belongs to the gear.
+        first_knots: Of every gear.
+        last_knots: Of every gear.
+        last_nodes: Of every gear.
+        left: Node at which each interval begins; it ends at the next one.
+        position_of: Interval boundary (0 to num_intervals) of each node.
+        fraction: Share of its gear's length at which each node lies.
+        gauss_headings: Shape (2 num_intervals, num_knots), heading at the two Gauss points of each interval.
+        gauss_shares: Shape (2 num_intervals, num_gears), share of its gear's length that each Gauss point stands for.
+        gauss_members: Shape (2 num_intervals, num_gears), 1 where the Gauss point belongs to the gear.
+        node_headings: Shape (num_nodes, num_knots), heading at the nodes.
+        node_curvatures: Shape (num_nodes, num_knots), curvature at the nodes: the hat functions.
+        interval_slopes: Shape (num_intervals, num_knots), curvature rate times gear length in each interval.
+        span_slopes: Shape (number of spans, num_knots), the same once per span.
+        mass: Shape (num_knots, num_knots), integrals of products of hats over u.
+        stiffness: Shape (num_knots, num_knots), integrals of products of their slopes over u.
+        fit: Shape (num_knots, num_intervals), smoothed least squares from turned headings at the interval middles.
+    """
+
+    shape: Shape
+    num_knots: int
+    num_gears: int
+    num_nodes: int
+    num_intervals: int
+    size: int
+    knot_gear: IntArray
+    node_gear: IntArray
+    interval_gear: IntArray
+    span_gear: IntArray
+    knot_members: FloatArray
+    first_knots: IntArray
+    last_knots: IntArray
+    last_nodes: IntArray
+    left: IntArray
+    position_of: IntArray
+    fraction: FloatArray
+    gauss_headings: FloatArray
+    gauss_shares: FloatArray
+    gauss_members: FloatArray
+    node_headings: FloatArray
+    node_curvatures: FloatArray
+    interval_slopes: FloatArray
+    span_slopes: FloatArray
+    mass: FloatArray
+    stiffness: FloatArray
+    fit: FloatArray
+
+
+@lru_cache(maxsize=64)
+def basis_for(shape: Shape, fit_smoothing: float = DEFAULT_SETTINGS.resolution.fit_smoothing) -> Basis:
+    """The basis of a shape, built once; its arrays are read-only.
+
+    Args:
+        shape: Per gear: knot spans and intervals per span.
+        fit_smoothing: Weight of the squared curvature rate in `fit`.
+    """
+    spans = np.array([q for q, _ in shape])
+    cells = np.array([q * r for q, r in shape])
+    gears = np.arange(len(spans))
+    knot_gear, node_gear = np.repeat(gears, spans + 1), np.repeat(gears, cells + 1)
+    last_knots, last_nodes = np.cumsum(spans + 1) - 1, np.cumsum(cells + 1) - 1
+    gauss = [((np.arange(n)[:, None] + _GAUSS) / n).ravel() for n in cells]
+    nodes = [np.arange(n + 1) / n for n in cells]
+    middles = _heading_rows(spans, [(np.arange(n) + 0.5) / n for n in cells])
+    slopes = _block_diagonal([q * np.diff(np.eye(q + 1), axis=0) for q in spans])
+    stiffness = _block_diagonal([_stiffness(q) for q in spans])
+    normal = middles.T @ middles + fit_smoothing * stiffness + 1e-9 * np.eye(middles.shape[1])
+    arrays = {
+        "knot_gear": knot_gear,
+        "node_gear": node_gear,
+        "interval_gear": np.repeat(gears, cells),
+        "span_gear": np.repeat(gears, spans),
+        "knot_members": (knot_gear[:, None] == gears).astype(np.float64),
+        "first_knots": last_knots - spans,
+        "last_knots": last_knots,
+        "last_nodes": last_nodes,
+        "left": np.delete(np.arange(node_gear.size), last_nodes),
+        "position_of": np.arange(node_gear.size) - node_gear,
+        "fraction": np.concatenate(nodes),
+        "gauss_headings": _heading_rows(spans, gauss),
+        "gauss_shares": _block_diagonal([np.full((2 * n, 1), 0.5 / n) for n in cells]),
+        "gauss_members": _block_diagonal([np.ones((2 * n, 1)) for n in cells]),
+        "node_headings": _heading_rows(spans, nodes),
+        "node_curvatures": _block_diagonal([_hats(q, u) for q, u in zip(spans, nodes, strict=True)]),
+        "interval_slopes": np.repeat(slopes, np.repeat(np.array([r for _, r in shape]), spans), axis=0),
+        "span_slopes": slopes,
+        "mass": _block_diagonal([_mass(q) for q in spans]),
+        "stiffness": stiffness,
+        "fit": np.linalg.solve(normal, middles.T),
+    }
+    for values in arrays.values():
+        values.setflags(write=False)
+    knots, count = int(np.sum(spans + 1)), len(spans)
+    return Basis(shape, knots, count, node_gear.size, int(np.sum(cells)), knots + count, **arrays)
+
+
+def _hats(spans: int, u: FloatArray) -> FloatArray:
+    """Hat functions on a uniform grid of [0, 1]. Shape (len(u), spans + 1)."""
+    return np.maximum(0.0, 1.0 - np.abs(spans * u[:, None] - np.arange(spans + 1)))
+
+
+def _hat_integrals(spans: int, u: FloatArray) -> FloatArray:
+    """Integrals of the hat functions from 0 to u. Shape (len(u), spans + 1)."""
+    t = np.clip(spans * u[:, None] - np.arange(spans + 1), -1.0, 1.0)
+    area = np.where(t < 0.0, 0.5 * (1.0 + t) ** 2, 1.0 - 0.5 * (1.0 - t) ** 2)
+    area[:, 0] -= 0.5
+    integrals: FloatArray = area / spans
+    return integrals
+
+
+def _heading_rows(spans: IntArray, points: list[FloatArray]) -> FloatArray:
+    """Heading change per unit of (gear length * knot curvature); later gears carry the earlier ones in full."""
+    rows = []
+    for m, u in enumerate(points):
+        done = [np.tile(_hat_integrals(q, np.ones(1)), (u.size, 1)) for q in spans[:m]]
+        ahead = [np.zeros((u.size, q + 1)) for q in spans[m + 1 :]]
+        rows.append(np.hstack([*done, _hat_integrals(spans[m], u), *ahead]))
+    return np.vstack(rows)
+
+
+def _block_diagonal(parts: list[FloatArray]) -> FloatArray:
+    out = np.zeros((sum(p.shape[0] for p in parts), sum(p.shape[1] for p in parts)))
+    row = column = 0
+    for part in parts:
+        out[row : row + part.shape[0], column : column + part.shape[1]] = part
+        row, column = row + part.shape[0], column + part.shape[1]
+    return out
+
+
+def _mass(spans: int) -> FloatArray:
+    matrix = (4.0 * np.eye(spans + 1) + np.eye(spans + 1, k=1) + np.eye(spans + 1, k=-1)) / (6.0 * spans)
+    matrix[0, 0] = matrix[-1, -1] = 1.0 / (3.0 * spans)
+    return matrix
+
+
+def _stiffness(spans: int) -> FloatArray:
+    slopes = np.diff(np.eye(spans + 1), axis=0)
+    product: FloatArray = spans * (slopes.T @ slopes)
+    return product

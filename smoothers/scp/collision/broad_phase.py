@@ -1,0 +1,160 @@
+"""Broad phase: which obstacle the footprint may come near in which interval, by boxes [Ericson2005].
+
+Boxes along the world's axes of six neighbouring intervals at once, then of each, then in the frame of the body, whose
+box is much tighter around a body that stands askew.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+from smoothers.scp.collision.scene import Points
+
+if TYPE_CHECKING:
+    from optdock.geometry.arrays import BoolArray, FloatArray, IntArray
+    from smoothers.scp.basis import Basis
+    from smoothers.scp.collision.scene import BodyAtNodes, Scene
+    from smoothers.scp.rollout import Rollout
+
+__all__ = ["Pairs", "broad_phase", "swept_boxes"]
+
+
+class Pairs(NamedTuple):
+    """Interval, body part and obstacle of every near pair, Shape (p,) each."""
+
+    interval: IntArray
+    part: IntArray
+    obstacle: IntArray
+
+
+def broad_phase(scene: Scene, basis: Basis, rollout: Rollout, body: BodyAtNodes, reach: float) -> Pairs:
+    """Pairs within `reach` [m] by their boxes, in the scene's frame and the body's; of each interval the nearest few.
+
+    Scene boxes alone keep most obstacles around a body that stands askew.
+
+    Args:
+        scene: Obstacles and body.
+        basis: Shape of the path.
+        rollout: The driven path.
+        body: The body at the nodes.
+        reach: Pairs further apart are left out [m].
+    """
+    row, obstacle, apart = _by_world_boxes(scene, _world_boxes(basis, body), reach)
+    apart = np.maximum(apart, _in_body_frame(scene, basis, rollout, body, (row, obstacle)))
+    near = np.flatnonzero(apart < reach)
+    if near.size > scene.settings.few_pairs:
+        near = near[_nearest(row[near], apart[near], scene)]
+    part, interval = np.divmod(row[near], basis.num_intervals)
+    return Pairs(interval, part, obstacle[near])
+
+
+def _world_boxes(basis: Basis, body: BodyAtNodes) -> list[tuple[FloatArray, FloatArray]]:
+    """Along x and y: from where to where each part reaches in each interval, Shape (parts * intervals,) each."""
+    left, shape, found = basis.left, (-1, basis.num_nodes), []
+    for values in (body.corners.x, body.corners.y):
+        low, high = values.min(axis=0).reshape(shape), values.max(axis=0).reshape(shape)
+        low, high = np.minimum(low[:, left], low[:, left + 1]), np.maximum(high[:, left], high[:, left + 1])
+        found.append((low.ravel(), high.ravel()))
+    return found
+
+
+def _by_world_boxes(
+    scene: Scene, boxes: list[tuple[FloatArray, FloatArray]], reach: float
+) -> tuple[IntArray, IntArray, FloatArray]:
+    """Rows of `boxes` and obstacles within `reach` [m], and their separation; some neighbouring rows at once first."""
+    lower, upper, count = scene.obstacles.lower, scene.obstacles.upper, boxes[0][0].size
+    together = scene.settings.grouped_intervals
+    starts = np.arange(0, count, together)
+    close: BoolArray = np.ones((starts.size, len(lower)), dtype=np.bool_)
+    for axis, (low, high) in enumerate(boxes):
+        close &= (np.minimum.reduceat(low, starts) - reach)[:, None] < upper[:, axis]
+        close &= (np.maximum.reduceat(high, starts) + reach)[:, None] > lower[:, axis]
+    group, each = np.nonzero(close)
+    expanded = ((group * together)[:, None] + np.arange(together)).ravel()
+    inside = np.flatnonzero(expanded < count)  # the last group may be smaller
+    row, obstacle = expanded[inside], np.repeat(each, together)[inside]
+    gaps = [
+        np.maximum(low[row] - upper[obstacle, axis], lower[obstacle, axis] - high[row])
+        for axis, (low, high) in enumerate(boxes)
+    ]
+    near = np.flatnonzero(np.maximum(*gaps) < reach)
+    return row[near], obstacle[near], _box_separation(*(gap[near] for gap in gaps))
+
+
+def _box_separation(x: FloatArray, y: FloatArray) -> FloatArray:
+    """Lower bound of the signed distance from the gaps of boxes along x and y, all of one shape."""
+    right, up = np.maximum(x, 0.0), np.maximum(y, 0.0)
+    outside = np.sqrt(right * right + up * up)
+    distance: FloatArray = outside + np.minimum(np.maximum(x, y), 0.0)
+    return distance
+
+
+def _in_body_frame(
+    scene: Scene, basis: Basis, rollout: Rollout, body: BodyAtNodes, pairs: tuple[IntArray, IntArray]
+) -> FloatArray:
+    """Separation of obstacles and body in the frame of the body at the left node, by the box of all that it sweeps.
+
+    Obstacles count as their scene boxes, whose extent along a direction (c, s) is |c| x + |s| y.
+
+    Args:
+        scene: Obstacles and body.
+        basis: Shape of the path.
+        rollout: The driven path.
+        body: The body at the nodes.
+        pairs: Row (part and interval) and obstacle of each pair, Shape (p,) each.
+
+    Returns:
+        Shape (p,) [m].
+    """
+    row, obstacle = pairs
+    middle, half = swept_boxes(scene, basis, rollout, body)
+    node = basis.left[row % basis.num_intervals]
+    c, s = body.cosine[node], body.sine[node]
+    dx = scene.box_middle.x[0, obstacle] - rollout.poses[node, 0]
+    dy = scene.box_middle.y[0, obstacle] - rollout.poses[node, 1]
+    along = np.abs(c * dx + s * dy - middle.x[row]) - half.x[row]
+    across = np.abs(c * dy - s * dx - middle.y[row]) - half.y[row]
+    wide, high = scene.box_half.x[0, obstacle], scene.box_half.y[0, obstacle]
+    c, s = np.abs(c), np.abs(s)
+    return _box_separation(along - (c * wide + s * high), across - (s * wide + c * high))
+
+
+def swept_boxes(scene: Scene, basis: Basis, rollout: Rollout, body: BodyAtNodes) -> tuple[Points, Points]:
+    """Middle and half extent of what each part sweeps, in the left node's frame. Shape (parts * intervals,) [m]."""
+    left, shape = basis.left, (-1, len(scene.body.vertices), basis.num_nodes)
+    x = body.corners.x.reshape(shape)[..., left + 1] - rollout.poses[left, 0]
+    y = body.corners.y.reshape(shape)[..., left + 1] - rollout.poses[left, 1]
+    c, s = body.cosine[left], body.sine[left]
+    turn = np.maximum(np.abs(rollout.curvature[left]), np.abs(rollout.curvature[left + 1]))
+    # A vertex accelerates by at most this, and strays from its chord by an eighth of it times the step squared.
+    bend = turn + scene.body.radius * (turn**2 + np.abs(rollout.rate))
+    stray = 0.125 * rollout.steps**2 * bend
+    boxes = []
+    for axis, at in ((0, c * x + s * y), (1, c * y - s * x)):
+        low = np.minimum(at.min(axis=0), scene.body.lower[:, axis, None]) - stray
+        high = np.maximum(at.max(axis=0), scene.body.upper[:, axis, None]) + stray
+        boxes.append((0.5 * (low + high).ravel(), 0.5 * (high - low).ravel()))
+    return Points(boxes[0][0], boxes[1][0]), Points(boxes[0][1], boxes[1][1])
+
+
+def _nearest(row: IntArray, apart: FloatArray, scene: Scene) -> BoolArray:
+    """Which pairs are among the nearest few of their row.
+
+    The bound is coarse, so more of those that might be too close are kept than of the others.
+
+    Args:
+        row: Interval and part of every pair, Shape (p,).
+        apart: Their separation, Shape (p,) [m].
+        scene: How many are wanted, and the required clearance.
+    """
+    order = np.lexsort((apart, row))
+    first = np.searchsorted(row[order], row)  # where the pairs of the same row begin
+    rank = np.empty(row.size, dtype=np.int64)
+    rank[order] = np.arange(row.size)
+    rank -= first
+    settings = scene.settings
+    close = apart < scene.rule.required + settings.surely_kept
+    kept: BoolArray = (rank < settings.nearest) | close & (rank < settings.nearest_close * settings.nearest)
+    return kept

@@ -1,0 +1,232 @@
+"""Linearization: clearance as linear rows, exact to first order at the points that witness it.
+
+Separating planes: a row moves the hull point over the obstacle at a tangent coordinate, a mix of two hull vertices,
+possibly of different nodes. Holding only whole vertices above a fixed plane would be safe too, but then no side could
+roll around a corner.
+
+Covering discs: where the body overlaps an obstacle deeply, the axis of least overlap of neighbouring intervals may
+point to opposite sides. The centre line of the body crosses an obstacle much later than the body does, so discs along
+it agree on the side; they have an exact signed distance to the obstacle.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+from smoothers.scp.collision.narrow_phase import chords
+
+if TYPE_CHECKING:
+    from optdock.geometry.arrays import BoolArray, FloatArray, IntArray
+    from smoothers.scp.basis import Basis
+    from smoothers.scp.collision.active_pairs import ActivePairs
+    from smoothers.scp.collision.narrow_phase import Chords, Clearance
+    from smoothers.scp.collision.scene import Scene
+    from smoothers.scp.rollout import Rollout, Sensitivity
+    from smoothers.scp.settings import CollisionSettings
+
+__all__ = ["ClearanceRows", "covering_disc_rows", "covering_discs", "linearized_clearance", "separating_plane_rows"]
+
+
+class ClearanceRows(NamedTuple):
+    """Constraints `gradient . step + gap >= 0`: (r, size), (r,) [m], and the node each belongs to (r,)."""
+
+    gradient: FloatArray
+    gap: FloatArray
+    node: IntArray
+
+    def subset(self, keep: IntArray | BoolArray) -> ClearanceRows:
+        """The rows at `keep`."""
+        return ClearanceRows(self.gradient[keep], self.gap[keep], self.node[keep])
+
+    def lowest(self, most: int) -> ClearanceRows:
+        """At most so many, those with the smallest gaps."""
+        return self if self.gap.size <= most else self.subset(np.argpartition(self.gap, most)[:most])
+
+
+def linearized_clearance(
+    scene: Scene, basis: Basis, rollout: Rollout, by: Sensitivity, found: Clearance, active: ActivePairs
+) -> ClearanceRows:
+    """Rows of the active pairs: of planes, and of discs where the body overlaps an obstacle deeply.
+
+    Args:
+        scene: Obstacles and body.
+        basis: Shape of the path.
+        rollout: The driven path.
+        by: Derivatives of its poses.
+        found: Near pairs.
+        active: Which of them.
+    """
+    if found.margin.size == 0:
+        return ClearanceRows(np.zeros((0, basis.size)), np.zeros(0), np.zeros(0, dtype=np.int64))
+    rows = separating_plane_rows(basis, rollout, by, found, active.separated, scene.settings)
+    if active.penetrating.size:
+        pushing = covering_disc_rows(scene, basis, rollout, by, found, active.penetrating)
+        rows = ClearanceRows(*(np.concatenate(both) for both in zip(rows, pushing, strict=True)))
+    still = np.abs(rows.gradient).max(axis=1, initial=0.0) < 1e-9
+    return rows.subset(~(still & (rows.node <= 0)))  # the start is given
+
+
+def separating_plane_rows(
+    basis: Basis,
+    rollout: Rollout,
+    by: Sensitivity,
+    found: Clearance,
+    chosen: IntArray,
+    settings: CollisionSettings,
+) -> ClearanceRows:
+    """Up to three rows for every chosen pair of `found`."""
+    picked = _witnesses(found, chosen, settings)
+    place, pair = np.nonzero(picked.used)
+    columns = chosen[pair]
+    left = basis.left[found.pairs.interval[columns]]
+    axis_x, axis_y = found.axis.x[0, columns], found.axis.y[0, columns]
+    vertex = np.concatenate((picked.first[place, pair], picked.second[place, pair]))
+    share = picked.share[place, pair]
+    weight, both = np.concatenate((1.0 - share, share)), np.concatenate((columns, columns))
+    node = np.concatenate((left, left)) + (vertex >= found.hull.x.shape[0] // 2)
+    arm_x = found.hull.x[vertex, both] - rollout.poses[node, 0]
+    arm_y = found.hull.y[vertex, both] - rollout.poses[node, 1]
+    axis_x, axis_y = np.concatenate((axis_x, axis_x)), np.concatenate((axis_y, axis_y))
+    slope = found.required.gradient[node]
+    gradient = (weight * (axis_x - slope[:, 0]))[:, None] * by.x[node]
+    gradient += (weight * (axis_y - slope[:, 1]))[:, None] * by.y[node]
+    gradient += (weight * (axis_y * arm_x - axis_x * arm_y))[:, None] * by.yaw[node]
+    half = len(left)
+    return ClearanceRows(gradient[:half] + gradient[half:], picked.gap[place, pair], left)
+
+
+class _Witness(NamedTuple):
+    """Hull points: two hull vertices, the share of the second, the gap there, and which count; Shape (t, p) each."""
+
+    first: IntArray
+    second: IntArray
+    share: FloatArray
+    gap: FloatArray
+    used: FloatArray
+
+
+def _witnesses(found: Clearance, chosen: IntArray, settings: CollisionSettings) -> _Witness:
+    axis, hull, outline = (points.columns(chosen) for points in (found.axis, found.hull, found.outline))
+    along, height = hull.across(axis), found.heights[:, chosen]
+    beside, tops = outline.across(axis), outline.along(axis)
+    lower, upper = chords(along, height, settings), chords(beside, -tops, settings)
+    low, high, meets = _shared_support(along, height, beside, tops, settings.support_slope)
+    bottom = along[np.argmin(height, axis=0), np.arange(chosen.size)]
+    place = np.where(meets, np.stack((np.clip(bottom, low, high), low, high)), bottom)
+    ceiling = np.where(meets, _upper_side(upper, tops, place), found.top[chosen])
+    first, second, share, level = _lower_side(lower, height, place)
+    used = np.abs(place - place[0]) > settings.same_witness
+    used[0] = True
+    return _Witness(first, second, share, level - ceiling, used)
+
+
+def _shared_support(
+    along: FloatArray, height: FloatArray, beside: FloatArray, tops: FloatArray, slope: float
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Tangent range over which both sides are nearly flat, and whether it is not empty. Shape (p,) each."""
+    columns = np.arange(along.shape[1])
+    i, j = np.argmin(height, axis=0), np.argmax(tops, axis=0)
+    of_hull = height <= height[i, columns] + slope * np.abs(along - along[i, columns]) + 1e-9
+    of_obstacle = tops >= tops[j, columns] - slope * np.abs(beside - beside[j, columns]) - 1e-9
+    low = np.maximum(np.where(of_hull, along, np.inf).min(axis=0), np.where(of_obstacle, beside, np.inf).min(axis=0))
+    high = np.minimum(np.where(of_hull, along, -np.inf).max(axis=0), np.where(of_obstacle, beside, -np.inf).max(axis=0))
+    return low, high, high >= low
+
+
+def _upper_side(lines: Chords, tops: FloatArray, place: FloatArray) -> FloatArray:
+    """Height of the obstacle's upper side at tangent coordinates `place`. Shape (t, p)."""
+    share, spans = lines.levels(place[:, None])
+    highest: FloatArray = np.where(spans, -lines.height - share * lines.rise, -np.inf).max(axis=1)
+    return np.where(np.isfinite(highest), highest, tops.max(axis=0))
+
+
+def _lower_side(
+    lines: Chords, height: FloatArray, place: FloatArray
+) -> tuple[IntArray, IntArray, FloatArray, FloatArray]:
+    """Vertices, share of the second, and height of the hull's lower side at `place`. Shape (t, p) each."""
+    columns = np.arange(height.shape[1])
+    share, spans = lines.levels(place[:, None])
+    level = np.where(spans, lines.height + share * lines.rise, np.inf)  # (t, c, p)
+    best = np.argmin(level, axis=1)
+    times = np.arange(len(place))[:, None]
+    picked, part = level[times, best, columns], share[times, best, columns]
+    bottom = np.argmin(height, axis=0)
+    lost = ~np.isfinite(picked)
+    return (
+        np.where(lost, bottom, lines.first[best, columns]),
+        np.where(lost, bottom, lines.second[best, columns]),
+        np.where(lost, 0.0, np.clip(part, 0.0, 1.0)),
+        np.where(lost, height[bottom, columns], picked),
+    )
+
+
+def covering_disc_rows(
+    scene: Scene, basis: Basis, rollout: Rollout, by: Sensitivity, found: Clearance, chosen: IntArray
+) -> ClearanceRows:
+    """ClearanceRows that move the deepest discs of the chosen pairs out of their obstacles."""
+    parts = [
+        _part_rows(scene, rollout, basis, found, chosen[found.pairs.part[chosen] == b], b)
+        for b in range(len(scene.body.vertices))
+    ]
+    node, arm, normal, gap = (np.concatenate(columns) for columns in zip(*parts, strict=True))
+    gradient = normal[:, :1] * by.x[node] + normal[:, 1:] * by.y[node]
+    gradient += (normal[:, 1] * arm[:, 0] - normal[:, 0] * arm[:, 1])[:, None] * by.yaw[node]
+    return ClearanceRows(gradient, gap - found.required.value[node], node)
+
+
+def _part_rows(
+    scene: Scene, rollout: Rollout, basis: Basis, found: Clearance, chosen: IntArray, part: int
+) -> tuple[IntArray, FloatArray, FloatArray, FloatArray]:
+    centres, radius = covering_discs(scene.body.vertices[part], scene.settings.most_discs)
+    left = basis.left[found.pairs.interval[chosen]]
+    both = np.concatenate((left, left + 1))
+    count = len(scene.obstacles)
+    node, obstacle = np.divmod(np.unique(both * count + np.tile(found.pairs.obstacle[chosen], 2)), count)
+    yaw = rollout.poses[node, 2][:, None]
+    c, s = np.cos(yaw), np.sin(yaw)
+    arm = np.stack((c * centres[:, 0] - s * centres[:, 1], s * centres[:, 0] + c * centres[:, 1]), axis=-1)
+    points = rollout.poses[node, None, :2] + arm
+    distance, normal = _signed_distance(points, scene.obstacles.vertices[obstacle], scene.obstacles.normals[obstacle])
+    order = np.argsort(distance, axis=1)[:, : scene.settings.discs_per_node]
+    rows = np.arange(len(node))[:, None]
+    flat = np.repeat(node, order.shape[1])
+    gap = distance[rows, order].ravel() - radius
+    return flat, arm[rows, order].reshape(-1, 2), normal[rows, order].reshape(-1, 2), gap
+
+
+def covering_discs(vertices: FloatArray, most: int) -> tuple[FloatArray, float]:
+    """Centres (d, 2) [m] along the longer side of a body part's box, at most so many, and their radius [m].
+
+    Args:
+        vertices: Shape (v, 2) [m].
+        most: Discs at most.
+    """
+    low, high = vertices.min(axis=0), vertices.max(axis=0)
+    extent, middle = high - low, 0.5 * (low + high)
+    long = int(np.argmax(extent))
+    radius = 0.5 * float(extent.min())
+    half = 0.5 * float(extent.max()) - radius
+    count = int(np.clip(np.ceil(2.0 * half / max(radius, 1e-9)) + 1.0, 1, most))
+    centres = np.tile(middle, (count, 1))
+    centres[:, long] += np.linspace(-half, half, count)
+    return centres, radius
+
+
+def _signed_distance(points: FloatArray, outline: FloatArray, normals: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Distance of points (p, d, 2) to polygons (p, k, 2), negative inside, and its gradient (p, d, 2)."""
+    edge = np.roll(outline, -1, axis=1) - outline
+    away = points[:, :, None] - outline[:, None]
+    along = (away * edge[:, None]).sum(axis=3) / np.maximum((edge * edge).sum(axis=2), 1e-18)[:, None]
+    rest = away - np.clip(along, 0.0, 1.0)[..., None] * edge[:, None]
+    length = np.hypot(rest[..., 0], rest[..., 1])
+    near = np.argmin(length, axis=2)[..., None]
+    outside = np.take_along_axis(length, near, axis=2)[..., 0]
+    toward = np.take_along_axis(rest, near[..., None], axis=2)[:, :, 0] / np.maximum(outside, 1e-9)[..., None]
+    depth = (away * normals[:, None]).sum(axis=3)
+    side = np.argmax(depth, axis=2)
+    deepest = np.take_along_axis(depth, side[..., None], axis=2)[..., 0]
+    inside = deepest < 0.0
+    normal = normals[np.arange(len(normals))[:, None], side]
+    return np.where(inside, deepest, outside), np.where(inside[..., None], normal, toward)

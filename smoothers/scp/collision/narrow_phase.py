@@ -1,0 +1,255 @@
+"""Narrow phase: separating planes between obstacles and the footprint swept between two neighbouring nodes.
+
+For an interval with end poses k and k + 1 let H be the vertices of the footprint at both. For a unit axis n from
+obstacle to robot a vertex dips below the chord of its two positions by at most `sag = h^2 / 8 * max(g'', 0)`, where g''
+is the second derivative of its height along n. So everything the vertex sweeps is at least
+
+    min over H of (n.v - required - sag) - max over the obstacle of n.q
+
+above the requirement: a lower bound for ANY n, between the nodes too. g'' is taken at both ends; within the interval it
+changes by at most (h / 2) * M3 from the nearer end, M3 = |rate| (1 + 3 |k| r) + k^2 (1 + |k| r).
+
+(In the plane they are lines; "plane" is the name that the field uses.) The axis n is the best of the candidates that
+separate convex polygons [Gottschalk1996], refined once. Arrays hold one pair per column, so that every reduction runs
+over contiguous memory.
+"""
+
+from __future__ import annotations
+
+from functools import cache
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+from smoothers.scp.collision.scene import Points
+
+if TYPE_CHECKING:
+    from optdock.geometry.arrays import BoolArray, FloatArray, IntArray
+    from smoothers.scp.basis import Basis
+    from smoothers.scp.collision.broad_phase import Pairs
+    from smoothers.scp.collision.scene import BodyAtNodes, Requirement, Scene
+    from smoothers.scp.rollout import Rollout
+    from smoothers.scp.settings import CollisionSettings
+
+__all__ = ["Chords", "Clearance", "best_separating_axes", "chords", "narrow_phase"]
+
+
+class Clearance(NamedTuple):
+    """Near pairs and how far each is above the requirement; one column per pair.
+
+    Attributes:
+        pairs: Which interval, part, obstacle.
+        hull: Swept vertices, those of the left node first, Shape (2v, p) [m].
+        axis: Unit, obstacle to robot, Shape (1, p).
+        heights: Shape (2v, p) [m], n.v less requirement and sag.
+        outline: Obstacle vertices, Shape (k, p) [m].
+        top: Shape (p,) [m], largest n.q of the obstacle.
+        margin: Shape (p,) [m], proven lower bound of clearance - required.
+        required: At every node.
+    """
+
+    pairs: Pairs
+    hull: Points
+    axis: Points
+    heights: FloatArray
+    outline: Points
+    top: FloatArray
+    margin: FloatArray
+    required: Requirement
+
+
+def narrow_phase(
+    scene: Scene, basis: Basis, rollout: Rollout, signs: FloatArray, body: BodyAtNodes, pairs: Pairs
+) -> Clearance:
+    """The proven margin of every pair.
+
+    Args:
+        scene: Obstacles and body.
+        basis: Shape of the path.
+        rollout: The driven path.
+        signs: Gear of each segment, Shape (num_gears,).
+        body: The body at the nodes.
+        pairs: Of the broad phase.
+    """
+    left = basis.left[pairs.interval]
+    column = pairs.part * basis.num_nodes + left
+    hull, inward = _both_ends(body.corners, column), body.inward.columns(column)
+    outline, normals = scene.outline.columns(pairs.obstacle), scene.edge_normals.columns(pairs.obstacle)
+    axis = best_separating_axes(hull, outline, normals, inward, scene.settings)
+    along = hull.along(axis)
+    sign = signs[basis.interval_gear[pairs.interval]]
+    dip = _sag(scene, rollout, pairs, _Seen(np.stack((left, left + 1)), sign, axis, along, hull.across(axis)), body)
+    heights = along - _node_requirements(body.required, left, len(dip))
+    heights[: len(dip)] -= dip
+    heights[len(dip) :] -= dip
+    top = outline.along(axis).max(axis=0)
+    return Clearance(pairs, hull, axis, heights, outline, top, heights.min(axis=0) - top, body.required)
+
+
+def _both_ends(points: Points, column: IntArray) -> Points:
+    """The columns of the left nodes above those of the right nodes."""
+    both = np.concatenate((column, column + 1))
+    count, size = points.x.shape[0], column.size
+    return Points(
+        *(
+            values[:, both].reshape(count, 2, size).transpose(1, 0, 2).reshape(2 * count, size)
+            for values in (points.x, points.y)
+        )
+    )
+
+
+def _node_requirements(required: Requirement, left: IntArray, count: int) -> FloatArray:
+    """Requirement of every hull vertex, such that the chord between the two nodes is nowhere below the requirement.
+
+    Every rule is at most linear in distance and the smallest one counts, so where another takes over within an interval
+    the larger of its ends is safe. Next to the start only the right end may be raised: the left one is given.
+    """
+    first, last = required.value[left], required.value[left + 1]
+    changes = required.rule[left] != required.rule[left + 1]
+    from_start = changes & (required.rule[left] == 2)
+    larger = np.maximum(first, last)
+    first = np.where(changes & ~from_start, larger, first)
+    last = np.where(from_start, required.relieved[left + 1], np.where(changes, larger, last))
+    return np.repeat(np.stack((first, last)), count, axis=0)
+
+
+class _Seen(NamedTuple):
+    """Pairs seen along their axes: end nodes (2, p), gear (p,), axis, hull vertices along and across it (2v, p)."""
+
+    nodes: IntArray
+    sign: FloatArray
+    axis: Points
+    along: FloatArray
+    across: FloatArray
+
+
+def _sag(scene: Scene, rollout: Rollout, pairs: Pairs, seen: _Seen, body: BodyAtNodes) -> FloatArray:
+    """How far every vertex may dip below its chord along the axis. Shape (v, p)."""
+    axis, nodes = seen.axis, seen.nodes
+    step, rate = rollout.steps[pairs.interval], rollout.rate[pairs.interval]
+    x, y, kappa = rollout.poses[nodes, 0], rollout.poses[nodes, 1], rollout.curvature[nodes]
+    shape = (2, len(seen.along) // 2, step.size)
+    along = seen.along.reshape(shape) - (axis.x * x + axis.y * y)[:, None]
+    across = seen.across.reshape(shape) - (axis.x * y - axis.y * x)[:, None]
+    lateral = seen.sign * kappa * (axis.y * body.cosine[nodes] - axis.x * body.sine[nodes])
+    # n . R90 arm is minus the arm's coordinate across n.
+    bend = (lateral[:, None] - rate * across - (kappa * kappa)[:, None] * along).max(axis=0)
+    most, reach = np.abs(kappa).max(axis=0), scene.body.reach[pairs.part].T
+    third = np.abs(rate) * (1.0 + 3.0 * most * reach) + most**2 * (1.0 + most * reach)
+    dip: FloatArray = 0.125 * step**2 * np.maximum(bend + 0.5 * step * third, 0.0)
+    return dip
+
+
+def best_separating_axes(
+    hull: Points, outline: Points, normals: Points, inward: Points, settings: CollisionSettings
+) -> Points:
+    """Unit axes, obstacle to robot, with the largest separation among the usual candidates. Shape (1, p).
+
+    Candidates: obstacle edge normals, body edge normals at the left node, the direction between the closest vertices,
+    the normals of the closest vertex' chord, and then the normal of the hull's edge over the obstacle's support point.
+    Without that last one the predicted and the found separation differ to first order.
+
+    Args:
+        hull: Swept vertices, those of the left node first, Shape (2v, p).
+        outline: Obstacle vertices, Shape (k, p).
+        normals: Outward obstacle edge normals, Shape (k, p).
+        inward: Inward body edge normals at the left node, Shape (v, p).
+        settings: How many vertices may carry the lower side of a hull.
+    """
+    closest, chord = _vertex_axes(hull, outline, normals)
+    axes = Points(
+        np.concatenate((normals.x, inward.x, closest.x, chord.x, -chord.x)),
+        np.concatenate((normals.y, inward.y, closest.y, chord.y, -chord.y)),
+    )
+    gaps = _gaps(axes, hull, outline)
+    best = np.argmax(gaps, axis=0)
+    return _refined(axes.at(best), gaps[best, np.arange(best.size)], hull, outline, settings)
+
+
+def _gaps(axes: Points, hull: Points, outline: Points) -> FloatArray:
+    """Separation along every axis. Shape (a, p)."""
+    low = (axes.x * hull.x[:, None] + axes.y * hull.y[:, None]).min(axis=0)
+    top = (axes.x * outline.x[:, None] + axes.y * outline.y[:, None]).max(axis=0)
+    gaps: FloatArray = low - top
+    return gaps
+
+
+def _vertex_axes(hull: Points, outline: Points, fallback: Points) -> tuple[Points, Points]:
+    """Direction between the closest vertices, and a normal of the closest vertex' chord. Shape (1, p)."""
+    dx = (hull.x[:, None] - outline.x).reshape(hull.x.shape[0] * outline.x.shape[0], hull.x.shape[1])
+    dy = (hull.y[:, None] - outline.y).reshape(dx.shape)
+    best = np.argmin(dx * dx + dy * dy, axis=0)
+    count = hull.x.shape[0]
+    vertex = best // outline.x.shape[0]
+    here, there = hull.at(vertex), hull.at((vertex + count // 2) % count)
+    safe = Points(fallback.x[:1], fallback.y[:1])
+    return _unit(Points(dx, dy).at(best), safe), _unit(Points(here.y - there.y, there.x - here.x), safe)
+
+
+def _unit(vectors: Points, fallback: Points) -> Points:
+    """Vectors scaled to length 1; the fallback where they are too short to point anywhere."""
+    length = np.hypot(vectors.x, vectors.y)
+    short = length < 1e-9
+    if not short.any():
+        return Points(vectors.x / length, vectors.y / length)
+    length = np.where(short, 1.0, length)
+    return Points(np.where(short, fallback.x, vectors.x / length), np.where(short, fallback.y, vectors.y / length))
+
+
+class Chords(NamedTuple):
+    """Chords between the vertices of every hull that can carry its lower side, from left to right; Shape (c, p) each.
+
+    `first`, `second`: vertex indices. `along`, `height`: of the first. `run`, `rise`: to the second, run >= 0.
+    """
+
+    first: IntArray
+    second: IntArray
+    along: FloatArray
+    height: FloatArray
+    run: FloatArray
+    rise: FloatArray
+
+    def levels(self, place: FloatArray) -> tuple[FloatArray, BoolArray]:
+        """Share of the second vertex at tangent coordinates `place`, and whether the chord spans it."""
+        usable = self.run > 1e-12
+        share = (place - self.along) / np.where(usable, self.run, 1.0)
+        return share, usable & (share >= -1e-9) & (share <= 1.0 + 1e-9)
+
+
+def chords(along: FloatArray, height: FloatArray, settings: CollisionSettings) -> Chords:
+    """All chords between points at tangent coordinates `along`, Shape (k, p); of many points only the lowest count."""
+    columns = np.arange(along.shape[1])
+    if along.shape[0] > settings.lowest_vertices:
+        lowest = np.argmin(height, axis=0)
+        tilted = height - settings.lowest_slope * np.abs(along - along[lowest, columns])
+        kept = np.argpartition(tilted, settings.lowest_vertices, axis=0)[: settings.lowest_vertices]
+        order = np.take_along_axis(kept, np.argsort(np.take_along_axis(along, kept, axis=0), axis=0), axis=0)
+    else:
+        order = np.argsort(along, axis=0)
+    along, height = along[order, columns], height[order, columns]
+    a, b = _all_pairs(len(order))
+    return Chords(order[a], order[b], along[a], height[a], along[b] - along[a], height[b] - height[a])
+
+
+@cache
+def _all_pairs(count: int) -> tuple[IntArray, IntArray]:
+    """First and second of every pair of so many."""
+    first, second = np.triu_indices(count, 1)
+    return first, second
+
+
+def _refined(axis: Points, gap: FloatArray, hull: Points, outline: Points, settings: CollisionSettings) -> Points:
+    """The normal of the hull's lower edge over the obstacle's support point, where that separates better."""
+    support = outline.at(np.argmax(outline.along(axis), axis=0))
+    lines = chords(hull.across(axis), hull.along(axis), settings)
+    share, spans = lines.levels(support.across(axis))
+    level = np.where(spans, lines.height + share * lines.rise, np.inf)
+    best, columns = np.argmin(level, axis=0), np.arange(gap.size)
+    edge_run, edge_rise = lines.run[best, columns], lines.rise[best, columns]
+    found = np.isfinite(level[best, columns])
+    length = np.where(found, np.hypot(edge_run, edge_rise), 1.0)
+    # In the frame (tangent, axis) the edge runs along (run, rise): its upward normal is (-rise, run).
+    a, b = edge_run / length, edge_rise / length
+    edge = Points(a * axis.x + b * axis.y, a * axis.y - b * axis.x)
+    better = found & (_gaps(edge, hull, outline)[0] > gap)
+    return Points(np.where(better, edge.x, axis.x), np.where(better, edge.y, axis.y))

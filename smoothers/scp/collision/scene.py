@@ -1,0 +1,188 @@
+"""The scene: convex obstacles, the convex parts of the body, and the clearance required at a pose, as plain arrays."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from functools import lru_cache
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+from optdock.problem import START_RELIEF_SLOPE
+from smoothers.scp.settings import DEFAULT_SETTINGS, CollisionSettings
+
+if TYPE_CHECKING:
+    from optdock.geometry.arrays import BoolArray, FloatArray, IntArray
+    from optdock.geometry.footprint import Footprint
+    from optdock.obstacles import ObstacleSet
+    from optdock.problem import ClearanceRule, DockingProblem
+
+__all__ = ["Body", "BodyAtNodes", "Points", "Requirement", "Scene", "body_at_nodes", "scene_around"]
+
+
+class Points(NamedTuple):
+    """Points or directions, one column per pair: x and y, Shape (k, p) each."""
+
+    x: FloatArray
+    y: FloatArray
+
+    def columns(self, chosen: IntArray | BoolArray) -> Points:
+        """The chosen pairs."""
+        return Points(self.x[:, chosen], self.y[:, chosen])
+
+    def along(self, axis: Points) -> FloatArray:
+        """Heights along one axis per pair, Shape (1, p). Shape (k, p)."""
+        heights: FloatArray = axis.x * self.x + axis.y * self.y
+        return heights
+
+    def across(self, axis: Points) -> FloatArray:
+        """Coordinates along the axis turned left by 90 degrees. Shape (k, p)."""
+        coordinates: FloatArray = axis.x * self.y - axis.y * self.x
+        return coordinates
+
+    def at(self, row: IntArray) -> Points:
+        """One point per pair. Shape (1, p)."""
+        columns = np.arange(row.size)
+        return Points(self.x[row, columns][None], self.y[row, columns][None])
+
+
+class Body(NamedTuple):
+    """The footprint's convex parts padded to one vertex count: vertices and normals (parts, v, 2); boxes (parts, 2).
+
+    `reach`: distance of every vertex from the origin (parts, v). `radius`: largest of them. `width`: thickness [m].
+    """
+
+    vertices: FloatArray
+    normals: FloatArray
+    lower: FloatArray
+    upper: FloatArray
+    reach: FloatArray
+    radius: float
+    width: float
+
+
+class Requirement(NamedTuple):
+    """Required clearance at positions.
+
+    Attributes:
+        value: Shape (n,) [m].
+        gradient: By position, Shape (n, 2).
+        rule: Which one decides, Shape (n,): 0 dock, 1 full, 2 start.
+        relieved: What the start rule alone would ask for, Shape (n,) [m].
+    """
+
+    value: FloatArray
+    gradient: FloatArray
+    rule: IntArray
+    relieved: FloatArray
+
+
+@dataclass(frozen=True, eq=False)
+class Scene:
+    """Obstacles near the path, the body, and the clearance rule.
+
+    Args:
+        obstacles: Near the input path.
+        body: What moves.
+        rule: Clearance rule.
+        start: Start position, Shape (2,) [m].
+        goal: Goal position, Shape (2,) [m].
+        start_clearance: Clearance of the start pose [m].
+        settings: Which pairs are looked at, and how.
+
+    Attributes:
+        outline: Obstacle vertices, one column per obstacle, Shape (k, m) [m].
+        edge_normals: Their outward edge normals.
+        box_middle, box_half: Middle and half extent of their bounding boxes, Shape (1, m) [m].
+    """
+
+    obstacles: ObstacleSet
+    body: Body
+    rule: ClearanceRule
+    start: FloatArray
+    goal: FloatArray
+    start_clearance: float
+    settings: CollisionSettings = DEFAULT_SETTINGS.collision
+    outline: Points = field(init=False, repr=False)
+    edge_normals: Points = field(init=False, repr=False)
+    box_middle: Points = field(init=False, repr=False)
+    box_half: Points = field(init=False, repr=False)
+
+    def __post_init__(self) -> None:
+        for name, values in (("outline", self.obstacles.vertices), ("edge_normals", self.obstacles.normals)):
+            x, y = (np.ascontiguousarray(values[..., i].T) for i in (0, 1))
+            object.__setattr__(self, name, Points(x, y))
+        lower, upper = self.obstacles.lower.T[:, None], self.obstacles.upper.T[:, None]
+        object.__setattr__(self, "box_middle", Points(*(0.5 * (lower + upper))))
+        object.__setattr__(self, "box_half", Points(*(0.5 * (upper - lower))))
+
+    def required(self, positions: FloatArray) -> Requirement:
+        """What is required at robot positions, Shape (n, 2) [m]."""
+        to_goal, to_start = positions - self.goal, positions - self.start
+        from_goal, from_start = np.hypot(to_goal[:, 0], to_goal[:, 1]), np.hypot(to_start[:, 0], to_start[:, 1])
+        value = self.rule.required_at(from_goal, from_start, self.start_clearance)
+        relieved = max(0.0, self.start_clearance) + START_RELIEF_SLOPE * from_start
+        eased, near = value == relieved, from_goal < self.rule.taper
+        slope = (self.rule.required - self.rule.at_dock) / self.rule.taper if self.rule.taper > 0.0 else 0.0
+        toward = np.where(near, slope / np.maximum(from_goal, 1e-9), 0.0)[:, None] * to_goal
+        away = (START_RELIEF_SLOPE / np.maximum(from_start, 1e-9))[:, None] * to_start
+        gradient, rule = np.where(eased[:, None], away, toward), np.where(eased, 2, np.where(near, 0, 1))
+        return Requirement(value, gradient, rule, relieved)
+
+
+@lru_cache(maxsize=16)
+def body_of(footprint: Footprint) -> Body:
+    """The padded parts of a footprint, once per footprint object."""
+    width = max(len(part.vertices) for part in footprint.bodies)
+    vertices = np.stack([_padded(part.vertices, width) for part in footprint.bodies])
+    normals = np.stack([_padded(part.normals, width) for part in footprint.bodies])
+    thickness = 2.0 * max(footprint.inscribed_radius, 0.25 * min(footprint.width, footprint.length))
+    reach = np.hypot(vertices[..., 0], vertices[..., 1])
+    lower, upper = vertices.min(axis=1), vertices.max(axis=1)
+    return Body(vertices, normals, lower, upper, reach, footprint.circumscribed_radius, thickness)
+
+
+def _padded(rows: FloatArray, count: int) -> FloatArray:
+    return np.concatenate((rows, np.repeat(rows[-1:], count - len(rows), axis=0)))
+
+
+def scene_around(
+    problem: DockingProblem, positions: FloatArray, start_clearance: float, settings: CollisionSettings
+) -> Scene:
+    """The scene within reach of a path through `positions`, Shape (n, 2) [m]."""
+    body = body_of(problem.robot.footprint)
+    reach = body.radius + problem.clearance.required + settings.crop
+    near = problem.all_obstacles.in_box(positions.min(axis=0) - reach, positions.max(axis=0) + reach)
+    start = np.array([problem.start.x, problem.start.y])
+    goal = np.array([problem.goal.x, problem.goal.y])
+    return Scene(near, body, problem.clearance, start, goal, start_clearance, settings)
+
+
+class BodyAtNodes(NamedTuple):
+    """The body at every node.
+
+    Attributes:
+        corners: Scene positions of all body vertices, one column per part and node, Shape (v, parts * nodes) [m].
+        inward: Inward normals of the body's edges, likewise.
+        required: Clearance required at the nodes.
+        cosine, sine: Of the yaw, Shape (nodes,).
+    """
+
+    corners: Points
+    inward: Points
+    required: Requirement
+    cosine: FloatArray
+    sine: FloatArray
+
+
+def body_at_nodes(scene: Scene, poses: FloatArray) -> BodyAtNodes:
+    """The body at all poses, Shape (nodes, 3)."""
+    c, s = np.cos(poses[:, 2]), np.sin(poses[:, 2])
+    shape = (scene.body.vertices.shape[1], -1)
+    turned = []
+    for points, sign in ((scene.body.vertices, 1.0), (scene.body.normals, -1.0)):
+        x, y = sign * points[..., 0].T[..., None], sign * points[..., 1].T[..., None]  # (v, parts, 1)
+        turned.append((c * x - s * y, s * x + c * y))
+    corners = Points((poses[:, 0] + turned[0][0]).reshape(shape), (poses[:, 1] + turned[0][1]).reshape(shape))
+    inward = Points(turned[1][0].reshape(shape), turned[1][1].reshape(shape))
+    return BodyAtNodes(corners, inward, scene.required(poses[:, :2]), c, s)

@@ -1,0 +1,116 @@
+"""The cost: length, curvature, curvature rate and distance to the input, with exact derivatives.
+
+J = sum over gears of [w_L L + w_k / k_ref^2 * L * K'MK + w_r / r_ref^2 / L * K'SK]
+    + w_t * (total length / intervals) * sum over nodes of (n_ref . (p - p_ref))^2
+
+with M and S the mass and stiffness of the basis: length, integral of curvature^2, integral of curvature rate^2, and the
+squared lateral distance to the input path.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from optdock.geometry.arrays import FloatArray
+    from optdock.path import Path
+    from smoothers.scp.basis import Basis
+    from smoothers.scp.rollout import Rollout, Sensitivity, Variables
+
+__all__ = ["CostModel", "Quadratic", "Reference", "Weights"]
+
+
+class Weights(NamedTuple):
+    """Weights of length [1/m], curvature and curvature rate (relative to their references), and tracking [1/m^3]."""
+
+    length: float = 1.0
+    curvature: float = 0.4
+    rate: float = 0.15
+    tracking: float = 0.3
+
+
+class Reference(NamedTuple):
+    """The input path at the nodes: positions (n, 2) [m] and unit normals (n, 2)."""
+
+    positions: FloatArray
+    normals: FloatArray
+
+
+class Quadratic(NamedTuple):
+    """A convex quadratic model `gradient . step + step' hessian step / 2`; Shape (size,), (size, size)."""
+
+    gradient: FloatArray
+    hessian: FloatArray
+
+
+@dataclass(frozen=True, eq=False)
+class CostModel:
+    """The cost of one problem.
+
+    Args:
+        basis: Shape of the path.
+        weights: What matters how much.
+        scales: Reference curvature [1/m] and reference curvature rate [1/m^2].
+        reference: The input path.
+    """
+
+    basis: Basis
+    weights: Weights
+    scales: tuple[float, float]
+    reference: Reference
+
+    @property
+    def factors(self) -> tuple[float, float]:
+        """Weights of the integrals of curvature^2 and of curvature rate^2."""
+        return self.weights.curvature / self.scales[0] ** 2, self.weights.rate / self.scales[1] ** 2
+
+    def _lateral(self, rollout: Rollout) -> FloatArray:
+        away = rollout.poses[:, :2] - self.reference.positions
+        return away[:, 0] * self.reference.normals[:, 0] + away[:, 1] * self.reference.normals[:, 1]
+
+    def value(self, variables: Variables, rollout: Rollout) -> float:
+        """J."""
+        curvature, lengths = variables
+        bend, jerk = self.factors
+        per_knot = lengths[self.basis.knot_gear]
+        squares = per_knot * curvature * (self.basis.mass @ curvature)
+        slopes = curvature * (self.basis.stiffness @ curvature) / per_knot
+        lateral, total = self._lateral(rollout), float(lengths.sum())
+        tracking = self.weights.tracking * total / self.basis.num_intervals * float(lateral @ lateral)
+        return float(self.weights.length * total + bend * squares.sum() + jerk * slopes.sum() + tracking)
+
+    def quadratic(self, variables: Variables, rollout: Rollout, by: Sensitivity) -> Quadratic:
+        """Exact gradient; Hessian exact in the curvatures, Gauss-Newton for tracking."""
+        basis, (curvature, lengths) = self.basis, variables
+        bend, jerk = self.factors
+        per_knot, knots = lengths[basis.knot_gear], basis.num_knots
+        of_mass, of_slope = basis.mass @ curvature, basis.stiffness @ curvature
+        gradient, hessian = np.empty(basis.size), np.zeros((basis.size, basis.size))
+        gradient[:knots] = 2.0 * (bend * per_knot * of_mass + jerk / per_knot * of_slope)
+        squares, slopes = (curvature * of_mass) @ basis.knot_members, (curvature * of_slope) @ basis.knot_members
+        gradient[knots:] = self.weights.length + bend * squares - jerk * slopes / lengths**2
+        hessian[:knots, :knots] = 2.0 * (bend * per_knot * basis.mass + (jerk / per_knot) * basis.stiffness)
+        index = np.arange(knots, basis.size)
+        hessian[index, index] = 2.0 * jerk * slopes / lengths**3
+        share = self.weights.tracking / basis.num_intervals
+        lateral, scale = self._lateral(rollout), share * float(lengths.sum())
+        normals = self.reference.normals
+        moved = normals[:, :1] * by.x + normals[:, 1:] * by.y
+        gradient += 2.0 * scale * (lateral @ moved)
+        gradient[knots:] += share * float(lateral @ lateral)
+        hessian += 2.0 * scale * (moved.T @ moved)
+        return Quadratic(gradient, hessian)
+
+    def of_clothoids(self, path: Path, final_straight: float) -> float:
+        """J of a clothoid path that is its own reference, without its final straight of this length [m]."""
+        bend, jerk = self.factors
+        value = self.weights.length * (path.length - final_straight)
+        for segment in path.segments:
+            knots, curvature = segment.knots, segment.curvature_at(segment.knots)
+            step, a, b = np.diff(knots), curvature[:-1], curvature[1:]
+            value += bend * float(np.sum(step * (a * a + a * b + b * b)) / 3.0)
+            value += jerk * float(np.sum((b - a) ** 2 / step))
+        return float(value)

@@ -1,0 +1,248 @@
+"""The problem: a docking problem and an input path as a nonlinear program of few variables.
+
+    minimize    J(K, L)                                      (`cost`)
+    subject to  |K| <= k_max, |K_(j+1) - K_j| <= s_max L / q, L > 0
+                pose at the end = goal, moved back by the final straight
+                clearance of the swept footprint >= required clearance       (`collision`)
+
+K: curvatures at the knots, L: lengths of the gears. The final straight is no variable: its poses are given.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+from optdock.geometry.pose import unwrap_yaw
+from smoothers.scp.basis import basis_for
+from smoothers.scp.cost import CostModel, Reference
+
+if TYPE_CHECKING:
+    from optdock.geometry.arrays import FloatArray
+    from optdock.limits import MotionLimits
+    from optdock.path import Path
+    from optdock.problem import DockingProblem
+    from smoothers.scp.basis import Basis, Shape
+    from smoothers.scp.collision.scene import Scene
+    from smoothers.scp.cost import Weights
+    from smoothers.scp.rollout import Rollout
+    from smoothers.scp.settings import BoundSettings, ResolutionSettings, Settings
+
+__all__ = ["Bounds", "Ends", "Formulation", "NonlinearProgram", "TracedInput", "formulate", "free_lengths"]
+
+
+@dataclass(frozen=True, eq=False)
+class Ends:
+    """Where the path begins and must end.
+
+    Args:
+        start: Shape (3,) [m, m, rad].
+        target: Likewise.
+        signs: Gears, Shape (num_gears,).
+        reach: Error at the goal from which on Newton steps are not tried [m, rad].
+    """
+
+    start: FloatArray
+    target: FloatArray
+    signs: FloatArray
+    reach: float = 0.5
+
+    def error(self, rollout: Rollout) -> FloatArray:
+        """Last pose minus target, Shape (3,)."""
+        difference: FloatArray = rollout.poses[-1] - self.target
+        return difference
+
+
+@dataclass(frozen=True, eq=False)
+class Bounds:
+    """Bounds of the variables and of the curvature rate.
+
+    Args:
+        lower: Shape (size,), smallest knot curvatures and gear lengths.
+        upper: Shape (size,).
+        rate: Largest curvature rate [1/m^2]; may be infinite.
+    """
+
+    lower: FloatArray
+    upper: FloatArray
+    rate: float
+
+
+class TracedInput(NamedTuple):
+    """The input path at the nodes, without its final straight.
+
+    Attributes:
+        positions: Shape (num_nodes, 2) [m].
+        headings: Shape (num_intervals,) [rad], direction of each chord, continuous.
+        end_yaw: Yaw of the input's last pose, continuous with the headings [rad].
+    """
+
+    positions: FloatArray
+    headings: FloatArray
+    end_yaw: float
+
+
+@dataclass(frozen=True, eq=False)
+class NonlinearProgram:
+    """What is minimized under which constraints.
+
+    Args:
+        basis: Shape of the path.
+        ends: Start, target before the final straight, gears.
+        bounds: What iterates keep exactly.
+        inner_bounds: The same a little tighter: what the steps aim at.
+        cost: What is minimized.
+        scene: What must be kept clear of.
+        traced: The input.
+        lengths: Gear lengths to begin with, Shape (num_gears,) [m].
+        radius: Smallest turning radius, at least half a metre [m].
+        settings: Constants of the method.
+    """
+
+    basis: Basis
+    ends: Ends
+    bounds: Bounds
+    inner_bounds: Bounds
+    cost: CostModel
+    scene: Scene
+    traced: TracedInput
+    lengths: FloatArray
+    radius: float
+    settings: Settings
+
+
+class Formulation(NamedTuple):
+    """What the caller of the method chooses: weights, least number of spans, length of a collision interval [m]."""
+
+    weights: Weights
+    spans: int
+    interval: float
+
+
+def formulate(
+    path: Path,
+    problem: DockingProblem,
+    scene: Scene,
+    chosen: Formulation,
+    lengths: FloatArray | None,
+    settings: Settings,
+) -> NonlinearProgram:
+    """The program of smoothing `path` for `problem`.
+
+    Args:
+        path: The input.
+        problem: What must hold.
+        scene: Obstacles around the input.
+        chosen: Weights and resolution.
+        lengths: Gear lengths to begin with where they are not those of the input, Shape (num_gears,) [m], or None.
+        settings: Constants of the method.
+    """
+    limits, straight = problem.robot.limits, problem.dock.final_straight
+    traced_lengths = free_lengths(path, straight)
+    lengths = traced_lengths if lengths is None else lengths
+    scales = _reference_scales(limits, settings.bounds)
+    longest = settings.resolution.longest_span / scales[0]
+    basis = basis_for(shape_for(lengths, chosen, longest, settings.resolution), settings.resolution.fit_smoothing)
+    start = problem.start.as_array()
+    start[2] += 2.0 * np.pi * round((path.start.yaw - start[2]) / (2.0 * np.pi))
+    traced = trace(path, basis, traced_lengths, start[2])
+    radius = 1.0 / min(_curvature_bound(limits, settings.bounds), 2.0)
+    signs = np.array([float(segment.direction) for segment in path.segments])
+    ends = Ends(start, _target(problem, signs[-1], traced.end_yaw), signs, settings.projection.reach * radius)
+    cost = CostModel(basis, chosen.weights, scales, _reference_of(traced, basis))
+    bounds, inner = _variable_bounds(basis, problem, lengths, settings.bounds)
+    return NonlinearProgram(basis, ends, bounds, inner, cost, scene, traced, lengths, radius, settings)
+
+
+def free_lengths(path: Path, final_straight: float) -> FloatArray:
+    """Gear lengths of the input without its final straight. Shape (num_gears,) [m]."""
+    lengths = np.array([segment.length for segment in path.segments])
+    lengths[-1] = max(lengths[-1] - final_straight, 0.25 * lengths[-1], 0.01)
+    kept: FloatArray = np.maximum(lengths, 0.01)
+    return kept
+
+
+def shape_for(lengths: FloatArray, chosen: Formulation, longest: float, settings: ResolutionSettings) -> Shape:
+    """Spans by share of length, at least four per gear, even where there are several gears; intervals per span.
+
+    Args:
+        lengths: Of the gears, Shape (num_gears,) [m].
+        chosen: Least number of spans of all gears together, and length of a collision interval.
+        longest: Longest span [m].
+        settings: Limits of both.
+    """
+    total = float(lengths.sum())
+    wanted = max(chosen.spans, min(settings.most_spans, math.ceil(total / longest)))
+    spans = [max(settings.fewest_spans, 2 * round(0.5 * wanted * length / total)) for length in lengths]
+    cells = [math.ceil(length / (q * chosen.interval)) for length, q in zip(lengths, spans, strict=True)]
+    fewest, most = settings.fewest_intervals, settings.most_intervals
+    return tuple((q, min(max(r, fewest), most)) for q, r in zip(spans, cells, strict=True))
+
+
+def trace(path: Path, basis: Basis, lengths: FloatArray, start_yaw: float) -> TracedInput:
+    """The input at the nodes of `basis`; headings follow its motion, not its yaws."""
+    poses = []
+    for m, segment in enumerate(path.segments):
+        share = basis.fraction[basis.node_gear == m]
+        poses.append(segment.poses_at(share * min(lengths[m], segment.length)))
+    nodes = np.concatenate(poses)
+    nodes[:, 2] = unwrap_yaw(np.concatenate(([start_yaw], nodes[:, 2])))[1:]
+    left = basis.left
+    chord = nodes[left + 1, :2] - nodes[left, :2]
+    signs = np.array([int(segment.direction) for segment in path.segments])[basis.interval_gear]
+    direction = np.arctan2(signs * chord[:, 1], signs * chord[:, 0])
+    yaw = 0.5 * (nodes[left, 2] + nodes[left + 1, 2])
+    turned = np.remainder(direction - yaw + np.pi, 2.0 * np.pi) - np.pi
+    moved = np.hypot(chord[:, 0], chord[:, 1]) > 1e-6
+    return TracedInput(nodes[:, :2], yaw + np.where(moved, turned, 0.0), float(nodes[-1, 2]))
+
+
+def _reference_of(traced: TracedInput, basis: Basis) -> Reference:
+    """Positions, and normals at the nodes from the mean of the neighbouring headings."""
+    heading = np.empty(basis.num_nodes)
+    heading[basis.left] = traced.headings
+    heading[basis.last_nodes] = traced.headings[basis.last_nodes - np.arange(basis.num_gears) - 1]
+    inner = basis.left[basis.fraction[basis.left] > 0.0]
+    heading[inner] = 0.5 * (heading[inner] + heading[inner - 1])
+    return Reference(traced.positions, np.column_stack((-np.sin(heading), np.cos(heading))))
+
+
+def _target(problem: DockingProblem, sign: float, end_yaw: float) -> FloatArray:
+    """The goal moved back by the final straight, its yaw on the branch of the input's."""
+    goal = problem.goal.as_array()
+    back = sign * problem.dock.final_straight
+    goal[:2] -= back * np.array([np.cos(goal[2]), np.sin(goal[2])])
+    goal[2] += 2.0 * np.pi * round((end_yaw - goal[2]) / (2.0 * np.pi))
+    return goal
+
+
+def _curvature_bound(limits: MotionLimits, settings: BoundSettings) -> float:
+    return min(limits.max_curvature, settings.curvature_cap)
+
+
+def _reference_scales(limits: MotionLimits, settings: BoundSettings) -> tuple[float, float]:
+    """Curvature [1/m] and curvature rate [1/m^2] that the cost counts as one."""
+    curvature = limits.max_curvature if math.isfinite(limits.max_curvature) else settings.unlimited_curvature
+    rate = limits.max_curvature_rate
+    return curvature, rate if math.isfinite(rate) else settings.unlimited_rate * curvature
+
+
+def _variable_bounds(
+    basis: Basis, problem: DockingProblem, lengths: FloatArray, settings: BoundSettings
+) -> tuple[Bounds, Bounds]:
+    """Exact bounds, and the inner ones that steps aim at."""
+    found, limits = [], problem.robot.limits
+    shortest = np.minimum(settings.shortest_gear, 0.5 * lengths)
+    longest = settings.longest_gear[0] * lengths + settings.longest_gear[1]
+    for inside, rate_inside in ((1.0, 1.0), (settings.curvature_inside, settings.rate_inside)):
+        limit = np.full(basis.num_knots, inside * _curvature_bound(limits, settings))
+        lower, upper = np.concatenate((-limit, shortest)), np.concatenate((limit, longest))
+        if problem.start_curvature is not None:
+            lower[0] = upper[0] = problem.start_curvature
+        if problem.dock.final_straight > 0.0:
+            lower[basis.num_knots - 1] = upper[basis.num_knots - 1] = 0.0
+        found.append(Bounds(lower, upper, rate_inside * limits.max_curvature_rate))
+    return found[0], found[1]

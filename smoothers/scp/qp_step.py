@@ -1,0 +1,357 @@
+"""The step: a convex quadratic program within a trust region, with L1 penalties, solved by DAQP.
+
+    minimize    g'd + d'(H + mu M)d / 2 + rho_T (e+ + e-) + rho sum_z t_z          over step d and slacks e, t >= 0
+    subject to  lower <= z + d <= upper                       box of curvatures and lengths, trust region of lengths
+                E d + e+ - e- = -(end - target)               goal
+                |T d| <= trust region                         headings at twelve nodes
+                +-(K_(j+1) - K_j) - (s_max / q) L <= 0        curvature rate, exact
+                G d + t_zone >= buffer - gap                  clearance
+
+Columns and rows stand in named blocks. Programs are built per size and used again through casadi's buffers, which read
+and write NumPy's memory without a copy.
+"""
+
+from __future__ import annotations
+
+import itertools
+import threading
+import time
+from typing import TYPE_CHECKING, NamedTuple
+
+import casadi
+import numpy as np
+
+from smoothers.scp.basis import basis_for
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Mapping
+
+    from optdock.geometry.arrays import FloatArray, IntArray
+    from smoothers.scp.basis import Basis
+    from smoothers.scp.collision.linearization import ClearanceRows
+    from smoothers.scp.cost import Quadratic
+    from smoothers.scp.problem import NonlinearProgram
+    from smoothers.scp.rollout import Variables
+    from smoothers.scp.settings import StepSettings
+
+__all__ = [
+    "UNBOUNDED",
+    "Blocks",
+    "DenseProgram",
+    "Penalties",
+    "ProgramPool",
+    "Step",
+    "Subproblem",
+    "blocks_for",
+    "pool_of_this_thread",
+    "prepare_programs",
+    "solve_step",
+    "zone_of",
+]
+
+UNBOUNDED = 1e30  # how DAQP spells infinity
+_ARGUMENTS = ("h", "g", "a", "lba", "uba", "lbx", "ubx")
+
+
+class Penalties(NamedTuple):
+    """Weights of shortfalls of clearance and at the goal [1/m]."""
+
+    clearance: float
+    goal: float
+
+
+class Step(NamedTuple):
+    """Change of the variables, Shape (size,), and how much the model says the cost falls."""
+
+    change: FloatArray
+    gain: float
+
+
+class Blocks(NamedTuple):
+    """Where everything stands in a program.
+
+    Attributes:
+        path: Columns of the step: knot curvatures, then gear lengths.
+        goal_above: Columns of the three slacks e+.
+        goal_below: Columns of the three slacks e-.
+        clearance_slack: Columns of the slacks of clearance, one per zone of the path.
+        goal: Rows of the pose at the end.
+        trust_region: Rows of the headings.
+        rate_up: Rows of the curvature rate, none where it is unlimited.
+        rate_down: Likewise, its negative.
+        clearance: Rows of clearance; those beyond the ones in use are empty.
+    """
+
+    path: slice
+    goal_above: slice
+    goal_below: slice
+    clearance_slack: slice
+    goal: slice
+    trust_region: slice
+    rate_up: slice
+    rate_down: slice
+    clearance: slice
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """Numbers of columns and of rows."""
+        return int(self.clearance_slack.stop), int(self.clearance.stop)
+
+
+def blocks_for(basis: Basis, rate_spans: int, clearance_rows: int, settings: StepSettings) -> Blocks:
+    """The blocks of a program.
+
+    Args:
+        basis: Shape of the path.
+        rate_spans: Spans whose curvature rate is bounded.
+        clearance_rows: Room for so many.
+        settings: Numbers of zones and of trust region rows.
+    """
+    path, above, below, slack = _consecutive(basis.size, 3, 3, settings.zones)
+    rows = _consecutive(3, settings.trust_nodes, rate_spans, rate_spans, clearance_rows)
+    return Blocks(path, above, below, slack, *rows)
+
+
+def _consecutive(*counts: int) -> list[slice]:
+    return [slice(end - count, end) for count, end in zip(counts, itertools.accumulate(counts), strict=True)]
+
+
+def zone_of(basis: Basis, node: IntArray, zones: int) -> IntArray:
+    """Zone of the path in which nodes lie."""
+    return np.minimum(zones - 1, node * zones // basis.num_nodes)
+
+
+class Subproblem(NamedTuple):
+    """Everything about one linearization that does not change when a step is rejected.
+
+    Attributes:
+        variables: Where it is.
+        quadratic: Cost model.
+        motion: Shape (size, size), squared motion of the nodes.
+        goal: Derivatives of the last pose, Shape (3, size), and its error, Shape (3,).
+        headings: Shape (trust nodes, size), derivatives of the headings that the trust region bounds.
+        rows: Clearance.
+    """
+
+    variables: Variables
+    quadratic: Quadratic
+    motion: FloatArray
+    goal: tuple[FloatArray, FloatArray]
+    headings: FloatArray
+    rows: ClearanceRows
+
+
+def solve_step(
+    nlp: NonlinearProgram,
+    around: Subproblem,
+    pool: ProgramPool,
+    trust_region: float,
+    proximal: float,
+    penalties: Penalties,
+) -> Step | None:
+    """The best step within the trust region, or None.
+
+    Args:
+        nlp: Bounds and constants.
+        around: The linearization.
+        pool: Programs.
+        trust_region: Bound of the heading changes [rad], and times the smallest radius of the length changes.
+        proximal: Weight of the squared motion.
+        penalties: Weights of shortfalls.
+    """
+    basis, settings = nlp.basis, nlp.settings.step
+    spans = basis.span_gear.size if np.isfinite(nlp.inner_bounds.rate) else 0
+    room = next(count for count in settings.clearance_rows if count >= around.rows.gap.size)
+    blocks = blocks_for(basis, spans, room, settings)
+    program = pool.program(*blocks.size)
+    _fill_cost(program, blocks, around, proximal, penalties, settings)
+    _fill_box(program, blocks, nlp, around.variables, trust_region * nlp.radius)
+    program.a[:] = 0.0
+    program.lba[:], program.uba[:] = -UNBOUNDED, UNBOUNDED
+    _fill_goal_and_trust_region(program, blocks, around, trust_region)
+    if spans:
+        _fill_rate(program, blocks, nlp, around.variables)
+    _fill_clearance(program, blocks, around.rows, zone_of(basis, around.rows.node, settings.zones))
+    solution = program.solve()
+    if solution is None:
+        return None
+    change, model = solution[blocks.path], around.quadratic
+    gain = -float(model.gradient @ change + 0.5 * change @ model.hessian @ change)
+    return Step(change, gain)
+
+
+def _fill_cost(
+    program: DenseProgram,
+    blocks: Blocks,
+    around: Subproblem,
+    proximal: float,
+    penalties: Penalties,
+    settings: StepSettings,
+) -> None:
+    program.h[:] = 0.0
+    program.h[blocks.path, blocks.path] = around.quadratic.hessian + proximal * around.motion
+    diagonal = np.einsum("ii->i", program.h)  # a view
+    diagonal[blocks.path] += settings.ridge
+    diagonal[blocks.goal_above] = diagonal[blocks.goal_below] = settings.curved_goal_slack
+    diagonal[blocks.clearance_slack] = settings.curved_clearance_slack
+    program.g[blocks.path] = around.quadratic.gradient
+    program.g[blocks.goal_above] = program.g[blocks.goal_below] = penalties.goal
+    program.g[blocks.clearance_slack] = penalties.clearance
+
+
+def _fill_box(
+    program: DenseProgram, blocks: Blocks, nlp: NonlinearProgram, variables: Variables, stretch: float
+) -> None:
+    """Bounds of the variables; lengths change by `stretch` [m] at most."""
+    knots, flat = nlp.basis.num_knots, np.concatenate(variables)
+    lower, upper = nlp.inner_bounds.lower - flat, nlp.inner_bounds.upper - flat
+    lower[knots:] = np.maximum(lower[knots:], -stretch)
+    upper[knots:] = np.minimum(upper[knots:], stretch)
+    program.lbx[:], program.ubx[:] = 0.0, UNBOUNDED  # of the slacks
+    program.lbx[blocks.path] = np.minimum(lower, upper)
+    program.ubx[blocks.path] = np.maximum(lower, upper)
+
+
+def _fill_goal_and_trust_region(program: DenseProgram, blocks: Blocks, around: Subproblem, trust_region: float) -> None:
+    jacobian, error = around.goal
+    program.a[blocks.goal, blocks.path] = jacobian
+    program.a[blocks.goal, blocks.goal_above], program.a[blocks.goal, blocks.goal_below] = np.eye(3), -np.eye(3)
+    program.lba[blocks.goal] = program.uba[blocks.goal] = -error
+    program.a[blocks.trust_region, blocks.path] = around.headings
+    program.lba[blocks.trust_region], program.uba[blocks.trust_region] = -trust_region, trust_region
+
+
+def _fill_rate(program: DenseProgram, blocks: Blocks, nlp: NonlinearProgram, variables: Variables) -> None:
+    basis, bound = nlp.basis, nlp.inner_bounds.rate
+    slopes, allowed = basis.span_slopes @ variables.curvature, bound * variables.lengths[basis.span_gear]
+    for block, sign in ((blocks.rate_up, 1.0), (blocks.rate_down, -1.0)):
+        program.a[block, : basis.num_knots] = sign * basis.span_slopes
+        program.a[np.arange(block.start, block.stop), basis.num_knots + basis.span_gear] = -bound
+        program.uba[block] = allowed - sign * slopes
+
+
+def _fill_clearance(program: DenseProgram, blocks: Blocks, rows: ClearanceRows, zone: IntArray) -> None:
+    first, count = blocks.clearance.start, rows.gap.size
+    used = slice(first, first + count)
+    program.a[used, blocks.path] = rows.gradient
+    program.a[np.arange(first, first + count), blocks.clearance_slack.start + zone] = 1.0
+    program.lba[used] = -rows.gap
+
+
+def _plugin(name: str, size: int, rows: int, options: Mapping[str, Mapping[str, str]]) -> casadi.Function:
+    shapes = {"h": casadi.Sparsity.dense(size, size), "a": casadi.Sparsity.dense(rows, size)}
+    return casadi.conic(f"step_{name}", name, shapes, {"error_on_fail": False, **options})
+
+
+def _memory(values: FloatArray) -> memoryview:
+    return memoryview(values.ravel(order="K"))  # type: ignore[arg-type]  # numpy's stubs do not declare the buffer
+
+
+class DenseProgram:
+    """`min z'hz / 2 + g'z, lbx <= z <= ubx, lba <= az <= uba`, of fixed size, filled in place and solved.
+
+    Arrays are in Fortran order. DAQP solves; where it fails PIQP does.
+
+    Args:
+        size: Number of variables.
+        rows: Number of general constraints; unused ones keep zero rows and infinite bounds.
+    """
+
+    def __init__(self, size: int, rows: int) -> None:
+        self.h, self.a = np.zeros((size, size), order="F"), np.zeros((rows, size), order="F")
+        self.g, self.lbx, self.ubx = np.zeros(size), np.zeros(size), np.zeros(size)
+        self.lba, self.uba = np.full(rows, -UNBOUNDED), np.full(rows, UNBOUNDED)
+        self._solution = np.zeros(size)
+        self._primary = _plugin("daqp", size, rows, {})
+        self._buffer, self._run = self._bound()
+
+    def _bound(self) -> tuple[casadi.FunctionBuffer, Callable[[], None]]:
+        buffer, run = self._primary.buffer()
+        for name in _ARGUMENTS:
+            # A view in memory order: the buffer keeps the address, so the arrays must never be replaced.
+            values: FloatArray = getattr(self, name)
+            # casadi's stub knows the C form of the two setters only.
+            buffer.set_arg(self._primary.index_in(name), _memory(values))  # type: ignore[call-arg]
+        buffer.set_res(self._primary.index_out("x"), _memory(self._solution))  # type: ignore[call-arg]
+        return buffer, run
+
+    def solve(self) -> FloatArray | None:
+        """The minimizer, or None where no solver finds one. Shape (size,)."""
+        try:
+            self._run()
+        except RuntimeError:  # casadi's one exception, for example where a lower bound exceeds its upper bound
+            return None
+        # On failure DAQP leaves the previous solution behind, and NaN input passes for a success.
+        if self._buffer.stats()["success"] and bool(np.isfinite(self._solution).all()):
+            solution: FloatArray = self._solution.copy()
+            return solution
+        return self.solve_slowly()
+
+    def solve_slowly(self) -> FloatArray | None:
+        """The minimizer by PIQP, built anew for the rows in use; unused rows make it print warnings."""
+        if not all(bool(np.isfinite(getattr(self, name)).all()) for name in _ARGUMENTS):
+            return None
+        if not casadi.has_conic("piqp"):
+            return None
+        used = (self.lba > -UNBOUNDED) | (self.uba < UNBOUNDED)
+        values = {name: getattr(self, name) for name in _ARGUMENTS}
+        values.update({name: values[name][used] for name in ("a", "lba", "uba")})
+        solver = _plugin("piqp", self.g.size, int(used.sum()), {"piqp": {"kkt_solver": "dense_cholesky"}})
+        solution = np.array(solver(**values)["x"]).ravel()
+        found = bool(solver.stats()["success"]) and bool(np.isfinite(solution).all())
+        return solution if found else None
+
+
+class ProgramPool:
+    """Programs by size, built on first use. Not for concurrent use; see `pool_of_this_thread`.
+
+    Attributes:
+        build_time: Seconds spent on building, over the pool's life.
+        pace: How much slower this machine is than that of the benchmarks, as far as warming up has told.
+    """
+
+    def __init__(self) -> None:
+        self._programs: dict[tuple[int, int], DenseProgram] = {}
+        self.build_time = 0.0
+        self.pace = 1.0
+
+    def program(self, size: int, rows: int) -> DenseProgram:
+        """The program of this size."""
+        key = (size, rows)
+        if key not in self._programs:
+            began = time.perf_counter()
+            self._programs[key] = DenseProgram(size, rows)
+            self.build_time += time.perf_counter() - began
+        return self._programs[key]
+
+    def load_fallback(self) -> None:
+        """Load the second solver's library, which takes some milliseconds."""
+        program = DenseProgram(2, 1)
+        program.h[:] = np.eye(2)
+        program.lba[0], program.uba[0], program.a[0, 0] = 0.0, 1.0, 1.0
+        program.lbx[:], program.ubx[:] = -1.0, 1.0
+        program.solve_slowly()
+
+
+class _Pools(threading.local):
+    """One pool per thread."""
+
+    def __init__(self) -> None:
+        self.pool = ProgramPool()
+
+
+_POOLS = _Pools()
+
+
+def pool_of_this_thread() -> ProgramPool:
+    """The programs of the calling thread: building one takes as long as several steps, so all smoothers share them."""
+    return _POOLS.pool
+
+
+def prepare_programs(pool: ProgramPool, settings: StepSettings) -> None:
+    """Build the usual programs and bases, for one to three gears, and load the solvers."""
+    for shape in settings.usual_shapes:
+        basis = basis_for(shape)
+        for room in settings.clearance_rows[: settings.usual_clearance_rows]:
+            pool.program(*blocks_for(basis, basis.span_gear.size, room, settings).size)
+    pool.load_fallback()

@@ -1,0 +1,453 @@
+"""The strategy: what is tried and in which order, within the time that is given.
+
+`STRATEGY` is the whole list. A search is anytime [Zilberstein1996]: its best feasible iterate is certified when it
+converges or when time gets short, and nothing that is not certified is returned.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+from optdock.errors import SmootherCancelled, SmootherTimedOut
+from optdock.geometry.clothoid import ClothoidSpline
+from optdock.interfaces import SmoothingStatus
+from optdock.path import ClothoidSegment, Path
+from optdock.verification import certify_path, end_clearances
+from smoothers.scp.collision.scene import scene_around
+from smoothers.scp.goal_projection import exact_path
+from smoothers.scp.initial_guess import InitialGuesses, rest_of_earlier_result
+from smoothers.scp.loop import search
+from smoothers.scp.problem import formulate
+from smoothers.scp.refusals import refuse_approach, refuse_certificate, refuse_search, refuse_start
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from optdock.deadline import Deadline
+    from optdock.errors import SmootherException
+    from optdock.problem import DockingProblem
+    from optdock.verification import Certificate
+    from smoothers.scp.collision.scene import Scene
+    from smoothers.scp.initial_guess import Guess
+    from smoothers.scp.loop import Iterate
+    from smoothers.scp.problem import Formulation, NonlinearProgram
+    from smoothers.scp.qp_step import ProgramPool
+    from smoothers.scp.settings import AnytimeSettings, Settings
+
+__all__ = [
+    "STRATEGY",
+    "Call",
+    "Given",
+    "Incumbent",
+    "Outcome",
+    "Search",
+    "Solver",
+    "direct_line",
+    "earlier_answer",
+    "input_answer",
+    "is_clothoid_answer",
+]
+
+
+class Call(NamedTuple):
+    """What is asked for.
+
+    Attributes:
+        path: The input, in the problem's frame.
+        problem: What must hold.
+        earlier: An earlier result in the same frame, or None.
+        formulation: Weights and resolution.
+        max_iterations: Of every search.
+        first_only: Stop at the first certified path.
+    """
+
+    path: Path
+    problem: DockingProblem
+    earlier: Path | None
+    formulation: Formulation
+    max_iterations: int = 60
+    first_only: bool = False
+
+
+class Given(NamedTuple):
+    """A path that is an answer as it stands, where it is certified.
+
+    Attributes:
+        status: Of the result.
+        path: Which one, or None.
+        ends_all: Whether nothing is left to search for where there is one and something is certified.
+    """
+
+    status: SmoothingStatus
+    path: Callable[[Call, AnytimeSettings], Path | None]
+    ends_all: bool = False
+
+
+class Search(NamedTuple):
+    """A search from a guess; up to two repairs where the certificate refuses its result.
+
+    A repair begins at the refused variables, aims at three times the buffer, and looks at four times as many obstacles
+    in every interval, small ones included.
+
+    Attributes:
+        guess: Where it begins, or None.
+        thoroughly: With finer nodes and small obstacles looked at everywhere; worth trying among many obstacles only.
+        after_the_goal: Only where the search before met the goal: one that is out of reach for the curvature stays so.
+    """
+
+    guess: Callable[[InitialGuesses], Guess | None]
+    thoroughly: bool = False
+    after_the_goal: bool = False
+
+
+def is_clothoid_answer(path: Path, problem: DockingProblem, settings: AnytimeSettings) -> bool:
+    """Whether it is a clothoid path between the right ends and within the limits; the certificate decides the rest."""
+    if max(path.start.gap_to(problem.start), path.end.gap_to(problem.goal)) > settings.same_pose:
+        return False
+    limits = problem.robot.limits
+    for segment in path.segments:
+        if not isinstance(segment, ClothoidSegment):
+            return False
+        curvature, knots = segment.spline.curvature, segment.knots
+        rate = np.abs(np.diff(curvature) / np.diff(knots)).max()
+        if np.abs(curvature).max() > limits.max_curvature or rate > limits.max_curvature_rate:
+            return False
+    return True
+
+
+def earlier_answer(call: Call, settings: AnytimeSettings) -> Path | None:
+    """The earlier result, where it may be the answer."""
+    if call.earlier is None or not is_clothoid_answer(call.earlier, call.problem, settings):
+        return None
+    return call.earlier
+
+
+def direct_line(call: Call, settings: AnytimeSettings) -> Path | None:
+    """The straight line to the goal, where the robot already stands on its axis and no further than needed; or None.
+
+    From the staging pose nothing is left to optimize but the final straight, which the search takes for granted.
+    """
+    path, problem = call.path, call.problem
+    if len(path.segments) > 1:
+        return None
+    sign = int(path.segments[0].direction)
+    seen = problem.goal.in_frame_of(problem.start)
+    length = sign * seen.x
+    off_axis = max(abs(seen.y), abs(seen.yaw)) > settings.on_axis
+    if off_axis or not 0.0 < length < problem.dock.final_straight + settings.staging:
+        return None
+    line = ClothoidSpline(problem.start, np.array([0.0, length]), np.zeros(2), sign)
+    return Path((ClothoidSegment(line),), problem.frame)
+
+
+def input_answer(call: Call, settings: AnytimeSettings) -> Path | None:
+    """The input, where it may be the answer: a certified one is never exchanged for a costlier path."""
+    return call.path if is_clothoid_answer(call.path, call.problem, settings) else None
+
+
+STRATEGY: tuple[Given | Search, ...] = (
+    Given(SmoothingStatus.INPUT_KEPT, input_answer),
+    Given(SmoothingStatus.STRAIGHT, direct_line, ends_all=True),
+    # The first search that ends with a certified path, or for want of time, is the last one.
+    Search(lambda guesses: guesses.rest_of_earlier),
+    Search(lambda guesses: guesses.first),
+    Search(lambda guesses: guesses.other, after_the_goal=True),
+    Search(lambda guesses: guesses.rest_of_earlier, thoroughly=True),
+    Search(lambda guesses: guesses.first, thoroughly=True),
+    Search(lambda guesses: guesses.other, thoroughly=True, after_the_goal=True),
+    Given(SmoothingStatus.WARM_START_KEPT, earlier_answer),
+)
+"""Everything that is tried, in this order."""
+
+
+class Incumbent(NamedTuple):
+    """A certified path, its certificate, its cost, and its status where it was given and not searched for."""
+
+    path: Path
+    certificate: Certificate
+    cost: float
+    given: SmoothingStatus | None = None
+
+
+@dataclass
+class Outcome:
+    """What was found.
+
+    Attributes:
+        incumbent: The best certified path, or None.
+        last: The last iterate.
+        converged: Whether the search ended by itself.
+        iterations: Steps tried.
+        refused: The last certificate that refused a candidate, or None.
+        setup_time: Seconds from the start of the call to the first search.
+        first_certified: Seconds from the start of the call to the first certificate, or None.
+        certify_time: Seconds spent on certificates.
+        pace: Shortest iteration over the expected one: what hardly any disturbance could lengthen.
+    """
+
+    incumbent: Incumbent | None = None
+    last: Iterate | None = None
+    converged: bool = False
+    iterations: int = 0
+    refused: Certificate | None = None
+    setup_time: float = 0.0
+    first_certified: float | None = None
+    certify_time: float = 0.0
+    pace: float = math.inf
+
+
+@dataclass
+class Solver:
+    """Follows the strategy for one call.
+
+    Args:
+        pool: Convex programs.
+        deadline: Seconds left.
+        cancelled: Polled every iteration.
+        settings: Constants of the method.
+    """
+
+    pool: ProgramPool
+    deadline: Deadline
+    cancelled: Callable[[], bool]
+    settings: Settings
+    outcome: Outcome = field(default_factory=Outcome)
+    call: Call = field(init=False)
+    _nlp: NonlinearProgram = field(init=False)
+    _guesses: InitialGuesses = field(init=False)
+    _is_thorough: bool = False
+    _closest: Iterate | None = None  # of the failed searches for this program
+    _candidate: Iterate | None = None
+    _iteration: float = 0.0  # [s] expected of the next one
+    _certificate: float = 0.0  # [s] likewise; 0 until something is known
+
+    def follow_strategy(self, call: Call) -> Incumbent:
+        """A certified path.
+
+        Args:
+            call: What is asked for.
+
+        Raises:
+            FailedToSmoothPath: Which bound is in the way.
+            SmootherTimedOut: No certified path in time.
+            SmootherCancelled: The caller does not want it any more.
+        """
+        self.call = call
+        self._nlp, self._guesses = self.prepared(call)
+        self.outcome.setup_time = self.deadline.elapsed
+        for row in STRATEGY:
+            if self._take(row) if isinstance(row, Given) else self._try(row):
+                break
+        if self.outcome.incumbent is None:
+            raise self._failure()
+        return self.outcome.incumbent
+
+    def _take(self, row: Given) -> bool:
+        """Certify a given path; whether that is the end."""
+        path = row.path(self.call, self.settings.anytime)
+        if path is None:
+            return False
+        self._offer(path, row.status)
+        if not row.ends_all or self.outcome.incumbent is None:
+            return False
+        self.outcome.converged = True
+        return True
+
+    def _try(self, row: Search) -> bool:
+        """Search, where it is worth it; whether that is the end: something is certified, or the time is over."""
+        if row.thoroughly and not self._is_thorough:
+            if len(self._nlp.scene.obstacles) <= self.settings.resolution.many_obstacles:
+                return False
+            self._nlp, self._guesses = self._prepared_thoroughly()
+            self._is_thorough, self._closest = True, None
+        failed = self.outcome.last
+        if row.after_the_goal and not (failed is not None and failed.on_goal):
+            return False
+        guess = row.guess(self._guesses)
+        if guess is None:
+            return False
+        self._search_and_repair(self._nlp, guess)
+        failed, closest = self.outcome.last, self._closest
+        if self.outcome.incumbent is not None or not self.outcome.converged or failed is None:
+            return True
+        self._closest = failed if closest is None or failed.missing < closest.missing else closest
+        return False
+
+    def prepared(self, call: Call) -> tuple[NonlinearProgram, InitialGuesses]:
+        """The program of a call, with fewer nodes among many obstacles, and its guesses.
+
+        Raises:
+            FailedToSmoothPath: A bound that is in the way of any path.
+            SmootherTimedOut: No time is left.
+        """
+        self._look_at_the_clock()
+        path, problem, resolution = call.path, call.problem, self.settings.resolution
+        start_clearance, nearest, *_ = end_clearances(problem)
+        refusal = refuse_start(path, problem, start_clearance, nearest)
+        if refusal is None:
+            refusal = refuse_approach(path, problem, start_clearance)
+        if refusal is not None:
+            raise refusal.error()
+        self._look_at_the_clock()
+        shares = np.linspace(0.0, 1.0, resolution.input_samples)
+        positions = np.concatenate([segment.poses_at(shares * segment.length)[:, :2] for segment in path.segments])
+        scene = scene_around(problem, positions, start_clearance, self.settings.collision)
+        self._look_at_the_clock()
+        many = len(scene.obstacles) > resolution.many_obstacles
+        return self._formulated(call, scene, resolution.coarser_among_many if many else 1.0)
+
+    def _prepared_thoroughly(self) -> tuple[NonlinearProgram, InitialGuesses]:
+        """The same with finer nodes and small obstacles looked at everywhere."""
+        self._look_at_the_clock()
+        scene = self._nlp.scene
+        scene = replace(scene, settings=replace(scene.settings, thins_small_obstacles=False))
+        return self._formulated(self.call, scene, 1.0)
+
+    def _formulated(self, call: Call, scene: Scene, coarser: float) -> tuple[NonlinearProgram, InitialGuesses]:
+        # Longer robots are larger in everything: obstacles can be looked at in larger distances.
+        interval = call.formulation.interval * max(1.0, scene.body.radius / self.settings.resolution.body_radius)
+        chosen = call.formulation._replace(interval=coarser * interval)
+        earlier = rest_of_earlier_result(call.earlier, call.path, call.problem, self.settings.guess)
+        lengths = earlier.lengths if earlier is not None else None
+        nlp = formulate(call.path, call.problem, scene, chosen, lengths, self.settings)
+        expected, pace = self.settings.anytime, self.pool.pace
+        self._iteration = pace * _expected(nlp, expected.iteration_seconds)
+        self._certificate = self._certificate or pace * _expected(nlp, expected.certificate_seconds)
+        return nlp, InitialGuesses(nlp, earlier)
+
+    def _look_at_the_clock(self) -> None:
+        if self.deadline.passed():
+            message = f"no certified path within {1e3 * self.deadline.seconds:.1f} ms"
+            raise SmootherTimedOut(message, where={"iterations": self.outcome.iterations})
+
+    def _failure(self) -> SmootherException:
+        outcome, closest = self.outcome, self._closest
+        if not outcome.converged or closest is None:
+            message = f"no certified path within {1e3 * self.deadline.seconds:.1f} ms"
+            return SmootherTimedOut(message, where={"iterations": outcome.iterations})
+        if outcome.refused is not None and closest.feasible:
+            return refuse_certificate(outcome.refused).error()
+        return refuse_search(self._nlp, closest, self.call.problem.dock.final_straight).error()
+
+    def _offer(self, path: Path, status: SmoothingStatus) -> None:
+        """A result from elsewhere, if it is certified."""
+        certificate = self._judged(path, self.deadline.elapsed)
+        if certificate.certified:
+            cost = self._nlp.cost.of_clothoids(path, self.call.problem.dock.final_straight)
+            self.outcome.incumbent = Incumbent(path, certificate, cost, status)
+            self.outcome.first_certified = self.deadline.elapsed
+
+    def _search_and_repair(self, nlp: NonlinearProgram, guess: Guess) -> None:
+        """Search, and search again more cautiously where the certificate refuses the result."""
+        chosen = self.settings.anytime
+        for _ in range(chosen.repairs + 1):
+            self._search(nlp, guess)
+            refused = self._settle(nlp)
+            if refused is None or not self.outcome.converged:
+                break
+            seen = nlp.scene.settings
+            seen = replace(seen, nearest=chosen.repair_nearest * seen.nearest, thins_small_obstacles=False)
+            step = replace(nlp.settings.step, buffer=chosen.repair_buffer * nlp.settings.step.buffer)
+            scene, settings = replace(nlp.scene, settings=seen), replace(nlp.settings, step=step)
+            nlp, guess = replace(nlp, scene=scene, settings=settings), guess._replace(variables=refused.variables)
+
+    def _search(self, nlp: NonlinearProgram, guess: Guess) -> None:
+        self.outcome.converged = False
+        expected = _expected(nlp, self.settings.anytime.iteration_seconds)
+        before = self.deadline.elapsed
+        for progress in search(nlp, guess, self.pool, self.call.max_iterations, self._must_settle):
+            if self.cancelled():
+                raise SmootherCancelled("the smoother was cancelled")
+            self.outcome.last, self.outcome.converged = progress.iterate, progress.finished
+            self.outcome.iterations += progress.iterations > 0
+            self._consider(progress.iterate)
+            self._measured(self.deadline.elapsed - before, expected)
+            if self._enough(nlp):
+                return
+            before = self.deadline.elapsed
+
+    def _measured(self, seconds: float, expected: float) -> None:
+        """An iteration took so long."""
+        chosen = self.settings.anytime
+        self.outcome.pace = min(self.outcome.pace, seconds / expected)
+        self._iteration = max(chosen.longest_fades * self._iteration, seconds)
+        if self.outcome.certify_time == 0.0:  # none was measured yet, but how fast this machine is was
+            self._certificate = max(self._certificate, chosen.certificate_per_iteration * self._iteration)
+
+    def _must_settle(self) -> bool:
+        """Whether a step that takes longer than any before must be left unfinished for the sake of what is at hand."""
+        return not self.deadline.fits(self._reserve)
+
+    @property
+    def _reserve(self) -> float:
+        """Seconds for the certificate of the candidate, where there is one."""
+        return self.settings.anytime.certificate_reserve * self._certificate if self._candidate is not None else 0.0
+
+    def _consider(self, iterate: Iterate) -> None:
+        best = self._candidate.cost if self._candidate is not None else math.inf
+        held = self.outcome.incumbent.cost if self.outcome.incumbent is not None else math.inf
+        if iterate.feasible and iterate.cost < min(best, held):
+            self._candidate = iterate
+
+    def _enough(self, nlp: NonlinearProgram) -> bool:
+        """Whether to stop; certifies the candidate when time becomes short."""
+        step = self.settings.anytime.iteration_reserve * self._iteration
+        short = not self.deadline.fits(step + self._reserve)
+        first_only = self.call.first_only
+        if self._candidate is not None and (first_only or (short and self.outcome.incumbent is None)):
+            self._settle(nlp)
+            short = not self.deadline.fits(step)
+        found = first_only and self.outcome.incumbent is not None
+        self.outcome.converged = self.outcome.converged or found  # no more was asked for; no time limit ended it
+        return short or found
+
+    def _settle(self, nlp: NonlinearProgram) -> Iterate | None:
+        """Certify the candidate; returns it when it was refused."""
+        candidate, self._candidate = self._candidate, None
+        if candidate is None and self.outcome.incumbent is None and self._is_nearly_feasible():
+            candidate = self.outcome.last
+        if candidate is None:
+            return None
+        grace = self.settings.anytime.grace if self.outcome.incumbent is None else 0.0
+        if not self.deadline.fits(self._certificate - grace):
+            self.outcome.converged = False
+            return None
+        began, problem = self.deadline.elapsed, self.call.problem
+        path = exact_path(nlp, candidate.variables, problem.dock.final_straight).with_frame(problem.frame)
+        certificate = self._judged(path, began)
+        if not certificate.certified and self._is_late():
+            self.outcome.converged = False
+            return None
+        if not certificate.certified:
+            self.outcome.refused = certificate
+            return candidate
+        self.outcome.incumbent = Incumbent(path, certificate, candidate.cost)
+        if self.outcome.first_certified is None:
+            self.outcome.first_certified = self.deadline.elapsed
+        return None
+
+    def _judged(self, path: Path, began: float) -> Certificate:
+        """The certificate of a path; what passed since `began` [s] counts as its time."""
+        certificate = certify_path(path, self.call.problem, is_late=self._is_late)
+        self._certificate = self.deadline.elapsed - began
+        self.outcome.certify_time += self._certificate
+        return certificate
+
+    def _is_late(self) -> bool:
+        return self.deadline.left < -self.settings.anytime.latest
+
+    def _is_nearly_feasible(self) -> bool:
+        last = self.outcome.last
+        if last is None or not self.outcome.converged:
+            return False
+        return last.on_goal and last.shortfall < self.settings.anytime.nearly
+
+
+def _expected(nlp: NonlinearProgram, share: tuple[float, float, float]) -> float:
+    """Seconds that something takes on the machine of the benchmarks."""
+    obstacles, parts = len(nlp.scene.obstacles), len(nlp.scene.body.vertices)
+    return share[0] + obstacles * (share[1] + share[2] * parts * float(nlp.lengths.sum()))
