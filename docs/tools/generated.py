@@ -206,7 +206,6 @@ def _member(name: str, member: Any) -> str:
 
 def _commands(_: str) -> str:
     import typer
-
     from optdock.cli.app import app
 
     command = typer.main.get_command(app)

@@ -248,7 +248,7 @@ def segment_plans(
         return
     longest, duration = SAMPLING.longest_motion, limits.duration_estimate
     if duration > longest:
-        reason = f"the gear would take about {duration:.3g} s; motions of more than {longest:.0f} s are not planned"
+        reason = f"the drive would take about {duration:.3g} s; motions of more than {longest:.0f} s are not planned"
         yield SegmentPlan(TimingStatus.FAIL, how="refused", reason=reason, s=limits.begin)
         return
     if start.v == 0.0 and start.a == 0.0:
