@@ -1,7 +1,9 @@
 """The interior point: a banded primal-dual method for the reference program, on plain arrays.
 
     minimize   sum_m h_m / sqrt(c_{m+1}) + c' Q c / 2
-    subject to A c <= 1,   |x''_m(c)| f_m <= 2 J sqrt(c_{m+1})^-1,   two coefficients given at each end.
+    subject to A c <= 1,   |x''_m(c)| <= 2 J f_m / sqrt(c_{m+1}),   two coefficients given at each end,
+
+with f = sqrt(c) over the largest speed in the cell, held fixed after some iterations.
 
 Every row touches three neighbouring coefficients, so Newton's normal matrix is pentadiagonal, and Q, the price on jerk
 steps, adds one band: each iteration is one LAPACK `dpbsv`. The right side of the jerk rows is convex in c; linearized
@@ -39,14 +41,14 @@ class Program(NamedTuple):
         rows: Linear constraints A c <= 1 as stencils, Shape (3, rows, M).
         curve: x'' / (2 J) as stencils, Shape (3, M).
         right_share: Weight of c_{i+1} in the value at knot i, Shape (M + 1,).
-        ripple: Upper bands of Q, Shape (4, M + 2), LAPACK's storage.
+        quadratic: Upper bands of Q, Shape (4, M + 2), LAPACK's storage.
     """
 
     steps: FloatArray
     rows: FloatArray
     curve: FloatArray
     right_share: FloatArray
-    ripple: FloatArray
+    quadratic: FloatArray
 
 
 def solve(program: Program, c: FloatArray, settings: InteriorPoint, look: Callable[[], None]) -> tuple[FloatArray, int]:
@@ -73,10 +75,10 @@ def solve(program: Program, c: FloatArray, settings: InteriorPoint, look: Callab
         slack_change = -primal - applied(iterate.stencil, change)
         dual_change = mu / slack - dual - weight * slack_change
         step = min(
-            _longest(slack, slack_change, settings.to_boundary),
-            _longest(c[1:-1], change[1:-1], settings.largest_decrease),
+            _fraction_to_boundary(slack, slack_change, settings.to_boundary),
+            _fraction_to_boundary(c[1:-1], change[1:-1], settings.largest_decrease),
         )
-        dual_step = _longest(dual, dual_change, settings.to_boundary)
+        dual_step = _fraction_to_boundary(dual, dual_change, settings.to_boundary)
         c, slack, dual = c + step * change, slack + step * slack_change, dual + dual_step * dual_change
         iterate.move_to(c, frozen=iteration > settings.freeze)
         gap = float(np.vdot(slack, dual))
@@ -129,18 +131,18 @@ class _Iterate:
             weight: The diagonal of W, Shape (rows + 2, M).
             target: Shape (rows + 2, M).
         """
-        ripple = self.program.ripple
+        quadratic = self.program.quadratic
         normal = np.einsum("rm,prm->pm", weight[:-2], self.products)
         normal += np.einsum("rm,prm->pm", weight[-2:], _products(self.stencil[:, -2:]))
         slope = np.einsum("rm,prm->pm", target, self.stencil)
         square = self.root * self.root
         cube = self.program.steps / (self.root * square)
-        band = np.array(ripple[:, 2:-2], order="F")
+        band = np.array(quadratic[:, 2:-2], order="F")
         band[3] += normal[0, 2:] + normal[1, 1:-1] + normal[2, :-2] + (0.75 * cube / square)[1:-1]
         band[2, 1:] += (normal[3, 2:] + normal[4, 1:-1])[:-1]
         band[1, 2:] += normal[5, 2:-2]
         force = (0.5 * cube)[1:-1] - (slope[0, 2:] + slope[1, 1:-1] + slope[2, :-2])
-        force -= _lapack().product(3, 1.0, ripple, self.c)[2:-2]
+        force -= _lapack().product(3, 1.0, quadratic, self.c)[2:-2]
         _factor, solution, info = _lapack().solve(band, force)
         change = np.zeros(self.program.steps.size + 2)
         if info == 0:
@@ -153,7 +155,7 @@ def _products(stencil: FloatArray) -> FloatArray:
     return stencil[[0, 1, 2, 0, 1, 0]] * stencil[[0, 1, 2, 1, 2, 2]]
 
 
-def _longest(values: FloatArray, change: FloatArray, share: float) -> float:
+def _fraction_to_boundary(values: FloatArray, change: FloatArray, share: float) -> float:
     """The longest step, at most 1, along which no value loses more than `share` of itself."""
     worst = float((change / values).min())
     return min(1.0, -share / worst) if worst < 0.0 else 1.0

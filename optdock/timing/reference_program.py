@@ -41,9 +41,9 @@ __all__ = [
     "coefficients_of",
     "grid_of",
     "initial_guess",
+    "jerk_step_bands",
     "launch_arc",
     "limit_rows",
-    "ripple_bands",
     "solve_reference",
     "spline_of",
     "spline_phases",
@@ -333,7 +333,7 @@ def limit_rows(grid: Grid, bounds: ReferenceBounds, spline: Spline) -> FloatArra
     return np.stack(rows, axis=1)
 
 
-def ripple_bands(spline: Spline, weight: FloatArray) -> FloatArray:
+def jerk_step_bands(spline: Spline, weight: FloatArray) -> FloatArray:
     """Upper bands of the matrix Q with c' Q c / 2 = sum of (weight * step of x'' between neighbouring cells)^2.
 
     Args:
@@ -434,8 +434,8 @@ def solve_reference(bounds: ReferenceBounds, start: State, deadline: Deadline = 
     grid = grid_of(bounds, profile, first, last)
     guess, spline = initial_guess(grid, bounds, profile, first, last), spline_of(grid.steps)
     # A swing from -J to J is a step of x'' by 4 J / v.
-    ripple = settings.smooth_ripple if settings.smooth else settings.ripple
-    bands = ripple_bands(spline, np.sqrt(0.5 * ripple * guess[1:-1]) / (4.0 * bounds.jerk))
+    price = settings.smooth_jerk_step_price if settings.smooth else settings.jerk_step_price
+    bands = jerk_step_bands(spline, np.sqrt(0.5 * price * guess[1:-1]) / (4.0 * bounds.jerk))
     rows, curve = limit_rows(grid, bounds, spline), spline.curve / (2.0 * bounds.jerk)
     program = Program(grid.steps, rows, curve, spline.right_share, bands)
     with np.errstate(over="ignore", invalid="ignore", divide="ignore"):  # of slacks, where no spline keeps the limits

@@ -282,9 +282,9 @@ class NearOptimalSettings:
     Attributes:
         step: Knot spacing of the reference [s].
         smooth: Whether the reference itself is the motion.
-        ripple: Price of a full swing of the jerk between cells of the reference [s]: a little saves a sixth of the
+        jerk_step_price: Of a full swing of the jerk between cells of the reference [s]: a little saves a sixth of the
             moves for 0.01 % of time.
-        smooth_ripple: Likewise where the reference is the motion.
+        smooth_jerk_step_price: Likewise where the reference is the motion.
         tight_yaw: Share of the yaw acceleration: a start beyond it is planned without margins until it is below.
         margins: What is left unused.
         arcs: Launch and stop.
@@ -297,8 +297,8 @@ class NearOptimalSettings:
 
     step: float = 0.08
     smooth: bool = False
-    ripple: float = 0.002
-    smooth_ripple: float = 0.1
+    jerk_step_price: float = 0.002
+    smooth_jerk_step_price: float = 0.1
     tight_yaw: float = 0.95
     margins: Margins = field(default_factory=Margins)
     arcs: EndArcs = field(default_factory=EndArcs)

@@ -1,10 +1,10 @@
 """Conservative advancement: the proof of clearance for every point of a path.
 
 Where a pose keeps a distance, bounds of the motion say how far the robot may advance from it before that distance can
-be spent. Here the advance is of second order. Let n be the axis that attains the exact distance d of the footprint at
-u0 to an obstacle. A fixed axis is a valid lower bound at every other u as well, and along n every footprint vertex v
-moves by at least `n.v'(u0) du - M du^2 / 2`, M a bound of its acceleration (`motion_bounds`). So at u0 + du the
-distance is at least
+be spent ([Mirtich1996]). Here the advance is of second order. Let n be the axis that attains the exact distance d of
+the footprint at u0 to an obstacle. A fixed axis is a valid lower bound at every other u as well, and along n every
+footprint vertex v moves by at least `n.v'(u0) du - M du^2 / 2`, M a bound of its acceleration (`motion_bounds`). So at
+u0 + du the distance is at least
 
     d + min_v (n.v + n.v' du) - min_v n.v - M du^2 / 2                                    (*)
 

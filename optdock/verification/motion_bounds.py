@@ -5,8 +5,9 @@ Within a cell the body moves as `pose(u)`, u from u0 to u1. A body point b has t
     velocity      p' + yaw' R90 R b
     acceleration  at most |p''| + |b| (|yaw''| + yaw'^2)
 
-and both bounds are exact in the limit of small cells. For a clothoid u is arc length: |p'| = 1, |p''| = |curvature|,
-yaw' = curvature, yaw'' = curvature rate. For a polyline u counts poses: p'' = yaw'' = 0.
+and both bounds are exact in the limit of small cells; [Zhang2006] bounds velocities along an axis in the same way. For
+a clothoid u is arc length: |p'| = 1, |p''| = |curvature|, yaw' = curvature, yaw'' = curvature rate. For a polyline u
+counts poses: p'' = yaw'' = 0.
 """
 
 from __future__ import annotations

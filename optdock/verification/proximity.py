@@ -1,9 +1,9 @@
 """Proximity queries, the clearance of a pose: a broad phase leaves most obstacles out, a narrow phase is exact.
 
-Broad phase: circles that cover a body against the bounding boxes of the obstacles, a lower bound of every distance.
-Narrow phase: the signed distance of convex polygons with the axis that attains it (`geometry.separation`), for the
-pairs that the broad phase cannot decide. Where a shallow overlap of pieces may hide a deep one of the wholes, that is
-looked for as well (`contact_tolerance`).
+Broad phase ([Ericson2005] ch. 2): circles that cover a body against the bounding boxes of the obstacles, a lower bound
+of every distance. Narrow phase: the signed distance of convex polygons with the axis that attains it
+(`geometry.separation`), for the pairs that the broad phase cannot decide. Where a shallow overlap of pieces may hide a
+deep one of the wholes, that is looked for as well (`contact_tolerance`).
 """
 
 from __future__ import annotations

@@ -31,6 +31,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from optdock.path import Direction, PolylineSegment
+from optdock.trajectory import constant_jerk
 from optdock.verification.certificate import TOLERANCE, Violation
 
 if TYPE_CHECKING:
@@ -258,8 +259,7 @@ class _Instants(NamedTuple):
     def motion(self, law: TimeLaw) -> FloatArray:
         """Distance, speed and acceleration, Shape (n, 3)."""
         s, v, a = law.states[self.phase].T
-        dt, j = self.since, law.jerks[self.phase]
-        return np.column_stack((s + dt * (v + dt * (a / 2.0 + dt * j / 6.0)), v + dt * (a + dt * j / 2.0), a + dt * j))
+        return np.column_stack(constant_jerk(self.since, s, v, a, law.jerks[self.phase]))
 
     def rows(self, keep: slice) -> _Instants:
         """The moments at `keep`."""
@@ -340,10 +340,9 @@ class _Cells(NamedTuple):
 
     def advanced(self, dt: FloatArray) -> _Cells:
         """The motion `dt` later, by the cell's own polynomials."""
-        gain = dt * (self.v + dt * (self.a / 2.0 + dt * self.j / 6.0))
-        v = self.v + dt * (self.a + dt * self.j / 2.0)
+        gain, v, a = constant_jerk(dt, np.zeros(dt.size), self.v, self.a, self.j)
         k = np.clip(self.k + self.r * gain, self.low, self.high)
-        return self._replace(t=self.t + dt, width=self.width - dt, s=self.s + gain, v=v, a=self.a + dt * self.j, k=k)
+        return self._replace(t=self.t + dt, width=self.width - dt, s=self.s + gain, v=v, a=a, k=k)
 
     def rows(self, keep: IntArray | slice) -> _Cells:
         """The cells at `keep`."""

@@ -11,7 +11,7 @@ from optdock.errors import InvalidValue
 from optdock.geometry.clothoid import ClothoidSpline
 from optdock.geometry.pose import Pose2
 from optdock.path import ClothoidSegment, Path
-from optdock.trajectory import TimeLaw, Trajectory
+from optdock.trajectory import TimeLaw, Trajectory, border_states, constant_jerk
 
 phases = st.lists(st.tuples(st.floats(0.01, 2.0), st.floats(-2.0, 2.0)), min_size=1, max_size=8)
 
@@ -31,6 +31,18 @@ def test_speed_and_acceleration_are_the_derivatives_of_distance(pieces, speed, a
     assert np.allclose(slope[:, 0], middle[:, 1], atol=1e-6 * scale)
     assert np.allclose(slope[:, 1], middle[:, 2], atol=1e-6 * scale)
     assert np.allclose(slope[:, 2], middle[:, 3], atol=1e-5 * scale)
+
+
+@given(phases, st.tuples(*(st.floats(-1.0, 1.0) for _ in range(3))))
+def test_border_states_are_the_motion_under_constant_jerk_phase_by_phase(pieces, start):
+    durations, jerks = np.array(pieces).T
+    states = border_states(durations, jerks, start)
+    state = start
+    for k, (duration, jerk) in enumerate(pieces):
+        state = constant_jerk(duration, *state, jerk)
+        np.testing.assert_allclose(states[:, k + 1], state, rtol=0.0, atol=1e-12)
+    together = constant_jerk(durations, *states[:, :-1], jerks)
+    np.testing.assert_allclose(together, states[:, 1:], rtol=0.0, atol=1e-12)
 
 
 def test_a_known_move():

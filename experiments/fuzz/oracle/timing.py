@@ -1,7 +1,8 @@
 """Motions of a case: what speed, acceleration and turning really are, phase by phase and place by place.
 
 Times count from the start of each phase, so that a phase after a wait of 1e17 s is as sharp as any other. Every piece
-of the path is looked at where the motion enters, halves and leaves it, with that piece's own curvature.
+of the path is looked at where the motion enters, halves and leaves it, with that piece's own curvature. Motion under
+constant jerk is written out here once more, so that no error of `optdock.trajectory` hides from its own judge.
 """
 
 from __future__ import annotations
@@ -121,15 +122,20 @@ def _on_path(law: _Law, motion: Motion, phase: Ints, dt: Floats) -> _Instants:
 
 
 def _places(law: _Law, motion: Motion) -> _Instants:
-    """Entry, middle and exit of every piece of the path."""
+    """Entry, middle and exit of every piece of the path.
+
+    Distance counts from the start of each phase: beside a spike of curvature one unit in the last place of a metre is
+    much of the way that the speed has for a change.
+    """
     n = motion.h.size
     piece, share = np.repeat(np.arange(n), 3), np.tile([0.0, 0.5, 1.0], n)
     wanted = motion.s_at(piece, share)
     phase = np.clip(np.searchsorted(np.maximum.accumulate(law.s), wanted) - 1, 0, law.width.size - 1)
     low, high = np.zeros(wanted.size), law.width[phase]
+    from_border = law._replace(s=np.zeros(law.s.size))
     for _ in range(_BISECTIONS):
         middle = 0.5 * (low + high)
-        ahead = law.at(phase, middle)[0] >= wanted
+        ahead = from_border.at(phase, middle)[0] >= wanted - law.s[phase]
         low, high = np.where(ahead, low, middle), np.where(ahead, middle, high)
     return _Instants(phase, 0.5 * (low + high), piece, share)
 

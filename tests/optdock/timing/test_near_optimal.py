@@ -8,11 +8,15 @@ import sys
 import numpy as np
 import pytest
 
-from optdock.errors import InvalidValue
+from optdock.dock import Dock
+from optdock.errors import FailedToTimePath, InvalidValue
+from optdock.geometry.pose import Pose2
 from optdock.interfaces import TimeParameterizer, TimingStatus
 from optdock.limits import MotionLimits, SpeedZone
 from optdock.path import Path
-from optdock.plugins import create_plugin
+from optdock.plugins import PluginChoice, create_plugin, timed_by
+from optdock.problem import DockingProblem
+from optdock.robot import Footprint, Robot
 from optdock.timing.near_optimal import NearOptimal
 from optdock.timing.windowed import Windowed
 from optdock.verification import certify_trajectory
@@ -246,3 +250,24 @@ def test_configuring_imports_what_the_first_call_needs():
         "assert 'ruckig' in sys.modules and 'scipy.linalg' in sys.modules\n"
     )
     subprocess.run([sys.executable, "-c", code], check=True)
+
+
+def test_a_path_is_timed_by_name_with_parameters_or_by_a_plugin_itself(make, all_limits):
+    path = Path((make.spline([1.5], [0.0, 0.5]),))
+    dock = Dock(Pose2(0.0, 0.0, 0.0), approach_speed=0.12, approach_distance=0.4)
+    robot = Robot(Footprint.rectangle(0.2, 0.2, 0.4), all_limits)
+    problem = DockingProblem(Pose2(-2.0, 0.0, 0.0), dock, robot)
+    plugin = Windowed(max_window=0.5)
+    found = [
+        timed_by(timing, path, problem) for timing in (PluginChoice("Windowed", {"max_window": 0.5}), plugin, plugin)
+    ]
+    result = plugin.parameterize(path, all_limits, problem.dock.approach)
+    for trajectory in found:
+        np.testing.assert_array_equal(trajectory.time_law.durations, result.trajectory.time_law.durations)
+    fast = timed_by("NearOptimal", path, problem).duration
+    assert timed_by("NearOptimal", path, problem, zone=NO_ZONE).duration < fast < result.trajectory.duration
+    unlimited = _timed(path, MotionLimits()).trajectory.duration
+    assert timed_by("NearOptimal", path, None).duration == pytest.approx(unlimited)
+    with pytest.raises(FailedToTimePath, match="START_INFEASIBLE: .* max_speed = 0.6 m/s allows") as error:
+        timed_by("NearOptimal", path, problem, start_speed=0.7)
+    assert error.value.where["limit"] == "max_speed"

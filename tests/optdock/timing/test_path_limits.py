@@ -57,7 +57,7 @@ def test_the_zone_counts_from_its_start_on(along):
 
 
 @pytest.mark.parametrize("start", [0.0, 0.1234, 0.3, 0.7, 0.99])
-def test_the_rest_of_a_course_is_the_course(along, start):
+def test_what_is_left_of_a_segment_keeps_its_limits(along, start):
     rest = along.after(start)
     assert rest.length == pytest.approx(along.length - start)
     s = np.linspace(1e-6, rest.length, 300)
@@ -92,7 +92,7 @@ def test_a_zone_that_begins_at_a_knot_give_or_take_rounding_begins_at_its_node(m
     assert rest.zone_start in rest.s
 
 
-def test_a_course_cut_just_before_its_zone_is_in_the_zone(along):
+def test_a_segment_cut_just_before_its_zone_is_in_the_zone(along):
     rest = along.after(along.zone_start - 1e-13)
     assert rest.zone_start == 0.0
     assert rest.begin == pytest.approx(along.zone_start)

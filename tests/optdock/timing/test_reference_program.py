@@ -14,8 +14,8 @@ from optdock.timing.reference_program import (
     applied,
     coefficients_of,
     initial_guess,
+    jerk_step_bands,
     limit_rows,
-    ripple_bands,
     solve_reference,
     spline_of,
     spline_phases,
@@ -28,7 +28,7 @@ REST = State()
 def _solved(make, all_limits, seed, start=REST):
     path = make.random_path(np.random.default_rng(seed), length=3.0)
     along = limits_along(path, all_limits, SpeedZone(0.15, 0.4))[0]
-    bounds = ReferenceBounds(along, replace(NEAR_OPTIMAL, ripple=0.0))
+    bounds = ReferenceBounds(along, replace(NEAR_OPTIMAL, jerk_step_price=0.0))
     return bounds, solve_reference(bounds, start)
 
 
@@ -116,7 +116,7 @@ def test_an_independent_solver_finds_no_faster_spline(make, all_limits, seed):
     assert ours == pytest.approx(theirs, rel=4e-3)
 
 
-def test_cell_phases_reproduce_the_knots(make, all_limits):
+def test_spline_phases_reproduce_the_knots(make, all_limits):
     _bounds, found = _solved(make, all_limits, 2)
     state = found.launch.state
     for n, phase in enumerate(spline_phases(found.s, found.v, found.a)):
@@ -126,11 +126,11 @@ def test_cell_phases_reproduce_the_knots(make, all_limits):
             assert state == pytest.approx((found.s[knot], found.v[knot], found.a[knot]), abs=1e-9)
 
 
-def test_ripple_bands_are_the_squared_steps_of_the_second_derivative():
+def test_jerk_step_bands_are_the_squared_steps_of_the_second_derivative():
     rng = np.random.default_rng(5)
     steps, c, weight = rng.uniform(0.5, 2.0, 9), rng.uniform(0.5, 1.0, 11), rng.uniform(0.5, 1.5, 8)
     spline = spline_of(steps)
-    bands = ripple_bands(spline, weight)
+    bands = jerk_step_bands(spline, weight)
     matrix = sum(np.diag(bands[3 - d, d:], d) for d in range(4))
     matrix = matrix + np.triu(matrix, 1).T
     wanted = np.sum((weight * np.diff(applied(spline.curve, c))) ** 2)

@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from optdock.deadline import Deadline
+from optdock.deadline import Deadline, OutOfTime
 from optdock.errors import InvalidValue
 from optdock.interfaces import TimingStatus
 from optdock.limits import MotionLimits, SpeedZone
@@ -220,3 +220,17 @@ def test_an_impossible_start_is_answered_even_without_time_for_the_rest(make, al
         assert result.status in (TimingStatus.START_INFEASIBLE, TimingStatus.TIMED_OUT)
         if result.status is TimingStatus.START_INFEASIBLE:
             assert result.trajectory.time_law.states[-1, 1] == pytest.approx(0.0, abs=1e-9)
+
+
+def test_a_shortened_deadline_keeps_the_beginning_and_the_clock():
+    clock = Ticking()
+    whole = Deadline(0.1, clock)
+    early, soon, same = whole.shortened(0.03), whole.shortened(0.03, at_most=0.02), whole.shortened()
+    assert clock.now == pytest.approx(1e-3)
+    assert [one.seconds for one in (early, soon, same)] == pytest.approx([0.07, 0.02, 0.1])
+    clock.now = 0.05
+    soon_passed, early_passed = soon.passed(), early.passed()
+    assert (soon_passed, early_passed) == (True, False)
+    early.look()
+    with pytest.raises(OutOfTime):
+        soon.look()

@@ -122,7 +122,7 @@ def test_found_as_a_plugin(make, all_limits):
 
 @settings(max_examples=300)
 @given(*(st.floats(-4.0, 3.0) for _ in range(3)), st.one_of(st.just(0.0), st.floats(1e-9, 10.0)), st.floats(0.0, 1.0))
-def test_thereachable_speed_speed_uses_up_the_window(length, acceleration, jerk, slow, share):
+def test_the_reachable_speed_uses_up_the_window(length, acceleration, jerk, slow, share):
     box = DriveBounds(1.0, 10.0**acceleration, 10.0**acceleration, 10.0**jerk)
     window = Window(0.0, 10.0**length, box)
     found = reachable_speed(window, slow, box.acceleration, math.inf)
