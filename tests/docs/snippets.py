@@ -69,7 +69,7 @@ def run_page(page, folder):
 
 
 def _run_python(block, known, where):
-    """What did not end in time is asked for again: deadlines of a few milliseconds are real, and so are busy machines."""
+    """What did not end in time is asked for again: deadlines are real, and so are busy machines."""
     code = compile("\n" * block.line + block.body, where, "exec")
     for _ in range(_TRIES):
         with contextlib.redirect_stdout(io.StringIO()), contextlib.suppress(TimedOut):
