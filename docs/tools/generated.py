@@ -207,7 +207,7 @@ def _member(name: str, member: Any) -> str:
 def _commands(_: str) -> str:
     import typer
 
-    from optdock.cli.app import app
+    from optdock.cli import app
 
     command = typer.main.get_command(app)
     names = command.list_commands(None)  # type: ignore[attr-defined, arg-type]
