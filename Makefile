@@ -14,7 +14,7 @@ help:
 	@echo "make docs         the documentation, warnings are errors; open site/index.html"
 	@echo "make fuzz         random problems against an independent oracle; SECONDS=600 SEED=1 JOBS=1, failures in results/fuzz/"
 	@echo "make bench        benchmarks, tables on stdout"
-	@echo "make experiments  every numbered script in experiments/, results in results/"
+	@echo "make experiments  every numbered script in experiments/, results in results/; on Nav2's maps too with OPTDOCK_DATA"
 
 $(STAMP): pyproject.toml
 	$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 10) and "optdock needs Python >= 3.10")'
@@ -24,6 +24,8 @@ $(STAMP): pyproject.toml
 
 demo: $(STAMP)
 	$(BIN)/optdock demo --out demo
+	@echo
+	@echo "The program is $(BIN)/optdock; 'source $(BIN)/activate' makes it plain optdock."
 
 check: $(STAMP)
 	$(BIN)/ruff format --check .
@@ -49,7 +51,8 @@ bench: $(STAMP)
 	$(BIN)/python -m experiments.benchmarks
 
 experiments: $(STAMP)
-	failed=0; for script in experiments/[0-9]*.py; do $(BIN)/python $$script || failed=1; done; exit $$failed
+	failed=0; \
+	for script in experiments/[0-9]*.py; do echo "$$script"; $(BIN)/python $$script || failed=1; done; exit $$failed
 
 clean:
 	rm -rf $(VENV) demo results site

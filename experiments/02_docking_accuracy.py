@@ -116,8 +116,8 @@ def row(world: str, method: str, endings: list[Ending | None]) -> list[str]:
 
 def main() -> None:
     """Drive everything; print and write the table."""
-    parser = argparse.ArgumentParser(description="Docking accuracy against Nav2's control law.")
-    parser.add_argument("--starts", type=int, default=100)
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--starts", type=int, default=100, help="how many (default: %(default)s)")
     poses = starts(parser.parse_args().starts)
     rows = []
     for name, world in WORLDS.items():

@@ -1,7 +1,7 @@
-"""Docking scenarios on maps of real places: against walls, racks, pallets and under a table.
+"""Docking scenarios on maps: against walls, racks, pallets, in niches, through a door and under a table.
 
-The maps (`depot`, `warehouse`, map_server format) come with Nav2 and are not part of this project; they are looked for
-in `$OPTDOCK_DATA/nav2/maps`, by default in `../shared/data/nav2/maps` beside the project.
+Three maps are part of the project (`maps/`, see `draw_maps`). Two real ones (`depot`, `warehouse`) come with Nav2 and
+are looked for in `$OPTDOCK_DATA/nav2/maps`, by default in `../shared/data/nav2/maps` beside the project.
 """
 
 from __future__ import annotations
@@ -25,8 +25,14 @@ from optdock.robot import Robot
 if TYPE_CHECKING:
     from optdock.costmap.costmap import Costmap
 
-__all__ = ["SCENARIOS", "MapScenario", "maps_folder", "problem_of"]
+__all__ = ["DRAWN_SCENARIOS", "HINT", "SCENARIOS", "MapScenario", "maps_folder", "problem_of"]
 
+DRAWN_MAPS = Path(__file__).with_name("maps")
+HINT = (
+    "depot.yaml and warehouse.yaml with their pictures are in the folder nav2_bringup/maps of "
+    "https://github.com/ros-navigation/navigation2; give the folder as --maps DIR, or set OPTDOCK_DATA to a folder "
+    "that holds them as nav2/maps"
+)
 
 ROBOT = Robot(
     Footprint.rectangle(0.45, 0.45, 0.6),
@@ -60,6 +66,27 @@ class MapScenario(NamedTuple):
 
 
 # Forward: the start lies behind the dock pose (x < 0); backward: before it (x > 0), the robot reverses in.
+# On the maps of this project.
+DRAWN_SCENARIOS = (
+    MapScenario("hall east wall, aligned", "hall", (11.3, 2.0, 0), (-3.0, 0.0, 0)),
+    MapScenario("hall south wall, 0.8 m aside", "hall", (2.5, 0.7, -90), (-3.5, 0.8, 0)),
+    MapScenario("hall west wall under the partition", "hall", (0.7, 5.0, 180), (-3.5, 0.6, -30)),
+    MapScenario("hall north wall past a pillar", "hall", (3.0, 8.3, 90), (-4.2, -0.9, 25)),
+    MapScenario("hall shelf, 60 degrees the wrong way", "hall", (8.4, 6.9, 90), (-5.0, -0.3, -60)),
+    MapScenario("hall east wall, backward", "hall", (11.3, 6.6, 180), (3.2, 0.5, 20), backward=True),
+    MapScenario("corridor north niche", "corridor", (3.8, 4.85, 90), (-1.8, 0.1, -15)),
+    MapScenario("corridor south niche", "corridor", (11.2, 1.3, -90), (-2.0, 0.1, 20)),
+    MapScenario("corridor east end past the cabinet", "corridor", (15.3, 3.2, 0), (-4.5, 0.3, -10)),
+    MapScenario("corridor through the door", "corridor", (7.4, 6.7, 90), (-3.6, 0.15, 15)),
+    MapScenario("corridor west end, backward", "corridor", (0.7, 3.2, 0), (3.5, 0.3, 15), backward=True),
+    MapScenario("storage conveyor out of the aisle", "storage", (6.0, 10.6, 90), (-3.5, 0.7, -10)),
+    MapScenario("storage bay between pallets", "storage", (14.3, 0.7, -90), (-3.2, 0.4, 20), charger=False),
+    MapScenario("storage east wall, 40 degrees off", "storage", (15.3, 8.5, 0), (-3.0, 0.8, -40)),
+    MapScenario("storage rack's end", "storage", (7.0, 2.1, 90), (-1.4, -0.1, 20)),
+    MapScenario("storage pallet, backward", "storage", (14.2, 9.7, -90), (3.0, -0.6, 15), backward=True),
+)
+
+# On Nav2's maps.
 SCENARIOS = (
     MapScenario("depot south wall, aligned", "depot", (4.0, 0.98, -90), (-3.0, 0.0, 0)),
     MapScenario("depot south wall, 0.8 m aside", "depot", (5.5, 0.98, -90), (-3.5, 0.8, 0)),
@@ -98,23 +125,28 @@ SCENARIOS = (
 
 
 def maps_folder() -> Path:
-    """Where the maps are looked for."""
+    """Where Nav2's maps are looked for."""
     default = Path(__file__).resolve().parents[2] / "shared" / "data"
     return Path(os.environ.get("OPTDOCK_DATA", default)) / "nav2" / "maps"
 
 
 @functools.cache
-def _costmap(name: str) -> Costmap:
-    return load_map(maps_folder() / f"{name}.yaml").costmap
+def _costmap(source: Path) -> Costmap:
+    return load_map(source).costmap
 
 
-def problem_of(scenario: MapScenario) -> DockingProblem:
+def problem_of(scenario: MapScenario, maps: Path | None = None) -> DockingProblem:
     """The docking problem of a scenario, among its whole map.
+
+    Args:
+        scenario: The task.
+        maps: Folder of Nav2's maps; None: `maps_folder()`.
 
     Raises:
         InvalidFile: The map is missing or broken.
     """
-    costmap = _costmap(scenario.map_name)
+    folder = DRAWN_MAPS if scenario in DRAWN_SCENARIOS else maps or maps_folder()
+    costmap = _costmap(folder / f"{scenario.map_name}.yaml")
     x, y, degrees = scenario.goal
     goal = Pose2(x, y, math.radians(degrees))
     start = goal @ Pose2(scenario.start[0], scenario.start[1], math.radians(scenario.start[2]))

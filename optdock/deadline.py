@@ -24,12 +24,26 @@ def never_late() -> bool:
     return False
 
 
+class _Latch:
+    """A question that is not asked again once it was answered with yes."""
+
+    __slots__ = ("_question", "said_yes")
+
+    def __init__(self, question: Callable[[], bool]) -> None:
+        self._question, self.said_yes = question, False
+
+    def __call__(self) -> bool:
+        self.said_yes = self.said_yes or bool(self._question())
+        return self.said_yes
+
+
 class Deadline:
     """A moment on a monotonic clock, counted from when this was made.
 
     Args:
         seconds: Wall-clock allowance [s]; infinite means no deadline.
         clock: Monotonic seconds.
+        stop: Asked whenever somebody asks whether it has passed; True: it has, whatever the clock says.
 
     >>> now = iter([10.0, 10.2, 10.6])
     >>> deadline = Deadline(0.5, lambda: next(now))
@@ -37,10 +51,15 @@ class Deadline:
     (False, True)
     """
 
-    __slots__ = ("_began", "_clock", "seconds")
+    __slots__ = ("_began", "_clock", "_stop", "seconds")
 
-    def __init__(self, seconds: float = math.inf, clock: Callable[[], float] = time.monotonic) -> None:
-        self.seconds, self._clock = seconds, clock
+    def __init__(
+        self,
+        seconds: float = math.inf,
+        clock: Callable[[], float] = time.monotonic,
+        stop: Callable[[], bool] = never_late,
+    ) -> None:
+        self.seconds, self._clock, self._stop = seconds, clock, _Latch(stop)
         self._began = clock()
 
     @classmethod
@@ -64,7 +83,12 @@ class Deadline:
 
     def passed(self) -> bool:
         """Whether no time is left; a method, so that it serves as a `cancel_checker` or `is_late`."""
-        return self.elapsed >= self.seconds
+        return self.elapsed >= self.seconds or self._stop()
+
+    @property
+    def stopped(self) -> bool:
+        """Whether `stop` has said so."""
+        return self._stop.said_yes
 
     def look(self) -> None:
         """Go on only while there is time.

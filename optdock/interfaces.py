@@ -121,7 +121,7 @@ class TimeParameterizer(Plugin):
     """Gives a path its time law."""
 
     @abstractmethod
-    def parameterize(
+    def parameterize(  # noqa: PLR0913 - what to time, and how long to try
         self,
         path: Path,
         limits: MotionLimits,
@@ -130,6 +130,7 @@ class TimeParameterizer(Plugin):
         start_speed: float = 0.0,
         start_acceleration: float = 0.0,
         max_time: float = math.inf,
+        cancel_checker: Callable[[], bool] = never_cancelled,
     ) -> TimingResult:
         """The time law of `path` under `limits`, at rest at every cusp and at the end.
 
@@ -142,9 +143,11 @@ class TimeParameterizer(Plugin):
             start_speed: Speed along the travel at the start, >= 0 in either gear [m/s].
             start_acceleration: Acceleration along the travel at the start [m/s^2].
             max_time: Wall-clock seconds for the whole call; none left, 0 or less, is TIMED_OUT.
+            cancel_checker: Polled at least every 5 ms.
 
         Raises:
             InvalidValue: `max_time` or the start state is no number.
+            TimingCancelled: `cancel_checker` returned True.
         """
 
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass, fields
 from optdock.errors import InvalidValue
 from optdock.geometry.checked import number
 
-__all__ = ["MotionLimits", "SpeedZone"]
+__all__ = ["LIMIT_UNITS", "MotionLimits", "SpeedZone"]
 
 
 @dataclass(frozen=True)
@@ -55,7 +55,7 @@ class MotionLimits:
                 raise InvalidValue(f"limits.{spec.name}: must be {rule}, got {value}")
 
 
-_UNITS = {
+LIMIT_UNITS = {
     "max_speed": "m/s",
     "max_reverse_speed": "m/s",
     "max_acceleration": "m/s^2",
@@ -76,8 +76,8 @@ def _rule(name: str, value: float) -> tuple[str, bool]:
         return "finite and >= 0 m", math.isfinite(value) and value >= 0.0
     if name in _FINITE:
         finite = math.isfinite(value)
-        return f"{'' if finite else 'finite and '}> 0 {_UNITS[name]}", finite and value > 0.0
-    return f"> 0 {_UNITS[name]}", value > 0.0
+        return f"{'' if finite else 'finite and '}> 0 {LIMIT_UNITS[name]}", finite and value > 0.0
+    return f"> 0 {LIMIT_UNITS[name]}", value > 0.0
 
 
 @dataclass(frozen=True)

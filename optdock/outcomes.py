@@ -146,8 +146,7 @@ class TimingResult:
         if self.at_s is not None:
             where["s"] = self.at_s
         kind = TimingTimedOut if self.status is TimingStatus.TIMED_OUT else FailedToTimePath
-        reason = self.reason or "no reason given"
-        return kind(f"the path cannot be timed: {self.status.name}: {reason}", where=where)
+        return kind(f"the path cannot be timed: {self.reason or self.status.name}", where=where)
 
 
 class CostmapInfoType(IntEnum):

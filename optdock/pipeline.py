@@ -234,16 +234,16 @@ def _margin(budget: float) -> float:
 
 
 class _Cancellation:
-    """The caller's cancel checker, and what it raised: that is the caller's own, whoever polled it."""
+    """The caller's cancel checker: what it raises is the caller's own, whoever polls it; a yes is never taken back."""
 
     def __init__(self, checker: Callable[[], bool]) -> None:
-        self._checker, self.raised = checker, None
-
-    raised: BaseException | None
+        self._checker, self._said_yes = checker, False
+        self.raised: BaseException | None = None
 
     def __call__(self) -> bool:
         try:
-            return bool(self._checker())
+            self._said_yes = self._said_yes or bool(self._checker())
+            return self._said_yes
         except BaseException as error:
             self.raised = error
             raise
@@ -404,11 +404,11 @@ class _Run:
         allowance = self.deadline.left - _PROOF
         if allowance <= 0.0:
             raise TimingTimedOut(f"nothing is left of the time budget of {self.budget:.3g} s for timing")
-        if self.cancelled():
-            raise TimingCancelled("cancelled before the path was timed")
         limits, zone, speed = self.problem.robot.limits, self.problem.dock.approach, abs(self.problem.start_speed)
         with self._at_work(method):
-            result = method.parameterize(path, limits, zone, start_speed=speed, max_time=allowance)
+            result = method.parameterize(
+                path, limits, zone, start_speed=speed, max_time=allowance, cancel_checker=self.cancelled
+            )
         _returned(result, TimingResult, method)
         _returned(result.status, TimingStatus, method, "the status of its result")
         _returned(result.report, TimingReport, method, "the report of its result")

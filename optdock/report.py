@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-import dataclasses
 import math
+import textwrap
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
 from optdock.io.plan_file import CERTIFIED, PlanError, PlanFile, finite_or_null, strict_json
+from optdock.limits import LIMIT_UNITS
 from optdock.plan import PartialPlan
 
 if TYPE_CHECKING:
@@ -16,6 +17,7 @@ if TYPE_CHECKING:
 
     from optdock.errors import OptdockError
     from optdock.geometry.arrays import FloatArray
+    from optdock.limits import MotionLimits
     from optdock.plan import DockPlan
     from optdock.simulation import Run
     from optdock.verification import Certificate
@@ -24,7 +26,7 @@ __all__ = [
     "RUN_FORMAT",
     "certificate_rows",
     "failed_plan_file",
-    "plan_file",
+    "limit_rows",
     "plan_rows",
     "run_json",
     "run_rows",
@@ -32,6 +34,7 @@ __all__ = [
 ]
 
 RUN_FORMAT = "optdock-run/1"
+_WIDE = 78  # letters of a value on a line
 
 
 class Row(NamedTuple):
@@ -39,11 +42,6 @@ class Row(NamedTuple):
 
     name: str
     value: str
-
-
-def plan_file(plan: DockPlan, frame: str, period: float) -> PlanFile:
-    """A certified plan as a file's content, its trajectory sampled every `period` [s]."""
-    return dataclasses.replace(plan.as_file(period), frame=frame)
 
 
 def failed_plan_file(error: OptdockError, frame: str) -> PlanFile:
@@ -82,6 +80,23 @@ def certificate_rows(certificate: Certificate) -> list[Row]:
         rows.append(Row("min clearance", f"{certificate.min_clearance:.4f} m {where}"))
         rows.append(Row("margin", f"{certificate.margin:.4f} m over the required clearance"))
     return rows
+
+
+def limit_rows(limits: MotionLimits) -> list[Row]:
+    """The motion limits that hold, and those that do not because nobody gave them."""
+    values = {name: getattr(limits, name) for name in LIMIT_UNITS}
+    known = (f"{_spoken(name)} {value:g} {LIMIT_UNITS[name]}" for name, value in values.items() if math.isfinite(value))
+    unlimited = (_spoken(name) for name, value in values.items() if not math.isfinite(value))
+    return [*_wrapped("limits", ", ".join(known)), *_wrapped("unlimited", ", ".join(unlimited))]
+
+
+def _wrapped(name: str, text: str) -> list[Row]:
+    """A long value on as many lines as it needs; none without a value."""
+    return [Row(name if i == 0 else "", line) for i, line in enumerate(textwrap.wrap(text, _WIDE))]
+
+
+def _spoken(name: str) -> str:
+    return name.removeprefix("max_").replace("_", " ")
 
 
 def run_rows(run: Run) -> list[Row]:

@@ -35,6 +35,9 @@ def run(arguments: list[str]) -> int:
     """Run the benchmarks named in `arguments`, or all; returns the exit status."""
     os.environ.update(dict.fromkeys(THREAD_VARIABLES, "1"))  # numpy reads them once, when a benchmark imports it
     known = benchmarks()
+    if arguments[:1] in (["-h"], ["--help"]):
+        print(f"usage: python -m {package.__name__} [NAME ...] | NAME OPTIONS\n\n{__doc__}\nnames: {', '.join(known)}")
+        return 0
     first_option = next((i for i, word in enumerate(arguments) if word.startswith("-")), len(arguments))
     names, options = arguments[:first_option], arguments[first_option:]
     unknown = [name for name in names if name not in known]

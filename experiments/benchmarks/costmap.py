@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import argparse
 import os
 import sys
 import time
@@ -60,9 +61,12 @@ def report_grids() -> None:
 
 def main(arguments: list[str]) -> None:
     """Grids always; maps where `arguments` names map YAML files, or where the real maps are found."""
+    parser = argparse.ArgumentParser(prog="python -m experiments.benchmarks costmap", description=__doc__)
+    parser.add_argument("maps", nargs="*", help="map YAML files (default: Nav2's, where they are found)")
+    given = parser.parse_args(arguments).maps
     report_grids()
     default = Path(os.environ.get("OPTDOCK_DATA", Path(__file__).resolve().parents[3] / "shared" / "data"))
-    paths = arguments or sorted(str(path) for path in default.glob("nav2/maps/*.yaml"))
+    paths = given or sorted(str(path) for path in default.glob("nav2/maps/*.yaml"))
     if paths:
         report_maps(paths)
 

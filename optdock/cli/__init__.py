@@ -3,6 +3,76 @@
 Commands load the library when they run, so that `--help` stays quick.
 """
 
-from optdock.cli.app import app, main
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from optdock import __version__
+from optdock.cli.certify import certify
+from optdock.cli.common import VerboseOption, listen, reported
+from optdock.cli.plan import compare, plan
+from optdock.cli.simulate import demo, simulate
 
 __all__ = ["app", "main"]
+
+app = typer.Typer(
+    help="Certified docking trajectories for wheeled robots: plan, smooth, prove, time, drive.",
+    epilog="Exit status: 0 certified; 2 usage or bad input; 3 no certified plan.",
+    add_completion=False,
+    no_args_is_help=True,
+    pretty_exceptions_enable=False,
+)
+
+
+def main() -> None:
+    """Entry point of the `optdock` program."""
+    app()
+
+
+def _show_version(wanted: bool) -> None:  # noqa: FBT001 - typer's callback
+    if wanted:
+        typer.echo(__version__)
+        raise typer.Exit
+
+
+@app.callback()
+def _common(
+    *,
+    verbose: VerboseOption = False,
+    version: Annotated[  # noqa: ARG001 - typer calls its callback
+        bool, typer.Option("--version", callback=_show_version, is_eager=True, help="Print the version.")
+    ] = False,
+) -> None:
+    listen(verbose=verbose)
+
+
+def plugins(
+    *,
+    nav2_params: Annotated[
+        Path | None,
+        typer.Option(help="List what this Nav2 parameter file asks for, and what of it is provided here."),
+    ] = None,
+    verbose: VerboseOption = False,
+) -> None:
+    """List the installed plugins, one line each."""
+    with reported(verbose=verbose):
+        from optdock.plugins import available_plugins
+        from optdock.report import table
+
+        if nav2_params is None:
+            typer.echo(table([(plugin.kind, plugin.name, plugin.target) for plugin in available_plugins()]))
+            return
+        from optdock.nav2.params import load_nav2_params
+        from optdock.nav2.provided_plugins import nav2_costmap_rows, nav2_plugin_rows
+
+        params = load_nav2_params(nav2_params)
+        for rows in (nav2_plugin_rows(params), nav2_costmap_rows(params)):
+            if rows:
+                typer.echo(table(rows))
+
+
+for _command in (plan, simulate, certify, compare, demo, plugins):
+    app.command()(_command)

@@ -7,29 +7,34 @@ from typing import TYPE_CHECKING, Annotated, NamedTuple
 
 import typer
 
-from optdock.cli.exits import NOT_CERTIFIED, reported
-from optdock.cli.options import ScenarioArgument
+from optdock.cli.common import NOT_CERTIFIED, ScenarioArgument, VerboseOption, reported
 
 if TYPE_CHECKING:
+    from collections.abc import Iterator
+
     from optdock.io.plan_file import PlanFile, TrajectoryColumns
     from optdock.path import Path as DockPath
     from optdock.problem import DockingProblem
     from optdock.trajectory import TimeLaw
-    from optdock.verification import SampledMotionVerdict
+    from optdock.verification import Certificate, SampledMotionVerdict
 
 __all__ = ["certify"]
+
+_SAMPLED = 0.01  # relative, of the curvature of a path that is known by samples
 
 
 def certify(
     plan: Annotated[Path, typer.Argument(help="Plan file (JSON), by whomever.", show_default=False)],
     scenario: ScenarioArgument,
+    *,
+    verbose: VerboseOption = False,
 ) -> None:
     """Judge a plan file, also one that optdock did not make: prove it, or name every rule it breaks.
 
     The path is proven or refused. The motion is proven where the file holds its phases; samples alone can be refuted,
     never proven, and what they leave open is said. Exit status 0: path certified and motion certified or not refuted.
     """
-    with reported():
+    with reported(verbose=verbose):
         from optdock.config import load_scenario
         from optdock.io.plan_file import load_plan
 
@@ -50,7 +55,6 @@ class _Motion(NamedTuple):
 
 def _judged(plan: PlanFile, problem: DockingProblem) -> list[str]:
     """Every broken rule, printed with what was proven and what the file does not say."""
-    from optdock.cli.plan_claims import false_claims, proven_against
     from optdock.path import may_be_one_frame
     from optdock.report import certificate_rows, table
     from optdock.verification import certify_path
@@ -62,7 +66,7 @@ def _judged(plan: PlanFile, problem: DockingProblem) -> list[str]:
     certificate = certify_path(plan.path, problem)
     motion = _motion(plan, plan.path, problem)
     faults = [*(violation.message for violation in certificate.violations), *motion.faults]
-    claims, made_for = false_claims(plan, certificate), proven_against(plan, certificate)
+    claims, made_for = list(_false_claims(plan, certificate)), _proven_against(plan, certificate)
     rows = [
         ("verdict", "not certified" if faults else motion.verdict),
         *certificate_rows(certificate),
@@ -128,3 +132,39 @@ def _sampled(motion: TrajectoryColumns, path: DockPath, problem: DockingProblem)
         f"({1e3 * verdict.step:.3g} ms) unproven: the jerk, and if it keeps its limit {open_}"
     )
     return _Motion("path certified, motion not refuted", row, [])
+
+
+def _proven_against(plan: PlanFile, certificate: Certificate) -> str:
+    """In what the problem that the file's certificate was made for is another one; empty where it does not say so."""
+    claimed = (plan.certificate or {}).get("problem")
+    if not isinstance(claimed, dict):
+        return ""
+    here = certificate.problem._asdict()
+    others = [name for name, value in here.items() if name in claimed and claimed[name] != value]
+    return f"another problem: {', '.join(others)} differ; judged here for this one" if others else ""
+
+
+def _false_claims(plan: PlanFile, certificate: Certificate) -> Iterator[str]:
+    """Every claim of the file that is better than the truth."""
+    from optdock.io.numbers import is_number
+    from optdock.io.plan_file import CERTIFIED
+    from optdock.verification import SHARPNESS, TOLERANCE
+
+    claimed = plan.certificate or {}
+    if not certificate.certified and plan.status == CERTIFIED:
+        yield f"status is {CERTIFIED!r}, the path is not"
+    if not certificate.certified and claimed.get("certified") is True:
+        yield "certificate.certified is true, the path is not certified"
+    clearance = claimed.get("min_clearance")
+    if is_number(clearance) and clearance > certificate.min_clearance + SHARPNESS + TOLERANCE:
+        yield f"certificate.min_clearance is {clearance:.6g} m, proven are {certificate.min_clearance:.6g} m"
+    for name, least, unit in (
+        ("max_curvature", certificate.max_curvature, "1/m"),
+        ("max_curvature_rate", certificate.max_curvature_rate, "1/m^2"),
+    ):
+        value = claimed.get(name)
+        if is_number(value) and value < least * (1.0 - _SAMPLED) - TOLERANCE:
+            yield f"certificate.{name} is {value:.6g} {unit}, the path has {least:.6g} {unit}"
+    length = claimed.get("length")
+    if is_number(length) and not abs(length - certificate.length) <= TOLERANCE * (1.0 + certificate.length):
+        yield f"certificate.length is {length:.6g} m, the path is {certificate.length:.6g} m long"

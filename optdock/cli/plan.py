@@ -1,22 +1,60 @@
-"""`optdock plan`."""
+"""`optdock plan` and `optdock compare`, and how every command plans."""
 
 from __future__ import annotations
 
+import re
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, NamedTuple
 
 import typer
 
-from optdock.cli.exits import reported
-from optdock.cli.options import BudgetOption, PeriodOption, PlotOption, SpacingOption, check_picture, checked_positive
-from optdock.errors import InvalidValue
+from optdock.cli.common import (
+    METRES,
+    NOT_CERTIFIED,
+    SECONDS,
+    BudgetOption,
+    PlotOption,
+    VerboseOption,
+    check_picture,
+    checked_positive,
+    one_line,
+    reported,
+    spare,
+    status_of,
+    working,
+)
+from optdock.errors import InvalidFile, InvalidValue, OptdockError
 
 if TYPE_CHECKING:
-    from optdock.config import Scenario
+    from collections.abc import Iterator
 
-__all__ = ["plan"]
+    from optdock.comparison import PathFigures
+    from optdock.config import Scenario
+    from optdock.plan import DockPlan, PartialPlan
+
+__all__ = ["PlanOutputs", "compare", "draw_profile", "plan", "solved", "write"]
 
 _NAV2 = "Instead of a scenario"
+
+
+class PlanOutputs(NamedTuple):
+    """Where a plan goes, or the reason why there is none, and how finely it is sampled there; None: not there.
+
+    Args:
+        file: Plan file.
+        picture: Of the plan.
+        spacing: Largest distance of path samples [m].
+        period: Largest step of trajectory samples [s].
+    """
+
+    file: Path | None = None
+    picture: Path | None = None
+    spacing: float = 0.02
+    period: float = 0.02
+
+
+_USUAL = PlanOutputs()
 
 
 def plan(  # noqa: PLR0913 - one parameter per option
@@ -24,9 +62,21 @@ def plan(  # noqa: PLR0913 - one parameter per option
     *,
     out: Annotated[Path, typer.Option(help="Plan file to write (JSON).")] = Path("plan.json"),
     time_budget: BudgetOption = None,
-    spacing: SpacingOption = 0.02,
-    period: PeriodOption = 0.02,
+    spacing: Annotated[
+        float, typer.Option(metavar=METRES, help="Largest distance of path samples in the file.")
+    ] = _USUAL.spacing,
+    period: Annotated[
+        float, typer.Option(metavar=SECONDS, help="Largest step of trajectory samples in the file.")
+    ] = _USUAL.period,
     plot: PlotOption = None,
+    profile: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="PICTURE",
+            help="Draw speed, acceleration, jerk, curvature and yaw rate over time, with their limits.",
+            show_default=False,
+        ),
+    ] = None,
     nav2_params: Annotated[
         Path | None, typer.Option(help="Nav2 parameter file: footprint, limits, dock types.", rich_help_panel=_NAV2)
     ] = None,
@@ -35,17 +85,24 @@ def plan(  # noqa: PLR0913 - one parameter per option
         Path | None, typer.Option(help="Dock database; default: docks in the parameters.", rich_help_panel=_NAV2)
     ] = None,
     dock: Annotated[str | None, typer.Option(help="Name of the dock.", rich_help_panel=_NAV2)] = None,
-    start: Annotated[str | None, typer.Option(help="Start pose x,y,yaw [m, m, rad].", rich_help_panel=_NAV2)] = None,
+    start: Annotated[
+        str | None, typer.Option(metavar="X,Y,YAW", help="Start pose, in m, m, rad.", rich_help_panel=_NAV2)
+    ] = None,
+    verbose: VerboseOption = False,
 ) -> None:
-    """Plan one docking and write a certified plan file, or the reason why there is none."""
-    with reported():
+    """Plan one docking and write a certified plan file, or the reason why there is none.
+
+    For example, after `optdock demo`: optdock plan demo/scenario.yaml --out plan.json --plot plan.png
+    """
+    with reported(verbose=verbose):
         checked_positive("--spacing", spacing, "m")
         checked_positive("--period", period, "s")
-        if time_budget is not None:
-            checked_positive("--time-budget", time_budget, "s")
-        check_picture(plot)
-        nav2 = _Nav2Sources(nav2_params, map_, docks, dock, start)
-        _plan_and_write(_loaded(scenario, nav2), out, time_budget, (spacing, period), plot)
+        checked_positive("--time-budget", time_budget, "s")
+        check_picture("--plot", plot)
+        check_picture("--profile", profile)
+        spare(scenario, out, plot, profile)
+        found = _loaded(scenario, _Nav2Sources(nav2_params, map_, docks, dock, start))
+        _plan_and_tell(found, time_budget, PlanOutputs(out, plot, spacing, period), profile)
 
 
 class _Nav2Sources(NamedTuple):
@@ -59,34 +116,179 @@ class _Nav2Sources(NamedTuple):
 def _loaded(scenario: Path | None, nav2: _Nav2Sources) -> Scenario:
     from optdock.config import load_scenario
     from optdock.nav2.scenario import nav2_scenario
+    from optdock.report import table
 
     given = [name for name, value in nav2._asdict().items() if value is not None]
     if scenario is not None and not given:
         return load_scenario(scenario)
     if scenario is None and nav2.params is not None and nav2.map is not None and nav2.start is not None:
-        return nav2_scenario(nav2.params, nav2.map, nav2.start, docks_source=nav2.docks, dock_name=nav2.dock)
+        found = nav2_scenario(nav2.params, nav2.map, nav2.start, docks_source=nav2.docks, dock_name=nav2.dock)
+        typer.echo(table(found.costmap_rows))
+        return found
     raise InvalidValue("give either a scenario file, or --nav2-params with --map, --dock and --start")
 
 
-def _plan_and_write(
-    scenario: Scenario, out: Path, time_budget: float | None, steps: tuple[float, float], plot: Path | None
-) -> None:
-    from optdock.cli.pictures import draw_plan
-    from optdock.cli.solving import solved_or_saved
-    from optdock.errors import OptdockError
+def _plan_and_tell(scenario: Scenario, time_budget: float | None, outputs: PlanOutputs, profile: Path | None) -> None:
+    from optdock.report import limit_rows, plan_rows, table
+
+    found = solved(scenario, time_budget, outputs)
+    write(scenario, found, outputs)
+    if profile is not None:
+        draw_profile(profile, scenario, found)
+    written = ", ".join(str(path) for path in (outputs.file, outputs.picture, profile) if path is not None)
+    rows = [*plan_rows(found), *limit_rows(scenario.problem.robot.limits), ("written", written)]
+    typer.echo(table(rows))
+
+
+def solved(scenario: Scenario, time_budget: float | None = None, outputs: PlanOutputs = _USUAL) -> DockPlan:
+    """The certified plan of a scenario; what a failure leaves is written and drawn with its reason.
+
+    Args:
+        scenario: What to plan.
+        time_budget: Instead of the scenario's [s].
+        outputs: Where a failure goes.
+
+    Raises:
+        OptdockError: There is no certified plan, see `plan_dock`; or the plan file cannot be written.
+    """
     from optdock.io.plan_file import save_plan
     from optdock.plan import PartialPlan
-    from optdock.report import plan_file, plan_rows, table
+    from optdock.report import failed_plan_file
 
-    spacing, period = steps
-    name, problem = scenario.source.stem, scenario.problem
     try:
-        found = solved_or_saved(scenario, out, time_budget, spacing)
+        return scenario.plan(time_budget)
     except OptdockError as error:
-        if plot is not None:
-            draw_plan(plot, problem, PartialPlan.left_by(error), f"{name}: {type(error).__name__}")
+        if status_of(error) == NOT_CERTIFIED:
+            if outputs.file is not None:
+                save_plan(outputs.file, failed_plan_file(error, scenario.problem.frame), spacing=outputs.spacing)
+            with _secondary():
+                _draw(outputs.picture, scenario, PartialPlan.left_by(error), one_line(error), error)
         raise
-    save_plan(out, plan_file(found, problem.frame, period), spacing=spacing)
-    typer.echo(table(plan_rows(found)))
-    if plot is not None:
-        draw_plan(plot, problem, found, f"{name}: certified, {found.trajectory.duration:.1f} s")
+
+
+def write(scenario: Scenario, found: DockPlan, outputs: PlanOutputs) -> None:
+    """Write and draw a certified plan.
+
+    Raises:
+        InvalidFile: A file cannot be written.
+        InvalidValue: The samples would be too many.
+    """
+    if outputs.file is not None:
+        found.save(outputs.file, spacing=outputs.spacing, period=outputs.period)
+    _draw(outputs.picture, scenario, found, f"certified, {found.trajectory.duration:.1f} s")
+
+
+@contextmanager
+def _secondary() -> Iterator[None]:
+    """A picture of a failure that cannot be written hides nothing of the failure."""
+    try:
+        yield
+    except OptdockError as error:
+        typer.echo(str(error), err=True)
+
+
+def _draw(
+    target: Path | None,
+    scenario: Scenario,
+    found: DockPlan | PartialPlan,
+    verdict: str,
+    refusal: OptdockError | None = None,
+) -> None:
+    """Whatever exists of a plan, drawn into the scene."""
+    if target is None:
+        return
+    from optdock.plotting import save_plan_picture
+
+    save_plan_picture(
+        target,
+        scenario.problem,
+        raw_path=found.raw_path,
+        path=found.path,
+        certificate=found.certificate,
+        refusal=refusal,
+        title=f"{scenario.source.stem}: {verdict}",
+    )
+
+
+def draw_profile(target: Path, scenario: Scenario, found: DockPlan) -> None:
+    """The motion of a plan over time, with its limits."""
+    from optdock.plotting import save_profile_picture
+
+    problem = scenario.problem
+    title = f"{scenario.source.stem}: certified, {found.trajectory.duration:.1f} s"
+    save_profile_picture(target, found.trajectory, problem.robot.limits, problem.dock.approach, title=title)
+
+
+def compare(
+    scenarios: Annotated[
+        list[Path], typer.Argument(help="Scenario files (YAML); other files are skipped.", show_default=False)
+    ],
+    *,
+    out: Annotated[Path, typer.Option(help="Folder for comparison.csv and a picture of each scenario.")] = Path(
+        "comparison"
+    ),
+    verbose: VerboseOption = False,
+) -> None:
+    """Compare the raw path with the smoothed one: a table here, a CSV and pictures in a folder."""
+    with reported(verbose=verbose):
+        from optdock.comparison import comparison_csv, comparison_table
+        from optdock.config import load_scenario
+        from optdock.io.atomic_file import write_text
+        from optdock.plotting.canvas import format_of
+
+        format_of(out / "plan.png")
+        loaded = [load_scenario(source) for source in _scenarios_among(scenarios)]
+        figures: list[PathFigures] = []
+        with working("comparing", len(loaded)) as advance:
+            for number, scenario in enumerate(loaded, start=1):
+                figures.extend(_compared(scenario, out / f"{number:02d}_{scenario.source.stem}.png"))
+                advance(scenario.source.stem)
+        write_text(out / "comparison.csv", comparison_csv(figures))
+        typer.echo(comparison_table(figures))
+        typer.echo(f"comparison.csv and pictures are in {out}")
+    if any(row.path == "smoothed" and row.status != "certified" for row in figures):
+        raise typer.Exit(NOT_CERTIFIED)
+
+
+def _scenarios_among(sources: list[Path]) -> list[Path]:
+    """The files that say that they are scenarios; the others are named on stderr.
+
+    Raises:
+        InvalidFile: None is one.
+    """
+    found = [source for source in sources if _is_scenario(source)]
+    for source in sources:
+        if source not in found:
+            typer.echo(f"{source}: skipped, it has no line 'format: optdock-scenario/1'", err=True)
+    if not found:
+        raise InvalidFile("none of the files is a scenario; 'optdock demo' writes one, demo/scenario.yaml")
+    return found
+
+
+def _is_scenario(source: Path) -> bool:
+    """Whether a file says so, or cannot be read, which reading it will explain."""
+    if source.is_dir():
+        return False
+    try:
+        return re.search(rb"^\W*format\W*:\W*optdock-scenario/", source.read_bytes(), re.MULTILINE) is not None
+    except OSError:
+        return True
+
+
+def _compared(scenario: Scenario, picture: Path) -> list[PathFigures]:
+    """Both rows of one scenario, and its picture; a failure becomes a row and a line on stderr."""
+    from optdock.comparison import PathFigures, figures_of
+    from optdock.plan import PartialPlan
+
+    name, drawn = scenario.source.stem, PlanOutputs(picture=picture)
+    try:
+        found = solved(scenario, outputs=drawn)
+    except OptdockError as error:
+        if status_of(error) != NOT_CERTIFIED:
+            raise
+        typer.echo(f"{name}: {one_line(error)}", err=True)
+        raw, failed = PartialPlan.left_by(error).raw_path, PathFigures(name, "smoothed", type(error).__name__)
+        return [failed] if raw is None else [figures_of(scenario, "raw", raw), failed]
+    write(scenario, found, drawn)
+    smoothed = figures_of(scenario, "smoothed", found.path, found.trajectory.duration)
+    return [figures_of(scenario, "raw", found.raw_path), smoothed]

@@ -1,15 +1,31 @@
-"""`optdock simulate`."""
+"""`optdock simulate` and `optdock demo`."""
 
 from __future__ import annotations
 
 import math
+import shutil
+import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, NamedTuple
 
 import typer
 
-from optdock.cli.exits import NOT_CERTIFIED, reported
-from optdock.cli.options import PlotOption, ScenarioArgument, check_picture
+from optdock.cli.common import (
+    METRES,
+    NOT_CERTIFIED,
+    RADIANS,
+    SECONDS,
+    BudgetOption,
+    PlotOption,
+    ScenarioArgument,
+    VerboseOption,
+    check_picture,
+    checked_positive,
+    reported,
+    spare,
+    working,
+)
+from optdock.cli.plan import PlanOutputs, draw_profile, solved, write
 from optdock.errors import InvalidValue
 
 if TYPE_CHECKING:
@@ -17,7 +33,7 @@ if TYPE_CHECKING:
     from optdock.plan import DockPlan
     from optdock.simulation import Run
 
-__all__ = ["World", "driven", "refuse_fault", "simulate"]
+__all__ = ["World", "demo", "driven", "simulate"]
 
 
 class World(NamedTuple):
@@ -43,36 +59,114 @@ def simulate(  # noqa: PLR0913 - one parameter per option
     scenario: ScenarioArgument,
     *,
     out: Annotated[Path, typer.Option(help="Run file to write (JSON).")] = Path("run.json"),
+    time_budget: BudgetOption = None,
     seed: Annotated[int, typer.Option(help="Of the measurement noise; equal seeds give equal runs.", min=0)] = 0,
-    position_noise: Annotated[float, typer.Option(help="Of the measured x and y, standard deviation [m].")] = (
-        _USUAL.position_noise
-    ),
-    yaw_noise: Annotated[float, typer.Option(help="Of the measured yaw, standard deviation [rad].")] = _USUAL.yaw_noise,
-    lag: Annotated[float, typer.Option(help="Time constant of the drive [s].")] = _USUAL.lag,
-    latency: Annotated[float, typer.Option(help="Delay of the commands [s].")] = _USUAL.latency,
+    position_noise: Annotated[
+        float, typer.Option(metavar=METRES, help="Of the measured x and y, standard deviation.")
+    ] = _USUAL.position_noise,
+    yaw_noise: Annotated[
+        float, typer.Option(metavar=RADIANS, help="Of the measured yaw, standard deviation.")
+    ] = _USUAL.yaw_noise,
+    lag: Annotated[float, typer.Option(metavar=SECONDS, help="Time constant of the drive.")] = _USUAL.lag,
+    latency: Annotated[float, typer.Option(metavar=SECONDS, help="Delay of the commands.")] = _USUAL.latency,
     plot: PlotOption = None,
+    gif: Annotated[
+        Path | None, typer.Option(metavar="FILE.gif", help="Draw the robot driving.", show_default=False)
+    ] = None,
+    verbose: VerboseOption = False,
 ) -> None:
     """Plan, then drive the plan in closed loop with lag, latency and noise; say how exactly the robot ends."""
-    with reported():
-        from optdock.cli.solving import solved
+    with reported(verbose=verbose):
         from optdock.config import load_scenario
-        from optdock.io.atomic_file import write_text
-        from optdock.report import run_json, run_rows, table
+        from optdock.report import run_rows, table
 
         world = _checked(World(position_noise, yaw_noise, lag, latency))
-        check_picture(plot)
+        checked_positive("--time-budget", time_budget, "s")
+        check_picture("--plot", plot)
+        _check_animation(gif)
+        spare(scenario, out, plot, gif)
         loaded = load_scenario(scenario)
-        run = driven(loaded, solved(loaded), seed, world)
-        write_text(out, run_json(run, seed))
-        typer.echo(table(run_rows(run)))
-        if plot is not None:
-            from optdock.plotting import save_run_picture
-
-            save_run_picture(plot, loaded.problem, run, title=f"{loaded.source.stem}: run with seed {seed}")
-        refuse_fault(run)
+        run = driven(loaded, solved(loaded, time_budget, PlanOutputs(picture=plot)), seed, world)
+        _write(loaded, run, seed, out, (plot, gif))
+        typer.echo(table([*run_rows(run), ("written", ", ".join(str(one) for one in (out, plot, gif) if one))]))
+        _refuse_fault(run)
 
 
-def refuse_fault(run: Run) -> None:
+def demo(
+    *,
+    out: Annotated[Path, typer.Option(help="Folder for the scenario, the plan, the run and the pictures.")] = Path(
+        "demo"
+    ),
+    verbose: VerboseOption = False,
+) -> None:
+    """Run the built-in scenario from start to finish: plan, prove, time, drive, draw.
+
+    Its files stay beside the results, ready to be changed: optdock plan demo/scenario.yaml
+    """
+    with reported(verbose=verbose):
+        from optdock.config import load_scenario
+        from optdock.report import limit_rows, plan_rows, run_rows, table
+
+        check_picture("--out", out / "plan.png")
+        scenario = load_scenario(_demo_files(out))
+        with working("docking", 3) as advance:
+            outputs = PlanOutputs(out / "plan.json", out / "plan.png")
+            plan = solved(scenario, outputs=outputs)
+            write(scenario, plan, outputs)
+            advance("planned")
+            draw_profile(out / "profile.png", scenario, plan)
+            advance("motion drawn")
+            run = driven(scenario, plan, 0)
+            _write(scenario, run, 0, out / "run.json", (out / "run.png", out / "run.gif"))
+            advance("driven")
+        typer.echo(table([*plan_rows(plan), *limit_rows(scenario.problem.robot.limits), *run_rows(run)]))
+        typer.echo(f"\nThe scenario, the plan, the run and their pictures are in {out}. Next, for example:")
+        typer.echo(f"  {_program()} plan {out / 'scenario.yaml'} --plot plan.png")
+        _refuse_fault(run)
+
+
+def _program() -> str:
+    """What to type for this program: its name where the shell finds it, else its file."""
+    called = sys.argv[0]
+    return called if Path(called).stem == "optdock" and shutil.which("optdock") is None else "optdock"
+
+
+def _demo_files(folder: Path) -> Path:
+    """The built-in scenario and its map, copied into a folder; the scenario's file there.
+
+    Raises:
+        InvalidFile: A file cannot be written.
+    """
+    from optdock.builtin import demo_scenario
+    from optdock.io.atomic_file import replacing
+
+    built_in = demo_scenario()
+    target = folder / "scenario.yaml"
+    for source in built_in.parent.glob("hall*"):
+        with replacing(target if source == built_in else folder / source.name) as temporary:
+            shutil.copyfile(source, temporary)
+    return target
+
+
+def _write(scenario: Scenario, run: Run, seed: int, out: Path, pictures: tuple[Path | None, Path | None]) -> None:
+    """The run as a file, as a picture and as an animation, where they are asked for."""
+    from optdock.io.atomic_file import write_text
+    from optdock.report import run_json
+
+    write_text(out, run_json(run, seed))
+    picture, animation = pictures
+    if picture is not None:
+        from optdock.plotting import save_run_picture
+
+        title = f"{scenario.source.stem}: driven with lag, latency and noise, seed {seed}"
+        save_run_picture(picture, scenario.problem, run, title=title)
+    if animation is not None:
+        from optdock.plotting import save_animation
+
+        save_animation(animation, scenario.problem, run.times, run.poses)
+
+
+def _refuse_fault(run: Run) -> None:
     """Leave with a line on stderr where a run did not dock, or collided on its way.
 
     Raises:
@@ -124,11 +218,21 @@ def driven(scenario: Scenario, plan: DockPlan, seed: int, world: World = _USUAL)
 
 def _checked(world: World) -> World:
     from optdock.io.numbers import unit_fault
+    from optdock.simulation import Actuation
 
     for name, value in world._asdict().items():
         if not (math.isfinite(value) and value >= 0.0):
             raise InvalidValue(f"--{name.replace('_', '-')}: must be finite and >= 0, got {value}")
+    try:
+        Actuation(world.lag, world.lag, world.latency)
+    except InvalidValue as error:  # of what is finite and >= 0, the latency alone has another rule
+        raise InvalidValue(f"--latency: {str(error).partition(': ')[2]}") from error
     fault = unit_fault(world.yaw_noise, "rad")
     if fault:
         raise InvalidValue(f"--yaw-noise: {fault}")
     return world
+
+
+def _check_animation(gif: Path | None) -> None:
+    if gif is not None and gif.suffix.lower() != ".gif":
+        raise InvalidValue(f"--gif: must end in .gif, got {gif}")

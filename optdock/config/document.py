@@ -368,8 +368,8 @@ class ScenarioDocument(_Part):
     )
     time_budget: Number = _key("wall-clock time for planning [s]", DEFAULT_TIME_BUDGET, above=0, finite=True)
     planner: Section = _key("what makes the raw path, and its parameters", {}, absent=PLUGIN_DEFAULTS["planner"])
-    smoother: Section = _key("what makes the smoothing, and its parameters", {}, absent=PLUGIN_DEFAULTS["smoother"])
-    timing: Section = _key("what makes the time law, and its parameters", {}, absent=PLUGIN_DEFAULTS["timing"])
+    smoother: Section = _key("what smooths it, and its parameters", {}, absent=PLUGIN_DEFAULTS["smoother"])
+    timing: Section = _key("what times it, and its parameters", {}, absent=PLUGIN_DEFAULTS["timing"])
     controller: Section = _key(
         "what drives in `optdock simulate`, and its parameters", {}, absent=PLUGIN_DEFAULTS["controller"]
     )
@@ -387,17 +387,11 @@ class ScenarioDocument(_Part):
         return value
 
 
-_MAPPINGS: dict[tuple[str, ...], type[_Part]] = {
-    (): ScenarioDocument,
-    ("robot",): RobotDocument,
-    ("robot", "limits"): LimitsDocument,
-    ("dock",): DockDocument,
-    ("start",): StartDocument,
-    ("clearance",): ClearanceDocument,
-}
-
-
 def known_keys(key: tuple[str | int, ...]) -> tuple[str, ...]:
     """The keys that the mapping at `key` accepts."""
-    model = _MAPPINGS.get(tuple(str(part) for part in key))
+    model: type[BaseModel] | None = ScenarioDocument
+    for part in key:
+        field = model.model_fields.get(str(part)) if model else None
+        inner = field.annotation if field else None
+        model = inner if isinstance(inner, type) and issubclass(inner, BaseModel) else None
     return tuple(model.model_fields) if model else ()

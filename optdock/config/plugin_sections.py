@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING
 
 from pydantic import ValidationError
 
-from optdock.config.faults import Fault, faults_of
 from optdock.errors import PluginError
+from optdock.io.faults import Fault, faults_of
 from optdock.io.numbers import is_number, unit_fault
 from optdock.pipeline import DEFAULT_PLANNER, DEFAULT_SMOOTHER, DEFAULT_TIMING
 from optdock.plugins import INTERFACES, PluginChoice, load_plugin

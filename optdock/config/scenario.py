@@ -10,9 +10,9 @@ from typing import TYPE_CHECKING
 from pydantic import ValidationError
 
 from optdock.config.document import SECTIONS, ScenarioDocument, known_keys
-from optdock.config.faults import Fault, faults_of, report
 from optdock.config.plugin_sections import PLUGIN_DEFAULTS, plugin_choice
 from optdock.errors import InvalidFile, OptdockError
+from optdock.io.faults import Fault, faults_of, report
 from optdock.io.maps import load_map
 from optdock.io.yaml_lines import load_yaml
 from optdock.obstacles import ObstacleSet
@@ -80,6 +80,10 @@ def load_scenario(source: str | Path) -> Scenario:
     located = load_yaml(source)
     if not isinstance(located.value, Mapping):
         raise InvalidFile(f"{source}: must be a mapping with the key format: optdock-scenario/1")
+    said = located.value.get("format")
+    if said != "optdock-scenario/1" and not {"robot", "dock", "start"} & set(located.value):
+        format_ = "" if said is None else f"; its format is {said!r}"
+        raise InvalidFile(f"{source}: is no scenario: it has none of the keys robot, dock and start{format_}")
     faults: list[Fault] = []
     document = _document(located.value, faults)
     choices = {kind: plugin_choice(kind, located.value.get(kind, {}), faults) for kind in SECTIONS}

@@ -13,14 +13,14 @@ if TYPE_CHECKING:
     from optdock.limits import MotionLimits
     from optdock.trajectory import Trajectory
 
-__all__ = ["Look", "Reference"]
+__all__ = ["Reference", "ReferenceState"]
 
 _AT_REST = 1e-6  # [m/s]: a standing reference may change its rate at once
 _AT_START = 0.05  # [m]: a robot nearer to the start than this begins there
 _SAMPLES = 400  # for the peak speed and the nearest point
 
 
-class Look(NamedTuple):
+class ReferenceState(NamedTuple):
     """The reference at one instant.
 
     `speed`, `acceleration`: of the trajectory itself, along its travel, at rate 1 [m/s, m/s^2]. `gear`: 1 or -1.
@@ -57,7 +57,7 @@ class Reference:
         """Whether the trajectory's end is reached."""
         return self.time >= self.trajectory.duration
 
-    def look(self, preview: float) -> Look:
+    def state(self, preview: float) -> ReferenceState:
         """The reference now, and its velocity `preview` seconds from now at the present rate."""
         ahead = self.time + self.rate * preview
         row = self.trajectory.sample_at((self.time, ahead))
@@ -66,7 +66,7 @@ class Reference:
             math.copysign(1.0, speed) if abs(speed) > _AT_REST else float(self.trajectory.path.direction_at(row.s)[0])
         )
         share = self.rate if ahead < self.trajectory.duration else 0.0
-        return Look(
+        return ReferenceState(
             pose=Pose2(float(row.x[0]), float(row.y[0]), float(row.yaw[0])),
             gear=gear,
             speed=abs(speed),
@@ -88,7 +88,9 @@ class Reference:
         if abs(speed) > _AT_REST:
             self.rate = min(1.0, max(0.0, linear / speed))
 
-    def advance(self, now: Look, period: float, target_rate: float, limits: MotionLimits, settling: float) -> None:
+    def advance(
+        self, now: ReferenceState, period: float, target_rate: float, limits: MotionLimits, settling: float
+    ) -> None:
         """Let `period` seconds pass while the rate approaches `target_rate` with the time constant `settling` [s]."""
         before = self.rate
         if now.speed <= _AT_REST or abs(target_rate - before) < 1e-6:

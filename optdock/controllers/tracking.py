@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 from pydantic import Field
 
+from optdock.controllers.checks import checked_speed_limit, checked_task
 from optdock.controllers.delay_estimate import DelayEstimate
-from optdock.controllers.moving_reference import Look, Reference
-from optdock.controllers.requests import checked_speed_limit, checked_task
+from optdock.controllers.moving_reference import Reference, ReferenceState
 from optdock.controllers.tracking_law import Gains, tracking_command
 from optdock.errors import ControllerInvalidPath, FailedToTimePath, NoValidControl
 from optdock.geometry.pose import Pose2, Twist2
@@ -23,17 +23,16 @@ from optdock.trajectory import Trajectory
 from optdock.verification import pose_clearances
 
 if TYPE_CHECKING:
-    from optdock.geometry.pose import Pose2, Twist2
     from optdock.interfaces import GoalChecker
     from optdock.lifecycle import PluginContext
-    from optdock.limits import MotionLimits
     from optdock.path import Path
 
 __all__ = ["TrackingController", "TrackingControllerParameters", "rate_limited", "require_free_stop"]
 
-
 _SETTLING = 0.2  # [s], time constant with which the reference's rate approaches its target
 _PEAK_MARGIN = 1.2  # without a configured robot: headroom for feedback above the trajectory's own peaks
+_SPACING = 0.05  # [m] between the poses looked at on the way to a stop; no robot is so short that a post fits between
+_DEEPER = 1e-6  # [m]: a robot that touches something may drive on as long as it does not go deeper
 
 
 class TrackingControllerParameters(PluginParameters):
@@ -103,7 +102,9 @@ class TrackingController(Controller):
     def __init__(self, **parameters: object) -> None:
         super().__init__(**parameters)
         self._speed_limit: tuple[float, bool] | None = None
-        self._seen: tuple[Look, float] | None = None  # the reference of the last call, and the robot's lag behind it
+        self._seen: tuple[ReferenceState, float] | None = (
+            None  # the reference of the last call, and the robot's lag behind it
+        )
         self._reference: Reference | None = None
         self._limits = MotionLimits()
         self._last = Twist2()
@@ -211,7 +212,7 @@ class TrackingController(Controller):
         self._seen = None
         self._anchored = True
 
-    def _advanced(self, reference: Reference) -> Look:
+    def _advanced(self, reference: Reference) -> ReferenceState:
         """The reference one period after it was last seen; on the first call, where it begins."""
         p = self.parameters
         if self._seen is not None:
@@ -219,7 +220,7 @@ class TrackingController(Controller):
             settling = 0.0 if self._cancelled else _SETTLING
             reference.advance(before, p.period, self._target_rate(reference, lag), self._limits, settling)
         preview = self._delay.delay if p.preview is None else p.preview
-        return reference.look(preview + 0.5 * p.period)
+        return reference.state(preview + 0.5 * p.period)
 
     def _check_error(self, error: Pose2) -> None:
         p, distance = self.parameters, math.hypot(error.x, error.y)
@@ -230,7 +231,9 @@ class TrackingController(Controller):
                 where={"along": error.x, "cross": error.y, "yaw": error.yaw},
             )
 
-    def _wanted(self, reference: Reference, now: Look, error: Pose2, goal_checker: GoalChecker | None) -> Twist2:
+    def _wanted(
+        self, reference: Reference, now: ReferenceState, error: Pose2, goal_checker: GoalChecker | None
+    ) -> Twist2:
         if self._cancelled and reference.rate == 0.0:
             return Twist2()
         p = self.parameters
@@ -286,10 +289,6 @@ def _approach(value: float, target: float, rise: float, fall: float) -> float:
         return braked if left <= 0.0 else _approach(0.0, target, rise * left, fall)
     bound = rise if abs(target) > abs(value) else fall
     return value + min(max(target - value, -bound), bound)
-
-
-_SPACING = 0.05  # [m] between the poses that are looked at; no robot is so short that a post fits between them
-_DEEPER = 1e-6  # [m]: a robot that touches something may drive on as long as it does not go deeper
 
 
 def require_free_stop(

@@ -1,4 +1,4 @@
-"""Grids of costs: layers, inflation, distance fields, and cells as obstacles."""
+"""Grids of costs and of occupancies, and their cells as obstacles."""
 
 from optdock.costmap.cell_obstacles import obstacles_from_costmap
 from optdock.costmap.costmap import Costmap

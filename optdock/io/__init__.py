@@ -1,1 +1,1 @@
-"""Readers and writers of files: maps, plans, dock databases, Nav2 parameters."""
+"""Readers and writers of files: maps, plan files, YAML with line numbers, and faults in one language."""

@@ -4,22 +4,26 @@ from __future__ import annotations
 
 import logging
 import math
-from dataclasses import dataclass
+from collections.abc import Mapping
 from enum import Enum
-from pathlib import Path
-from typing import TYPE_CHECKING, TypeGuard
+from typing import TYPE_CHECKING, Annotated, TypeAlias, TypeGuard
 
 import numpy as np
+from pydantic import BaseModel, BeforeValidator, ConfigDict, ValidationError, ValidationInfo, field_validator
 
 from optdock.costmap.costs import OCCUPANCY_UNKNOWN, OccupancyArray
 from optdock.costmap.occupancy import OccupancyGrid
 from optdock.errors import InvalidFile, InvalidValue
+from optdock.io.faults import Fault, faults_of, report
 from optdock.io.map_image import GreyImage, load_grey_image
-from optdock.io.numbers import unit_fault
-from optdock.io.yaml_lines import Document, load_yaml
+from optdock.io.numbers import is_number, unit_fault
+from optdock.io.yaml_lines import load_yaml
 
 if TYPE_CHECKING:
+    from pathlib import Path
+
     from optdock.geometry.arrays import FloatArray, IntArray
+    from optdock.io.yaml_lines import Document
 
 __all__ = ["MapInfo", "MapMode", "load_map", "occupancy_from_image"]
 
@@ -36,12 +40,61 @@ class MapMode(str, Enum):
     RAW = "raw"
 
 
-@dataclass(frozen=True)
-class MapInfo:
-    """The content of a map's YAML file.
+def _name(value: object) -> str:
+    if not (isinstance(value, str) and value):
+        raise ValueError("must be the name of an image file")
+    return value
 
-    Args:
-        image: Path of the image.
+
+def _is_finite(value: object) -> TypeGuard[float]:
+    return is_number(value) and math.isfinite(value)
+
+
+def _resolution(value: object) -> float:
+    if not (_is_finite(value) and value > 0.0):
+        raise ValueError("must be finite and > 0 m")
+    return float(value)
+
+
+def _origin(value: object) -> tuple[float, float]:
+    if not (isinstance(value, list) and len(value) == 3 and all(map(_is_finite, value))):
+        raise ValueError("must be [x, y, yaw], three finite numbers")
+    x, y, yaw = map(float, value)
+    if yaw != 0.0:
+        reason = "the cells of a costmap run along x and y, and Nav2's costmap ignores the yaw; rotate the image"
+        implausible = unit_fault(yaw, "rad")
+        got = f"yaw {implausible}; but it must be 0" if implausible else f"yaw must be 0, got {yaw}"
+        raise InvalidValue(f"{got}: {reason}")
+    return x, y
+
+
+def _negate(value: object) -> bool:
+    if not (isinstance(value, int) and value in (0, 1)):
+        raise ValueError("must be 0 or 1")
+    return bool(value)
+
+
+def _probability(value: object) -> float:
+    if not (_is_finite(value) and 0.0 <= value <= 1.0):
+        raise ValueError("must be a probability in 0..1")
+    return float(value)
+
+
+def _mode(value: object) -> MapMode:
+    known = [mode.value for mode in MapMode]
+    if not (isinstance(value, str) and value.lower() in known):
+        raise ValueError(f"must be one of {', '.join(known)}")
+    return MapMode(value.lower())
+
+
+Probability: TypeAlias = Annotated[float, BeforeValidator(_probability)]
+
+
+class MapInfo(BaseModel):
+    """The content of a map's YAML file; keys that map_server does not know are ignored, as it ignores them.
+
+    Attributes:
+        image: Name of the image, relative to the file's folder or absolute.
         resolution: Side of a pixel [m].
         origin: Lower left corner of the lower left pixel, x and y [m].
         negate: Whether white is occupied and black free.
@@ -50,40 +103,69 @@ class MapInfo:
         mode: How grey values become occupancies.
     """
 
-    image: Path
-    resolution: float
-    origin: tuple[float, float]
-    negate: bool
-    occupied_thresh: float
-    free_thresh: float
-    mode: MapMode = MapMode.TRINARY
+    model_config = ConfigDict(frozen=True, extra="ignore")
+
+    image: Annotated[str, BeforeValidator(_name)]
+    resolution: Annotated[float, BeforeValidator(_resolution)]
+    origin: Annotated[tuple[float, float], BeforeValidator(_origin)]
+    negate: Annotated[bool, BeforeValidator(_negate)]
+    occupied_thresh: Probability
+    free_thresh: Probability
+    mode: Annotated[MapMode, BeforeValidator(_mode)] = MapMode.TRINARY
+
+    @field_validator("free_thresh")
+    @classmethod
+    def _below_the_other(cls, value: float, info: ValidationInfo) -> float:
+        occupied = info.data.get("occupied_thresh", 1.0)
+        if value > occupied:
+            raise InvalidValue(f"must be <= occupied_thresh = {occupied}, got {value}")
+        return value
 
 
 def load_map(path: str | Path) -> OccupancyGrid:
     """Read a map; `load_map(path).costmap` is its costmap.
 
-    Keys that map_server does not know are ignored, as it ignores them.
-
     Args:
-        path: The YAML file; `image` in it is relative to its folder.
+        path: The YAML file.
 
     Raises:
         InvalidFile: The YAML file or the image breaks the format; every fault in both is listed.
     """
     document = load_yaml(path)
-    reader = _InfoReader(document)
-    info = reader.info()
-    image = reader.image_of(info.image if info else reader.image_path())
-    if info is None or image is None:
-        raise InvalidFile("\n".join(reader.faults))
-    if info.mode is MapMode.RAW and image.maxval != 255:
-        reader.refuse("mode", f"raw needs an image of 8 bit with largest grey value 255, got {image.maxval}")
-        raise InvalidFile("\n".join(reader.faults))
+    if not isinstance(document.value, Mapping):
+        raise InvalidFile(document.fault((), f"must be a mapping of map_server keys, got {document.value!r}"))
+    faults: list[Fault] = []
+    info, image = _info(document.value, faults), _image(document, faults)
+    if info is not None and image is not None and info.mode is MapMode.RAW and image.maxval != 255:
+        message = f"raw needs an image of 8 bit with largest grey value 255, got {image.maxval}"
+        faults.append(Fault(("mode",), message))
+    if faults or info is None or image is None:
+        raise InvalidFile(report(faults, document))
     _warn_of_free_unknowns(path, info, image)
     try:
         return OccupancyGrid(occupancy_from_image(image, info), info.resolution, info.origin)
     except InvalidValue as error:  # a map whose far corner is not a finite number
         raise InvalidFile(f"{path}: {error}") from error
+
+
+def _info(values: Mapping[str, object], faults: list[Fault]) -> MapInfo | None:
+    try:
+        return MapInfo.model_validate(values)
+    except ValidationError as error:
+        faults.extend(faults_of(error, lambda _: MapInfo.model_fields))
+        return None
+
+
+def _image(document: Document, faults: list[Fault]) -> GreyImage | None:
+    """The image, read also where another key is wrong, so that its faults are told with the others."""
+    name = document.value.get("image") if isinstance(document.value, Mapping) else None
+    if not (isinstance(name, str) and name):
+        return None
+    try:
+        return load_grey_image(document.path.parent / name)
+    except InvalidFile as error:
+        faults.append(Fault(("image",), str(error)))
+        return None
 
 
 def occupancy_from_image(image: GreyImage, info: MapInfo) -> OccupancyArray:
@@ -128,112 +210,3 @@ def _warn_of_free_unknowns(path: str | Path, info: MapInfo, image: GreyImage) ->
             info.free_thresh,
             count,
         )
-
-
-class _InfoReader:
-    """Reads `MapInfo` from a document and collects every fault on the way."""
-
-    def __init__(self, document: Document) -> None:
-        self.document = document
-        self.faults: list[str] = []
-        value = document.value
-        self._values: dict[object, object] = dict(value) if isinstance(value, dict) else {}
-        if not isinstance(value, dict):
-            self.faults.append(document.fault((), f"must be a mapping of map_server keys, got {value!r}"))
-
-    def info(self) -> MapInfo | None:
-        """The map's description, or None after a fault."""
-        if self.faults:
-            return None
-        image, resolution, origin = self.image_path(), self._resolution(), self._origin()
-        negate, mode = self._negate(), self._mode()
-        occupied, free = self._threshold("occupied_thresh"), self._threshold("free_thresh")
-        if occupied is not None and free is not None and free > occupied:
-            self.refuse("free_thresh", f"must be <= occupied_thresh = {occupied}, got {free}")
-        if image is None:
-            self.refuse("image", self._missing_or("image", "must be the name of an image file"))
-        if self.faults or image is None or resolution is None or origin is None or occupied is None or free is None:
-            return None
-        return MapInfo(image, resolution, origin, negate, occupied, free, mode)
-
-    def refuse(self, key: str, message: str) -> None:
-        """Note a fault."""
-        self.faults.append(self.document.fault((key,), message))
-
-    def image_path(self) -> Path | None:
-        """Where the image should be, or None where that is not said."""
-        name = self._values.get("image")
-        return self.document.path.parent / name if isinstance(name, str) and name else None
-
-    def image_of(self, path: Path | None) -> GreyImage | None:
-        """The image, or None after a fault."""
-        if path is None:
-            return None
-        try:
-            return load_grey_image(path)
-        except InvalidFile as error:
-            self.refuse("image", str(error))
-            return None
-
-    def _missing_or(self, key: str, rule: str) -> str:
-        return f"{rule}, got {self._values[key]!r}" if key in self._values else "is missing"
-
-    def _number(self, key: str, rule: str) -> float | None:
-        value = self._values.get(key)
-        if _is_number(value):
-            return float(value)
-        self.refuse(key, self._missing_or(key, rule))
-        return None
-
-    def _resolution(self) -> float | None:
-        rule = "must be finite and > 0 m"
-        value = self._number("resolution", rule)
-        if value is None or value > 0.0:
-            return value
-        self.refuse("resolution", f"{rule}, got {value}")
-        return None
-
-    def _threshold(self, key: str) -> float | None:
-        rule = "must be a probability in 0..1"
-        value = self._number(key, rule)
-        if value is None or 0.0 <= value <= 1.0:
-            return value
-        self.refuse(key, f"{rule}, got {value}")
-        return None
-
-    def _origin(self) -> tuple[float, float] | None:
-        value = self._values.get("origin")
-        numbers = [float(v) for v in value if _is_number(v)] if isinstance(value, list) else []
-        if not isinstance(value, list) or len(value) != 3 or len(numbers) != 3:
-            self.refuse("origin", self._missing_or("origin", "must be [x, y, yaw], three finite numbers"))
-            return None
-        if numbers[2] != 0.0:
-            reason = "the cells of a costmap run along x and y, and Nav2's costmap ignores the yaw; rotate the image"
-            implausible = unit_fault(numbers[2], "rad")
-            got = f"yaw {implausible}; but it must be 0" if implausible else f"yaw must be 0, got {numbers[2]}"
-            self.refuse("origin", f"{got}: {reason}")
-            return None
-        return numbers[0], numbers[1]
-
-    def _negate(self) -> bool:
-        value = self._values.get("negate")
-        if not (isinstance(value, (bool, int)) and value in (0, 1)):
-            self.refuse("negate", self._missing_or("negate", "must be 0 or 1"))
-        return bool(value)
-
-    def _mode(self) -> MapMode:
-        value = self._values.get("mode", "trinary")
-        known = [mode.value for mode in MapMode]
-        if isinstance(value, str) and value.lower() in known:
-            return MapMode(value.lower())
-        self.refuse("mode", f"must be one of {', '.join(known)}, got {value!r}")
-        return MapMode.TRINARY
-
-
-def _is_number(value: object) -> TypeGuard[float]:
-    if isinstance(value, bool) or not isinstance(value, (int, float)):
-        return False
-    try:
-        return math.isfinite(value)
-    except OverflowError:  # a whole number beyond the largest float
-        return False

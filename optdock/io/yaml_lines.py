@@ -12,7 +12,7 @@ import yaml
 from optdock.errors import InvalidFile
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping
+    from collections.abc import Mapping
 
 __all__ = ["Document", "Keys", "load_yaml", "printable"]
 
@@ -90,11 +90,11 @@ def load_yaml(path: str | Path) -> Document:
         root = loader.get_single_node()
         if root is None:
             raise InvalidFile(f"{path}: is empty")
-        survey = _Survey(path, loader)
-        survey.visit(root, ())
-        if survey.faults:
-            raise InvalidFile("\n".join(survey.faults))
-        return Document(path, loader.construct_document(root), survey.lines)
+        reader = _Reader(path, loader)
+        value = reader.value_of(root, ())
+        if reader.faults:
+            raise InvalidFile("\n".join(reader.faults))
+        return Document(path, value, reader.lines)
     except yaml.YAMLError as error:
         raise InvalidFile(_yaml_fault(path, error)) from error
     except RecursionError as error:
@@ -125,18 +125,17 @@ def _yaml_fault(path: Path, error: yaml.YAMLError) -> str:
     return f"{where}: is not valid YAML: {reason}"
 
 
-class _Survey:
-    """Walks the nodes: notes lines, finds repeated keys, refuses what cannot be a plain value."""
+class _Reader:
+    """Makes plain values of nodes: notes lines, finds repeated keys, refuses what cannot be a plain value."""
 
     def __init__(self, path: Path, loader: _Loader) -> None:
-        self.path = path
-        self.loader = loader
         self.lines: dict[Keys, int] = {}
         self.faults: list[str] = []
+        self._path, self._loader = path, loader
         self._seen: set[int] = set()
         self._repeats = 0
 
-    def visit(self, node: yaml.Node, keys: Keys) -> None:
+    def value_of(self, node: yaml.Node, keys: Keys) -> object:
         is_first_visit = id(node) not in self._seen
         self._seen.add(id(node))
         self._repeats += not is_first_visit
@@ -144,33 +143,35 @@ class _Survey:
             raise InvalidFile(
                 f"{self._place(node)}: is nested too deeply, contains itself, or repeats too many aliases"
             )
-        for key, marked, entry in self._entries(node, is_first_visit=is_first_visit):
-            self.lines[keys + (key,)] = marked.start_mark.line + 1  # noqa: RUF005 - Python 3.10 cannot star an index
-            self.visit(entry, keys + (key,))  # noqa: RUF005 - as above
+        if isinstance(node, yaml.ScalarNode):
+            return self._scalar(node)
+        if isinstance(node, yaml.SequenceNode) and node.tag == "tag:yaml.org,2002:seq":
+            return [self._entry(entry, entry, keys, i) for i, entry in enumerate(node.value)]
+        if not isinstance(node, yaml.MappingNode) or node.tag != "tag:yaml.org,2002:map":
+            raise InvalidFile(f"{self._place(node)}: is not valid YAML: {node.tag} is no plain list or mapping")
+        if is_first_visit:
+            self._check_keys(node)
+            self._loader.flatten_mapping(node)  # replaces `<<` by what it merges
+        return {key: self._entry(k, v, keys, key) for k, v in node.value for key in [self._key_of(k)]}
+
+    def _entry(self, marked: yaml.Node, node: yaml.Node, outer: Keys, key: str | int) -> object:
+        keys = (*outer, key)
+        self.lines[keys] = marked.start_mark.line + 1
+        return self.value_of(node, keys)
 
     def _place(self, node: yaml.Node) -> str:
-        return f"{self.path}:{node.start_mark.line + 1}"
+        return f"{self._path}:{node.start_mark.line + 1}"
 
-    def _entries(self, node: yaml.Node, *, is_first_visit: bool) -> Iterator[tuple[str | int, yaml.Node, yaml.Node]]:
-        if isinstance(node, yaml.SequenceNode):
-            yield from ((i, entry, entry) for i, entry in enumerate(node.value))
-        elif isinstance(node, yaml.MappingNode):
-            if is_first_visit:
-                self._check_keys(node)
-                self.loader.flatten_mapping(node)  # replaces `<<` by what it merges
-            yield from ((self._key_of(key), key, value) for key, value in node.value)
-        elif is_first_visit:
-            self._check_scalar(node)
-
-    def _check_scalar(self, node: yaml.Node) -> None:
+    def _scalar(self, node: yaml.ScalarNode) -> object:
         try:
-            self.loader.construct_object(node)
+            return self._loader.construct_object(node)
         except _SCALAR_ERRORS as error:
             self.faults.append(f"{self._place(node)}: {node.value!r} cannot be read: {error}")
+            return None
 
     def _key_of(self, node: yaml.Node) -> str | int:
         try:
-            key = self.loader.construct_object(node) if isinstance(node, yaml.ScalarNode) else None
+            key = self._loader.construct_object(node) if isinstance(node, yaml.ScalarNode) else None
         except _SCALAR_ERRORS as error:
             raise InvalidFile(f"{self._place(node)}: key {node.value!r} cannot be read: {error}") from error
         if isinstance(key, (str, int)) and not isinstance(key, bool):

@@ -4,6 +4,7 @@
 - `docks`: dock databases and dock types.
 - `scenario`: the docking problem that these files describe.
 - `provided_plugins`: which of a file's plugins are provided here, with which parameters, and why the others are not.
+- `global_costmap`: the costmap that a parameter file describes, over a map.
 - `layered_costmap`, `layers`: one master grid, and the layers that write into it.
 - `behaviors`: Wait, Spin, BackUp, DriveOnHeading, Undock.
 - `graceful`, `graceful_law`: the GracefulController and its control law, the baseline to beat.

@@ -19,13 +19,12 @@ from optdock.nav2.numbers import NumberReader
 from optdock.parameters import closest
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Sequence
     from pathlib import Path
 
     from optdock.io.yaml_lines import Document, Keys
 
 __all__ = ["DockEntry", "DockType", "load_dock_database", "read_dock", "read_dock_type"]
-
 
 _DIRECTIONS = (DockDirection.FORWARD.value, DockDirection.BACKWARD.value)
 

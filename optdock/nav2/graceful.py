@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 from pydantic import Field, model_validator
 
-from optdock.controllers.requests import checked_speed_limit, checked_task
+from optdock.controllers.checks import checked_speed_limit, checked_task
 from optdock.errors import ControllerInvalidPath, NoValidControl
 from optdock.geometry.pose import Pose2, Twist2, normalize_angle
 from optdock.interfaces import Controller

@@ -82,7 +82,12 @@ class LayeredCostmap:
 
     @classmethod
     def of_map(
-        cls, grid: OccupancyGrid, layers: Mapping[str, Layer], footprint: Footprint | None = None
+        cls,
+        grid: OccupancyGrid,
+        layers: Mapping[str, Layer],
+        footprint: Footprint | None = None,
+        *,
+        track_unknown_space: bool = True,
     ) -> LayeredCostmap:
         """A costmap in the place and size of a map, as Nav2's StaticLayer makes it.
 
@@ -98,6 +103,7 @@ class LayeredCostmap:
             resolution=grid.resolution,
             origin_x=grid.origin[0],
             origin_y=grid.origin[1],
+            track_unknown_space=track_unknown_space,
         )
 
     @property

@@ -24,7 +24,6 @@ if TYPE_CHECKING:
 
 __all__ = ["Nav2Params", "PluginInstance", "load_nav2_params", "with_nested_names"]
 
-
 N = TypeVar("N", CostmapParams, DockType, DockEntry)
 
 _COSTMAP_KEYS = ("footprint", "robot_radius", "rolling_window", "inflation_radius")

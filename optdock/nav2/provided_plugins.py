@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from optdock.nav2.costmap_params import CostmapParams
     from optdock.nav2.params import Nav2Params, PluginInstance
 
-__all__ = ["Nav2Plugin", "nav2_costmap_rows", "nav2_plugin_rows", "nav2_plugins"]
+__all__ = ["Nav2Plugin", "nav2_costmap_rows", "nav2_plugin_rows", "nav2_plugins", "provided"]
 
 # Nav2's kinds of plugins that have an interface here.
 _KINDS: Mapping[str, str] = {
@@ -58,6 +58,7 @@ class Nav2Plugin:
         reason: Why it is not provided; empty when it is.
         unknown: Parameters that the plugin here does not read: those it does not have, each with the nearest one that
             it has, if any, and those that mean something on a ROS graph only.
+        refused: Whether there is such a plugin here, but it refuses its parameters.
     """
 
     instance: PluginInstance
@@ -65,6 +66,16 @@ class Nav2Plugin:
     taken: Mapping[str, object] = field(default_factory=dict)
     reason: str = ""
     unknown: tuple[str, ...] = ()
+    refused: bool = False
+
+    @property
+    def outcome(self) -> str:
+        """What became of it, on one line: the plugin with the parameters taken, or why there is none."""
+        if self.plugin is None:
+            return f"not provided: {self.reason}"
+        taken = ", ".join(f"{name}={value}" for name, value in self.taken.items())
+        ignored = f"; not read: {', '.join(self.unknown)}" if self.unknown else ""
+        return f"{type(self.plugin).__name__}({taken}){ignored}"
 
 
 def nav2_plugins(params: Nav2Params) -> tuple[Nav2Plugin, ...]:
@@ -73,11 +84,12 @@ def nav2_plugins(params: Nav2Params) -> tuple[Nav2Plugin, ...]:
     Nav2's files carry many parameters that a plugin here does not have: they are listed, not refused. Behaviors and
     layers take what their own block leaves out from their node, where Nav2 keeps it.
     """
-    return tuple(_resolved(instance, params.nodes.get(instance.node, {})) for instance in params.plugins)
+    return tuple(provided(instance, params) for instance in params.plugins)
 
 
-def _resolved(instance: PluginInstance, node: Mapping[str, object]) -> Nav2Plugin:
-    kind = _KINDS.get(instance.kind)
+def provided(instance: PluginInstance, params: Nav2Params) -> Nav2Plugin:
+    """One plugin of the file; see `nav2_plugins`."""
+    node, kind = params.nodes.get(instance.node, {}), _KINDS.get(instance.kind)
     if kind is None:
         reason = _REASONS.get(instance.kind, f"optdock has no plugins of the kind {instance.kind}")
         return Nav2Plugin(instance, reason=reason)
@@ -96,7 +108,7 @@ def _resolved(instance: PluginInstance, node: Mapping[str, object]) -> Nav2Plugi
     try:
         plugin = create_plugin(INTERFACES[kind], instance.nav2_class, known)
     except (InvalidValue, PluginError) as error:
-        return Nav2Plugin(instance, reason=" | ".join(str(error).splitlines()), unknown=unknown)
+        return Nav2Plugin(instance, reason=" | ".join(str(error).splitlines()), unknown=unknown, refused=True)
     dropped = _of_the_graph(plugin_class, known)
     return Nav2Plugin(instance, plugin, _without(known, dropped), unknown=unknown + dropped)
 
@@ -132,15 +144,7 @@ def _without(values: Mapping[str, object], names: tuple[str, ...]) -> dict[str, 
 
 def nav2_plugin_rows(params: Nav2Params) -> list[tuple[str, str, str, str]]:
     """Node, instance, Nav2's class, and what became of it with which parameters: one row per plugin."""
-    return [(p.instance.node, p.instance.name, p.instance.nav2_class, _outcome(p)) for p in nav2_plugins(params)]
-
-
-def _outcome(found: Nav2Plugin) -> str:
-    if found.plugin is None:
-        return f"not provided: {found.reason}"
-    taken = ", ".join(f"{name}={value}" for name, value in found.taken.items())
-    ignored = f"; not read: {', '.join(found.unknown)}" if found.unknown else ""
-    return f"{type(found.plugin).__name__}({taken}){ignored}"
+    return [(p.instance.node, p.instance.name, p.instance.nav2_class, p.outcome) for p in nav2_plugins(params)]
 
 
 def nav2_costmap_rows(params: Nav2Params) -> list[tuple[str, str, str, str]]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -15,6 +16,7 @@ from optdock.io.maps import load_map
 from optdock.io.numbers import is_number, unit_fault
 from optdock.limits import MotionLimits, SpeedZone
 from optdock.nav2.docks import DockEntry, DockType, load_dock_database
+from optdock.nav2.global_costmap import file_costmap
 from optdock.nav2.params import Nav2Params, load_nav2_params
 from optdock.parameters import closest
 from optdock.problem import DockingProblem
@@ -23,7 +25,7 @@ from optdock.robot import Robot
 if TYPE_CHECKING:
     from optdock.nav2.costmap_params import CostmapParams
 
-__all__ = ["nav2_limits", "nav2_scenario"]
+__all__ = ["Nav2Scenario", "nav2_limits", "nav2_scenario"]
 
 # Our limit, the velocity smoother's vector, which component of it, and that component's sign.
 _SMOOTHER_LIMITS = (
@@ -40,24 +42,37 @@ _SMOOTHER_LIMITS = (
 _UNITS = {("max_velocity", "x"): "m/s", ("min_velocity", "x"): "m/s"}
 
 
+@dataclass(frozen=True, eq=False)
+class Nav2Scenario(Scenario):
+    """A scenario from Nav2's files.
+
+    Args:
+        costmap_rows: What became of every part of the file's costmaps: name and outcome.
+    """
+
+    costmap_rows: tuple[tuple[str, str], ...] = ()
+
+
 def nav2_scenario(
     params_source: str | Path,
     map_source: str | Path,
-    start: str,
+    start: Pose2 | str,
     *,
     docks_source: str | Path | None = None,
     dock_name: str | None = None,
-) -> Scenario:
+) -> Nav2Scenario:
     """The problem of driving into a dock that Nav2's files describe.
 
     The footprint, padded, is the global costmap's; speeds and accelerations are the velocity smoother's; approach
     speed and gear are the docking server's and the dock type's. Nav2 knows no curvature limit, no outline of the dock
     and no clearance in metres: there are none, but for `ClearanceRule`'s default.
 
+    The costmap is the file's global one, built over the map as `file_costmap` says.
+
     Args:
         params_source: Parameter file.
         map_source: Map (map_server YAML).
-        start: `x,y,yaw` in the map's frame [m, m, rad].
+        start: Where the robot is, in the map's frame; or `x,y,yaw` as the command line gives it [m, m, rad].
         docks_source: Dock database; None: the docks in the parameter file.
         dock_name: Which dock; may be None where there is exactly one.
 
@@ -73,19 +88,20 @@ def nav2_scenario(
     dock = _chosen(docks, dock_name, str(docks_source or params_source))
     costmap_params = _global_costmap(params)
     _check_frame(dock, costmap_params, str(docks_source or params_source))
-    costmap = load_map(map_source).costmap
-    dock_type = _type_of(dock, params)
+    dock_type, pose = _type_of(dock, params), _start(start)
     zone = _approach(params, dock_type)
+    station = Dock(
+        dock.pose, direction=dock_type.dock_direction, approach_speed=zone.speed, approach_distance=zone.distance
+    )
+    built = file_costmap(params, costmap_params, load_map(map_source), pose, station)
     problem = DockingProblem(
-        start=_start(start),
-        dock=Dock(
-            dock.pose, direction=dock_type.dock_direction, approach_speed=zone.speed, approach_distance=zone.distance
-        ),
+        start=pose,
+        dock=station,
         robot=Robot(costmap_params.outline, nav2_limits(params)),
-        costmap=costmap,
+        costmap=built.costmap,
         frame=dock.frame,
     )
-    return Scenario(problem, source=Path(params_source))
+    return Nav2Scenario(problem, source=Path(params_source), costmap_rows=built.rows)
 
 
 def _chosen(docks: Mapping[str, DockEntry], name: str | None, source: str) -> DockEntry:
@@ -123,7 +139,9 @@ def _check_frame(dock: DockEntry, costmap: CostmapParams, source: str) -> None:
         )
 
 
-def _start(text: str) -> Pose2:
+def _start(text: Pose2 | str) -> Pose2:
+    if isinstance(text, Pose2):
+        return text
     try:
         pose = Pose2.from_sequence([float(part) for part in text.split(",")])
     except ValueError as error:

@@ -176,7 +176,7 @@ def _check_direction(direction: Direction, wanted: DockDirection, ahead: float) 
 def _not_beyond_c(along: float, distance_min_c: float) -> NoValidPathCouldBeFound:
     return NoValidPathCouldBeFound(
         f"dock planner: the start is {along:.6g} m from the docked pose along the axis of the dock, and must be more "
-        f"than {distance_min_c:.6g} m from it, half the lengths of robot and dock; start farther from the dock",
+        f"than {distance_min_c:.6g} m from it, half the lengths of robot and dock; start farther out along the axis",
         where={"step": "beyond_c", "along": along, "distance_min_c": distance_min_c, "t": along / distance_min_c},
     )
 

@@ -237,7 +237,7 @@ class CurveSampler:
             raise NoValidPathCouldBeFound(
                 f"dock planner: {name} would take {steps:.3g} samples, at most {MAX_SAMPLES}: its control points span "
                 f"{np.ptp(curve.control_points, axis=0).max():.6g} m at a resolution of {self.resolution:.6g} m; start "
-                "nearer or raise the resolution",
+                "nearer",
                 where={"step": name, "samples": steps, "resolution": self.resolution},
             )
         return math.ceil(steps * (1.0 + 1e-9))  # rounding must not lift a spacing above the resolution

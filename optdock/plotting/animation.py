@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
+from math import ceil
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from optdock.geometry.pose import transform_points
 from optdock.io.atomic_file import replacing
-from optdock.plotting.canvas import COLOURS, canvas_of, new_figure
-from optdock.plotting.scene import draw_scene, view_of
+from optdock.plotting.canvas import COLOURS, DPI, canvas_of, new_figure
+from optdock.plotting.scene import OutlineStyle, draw_footprints, draw_scene, view_of
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -24,6 +25,8 @@ __all__ = ["save_animation"]
 
 _FRAME_TIME = 0.1  # [s]
 _MOST_FRAMES = 150
+_APART = 0.15  # [m] between the outlines that the robot leaves behind
+_BORDER = 0.06  # [inch] of white around the axes
 _HOLD = 1500  # [ms] on the last frame
 
 
@@ -34,7 +37,7 @@ def save_animation(
     poses: FloatArray,
     on_frame: Callable[[int, int], None] | None = None,
 ) -> None:
-    """Draw the footprint driving through the scene, ten frames a second, faster where the drive is long.
+    """Draw the robot driving, and what it swept, ten frames a second, faster where the drive is long.
 
     Args:
         target: Where; a GIF.
@@ -66,15 +69,29 @@ class _Stage:
         figure = new_figure(*view.figure_size(width=7.0, tallest=7.0))
         self._axes = figure.add_subplot()
         draw_scene(self._axes, problem, view)
+        goal = OutlineStyle(edge=COLOURS["goal"], line="--", order=4.0)
+        draw_footprints(self._axes, problem.robot.footprint, problem.goal.as_array()[None], goal)
         self._axes.plot(poses[:, 0], poses[:, 1], color=COLOURS["path"], linewidth=1.0, alpha=0.5)
         self._vertices = problem.robot.footprint.vertices
         self._nose = np.array([[0.0, 0.0], [float(np.max(self._vertices[:, 0])), 0.0]])
         self._canvas = canvas_of(figure)
         self._canvas.draw()
         self._background = self._canvas.copy_from_bbox(figure.bbox)
+        (left, bottom), (right, top) = DPI * figure.get_tightbbox().padded(_BORDER).get_points()
+        wide, high = figure.bbox.size
+        self._crop = (
+            max(0, int(left)),
+            max(0, int(high - top)),
+            min(int(wide), ceil(right)),
+            int(high - max(0.0, bottom)),
+        )
         (self._outline,) = self._axes.fill(
             [0.0, 0.0, 1.0], [0.0, 1.0, 0.0], facecolor=COLOURS["robot"], edgecolor="black", alpha=0.85
         )
+        (self._trace,) = self._axes.fill(
+            [0.0, 0.0, 1.0], [0.0, 1.0, 0.0], fill=False, edgecolor=COLOURS["robot"], linewidth=0.6
+        )
+        self._left_behind: FloatArray | None = None  # the pose whose outline was drawn last
         (self._arrow,) = self._axes.plot([], [], color="black", linewidth=2.0)
         self._palette: Image | None = None  # of the first frame, which shows every colour there will be
         self._clock = self._axes.text(0.02, 0.96, "", transform=self._axes.transAxes, va="top", fontsize=11)
@@ -87,11 +104,16 @@ class _Stage:
         self._arrow.set_data(*transform_points(pose, self._nose)[0].T)
         self._clock.set_text(clock)
         self._canvas.restore_region(self._background)
+        if self._left_behind is None or np.hypot(*(pose - self._left_behind)[0, :2]) >= _APART:
+            self._left_behind = pose
+            self._trace.set_xy(self._outline.get_xy())
+            self._axes.draw_artist(self._trace)
+            self._background = self._canvas.copy_from_bbox(self._axes.figure.bbox)
         for artist in (self._outline, self._arrow, self._clock):
             self._axes.draw_artist(artist)
-        picture = Images.fromarray(np.asarray(self._canvas.buffer_rgba())[..., :3].copy())
+        picture = Images.fromarray(np.asarray(self._canvas.buffer_rgba())[..., :3].copy()).crop(self._crop)
         if self._palette is None:
-            self._palette = picture.quantize(colors=128)
+            self._palette = picture.quantize(colors=128, method=Images.Quantize.FASTOCTREE)
         return picture.quantize(palette=self._palette, dither=Images.Dither.NONE)
 
 

@@ -3,20 +3,32 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
 
+from optdock.errors import GoalOccupied, GoalOutsideMapBounds
 from optdock.geometry.pose import Pose2
 from optdock.plotting.canvas import COLOURS, entitle, legend_below, new_figure, save_figure
-from optdock.plotting.scene import OutlineStyle, draw_arrow, draw_footprints, draw_scene, view_of
-from optdock.verification import pose_clearance
+from optdock.plotting.scene import (
+    DRAWN_BY_THE_MAP,
+    OutlineStyle,
+    draw_arrow,
+    draw_footprints,
+    draw_scene,
+    draw_shapes,
+    draw_sweep,
+    view_of,
+)
 
 if TYPE_CHECKING:
     from pathlib import Path as FilePath
 
     from matplotlib.axes import Axes
 
+    from optdock.errors import OptdockError
+    from optdock.geometry.arrays import FloatArray
     from optdock.path import Path
     from optdock.problem import DockingProblem
     from optdock.verification import Certificate
@@ -27,23 +39,25 @@ _SPACING = 0.02  # [m] between drawn points
 _FOOTPRINTS = 24  # drawn along a path at most
 
 
-def save_plan_picture(
+def save_plan_picture(  # noqa: PLR0913 - one parameter for each thing that is drawn
     target: str | FilePath,
     problem: DockingProblem,
     *,
     raw_path: Path | None = None,
     path: Path | None = None,
     certificate: Certificate | None = None,
+    refusal: OptdockError | None = None,
     title: str = "",
 ) -> None:
-    """Draw map, obstacles, dock, paths, the swept footprint, and the tightest place.
+    """Draw map, obstacles, dock, paths, the swept footprint, and the closest pose or what stands in the way.
 
     Args:
         target: Where; the suffix chooses the format.
         problem: What was planned.
         raw_path: The planner's path.
         path: The smoothed path.
-        certificate: The verdict on it; with one, the closest pose before the dock is marked.
+        certificate: The verdict on it; with one, the pose of its least clearance is marked.
+        refusal: Why there is no plan; the place that it speaks of and the obstacle in the way are marked.
         title: Above the picture.
 
     Raises:
@@ -51,7 +65,9 @@ def save_plan_picture(
         InvalidFile: The file cannot be written.
     """
     drawn = [each for each in (raw_path, path) if each is not None]
-    view = view_of(problem, [each.sample(_SPACING).poses for each in drawn])
+    place = None if refusal is None else _place(problem, refusal, drawn[-1] if drawn else None).as_array()[None]
+    shown = [each.sample(_SPACING).poses for each in drawn]
+    view = view_of(problem, shown if place is None else [*shown, place])
     figure = new_figure(*view.figure_size())
     axes = figure.add_subplot()
     draw_scene(axes, problem, view)
@@ -66,8 +82,10 @@ def save_plan_picture(
     size = 0.6 * problem.robot.footprint.circumscribed_radius
     draw_arrow(axes, problem.start, size, COLOURS["start"], "start")
     draw_arrow(axes, problem.goal, size, COLOURS["goal"], "goal")
-    if path is not None and certificate is not None:
-        _draw_tightest(axes, problem, path, certificate)
+    if refusal is not None and place is not None:
+        _draw_refusal(axes, problem, refusal, place)
+    elif path is not None and certificate is not None:
+        _draw_closest(axes, problem, path, certificate)
     entitle(figure, title)
     legend_below(figure, axes)
     save_figure(figure, target)
@@ -76,10 +94,7 @@ def save_plan_picture(
 def _draw_sweep(axes: Axes, problem: DockingProblem, path: Path) -> None:
     count = int(np.clip(path.length / 0.15, 2, _FOOTPRINTS))
     poses = path.poses_at(np.linspace(0.0, path.length, count + 1))
-    footprint = problem.robot.footprint
-    blue = COLOURS["robot"]
-    draw_footprints(axes, footprint, poses, OutlineStyle(face=blue, alpha=0.12))
-    draw_footprints(axes, footprint, poses, OutlineStyle(edge=blue, width=0.6, order=2.1))
+    draw_sweep(axes, problem.robot.footprint, poses)
 
 
 def _draw_raw(axes: Axes, path: Path) -> None:
@@ -99,26 +114,38 @@ def _draw_smoothed(axes: Axes, path: Path) -> None:
         axes.plot(cusps[:, 0], cusps[:, 1], "D", color="black", markersize=5, label="cusp", zorder=6)
 
 
-def _draw_tightest(axes: Axes, problem: DockingProblem, path: Path, certificate: Certificate) -> None:
-    if not math.isfinite(certificate.min_clearance):
-        return
-    s, clearance = _tightest_on_the_way(problem, path)
-    where = "on the way" if s < path.length else "at the dock"
-    pose = path.poses_at(s)
-    style = OutlineStyle(
-        edge=COLOURS["hot"], width=1.6, line="--", order=5.5, label=f"closest {where}: {1e3 * clearance:.0f} mm"
-    )
+def _draw_closest(axes: Axes, problem: DockingProblem, path: Path, certificate: Certificate) -> None:
+    """The pose of the least clearance, as the certificate has it."""
+    if math.isfinite(certificate.min_clearance):
+        label = f"closest: {1e3 * certificate.min_clearance:.0f} mm to {certificate.nearest}"
+        _mark(axes, problem, path.poses_at(certificate.at_s), label)
+
+
+def _draw_refusal(axes: Axes, problem: DockingProblem, refusal: OptdockError, place: FloatArray) -> None:
+    """Where a refusal points to, Shape (1, 3), and the obstacle that it names."""
+    _mark(axes, problem, place, "refused here")
+    obstacles = problem.all_obstacles
+    named = [row for row in range(len(obstacles)) if obstacles.name_of(row) == refusal.where.get("obstacle")]
+    if named and obstacles.name_of(named[0]) not in DRAWN_BY_THE_MAP:
+        draw_shapes(axes, [obstacles.vertices[row] for row in named], OutlineStyle(edge=COLOURS["hot"], order=5.5))
+
+
+def _place(problem: DockingProblem, refusal: OptdockError, path: Path | None) -> Pose2:
+    """The pose that a refusal speaks of: its own, or that at its arc length, or the end that it names, or the start."""
+    where = refusal.where
+    pose = where.get("pose")
+    if isinstance(pose, Sequence) and len(pose) == 3:
+        return Pose2.from_sequence(pose)
+    x, y, s = (where.get(name) for name in ("x", "y", "s"))
+    if isinstance(x, float) and isinstance(y, float):
+        return Pose2(x, y, problem.start.yaw)
+    if path is not None and isinstance(s, float):
+        return path.pose_at(min(s, path.length))
+    return problem.goal if isinstance(refusal, GoalOccupied | GoalOutsideMapBounds) else problem.start
+
+
+def _mark(axes: Axes, problem: DockingProblem, pose: FloatArray, label: str) -> None:
+    """The outline at a pose, Shape (1, 3), and a cross in it."""
+    style = OutlineStyle(edge=COLOURS["hot"], width=1.6, line="--", order=6.5, label=label)
     draw_footprints(axes, problem.robot.footprint, pose, style)
     axes.plot(pose[:, 0], pose[:, 1], "x", color=COLOURS["hot"], markersize=8, markeredgewidth=2, zorder=7)
-
-
-def _tightest_on_the_way(problem: DockingProblem, path: Path) -> tuple[float, float]:
-    """Arc length and clearance [m] of the closest of the drawn poses before the dock, where contact is the aim."""
-    s = np.linspace(0.0, path.length, int(np.ceil(path.length / (2.0 * _SPACING))) + 1)
-    poses = path.poses_at(s)
-    away = np.hypot(poses[:, 0] - problem.goal.x, poses[:, 1] - problem.goal.y) >= problem.clearance.taper
-    rows = np.flatnonzero(away) if away.any() else np.array([s.size - 1])
-    outline, obstacles = problem.robot.footprint, problem.all_obstacles
-    clearances = [pose_clearance(Pose2.from_sequence(poses[row]), outline, obstacles)[0] for row in rows]
-    best = int(np.argmin(clearances))
-    return float(s[rows[best]]), clearances[best]

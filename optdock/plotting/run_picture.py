@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from optdock.plotting.canvas import COLOURS, entitle, legend_below, new_figure, save_figure
-from optdock.plotting.scene import OutlineStyle, draw_arrow, draw_footprints, draw_scene, view_of
+from optdock.plotting.scene import OutlineStyle, draw_arrow, draw_footprints, draw_scene, draw_sweep, view_of
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 __all__ = ["save_run_picture"]
 
-_FOOTPRINTS = 16
+_FOOTPRINTS = 24  # drawn, equally far apart
 
 
 def save_run_picture(target: str | Path, problem: DockingProblem, run: Run, *, title: str = "") -> None:
@@ -51,9 +51,10 @@ def save_run_picture(target: str | Path, problem: DockingProblem, run: Run, *, t
 
 def _draw_drive(axes: Axes, problem: DockingProblem, run: Run, view: View) -> None:
     draw_scene(axes, problem, view)
-    rows = np.linspace(0, len(run.poses) - 1, min(_FOOTPRINTS, len(run.poses))).astype(int)
+    driven = np.concatenate(([0.0], np.cumsum(np.hypot(*np.diff(run.poses[:, :2], axis=0).T))))
+    rows = np.searchsorted(driven, np.linspace(0.0, driven[-1], _FOOTPRINTS))
     footprint = problem.robot.footprint
-    draw_footprints(axes, footprint, run.poses[rows], OutlineStyle(edge=COLOURS["robot"], width=0.6))
+    draw_sweep(axes, footprint, run.poses[rows])
     draw_footprints(axes, footprint, run.poses[-1:], OutlineStyle(edge="black", width=1.2, order=4.0))
     axes.plot(run.references[:, 0], run.references[:, 1], "--", color=COLOURS["raw"], label="planned", zorder=5)
     axes.plot(run.poses[:, 0], run.poses[:, 1], color=COLOURS["path"], linewidth=1.8, label="driven", zorder=4.5)

@@ -14,6 +14,7 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from matplotlib.axes import Axes
+    from matplotlib.colors import ListedColormap
 
     from optdock.costmap.costmap import Costmap
     from optdock.costmap.costs import CostArray
@@ -22,12 +23,23 @@ if TYPE_CHECKING:
     from optdock.geometry.pose import Pose2
     from optdock.problem import DockingProblem
 
-__all__ = ["OutlineStyle", "View", "draw_arrow", "draw_footprints", "draw_scene", "view_of"]
+__all__ = [
+    "DRAWN_BY_THE_MAP",
+    "OutlineStyle",
+    "View",
+    "draw_arrow",
+    "draw_footprints",
+    "draw_scene",
+    "draw_shapes",
+    "draw_sweep",
+    "view_of",
+]
 
 # Obstacles that the map's picture shows already.
-_DRAWN_BY_THE_MAP = ("map", "unknown", "map border")
+DRAWN_BY_THE_MAP = ("map", "unknown", "map border")
 _GREYS = {"free": 255, "unknown": 225, "occupied": 70}
-_NARROWEST = 5.0  # [inch] that hold a legend and a title
+_MAP_ORDER = 0.8  # above the grid, below all else
+_SLIMMEST = 0.55  # shorter side over longer: what stands beside a straight path is seen, and a legend has room
 _MARGIN = 0.6  # [m] around everything of interest
 
 
@@ -42,10 +54,7 @@ class View(NamedTuple):
     def figure_size(self, width: float = 9.0, tallest: float = 9.0) -> tuple[float, float]:
         """Inches that show the view with equal axes and room for labels."""
         ratio = (self.top - self.bottom) / (self.right - self.left)
-        height = width * ratio
-        return (
-            (width, max(3.2, height + 0.9)) if height <= tallest else (max(_NARROWEST, tallest / ratio + 0.9), tallest)
-        )
+        return (width, width * ratio + 0.9) if width * ratio <= tallest else (tallest / ratio + 0.9, tallest)
 
 
 def view_of(problem: DockingProblem, paths: Sequence[FloatArray]) -> View:
@@ -56,7 +65,9 @@ def view_of(problem: DockingProblem, paths: Sequence[FloatArray]) -> View:
     if problem.dock.footprint is not None:
         points.append(transform_points(ends[1:], problem.dock.footprint.vertices)[0])
     everything = np.vstack(points)
-    (left, bottom), (right, top) = everything.min(axis=0) - _MARGIN, everything.max(axis=0) + _MARGIN
+    middle, half = 0.5 * (everything.min(axis=0) + everything.max(axis=0)), 0.5 * np.ptp(everything, axis=0) + _MARGIN
+    half = np.maximum(half, _SLIMMEST * half.max())
+    (left, bottom), (right, top) = middle - half, middle + half
     return View(float(left), float(right), float(bottom), float(top))
 
 
@@ -79,13 +90,31 @@ def _draw_map(axes: Axes, costmap: Costmap, view: View) -> None:
     grey[costmap.data == NO_INFORMATION] = _GREYS["unknown"]
     grey[costmap.data == LETHAL] = _GREYS["occupied"]
     (x0, y0), (x1, y1) = costmap.lower, costmap.upper
+    axes.set_facecolor(str(_GREYS["unknown"] / 255.0))  # so is the world off the map
+    axes.fill([x0, x1, x1, x0], [y0, y0, y1, y1], color="white", zorder=0.0)
     axes.imshow(
-        grey, cmap="gray", vmin=0, vmax=255, origin="lower", extent=(x0, x1, y0, y1), interpolation="nearest", zorder=0
+        grey,
+        cmap=_greys(),
+        vmin=0,
+        vmax=255,
+        origin="lower",
+        extent=(x0, x1, y0, y1),
+        interpolation="nearest",
+        zorder=_MAP_ORDER,
     )
     shown = _in_view(costmap, view)
     for name, cost in (("occupied", LETHAL), ("unknown", NO_INFORMATION)):
         if np.any(shown == cost):
             axes.plot([], [], "s", color=str(_GREYS[name] / 255.0), markersize=9, label=f"map, {name}")
+
+
+def _greys() -> ListedColormap:
+    """Grey as grey, and the brightest transparent: the grid lies under the map and is seen where that is free."""
+    from matplotlib.colors import ListedColormap
+
+    return ListedColormap(
+        [(grey / 255.0, grey / 255.0, grey / 255.0, float(grey < _GREYS["free"])) for grey in range(256)]
+    )
 
 
 def _in_view(costmap: Costmap, view: View) -> CostArray:
@@ -103,7 +132,7 @@ def _draw_obstacles(axes: Axes, problem: DockingProblem, view: View) -> None:
 
     lower, upper = np.array([view.left, view.bottom]), np.array([view.right, view.top])
     obstacles = problem.all_obstacles.in_box(lower, upper)
-    hidden = _DRAWN_BY_THE_MAP if problem.costmap is not None else ()
+    hidden = DRAWN_BY_THE_MAP if problem.costmap is not None else ()
     for colour, label, wanted in (("obstacle", "obstacle", False), ("dock", "dock", True)):
         rows = [
             row
@@ -131,10 +160,15 @@ class OutlineStyle(NamedTuple):
 
 def draw_footprints(axes: Axes, footprint: Footprint, poses: FloatArray, style: OutlineStyle) -> None:
     """The robot's outline at every pose, Shape (n, 3)."""
+    draw_shapes(axes, list(transform_points(poses, footprint.vertices)), style)
+
+
+def draw_shapes(axes: Axes, shapes: Sequence[FloatArray], style: OutlineStyle) -> None:
+    """Polygons, Shape (k, 2) each."""
     from matplotlib.collections import PolyCollection
 
     outlines = PolyCollection(
-        list(transform_points(poses, footprint.vertices)),
+        shapes,
         facecolor=style.face,
         edgecolor=style.edge,
         linewidth=style.width,
@@ -144,6 +178,13 @@ def draw_footprints(axes: Axes, footprint: Footprint, poses: FloatArray, style: 
         label=style.label or None,
     )
     axes.add_collection(outlines)
+
+
+def draw_sweep(axes: Axes, footprint: Footprint, poses: FloatArray) -> None:
+    """The area that the outline sweeps through poses, Shape (n, 3), and some of its outlines."""
+    blue = COLOURS["robot"]
+    draw_footprints(axes, footprint, poses, OutlineStyle(face=blue, alpha=0.12))
+    draw_footprints(axes, footprint, poses, OutlineStyle(edge=blue, width=0.6, order=2.1))
 
 
 def draw_arrow(axes: Axes, pose: Pose2, length: float, colour: str, label: str) -> None:

@@ -11,22 +11,23 @@ import numpy as np
 
 from optdock.errors import ControllerException, InvalidValue
 from optdock.geometry.pose import Pose2, Twist2
-from optdock.simulation.clearance import executed_clearance
 from optdock.simulation.plant import Actuation, DifferentialDrive, PlantState
-from optdock.simulation.remainder import RemainingPath
-from optdock.simulation.run import Run
+from optdock.simulation.run import Run, executed_clearance
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from optdock.interfaces import Controller, GoalChecker
     from optdock.obstacles import ObstacleSet
+    from optdock.path import Path
     from optdock.robot import Robot
     from optdock.trajectory import Trajectory
 
-__all__ = ["SimulationSettings", "run_closed_loop"]
+__all__ = ["RemainingPath", "SimulationSettings", "run_closed_loop"]
 
 logger = logging.getLogger(__name__)
+
+_LOOK_AHEAD = 20  # samples of the remaining path, 1 m: further off lies another leg, not the robot's place
 
 
 @dataclass(frozen=True, eq=False)
@@ -191,3 +192,32 @@ def _differences(trajectory: Trajectory, robot: Robot, obstacles: ObstacleSet | 
     if found:
         logger.warning("simulated with another %s than the trajectory was certified for", " and ".join(found))
     return found
+
+
+class RemainingPath:
+    """A sampled path that is consumed from its start, monotonically, and never beyond its last two poses.
+
+    The robot's place is the nearest sample among the next few of the present gear segment; the next segment opens
+    once the cusp's sample is reached. So the overlapping legs of a cusp are not mistaken for each other, and the
+    path-length rule of the checkers holds them off until the last leg.
+
+    Args:
+        path: The whole path.
+        spacing: Distance of the samples [m].
+    """
+
+    def __init__(self, path: Path, spacing: float = 0.05) -> None:
+        samples = path.sample(spacing)
+        self._poses = [Pose2.from_sequence(row) for row in samples.poses]
+        gears = samples.direction
+        self._segment_ends = [i for i in range(len(gears) - 1) if gears[i] != gears[i + 1]] + [len(gears) - 1]
+        self._at = 0
+
+    def from_pose(self, pose: Pose2) -> Sequence[Pose2]:
+        """The poses from the robot's place to the end; at least two."""
+        if self._at in self._segment_ends[:-1]:
+            self._at += 1  # the cusp's second sample, of the next gear
+        end = next(i for i in self._segment_ends if i >= self._at)
+        window = range(self._at, min(end, self._at + _LOOK_AHEAD) + 1)
+        self._at = min(window, key=lambda i: math.hypot(self._poses[i].x - pose.x, self._poses[i].y - pose.y))
+        return self._poses[min(self._at, len(self._poses) - 2) :]

@@ -1,4 +1,4 @@
-"""What a simulated run leaves behind."""
+"""What a simulated run leaves behind: its record, its errors, the clearance of its poses."""
 
 from __future__ import annotations
 
@@ -8,15 +8,20 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from optdock.geometry.arrays import FloatArray, frozen_array, readonly
+from optdock.geometry.separation import separation
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
+    from optdock.geometry.arrays import IntArray
+    from optdock.geometry.footprint import Footprint
     from optdock.geometry.pose import Pose2
+    from optdock.obstacles import ObstacleSet
 
-__all__ = ["Run", "pose_errors"]
+__all__ = ["Run", "executed_clearance", "pose_errors"]
 
 _BUMPER = 0.002  # [m]: a dock that is planned to be touched is pressed by so much without harm
+_BLOCK = 256  # poses per round, bounds the memory
 
 
 @dataclass(frozen=True, eq=False)
@@ -91,3 +96,31 @@ def pose_errors(poses: FloatArray, references: FloatArray) -> FloatArray:
     c, s = np.cos(references[:, 2]), np.sin(references[:, 2])
     yaw = np.pi - np.mod(np.pi - delta[:, 2], 2.0 * np.pi)
     return np.column_stack((c * delta[:, 0] + s * delta[:, 1], c * delta[:, 1] - s * delta[:, 0], yaw))
+
+
+def executed_clearance(footprint: Footprint, poses: FloatArray, obstacles: ObstacleSet) -> float:
+    """Smallest signed distance between the footprint at any of the poses and any obstacle [m].
+
+    Exact at the poses; what happens between them is not looked at (a certificate's duty).
+
+    Args:
+        footprint: The robot's outline.
+        poses: Shape (n, 3).
+        obstacles: What it must not touch; without any the clearance is infinite.
+    """
+    best = np.inf
+    if len(obstacles) == 0:
+        return best
+    for block in np.array_split(poses, max(1, -(-len(poses) // _BLOCK))):
+        at_least = obstacles.box_distance(block[:, :2]) - footprint.circumscribed_radius
+        nearest = np.unravel_index([int(np.argmin(at_least))], at_least.shape)
+        best = min(best, _smallest(footprint, block, obstacles, nearest))
+        best = min(best, _smallest(footprint, block, obstacles, np.nonzero(at_least < best)))
+    return best
+
+
+def _smallest(footprint: Footprint, poses: FloatArray, obstacles: ObstacleSet, pairs: tuple[IntArray, ...]) -> float:
+    """Smallest distance over (pose, obstacle) pairs; infinite without pairs."""
+    rows, pieces = pairs[0], obstacles.pieces(pairs[1])
+    found = [separation(body, poses[rows], pieces).distance for body in footprint.bodies]
+    return float(np.min(np.concatenate(found), initial=np.inf))

@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING, NamedTuple
 from pydantic import Field
 
 from optdock.deadline import ENDLESS, Deadline, OutOfTime
-from optdock.interfaces import TimeParameterizer, TimingStatus
+from optdock.interfaces import TimeParameterizer, TimingStatus, never_cancelled
 from optdock.parameters import PluginParameters
 from optdock.timing.checks import SegmentPlan, arrived_plan, checked_plan, judged_plan, refined_times
 from optdock.timing.interior_point import load_lapack
@@ -34,7 +34,7 @@ from optdock.timing.strategy import time_path
 from optdock.timing.windowed import windowed_plans
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Callable, Iterator
 
     from optdock.interfaces import TimingResult
     from optdock.limits import MotionLimits, SpeedZone
@@ -69,7 +69,7 @@ class NearOptimal(TimeParameterizer):
         load_ruckig()
         load_lapack()
 
-    def parameterize(
+    def parameterize(  # noqa: PLR0913 - what to time, and how long to try
         self,
         path: Path,
         limits: MotionLimits,
@@ -78,14 +78,16 @@ class NearOptimal(TimeParameterizer):
         start_speed: float = 0.0,
         start_acceleration: float = 0.0,
         max_time: float = math.inf,
+        cancel_checker: Callable[[], bool] = never_cancelled,
     ) -> TimingResult:
         """See `TimeParameterizer.parameterize`.
 
         Raises:
             InvalidValue: The start state is not finite, or `max_time` is NaN.
             PluginError: The package ruckig is not installed.
+            TimingCancelled: `cancel_checker` returned True.
         """
-        deadline = Deadline(max_time)
+        deadline = Deadline(max_time, stop=cancel_checker)
         return time_path(path, limits, zone, (start_speed, start_acceleration), self._plans, deadline)
 
     def _plans(self, limits: PathLimits, start: State, deadlines: Deadlines) -> Iterator[SegmentPlan]:

@@ -26,7 +26,7 @@ from typing import TYPE_CHECKING, NamedTuple, TypeAlias
 import numpy as np
 
 from optdock.deadline import ENDLESS, Deadline, OutOfTime
-from optdock.errors import InvalidValue
+from optdock.errors import InvalidValue, TimingCancelled
 from optdock.interfaces import TimingReport, TimingResult, TimingStatus
 from optdock.path import Path, PolylineSegment
 from optdock.timing.checks import SegmentPlan, end_slack
@@ -98,12 +98,26 @@ def time_path(
         zone: Slow stretch at the end of the path.
         start: Speed [m/s] and acceleration [m/s^2] at the start.
         method: Plans one segment.
-        deadline: For all of it; None: no deadline.
+        deadline: For all of it, and whether to stop; None: no deadline.
 
     Raises:
         InvalidValue: The start state is not finite, or the deadline is NaN.
+        TimingCancelled: The deadline was asked to stop.
     """
     whole = deadline or Deadline()
+    result = _timed(path, (drive, zone, start), method, whole)
+    if result.status is TimingStatus.TIMED_OUT and whole.stopped:
+        raise TimingCancelled("timing was cancelled")
+    return result
+
+
+def _timed(
+    path: Path,
+    asked: tuple[MotionLimits, SpeedZone, tuple[float, float]],
+    method: SegmentPlanner,
+    whole: Deadline,
+) -> TimingResult:
+    drive, zone, start = asked
     _check_numbers(start, whole)
     fault = _undrivable(path)
     if fault:
@@ -234,7 +248,7 @@ def segment_plans(
         return
     longest, duration = SAMPLING.longest_motion, limits.duration_estimate
     if duration > longest:
-        reason = f"the gear would take about {duration:.3g} s; motions of more than {longest:.0f} s are not planned"
+        reason = f"the drive would take about {duration:.3g} s; motions of more than {longest:.0f} s are not planned"
         yield SegmentPlan(TimingStatus.FAIL, how="refused", reason=reason, s=limits.begin)
         return
     if start.v == 0.0 and start.a == 0.0:

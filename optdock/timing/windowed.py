@@ -14,7 +14,7 @@ import numpy as np
 from pydantic import Field
 
 from optdock.deadline import Deadline
-from optdock.interfaces import TimeParameterizer, TimingStatus
+from optdock.interfaces import TimeParameterizer, TimingStatus, never_cancelled
 from optdock.parameters import PluginParameters
 from optdock.timing.checks import SegmentPlan, arrived_plan
 from optdock.timing.motion import DriveBounds, Motion, Phases, State, state_after
@@ -23,7 +23,7 @@ from optdock.timing.settings import WINDOWED, WindowedSettings
 from optdock.timing.strategy import time_path
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Callable, Iterator
 
     from optdock.geometry.arrays import FloatArray
     from optdock.interfaces import TimingResult
@@ -64,7 +64,7 @@ class Windowed(TimeParameterizer):
         """
         load_ruckig()
 
-    def parameterize(
+    def parameterize(  # noqa: PLR0913 - what to time, and how long to try
         self,
         path: Path,
         limits: MotionLimits,
@@ -73,14 +73,16 @@ class Windowed(TimeParameterizer):
         start_speed: float = 0.0,
         start_acceleration: float = 0.0,
         max_time: float = math.inf,
+        cancel_checker: Callable[[], bool] = never_cancelled,
     ) -> TimingResult:
         """See `TimeParameterizer.parameterize`.
 
         Raises:
             InvalidValue: The start state is not finite, or `max_time` is NaN.
             PluginError: The package ruckig is not installed.
+            TimingCancelled: `cancel_checker` returned True.
         """
-        deadline = Deadline(max_time)
+        deadline = Deadline(max_time, stop=cancel_checker)
         return time_path(path, limits, zone, (start_speed, start_acceleration), self._plans, deadline)
 
     def _plans(self, limits: PathLimits, start: State, deadlines: Deadlines) -> Iterator[SegmentPlan]:

@@ -3,7 +3,8 @@
 A step minimizes a convex quadratic model of the cost within the trust region, under linear bounds on curvature and rate
 and linearized goal and clearance constraints with L1 penalties. Every iterate is driven exactly and, where possible,
 projected onto the goal, so every iterate is drivable and nearly every one is a candidate for the result. A step is
-accepted when it lowers the merit `J + rho * shortfalls of clearance + rho_T * error at the goal` ([Nocedal2006], 18.5).
+accepted when it lowers the merit `J + rho * shortfalls of clearance + rho_T * error at the goal` ([Fletcher1985],
+[Nocedal2006] ch. 18).
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""The step: a convex quadratic program within a trust region, with L1 penalties, solved by DAQP.
+"""The step: a convex quadratic program within a trust region, with L1 penalties, solved by DAQP [Arnstrom2022].
 
     minimize    g'd + d'(H + mu M)d / 2 + rho_T (e+ + e-) + rho sum_z t_z          over step d and slacks e, t >= 0
     subject to  lower <= z + d <= upper                       box of curvatures and lengths, trust region of lengths
@@ -250,7 +250,7 @@ def _memory(values: FloatArray) -> memoryview:
 class DenseProgram:
     """`min z'hz / 2 + g'z, lbx <= z <= ubx, lba <= az <= uba`, of fixed size, filled in place and solved.
 
-    Arrays are in Fortran order. DAQP solves; where it fails PIQP does.
+    Arrays are in Fortran order. DAQP solves; where it fails PIQP [Schwan2023] does.
 
     Args:
         size: Number of variables.

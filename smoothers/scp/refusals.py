@@ -13,6 +13,7 @@ from optdock.path import Direction
 from optdock.verification import pose_clearances
 
 if TYPE_CHECKING:
+    from optdock.geometry.arrays import FloatArray
     from optdock.path import Path
     from optdock.problem import DockingProblem
     from optdock.verification import Certificate
@@ -26,17 +27,20 @@ _STRAIGHT_SAMPLES = 13
 
 
 class Refusal(NamedTuple):
-    """One bound in the way: its name, where along the path, by how much, at which obstacle, and a sentence."""
+    """One bound in the way: its name, where along the path, by how much, at which obstacle, a sentence, the pose."""
 
     reason: str
     s: float
     amount: float
     obstacle: str
     message: str
+    pose: FloatArray | None = None
 
     def error(self, **more: object) -> FailedToSmoothPath:
         """The exception that says so."""
         where = {"reason": self.reason, "s": self.s, "amount": self.amount, "obstacle": self.obstacle, **more}
+        if self.pose is not None:
+            where["pose"] = self.pose.tolist()
         return FailedToSmoothPath(f"{self.reason}: {self.message}", where=where)
 
 
@@ -53,12 +57,11 @@ def refuse_start(path: Path, problem: DockingProblem, start_clearance: float, ne
     first, last = path.segments[0].direction, path.segments[-1].direction
     wanted = {DockDirection.FORWARD: Direction.FORWARD, DockDirection.BACKWARD: Direction.REVERSE}
     if wanted.get(problem.dock.direction, last) is not last:
-        message = (
-            f"the input enters the dock in {last.name.lower()} gear, the dock asks for {problem.dock.direction.value}"
-        )
+        asked = problem.dock.direction.value
+        message = f"the raw path enters the dock in {last.name.lower()} gear, the dock asks for {asked}"
         return Refusal("direction", path.length, 1.0, "", message)
     if problem.start_speed * first < 0.0:
-        message = f"the robot moves at {problem.start_speed:.3g} m/s, the input begins in {first.name.lower()} gear"
+        message = f"the robot moves at {problem.start_speed:.3g} m/s, the raw path begins in {first.name.lower()} gear"
         return Refusal("direction", 0.0, abs(problem.start_speed), "", message)
     return None
 
@@ -82,9 +85,10 @@ def refuse_approach(path: Path, problem: DockingProblem, start_clearance: float)
         return None
     name = problem.all_obstacles.name_of(int(rows[k]))
     s = path.length - abs(float(back[k]))
-    what = "the goal" if back[k] == 0.0 else f"the final straight {abs(back[k]):.3f} m before the goal"
-    message = f"{what} leaves {distance[k]:.4f} m to {name}, {required[k]:.4f} m are required"
-    return Refusal("approach_blocked", s, float(short[k]), name, message)
+    what = "at the goal" if back[k] == 0.0 else f"on the final straight, {abs(back[k]):.3f} m before the goal,"
+    does = f"overlaps {name} by {-distance[k]:.4f} m" if distance[k] < 0.0 else f"is {distance[k]:.4f} m from {name}"
+    message = f"{what} the footprint {does}, required are {required[k]:.4f} m"
+    return Refusal("approach_blocked", s, float(short[k]), name, message, poses[k])
 
 
 def refuse_search(nlp: NonlinearProgram, last: Iterate, final_straight: float) -> Refusal:
@@ -99,9 +103,10 @@ def refuse_search(nlp: NonlinearProgram, last: Iterate, final_straight: float) -
         return _unreachable(nlp, last, final_straight)
     k = int(np.argmin(last.clearance.margin))
     name = nlp.scene.obstacles.name_of(int(last.clearance.pairs.obstacle[k]))
-    s = float(last.rollout.steps[: int(last.clearance.pairs.interval[k])].sum())
-    message = f"{last.shortfall:.4f} m are missing to the required clearance from {name} at s = {s:.3f} m"
-    return Refusal("clearance", s, last.shortfall, name, message)
+    at = int(last.clearance.pairs.interval[k])
+    s = float(last.rollout.steps[:at].sum())
+    message = f"the best path found comes {last.shortfall:.4f} m closer to {name} than required at s = {s:.3f} m"
+    return Refusal("clearance", s, last.shortfall, name, message, last.rollout.poses[at])
 
 
 def refuse_certificate(certificate: Certificate) -> Refusal:
@@ -119,6 +124,7 @@ def _unreachable(nlp: NonlinearProgram, last: Iterate, final_straight: float) ->
     tight = [name for name, share in (("curvature", used), ("curvature rate", steered)) if share > 0.97]
     tight += ["clearance"] if last.clearance.margin.size and last.clearance.margin.min() < 2e-3 else []
     target = f"the final straight, {final_straight:.3f} m before the goal," if final_straight > 0.0 else "the goal"
-    message = f"a path with these gears misses {target} by {missed:.3f} m and {turned:.3f} rad"
+    message = f"the best path found in the gears of the raw path misses {target} by {missed:.3f} m and {turned:.3f} rad"
     message += f"; at the limit: {', '.join(tight)}" if tight else ""
-    return Refusal("goal_unreachable", float(last.variables.lengths.sum()), missed, "", message)
+    length = float(last.variables.lengths.sum())
+    return Refusal("goal_unreachable", length, missed, "", message, last.rollout.poses[-1])

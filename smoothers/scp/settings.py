@@ -185,7 +185,7 @@ class AnytimeSettings:
     certificate_reserve: float = 1.2
     grace: float = 0.0015  # [s]: how late the only certificate may be expected to end
     latest: float = 0.0005  # [s] past the end of the budget: what a certificate has not proven by then it leaves
-    pace_range: tuple[float, float] = (0.25, 4.0)  # of the measured speed of this machine: beyond is a disturbance
+    pace_range: tuple[float, float] = (0.5, 4.0)  # of the measured speed of this machine: beyond is a disturbance
     pace_at_warm_up: float = 0.6  # shortest over expected iteration of the warm-up on the machine of the benchmarks
     repairs: int = 2  # of a path that the certificate refused
     repair_nearest: int = 4  # times the obstacles looked at in every interval, at each repair

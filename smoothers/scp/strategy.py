@@ -1,6 +1,6 @@
 """The strategy: what is tried and in which order, within the time that is given.
 
-`STRATEGY` is the whole list. A search is anytime [Zilberstein1996]: its best feasible iterate is certified when it
+`STRATEGY` is the whole list. A search can be stopped at any time: its best feasible iterate is certified when it
 converges or when time gets short, and nothing that is not certified is returned.
 """
 

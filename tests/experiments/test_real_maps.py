@@ -1,21 +1,39 @@
-"""The scenarios on real maps: raw paths break the rules, smoothed ones are certified, and two judges agree."""
+"""The scenarios on maps: raw paths break the rules, smoothed ones are certified, and two judges agree."""
 
+import os
+import subprocess
+import sys
+
+import numpy as np
 import pytest
 
-from experiments.real_maps import SCENARIOS, problem_of
+from experiments.draw_maps import FREE, OCCUPIED, PLACES, UNKNOWN, scanned, solid
+from experiments.real_maps import DRAWN_MAPS, DRAWN_SCENARIOS, SCENARIOS, problem_of
+from optdock.costmap.costs import FREE_SPACE, LETHAL, NO_INFORMATION
+from optdock.io.maps import load_map
 from optdock.pipeline import plan_dock
 from optdock.testing.dense_check import dense_check
 from optdock.verification import certify_path
 
 BUDGET = 20.0  # [s]: about verdicts, not about time
+ROOT = DRAWN_MAPS.parents[1]
 
 
-@pytest.mark.parametrize("scenario", SCENARIOS, ids=lambda scenario: scenario.name)
-def test_every_scenario_is_certified_and_the_dense_check_agrees(scenario, real_data):
+def check(scenario):
     problem = problem_of(scenario)
     plan = plan_dock(problem, time_budget=BUDGET)
     assert plan.certificate.certified
     assert dense_check(plan.path, problem, step=0.01).ok
+
+
+@pytest.mark.parametrize("scenario", DRAWN_SCENARIOS, ids=lambda scenario: scenario.name)
+def test_every_scenario_on_our_maps_is_certified_and_the_dense_check_agrees(scenario):
+    check(scenario)
+
+
+@pytest.mark.parametrize("scenario", SCENARIOS, ids=lambda scenario: scenario.name)
+def test_every_scenario_is_certified_and_the_dense_check_agrees(scenario, real_data):
+    check(scenario)
 
 
 def test_nearly_every_raw_path_breaks_a_rule(real_data):
@@ -27,5 +45,45 @@ def test_nearly_every_raw_path_breaks_a_rule(real_data):
 def test_the_set_is_what_it_promises():
     assert len(SCENARIOS) >= 20
     assert {s.map_name for s in SCENARIOS} == {"depot", "warehouse"}
+    assert {s.map_name for s in DRAWN_SCENARIOS} == set(PLACES)
     assert sum(s.backward for s in SCENARIOS) >= 5
     assert max(abs(s.start[2]) for s in SCENARIOS) == 60
+
+
+def test_our_maps_are_those_that_the_script_draws():
+    """One of them, to the cell; but for the cells whose beam another processor's sine moves over an edge."""
+    place = PLACES["corridor"]
+    drawn = scanned(solid(place), place.tour, np.random.default_rng(1))
+    costs = load_map(DRAWN_MAPS / "corridor.yaml").costmap.data
+    expected = np.select([drawn == FREE, drawn == OCCUPIED, drawn == UNKNOWN], [FREE_SPACE, LETHAL, NO_INFORMATION])
+    assert np.mean(costs != expected) < 1e-3
+    assert min(np.mean(costs == cost) for cost in (FREE_SPACE, LETHAL, NO_INFORMATION)) > 0.02
+
+
+def run_experiment(folder, *options, **variables):
+    environment = {key: value for key, value in os.environ.items() if key != "OPTDOCK_DATA"} | variables
+    environment["PYTHONPATH"] = os.pathsep.join((str(ROOT), environment.get("PYTHONPATH", "")))
+    script = ROOT / "experiments" / "01_docking_on_maps.py"
+    command = [sys.executable, script, *options]
+    return subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False, env=environment)
+
+
+def test_the_experiment_runs_from_a_clone(tmp_path):
+    done = run_experiment(tmp_path, "--only", "hall north wall")
+    assert done.returncode == 0, done.stderr
+    assert "1 of 1 certified, 1 docked" in done.stdout
+    made = {path.name for path in (tmp_path / "results" / "01_docking_on_maps").iterdir()}
+    name = "hall_north_wall_past_a_pillar"
+    assert made == {"tables.txt", "comparison.csv", f"{name}.png", f"{name}_run.png"}
+
+
+@pytest.mark.parametrize("given", ["option", "variable"])
+def test_maps_that_are_asked_for_and_missing_are_said_with_where_to_get_them(tmp_path, given):
+    if given == "option":
+        done = run_experiment(tmp_path, "--maps", "nowhere")
+    else:
+        done = run_experiment(tmp_path, OPTDOCK_DATA="nowhere")
+    assert done.returncode == 2
+    assert "holds no depot.yaml and no warehouse.yaml; " in done.stderr
+    assert "https://github.com/ros-navigation/navigation2" in done.stderr
+    assert not (tmp_path / "results").exists()

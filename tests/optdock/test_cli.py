@@ -4,11 +4,14 @@ import pathlib
 import re
 import subprocess
 import sys
+import typing
 
 import numpy as np
 import pytest
+import typer
 from typer.testing import CliRunner
 
+from optdock.builtin import demo_scenario
 from optdock.cli import app
 from optdock.config import load_scenario
 from optdock.geometry.clothoid import ClothoidSpline
@@ -75,6 +78,51 @@ print("loaded:", sorted(heavy & set(sys.modules)))
     assert result.stdout.splitlines()[-1] == "loaded: []"
     for command in ("plan", "simulate", "certify", "compare", "demo", "plugins"):
         assert command in result.stdout
+
+
+def test_every_number_in_the_help_has_its_unit():
+    numbers = {}
+    for command in app.registered_commands:
+        hints = typing.get_type_hints(command.callback, include_extras=True)
+        for name, (kind, described) in {
+            n: h.__args__ + h.__metadata__ for n, h in hints.items() if n != "return"
+        }.items():
+            if kind in (float, float | None):
+                numbers[command.callback.__name__, f"--{name.replace('_', '-')}"] = described.metavar
+    assert {option for _, option in numbers} >= {"--time-budget", "--spacing", "--period", "--lag", "--yaw-noise"}
+    for (command, option), unit in numbers.items():
+        assert unit in {"SECONDS", "METRES", "RADIANS"}, (command, option)
+        assert re.search(rf"{option} +{unit}\b", run(command, "--help").stdout), (command, option)
+
+
+def test_no_help_text_holds_what_markup_would_swallow():
+    command = typer.main.get_command(app)
+    for part in (command, *command.commands.values()):
+        texts = [part.help or "", *(getattr(option, "help", None) or "" for option in part.params)]
+        assert not [text for text in texts if re.search(r"\[[a-z/]", text)]
+
+
+def test_the_example_in_the_help_of_plan_is_whole():
+    words = " ".join(run("plan", "--help").stdout.split())
+    assert "optdock plan demo/scenario.yaml --out plan.json --plot plan.png" in words
+
+
+@pytest.mark.parametrize("arguments", [["-v", "plan", "bay.yaml"], ["plan", "bay.yaml", "-v"], ["plan", "bay.yaml"]])
+def test_verbose_is_accepted_before_and_after_the_command(arguments):
+    """In a process of its own, whose warm-up must not look like a plan."""
+    write()
+    command = [sys.executable, "-c", "from optdock.cli import main; main()", *arguments]
+    result = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert result.returncode == 0
+    said = re.findall(r"certified: (\S+) m in ", result.stderr)
+    assert said == ([] if "-v" not in arguments else [f"{load_plan('plan.json').path.length:.2f}"])
+
+
+def test_plan_says_which_limits_hold_and_which_do_not(planned):
+    _, stdout = planned
+    words = " ".join(stdout.split())
+    assert "limits speed 0.5 m/s, reverse speed 0.3 m/s, acceleration 0.5 m/s^2" in words
+    assert "curvature 2 1/m, curvature rate 8 1/m^2 unlimited yaw rate, yaw acceleration, lateral acceleration" in words
 
 
 def test_plan_writes_a_certified_plan_and_says_so(planned):
@@ -349,6 +397,34 @@ def test_a_path_that_cannot_be_smoothed_leaves_its_raw_path_and_a_picture(tmp_pa
     assert (tmp_path / "out.png").stat().st_size > 1000
 
 
+def test_the_picture_of_a_failure_that_cannot_be_drawn_hides_no_reason():
+    pathlib.Path("file").write_text("")
+    write(SCENARIO, "pose: [1.0, 0.2, 0.4]", "pose: [1.5, 1.5, 0.0]")
+    result = run("plan", "bay.yaml", "--plot", "file/p.png")
+    assert result.exit_code == 3
+    lines = result.stderr.splitlines(keepends=True)
+    assert lines[0].startswith("file/p.png: cannot be written: ")
+    assert lines[1:] == [FAILURES["start in collision"][2]]
+
+
+@pytest.mark.parametrize("command", ["plan", "simulate"])
+def test_every_planning_command_draws_why_there_is_no_plan(command, tmp_path):
+    write(SCENARIO, "pose: [1.0, 0.2, 0.4]", "pose: [1.5, 1.5, 0.0]")
+    assert run(command, "bay.yaml", "--plot", "p.png").exit_code == 3
+    assert (tmp_path / "p.png").stat().st_size > 1000
+
+
+def test_a_profile_and_an_animation_are_drawn_when_asked_for(tmp_path):
+    result = run("plan", write(), "--profile", "profile.svg")
+    assert result.exit_code == 0
+    assert "yaw rate" in (tmp_path / "profile.svg").read_text()
+    assert re.search(r"^written +plan.json, profile.svg$", result.stdout, re.MULTILINE)
+    assert run("simulate", "bay.yaml", "--gif", "run.gif").exit_code == 0
+    assert (tmp_path / "run.gif").read_bytes().startswith(b"GIF89a")
+    wrong = run("simulate", "bay.yaml", "--gif", "run.png")
+    assert (wrong.exit_code, wrong.stderr) == (2, "--gif: must end in .gif, got run.png\n")
+
+
 def test_no_time_at_all_is_a_named_failure_with_what_exists():
     result = run("plan", write(), "--out", "out.json", "--time-budget", "1e-6")
     assert result.exit_code == 3
@@ -405,7 +481,8 @@ def test_a_huge_image_header_ends_with_status_2():
         (["--time-budget", "nan"], "--time-budget: must be finite and > 0 s, got nan\n"),
         (["--spacing", "0"], "--spacing: must be finite and > 0 m, got 0.0\n"),
         (["--period", "-1"], "--period: must be finite and > 0 s, got -1.0\n"),
-        (["--plot", "p.xyz"], "p.xyz: must end in one of "),
+        (["--plot", "p.xyz"], "--plot: p.xyz: must end in one of "),
+        (["--profile", "p.xyz"], "--profile: p.xyz: must end in one of "),
         (["--spacing", "1e-9"], "spacing: must be >= "),
         (["--period", "1e-9"], "period: must be >= "),
     ],
@@ -426,6 +503,11 @@ def test_an_impossible_world_ends_with_status_2(option, value):
     assert result.stderr.startswith(f"{option}: must be finite and >= 0, got ")
 
 
+def test_a_latency_that_cannot_be_simulated_is_refused_by_its_option():
+    result = run("simulate", write(), "--latency", "100")
+    assert (result.exit_code, result.stderr) == (2, "--latency: must be <= 10.0 s, got 100.0\n")
+
+
 @pytest.mark.parametrize("arguments", [["fly"], ["plan", "--fast"], ["certify", "plan.json"], ["simulate"]])
 def test_wrong_usage_ends_with_status_2(arguments):
     assert run(*arguments).exit_code == 2
@@ -434,7 +516,46 @@ def test_wrong_usage_ends_with_status_2(arguments):
 def test_an_output_that_cannot_be_written_ends_with_status_2():
     result = run("plan", write(), "--out", "bay.yaml/plan.json")
     assert result.exit_code == 2
-    assert result.stderr.startswith("bay.yaml/plan.json: cannot be written: ")
+    assert result.stderr == "bay.yaml/plan.json: cannot be written: bay.yaml is a file, not a folder\n"
+
+
+@pytest.mark.parametrize("command", [["plan", "--out"], ["plan", "--profile"], ["simulate", "--out"]])
+def test_no_command_writes_over_its_scenario(command):
+    write()
+    name = "bay.yaml" if command[1] == "--out" else "bay.png"
+    pathlib.Path("bay.yaml").replace(name)
+    result = run(command[0], name, command[1], f"./{name}")
+    assert result.exit_code == 2
+    assert result.stderr == f"{name}: is the scenario, and would be overwritten; choose another name\n"
+    assert pathlib.Path(name).read_text() == SCENARIO
+
+
+@pytest.mark.parametrize(
+    ("text", "format_"),
+    [("image: map.png\nresolution: 0.05\n", ""), ("format: optdock-plan/1\n", "; its format is 'optdock-plan/1'")],
+)
+def test_a_file_of_another_kind_is_said_to_be_no_scenario(text, format_):
+    result = run("plan", write(text))
+    assert result.exit_code == 2
+    assert result.stderr == f"bay.yaml: is no scenario: it has none of the keys robot, dock and start{format_}\n"
+
+
+def test_a_map_of_one_pixel_is_a_map():
+    pathlib.Path("m.pgm").write_bytes(b"P5\n1 1\n255\n\xfe")
+    write("image: m.pgm\nresolution: 0.1\norigin: [0, 0, 0]\nnegate: 0\noccupied_thresh: 0.65\nfree_thresh: 0.2\n", name="m.yaml")  # fmt: skip  # noqa: E501
+    result = run("plan", write(SCENARIO, "robot:", "map: m.yaml\nrobot:"), "--plot", "p.png")
+    assert result.exit_code == 3
+    assert result.stderr == "StartOutsideMapBounds: the start (1.000, 0.200) lies off the map\n"
+
+
+def test_names_with_blanks_and_letters_of_any_language_are_names(tmp_path):
+    folder = tmp_path / "ein Ordner mit ü"
+    folder.mkdir()
+    (folder / "Bucht ß.yaml").write_text(SCENARIO)
+    (tmp_path / "link.yaml").symlink_to(folder / "Bucht ß.yaml")
+    for source in (folder / "Bucht ß.yaml", "link.yaml"):
+        assert run("plan", source, "--out", folder / "пла н.json", "--plot", folder / "図.png").exit_code == 0
+    assert (folder / "図.png").stat().st_size > 1000
 
 
 def test_the_program_itself_exits_like_the_tests_say(tmp_path):
@@ -531,7 +652,28 @@ def test_compare_lists_raw_and_smoothed_and_draws_each(tmp_path):
     assert float(smoothed["min_clearance_m"]) > 0.0
     assert rows[2]["length_m"] == ""
     assert sorted(path.name for path in (tmp_path / "cmp").glob("*.png")) == ["01_first.png", "02_second.png"]
-    assert len(result.stdout.splitlines()) == 4
+    assert len(result.stdout.splitlines()) == 5
+
+
+def test_compare_skips_what_is_no_scenario_and_says_so(tmp_path):
+    write(name="bay.yaml")
+    pathlib.Path("map.yaml").write_text("image: map.png\nresolution: 0.05\n")
+    pathlib.Path("notes.txt").write_text("format: something else")
+    pathlib.Path("folder").mkdir()
+    result = run("compare", "bay.yaml", "map.yaml", "notes.txt", "folder", "--out", "cmp")
+    assert result.exit_code == 0
+    why = "skipped, it has no line 'format: optdock-scenario/1'"
+    assert result.stderr.splitlines() == [f"{name}: {why}" for name in ("map.yaml", "notes.txt", "folder")]
+    rows = list(csv.DictReader((tmp_path / "cmp" / "comparison.csv").read_text().splitlines()))
+    assert [row["scenario"] for row in rows] == ["bay", "bay"]
+    result = run("compare", "map.yaml")
+    assert result.exit_code == 2
+    assert result.stderr.splitlines()[-1].startswith("none of the files is a scenario")
+    write(SCENARIO, "required: 0.05", "required: -1", name="broken.yaml")
+    for broken, reason in (("broken.yaml", "clearance.required: "), ("missing.yaml", "cannot be read: ")):
+        result = run("compare", "bay.yaml", broken)
+        assert result.exit_code == 2
+        assert reason in result.stderr
 
 
 def test_plugins_lists_what_is_installed_one_line_each():
@@ -546,13 +688,22 @@ def test_demo_runs_from_start_to_finish(tmp_path):
     result = run("demo", "--out", "demo")
     assert result.exit_code == 0, result.output
     made = {path.name: path.stat().st_size for path in (tmp_path / "demo").iterdir()}
-    assert set(made) == {"plan.json", "run.json", "plan.png", "profile.png", "run.png", "run.gif"}
-    assert min(made.values()) > 1000
+    results = {"plan.json", "run.json", "plan.png", "profile.png", "run.png", "run.gif"}
+    assert set(made) == {"scenario.yaml", "hall_map.yaml", "hall_map.png", *results}
+    assert min(made[name] for name in results) > 1000
     document = json.loads((tmp_path / "demo" / "run.json").read_text())
     assert document["docked"] is True
     assert document["goal_checkers"] == {"AxisGoalChecker": True, "DockGoalChecker": True}
     assert "AxisGoalChecker: reached, DockGoalChecker: reached\n" in result.stdout
     assert max(abs(document["final_error"]["along"]), abs(document["final_error"]["cross"])) < 0.005
+    again = run("plan", "demo/scenario.yaml", "--out", "again.json")
+    assert again.exit_code == 0
+    assert load_plan("again.json").path.length == pytest.approx(load_plan("demo/plan.json").path.length)
+
+
+def test_the_demo_keeps_its_budget_on_a_busy_machine():
+    """It needs some 20 ms where nobody else works."""
+    assert load_scenario(demo_scenario()).time_budget >= 1.0
 
 
 def test_pictures_without_matplotlib_name_the_extra(monkeypatch):

@@ -1,7 +1,6 @@
 import math
 import struct
 import zlib
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -97,15 +96,6 @@ def test_defaults_hold_where_the_file_is_silent(tmp_path):
     assert names == ["DockPlanner", "CasadiSmoother", "DockGoalChecker"]
 
 
-def test_the_scenario_of_the_readme_is_one_and_ends_by_the_axis_goal_checker(tmp_path):
-    readme = (Path(__file__).parents[2] / "README.md").read_text()
-    snippet = readme.split("A scenario file:\n\n```yaml\n")[1].split("```")[0]
-    write_map(tmp_path / "maps", np.full((4, 4), 254))
-    loaded = scenario(tmp_path, snippet)
-    assert loaded.goal_checker.name == "AxisGoalChecker"
-    assert loaded.goal_checker.parameters["stopped"] is True
-
-
 @pytest.mark.parametrize(
     ("start", "curvature"),
     [
@@ -163,71 +153,72 @@ def test_the_example_of_the_format_is_reported_word_for_word(tmp_path):
     assert faults(tmp_path, text) == ["bay.yaml:7: robot.limits.max_speed: must be > 0 m/s, got -1.0"]
 
 
-@pytest.mark.parametrize(
-    ("old", "new", "message"),
-    [
-        ("max_speed: 0.7", "max_speed: .nan", "8: robot.limits.max_speed: must be finite and > 0 m/s, got nan"),
-        ("max_speed: 0.7", "max_speed: .inf", "8: robot.limits.max_speed: must be finite and > 0 m/s, got inf"),
-        ("max_speed: 0.7", "max_speed: fast", "8: robot.limits.max_speed: must be a number, got 'fast'"),
-        ("max_speed: 0.7", "max_speed: true", "8: robot.limits.max_speed: must be a number, got True"),
-        ("max_speed: 0.7", "max_sped: 0.7", "8: robot.limits.max_sped: unknown key; did you mean max_speed?"),
-        ("max_curvature: 2.0", "max_curvature: 0", "8: robot.limits.max_curvature: must be > 0 1/m, got 0.0"),
-        ("max_curvature: 2.0", "max_curvature: -2", "8: robot.limits.max_curvature: must be > 0 1/m, got -2.0"),
-        ("drive: ackermann", "drive: omni", "7: robot.drive: must be differential or ackermann, got 'omni'"),
-        ("[4.0, 1.0, 0.5]", "[4.0, .nan, 0.5]", "10: dock.pose.y: must be finite, got nan"),
-        ("[4.0, 1.0, 0.5]", "[4.0, 1.0]", "10: dock.pose: must be [x, y, yaw] in m, m, rad, got [4.0, 1.0]"),
-        ("backward", "sideways", "12: dock.direction: must be forward, backward or auto, got 'sideways'"),
-        ("final_straight: 0.3", "final_straight: -1", "13: dock.final_straight: must be finite and >= 0 m, got -1.0"),
-        ("approach_speed: 0.1", "approach_speed: 0", "14: dock.approach_speed: must be > 0 m/s, got 0.0"),
-        ("speed: -0.1, ", "speed: .nan, ", "16: start.speed: must be finite, got nan"),
-        ("at_dock: 0.01", "at_dock: 0.1", "17: clearance.at_dock: must be <= required = 0.06 m, got 0.1"),
-        ("required: 0.06", "required: -0.1", "17: clearance.required: must be finite and >= 0 m, got -0.1"),
-        ("time_budget: 0.25", "time_budget: 0", "18: time_budget: must be finite and > 0 s, got 0.0"),
-        ("time_budget: 0.25", "time_budget: -0.1", "18: time_budget: must be finite and > 0 s, got -0.1"),
-        ("time_budget: 0.25", "time_buget: 0.25", "18: time_buget: unknown key; did you mean time_budget?"),
-        ("scenario/1", "scenario/2", "1: format: must be optdock-scenario/1, got 'optdock-scenario/2'"),
-        ("[1.0, 2.4]]", "[2.0, 1.9]]", "4: obstacles.0: must not cross or touch itself: Self-intersection"),
-        ("frame: depot", "frame: 7", "2: frame: must be text, got 7"),
-        ("frame: depot", "map: none.yaml", "2: map: none.yaml: cannot be read: No such file or directory"),
-        (
-            "  approach_distance: 0.4\n",
-            "",
-            "9: dock: approach_speed has no effect without approach_distance > 0 m",
-        ),
-        (
-            "TrackingController",
-            "TrakingController",
-            "19: controller.plugin: controllers: unknown plugin 'TrakingController'; did you mean TrackingController?",
-        ),
-    ],
-)  # fmt: skip
-def test_a_wrong_value_is_named_with_line_key_and_rule(tmp_path, old, new, message):
-    (line,) = faults(tmp_path, with_change(old, new))
-    assert line.startswith(f"bay.yaml:{message}")
+WRONG_VALUES = [
+    ("max_speed: 0.7", "max_speed: .nan", "8: robot.limits.max_speed: must be finite and > 0 m/s, got nan"),
+    ("max_speed: 0.7", "max_speed: .inf", "8: robot.limits.max_speed: must be finite and > 0 m/s, got inf"),
+    ("max_speed: 0.7", "max_speed: fast", "8: robot.limits.max_speed: must be a number, got 'fast'"),
+    ("max_speed: 0.7", "max_speed: true", "8: robot.limits.max_speed: must be a number, got True"),
+    ("max_speed: 0.7", "max_sped: 0.7", "8: robot.limits.max_sped: unknown key; did you mean max_speed?"),
+    ("max_curvature: 2.0", "max_curvature: 0", "8: robot.limits.max_curvature: must be > 0 1/m, got 0.0"),
+    ("max_curvature: 2.0", "max_curvature: -2", "8: robot.limits.max_curvature: must be > 0 1/m, got -2.0"),
+    ("drive: ackermann", "drive: omni", "7: robot.drive: must be differential or ackermann, got 'omni'"),
+    ("[4.0, 1.0, 0.5]", "[4.0, .nan, 0.5]", "10: dock.pose.y: must be finite, got nan"),
+    ("[4.0, 1.0, 0.5]", "[4.0, 1.0]", "10: dock.pose: must be [x, y, yaw] in m, m, rad, got [4.0, 1.0]"),
+    ("backward", "sideways", "12: dock.direction: must be forward, backward or auto, got 'sideways'"),
+    ("final_straight: 0.3", "final_straight: -1", "13: dock.final_straight: must be finite and >= 0 m, got -1.0"),
+    ("approach_speed: 0.1", "approach_speed: 0", "14: dock.approach_speed: must be > 0 m/s, got 0.0"),
+    ("speed: -0.1, ", "speed: .nan, ", "16: start.speed: must be finite, got nan"),
+    ("at_dock: 0.01", "at_dock: 0.1", "17: clearance.at_dock: must be <= required = 0.06 m, got 0.1"),
+    ("required: 0.06", "required: -0.1", "17: clearance.required: must be finite and >= 0 m, got -0.1"),
+    ("time_budget: 0.25", "time_budget: 0", "18: time_budget: must be finite and > 0 s, got 0.0"),
+    ("time_budget: 0.25", "time_budget: -0.1", "18: time_budget: must be finite and > 0 s, got -0.1"),
+    ("time_budget: 0.25", "time_buget: 0.25", "18: time_buget: unknown key; did you mean time_budget?"),
+    ("scenario/1", "scenario/2", "1: format: must be optdock-scenario/1, got 'optdock-scenario/2'"),
+    ("[1.0, 2.4]]", "[2.0, 1.9]]", "4: obstacles.0: must not cross or touch itself: Self-intersection"),
+    ("frame: depot", "frame: 7", "2: frame: must be text, got 7"),
+    ("frame: depot", "map: none.yaml", "2: map: none.yaml: cannot be read: No such file or directory"),
+    (
+        "  approach_distance: 0.4\n",
+        "",
+        "9: dock: approach_speed has no effect without approach_distance > 0 m",
+    ),
+    (
+        "TrackingController",
+        "TrakingController",
+        "19: controller.plugin: controllers: unknown plugin 'TrakingController'; did you mean TrackingController?",
+    ),
+]
 
 
-@pytest.mark.parametrize(
-    ("robot", "message"),
-    [
-        ("footprint: [[0.4, 0.3], [-0.4, 0.3]]", ".footprint: a polygon needs at least 3 distinct vertices, got 2"),
-        ("footprint: '[[0.4, 0.3], [-0.4, 0.3]]'", ".footprint: a polygon needs at least 3 distinct vertices, got 2"),
-        (
-            "footprint: [[0, 0], [1, 1], [1, 0], [0, 1]]",
-            ".footprint: must not cross or touch itself: Self-intersection",
-        ),
-        ("footprint: [[0, 0], [1, 0], [2, 0]]", ".footprint: "),
-        ("footprint: [[0, 0], [1, 0], [.nan, 1]]", ".footprint: must be finite, got nan at index [2, 0]"),
-        ("footprint: [[0, 0], [1, 0], [a, 1]]", ".footprint: must be numbers, got "),
-        ("footprint: '[[0, 0], [1, 0]'", ".footprint: must look like [[x, y], [x, y], [x, y], ...], got "),
-        ("footprint: 3", ".footprint: must be a list of points [x, y], a text like it, or {radius: r}, got 3"),
-        ("radius: -0.3", ".radius: must be > 0 m, got -0.3"),
-        ("radius: 0.3, footprint: {radius: 0.3}", ": needs either footprint or radius, got both"),
-        ("drive: differential", ": needs either footprint or radius, got neither"),
-    ],
-)
-def test_a_robot_without_a_proper_outline_is_refused(tmp_path, robot, message):
-    (line,) = faults(tmp_path, with_change("radius: 0.3", robot, MINIMAL))
-    assert line.startswith(f"bay.yaml:2: robot{message}")
+def test_a_wrong_value_is_named_with_line_key_and_rule(tmp_path):
+    for old, new, message in WRONG_VALUES:
+        start = f"bay.yaml:{message}"
+        assert [line[: len(start)] for line in faults(tmp_path, with_change(old, new))] == [start]
+
+
+WRONG_OUTLINES = [
+    ("footprint: [[0.4, 0.3], [-0.4, 0.3]]", ".footprint: a polygon needs at least 3 distinct vertices, got 2"),
+    ("footprint: '[[0.4, 0.3], [-0.4, 0.3]]'", ".footprint: a polygon needs at least 3 distinct vertices, got 2"),
+    (
+        "footprint: [[0, 0], [1, 1], [1, 0], [0, 1]]",
+        ".footprint: must not cross or touch itself: Self-intersection",
+    ),
+    ("footprint: [[0, 0], [1, 0], [2, 0]]", ".footprint: "),
+    ("footprint: [[0, 0], [1, 0], [.nan, 1]]", ".footprint: must be finite, got nan at index [2, 0]"),
+    ("footprint: [[0, 0], [1, 0], [a, 1]]", ".footprint: must be numbers, got "),
+    ("footprint: '[[0, 0], [1, 0]'", ".footprint: must look like [[x, y], [x, y], [x, y], ...], got "),
+    ("footprint: 3", ".footprint: must be a list of points [x, y], a text like it, or {radius: r}, got 3"),
+    ("radius: -0.3", ".radius: must be > 0 m, got -0.3"),
+    ("radius: 0.3, footprint: {radius: 0.3}", ": needs either footprint or radius, got both"),
+    ("drive: differential", ": needs either footprint or radius, got neither"),
+]
+
+
+def test_a_robot_without_a_proper_outline_is_refused(tmp_path):
+    for robot, message in WRONG_OUTLINES:
+        start = f"bay.yaml:2: robot{message}"
+        found = faults(tmp_path, with_change("radius: 0.3", robot, MINIMAL))
+        assert [line[: len(start)] for line in found] == [start]
 
 
 def test_all_faults_are_listed_at_once_in_the_order_of_the_file(tmp_path):
@@ -253,21 +244,21 @@ def test_a_misspelt_parameter_of_a_plugin_is_named_with_its_line(tmp_path):
     ]
 
 
-@pytest.mark.parametrize(
-    ("text", "message"),
-    [
-        ("{", "bay.yaml:2: is not valid YAML"),
-        ("", "bay.yaml: is empty"),
-        ("- 1\n", "bay.yaml: must be a mapping with the key format: optdock-scenario/1"),
-        (MINIMAL + "1: 2\n", "bay.yaml:5: 1: a key must be text, got 1"),
-        (MINIMAL + "planner: {step: fine}\n", "bay.yaml:5: planner.step: must be a number, got 'fine'"),
-        (MINIMAL + "smoother: {plugin: }\n", "bay.yaml:5: smoother.plugin: must be text, got None"),
-        (MINIMAL + "dock: {pose: [2, 0, 0]}\n", "bay.yaml:5: dock: stands here again; first in line 3"),
-        ("\x00", "bay.yaml: is not valid YAML"),
-    ],
-)
-def test_text_that_is_no_scenario_is_refused(tmp_path, text, message):
-    assert faults(tmp_path, text)[0].startswith(message)
+NO_SCENARIOS = [
+    ("{", "bay.yaml:2: is not valid YAML"),
+    ("", "bay.yaml: is empty"),
+    ("- 1\n", "bay.yaml: must be a mapping with the key format: optdock-scenario/1"),
+    (MINIMAL + "1: 2\n", "bay.yaml:5: 1: a key must be text, got 1"),
+    (MINIMAL + "planner: {step: fine}\n", "bay.yaml:5: planner.step: must be a number, got 'fine'"),
+    (MINIMAL + "smoother: {plugin: }\n", "bay.yaml:5: smoother.plugin: must be text, got None"),
+    (MINIMAL + "dock: {pose: [2, 0, 0]}\n", "bay.yaml:5: dock: stands here again; first in line 3"),
+    ("\x00", "bay.yaml: is not valid YAML"),
+]
+
+
+def test_text_that_is_no_scenario_is_refused(tmp_path):
+    for text, message in NO_SCENARIOS:
+        assert faults(tmp_path, text)[0][: len(message)] == message
 
 
 def test_a_missing_file_is_named(tmp_path):

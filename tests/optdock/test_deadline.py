@@ -5,7 +5,7 @@ import gc
 import numpy as np
 import pytest
 
-from optdock.deadline import Deadline, garbage_collection_paused
+from optdock.deadline import Deadline, OutOfTime, garbage_collection_paused
 from optdock.dock import Dock
 from optdock.errors import PlannerTimedOut
 from optdock.geometry.footprint import Footprint
@@ -91,3 +91,24 @@ def test_a_planner_is_asked_to_stop_at_the_deadline():
     with pytest.raises(PlannerTimedOut, match="used up the time budget of 0.02 s"):
         plan_dock(PROBLEM, time_budget=0.02, planner=Endless())
     assert asked
+
+
+def test_a_deadline_asks_whether_to_stop_until_it_hears_yes():
+    answers = iter([False, False, True])
+    deadline = Deadline(stop=lambda: next(answers))  # asked a fourth time it would raise
+    shorter = deadline.shortened(at_most=10.0)
+    assert not deadline.passed()
+    assert not shorter.passed()
+    assert not deadline.stopped
+    assert shorter.passed()
+    assert deadline.passed()
+    assert deadline.stopped
+    assert shorter.stopped
+    with pytest.raises(OutOfTime):
+        shorter.look()
+
+
+def test_the_clock_alone_is_no_request_to_stop():
+    deadline = Deadline(0.0)
+    assert deadline.passed()
+    assert not deadline.stopped

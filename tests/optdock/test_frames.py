@@ -9,12 +9,11 @@ from optdock.errors import ControllerInvalidPath, InvalidPath
 from optdock.geometry.footprint import Footprint
 from optdock.geometry.pose import Pose2
 from optdock.interfaces import Controller, GlobalPlanner, PluginContext, Smoother
-from optdock.io.plan_file import PlanFile, load_plan, save_plan
+from optdock.io.plan_file import PlanFile, load_plan
 from optdock.nav2.behaviors.undock_plan import reversed_path
 from optdock.path import Path, may_be_one_frame
 from optdock.pipeline import plan_dock
 from optdock.plugins import create_plugin
-from optdock.report import plan_file
 from optdock.testing.contracts.scene import GOAL, ORIGIN, raw_path, scene_problem
 from optdock.verification import certify_path
 
@@ -105,7 +104,7 @@ def test_whatever_leaves_the_pipeline_names_the_frame(tmp_path):
     plan = plan_dock(DEPOT, time_budget=5.0)
     assert {plan.frame, plan.raw_path.frame, plan.path.frame, plan.trajectory.frame} == {"depot"}
     assert reversed_path(plan.path).frame == "depot"
-    save_plan(tmp_path / "plan.json", plan_file(plan, "depot", 0.05))
+    plan.save(tmp_path / "plan.json", period=0.05)
     loaded = load_plan(tmp_path / "plan.json")
     assert (loaded.frame, loaded.path.frame, loaded.raw_path.frame) == ("depot", "depot", "depot")
 

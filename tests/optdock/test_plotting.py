@@ -7,7 +7,16 @@ from PIL import Image
 from optdock.builtin import demo_scenario
 from optdock.config import load_scenario
 from optdock.dock import Dock
-from optdock.errors import InvalidFile, InvalidValue, MissingExtra
+from optdock.errors import (
+    FailedToSmoothPath,
+    GoalOccupied,
+    GoalOutsideMapBounds,
+    InvalidFile,
+    InvalidValue,
+    MissingExtra,
+    NoValidPathCouldBeFound,
+    StartOccupied,
+)
 from optdock.geometry.clothoid import ClothoidSpline
 from optdock.geometry.footprint import Footprint
 from optdock.geometry.pose import Pose2
@@ -16,6 +25,7 @@ from optdock.obstacles import ObstacleSet
 from optdock.path import ClothoidSegment, Path
 from optdock.plotting import save_animation, save_plan_picture, save_profile_picture, save_run_picture
 from optdock.plotting.canvas import COLOURS, canvas_of, entitle, legend_below, new_figure, save_figure
+from optdock.plotting.plan_picture import _draw_closest, _place
 from optdock.plotting.profile_picture import _panels
 from optdock.plotting.scene import draw_scene, view_of
 from optdock.problem import DockingProblem
@@ -78,6 +88,45 @@ def test_a_plan_picture_shows_what_a_failure_left(tmp_path, problem):
     assert colours.get(COLOURS["start"], 0) > 20
     assert COLOURS["path"] not in colours
     assert COLOURS["raw"] not in colours
+
+
+REFUSALS = {
+    "its pose": (FailedToSmoothPath("no", where={"pose": [0.5, 0.1, 0.2], "s": 1.0}), (0.5, 0.1)),
+    "its point": (NoValidPathCouldBeFound("no", where={"x": 0.7, "y": -0.2}), (0.7, -0.2)),
+    "its arc length": (FailedToSmoothPath("no", where={"s": 0.5}), (0.498, 1.6 * 0.5**3 / 6.0)),
+    "an end of the map": (GoalOutsideMapBounds("no", where={"pose": [9.0, 9.0]}), "goal"),
+    "the goal": (GoalOccupied("no", where={"obstacle": "dock"}), "goal"),
+    "the start": (StartOccupied("no", where={"obstacle": "obstacles[0]"}), "start"),
+    "nothing": (NoValidPathCouldBeFound("no"), "start"),
+}
+
+
+@pytest.mark.parametrize("speaks_of", REFUSALS)
+def test_a_refusal_is_marked_where_it_says(tmp_path, problem, path, speaks_of):
+    refusal, place = REFUSALS[speaks_of]
+    end = getattr(problem, place) if isinstance(place, str) else None
+    found = _place(problem, refusal, path)
+    expected = (end.x, end.y) if end is not None else place
+    assert (found.x, found.y) == pytest.approx(expected, abs=2e-3)
+    save_plan_picture(tmp_path / "p.png", problem, raw_path=path, refusal=refusal)
+    assert colours_in(tmp_path / "p.png").get(COLOURS["hot"], 0) > 50
+
+
+def test_a_refused_pose_far_from_every_path_is_in_the_picture(tmp_path, problem, path):
+    refusal = FailedToSmoothPath("no", where={"pose": [-9.0, 7.0, 0.0]})
+    save_plan_picture(tmp_path / "p.png", problem, raw_path=path, refusal=refusal)
+    assert colours_in(tmp_path / "p.png").get(COLOURS["hot"], 0) > 20
+
+
+def test_the_closest_pose_is_the_one_of_the_certificate(problem, path):
+    certificate = certify_path(path, problem)
+    axes = new_figure(5.0, 5.0).add_subplot()
+    _draw_closest(axes, problem, path, certificate)
+    (mark,) = axes.get_lines()
+    pose = path.pose_at(certificate.at_s)
+    assert mark.get_xydata()[0] == pytest.approx([pose.x, pose.y])
+    said = f"closest: {1e3 * certificate.min_clearance:.0f} mm to {certificate.nearest}"
+    assert axes.get_legend_handles_labels()[1] == [said]
 
 
 def test_the_view_holds_the_whole_robot_and_axes_are_equal_in_metres(problem, path):

@@ -11,6 +11,13 @@ from optdock.testing.families import instance
 from optdock.verification import certify_path
 from smoothers.casadi_smoother import CasadiSmoother
 from smoothers.scp.loop import search
+from smoothers.scp.qp_step import pool_of_this_thread
+
+
+@pytest.fixture(autouse=True)
+def usual_pace(monkeypatch):
+    """The clocks here run by themselves, whatever an earlier warm-up has measured of the machine."""
+    monkeypatch.setattr(pool_of_this_thread(), "pace", 1.0)
 
 
 def ticking(seconds):

@@ -10,7 +10,7 @@ from typer.testing import CliRunner
 
 from experiments.fuzz.case import Verdict
 from experiments.fuzz.generators.documents import files_case
-from optdock.cli.app import app
+from optdock.cli import app
 from optdock.config import load_scenario
 from optdock.errors import OptdockError
 from optdock.io.plan_file import load_plan

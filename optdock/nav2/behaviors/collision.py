@@ -16,10 +16,10 @@ if TYPE_CHECKING:
     from optdock.geometry.pose import Pose2, Twist2
     from optdock.lifecycle import PluginContext
 
-__all__ = ["CollisionGate"]
+__all__ = ["CollisionChecker"]
 
 
-class CollisionGate:
+class CollisionChecker:
     """Judges motions among everything that the context holds: the problem's obstacles and the grids asked for.
 
     Nav2 looks at footprint edges on a grid, at single poses. Here the footprint's interior counts and so does

@@ -12,17 +12,14 @@ from optdock.deadline import Deadline
 from optdock.errors import BehaviorException, InvalidValue
 from optdock.geometry.pose import Twist2
 from optdock.interfaces import Behavior, BehaviorResult, CostmapInfoType
-from optdock.nav2.behaviors.collision import CollisionGate
+from optdock.nav2.behaviors.collision import CollisionChecker
 from optdock.nav2.behaviors.results import BACK_UP, DRIVE_ON_HEADING, RUNNING, SUCCEEDED, Codes, failed, stopped
 from optdock.parameters import PluginParameters, parse_parameters
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    from optdock.deadline import Deadline
-    from optdock.geometry.pose import Pose2, Twist2
-    from optdock.interfaces import BehaviorResult
-    from optdock.nav2.behaviors.collision import CollisionGate
+    from optdock.geometry.pose import Pose2
 
 __all__ = ["BackUp", "DriveOnHeading"]
 
@@ -55,7 +52,7 @@ class StraightMotion:
         parameters: Limits.
         command: Target and speed of equal sign.
         deadline: Running.
-        gate: Collision check, or None to drive blind.
+        checker: Collision check, or None to drive blind.
     """
 
     def __init__(
@@ -64,10 +61,10 @@ class StraightMotion:
         parameters: DriveParameters,
         command: DriveCommand,
         deadline: Deadline,
-        gate: CollisionGate | None,
+        checker: CollisionChecker | None,
     ) -> None:
         self._codes, self._parameters, self._command = codes, parameters, command
-        self._deadline, self._gate = deadline, gate
+        self._deadline, self._checker = deadline, checker
         self._origin: Pose2 | None = None
         self._speed = 0.0
 
@@ -83,7 +80,7 @@ class StraightMotion:
             return stopped(SUCCEEDED)
         self._speed = self._next_speed(remaining)
         twist = Twist2(math.copysign(self._speed, self._command.speed))
-        refusal = self._gate.refusal(pose, twist, self._look_ahead(remaining)) if self._gate else ""
+        refusal = self._checker.refusal(pose, twist, self._look_ahead(remaining)) if self._checker else ""
         if refusal:
             return stopped(failed(self._codes.collision_ahead, refusal))
         return RUNNING, twist
@@ -135,11 +132,11 @@ class _StraightBehavior(Behavior, ABC):
         except InvalidValue as error:
             return failed(self.codes.invalid_input, str(error))
         try:
-            gate = None if parsed.disable_collision_checks else self._gate()
+            checker = None if parsed.disable_collision_checks else self._checker()
         except BehaviorException as error:
             return failed(self.codes.unknown, str(error))
         deadline = Deadline.of_allowance(parsed.time_allowance, self.context.clock)
-        self._motion = StraightMotion(self.codes, self.parameters, parsed, deadline, gate)
+        self._motion = StraightMotion(self.codes, self.parameters, parsed, deadline, checker)
         return SUCCEEDED
 
     def on_cycle_update(self, pose: Pose2, velocity: Twist2) -> tuple[BehaviorResult, Twist2]:
@@ -152,8 +149,8 @@ class _StraightBehavior(Behavior, ABC):
             raise BehaviorException(f"{type(self).__name__}: on_run must succeed before the cycles begin")
         return self._motion.cycle(pose, velocity)
 
-    def _gate(self) -> CollisionGate:
-        return CollisionGate(self.context, self.parameters.clearance, self.resource_info)
+    def _checker(self) -> CollisionChecker:
+        return CollisionChecker(self.context, self.parameters.clearance, self.resource_info)
 
 
 class DriveOnHeading(_StraightBehavior):

@@ -11,7 +11,7 @@ from optdock.deadline import Deadline
 from optdock.errors import BehaviorException, InvalidValue
 from optdock.geometry.pose import Twist2, normalize_angle
 from optdock.interfaces import Behavior, BehaviorResult, CostmapInfoType
-from optdock.nav2.behaviors.collision import CollisionGate
+from optdock.nav2.behaviors.collision import CollisionChecker
 from optdock.nav2.behaviors.results import RUNNING, SPIN, SUCCEEDED, failed, stopped
 from optdock.parameters import PluginParameters, parse_parameters
 
@@ -45,8 +45,8 @@ class SpinCommand(PluginParameters):
 class _Turn:
     """The state of one run."""
 
-    def __init__(self, command: SpinCommand, deadline: Deadline, gate: CollisionGate | None) -> None:
-        self.command, self.deadline, self.gate = command, deadline, gate
+    def __init__(self, command: SpinCommand, deadline: Deadline, checker: CollisionChecker | None) -> None:
+        self.command, self.deadline, self.checker = command, deadline, checker
         self.turned = 0.0
         self.last_yaw: float | None = None
 
@@ -77,10 +77,10 @@ class Spin(Behavior):
         self._turn = None
         try:
             parsed = parse_parameters(SpinCommand, command, "Spin")
-            gate = None if parsed.disable_collision_checks else self._gate()
+            checker = None if parsed.disable_collision_checks else self._checker()
         except (InvalidValue, BehaviorException) as error:
             return failed(SPIN.unknown, str(error))
-        self._turn = _Turn(parsed, Deadline.of_allowance(parsed.time_allowance, self.context.clock), gate)
+        self._turn = _Turn(parsed, Deadline.of_allowance(parsed.time_allowance, self.context.clock), checker)
         return SUCCEEDED
 
     def on_cycle_update(self, pose: Pose2, velocity: Twist2) -> tuple[BehaviorResult, Twist2]:  # noqa: ARG002 - part of the interface
@@ -100,11 +100,11 @@ class Spin(Behavior):
         if remaining <= 1e-6:
             return stopped(SUCCEEDED)
         twist = Twist2(0.0, math.copysign(self._rate(remaining), turn.command.target_yaw))
-        refusal = turn.gate.refusal(pose, twist, self._look_ahead(remaining, twist)) if turn.gate else ""
+        refusal = turn.checker.refusal(pose, twist, self._look_ahead(remaining, twist)) if turn.checker else ""
         return stopped(failed(SPIN.collision_ahead, refusal)) if refusal else (RUNNING, twist)
 
-    def _gate(self) -> CollisionGate:
-        return CollisionGate(self.context, self.parameters.clearance, self.resource_info)
+    def _checker(self) -> CollisionChecker:
+        return CollisionChecker(self.context, self.parameters.clearance, self.resource_info)
 
     def _rate(self, remaining: float) -> float:
         """Yaw rate [rad/s] from which the robot can stop within what remains; never one a drive may ignore."""

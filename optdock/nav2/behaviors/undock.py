@@ -10,7 +10,7 @@ from pydantic import Field
 from optdock.deadline import Deadline
 from optdock.errors import BehaviorException, ControllerException, InvalidValue, OptdockError
 from optdock.interfaces import Behavior, BehaviorResult, Controller, CostmapInfoType
-from optdock.nav2.behaviors.collision import CollisionGate
+from optdock.nav2.behaviors.collision import CollisionChecker
 from optdock.nav2.behaviors.results import RUNNING, SUCCEEDED, UNDOCK, failed, stopped
 from optdock.parameters import PluginParameters, parse_parameters
 from optdock.path import Path
@@ -115,7 +115,9 @@ class Undock(Behavior):
         )
         controller.configure(self.context)
         controller.set_path(plan.trajectory)
-        return _Drive(self.parameters, plan, controller, deadline, CollisionGate(self.context, 0.0, self.resource_info))
+        return _Drive(
+            self.parameters, plan, controller, deadline, CollisionChecker(self.context, 0.0, self.resource_info)
+        )
 
 
 def _understood(
@@ -142,10 +144,10 @@ class _Drive:
         plan: UndockPlan,
         controller: Controller,
         deadline: Deadline,
-        gate: CollisionGate,
+        checker: CollisionChecker,
     ) -> None:
         self.parameters, self.plan, self.controller = parameters, plan, controller
-        self.deadline, self.gate = deadline, gate
+        self.deadline, self.checker = deadline, checker
         self.begun = False
 
     def cycle(self, pose: Pose2, velocity: Twist2) -> tuple[BehaviorResult, Twist2]:
@@ -163,7 +165,7 @@ class _Drive:
             twist = self.controller.compute_velocity_commands(pose, velocity, None)
         except ControllerException as error:
             return stopped(failed(UNDOCK.control, str(error)))
-        refusal = self.gate.refusal(pose, twist, self.parameters.simulate_ahead_time)
+        refusal = self.checker.refusal(pose, twist, self.parameters.simulate_ahead_time)
         return stopped(failed(UNDOCK.control, refusal)) if refusal else (RUNNING, twist)
 
     def _arrived(self, pose: Pose2, velocity: Twist2) -> bool:

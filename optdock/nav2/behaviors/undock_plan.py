@@ -17,7 +17,6 @@ from optdock.segments import ClothoidSegment, Direction, PolylineSegment
 from optdock.verification import certify_path, certify_trajectory
 
 if TYPE_CHECKING:
-    from optdock.path import Path
     from optdock.problem import DockingProblem
     from optdock.segments import Segment
     from optdock.trajectory import Trajectory

@@ -1,1 +1,1 @@
-"""Layered costmap and its layers: plugins that write costs into one master grid, in order."""
+"""Costmap layers: plugins that write costs into the master grid of a `LayeredCostmap`, in order."""

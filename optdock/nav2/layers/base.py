@@ -1,4 +1,4 @@
-"""What the parameters of all layers share."""
+"""What Nav2's layers share: the switch that turns them off, and names that mean something on a ROS graph only."""
 
 from __future__ import annotations
 
@@ -7,9 +7,10 @@ from typing import ClassVar
 
 from pydantic import Field, model_validator
 
+from optdock.interfaces import Layer
 from optdock.parameters import PluginParameters
 
-__all__ = ["LayerParameters"]
+__all__ = ["LayerParameters", "SwitchedLayer"]
 
 
 class LayerParameters(PluginParameters):
@@ -32,3 +33,14 @@ class LayerParameters(PluginParameters):
     def without_graph_names(cls, values: Mapping[str, object]) -> dict[str, object]:
         """`values` without the names that mean something on a ROS graph only."""
         return {name: value for name, value in values.items() if name not in cls.graph_names}
+
+
+class SwitchedLayer(Layer):
+    """A layer with the parameter `enabled`."""
+
+    Parameters = LayerParameters
+    parameters: LayerParameters
+
+    def is_enabled(self) -> bool:
+        """Parameter `enabled`."""
+        return self.parameters.enabled

@@ -9,8 +9,8 @@ from pydantic import Field
 from optdock.costmap.costs import FREE_SPACE, LETHAL
 from optdock.dock import Dock
 from optdock.errors import InvalidValue
-from optdock.interfaces import Bounds, Layer
-from optdock.nav2.layers.base import LayerParameters
+from optdock.interfaces import Bounds
+from optdock.nav2.layers.base import LayerParameters, SwitchedLayer
 from optdock.nav2.layers.raster import corners_of, fill_footprint
 from optdock.nav2.layers.window import NOWHERE, checked_window, grown_by_points, joined
 
@@ -30,7 +30,7 @@ class DockLayerParameters(LayerParameters):
     )
 
 
-class DockLayer(Layer):
+class DockLayer(SwitchedLayer):
     """Clears what the map holds around the docked robot, marks the dock, and frees the docked robot's own cells.
 
     A map drawn from scans shows the dock a cell or two too fat, so that the docked robot seems to collide. Place
@@ -100,10 +100,6 @@ class DockLayer(Layer):
         if dock is not None and robot is not None:
             fill_footprint(master, robot, dock.pose, FREE_SPACE, window)
         self._pending, self._written = NOWHERE, self._extent()
-
-    def is_enabled(self) -> bool:
-        """Parameter `enabled`."""
-        return self.parameters.enabled
 
     def _zone(self, robot: Footprint) -> Footprint:
         margin = self.parameters.contact_margin

@@ -12,19 +12,20 @@ from pydantic import Field
 
 from optdock.costmap.costs import FREE_SPACE, INSCRIBED, LETHAL, MAX_NON_OBSTACLE, NO_INFORMATION, CostArray
 from optdock.errors import InvalidValue
-from optdock.interfaces import Bounds, Layer
-from optdock.nav2.layers.base import LayerParameters
+from optdock.interfaces import Bounds
+from optdock.nav2.layers.base import LayerParameters, SwitchedLayer
 from optdock.nav2.layers.window import EVERYWHERE, checked_window
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike
 
     from optdock.costmap.costmap import Costmap
-    from optdock.geometry.arrays import BoolArray, FloatArray
+    from optdock.geometry.arrays import BoolArray
     from optdock.geometry.pose import Pose2
 
 __all__ = ["InflationLayer", "InflationLayerParameters", "InflationRule", "inflation_costs"]
 
+logger = logging.getLogger(__name__)
 
 _CELL_SLACK = 1e-9  # a radius of 14 cells reaches the 14th cell although 14 * 0.05 > 0.7 in floating point
 
@@ -63,24 +64,6 @@ class InflationRule:
         costs = np.where(d > self.inflation_radius * (1.0 + _CELL_SLACK), FREE_SPACE, costs)
         return np.where(d <= 0.0, LETHAL, costs).astype(np.uint8)
 
-    def distance_of(self, cost: ArrayLike) -> FloatArray:
-        """Distance [m] at which the cost is 1..252: inscribed_radius + ln(252 / cost) / cost_scaling_factor.
-
-        Costs are integer parts: this is the largest distance with that cost, and `distance_of(cost + 1)` is below all
-        of them. 253 gives inscribed_radius, 254 gives 0, 0 infinity, 255 NaN.
-
-        Raises:
-            InvalidValue: cost_scaling_factor is 0: one cost stands for many distances.
-        """
-        if self.cost_scaling_factor <= 0.0:
-            raise InvalidValue("inflation.cost_scaling_factor: must be > 0 to tell a distance from a cost, got 0.0")
-        table = np.full(256, np.nan)
-        scaled = np.arange(1, MAX_NON_OBSTACLE + 1)
-        table[scaled] = self.inscribed_radius + np.log(MAX_NON_OBSTACLE / scaled) / self.cost_scaling_factor
-        table[[FREE_SPACE, INSCRIBED, LETHAL]] = (np.inf, self.inscribed_radius, 0.0)
-        distance: FloatArray = table[np.asarray(cost)]
-        return distance
-
     def reach(self, resolution: float) -> int:
         """How many cells the costs reach, straight along a row."""
         return math.floor(self.inflation_radius / resolution * (1.0 + _CELL_SLACK) + _CELL_SLACK)
@@ -112,9 +95,6 @@ def inflation_costs(seeds: BoolArray, resolution: float, rule: InflationRule) ->
     return costs
 
 
-logger = logging.getLogger(__name__)
-
-
 class InflationLayerParameters(LayerParameters):
     """Nav2's parameters of the InflationLayer."""
 
@@ -129,7 +109,7 @@ class InflationLayerParameters(LayerParameters):
     graph_names: ClassVar[frozenset[str]] = frozenset({"num_threads"})
 
 
-class InflationLayer(Layer):
+class InflationLayer(SwitchedLayer):
     """Raises the costs around the lethal cells that the layers before it have written.
 
     Needs the robot's inscribed radius: from the footprint of its context, or `custom_inscribed_radius`.
@@ -222,7 +202,3 @@ class InflationLayer(Layer):
         strong = costs > FREE_SPACE if self.parameters.inflate_unknown else costs >= INSCRIBED
         merged: CostArray = np.where((old == NO_INFORMATION) & strong, costs, np.maximum(old, costs))
         return merged
-
-    def is_enabled(self) -> bool:
-        """Parameter `enabled`."""
-        return self.parameters.enabled

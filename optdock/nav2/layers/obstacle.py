@@ -9,7 +9,8 @@ import numpy as np
 
 from optdock.costmap.costs import FREE_SPACE, LETHAL, NO_INFORMATION
 from optdock.errors import InvalidValue
-from optdock.interfaces import Bounds, Layer
+from optdock.interfaces import Bounds
+from optdock.nav2.layers.base import SwitchedLayer
 from optdock.nav2.layers.obstacle_parameters import ObstacleLayerParameters, SourceParameters, combined
 from optdock.nav2.layers.raster import cells_of_lines, corners_of, fill_footprint
 from optdock.nav2.layers.window import EVERYWHERE, NOWHERE, checked_window, grown_by_points, joined, moved_grid
@@ -73,7 +74,7 @@ class _Seen(NamedTuple):
     until: float
 
 
-class ObstacleLayer(Layer):
+class ObstacleLayer(SwitchedLayer):
     """Marks the cells of points and clears the lines of sight to them, in a grid of its own that it keeps.
 
     The grid follows the master's place and size; where they overlap, what was seen stays. Observations wait for the
@@ -152,10 +153,6 @@ class ObstacleLayer(Layer):
     def is_current(self) -> bool:
         """False from a reset until the next update, while a source is silent for too long, and where said so."""
         return super().is_current() and not self._was_reset and not self._silent_sources()
-
-    def is_enabled(self) -> bool:
-        """Parameter `enabled`."""
-        return self.parameters.enabled
 
     def update_bounds(self, robot: Pose2, bounds: Bounds) -> Bounds:
         """`bounds` grown to what was seen since the last update and to the footprint."""

@@ -18,7 +18,6 @@ if TYPE_CHECKING:
 
 __all__ = ["CellList", "cells_of_lines", "cells_of_polygons", "corners_of", "fill_footprint"]
 
-
 _BLOCK = 2_000_000  # cells looked at together; bounds the memory
 _SLACK = 1e-9  # in cells; what touches counts as met in spite of rounding
 

@@ -10,8 +10,8 @@ from pydantic import Field
 from optdock.costmap.costs import FREE_SPACE, OccupancyRule
 from optdock.costmap.occupancy import OccupancyGrid
 from optdock.errors import InvalidValue
-from optdock.interfaces import Bounds, Layer
-from optdock.nav2.layers.base import LayerParameters
+from optdock.interfaces import Bounds
+from optdock.nav2.layers.base import LayerParameters, SwitchedLayer
 from optdock.nav2.layers.raster import corners_of, fill_footprint
 from optdock.nav2.layers.window import NOWHERE, CellWindow, checked_window, grown_by_points, joined
 
@@ -38,7 +38,7 @@ class StaticLayerParameters(LayerParameters):
     )
 
 
-class StaticLayer(Layer):
+class StaticLayer(SwitchedLayer):
     """Writes a map into the master grid, cell by cell: each master cell takes the map's cell at its centre.
 
     Master cells off the map keep what they have. The layer is not current before `set_map`.
@@ -114,10 +114,6 @@ class StaticLayer(Layer):
     def is_current(self) -> bool:
         """Whether it has a map, and nobody said that it is out of date."""
         return super().is_current() and self._map is not None
-
-    def is_enabled(self) -> bool:
-        """Parameter `enabled`."""
-        return self.parameters.enabled
 
     def _write(self, master: Costmap, costs: Costmap, window: CellWindow) -> None:
         rows, columns = np.arange(window[0].start, window[0].stop), np.arange(window[1].start, window[1].stop)

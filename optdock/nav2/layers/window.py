@@ -12,7 +12,6 @@ from optdock.errors import InvalidValue
 from optdock.interfaces import Bounds
 
 if TYPE_CHECKING:
-    from optdock.costmap.costmap import Costmap
     from optdock.costmap.costs import CostArray
     from optdock.geometry.arrays import FloatArray
 
@@ -27,7 +26,6 @@ __all__ = [
     "shifted",
     "window_of",
 ]
-
 
 NOWHERE = Bounds(math.inf, math.inf, -math.inf, -math.inf)
 EVERYWHERE = Bounds(-math.inf, -math.inf, math.inf, math.inf)

@@ -8,13 +8,13 @@ from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 
-from optdock.errors import InvalidValue
+from optdock.errors import InvalidValue, TimingCancelled
 from optdock.geometry.pose import Pose2
 from optdock.interfaces import TimeParameterizer, TimingResult, TimingStatus
 from optdock.limits import MotionLimits, SpeedZone
 from optdock.path import Path
 from optdock.testing.contracts.plugin import PluginContract
-from optdock.testing.contracts.rules import require
+from optdock.testing.contracts.rules import require, require_cancellable
 from optdock.testing.contracts.scene import ORIGIN, moved_path
 from optdock.testing.drives import clothoid, cusp_drive, s_curve_drive, straight_drive
 from optdock.verification import certify_trajectory
@@ -134,12 +134,13 @@ class TimeParameterizerContract(PluginContract[TimeParameterizer]):
         """`start_speed`, `start_acceleration`: NaN and infinity are InvalidValue or BAD_START."""
         plugin, path = self.ready_plugin(), straight_drive(ORIGIN).path
         for bad in (math.nan, math.inf):
-            for start in ({"start_speed": bad}, {"start_acceleration": bad}):
+            for v, a in ((bad, 0.0), (0.0, bad)):
                 try:
-                    status = plugin.parameterize(path, MotionLimits(), SpeedZone(), **start).status
+                    result = plugin.parameterize(path, MotionLimits(), SpeedZone(), start_speed=v, start_acceleration=a)
                 except InvalidValue:
                     continue
-                require(status is TimingStatus.BAD_START, f"{start} is a bad start, got {status!r}")
+                refused = result.status is TimingStatus.BAD_START
+                require(refused, f"speed {v}, acceleration {a} is a bad start, got {result.status!r}")
 
     def test_what_is_not_ok_says_why(self) -> None:
         """`TimingResult`: a `reason` where it is not OK; of an impossible start `limit` and `at_s` too."""
@@ -163,6 +164,18 @@ class TimeParameterizerContract(PluginContract[TimeParameterizer]):
                 require(not late or result.trajectory is None, "TIMED_OUT offers no motion")
                 if result.status is TimingStatus.OK:
                     _require_certified(result, path, limits, zone)
+
+    def test_it_stops_when_cancelled_and_times_again(self) -> None:
+        """`parameterize`: polls `cancel_checker`; TimingCancelled when it returned True."""
+        plugin = self.ready_plugin()
+        path, limits, zone, _start = next(self.cases())
+        before = plugin.parameterize(path, limits, zone)
+        require_cancellable(
+            lambda cancelled: plugin.parameterize(path, limits, zone, cancel_checker=cancelled), TimingCancelled
+        )
+        after = plugin.parameterize(path, limits, zone)
+        same = after.status is before.status and _law(after) == _law(before)
+        require(same, "after a cancellation it times as before")
 
     def test_trajectories_can_be_sent(self) -> None:
         """`TimingResult.trajectory`: a plain value; pickled and back it is the same motion."""
@@ -197,3 +210,8 @@ def _phases(trajectory: Trajectory | None) -> tuple[tuple[float, float], ...]:
     if trajectory is None:
         return ()
     return tuple(zip(trajectory.time_law.durations.tolist(), trajectory.time_law.jerks.tolist(), strict=True))
+
+
+def _law(result: TimingResult) -> object:
+    """The motion, comparable."""
+    return None if result.trajectory is None else result.trajectory.time_law.states.tolist()

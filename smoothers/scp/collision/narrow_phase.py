@@ -10,8 +10,8 @@ above the requirement: a lower bound for ANY n, between the nodes too. g'' is ta
 changes by at most (h / 2) * M3 from the nearer end, M3 = |rate| (1 + 3 |k| r) + k^2 (1 + |k| r).
 
 (In the plane they are lines; "plane" is the name that the field uses.) The axis n is the best of the candidates that
-separate convex polygons [Gottschalk1996], refined once. Arrays hold one pair per column, so that every reduction runs
-over contiguous memory.
+separate convex polygons ([Ericson2005], 5.2), refined once. Hulls of two neighbouring nodes are those of
+[Schulman2014]. Arrays hold one pair per column, so that every reduction runs over contiguous memory.
 """
 
 from __future__ import annotations

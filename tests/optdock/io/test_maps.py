@@ -51,7 +51,7 @@ def test_the_last_image_row_is_the_lowest(map_file):
 
 def info(**changes):
     values = {"negate": False, "occupied_thresh": 0.65, "free_thresh": 0.196, "mode": MapMode.TRINARY, **changes}
-    return MapInfo(None, 0.05, (0.0, 0.0), **values)
+    return MapInfo(image="m.pgm", resolution=0.05, origin=[0.0, 0.0, 0.0], **values)
 
 
 def slow_occupancy(v, negate, occupied, free, mode):
@@ -134,24 +134,24 @@ def test_a_colour_png_with_alpha(map_file, tmp_path):
 @pytest.mark.parametrize(
     ("changes", "line", "message"),
     [
-        ({"resolution": "0"}, 2, "resolution: must be finite and > 0 m, got 0.0"),
+        ({"resolution": "0"}, 2, "resolution: must be finite and > 0 m, got 0"),
         ({"resolution": ".nan"}, 2, "resolution: must be finite and > 0 m, got nan"),
         ({"resolution": "fine"}, 2, "resolution: must be finite and > 0 m, got 'fine'"),
         ({"resolution": "true"}, 2, "resolution: must be finite"),
         ({"resolution": "1" + "0" * 400}, 2, "resolution: must be finite"),
-        ({"resolution": None}, 1, "resolution: is missing"),
+        ({"resolution": None}, 1, "resolution: is required"),
         ({"origin": "[0, 0]"}, 3, "origin: must be [x, y, yaw]"),
         ({"origin": "[0, 0, .inf]"}, 3, "origin: must be [x, y, yaw]"),
         ({"origin": "0"}, 3, "origin: must be [x, y, yaw], three finite numbers, got 0"),
         ({"origin": "[0, 0, 0.1]"}, 3, "origin: yaw must be 0, got 0.1: "),
         ({"negate": "2"}, 4, "negate: must be 0 or 1, got 2"),
-        ({"negate": None}, 1, "negate: is missing"),
+        ({"negate": None}, 1, "negate: is required"),
         ({"occupied_thresh": "1.1"}, 5, "occupied_thresh: must be a probability in 0..1, got 1.1"),
         ({"free_thresh": "-0.1"}, 6, "free_thresh: must be a probability in 0..1, got -0.1"),
         ({"free_thresh": "0.7"}, 6, "free_thresh: must be <= occupied_thresh = 0.65, got 0.7"),
         ({"mode": "binary"}, 7, "mode: must be one of trinary, scale, raw, got 'binary'"),
         ({"image": "7"}, 1, "image: must be the name of an image file, got 7"),
-        ({"image": None}, 1, "image: is missing"),
+        ({"image": None}, 1, "image: is required"),
         ({"image": "none.pgm"}, 1, "none.pgm: cannot be read: No such file"),
     ],
 )
@@ -163,7 +163,7 @@ def test_every_fault_names_line_key_value_and_rule(map_file, changes, line, mess
 
 def test_all_faults_come_at_once_those_of_the_image_too(map_file):
     faults = faults_of(map_file(image="none.pgm", resolution="-1", origin=None, negate="no way", mode="x"))
-    assert [fault.split(": ")[1] for fault in faults] == ["resolution", "origin", "negate", "mode", "image"]
+    assert [fault.split(": ")[1] for fault in faults] == ["origin", "image", "resolution", "negate", "mode"]
 
 
 def test_a_file_that_is_no_mapping_is_refused(tmp_path):

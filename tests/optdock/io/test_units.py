@@ -64,26 +64,27 @@ def test_the_files_are_good_as_they_stand():
     load_nav2_params(written("params.yaml", PARAMS.replace("      plugins: []\n", "")))
 
 
-@pytest.mark.parametrize(
-    ("old", "new", "message"),
-    [
-        ("[1.0, 0.2, 0.4]", "[1, 0.2, 90]", "10: start.pose: yaw 90 is beyond 2 pi; degrees? write radians, 1.5708"),
-        ("[4.0, 1.0, 0.0]", "[4, 1, -180]", "6: dock.pose: yaw -180 is beyond 2 pi; degrees? write radians, -3.1416"),
-        ("[-0.4, -0.3]", "[-400, -300]", "3: robot.footprint: a vertex at 500 is beyond 50 m; mm or cm? write m, 0.5"),
-        ("[0.6, 0.4]", "[600, 400]", "7: dock.footprint: a vertex at 721.11 is beyond 50 m; mm or cm? write m"),
-        ("max_speed: 0.5", "max_speed: 500", "4: robot.limits.max_speed: speed 500 is beyond 50 m/s; mm/s or km/h?"),
-        ("max_reverse_speed: 0.3", "max_reverse_speed: 300", "4: robot.limits.max_reverse_speed: speed 300 is beyond"),
-        ("max_wheel_speed: 0.8", "max_wheel_speed: 800", "4: robot.limits.max_wheel_speed: speed 800 is beyond 50"),
-        ("approach_speed: 0.1", "approach_speed: 100", "8: dock.approach_speed: speed 100 is beyond 50 m/s"),
-        ("speed: 0.0}", "speed: -100.0}", "10: start.speed: speed -100 is beyond 50 m/s"),
-        ("yaw_goal_tolerance: 0.1", "yaw_goal_tolerance: 10", "11: goal_checker.yaw_goal_tolerance: 10 is beyond 2 pi"),
-        ("v_linear_max: 0.4", "v_linear_max: 400", "12: controller.v_linear_max: 400 is beyond 50 m/s"),
-    ],
-)
-def test_a_scenario_in_other_units_is_asked_about(old, new, message):
-    with pytest.raises(InvalidFile) as caught:
-        load_scenario(written("bay.yaml", SCENARIO, old, new))
-    assert str(caught.value).startswith(f"bay.yaml:{message}")
+SCENARIOS_IN_OTHER_UNITS = [
+    ("[1.0, 0.2, 0.4]", "[1, 0.2, 90]", "10: start.pose: yaw 90 is beyond 2 pi; degrees? write radians, 1.5708"),
+    ("[4.0, 1.0, 0.0]", "[4, 1, -180]", "6: dock.pose: yaw -180 is beyond 2 pi; degrees? write radians, -3.1416"),
+    ("[-0.4, -0.3]", "[-400, -300]", "3: robot.footprint: a vertex at 500 is beyond 50 m; mm or cm? write m, 0.5"),
+    ("[0.6, 0.4]", "[600, 400]", "7: dock.footprint: a vertex at 721.11 is beyond 50 m; mm or cm? write m"),
+    ("max_speed: 0.5", "max_speed: 500", "4: robot.limits.max_speed: speed 500 is beyond 50 m/s; mm/s or km/h?"),
+    ("max_reverse_speed: 0.3", "max_reverse_speed: 300", "4: robot.limits.max_reverse_speed: speed 300 is beyond"),
+    ("max_wheel_speed: 0.8", "max_wheel_speed: 800", "4: robot.limits.max_wheel_speed: speed 800 is beyond 50"),
+    ("approach_speed: 0.1", "approach_speed: 100", "8: dock.approach_speed: speed 100 is beyond 50 m/s"),
+    ("speed: 0.0}", "speed: -100.0}", "10: start.speed: speed -100 is beyond 50 m/s"),
+    ("yaw_goal_tolerance: 0.1", "yaw_goal_tolerance: 10", "11: goal_checker.yaw_goal_tolerance: 10 is beyond 2 pi"),
+    ("v_linear_max: 0.4", "v_linear_max: 400", "12: controller.v_linear_max: 400 is beyond 50 m/s"),
+]
+
+
+def test_a_scenario_in_other_units_is_asked_about():
+    for old, new, message in SCENARIOS_IN_OTHER_UNITS:
+        with pytest.raises(InvalidFile) as caught:
+            load_scenario(written("bay.yaml", SCENARIO, old, new))
+        start = f"bay.yaml:{message}"
+        assert str(caught.value)[: len(start)] == start
 
 
 def test_a_radius_in_millimetres_is_asked_about():
@@ -93,22 +94,22 @@ def test_a_radius_in_millimetres_is_asked_about():
             load_scenario(written("bay.yaml", SCENARIO, outline, given))
 
 
-@pytest.mark.parametrize(
-    ("old", "new", "message"),
-    [
-        ("pose: [2.0, 0.0, 1.5]", "pose: [2, 0, 90]", "home.pose: yaw 90 is beyond 2 pi; degrees? write radians"),
-        ("staging_yaw_offset: 0.0", "staging_yaw_offset: 180", "rack.staging_yaw_offset: 180 is beyond 2 pi; degrees?"),
-        ("robot_radius: 0.3", "robot_radius: 300", "robot_radius: 300 is beyond 50 m; mm or cm?"),
-        ("robot_radius: 0.3", 'footprint: "[[400, 300], [-400, 300], [-400, -300]]"', "footprint: a vertex at 500 is"),
-        ("footprint_padding: 0.01", "footprint_padding: 100", "footprint_padding: 100 is beyond 50 m"),
-    ],
-)
-def test_nav2_parameters_in_other_units_are_asked_about(old, new, message):
+PARAMETERS_IN_OTHER_UNITS = [
+    ("pose: [2.0, 0.0, 1.5]", "pose: [2, 0, 90]", "home.pose: yaw 90 is beyond 2 pi; degrees? write radians"),
+    ("staging_yaw_offset: 0.0", "staging_yaw_offset: 180", "rack.staging_yaw_offset: 180 is beyond 2 pi; degrees?"),
+    ("robot_radius: 0.3", "robot_radius: 300", "robot_radius: 300 is beyond 50 m; mm or cm?"),
+    ("robot_radius: 0.3", 'footprint: "[[400, 300], [-400, 300], [-400, -300]]"', "footprint: a vertex at 500 is"),
+    ("footprint_padding: 0.01", "footprint_padding: 100", "footprint_padding: 100 is beyond 50 m"),
+]
+
+
+def test_nav2_parameters_in_other_units_are_asked_about():
     text = PARAMS.replace("      plugins: []\n", "")
-    with pytest.raises(InvalidFile) as caught:
-        load_nav2_params(written("params.yaml", text, old, new))
-    assert message in str(caught.value)
-    assert str(caught.value).startswith("params.yaml:")
+    for old, new, message in PARAMETERS_IN_OTHER_UNITS:
+        with pytest.raises(InvalidFile) as caught:
+            load_nav2_params(written("params.yaml", text, old, new))
+        assert message in str(caught.value)
+        assert str(caught.value).startswith("params.yaml:")
 
 
 def test_a_dock_database_in_degrees_is_asked_about():

@@ -153,26 +153,26 @@ def test_a_file_without_parameters_is_refused(tmp_path):
     assert faults(tmp_path, "a: 1\n") == ["p.yaml: holds no ros__parameters and no costmap parameters"]
 
 
-@pytest.mark.parametrize(
-    ("value", "rule"),
-    [
-        ("[a, a]", "names a more than once"),
-        ("[]", "must name at least one plugin"),
-        ("a", "must be a list of names, got 'a'"),
-        ("{a: 1}", "must be a list of names, got {'a': 1}"),
-        ("", "must be a list of names, got None"),
-        ("[a, 3]", "must be a list of names, got 3 in it"),
-        ("[a, '']", "must be a list of names, got '' in it"),
-    ],
-)
-@pytest.mark.parametrize("key", ["goal_checker_plugins", "plugins", "docks"])
-def test_a_list_of_plugins_or_docks_holds_different_names(tmp_path, key, value, rule):
+WRONG_LISTS = [
+    ("[a, a]", "names a more than once"),
+    ("[]", "must name at least one plugin"),
+    ("a", "must be a list of names, got 'a'"),
+    ("{a: 1}", "must be a list of names, got {'a': 1}"),
+    ("", "must be a list of names, got None"),
+    ("[a, 3]", "must be a list of names, got 3 in it"),
+    ("[a, '']", "must be a list of names, got '' in it"),
+]
+
+
+def test_a_list_of_plugins_or_docks_holds_different_names(tmp_path):
     a = "{plugin: x::SimpleGoalChecker, type: t, pose: [0, 0, 0]}"
-    text = f"server:\n  ros__parameters:\n    {key}: {value}\n    a: {a}\n"
-    if value == "[]" and key != "goal_checker_plugins":  # a costmap without layers, a database in its own file
-        assert loaded(tmp_path, text).docks == {}
-    else:
-        assert faults(tmp_path, text) == [f"p.yaml:3: server.ros__parameters.{key}: {rule}"]
+    for key in ("goal_checker_plugins", "plugins", "docks"):
+        for value, rule in WRONG_LISTS:
+            text = f"server:\n  ros__parameters:\n    {key}: {value}\n    a: {a}\n"
+            if value == "[]" and key != "goal_checker_plugins":  # no layers, or docks in their own file
+                assert loaded(tmp_path, text).docks == {}
+            else:
+                assert faults(tmp_path, text) == [f"p.yaml:3: server.ros__parameters.{key}: {rule}"]
 
 
 @pytest.mark.parametrize("value", ["&x [*x]", "&x [a, [*x]]"])

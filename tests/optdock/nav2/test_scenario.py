@@ -54,6 +54,7 @@ def scenario(files, **options):
 def test_the_problem_carries_what_the_files_say(files):
     problem = scenario(files).problem
     assert problem.start == Pose2(3.5, 1.5, 0.1)
+    assert nav2_scenario(files / "params.yaml", files / "hall.yaml", problem.start).problem.start == problem.start
     assert problem.goal == Pose2(1.0, 2.0, 0.0)
     assert problem.dock.direction is DockDirection.BACKWARD
     assert (problem.dock.approach.speed, problem.dock.approach.distance) == (0.15, 0.6)

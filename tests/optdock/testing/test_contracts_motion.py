@@ -11,7 +11,7 @@ from optdock.costmap.costs import LETHAL
 from optdock.errors import ControllerException
 from optdock.geometry.pose import Twist2
 from optdock.interfaces import BehaviorResult, BehaviorStatus, Bounds, CostmapInfoType, Layer
-from optdock.nav2.behaviors.collision import CollisionGate
+from optdock.nav2.behaviors.collision import CollisionChecker
 from optdock.nav2.behaviors.drive import DriveOnHeading
 from optdock.parameters import PluginParameters
 from optdock.path import Path
@@ -181,8 +181,8 @@ class Shortsighted(DriveOnHeading):
 
     resource_info = CostmapInfoType.GLOBAL
 
-    def _gate(self):
-        return CollisionGate(self.context, 0.0, CostmapInfoType.LOCAL)
+    def _checker(self):
+        return CollisionChecker(self.context, 0.0, CostmapInfoType.LOCAL)
 
 
 def test_every_gate_of_behaviors_can_fail(every_gate):

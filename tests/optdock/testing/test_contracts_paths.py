@@ -8,7 +8,15 @@ from pydantic import Field
 
 from optdock.errors import NoValidPathCouldBeFound, PlannerCancelled, SmootherCancelled, SmootherTimedOut
 from optdock.geometry.pose import Pose2, normalize_angle
-from optdock.interfaces import GlobalPlanner, Smoother, SmoothingResult, TimeParameterizer, TimingResult, TimingStatus
+from optdock.interfaces import (
+    GlobalPlanner,
+    Smoother,
+    SmoothingResult,
+    TimeParameterizer,
+    TimingResult,
+    TimingStatus,
+    never_cancelled,
+)
 from optdock.parameters import PluginParameters, checked_seconds
 from optdock.path import Direction, Path, PolylineSegment
 from optdock.plugins import create_plugin
@@ -180,7 +188,17 @@ def test_every_gate_of_smoothers_can_fail(every_gate):
 class Delegating(TimeParameterizer):
     """The built-in method, with a place to spoil question and answer."""
 
-    def parameterize(self, path, limits, zone, *, start_speed=0.0, start_acceleration=0.0, max_time=math.inf):
+    def parameterize(
+        self,
+        path,
+        limits,
+        zone,
+        *,
+        start_speed=0.0,
+        start_acceleration=0.0,
+        max_time=math.inf,
+        cancel_checker=never_cancelled,
+    ):
         limits, start_speed = self.question(path, limits, start_speed)
         result = create_plugin(TimeParameterizer, "Windowed").parameterize(
             path,
@@ -189,11 +207,15 @@ class Delegating(TimeParameterizer):
             start_speed=start_speed,
             start_acceleration=start_acceleration,
             max_time=self.patience(max_time),
+            cancel_checker=self.hearing(cancel_checker),
         )
         return self.answer(result)
 
     def patience(self, max_time):
         return max_time
+
+    def hearing(self, cancel_checker):
+        return cancel_checker
 
     def question(self, path, limits, start_speed):
         return limits, start_speed
@@ -245,6 +267,7 @@ def test_every_gate_of_time_parameterizers_can_fail(every_gate):
         ),
         "test_trajectories_can_be_sent": timing(answer=lossy),
         "test_what_is_not_ok_says_why": timing(answer=lambda self, result: dataclasses.replace(result, reason="")),
+        "test_it_stops_when_cancelled_and_times_again": timing(hearing=lambda self, _: never_cancelled),
         "test_little_time_is_a_status": timing(patience=lambda self, max_time: math.inf),
     }
     every_gate(TimeParameterizerContract, Delegating, broken)

@@ -279,9 +279,9 @@ def test_the_local_and_the_global_costmap_are_told_apart(kind, command, code, ne
     assert outcome(free, walls, problem) == code
 
 
-@pytest.mark.parametrize("command", [None, 3, "target", [("target", 1.0)], {3: 1.0}, {"self": 1}, {"target": "1.0"}])
 @pytest.mark.parametrize(("kind", "code"), [(Wait, 740), (BackUp, 713), (DriveOnHeading, 724), (Spin, 700)])
-def test_anything_but_a_command_is_invalid_input(kind, code, command):
-    result = World().run(kind(), command)
-    assert (result.status, result.error_code) == (FAILED, code)
-    assert kind.__name__.lower() in result.error_msg.lower() or "test" in result.error_msg
+def test_anything_but_a_command_is_invalid_input(kind, code):
+    for command in (None, 3, "target", [("target", 1.0)], {3: 1.0}, {"self": 1}, {"target": "1.0"}):
+        result = World().run(kind(), command)
+        assert (result.status, result.error_code) == (FAILED, code)
+        assert kind.__name__.lower() in result.error_msg.lower() or "test" in result.error_msg

@@ -61,24 +61,6 @@ def test_the_fourteenth_cell_is_within_seventy_centimetres_in_spite_of_rounding(
     assert costs[15] == 0
 
 
-def test_a_cost_tells_the_distance_it_came_from_within_one_step():
-    rule = InflationRule(0.22, 5.0, 3.0)
-    d = np.linspace(0.23, 1.5, 50)
-    costs = rule.cost_at(d)
-    assert np.all(rule.distance_of(costs) >= d)
-    assert np.all(rule.distance_of(costs + 1) <= d)
-
-
-def test_special_costs_tell_the_most_that_is_certain():
-    distances = InflationRule(0.22).distance_of([0, 253, 254, 255])
-    np.testing.assert_array_equal(distances, [np.inf, 0.22, 0.0, np.nan])
-
-
-def test_without_scaling_a_cost_tells_no_distance():
-    with pytest.raises(InvalidValue, match="cost_scaling_factor"):
-        InflationRule(0.2, cost_scaling_factor=0.0).distance_of(100)
-
-
 @pytest.mark.parametrize("name", ["inscribed_radius", "inflation_radius", "cost_scaling_factor"])
 @pytest.mark.parametrize("value", [-0.1, math.nan, math.inf])
 def test_bad_values_are_named(name, value):

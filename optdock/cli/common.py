@@ -1,0 +1,155 @@
+"""What the commands share: options, exit statuses, errors on stderr, a progress bar."""
+
+from __future__ import annotations
+
+import logging
+import math
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, TypeAlias
+
+import typer
+
+from optdock.errors import InvalidFile, InvalidValue, MissingExtra, OptdockError, PluginError
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator
+
+__all__ = [
+    "BAD_INPUT",
+    "METRES",
+    "NOT_CERTIFIED",
+    "RADIANS",
+    "SECONDS",
+    "BudgetOption",
+    "PlotOption",
+    "ScenarioArgument",
+    "VerboseOption",
+    "check_picture",
+    "checked_positive",
+    "listen",
+    "one_line",
+    "reported",
+    "spare",
+    "status_of",
+    "working",
+]
+
+BAD_INPUT = 2
+NOT_CERTIFIED = 3
+
+# The unit of a number stands where its value will: a unit in square brackets would be taken for markup, and not shown.
+SECONDS, METRES, RADIANS = "SECONDS", "METRES", "RADIANS"
+
+ScenarioArgument: TypeAlias = Annotated[Path, typer.Argument(help="Scenario file (YAML).", show_default=False)]
+BudgetOption: TypeAlias = Annotated[
+    float | None,
+    typer.Option(metavar=SECONDS, help="Wall clock for planning; instead of the scenario's.", show_default=False),
+]
+PlotOption: TypeAlias = Annotated[
+    Path | None,
+    typer.Option(
+        metavar="PICTURE",
+        help="Draw what was found, or what stands in the way; the suffix chooses the format, such as .png or .svg.",
+        show_default=False,
+    ),
+]
+VerboseOption: TypeAlias = Annotated[
+    bool, typer.Option("--verbose", "-v", help="Say on stderr what is done; before or after the command.")
+]
+
+_INPUT_ERRORS = (InvalidFile, InvalidValue, PluginError, MissingExtra)
+
+
+def listen(*, verbose: bool) -> None:
+    """Show warnings of the library on stderr, and what it does where that is asked for."""
+    logging.basicConfig(level=logging.WARNING, format="%(name)s: %(message)s")
+    if verbose:
+        for package in ("optdock", "smoothers", "checkers"):
+            logging.getLogger(package).setLevel(logging.INFO)
+
+
+@contextmanager
+def reported(*, verbose: bool) -> Iterator[None]:
+    """Turn every error of the library into a message on stderr and an exit status.
+
+    Raises:
+        Exit: The block raised an `OptdockError`. Faults of files are said line by line, failures in one line that
+            begins with their name.
+    """
+    listen(verbose=verbose)
+    try:
+        yield
+    except OptdockError as error:
+        status = status_of(error)
+        typer.echo(str(error) if status == BAD_INPUT else one_line(error), err=True)
+        raise typer.Exit(status) from None
+
+
+def status_of(error: OptdockError) -> int:
+    """2 when the input is to blame, 3 when there is no certified plan."""
+    return BAD_INPUT if isinstance(error, _INPUT_ERRORS) else NOT_CERTIFIED
+
+
+def one_line(error: OptdockError) -> str:
+    """A failure by its name and reason."""
+    return f"{type(error).__name__}: {' '.join(str(error).split())}"
+
+
+def check_picture(option: str, picture: Path | None) -> None:
+    """Refuse a picture that could not be drawn, before the work that it would show.
+
+    Raises:
+        InvalidValue: Its suffix names no picture format.
+        MissingExtra: Matplotlib is not installed.
+    """
+    if picture is not None:
+        from optdock.plotting.canvas import format_of
+
+        try:
+            format_of(picture)
+        except InvalidValue as error:
+            raise InvalidValue(f"{option}: {error}") from error
+
+
+def spare(source: Path | None, *targets: Path | None) -> None:
+    """Refuse to write over the file that is read.
+
+    Raises:
+        InvalidValue: A target is that file.
+    """
+    for target in targets:
+        if (
+            source is not None
+            and target is not None
+            and target.exists()
+            and source.exists()
+            and target.samefile(source)
+        ):
+            raise InvalidValue(f"{target}: is the scenario, and would be overwritten; choose another name")
+
+
+def checked_positive(option: str, value: float | None, unit: str) -> None:
+    """Refuse a value that is given and not finite and > 0.
+
+    Raises:
+        InvalidValue: It is not.
+    """
+    if value is not None and not (math.isfinite(value) and value > 0.0):
+        raise InvalidValue(f"{option}: must be finite and > 0 {unit}, got {value}")
+
+
+@contextmanager
+def working(what: str, total: int) -> Iterator[Callable[[str], None]]:
+    """A progress bar on stderr, on terminals only.
+
+    It advances by one at every call of the function it yields, which takes what has just been done.
+    """
+    from rich.console import Console
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
+
+    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn())
+    console = Console(stderr=True)
+    with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as progress:
+        task = progress.add_task(what, total=total)
+        yield lambda done: progress.update(task, advance=1, description=f"{what}: {done}")
