@@ -192,6 +192,17 @@ def test_every_installed_plugin_is_on_the_page_of_plugins(kind):
     assert "made: plugins " + kind in (DOCS / "reference" / "plugins.md").read_text()
 
 
+def test_every_command_is_on_its_page_with_its_options():
+    import typer
+
+    from optdock.cli import app
+
+    made = generated.on_page_markdown((DOCS / "reference" / "commands.md").read_text())
+    names = set(typer.main.get_command(app).commands)
+    assert set(re.findall(r"^## optdock (\w+)$", made, re.MULTILINE)) == names >= {"plan", "certify"}
+    assert {"out", "seed", "dock"} <= set(re.findall(r"^\| `--([\w-]+)", made, re.MULTILINE))
+
+
 def test_every_key_of_a_scenario_is_on_its_page():
     from optdock.config import scenario_reference
 
