@@ -137,7 +137,7 @@ logging.getLogger(__name__).addHandler(logging.NullHandler())
 
 
 def __dir__() -> list[str]:
-    return sorted({*globals(), *__all__})
+    return [*__all__, "__version__"]
 
 
 if not TYPE_CHECKING:  # who reads the types must be told that a misspelt name does not exist

@@ -52,6 +52,7 @@ def assert_honest(result, path, limits, zone, start, dense):
     method=st.sampled_from(METHODS),
 )
 @example([(0.0, [(1e-9, 0.0)])], (SpeedZone(), (0.0, 0.0)), METHODS[0])
+@example([(0.0, [(1e-9, 0.0)])], (SpeedZone(0.5, 0.0), (0.0, -2.4e-257)), METHODS[0])
 @example([(-2.5, [(0.05, 2.5)])], (SpeedZone(0.05, 1.0), (0.0, 0.0)), METHODS[0])
 @example([(0.0, [(1.0, 0.0), (0.005, 2.5), (0.005, 0.0), (1.0, 0.0)])], (SpeedZone(), (0.0, 0.0)), METHODS[0])
 @example([(0.0, [(1.0, 0.0), (0.02, 2.5), (0.05, -2.5), (0.02, 0.0)])], (SpeedZone(0.1, 99.0), (0.0, 0.0)), METHODS[0])

@@ -268,6 +268,6 @@ def test_a_path_is_timed_by_name_with_parameters_or_by_a_plugin_itself(make, all
     assert timed_by("NearOptimal", path, problem, zone=NO_ZONE).duration < fast < result.trajectory.duration
     unlimited = _timed(path, MotionLimits()).trajectory.duration
     assert timed_by("NearOptimal", path, None).duration == pytest.approx(unlimited)
-    with pytest.raises(FailedToTimePath, match="START_INFEASIBLE: .* max_speed = 0.6 m/s allows") as error:
+    with pytest.raises(FailedToTimePath, match="timed: .* max_speed = 0.6 m/s allows") as error:
         timed_by("NearOptimal", path, problem, start_speed=0.7)
     assert error.value.where["limit"] == "max_speed"
