@@ -486,7 +486,7 @@ def _reserve(budget: float) -> float:
 
 
 def _in_ms(seconds: float) -> str:
-    return f"{1e3 * seconds:.3g} ms"
+    return f"{1e3 * seconds:.0f} ms" if seconds >= 0.1 else f"{1e3 * seconds:.3g} ms"
 
 
 def _returned(value: object, kind: type[_T], plugin: Plugin, part: str = "") -> _T:
