@@ -71,7 +71,9 @@ def test_one_clearance_holds_everywhere_also_at_the_dock(value):
     np.testing.assert_array_equal(rule.required_at(np.array([0.0, 0.1, 5.0]), np.full(3, 9.0), 9.0), float(value))
 
 
-@pytest.mark.parametrize("value", [-0.1, math.nan, math.inf, pytest.param(10**400, id="huge"), True, "0.05", None, [0.05]])
+@pytest.mark.parametrize(
+    "value", [-0.1, math.nan, math.inf, pytest.param(10**400, id="huge"), True, "0.05", None, [0.05]]
+)
 def test_a_clearance_is_a_rule_or_a_number(value):
     with pytest.raises(InvalidValue, match="^clearance"):
         problem(clearance=value)
