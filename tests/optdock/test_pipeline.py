@@ -254,6 +254,7 @@ def test_a_timing_that_was_asked_for_wrongly_is_not_replaced(choice, error, mess
         ),
         (lambda: plan_dock(problem(), smoother=Liar), r"got the class Liar; write Liar\(\)"),
         (lambda: plan_dock(problem(), warm_start="plan.json"), "warm_start: must be a Path, got str"),
+        (lambda: plan_dock(problem(), cancel_checker=None), "cancel_checker: must be a function"),
         (lambda: PluginChoice(["DockPlanner"]), "name: must be a str, got list"),
     ],
 )

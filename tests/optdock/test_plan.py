@@ -91,8 +91,12 @@ def test_spacing_and_period_are_those_asked_for(plan, tmp_path):
     plan.save(tmp_path / "plan.json", spacing=0.1, period=0.5)
     found = load_plan(tmp_path / "plan.json")
     assert np.diff(found.trajectory.t).max() == pytest.approx(0.5)
-    with pytest.raises(InvalidValue, match="spacing"):
-        plan.save(tmp_path / "plan.json", spacing=0.0)
+    for wrong in (0.0, -0.1, float("nan"), float("inf"), "0.1", None, True):
+        with pytest.raises(InvalidValue, match="spacing"):
+            plan.save(tmp_path / "none.json", spacing=wrong)
+        with pytest.raises(InvalidValue, match="period"):
+            plan.save(tmp_path / "none.json", period=wrong)
+    assert [file.name for file in tmp_path.iterdir()] == ["plan.json"]
 
 
 @pytest.mark.parametrize("kind", [str, FilePath])
