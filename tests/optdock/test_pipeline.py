@@ -428,12 +428,22 @@ def test_cancelling_stops_every_stage():
     assert all(issubclass(kind, Cancelled) for kind in seen)
 
 
+class Unproven(CasadiSmoother):
+    """Hands on a path that nobody has proven yet: a copy."""
+
+    def smooth(self, *arguments, **named):
+        found = super().smooth(*arguments, **named)
+        return dataclasses.replace(found, path=Path(found.path.segments, found.path.frame))
+
+
 def test_one_yes_cancels_though_it_is_taken_back():
     asked = Patience(10**9)
     plan_dock(problem(), time_budget=BUDGET, cancel_checker=asked)
-    for times in range(10**9 - asked.left):
+    total = 10**9 - asked.left
+    for smoother, times in itertools.product((CasadiSmoother, Unproven), range(total)):
         answers = itertools.chain(itertools.repeat(False, times), [True], itertools.repeat(False))
-        assert isinstance(failure(problem(), cancel_checker=lambda a=answers: next(a)), Cancelled)
+        error = failure(problem(), cancel_checker=lambda a=answers: next(a), smoother=smoother())
+        assert isinstance(error, Cancelled)
 
 
 class Once(CasadiSmoother):
