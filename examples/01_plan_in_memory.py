@@ -8,7 +8,7 @@ pallet = [(1, 2), (3, 2), (3, 2.4), (1, 2.4)]
 problem = od.DockingProblem(od.Pose2(1.0, 0.2, 0.4), dock, robot, obstacles=[pallet], clearance=0.05)
 
 try:
-    plan = od.plan_dock(problem, time_budget=0.5)
+    plan = od.plan_dock(problem, time_budget=1.0)
 except od.OptdockError as why:
     raise SystemExit(f"{type(why).__name__} {why.code}: {why}\n{why.where}") from why
 

@@ -20,6 +20,6 @@ problem = od.DockingProblem.from_grid(
     clearance=0.05,
 )
 print(f"{len(problem.all_obstacles)} convex obstacles from {grid.size} cells")
-plan = od.plan_dock(problem, time_budget=0.5)
+plan = od.plan_dock(problem, time_budget=1.0)
 print(plan)
 plan.plot("own_map.png")

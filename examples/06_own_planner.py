@@ -30,6 +30,6 @@ class ViaPoints(GlobalPlanner):
 
 
 problem = od.load_scenario(Path(__file__).parent / "data" / "bay.yaml").problem
-plan = od.plan_dock(problem, time_budget=0.5, planner=ViaPoints(points=[(2.4, 2.4), (5.0, 2.5), (6.2, 2.25)]))
+plan = od.plan_dock(problem, time_budget=1.0, planner=ViaPoints(points=[(2.4, 2.4), (5.0, 2.5), (6.2, 2.25)]))
 print(plan)
 print(f"raw path {plan.raw_path.length:.2f} m, smoothed {plan.path.length:.2f} m")

@@ -6,7 +6,7 @@ import optdock as od
 from optdock.simulation import Actuation, SimulationSettings, run_closed_loop
 
 problem = od.load_scenario(Path(__file__).parent / "data" / "bay.yaml").problem
-plan = od.plan_dock(problem, time_budget=0.5)
+plan = od.plan_dock(problem, time_budget=1.0)
 
 controller = od.TrackingController()
 controller.configure(od.PluginContext(problem=problem))  # so it sees obstacles, and refuses plans of another problem

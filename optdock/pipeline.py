@@ -83,6 +83,7 @@ DEFAULT_PLANNER, DEFAULT_SMOOTHER, DEFAULT_TIMING = "DockPlanner", "CasadiSmooth
 _PLAIN_TIMING = "Windowed"  # needs no repair
 # Share of the budget, its least and most [s], kept back from the smoother for timing the path and proving the motion.
 _RESERVED_SHARE, _RESERVED_LEAST, _RESERVED_MOST = 0.3, 0.004, 0.03
+_WARM_UP = 3.0  # [s], budget of the plan that warms up; a planner that uses all it gets takes that long, once
 _PROOF = 0.001  # [s], kept back from the time parameterizer for the proof of its motion
 
 # A plugin by its name, by its name with parameters, or the object itself.
@@ -197,7 +198,7 @@ def _warm_once(planner: type[GlobalPlanner], smoother: type[Smoother], timing: t
     problem = DockingProblem(
         Pose2(-2.0, 0.1, 0.1), Dock(Pose2(0.0, 0.0, 0.0), outline), Robot(Footprint.rectangle(0.3, 0.3, 0.5), limits)
     )
-    clock = Deadline(10.0)
+    clock = Deadline(_WARM_UP)
     with contextlib.suppress(Exception):  # also of constructors that need parameters: what is wrong shows in its call
         plugins = _Plugins(planner(), smoother(), timing())
         with contextlib.suppress(OptdockError):

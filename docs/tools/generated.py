@@ -206,7 +206,8 @@ def _member(name: str, member: Any) -> str:
 
 def _commands(_: str) -> str:
     import typer
-    from optdock.cli.app import app
+
+    from optdock.cli import app
 
     command = typer.main.get_command(app)
     names = command.list_commands(None)  # type: ignore[attr-defined, arg-type]
@@ -221,6 +222,8 @@ def _command(name: str, command: Any) -> str:
 
 def _option(parameter: Any) -> str:
     spelled = ", ".join(parameter.opts) if parameter.param_type_name == "option" else str(parameter.name).upper()
+    takes = getattr(parameter, "metavar", None) if parameter.param_type_name == "option" else None
+    spelled = f"{spelled} {takes}" if takes else spelled
     default = "" if parameter.default is None or callable(parameter.default) else str(parameter.default)
     words = re.sub(r"\\\[", "[", getattr(parameter, "help", "") or "")
     default = (

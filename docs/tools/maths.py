@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
 __all__ = ["EQUATION_PAGES", "Maths", "on_config", "on_page_markdown"]
 
-EQUATION_PAGES = {"P": "planner", "S": "smoother", "C": "certificate", "T": "timing", "K": "controller"}
+EQUATION_PAGES = {"G": "index", "P": "planner", "S": "smoother", "C": "certificate", "T": "timing", "K": "controller"}
 """The letter of an equation's number, and the page of the theory that has it."""
 
 _BLOCK = re.compile(r"^\$\$\n(?:% *(?P<where>[^\n]+)\n)?(?P<tex>.+?)\n\$\$$", re.DOTALL)

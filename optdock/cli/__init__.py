@@ -1,10 +1,11 @@
-"""The command line: `optdock plan | simulate | certify | compare | demo | plugins`.
+"""The command line: `optdock plan | simulate | certify | compare | demo | plugins | schema`.
 
 Commands load the library when they run, so that `--help` stays quick.
 """
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 from typing import Annotated
 
@@ -74,5 +75,22 @@ def plugins(
                 typer.echo(table(rows))
 
 
-for _command in (plan, simulate, certify, compare, demo, plugins):
+def schema(
+    *,
+    out: Annotated[Path | None, typer.Option(help="Write it here instead of printing it.")] = None,
+    verbose: VerboseOption = False,
+) -> None:
+    """The JSON schema of scenario files, for editors: every key, with the parameters of every installed plugin."""
+    with reported(verbose=verbose):
+        from optdock.config import scenario_schema
+        from optdock.io.atomic_file import write_text
+
+        text = json.dumps(scenario_schema(), indent=1, allow_nan=False)
+        if out is None:
+            typer.echo(text)
+        else:
+            write_text(out, text + "\n")
+
+
+for _command in (plan, simulate, certify, compare, demo, plugins, schema):
     app.command()(_command)

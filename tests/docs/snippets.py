@@ -10,6 +10,7 @@ from typing import NamedTuple
 from typer.testing import CliRunner
 
 from optdock.cli import app
+from optdock.errors import TimedOut
 
 ROOT = Path(__file__).resolve().parents[2]
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
@@ -19,6 +20,7 @@ _FENCE = re.compile(
     re.MULTILINE | re.DOTALL,
 )
 _TITLE = re.compile(r'title="([^"]+)"')
+_TRIES = 5
 _STATUS = re.compile(r"#\s*exit status (\d)\s*$")
 
 
@@ -62,14 +64,18 @@ def run_page(page, folder):
         try:
             _RUNNERS[block.language](block, known, where)
         except BaseException as error:
-            error.add_note(where) if hasattr(error, "add_note") else None
             raise AssertionError(f"{where}: {type(error).__name__}: {error}") from error
     return count
 
 
 def _run_python(block, known, where):
-    with contextlib.redirect_stdout(io.StringIO()):
-        exec(compile("\n" * block.line + block.body, where, "exec"), known)
+    """What did not end in time is asked for again: deadlines are real, and so are busy machines."""
+    code = compile("\n" * block.line + block.body, where, "exec")
+    for _ in range(_TRIES):
+        with contextlib.redirect_stdout(io.StringIO()), contextlib.suppress(TimedOut):
+            exec(code, known)
+            return
+    raise TimedOut(f"{_TRIES} times")
 
 
 def _run_shell(block, known, where):

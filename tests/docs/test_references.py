@@ -82,7 +82,7 @@ def test_every_equation_is_numbered_once_and_names_a_module_that_has_what_it_nam
 
 def test_every_reference_to_an_equation_has_one():
     known = {re.search(r"\\tag\{(\w+)\}", found["tex"])[1] for _, found in equations()}
-    referred = {number for page in WRITTEN for number in re.findall(r"\(([PSCTK]\d+)\)", page.read_text())}
+    referred = {number for page in WRITTEN for number in re.findall(r"\(([GPSCTK]\d+)\)", page.read_text())}
     assert referred - known == set()
 
 
@@ -190,6 +190,17 @@ def test_every_installed_plugin_is_on_the_page_of_plugins(kind):
     own = [info for info in available_plugins() if info.kind == kind and info.target.split(".")[0] in PACKAGES]
     assert [f"### {info.name}" in made for info in own] == [True] * len(own) != []
     assert "made: plugins " + kind in (DOCS / "reference" / "plugins.md").read_text()
+
+
+def test_every_command_is_on_its_page_with_its_options():
+    import typer
+
+    from optdock.cli import app
+
+    made = generated.on_page_markdown((DOCS / "reference" / "commands.md").read_text())
+    names = set(typer.main.get_command(app).commands)
+    assert set(re.findall(r"^## optdock (\w+)$", made, re.MULTILINE)) == names >= {"plan", "certify"}
+    assert {"out", "seed", "dock"} <= set(re.findall(r"^\| `--([\w-]+)", made, re.MULTILINE))
 
 
 def test_every_key_of_a_scenario_is_on_its_page():

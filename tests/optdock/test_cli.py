@@ -76,7 +76,7 @@ print("loaded:", sorted(heavy & set(sys.modules)))
 """
     result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert result.stdout.splitlines()[-1] == "loaded: []"
-    for command in ("plan", "simulate", "certify", "compare", "demo", "plugins"):
+    for command in ("plan", "simulate", "certify", "compare", "demo", "plugins", "schema"):
         assert command in result.stdout
 
 
@@ -674,6 +674,15 @@ def test_compare_skips_what_is_no_scenario_and_says_so(tmp_path):
         result = run("compare", "bay.yaml", broken)
         assert result.exit_code == 2
         assert reason in result.stderr
+
+
+def test_the_schema_is_printed_or_written(tmp_path):
+    printed = json.loads(run("schema").stdout)
+    assert printed["properties"]["format"]["const"] == "optdock-scenario/1"
+    assert "CasadiSmoother" in json.dumps(printed)
+    written = tmp_path / "scenario.schema.json"
+    assert run("schema", "--out", written).stdout == ""
+    assert json.loads(written.read_text()) == printed
 
 
 def test_plugins_lists_what_is_installed_one_line_each():
