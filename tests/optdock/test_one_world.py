@@ -7,7 +7,7 @@ import pytest
 
 from optdock.costmap import obstacles_from_costmap
 from optdock.costmap.costmap import Costmap
-from optdock.dock import Dock, DockDirection
+from optdock.dock import Dock, DockDirection, DockTolerances
 from optdock.errors import ControllerInvalidPath, InvalidValue, OptdockError
 from optdock.geometry.footprint import Footprint
 from optdock.geometry.pose import Pose2, Twist2
