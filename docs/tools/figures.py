@@ -1,11 +1,13 @@
 """The figures of the tutorial and the theory, drawn by the library from real plans: `python docs/tools/figures.py`.
 
-Each is written twice, for light and for dark pages, as SVG into `docs/assets/`. A figure changes only when what it shows
-changes; `make docs` does not draw them.
+Each is written twice, for light and for dark pages, as SVG into `docs/assets/`. `make docs` does not draw them:
+a figure changes only when what it shows changes.
 """
 
 from __future__ import annotations
 
+import itertools
+import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -77,7 +79,7 @@ def draw_taper(axes: Axes, plan: od.DockPlan) -> None:
 def _swept(poses: FloatArray) -> shapely.Geometry:
     """What the outline covers between its poses: hulls of neighbours, as one shape."""
     shapes = transform_points(poses, _ROBOT.footprint.vertices)
-    hulls = [shapely.MultiPoint(np.concatenate(pair)).convex_hull for pair in zip(shapes[:-1], shapes[1:], strict=True)]
+    hulls = [shapely.MultiPoint(np.concatenate(pair)).convex_hull for pair in itertools.pairwise(shapes)]
     return shapely.union_all(hulls)
 
 
@@ -113,10 +115,14 @@ def draw_speed(axes: Axes, plan: od.DockPlan) -> None:
     curve = 1.0 / limits.maximum_velocity_curve()
     axes.stairs(np.minimum(curve, 1.0), limits.s, color=COLOURS["goal"], baseline=None, label="maximum velocity curve")
     fast = forward_backward_pass(ReferenceBounds(limits), State())
-    axes.plot(limits.s, np.sqrt(fast.speed_squared), color=COLOURS["raw"], linestyle="--", label="forward-backward pass")
+    axes.plot(
+        limits.s, np.sqrt(fast.speed_squared), color=COLOURS["raw"], linestyle="--", label="forward-backward pass"
+    )
     law = plan.trajectory
     states = [law.at(t) for t in np.linspace(0.0, law.duration, 500)]
-    axes.plot([one.s for one in states], [abs(one.twist.linear) for one in states], color=COLOURS["robot"], label="plan")
+    axes.plot(
+        [one.s for one in states], [abs(one.twist.linear) for one in states], color=COLOURS["robot"], label="plan"
+    )
     axes.set(xlabel="distance travelled s [m]", ylabel="speed [m/s]", ylim=(0.0, 0.9), xlim=(0.0, plan.path.length))
     axes.legend(**_LEGEND)
 
@@ -137,7 +143,7 @@ def save(name: str, plan: od.DockPlan, scheme: str) -> Path:
     style |= {"axes.edgecolor": ink, "axes.labelcolor": ink, "svg.hashsalt": "optdock", "font.size": 9.0}
     style |= {"axes.spines.top": False, "axes.spines.right": False, "axes.facecolor": "none", "path.simplify": True}
     with mpl.rc_context(style):
-        figure = Figure(figsize=(7.2, height), layout="constrained")
+        figure = Figure(figsize=(5.8, height), layout="constrained")
         draw(figure.subplots(), plan)
         target = ASSETS / f"{name}-{scheme}.svg"
         figure.savefig(target, transparent=True, metadata={"Date": None, "Creator": None})
@@ -147,11 +153,11 @@ def save(name: str, plan: od.DockPlan, scheme: str) -> Path:
 def main() -> None:
     """Plan once, draw everything."""
     plan = od.plan_dock(problem(), time_budget=2.0)
-    print(plan)
+    sys.stdout.write(f"{plan}\n")
     for name in FIGURES:
         for scheme in _INK:
             target = save(name, plan, scheme)
-            print(target.name, f"{target.stat().st_size / 1e3:.0f} kB")
+            sys.stdout.write(f"{target.name} {target.stat().st_size / 1e3:.0f} kB\n")
 
 
 if __name__ == "__main__":

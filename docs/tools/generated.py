@@ -17,7 +17,7 @@ from pathlib import Path, PurePath
 from typing import TYPE_CHECKING, Any
 
 sys.path.insert(0, str(Path(__file__).parent))  # MkDocs loads hooks by their paths
-from sources import ROOT, link_to_source  # noqa: E402
+from sources import ROOT, link_to_source
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
@@ -122,7 +122,9 @@ def _plugin(kind: str, name: str) -> str:
     cls, rows = load_plugin(INTERFACES[kind], name), plugin_reference(kind, name)
     says = inspect.cleandoc(cls.__doc__ or "").split("\n\n")[0].replace("\n", " ")
     where = Path(inspect.getfile(cls)).relative_to(ROOT).as_posix()
-    return f"### {name}\n\n{says} (`{where}`: `{cls.__name__}`)\n\n{_table(rows) if rows else 'It has no parameters.'}\n"
+    return (
+        f"### {name}\n\n{says} (`{where}`: `{cls.__name__}`)\n\n{_table(rows) if rows else 'It has no parameters.'}\n"
+    )
 
 
 # The library: signatures and docstrings.
@@ -267,7 +269,8 @@ def _about(_: str) -> str:
 
     about = metadata("optdock")
     name = ", ".join(line.strip() for line in (ROOT / "LICENSE").read_text(encoding="utf-8").strip().splitlines()[:2])
-    return f"optdock {about['Version']}, for Python {about['Requires-Python'].removeprefix('>=')} or newer. Licence: {name}."
+    python = about["Requires-Python"].removeprefix(">=")
+    return f"optdock {about['Version']}, for Python {python} or newer. Licence: {name}."
 
 
 _MAKERS: dict[str, Callable[[str], str]] = {

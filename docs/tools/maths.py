@@ -21,7 +21,7 @@ from markdown.inlinepatterns import InlineProcessor
 from markdown.util import AtomicString
 
 sys.path.insert(0, str(Path(__file__).parent))  # MkDocs loads hooks by their paths
-from sources import link_to_map, link_to_source  # noqa: E402
+from sources import link_to_map, link_to_source
 
 if TYPE_CHECKING:
     from markdown import Markdown
@@ -47,8 +47,12 @@ _TAG = re.compile(r"\s*\\tag\{(\w+)\}")
 
 _UNDER = re.compile(r"<msub><mo>(min|max)</mo>(<mrow>.*?</mrow>|<m[in]>.*?</m[in]>)</msub>")
 _PRIME = re.compile(r"<msup>((?:(?!<msup>).)*?)<mi>(&#x0203[234];)</mi></msup>")
+_FUNCTIONS, _THIN = re.compile(r"<mi>(sin|cos|tan|arctan)</mi>"), '<mspace width="0.12em"/>'
 _OPERATORS = {
     "<mi>&#x027FA;</mi>": '<mo lspace="0.6em" rspace="0.6em">&#x027FA;</mo>',  # if and only if, a relation
+    "<mi>&#x0007E;</mi>": '<mo lspace="0.28em" rspace="0.28em">&#x0223C;</mo>',
+    "<mi>&#x000B1;</mi>": "<mo>&#x000B1;</mo>",
+    "<mo>&#x0005E;</mo>": '<mo stretchy="false">&#x002C6;</mo>',  # a hat that sits on its letter
 }
 _CAPITALS = re.compile(r"<mi>(&#x003(?:9|A)[0-9A-F];)</mi>")
 
@@ -62,6 +66,7 @@ def mathml(tex: str, display: str) -> str:
     )
     found = _CAPITALS.sub(r'<mi mathvariant="normal">\1</mi>', converted(tex, display=display))
     found = _PRIME.sub(r'<mrow>\1<mo form="postfix" lspace="0" rspace="0.05em">\2</mo></mrow>', found)
+    found = _FUNCTIONS.sub(rf"<mrow>{_THIN}<mi>\1</mi>{_THIN}</mrow>", found)
     for plain, better in _OPERATORS.items():
         found = found.replace(plain, better)
     return _UNDER.sub(r"<munder><mo>\1</mo>\2</munder>", found) if display == "block" else found

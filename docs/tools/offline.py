@@ -19,7 +19,8 @@ _LOADED = re.compile(
     r"""|url\(["']?((?:https?:)?//[^"')]+)|@import\s+["']((?:https?:)?//[^"']+)"""
 )
 
-_LOST = '<h1>No such page</h1>\n<p>Try the <a href="./index.html">start page</a>, the <a href="./map.html">map of the code</a>, or the search.</p>'
+_LOST = """<h1>No such page</h1>
+<p>Try the <a href="./index.html">start page</a>, the <a href="./map.html">map of the code</a>, or the search.</p>"""
 
 
 def on_post_build(config: MkDocsConfig, **_: object) -> None:

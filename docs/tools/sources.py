@@ -35,8 +35,8 @@ _PAGE = """<!doctype html>
 :root {{ color-scheme: light dark; }}
 body {{ margin: 1em; font-family: system-ui, sans-serif; }}
 pre {{ counter-reset: line; font: 13px/1.45 ui-monospace, "DejaVu Sans Mono", monospace; overflow-x: auto; }}
-pre span::before {{ counter-increment: line; content: counter(line); display: inline-block; width: 3.2em; padding-right: 1em;
-  text-align: right; color: GrayText; }}
+pre span::before {{ counter-increment: line; content: counter(line); display: inline-block; width: 3.2em;
+  padding-right: 1em; text-align: right; color: GrayText; }}
 pre span:target {{ background: color-mix(in srgb, Highlight 25%, transparent); }}
 </style></head><body><p><a href="{back}">{says}</a></p><h1>{path}</h1>
 <pre>{lines}</pre></body></html>
@@ -65,9 +65,13 @@ def _relative(target: str, page: str) -> str:
     return posixpath.relpath(target, posixpath.dirname(page) or ".")
 
 
+def _is_in_map(path: str) -> bool:
+    return path.startswith(tuple(f"{package}/" for package in PACKAGES))
+
+
 def link_to_map(path: str, page: str) -> str:
     """From a page, `theory/timing.html`, to a module's entry in the map; to its code where the map has none."""
-    if path.split("/")[0] not in PACKAGES:
+    if not _is_in_map(path):
         return link_to_source(path, "", page)
     anchor = f"#{path.replace('/', '-')}"
     return anchor if page.startswith("map.") else f"{_relative('map.html', page)}{anchor}"
@@ -110,6 +114,6 @@ def _source_page(path: str) -> str:
     lines = (ROOT / path).read_text(encoding="utf-8").splitlines()
     shown = "\n".join(f'<span id="L{i}">{html.escape(line, quote=False)}</span>' for i, line in enumerate(lines, 1))
     page = f"source/{path}.html"
-    says = "in the map of the code" if path.split("/")[0] in PACKAGES else "the documentation"
-    back = link_to_map(path, page) if path.split("/")[0] in PACKAGES else _relative("index.html", page)
+    says = "in the map of the code" if _is_in_map(path) else "the documentation"
+    back = link_to_map(path, page) if _is_in_map(path) else _relative("index.html", page)
     return _PAGE.format(path=path, back=back, says=says, lines=shown)
