@@ -15,8 +15,6 @@ from optdock.costmap.costs import (
     NO_INFORMATION,
     CostArray,
     OccupancyArray,
-    OccupancyRule,
-    costs_from_occupancy,
     occupancy_from_costs,
 )
 from optdock.errors import InvalidValue
@@ -68,21 +66,6 @@ class Costmap:
         return f"<Costmap {self.columns} x {self.rows} cells of {side:g} m from ({x:g}, {y:g}) m>"
 
     @classmethod
-    def from_occupancy(
-        cls,
-        occupancy: ArrayLike,
-        resolution: float,
-        origin: tuple[float, float] = (0.0, 0.0),
-        rule: OccupancyRule | None = None,
-    ) -> Costmap:
-        """A costmap from occupancies, Shape (rows, columns), -1 (unknown) or 0..100.
-
-        Raises:
-            InvalidValue: As the constructor, or an occupancy outside -1..100.
-        """
-        return cls(costs_from_occupancy(occupancy, rule), resolution, origin)
-
-    @classmethod
     def writable(
         cls, shape: tuple[int, int], resolution: float, origin: tuple[float, float], fill: int = FREE_SPACE
     ) -> Costmap:
@@ -115,19 +98,6 @@ class Costmap:
         if costs.shape != self.data.shape:
             raise InvalidValue(f"costmap.data: must have shape {self.data.shape}, got {costs.shape}")
         return Costmap(costs, self.resolution, self.origin)
-
-    def cropped(self, lower: ArrayLike, upper: ArrayLike) -> Costmap:
-        """The cells that meet the box from `lower` to `upper`, Shape (2,) [m] each; the grid stays aligned.
-
-        Raises:
-            InvalidValue: No cell of the map meets the box.
-        """
-        first, last = self.cell_of(np.stack((np.asarray(lower), np.asarray(upper))))
-        first, stop = np.maximum(first, 0), np.minimum(last + 1, (self.columns, self.rows))
-        if np.any(first >= stop):
-            raise InvalidValue(f"costmap: the map {self.lower}..{self.upper} m has no cell in {lower!r}..{upper!r}")
-        origin = (self.origin[0] + first[0] * self.resolution, self.origin[1] + first[1] * self.resolution)
-        return Costmap(self.data[first[1] : stop[1], first[0] : stop[0]], self.resolution, origin)
 
     @property
     def rows(self) -> int:

@@ -13,12 +13,10 @@ from optdock.geometry.pose import Pose2, normalize_angle
 from optdock.interfaces import GlobalPlanner
 from optdock.path import Path
 from optdock.testing.contracts.plugin import PluginContract
-from optdock.testing.contracts.rules import PollGaps, poll_gaps, require, require_cancellable
+from optdock.testing.contracts.rules import require, require_cancellable
 from optdock.testing.contracts.scene import GOAL, ORIGIN, scene_context, scene_problem
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
-
     from optdock.geometry.arrays import FloatArray
 
 __all__ = ["GlobalPlannerContract"]
@@ -49,10 +47,6 @@ class GlobalPlannerContract(PluginContract[GlobalPlanner]):
     def queries(self) -> tuple[tuple[Pose2, Pose2], ...]:
         """Starts and goals that the planner must find a path between."""
         return ((ORIGIN, GOAL), (Pose2(0.2, -0.8, 0.3), GOAL), (Pose2(-0.5, 1.2, -0.2), Pose2(2.8, 0.0, 0.1)))
-
-    def long_query(self) -> tuple[Pose2, Pose2]:
-        """A start and a goal between which planning takes long, for measuring how often it polls."""
-        return Pose2(-60.0, 20.0, 0.0), GOAL
 
     def exercise(self, plugin: GlobalPlanner) -> object:
         """The paths of all queries, as numbers."""
@@ -113,17 +107,6 @@ class GlobalPlannerContract(PluginContract[GlobalPlanner]):
             else:
                 _require_same_pose(path.start, start, "begins")
                 _require_same_pose(path.end, goal, "ends")
-
-    def measured_poll_gaps(self) -> PollGaps:
-        """How often a long plan polls: a measurement, not a test; the interface asks for 5 ms."""
-        planner = self.ready_plugin()
-        start, goal = self.long_query()
-
-        def run(cancelled: Callable[[], bool]) -> object:
-            return planner.create_plan(start, goal, cancelled)
-
-        run(lambda: False)
-        return poll_gaps(run)
 
 
 def _require_close(found: FloatArray, wanted: FloatArray, rule: str) -> None:

@@ -5,14 +5,13 @@ No test runner is needed for it.
 
 from __future__ import annotations
 
-import time
 from functools import partial
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-__all__ = ["ContractBroken", "PollCounter", "PollGaps", "poll_gaps", "refused", "require", "require_cancellable"]
+__all__ = ["ContractBroken", "refused", "require", "require_cancellable"]
 
 _CANCEL_AT = (1, 2, 100)  # polls; those that a plugin never reaches are left out
 
@@ -56,58 +55,15 @@ def refused(call: Callable[[], object], error: type[Exception], sentence: str) -
     raise ContractBroken(f"{sentence}: wanted {error.__name__}, got the result {returned!r}")
 
 
-class PollCounter:
-    """A cancel checker that counts how often it is asked.
+class _PollCounter:
+    """A cancel checker that says True from its poll `cancel_at` on; 0: never."""
 
-    Args:
-        cancel_at: The poll from which on it says True; 0: never.
-        clock: Monotonic seconds.
-
-    Attributes:
-        polls: How often it was asked.
-        longest: Longest time between two polls, the start included [s].
-    """
-
-    def __init__(self, cancel_at: int = 0, clock: Callable[[], float] = time.perf_counter) -> None:
-        self.polls, self.longest = 0, 0.0
-        self._cancel_at, self._clock, self._last = cancel_at, clock, clock()
+    def __init__(self, cancel_at: int = 0) -> None:
+        self.polls, self._cancel_at = 0, cancel_at
 
     def __call__(self) -> bool:
-        """Whether to stop."""
         self.polls += 1
-        self.lap()
         return 0 < self._cancel_at <= self.polls
-
-    def lap(self) -> None:
-        """End a gap and begin the next."""
-        now = self._clock()
-        self.longest, self._last = max(self.longest, now - self._last), now
-
-
-class PollGaps(NamedTuple):
-    """Polls during one call, the longest time without one [s], and the call's duration [s]."""
-
-    polls: int
-    longest: float
-    total: float
-
-
-def poll_gaps(run: Callable[[Callable[[], bool]], object], clock: Callable[[], float] = time.perf_counter) -> PollGaps:
-    """How often `run(cancel_checker)` polls; a measurement for benchmarks.
-
-    Args:
-        run: The work.
-        clock: Monotonic seconds; `time.process_time` leaves out what other processes of a busy machine take.
-
-    >>> gaps = poll_gaps(lambda cancelled: [cancelled() for _ in range(3)])
-    >>> gaps.polls, gaps.longest <= gaps.total
-    (3, True)
-    """
-    began = clock()
-    counter = PollCounter(clock=clock)
-    run(counter)
-    counter.lap()
-    return PollGaps(counter.polls, counter.longest, clock() - began)
 
 
 def require_cancellable(run: Callable[[Callable[[], bool]], object], error: type[Exception]) -> None:
@@ -116,12 +72,12 @@ def require_cancellable(run: Callable[[Callable[[], bool]], object], error: type
     Raises:
         ContractBroken: It never polls, goes on after a True, or ends in another way.
     """
-    patient = PollCounter()
+    patient = _PollCounter()
     run(patient)
     require(patient.polls >= 1, "the cancel checker is polled at least once")
     for poll in _CANCEL_AT:
         if poll > patient.polls:
             break
-        counter = PollCounter(poll)
+        counter = _PollCounter(poll)
         refused(partial(run, counter), error, f"a True at poll {poll} ends the work")
         require(counter.polls == poll, f"after a True at poll {poll} nothing more is asked, got {counter.polls} polls")

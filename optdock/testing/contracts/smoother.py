@@ -14,7 +14,7 @@ from optdock.interfaces import PluginContext, Smoother, SmoothingReport, Smoothi
 from optdock.obstacles import ObstacleSet
 from optdock.path import Path
 from optdock.testing.contracts.plugin import PluginContract
-from optdock.testing.contracts.rules import PollGaps, poll_gaps, refused, require, require_cancellable
+from optdock.testing.contracts.rules import refused, require, require_cancellable
 from optdock.testing.contracts.scene import (
     GOAL,
     bent_path,
@@ -27,8 +27,6 @@ from optdock.testing.contracts.scene import (
 from optdock.verification import certify_path, pose_clearances
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
-
     from optdock.problem import DockingProblem
 
 __all__ = ["SmootherContract"]
@@ -198,17 +196,6 @@ class SmootherContract(PluginContract[Smoother]):
         earlier = smoother.smooth(path, _AMPLE, problem=problem).path
         for warm in (earlier, cusp_path(), raw_path(goal=GOAL @ Pose2(-1.0, -0.3, 0.0))):
             self._require_same_ends(smoother.smooth(path, _AMPLE, problem=problem, warm_start=warm).path, path)
-
-    def measured_poll_gaps(self) -> PollGaps:
-        """How often a smoothing polls: a measurement, not a test; the interface asks for 5 ms."""
-        smoother = self.ready_plugin()
-        path, problem = self.tasks()[0]
-
-        def run(cancelled: Callable[[], bool]) -> object:
-            return smoother.smooth(path, _AMPLE, problem=problem, cancel_checker=cancelled)
-
-        run(lambda: False)
-        return poll_gaps(run)
 
     def _deepest(self, path: Path, problem: DockingProblem) -> float:
         """Clearance of the poses of `path`, 0 where they touch nothing [m]."""

@@ -70,19 +70,6 @@ def test_with_data_keeps_the_place_and_refuses_another_shape():
         costmap.with_data(np.ones((4, 3), dtype=int))
 
 
-def test_cropping_keeps_every_cost_in_its_place():
-    costmap = grid()
-    cropped = costmap.cropped((1.11, -1.89), (1.29, -1.71))
-    points = [[1.15, -1.85], [1.25, -1.75]]
-    assert cropped.data.shape == (2, 2)
-    assert cropped.cost_at(points).tolist() == costmap.cost_at(points).tolist()
-
-
-def test_cropping_off_the_map_is_refused():
-    with pytest.raises(InvalidValue, match="has no cell in"):
-        grid().cropped((5.0, 5.0), (6.0, 6.0))
-
-
 @pytest.mark.parametrize(
     ("changes", "message"),
     [

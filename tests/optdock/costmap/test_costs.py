@@ -60,7 +60,7 @@ def test_special_values_must_be_bytes(name):
 
 
 def test_lethal_free_and_unknown_survive_the_round_trip():
-    costmap = Costmap.from_occupancy([[0, 100, -1, 99]], 0.1)
+    costmap = Costmap(costs_from_occupancy([[0, 100, -1, 99]]), 0.1)
     assert costmap.occupancy().tolist() == [[0, 100, -1, 99]]
 
 

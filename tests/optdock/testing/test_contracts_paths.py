@@ -7,7 +7,7 @@ import numpy as np
 from pydantic import Field
 
 from optdock.errors import NoValidPathCouldBeFound, PlannerCancelled, SmootherCancelled, SmootherTimedOut
-from optdock.geometry.pose import Pose2, normalize_angle
+from optdock.geometry.pose import normalize_angle
 from optdock.interfaces import (
     GlobalPlanner,
     Smoother,
@@ -271,20 +271,3 @@ def test_every_gate_of_time_parameterizers_can_fail(every_gate):
         "test_little_time_is_a_status": timing(patience=lambda self, max_time: math.inf),
     }
     every_gate(TimeParameterizerContract, Delegating, broken)
-
-
-def test_poll_gaps_are_measured_where_the_plan_is_long():
-    class Suite(GlobalPlannerContract):
-        def make_plugin(self):
-            return Line()
-
-    gaps = Suite().measured_poll_gaps()
-    assert gaps.polls == 1000
-    assert 0.0 < gaps.longest <= gaps.total
-    assert Suite().long_query()[0] == Pose2(-60.0, 20.0, 0.0)
-
-    class SmootherSuite(SmootherContract):
-        def make_plugin(self):
-            return Same()
-
-    assert SmootherSuite().measured_poll_gaps().polls == 3
