@@ -72,6 +72,7 @@ __all__ = [
     "PlannerLike",
     "SmootherLike",
     "TimingLike",
+    "check_ends",
     "plan_dock",
     "warm_up",
 ]

@@ -33,7 +33,7 @@ if TYPE_CHECKING:
     from smoothers.scp.rollout import Rollout
     from smoothers.scp.settings import CollisionSettings
 
-__all__ = ["Chords", "Clearance", "best_separating_axes", "chords", "narrow_phase"]
+__all__ = ["Chords", "Clearance", "best_separating_axes", "chords", "narrow_phase", "sag"]
 
 _CACHED = (
     100_000  # numbers, 0.8 MB: what is read again at once should still be in the processor's cache (8 times as fast)
@@ -84,7 +84,7 @@ def narrow_phase(
     axis = best_separating_axes(hull, outline, normals, inward, scene.settings)
     along = hull.along(axis)
     sign = signs[basis.interval_gear[pairs.interval]]
-    dip = _sag(scene, rollout, pairs, _Seen(np.stack((left, left + 1)), sign, axis, along, hull.across(axis)), body)
+    dip = sag(scene, rollout, pairs, _Seen(np.stack((left, left + 1)), sign, axis, along, hull.across(axis)), body)
     heights = along - _node_requirements(body.required, left, len(dip))
     heights[: len(dip)] -= dip
     heights[len(dip) :] -= dip
@@ -129,7 +129,7 @@ class _Seen(NamedTuple):
     across: FloatArray
 
 
-def _sag(scene: Scene, rollout: Rollout, pairs: Pairs, seen: _Seen, body: BodyAtNodes) -> FloatArray:
+def sag(scene: Scene, rollout: Rollout, pairs: Pairs, seen: _Seen, body: BodyAtNodes) -> FloatArray:
     """How far every vertex may dip below its chord along the axis. Shape (v, p)."""
     axis, nodes = seen.axis, seen.nodes
     step, rate = rollout.steps[pairs.interval], rollout.rate[pairs.interval]
