@@ -17,6 +17,7 @@ import numpy as np
 from optdock.errors import InvalidPath
 from optdock.fingerprint import digest
 from optdock.geometry.arrays import FrozenArrays, frozen_array, readonly
+from optdock.geometry.checked import sampling_step
 from optdock.geometry.pose import Pose2, check_range, unwrap_yaw
 from optdock.segments import (
     SAME_POSITION,
@@ -183,7 +184,12 @@ class Path(FrozenArrays):
         return out
 
     def sample(self, spacing: float) -> PathSamples:
-        """Points at most `spacing` [m] apart, ends and cusps included; a cusp appears once with each gear."""
+        """Points at most `spacing` [m] apart, ends and cusps included; a cusp appears once with each gear.
+
+        Raises:
+            InvalidValue: The spacing is not a finite number > 0, or far too small.
+        """
+        spacing = sampling_step(spacing, self.length, "spacing")
         blocks = [_sample_segment(segment, spacing) for segment in self.segments]
         shifted = (
             block._replace(s=block.s + start) for block, start in zip(blocks, self.segment_starts[:-1], strict=True)

@@ -14,7 +14,7 @@ import numpy as np
 
 from optdock.errors import InvalidValue
 from optdock.geometry.arrays import FloatArray, FrozenArrays, frozen_array, readonly
-from optdock.geometry.checked import exactly, finite_number
+from optdock.geometry.checked import exactly, finite_number, sampling_step
 from optdock.geometry.pose import Pose2, Twist2
 from optdock.path import Path
 
@@ -228,7 +228,12 @@ class Trajectory(FrozenArrays):
         )
 
     def sample(self, period: float) -> TrajectorySamples:
-        """Samples at most `period` [s] apart; start, end and the arrival at every cusp are among them."""
+        """Samples at most `period` [s] apart; start, end and the arrival at every cusp are among them.
+
+        Raises:
+            InvalidValue: The period is not a finite number > 0, or far too small.
+        """
+        period = sampling_step(period, self.duration, "period")
         count = max(1, int(np.ceil(self.duration / period - 1e-9)))
         grid = np.minimum(np.arange(count + 1) * period, self.duration)
         return self.sample_at(np.unique(np.concatenate((grid, self.cusp_times))))
@@ -237,11 +242,9 @@ class Trajectory(FrozenArrays):
         """Times, poses and twists every `period` [s]; the last sample is the end, at most one period later.
 
         Raises:
-            InvalidValue: The period is not a finite number > 0.
+            InvalidValue: The period is not a finite number > 0, or far too small.
         """
-        step = finite_number(period, "period")
-        if not step > 0.0:
-            raise InvalidValue(f"period: must be > 0 s, got {period}")
+        step = sampling_step(period, self.duration, "period")
         whole = int(np.ceil(self.duration / step * (1.0 - 1e-12)))  # the end is no sample of its own after a rounding
         samples = self.sample_at(np.append(step * np.arange(max(whole, 1)), self.duration))
         poses = np.column_stack((samples.x, samples.y, samples.yaw))

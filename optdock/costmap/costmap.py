@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -18,7 +19,7 @@ from optdock.costmap.costs import (
     occupancy_from_costs,
 )
 from optdock.errors import InvalidValue
-from optdock.geometry.checked import number
+from optdock.geometry.checked import finite_number, number
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike
@@ -54,9 +55,7 @@ class Costmap:
         object.__setattr__(self, "resolution", number(self.resolution, "costmap.resolution"))
         if not (math.isfinite(self.resolution) and self.resolution > 0.0):
             raise InvalidValue(f"costmap.resolution: must be finite and > 0 m, got {self.resolution}")
-        if len(self.origin) != 2 or not all(math.isfinite(number(value, "costmap.origin")) for value in self.origin):
-            raise InvalidValue(f"costmap.origin: must be two finite numbers [m], got {self.origin}")
-        object.__setattr__(self, "origin", (float(self.origin[0]), float(self.origin[1])))
+        object.__setattr__(self, "origin", _checked_origin(self.origin))
         object.__setattr__(self, "data", _checked_costs(self.data))
         if not all(math.isfinite(value) for value in self.upper):
             raise InvalidValue(f"costmap: its upper corner must be finite, got {self.upper}; check the resolution")
@@ -160,6 +159,13 @@ class Costmap:
     def occupancy(self) -> OccupancyArray:
         """Nav2's published occupancies, Shape (rows, columns), -1 (unknown) or 0..100."""
         return occupancy_from_costs(self.data)
+
+
+def _checked_origin(origin: object) -> tuple[float, float]:
+    if not isinstance(origin, Sequence | np.ndarray) or isinstance(origin, str) or len(origin) != 2:
+        raise InvalidValue(f"costmap.origin: must be two finite numbers [m], got {origin!r}")
+    x, y = (finite_number(value, "costmap.origin") for value in origin)
+    return x, y
 
 
 def _checked_costs(data: ArrayLike) -> CostArray:

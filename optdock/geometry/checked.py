@@ -16,7 +16,9 @@ from optdock.errors import InvalidValue
 if TYPE_CHECKING:
     from enum import Enum
 
-__all__ = ["exactly", "finite_number", "instance", "member", "number"]
+__all__ = ["MOST_SAMPLES", "exactly", "finite_number", "instance", "member", "number", "sampling_step"]
+
+MOST_SAMPLES = 10_000_000  # at once, about 1 GB; a smaller step is a mistake of units
 
 _Member = TypeVar("_Member", bound="Enum")
 _Kind = TypeVar("_Kind")
@@ -49,6 +51,20 @@ def finite_number(value: object, name: str) -> float:
     found = number(value, name)
     if not math.isfinite(found):
         raise InvalidValue(f"{name}: must be finite, got {value}")
+    return found
+
+
+def sampling_step(step: object, extent: float, name: str) -> float:
+    """A step between samples over `extent`, both in the same unit.
+
+    Raises:
+        InvalidValue: It is not a finite number > 0, or there would be more than `MOST_SAMPLES`.
+    """
+    found = finite_number(step, name)
+    if not found > 0.0:
+        raise InvalidValue(f"{name}: must be > 0, got {step}")
+    if extent > found * MOST_SAMPLES:
+        raise InvalidValue(f"{name}: {found:g} over {extent:g} would be more than {MOST_SAMPLES} samples")
     return found
 
 

@@ -1,5 +1,6 @@
 """Time laws and trajectories against their definitions."""
 
+import math
 import pickle
 
 import numpy as np
@@ -138,3 +139,12 @@ def test_a_sampling_period_is_a_positive_number(period):
     trajectory = Trajectory(Path.from_poses([[0, 0, 0], [1, 0, 0]]), TimeLaw([1.0, 1.0], [1.0, -1.0]))
     with pytest.raises(InvalidValue, match="period"):
         trajectory.sampled(period)
+
+
+@pytest.mark.parametrize("bad", [0.0, -1.0, math.nan, math.inf, "1", None, True, 1e-12])
+def test_a_step_between_samples_that_is_none_is_refused(bad):
+    path = Path.from_poses([Pose2(0.0, 0.0, 0.0), Pose2(1.0, 0.0, 0.0)])
+    trajectory = Trajectory(path, TimeLaw([2.0, 2.0], [0.0, 0.0], start_speed=0.25))
+    for sample, name in ((path.sample, "spacing"), (trajectory.sample, "period"), (trajectory.sampled, "period")):
+        with pytest.raises(InvalidValue, match=f"^{name}: "):
+            sample(bad)

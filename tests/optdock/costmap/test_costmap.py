@@ -79,6 +79,7 @@ def test_with_data_keeps_the_place_and_refuses_another_shape():
         ({"resolution": np.inf}, "resolution"),
         ({"origin": (np.nan, 0.0)}, "origin"),
         ({"origin": (0.0, 0.0, 0.0)}, "origin"),
+        ({"origin": None}, "costmap.origin: must be two finite numbers"),
         ({"resolution": 1e308}, "upper corner must be finite"),
         ({"data": np.zeros((0, 4), dtype=int)}, "at least one cell"),
         ({"data": np.zeros(4, dtype=int)}, r"shape \(rows, columns\)"),
