@@ -13,8 +13,8 @@ except od.OptdockError as why:
     raise SystemExit(f"{type(why).__name__} {why.code}: {why}\n{why.where}") from why
 
 print(plan)
-plan.save("plan.json")
-plan.plot("plan.png")
+plan.save("results/plan.json")
+plan.plot("results/plan.png")
 
 times, poses, twists = plan.trajectory.sampled(0.02)  # (n,) s, (n, 3) m and rad, (n, 2) m/s and rad/s
 print(f"{len(times)} samples, from {poses[0].round(2)} to {poses[-1].round(2)}, at most {twists[:, 0].max():.2f} m/s")

@@ -16,6 +16,6 @@ print("used of each motion limit:")
 for name, ratio in plan.trajectory_certificate.ratios.items():
     print(f"  {name:22} {100 * ratio:5.1f} %")
 
-plan.save("bay.json")
-again = od.DockPlan.load("bay.json", scenario.problem)  # proven anew; what the file claims plays no part
+plan.save("results/bay.json")
+again = od.DockPlan.load("results/bay.json", scenario.problem)  # proven anew; what the file claims plays no part
 print("read back and proven again:", again.certificate.certified and again.trajectory_certificate.certified)

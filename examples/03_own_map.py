@@ -22,4 +22,4 @@ problem = od.DockingProblem.from_grid(
 print(f"{len(problem.all_obstacles)} convex obstacles from {grid.size} cells")
 plan = od.plan_dock(problem, time_budget=1.0)
 print(plan)
-plan.plot("own_map.png")
+plan.plot("results/own_map.png")

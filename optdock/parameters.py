@@ -79,7 +79,7 @@ def parse_parameters(model: type[P], values: Mapping[str, object], owner: str) -
     if not isinstance(values, Mapping):
         raise InvalidValue(f"{owner}: parameters must be a mapping of names to values, got {values!r}")
     # Every plan makes its plugins anew, with the same values: what cannot be written into is checked once.
-    is_plain = all(map(_is_plain, values.values()))
+    is_plain = all(type(value) in _PLAIN for value in values.values())
     key = (model, *((str(name), type(value), repr(value)) for name, value in values.items())) if is_plain else ()
     known = _CHECKED.get(key)
     if isinstance(known, model):
@@ -88,7 +88,7 @@ def parse_parameters(model: type[P], values: Mapping[str, object], owner: str) -
         checked = model.model_validate({str(name): value for name, value in values.items()})
     except ValidationError as error:
         raise InvalidValue("\n".join(_fault(model, owner, item) for item in error.errors())) from error
-    if is_plain and all(_is_plain(value) for _, value in checked):
+    if is_plain and _is_constant(checked):
         if len(_CHECKED) >= _MOST_KEPT:
             _CHECKED.clear()
         _CHECKED[key] = checked
@@ -99,9 +99,15 @@ _MOST_KEPT = 256  # of many a process uses few
 _CHECKED: dict[tuple[object, ...], PluginParameters] = {}
 
 
-def _is_plain(value: object) -> bool:
-    """Whether nobody can write into it."""
-    return isinstance(value, Enum) or type(value) in (bool, int, float, str, type(None))
+_PLAIN = (bool, int, float, str, type(None))  # what nobody can write into, and whose text tells two of them apart
+
+
+def _is_constant(checked: PluginParameters) -> bool:
+    """Whether nobody can write into parameters, and equal values make equal ones: then many may hold the same."""
+    model = type(checked)
+    is_sealed = bool(model.model_config.get("frozen")) and not model.__private_attributes__
+    makes_anew = any(spec.default_factory is not None for spec in model.model_fields.values())
+    return is_sealed and not makes_anew and all(type(v) in _PLAIN or isinstance(v, Enum) for _, v in checked)
 
 
 def _fault(model: type[PluginParameters], owner: str, item: Mapping[str, object]) -> str:

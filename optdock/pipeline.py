@@ -73,6 +73,7 @@ __all__ = [
     "PlannerLike",
     "SmootherLike",
     "TimingLike",
+    "check_ends",
     "plan_dock",
     "warm_up",
 ]
@@ -148,6 +149,8 @@ def plan_dock(  # noqa: PLR0913 - what may be chosen is chosen by name
         warm_start = warm_start.path
     if warm_start is not None:
         instance(Path, warm_start, "warm_start")
+    if not callable(cancel_checker):
+        raise InvalidValue(f"cancel_checker: must be a function that says whether to stop, got {cancel_checker!r}")
     so_far, began = PartialPlan(), time.monotonic()
     try:
         plugins = _Plugins.chosen(planner, smoother, timing)

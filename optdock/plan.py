@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 from optdock.errors import CertificationFailed, InvalidFile, OptdockError
+from optdock.geometry.checked import instance
 from optdock.io.plan_file import (
     CERTIFIED,
     DEFAULT_PERIOD,
@@ -18,6 +19,7 @@ from optdock.io.plan_file import (
 )
 from optdock.obstacles import in_words
 from optdock.outcomes import SmoothingReport, TimingReport
+from optdock.problem import DockingProblem
 from optdock.trajectory import Trajectory
 from optdock.verification import certify_path, certify_trajectory
 
@@ -26,7 +28,6 @@ if TYPE_CHECKING:
     from pathlib import Path as FilePath
 
     from optdock.path import Path
-    from optdock.problem import DockingProblem
     from optdock.verification import Certificate, TrajectoryCertificate
 
 __all__ = ["DockPlan", "PartialPlan", "where_broken"]
@@ -123,7 +124,9 @@ class DockPlan:
             InvalidFile: The file cannot be read, breaks its format, or holds no path, raw path or time law.
             InvalidPath: It stands in another frame than the problem.
             CertificationFailed: It does not solve `problem`, or not any more.
+            InvalidValue: `problem` is none.
         """
+        instance(DockingProblem, problem, "problem")
         found = load_plan(source)
         if found.path is None or found.raw_path is None or found.time_law is None:
             missing = [name for name in ("raw_path", "path", "time_law") if getattr(found, name) is None]
@@ -132,9 +135,8 @@ class DockPlan:
         path, raw_path = found.path.with_frame(problem.frame), found.raw_path.with_frame(problem.frame)
         certificate = certify_path(path, problem)
         motion = Trajectory(path, found.time_law, problem.fingerprint)
-        proof = certify_trajectory(
-            motion, problem.robot.limits, problem.dock.approach, start_speed=abs(problem.start_speed)
-        )
+        limits, zone, speed = problem.robot.limits, problem.dock.approach, abs(problem.start_speed)
+        proof = certify_trajectory(motion, limits, zone, start_speed=speed, start_acceleration=0.0)
         for what, verdict in (("path", certificate), ("motion", proof)):
             if not verdict.certified:
                 message = f"{source}: its {what} is not certified for this problem: {verdict.reason}"

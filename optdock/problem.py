@@ -70,7 +70,8 @@ class ClearanceRule:
             return value
         if isinstance(value, bool) or not isinstance(value, numbers.Real):
             raise InvalidValue(f"{name}: must be a ClearanceRule or one number [m], got {type(value).__name__}")
-        return cls(float(value), float(value))
+        same = number(value, name)
+        return cls(same, same)
 
     def __post_init__(self) -> None:
         for name in ("required", "at_dock", "taper"):
@@ -228,7 +229,8 @@ class DockingProblem(FrozenArrays):
             frame: Name of the coordinate frame.
 
         Raises:
-            InvalidValue: As the constructor, or the array is none of the two, or has no cell.
+            InvalidValue: As the constructor, or the array is none of the two, is masked, or has no cell; or no integer
+                exceeds 1, which is a mask of ones and zeros rather than occupancies, unless `occupied_from` is 1.
         """
         return cls(
             start=start,
@@ -331,7 +333,12 @@ def _farthest_corners(first: FloatArray, second: FloatArray) -> float:
 
 def _costs(occupancy: ArrayLike, occupied_from: int) -> CostArray:
     """Costs of a grid of booleans, or of occupancies -1 and 0..100: free, occupied or unknown."""
-    grid = np.asarray(occupancy)
+    if isinstance(occupancy, np.ma.MaskedArray):
+        raise InvalidValue("occupancy: must not be masked; give unknown cells as -1, with .filled(-1)")
+    try:
+        grid = np.asarray(occupancy)
+    except ValueError as error:
+        raise InvalidValue("occupancy: every row must have as many cells") from error
     if grid.dtype.kind not in "biu":
         raise InvalidValue(f"occupancy: must be booleans, or integers -1 (unknown) and 0..100, got {grid.dtype}")
     if isinstance(occupied_from, bool) or not (isinstance(occupied_from, int) and 1 <= occupied_from <= 100):
@@ -341,4 +348,7 @@ def _costs(occupancy: ArrayLike, occupied_from: int) -> CostArray:
     wrong = grid[(grid < -1) | (grid > 100)]
     if wrong.size:
         raise InvalidValue(f"occupancy: must be -1 (unknown) or 0..100, got {int(wrong[0])}")
+    if occupied_from > 1 and grid.size and int(grid.max()) == 1:
+        # Percents that nowhere exceed one are the ones and zeros of a mask; its walls would be free.
+        raise InvalidValue("occupancy: holds 1 at most, of 100; give a mask as booleans, or occupied_from = 1")
     return np.select([grid < 0, grid >= occupied_from], [NO_INFORMATION, LETHAL], FREE_SPACE).astype(np.uint8)

@@ -79,8 +79,8 @@ def certificate_rows(certificate: Certificate) -> list[Row]:
     rows = [Row("length", f"{certificate.length:.3f} m"), Row("max curvature", f"{certificate.max_curvature:.3f} 1/m")]
     if math.isfinite(certificate.min_clearance):
         where = f"to {in_words(certificate.nearest)} at s = {certificate.at_s:.3f} m"
-        rows.append(Row("min clearance", f"{certificate.min_clearance:.4f} m {where}"))
-        rows.append(Row("margin", f"{certificate.margin:.4f} m over the required clearance"))
+        required = f"required there {certificate.required_clearance:.4f} m"
+        rows.append(Row("min clearance", f"{certificate.min_clearance:.4f} m {where}, {required}"))
     return rows
 
 

@@ -6,12 +6,18 @@ A line `<!-- made: NAME ARGUMENT -->` in a page is replaced by what `NAME` makes
 from __future__ import annotations
 
 import ast
+import dataclasses
 import html
+import importlib
 import inspect
 import json
 import re
-from pathlib import Path
+import sys
+from pathlib import Path, PurePath
 from typing import TYPE_CHECKING, Any
+
+sys.path.insert(0, str(Path(__file__).parent))  # MkDocs loads hooks by their paths
+from sources import ROOT, link_to_source
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
@@ -21,9 +27,8 @@ if TYPE_CHECKING:
 
     from optdock.config import KeyReference
 
-__all__ = ["MARKER", "ROOT", "modules_of", "on_files", "on_page_markdown"]
+__all__ = ["MARKER", "ROOT", "modules_of", "on_files", "on_page_markdown", "public_names"]
 
-ROOT = Path(__file__).resolve().parents[2]
 MARKER = re.compile(r"^<!-- made: (?P<name>\w+) ?(?P<argument>[^\n]*?) ?-->$", re.MULTILINE)
 
 
@@ -51,12 +56,16 @@ def _map_row(path: Path) -> Iterator[str]:
     says = (ast.get_docstring(tree) or "").split("\n\n")[0].replace("\n", " ")
     if path.name == "__init__.py" and len(tree.body) <= 1 and not says:
         return
-    names = [] if path.name == "__init__.py" else _public_names(tree)
-    listed = f' <span class="names">{", ".join(names)}</span>' if names else ""
-    yield f'<dt id="{path.as_posix().replace("/", "-")}">{path.as_posix()}</dt><dd>{_inline(says)}{listed}</dd>'
+    where = path.as_posix()
+    names = [] if path.name == "__init__.py" else public_names(tree)
+    linked = (f'<a href="{link_to_source(where, name, "map.html")}">{name}</a>' for name in names)
+    listed = f' <span class="names">{", ".join(linked)}</span>' if names else ""
+    head = f'<dt id="{where.replace("/", "-")}"><a href="{link_to_source(where, "", "map.html")}">{where}</a></dt>'
+    yield f"{head}<dd>{_inline(says)}{listed}</dd>"
 
 
-def _public_names(tree: ast.Module) -> list[str]:
+def public_names(tree: ast.Module) -> list[str]:
+    """What a module offers: its `__all__`."""
     for node in tree.body:
         if isinstance(node, ast.Assign) and getattr(node.targets[0], "id", "") == "__all__":
             return [str(name) for name in ast.literal_eval(node.value)]
@@ -113,7 +122,9 @@ def _plugin(kind: str, name: str) -> str:
     cls, rows = load_plugin(INTERFACES[kind], name), plugin_reference(kind, name)
     says = inspect.cleandoc(cls.__doc__ or "").split("\n\n")[0].replace("\n", " ")
     where = Path(inspect.getfile(cls)).relative_to(ROOT).as_posix()
-    return f"### {name}\n\n{says} (`{where}`)\n\n{_table(rows) if rows else 'It has no parameters.'}\n"
+    return (
+        f"### {name}\n\n{says} (`{where}`: `{cls.__name__}`)\n\n{_table(rows) if rows else 'It has no parameters.'}\n"
+    )
 
 
 # The library: signatures and docstrings.
@@ -123,18 +134,21 @@ _ENTRY = re.compile(r"^(?P<name>[^\n:]+):(?P<text>(?: [^\n]*)?(?:\n[ ]+[^\n]*|\n
 
 
 def _api(names: str) -> str:
-    """What these names of the front door, or interfaces, are."""
+    """What these names are: of the front door, interfaces, or dotted names of what is imported from elsewhere."""
+    return "\n\n".join(_described(name) for name in names.split())
+
+
+def _described(dotted: str) -> str:
     import optdock
     from optdock import interfaces
 
-    return "\n\n".join(
-        _described(name, getattr(optdock, name, None) or getattr(interfaces, name)) for name in names.split()
-    )
-
-
-def _described(name: str, value: Any) -> str:
+    module, _, name = dotted.rpartition(".")
+    home = importlib.import_module(module) if module else optdock if hasattr(optdock, dotted) else interfaces
+    value = getattr(home, name)
     where = Path(inspect.getfile(value)).relative_to(ROOT).as_posix()
-    head = f"### {name}\n\n{_signature(name, value)}\n\n{_docstring(value)}\n\n<small>`{where}`</small>"
+    where = f"`{where}`: `{value.__name__}`"
+    imported = "" if home is optdock else f"`from {home.__name__} import {name}`\n\n"
+    head = f"### {name}\n\n{imported}{_signature(name, value)}\n\n{_docstring(value)}\n\n<small>{where}</small>"
     members = [_member(key, member) for key, member in vars(value).items() if not key.startswith("_")]
     listed = "\n".join(filter(None, members)) if inspect.isclass(value) else ""
     return f"{head}\n\n{listed}" if listed else head
@@ -142,10 +156,17 @@ def _described(name: str, value: Any) -> str:
 
 def _signature(name: str, value: Any) -> str:
     if inspect.isclass(value) and issubclass(value, Exception):
-        return f"```python\n{name}: code {value.code}, a {value.__mro__[1].__name__}\n```"  # type: ignore[attr-defined]
+        base = value.__mro__[1].__name__
+        article = "an" if base[0] in "AEIOU" else "a"
+        return f"```python\n{name}: code {value.code}, {article} {base}\n```"  # type: ignore[attr-defined]
     plugin = hasattr(value, "Parameters") or inspect.isabstract(value)
     parameters = [] if plugin else list(inspect.signature(value).parameters.values())
-    shown = [str(one.replace(annotation=_short(one.annotation))) for one in parameters if one.name != "self"]
+    made = {one.name: one for one in dataclasses.fields(value)} if dataclasses.is_dataclass(value) else {}
+    shown = [
+        str(one.replace(annotation=_short(one.annotation), default=_default(one, made)))
+        for one in parameters
+        if one.name != "self"
+    ]
     if any(one.kind is one.KEYWORD_ONLY for one in parameters):
         shown.insert([one.kind is one.KEYWORD_ONLY for one in parameters].index(True), "*")
     line = f"{name}({'**parameters' if plugin else ', '.join(shown)})"
@@ -156,6 +177,16 @@ def _signature(name: str, value: Any) -> str:
 def _short(annotation: object) -> object:
     text = annotation if isinstance(annotation, str) else getattr(annotation, "__name__", "")
     return inspect.Parameter.empty if not text or text == "_empty" else _Bare(text)
+
+
+def _default(parameter: inspect.Parameter, made: dict[str, Any]) -> object:
+    """As a reader would write it: a function by its name, what a factory makes as its call, a path as text."""
+    value = parameter.default
+    if parameter.name in made and made[parameter.name].default_factory is not dataclasses.MISSING:
+        return _Bare(f"{made[parameter.name].default_factory.__name__}()")
+    if isinstance(value, PurePath):
+        return str(value)
+    return _Bare(value.__name__) if inspect.isfunction(value) else value
 
 
 class _Bare(str):
@@ -193,7 +224,7 @@ def _member(name: str, member: Any) -> str:
         return ""
     names = [one for one in inspect.signature(call).parameters.values() if one.name not in ("self", "cls")]
     spelled = (
-        f"{name}({', '.join(str(one.replace(annotation=one.empty)) for one in names)})"
+        f"{name}({', '.join(str(one.replace(annotation=one.empty, default=_default(one, {}))) for one in names)})"
         if call is not getattr(member, "fget", getattr(member, "func", None))
         else name
     )
@@ -232,7 +263,18 @@ def _option(parameter: Any) -> str:
     return "| " + " | ".join(cell.replace("|", "\\|") for cell in (f"`{spelled}`", words, default)) + " |"
 
 
+def _about(_: str) -> str:
+    """Version, Python and licence, from the metadata of the distribution."""
+    from importlib.metadata import metadata
+
+    about = metadata("optdock")
+    name = ", ".join(line.strip() for line in (ROOT / "LICENSE").read_text(encoding="utf-8").strip().splitlines()[:2])
+    python = about["Requires-Python"].removeprefix(">=")
+    return f"optdock {about['Version']}, for Python {python} or newer. Licence: {name}."
+
+
 _MAKERS: dict[str, Callable[[str], str]] = {
+    "about": _about,
     "api": _api,
     "commands": _commands,
     "map": _map,

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import posixpath
 import re
+import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 from xml.etree import ElementTree as etree  # noqa: N813 - the name that Markdown gives it
@@ -19,6 +20,9 @@ from markdown.extensions import Extension
 from markdown.inlinepatterns import InlineProcessor
 from markdown.util import AtomicString
 
+sys.path.insert(0, str(Path(__file__).parent))  # MkDocs loads hooks by their paths
+from sources import link_to_map, link_to_source
+
 if TYPE_CHECKING:
     from markdown import Markdown
     from mkdocs.config.defaults import MkDocsConfig
@@ -26,7 +30,15 @@ if TYPE_CHECKING:
 
 __all__ = ["EQUATION_PAGES", "Maths", "on_config", "on_page_markdown"]
 
-EQUATION_PAGES = {"G": "index", "P": "planner", "S": "smoother", "C": "certificate", "T": "timing", "K": "controller"}
+EQUATION_PAGES = {
+    "G": "index",
+    "M": "costmap",
+    "P": "planner",
+    "S": "smoother",
+    "C": "certificate",
+    "T": "timing",
+    "K": "controller",
+}
 """The letter of an equation's number, and the page of the theory that has it."""
 
 _BLOCK = re.compile(r"^\$\$\n(?:% *(?P<where>[^\n]+)\n)?(?P<tex>.+?)\n\$\$$", re.DOTALL)
@@ -35,6 +47,13 @@ _TAG = re.compile(r"\s*\\tag\{(\w+)\}")
 
 _UNDER = re.compile(r"<msub><mo>(min|max)</mo>(<mrow>.*?</mrow>|<m[in]>.*?</m[in]>)</msub>")
 _PRIME = re.compile(r"<msup>((?:(?!<msup>).)*?)<mi>(&#x0203[234];)</mi></msup>")
+_FUNCTIONS, _THIN = re.compile(r"<mi>(sin|cos|tan|arctan)</mi>"), '<mspace width="0.12em"/>'
+_OPERATORS = {
+    "<mi>&#x027FA;</mi>": '<mo lspace="0.6em" rspace="0.6em">&#x027FA;</mo>',  # if and only if, a relation
+    "<mi>&#x0007E;</mi>": '<mo lspace="0.28em" rspace="0.28em">&#x0223C;</mo>',
+    "<mi>&#x000B1;</mi>": "<mo>&#x000B1;</mo>",
+    "<mo>&#x0005E;</mo>": '<mo stretchy="false">&#x002C6;</mo>',  # a hat that sits on its letter
+}
 _CAPITALS = re.compile(r"<mi>(&#x003(?:9|A)[0-9A-F];)</mi>")
 
 
@@ -47,6 +66,9 @@ def mathml(tex: str, display: str) -> str:
     )
     found = _CAPITALS.sub(r'<mi mathvariant="normal">\1</mi>', converted(tex, display=display))
     found = _PRIME.sub(r'<mrow>\1<mo form="postfix" lspace="0" rspace="0.05em">\2</mo></mrow>', found)
+    found = _FUNCTIONS.sub(rf"<mrow>{_THIN}<mi>\1</mi>{_THIN}</mrow>", found)
+    for plain, better in _OPERATORS.items():
+        found = found.replace(plain, better)
     return _UNDER.sub(r"<munder><mo>\1</mo>\2</munder>", found) if display == "block" else found
 
 
@@ -87,16 +109,24 @@ class _Blocks(BlockProcessor):
 
 def _place_named(box: etree.Element, where: str) -> None:
     """`path: names` below the formula, the path as a link into the map."""
-    path, _, names = where.partition(":")
+    path, _, names = (part.strip() for part in where.partition(":"))
+    page = f"{_Place.page.removesuffix('.md')}.html"
     line = etree.SubElement(box, "div", {"class": "where"})
-    link = etree.SubElement(line, "a", {"href": f"{_relative('map.md')}#{path.strip().replace('/', '-')}"})
-    link.text = AtomicString(path.strip())
-    link.tail = AtomicString(f" {names.strip()}" if names else "")
+    link = etree.SubElement(line, "a", {"href": link_to_map(path, page)})
+    link.text = AtomicString(path)
+    for name in re.split(r",\s*", names):
+        link.tail = AtomicString(" " if link.text == path else ", ")
+        link = etree.SubElement(line, "a", {"href": link_to_source(path, name, page)})
+        link.text = AtomicString(name)
 
 
 class _Formula(InlineProcessor):
+    """A formula in the text; a punctuation mark after it stays with it."""
+
     def handleMatch(self, m: re.Match[str], data: str) -> tuple[str, int, int]:  # noqa: N802, ARG002 - Markdown's form
-        return self.md.htmlStash.store(mathml(m[1], "inline")), m.start(0), m.end(0)
+        formula = mathml(m[1], "inline")
+        kept = f'<span class="kept">{formula}{m[2]}</span>' if m[2] else formula
+        return self.md.htmlStash.store(kept), m.start(0), m.end(0)
 
 
 class _Citation(InlineProcessor):
@@ -126,7 +156,7 @@ class Maths(Extension):
     def extendMarkdown(self, md: Markdown) -> None:  # noqa: N802 - Markdown's form
         """Register the processors: after code spans, before links."""
         md.parser.blockprocessors.register(_Blocks(md.parser), "formula", 75)
-        md.inlinePatterns.register(_Formula(r"(?<![\\$])\$([^$\n]+?)\$(?!\d)", md), "formula", 185)
+        md.inlinePatterns.register(_Formula(r"(?<![\\$])\$([^$\n]+?)\$(?!\d)([.,:;)]?)", md), "formula", 185)
         md.inlinePatterns.register(_Citation(r"\[([A-Z][A-Za-z]+\d{4}[a-z]?)\](?![(\[])", md), "citation", 175)
         letters = "".join(EQUATION_PAGES)
         md.inlinePatterns.register(_EquationLink(rf"\(([{letters}]\d+)\)", md), "equation", 174)

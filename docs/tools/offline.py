@@ -1,4 +1,4 @@
-"""The finished site loads nothing from elsewhere: a page that would is an error."""
+"""The finished site works from any folder and without a network: a page that would load from elsewhere is an error."""
 
 from __future__ import annotations
 
@@ -19,10 +19,19 @@ _LOADED = re.compile(
     r"""|url\(["']?((?:https?:)?//[^"')]+)|@import\s+["']((?:https?:)?//[^"']+)"""
 )
 
+_LOST = """<h1>No such page</h1>
+<p>Try the <a href="./index.html">start page</a>, the <a href="./map.html">map of the code</a>, or the search.</p>"""
+
 
 def on_post_build(config: MkDocsConfig, **_: object) -> None:
-    """Hook of MkDocs: look through every page and style sheet."""
+    """Hook of MkDocs: mend the page for what is not found, and look through every page and style sheet."""
     site = Path(config.site_dir)
+    for nothing in site.glob("sitemap.xml*"):  # it lists addresses, and there is none
+        nothing.unlink()
+    lost = site / "404.html"
+    text = lost.read_text(encoding="utf-8")
+    text = re.sub(r"""(\b(?:href|src|base)"?[=:] ?"|new URL\(")/""", r"\1./", text)
+    lost.write_text(text.replace("<h1>404 - Not found</h1>", _LOST), encoding="utf-8")
     files = [path for path in sorted(site.rglob("*")) if path.suffix in {".html", ".css"}]
     found = [
         f"{path.relative_to(site)}: {next(filter(None, hit))}"

@@ -95,9 +95,8 @@ def _exact(motion: TrajectoryColumns, path: DockPath, law: TimeLaw, problem: Doc
     from optdock.verification import are_rounded_phases, certify_trajectory, check_samples_of
 
     trajectory = Trajectory(path, law)
-    proof = certify_trajectory(
-        trajectory, problem.robot.limits, problem.dock.approach, start_speed=abs(problem.start_speed)
-    )
+    limits, zone, speed = problem.robot.limits, problem.dock.approach, abs(problem.start_speed)
+    proof = certify_trajectory(trajectory, limits, zone, start_speed=speed, start_acceleration=0.0)
     samples = check_samples_of(trajectory, motion, problem)
     faults = [violation.message for violation in (*proof.violations, *samples.violations)]
     said = f"{law.durations.size} phases, {law.duration:.3f} s"

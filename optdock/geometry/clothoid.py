@@ -23,7 +23,7 @@ __all__ = ["ClothoidSpline"]
 # Five Gauss points integrate cos(theta) over a cell that turns by at most 0.5 rad with an error below 1e-15 of its
 # length on an arc: error <= length * turn^10 * (5!)^4 / (11 * (10!)^3), [Abramowitz1964] eq. 25.4.30. Where the
 # curvature changes its sign within the cell the tenth derivative is larger; the error stays below 1e-9 of the length.
-_NODES, _WEIGHTS = np.polynomial.legendre.leggauss(5)
+_NODES, _WEIGHTS = map(readonly, np.polynomial.legendre.leggauss(5))
 _MAX_TURN_PER_CELL = 0.5
 _MAX_CELLS = 100_000
 

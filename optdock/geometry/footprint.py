@@ -10,7 +10,7 @@ import numpy as np
 
 from optdock.errors import InvalidValue
 from optdock.geometry.arrays import FrozenArrays, readonly
-from optdock.geometry.checked import number
+from optdock.geometry.checked import finite_number, number
 from optdock.geometry.polygon import convex_pieces, edge_planes, simple_polygon
 from optdock.geometry.separation import ConvexBody
 
@@ -86,7 +86,13 @@ class Footprint(FrozenArrays):
 
     @classmethod
     def rectangle(cls, front: float, rear: float, width: float) -> Footprint:
-        """A rectangle from x = -rear to x = front [m], `width` [m] wide and centred in y."""
+        """A rectangle from x = -rear to x = front [m], `width` [m] wide and centred in y.
+
+        Raises:
+            InvalidValue: A number is not finite, or the outline no polygon.
+        """
+        sides = {"front": front, "rear": rear, "width": width}
+        front, rear, width = (finite_number(value, f"footprint: {name}") for name, value in sides.items())
         half = 0.5 * width
         return cls(np.array([[front, half], [-rear, half], [-rear, -half], [front, -half]]))
 

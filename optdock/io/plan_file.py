@@ -14,6 +14,7 @@ from pydantic import BaseModel, ConfigDict, Field, JsonValue, ValidationError
 
 from optdock.errors import InvalidFile, InvalidPath, InvalidValue
 from optdock.geometry.arrays import frozen_array
+from optdock.geometry.checked import number
 from optdock.io.atomic_file import write_text
 from optdock.io.path_columns import Number, PathColumns, path_columns, path_from_columns
 from optdock.io.yaml_lines import printable
@@ -143,7 +144,7 @@ def _phases(law: TimeLaw) -> Mapping[str, object]:
 
 
 def _check_step(name: str, step: float, unit: str, extent: float) -> None:
-    if not (math.isfinite(step) and step > 0.0):
+    if not (math.isfinite(number(step, name)) and step > 0.0):
         raise InvalidValue(f"{name}: must be finite and > 0 {unit}, got {step}")
     if extent > MAX_SAMPLES * step:
         raise InvalidValue(

@@ -74,7 +74,10 @@ def file_costmap(
     costs = np.where(known.data == NO_INFORMATION, NO_INFORMATION, built.update(start).data)
     others = [(name, _why_not(name)) for name in params.costmaps if name != described.name]
     head = (described.name, _place(grid, rolls=params.nodes[node].get("rolling_window") is True))
-    return FileCostmap(known.with_data(costs), (head, ("unknown cells", _unknown(tracked)), *rows, *others))
+    keeps = all(layer.parameters.track_unknown_space for layer in layers.values() if isinstance(layer, StaticLayer))
+    return FileCostmap(
+        known.with_data(costs), (head, ("unknown cells", _unknown(tracked, keeps=keeps)), *rows, *others)
+    )
 
 
 def _node_of(params: Nav2Params, described: CostmapParams) -> str:
@@ -121,7 +124,9 @@ def _used(found: Nav2Plugin, grid: OccupancyGrid, dock: Dock, *, has_map: bool) 
     if isinstance(layer, DockLayer):
         layer.set_dock(dock)
     blind = isinstance(layer, ObstacleLayer)
-    return layer, f"used: {'ObstacleLayer; nothing has been seen yet' if blind else found.outcome}"
+    clears = isinstance(layer, ObstacleLayer | StaticLayer) and layer.parameters.footprint_clearing_enabled
+    said = f"used: {'ObstacleLayer; nothing has been seen yet' if blind else found.outcome}"
+    return layer, f"{said}{'; it frees the cells under the robot at the start' * clears}"
 
 
 def _place(grid: OccupancyGrid, *, rolls: bool) -> str:
@@ -130,9 +135,12 @@ def _place(grid: OccupancyGrid, *, rolls: bool) -> str:
     return f"built in the place and size of the map: {size}{'; it does not roll, the whole map is known' * rolls}"
 
 
-def _unknown(tracked: object) -> str:
-    if tracked is False:
+def _unknown(tracked: object, *, keeps: bool) -> str:
+    """What unknown cells count for, as the layer of the map has them, which may say otherwise than the costmap."""
+    if not keeps:
         return "free: track_unknown_space is false"
+    if tracked is False:
+        return "obstacles: track_unknown_space is false, but not of the layer of the map"
     silent = "" if tracked is True else " (track_unknown_space is not given; Nav2 would take them for free)"
     return f"obstacles{silent}"
 

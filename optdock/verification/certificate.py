@@ -53,8 +53,9 @@ class Certificate:
             without obstacles. Where poses break the rule, the smallest clearance among those found.
         required_clearance: What was required where `min_clearance` occurs [m].
         at_s: Where it occurs [m].
-        margin: Proven lower bound of clearance minus required clearance along the whole path [m]; where poses break
-            the rule, the worst among those found.
+        margin: Proven lower bound of clearance minus required clearance along the whole path [m]. Unlike
+            `min_clearance` it is not sharp: a proof ends where the rule is proven, and 0 may be the bound of a path
+            that keeps centimetres more. Where poses break the rule, the worst among those found.
         nearest: Name of the obstacle there, empty without obstacles.
         max_curvature: Largest |curvature| [1/m].
         max_curvature_rate: Largest |d curvature / ds| [1/m^2].

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import weakref
-from dataclasses import dataclass
+from dataclasses import astuple, dataclass
 from typing import TYPE_CHECKING, Generic, TypeVar
 
 from optdock.deadline import never_late
@@ -59,7 +59,7 @@ def certify_path(path: Path, problem: DockingProblem, *, is_late: Callable[[], b
     Returns:
         The certificate; `certified` is True only if everything was proven.
     """
-    return _made_once(_PATHS, path, weakref.ref(problem), is_late, lambda asked: _path_verdict(path, problem, asked))
+    return _made_once(_PATHS, path, _Itself(problem), is_late, lambda asked: _path_verdict(path, problem, asked))
 
 
 def _path_verdict(path: Path, problem: DockingProblem, is_late: Callable[[], bool]) -> Certificate:
@@ -137,8 +137,18 @@ def certify_trajectory(
         violations, ratios = trajectory_violations(trajectory, limits, zone, start, asked)
         return TrajectoryCertificate(violations, ratios, trajectory.time_law.duration, trajectory.path.digest)
 
-    against = (weakref.ref(trajectory.path), limits, zone, start)
+    against = (_Itself(trajectory.path), astuple(limits), astuple(zone), start)
     return _made_once(_TIME_LAWS, trajectory.time_law, against, is_late, verdict)
+
+
+class _Itself(weakref.ref[Subject]):
+    """A weak reference that equals another only where both are to the same thing, whatever that calls its equal."""
+
+    __slots__ = ()
+    __hash__ = weakref.ref.__hash__
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, _Itself) and self() is not None and self() is other()
 
 
 @dataclass(frozen=True)

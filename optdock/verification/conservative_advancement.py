@@ -65,9 +65,10 @@ class ClearanceProof(NamedTuple):
     """What the proof found.
 
     `proven`: lower bound of the clearance, everywhere on the path; with violations the smallest clearance among them.
-    `at_s`, `required`, `row`: where that is, what was required there, which obstacle (-1: none). `margin`: lower bound
-    of clearance - required, likewise. `violations`: (s, clearance, required, row, x, y, yaw) of poses that break the
-    rule, Shape (n, 7). `unproven`: (s, bound - required) of cells given up, Shape (m, 2). `poses`: poses looked at.
+    `at_s`, `required`, `row`: where that is, what is required there, which obstacle (-1: none). `margin`: lower bound
+    of clearance - required, likewise, but not sharp: cells are bisected until they are proven and no further.
+    `violations`: (s, clearance, required, row, x, y, yaw) of poses that break the rule, Shape (n, 7). `unproven`:
+    (s, bound - required) of cells given up, Shape (m, 2). `poses`: poses looked at.
     """
 
     proven: float
@@ -292,6 +293,11 @@ class _Subdivision:
     def _required(self, from_goal: FloatArray, from_start: FloatArray) -> FloatArray:
         return self.problem.clearance.required_at(from_goal, from_start, self.start_clearance)
 
+    def _required_at(self, pose: Pose2) -> float:
+        ends = (self.problem.goal, self.problem.start)
+        from_goal, from_start = (np.array([np.hypot(pose.x - end.x, pose.y - end.y)]) for end in ends)
+        return float(self._required(from_goal, from_start)[0])
+
     def _distances(self, nodes: Nodes) -> tuple[FloatArray, FloatArray]:
         """Distances from the goal and from the start, Shape (n,) [m] each."""
         return _distance(nodes, self.problem.goal), _distance(nodes, self.problem.start)
@@ -302,6 +308,8 @@ class _Subdivision:
         violations = violations.copy()
         violations[:, 3] = self.original[violations[:, 3].astype(np.int64)]
         proven, s, required, row = (float(value) for value in worst[np.argmin(worst[:, 0])])
+        if len(violations) == 0:  # of a cell it is what is required most anywhere in it
+            required = self._required_at(self.motion.path.pose_at(s))
         margin = float(np.min(worst[:, 0] - worst[:, 2]))
         return ClearanceProof(
             proven, s, required, int(self.original[int(row)]), margin, violations, unproven, self.poses

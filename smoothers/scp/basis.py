@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from optdock.geometry.arrays import readonly
 from smoothers.scp.settings import DEFAULT_SETTINGS
 
 if TYPE_CHECKING:
@@ -23,7 +24,7 @@ __all__ = ["Basis", "Shape", "basis_for"]
 Shape = tuple[tuple[int, int], ...]
 """Per gear: number of knot spans, and of collision intervals in each span."""
 
-_GAUSS = np.array([0.5 - 0.5 / np.sqrt(3.0), 0.5 + 0.5 / np.sqrt(3.0)])
+_GAUSS = readonly(np.array([0.5 - 0.5 / np.sqrt(3.0), 0.5 + 0.5 / np.sqrt(3.0)]))
 
 
 @dataclass(frozen=True, eq=False)

@@ -26,7 +26,7 @@ EQUATION = re.compile(
 )
 
 sys.path.insert(0, str(DOCS / "tools"))
-generated = importlib.import_module("generated")
+generated, sources = importlib.import_module("generated"), importlib.import_module("sources")
 
 
 @functools.cache
@@ -63,8 +63,7 @@ def equations():
 
 
 def defined_names(path):
-    kinds = (ast.FunctionDef, ast.ClassDef)
-    return {node.name for node in ast.walk(parsed(ROOT / path)) if isinstance(node, kinds)}
+    return set(sources.defined_in(str(path)))
 
 
 def test_every_equation_is_numbered_once_and_names_a_module_that_has_what_it_names():
@@ -82,7 +81,7 @@ def test_every_equation_is_numbered_once_and_names_a_module_that_has_what_it_nam
 
 def test_every_reference_to_an_equation_has_one():
     known = {re.search(r"\\tag\{(\w+)\}", found["tex"])[1] for _, found in equations()}
-    referred = {number for page in WRITTEN for number in re.findall(r"\(([GPSCTK]\d+)\)", page.read_text())}
+    referred = {number for page in WRITTEN for number in re.findall(r"\(([GMPSCTK]\d+)\)", page.read_text())}
     assert referred - known == set()
 
 
@@ -121,11 +120,36 @@ def test_the_map_has_every_module_once():
     assert sorted(shown) == [path.relative_to(ROOT) for path in CODE]
 
 
-def test_the_index_of_the_map_names_what_exists():
-    rows = re.findall(r"^\| [^|]+ \| `([\w/]+\.py)`: ([^|]+) \|$", (DOCS / "map.md").read_text(), re.MULTILINE)
-    assert len(rows) > 50
-    missing = {path: set(re.findall(r"`(\w+)`", names)) - defined_names(path) for path, names in rows}
-    assert {path: names for path, names in missing.items() if names} == {}
+def index_rows():
+    """What is looked for, the module, the names: the rows of the map's index."""
+    return re.findall(r"^\| ([^|]+) \| `([\w/]+\.py)`: ([^|]+) \|$", (DOCS / "map.md").read_text(), re.MULTILINE)
+
+
+def test_the_index_of_the_map_names_what_exists_and_what_the_tree_below_it_lists():
+    assert len(index_rows()) > 50
+    named = {(path, name) for _, path, names in index_rows() for name in re.findall(r"`([\w.]+)`", names)}
+    assert {(path, name) for path, name in named if name not in defined_names(path)} == set()
+    listed = {path: generated.public_names(parsed(ROOT / path)) for path, _ in named}
+    assert {(path, name) for path, name in named if name.split(".")[0] not in listed[path]} == set()
+
+
+def test_every_equation_is_in_the_index_at_the_module_that_computes_it():
+    homes = {re.search(r"\\tag\{(\w+)\}", found["tex"])[1]: found["path"].strip() for _, found in equations()}
+    indexed = [(number, path) for said, path, _ in index_rows() for number in re.findall(r"\(([GMPSCTK]\d+)\)", said)]
+    assert sorted(indexed) == sorted(homes.items())
+
+
+def test_the_figures_are_small_and_in_both_schemes():
+    used = {name for page in WRITTEN for name in re.findall(r"assets/([\w-]+\.svg)", page.read_text(encoding="utf-8"))}
+    drawn = {path.name: path.stat().st_size for path in (DOCS / "assets").glob("*.svg")}
+    assert used == set(drawn) >= {"taper-light.svg", "taper-dark.svg"}
+    assert {name: size for name, size in drawn.items() if size > 150_000} == {}
+
+
+def test_the_page_of_the_library_shows_no_inner_life_of_python():
+    made = generated.on_page_markdown((DOCS / "reference" / "api.md").read_text(encoding="utf-8"))
+    assert re.findall(r"<function|<factory>|PosixPath|<class|\ba [AEIO]\w+\n```", made) == []
+    assert "cancel_checker=never_cancelled" in made.replace(" = ", "=")
 
 
 def test_every_module_says_in_its_first_line_what_it_is():

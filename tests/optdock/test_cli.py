@@ -1,4 +1,5 @@
 import csv
+import dataclasses
 import json
 import pathlib
 import re
@@ -16,8 +17,9 @@ from optdock.cli import app
 from optdock.config import load_scenario
 from optdock.geometry.clothoid import ClothoidSpline
 from optdock.geometry.pose import Pose2
-from optdock.io.plan_file import PlanFile, load_plan, save_plan
+from optdock.io.plan_file import PlanFile, TrajectoryColumns, load_plan, save_plan
 from optdock.path import ClothoidSegment, Path
+from optdock.trajectory import TimeLaw, Trajectory
 
 SCENARIO = """\
 format: optdock-scenario/1
@@ -218,6 +220,20 @@ def test_phases_of_another_motion_are_not_called_rounded(planned, phases):
     result = run("certify", "other.json", folder / "bay.yaml")
     assert result.exit_code == 3
     assert re.search(r"motion +\d+ phases, .* s, refuted", result.stdout)
+
+
+def test_phases_that_begin_with_an_acceleration_are_refuted(planned):
+    folder, _ = planned
+    plan = load_plan(folder / "plan.json")
+    jerk, begins, top = 1.0, 0.125, 0.0078125
+    ends = top**0.5
+    cruise = (plan.path.length - begins**3 * jerk / 3.0 - top * ends) / top
+    law = TimeLaw([begins, cruise, ends, ends], [-jerk, 0.0, -jerk, jerk], 0.0, 0.0, 0.125)
+    columns = TrajectoryColumns.from_trajectory(Trajectory(plan.path, law), 0.1)
+    save_plan("kicked.json", dataclasses.replace(plan, trajectory=columns, time_law=law))
+    result = run("certify", "kicked.json", folder / "bay.yaml")
+    assert result.exit_code == 3
+    assert "the motion begins with acceleration 0.125, the robot has 0" in " ".join(result.stdout.split())
 
 
 def test_phases_that_break_a_limit_are_refuted(planned):

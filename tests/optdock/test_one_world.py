@@ -7,7 +7,7 @@ import pytest
 
 from optdock.costmap import obstacles_from_costmap
 from optdock.costmap.costmap import Costmap
-from optdock.dock import Dock, DockDirection
+from optdock.dock import Dock, DockDirection, DockTolerances
 from optdock.errors import ControllerInvalidPath, InvalidValue, OptdockError
 from optdock.geometry.footprint import Footprint
 from optdock.geometry.pose import Pose2, Twist2
@@ -279,6 +279,24 @@ CHANGES = {
 @pytest.mark.parametrize("part", CHANGES)
 def test_a_fingerprint_names_the_part_that_differs(part):
     assert problem().fingerprint.differences(problem(**CHANGES[part]).fingerprint) == (part,)
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"direction": "forward"},
+        {"approach_speed": 0.1},
+        {"approach_distance": 0.2},
+        {"tolerances": DockTolerances(along=0.01)},
+        {"tolerances": DockTolerances(cross=0.01)},
+        {"tolerances": DockTolerances(yaw=0.01)},
+        {"footprint": BOX},
+        {"pose": Pose2(GOAL.x, GOAL.y, GOAL.yaw + 0.1)},
+    ],
+)
+def test_a_fingerprint_holds_every_part_of_the_dock(change):
+    given, changed = problem().dock, dataclasses.replace(problem().dock, **change)
+    assert "dock" in problem(dock=given).fingerprint.differences(problem(dock=changed).fingerprint)
 
 
 def test_a_fingerprint_is_that_of_the_numbers():

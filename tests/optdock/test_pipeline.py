@@ -1,6 +1,7 @@
 """The pipeline: certified or a true reason, and what a raw path breaks the smoothed one keeps."""
 
 import dataclasses
+import itertools
 import math
 
 import numpy as np
@@ -32,6 +33,7 @@ from optdock.geometry.footprint import Footprint
 from optdock.geometry.pose import Pose2
 from optdock.interfaces import (
     GlobalPlanner,
+    LifecycleState,
     PluginContext,
     Smoother,
     SmoothingResult,
@@ -51,6 +53,7 @@ from optdock.problem import ClearanceRule, DockingProblem
 from optdock.robot import Robot
 from optdock.testing.dense_check import dense_check
 from optdock.timing.windowed import Windowed
+from optdock.trajectory import TimeLaw, Trajectory
 from optdock.verification import certify_path, certify_trajectory
 from smoothers import CasadiSmoother
 
@@ -283,6 +286,7 @@ def test_a_timing_that_was_asked_for_wrongly_is_not_replaced(choice, error, mess
         ),
         (lambda: plan_dock(problem(), smoother=Liar), r"got the class Liar; write Liar\(\)"),
         (lambda: plan_dock(problem(), warm_start="plan.json"), "warm_start: must be a Path, got str"),
+        (lambda: plan_dock(problem(), cancel_checker=None), "cancel_checker: must be a function"),
         (lambda: PluginChoice(["DockPlanner"]), "name: must be a str, got list"),
     ],
 )
@@ -356,9 +360,21 @@ class Empty(TimeParameterizer):
         return TimingResult(TimingStatus.OK, "a trajectory")
 
 
+class Kicked(TimeParameterizer):
+    """Sets out with an acceleration that the robot, which rests, does not have."""
+
+    def parameterize(self, path, limits, zone, **start):
+        jerk, begins, top = 1.0, 0.25, 0.03125
+        ends = math.sqrt(top / jerk)
+        cruise = (path.length - begins**3 * jerk / 3.0 - top * ends) / top
+        law = TimeLaw([begins, cruise, ends, ends], [-jerk, 0.0, -jerk, jerk], 0.0, 0.0, 0.25)
+        return TimingResult(TimingStatus.OK, Trajectory(path, law))
+
+
 @pytest.mark.parametrize(
     ("timing", "why"),
     [
+        (Kicked, "the trajectory is not certified: the motion begins with acceleration 0.25, the robot has 0"),
         (Shortcut, "timed another path than the certified one"),
         (Hasty, "the trajectory is not certified: speed"),
         (Broken, "failed: ZeroDivisionError: no time at all"),
@@ -371,7 +387,7 @@ def test_a_timing_plugin_is_never_believed_and_never_the_end(timing, why):
     plan = plan_dock(problem(), time_budget=BUDGET, timing=timing())
     assert plan.trajectory.path is plan.path
     assert plan.trajectory_certificate.certified
-    assert certify_trajectory(plan.trajectory, LIMITS, dock().approach).certified
+    assert certify_trajectory(plan.trajectory, LIMITS, dock().approach, start_acceleration=0.0).certified
     assert why in plan.timing_report.replaced
 
 
@@ -442,6 +458,57 @@ def test_cancelling_stops_every_stage():
     seen.add(type(failure(problem(), cancel_checker=Patience(total))))
     assert seen == {PlannerCancelled, SmootherCancelled, TimingCancelled}
     assert all(issubclass(kind, Cancelled) for kind in seen)
+
+
+class Unproven(CasadiSmoother):
+    """Hands on a path that nobody has proven yet: a copy."""
+
+    def smooth(self, *arguments, **named):
+        found = super().smooth(*arguments, **named)
+        return dataclasses.replace(found, path=Path(found.path.segments, found.path.frame))
+
+
+def test_one_yes_cancels_though_it_is_taken_back():
+    asked = Patience(10**9)
+    plan_dock(problem(), time_budget=BUDGET, cancel_checker=asked)
+    total = 10**9 - asked.left
+    for smoother, times in itertools.product((CasadiSmoother, Unproven), range(total)):
+        answers = itertools.chain(itertools.repeat(False, times), [True], itertools.repeat(False))
+        error = failure(problem(), cancel_checker=lambda a=answers: next(a), smoother=smoother())
+        assert isinstance(error, Cancelled)
+
+
+class Once(CasadiSmoother):
+    """Fails in its first call, and not again."""
+
+    def smooth(self, *arguments, **named):
+        self.smooth = super().smooth
+        raise ZeroDivisionError
+
+
+def test_a_plugin_that_failed_is_free_again():
+    smoother = Once()
+    assert isinstance(failure(problem(), smoother=smoother), PluginError)
+    assert smoother.state is LifecycleState.UNCONFIGURED
+    assert plan_dock(problem(), time_budget=BUDGET, smoother=smoother).certificate.certified
+
+
+class Relabelled(Windowed):
+    """Says of its motion that it is proven for another problem, along a copy of the path."""
+
+    def parameterize(self, path, limits, zone, **start):
+        found = super().parameterize(path, limits, zone, **start)
+        other = problem(start=Pose2(9.0, 9.0, 0.0)).fingerprint
+        motion = Trajectory(Path(path.segments, path.frame), found.trajectory.time_law, other)
+        return dataclasses.replace(found, trajectory=motion)
+
+
+def test_what_a_plan_is_proven_for_is_its_problem_whatever_a_plugin_says():
+    task = problem()
+    plan = plan_dock(task, time_budget=BUDGET, timing=Relabelled())
+    assert plan.trajectory.path is plan.path
+    assert plan.trajectory.certified_for == task.fingerprint
+    assert not plan.timing_report.replaced
 
 
 class Interrupted(Exception):

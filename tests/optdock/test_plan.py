@@ -17,6 +17,7 @@ from optdock.pipeline import plan_dock
 from optdock.plan import DockPlan, PartialPlan
 from optdock.problem import DockingProblem
 from optdock.robot import Robot
+from optdock.trajectory import TimeLaw
 
 LIMITS = MotionLimits(max_curvature=2.0, max_curvature_rate=8.0)
 PROBLEM = DockingProblem(
@@ -60,6 +61,24 @@ def test_a_loaded_plan_is_proven_for_the_problem_at_hand(plan, tmp_path):
         DockPlan.load(tmp_path / "plan.json", dataclasses.replace(PROBLEM, frame="odom"))
 
 
+def test_a_loaded_motion_begins_as_the_robot_does(plan, tmp_path):
+    plan.save(tmp_path / "plan.json")
+    rolling = dataclasses.replace(PROBLEM, start_speed=0.1)
+    with pytest.raises(CertificationFailed, match="begins with speed 0, the robot has 0.1"):
+        DockPlan.load(tmp_path / "plan.json", rolling)
+    # From rest, but at once with half a metre per second squared: no jerk is that large.
+    jerk, begins, top = 2.0, 0.25, 0.0625
+    ends = np.sqrt(top / jerk)
+    cruise = (plan.path.length - begins**3 * jerk / 3.0 - top * ends) / top
+    law = TimeLaw([begins, cruise, ends, ends], [-jerk, 0.0, -jerk, jerk], 0.0, 0.0, 0.5)
+    kicked = dataclasses.replace(plan, trajectory=dataclasses.replace(plan.trajectory, time_law=law))
+    kicked.save(tmp_path / "kicked.json")
+    with pytest.raises(CertificationFailed, match="begins with acceleration 0.5, the robot has 0"):
+        DockPlan.load(tmp_path / "kicked.json", PROBLEM)
+    with pytest.raises(InvalidValue, match="problem: must be a DockingProblem"):
+        DockPlan.load(tmp_path / "plan.json", None)
+
+
 @pytest.mark.parametrize("missing", ["raw_path", "path", "time_law"])
 def test_a_file_without_a_whole_plan_is_none(plan, tmp_path, missing):
     save_plan(tmp_path / "part.json", dataclasses.replace(plan.as_file(), **{missing: None}))
@@ -72,8 +91,12 @@ def test_spacing_and_period_are_those_asked_for(plan, tmp_path):
     plan.save(tmp_path / "plan.json", spacing=0.1, period=0.5)
     found = load_plan(tmp_path / "plan.json")
     assert np.diff(found.trajectory.t).max() == pytest.approx(0.5)
-    with pytest.raises(InvalidValue, match="spacing"):
-        plan.save(tmp_path / "plan.json", spacing=0.0)
+    for wrong in (0.0, -0.1, float("nan"), float("inf"), "0.1", None, True):
+        with pytest.raises(InvalidValue, match="spacing"):
+            plan.save(tmp_path / "none.json", spacing=wrong)
+        with pytest.raises(InvalidValue, match="period"):
+            plan.save(tmp_path / "none.json", period=wrong)
+    assert [file.name for file in tmp_path.iterdir()] == ["plan.json"]
 
 
 @pytest.mark.parametrize("kind", [str, FilePath])

@@ -1,11 +1,13 @@
 """Plugins: parameters, lifecycle, lookup by entry point, also from a foreign distribution."""
 
+import itertools
 import subprocess
 import sys
 import textwrap
+from enum import Enum
 
 import pytest
-from pydantic import Field
+from pydantic import ConfigDict, Field, PrivateAttr
 
 from optdock.errors import InvalidValue, LifecycleError, PluginError
 from optdock.interfaces import GoalChecker, LifecycleState, Smoother, Tolerances
@@ -54,6 +56,43 @@ def test_equal_parameters_are_checked_once_and_those_that_can_be_written_into_ar
     mine, other = (parse_parameters(ListedParameters, {}, "Listed") for _ in range(2))
     mine.names.append("mine")
     assert other.names == parse_parameters(ListedParameters, {}, "Listed").names == []
+
+
+class Gear(Enum):
+    FORWARD = 1
+    REVERSE = -1
+
+    def __repr__(self):
+        return "a gear"
+
+
+class GearParameters(PluginParameters):
+    gear: Gear = Gear.FORWARD
+
+
+class OpenParameters(PluginParameters):
+    model_config = ConfigDict(frozen=False)
+    cycles: int = 3
+
+
+class RememberingParameters(PluginParameters):
+    _seen: list[str] = PrivateAttr(default_factory=list)
+
+
+class NumberedParameters(PluginParameters):
+    number: int = Field(default_factory=itertools.count().__next__)
+
+
+def test_parameters_that_are_no_constant_are_made_for_each_plugin_anew():
+    for gear in Gear:
+        assert parse_parameters(GearParameters, {"gear": gear}, "Gear").gear is gear
+    mine, other = (parse_parameters(OpenParameters, {}, "Open") for _ in range(2))
+    mine.cycles = 7
+    assert other.cycles == 3
+    mine, other = (parse_parameters(RememberingParameters, {}, "Remembering") for _ in range(2))
+    mine._seen.append("mine")
+    assert other._seen == []
+    assert len({parse_parameters(NumberedParameters, {}, "Numbered").number for _ in range(3)}) == 3
 
 
 def test_parameters_have_defaults_and_are_checked_all_at_once():

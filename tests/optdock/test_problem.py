@@ -99,7 +99,9 @@ def test_one_clearance_holds_everywhere_also_at_the_dock(value):
     np.testing.assert_array_equal(rule.required_at(np.array([0.0, 0.1, 5.0]), np.full(3, 9.0), 9.0), float(value))
 
 
-@pytest.mark.parametrize("value", [-0.1, math.nan, math.inf, True, "0.05", None, [0.05]])
+@pytest.mark.parametrize(
+    "value", [-0.1, math.nan, math.inf, pytest.param(10**400, id="huge"), True, "0.05", None, [0.05]]
+)
 def test_a_clearance_is_a_rule_or_a_number(value):
     with pytest.raises(InvalidValue, match="^clearance"):
         problem(clearance=value)
@@ -166,11 +168,15 @@ def test_booleans_are_occupied_or_free():
 
 
 def test_what_is_probably_occupied_is_an_obstacle():
-    for occupancy in range(101):
+    for occupancy in (0, *range(2, 101)):
         grid = np.zeros((4, 4), dtype=np.int8)
         grid[1, 2] = occupancy
         assert (len(boxes(from_grid(grid))) == 1) is (occupancy >= 65)
         assert (len(boxes(from_grid(grid, occupied_from=20))) == 1) is (occupancy >= 20)
+
+
+def test_ones_are_occupied_where_one_percent_is():
+    assert boxes(from_grid((GRID > 0).astype(int), occupied_from=1)) == boxes(from_grid(GRID))
 
 
 def test_unknown_cells_are_obstacles_unless_told_otherwise():
@@ -205,6 +211,9 @@ def test_a_grid_is_a_costmap():
         (np.array([[0, 255]], dtype=np.uint8), {}, "occupancy: must be -1 .* got 255"),
         (GRID[0], {}, r"must have shape \(rows, columns\)"),
         (np.zeros((0, 3), dtype=int), {}, "at least one cell"),
+        ((GRID > 0).astype(int), {}, "give a mask as booleans, or occupied_from = 1"),
+        (np.ma.masked_equal(GRID, 0), {}, "must not be masked"),
+        ([[0, 100], [0]], {}, "every row must have as many cells"),
         (GRID, {"occupied_from": 0}, "occupied_from: must be an integer in 1..100"),
         (GRID, {"occupied_from": 0.65}, "occupied_from: must be an integer in 1..100"),
     ],

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import copy
 import json
 import math
@@ -281,6 +282,7 @@ def _replace(rng: Rng, holder: Any, key: Any) -> None:  # noqa: ANN401
     elif style < 0.35 and isinstance(holder, list):
         holder.append(holder[key])
     elif style < 0.55 and isinstance(holder[key], int | float) and not isinstance(holder[key], bool):
-        holder[key] = holder[key] * float(rng.choice([-1.0, 57.29578, 1e6, 1e-6, 1.001]))
+        with contextlib.suppress(OverflowError):  # what an earlier mutation made of it may be beyond all floats
+            holder[key] = holder[key] * float(rng.choice([-1.0, 57.29578, 1e6, 1e-6, 1.001]))
     else:
         holder[key] = copy.deepcopy(_HOSTILE[int(rng.integers(len(_HOSTILE)))])

@@ -51,6 +51,13 @@ def test_a_radius_is_a_positive_number(radius):
         Footprint.from_radius(radius)
 
 
+@pytest.mark.parametrize("bad", [10**400, "1", float("nan"), True])
+@pytest.mark.parametrize("name", ["front", "rear", "width"])
+def test_a_side_that_is_no_number_is_named(name, bad):
+    with pytest.raises(InvalidValue, match=f"footprint: {name}: must be"):
+        Footprint.rectangle(**{"front": 0.4, "rear": 0.4, "width": 0.4, name: bad})
+
+
 def test_radii_of_a_rectangle():
     footprint = Footprint.rectangle(0.5, 0.2, 0.6)
     assert footprint.inscribed_radius == pytest.approx(0.2)

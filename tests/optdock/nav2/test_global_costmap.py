@@ -84,6 +84,40 @@ def test_unknown_cells_are_what_the_file_says_and_obstacles_where_it_is_silent(t
     assert rows["unknown cells"] == said
 
 
+FALSE, TRUE = "track_unknown_space: false", "track_unknown_space: true"
+
+
+@pytest.mark.parametrize(
+    ("node", "static", "cost", "said"),
+    [
+        (TRUE, STATIC[:-1] + f", {FALSE}}}", 0, "free: track_unknown_space is false"),
+        ("", STATIC[:-1] + f", {FALSE}}}", 0, "free: track_unknown_space is false"),
+        (FALSE, STATIC[:-1] + f", {TRUE}}}", 255, "obstacles: track_unknown_space is false, but not of the layer"),
+        (FALSE, INFLATION, 255, "obstacles: track_unknown_space is false, but not of the layer of the map"),
+    ],
+)
+def test_what_is_said_of_unknown_cells_is_what_the_layer_of_the_map_makes_of_them(tmp_path, node, static, cost, said):
+    costmap, rows = built(params(tmp_path, static, node=f"      {node}\n"))
+    assert set(costmap.data[34:, 36:].ravel().tolist()) == {cost}
+    assert rows["unknown cells"].startswith(said)
+
+
+@pytest.mark.parametrize(
+    ("layers", "frees"),
+    [
+        ([STATIC], False),
+        ([STATIC[:-1] + ", footprint_clearing_enabled: true}"], True),
+        ([STATIC, "seen: {plugin: ObstacleLayer, combination_method: 0}"], True),
+        ([STATIC, "seen: {plugin: ObstacleLayer, combination_method: 0, footprint_clearing_enabled: false}"], False),
+    ],
+)
+def test_a_layer_that_frees_the_cells_under_the_robot_is_known_by_its_row(tmp_path, layers, frees):
+    blocked = OccupancyGrid(np.full((60, 60), 100, dtype=np.int8), SIDE)
+    costmap, rows = built(params(tmp_path, *layers), blocked)
+    assert bool(np.any(costmap.data != 254)) is frees
+    assert any("frees the cells under the robot" in row for row in rows.values()) is frees
+
+
 def test_the_map_is_in_the_costmap_also_where_the_file_lists_no_static_layer(tmp_path):
     added = "added: the file uses none, but a map was given"
     for layers in ([INFLATION], [STATIC[:-1] + ", enabled: false}", INFLATION]):
@@ -103,7 +137,8 @@ def test_what_is_skipped_is_said_with_its_reason(tmp_path):
     assert rows[NAME].endswith("; it does not roll, the whole map is known")
     assert rows["other_map"] == "skipped: there is no second map"
     assert rows["voxels"] == "skipped: optdock has no layer of this class"
-    assert rows["seen"] == "used: ObstacleLayer; nothing has been seen yet"
+    freed = "it frees the cells under the robot at the start"
+    assert rows["seen"] == f"used: ObstacleLayer; nothing has been seen yet; {freed}"
     assert rows["keepout"] == "skipped: optdock has no filters; what it forbids is not in the costmap"
     assert rows["local_costmap"].startswith("skipped: it holds what sensors see")
 

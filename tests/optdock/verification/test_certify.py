@@ -18,6 +18,7 @@ from optdock.problem import ClearanceRule, DockingProblem
 from optdock.robot import Robot
 from optdock.trajectory import TimeLaw, Trajectory
 from optdock.verification import certify, certify_path, certify_trajectory
+from optdock.verification.memo import Memo
 
 BESIDE = ObstacleSet.from_polygons([[[1.0, 0.3001], [2.0, 0.3001], [2.0, 1.0], [1.0, 1.0]]])
 ROBOT = Robot(Footprint.rectangle(0.4, 0.4, 0.6), MotionLimits())
@@ -121,3 +122,54 @@ def test_no_motion_is_kept_alive():
     del motion
     gc.collect()
     assert [one() for one in gone] == [None, None]
+
+
+class Alike(DockingProblem):
+    """A problem that calls every problem of the same goal its equal."""
+
+    def __eq__(self, other):
+        return self.goal == other.goal
+
+    __hash__ = DockingProblem.__hash__
+
+
+def test_a_problem_that_calls_itself_equal_is_another_one():
+    path = straight()
+    free, beside = (Alike(path.start, Dock(path.end), ROBOT, some, ClearanceRule(0.01, 0.01)) for some in ((), BESIDE))
+    assert certify_path(path, free).certified
+    assert not certify_path(path, beside).certified
+
+
+class Lax(MotionLimits):
+    """Limits that call all limits their equal."""
+
+    def __eq__(self, other):
+        return True
+
+    __hash__ = None
+
+
+def test_limits_count_by_their_values_when_the_proof_is_asked_for():
+    motion = Trajectory(straight(), from_rest_to_rest())
+    assert certify_trajectory(motion, Lax(), SpeedZone()).certified
+    assert not certify_trajectory(motion, Lax(max_speed=0.1), SpeedZone()).certified
+    written = MotionLimits()
+    assert certify_trajectory(motion, written, SpeedZone()).certified
+    object.__setattr__(written, "max_speed", 0.1)  # nobody should; a proof must not hide it
+    assert not certify_trajectory(motion, written, SpeedZone()).certified
+
+
+def test_a_proof_that_was_cut_short_is_no_answer_to_whoever_is_less_in_a_hurry():
+    curve = ClothoidSpline(Pose2(0.0, -0.8, 0.0), np.array([0.0, 3.0]), np.array([0.4, -0.4]))
+    path = Path((ClothoidSegment(curve),))
+    task = problem(path, certify_path(path, problem(path)).min_clearance - 1e-4)
+    assert not certify_path(path, task, is_late=lambda: True).certified
+    assert certify_path(path, task, is_late=lambda: False).certified
+
+
+def test_a_memo_knows_its_subject_and_no_other_of_the_same_address():
+    kept, known, stranger = Memo(), straight(), straight()
+    kept.keep(known, "proven")
+    kept._kept[id(stranger)] = kept._kept[id(known)]  # as if an address had been given out twice
+    assert kept.recall(known) == "proven"
+    assert kept.recall(stranger) is None

@@ -65,6 +65,15 @@ def test_a_thin_post_beside_a_straight_run_is_found_2_mm_inside_and_passed_2_mm_
         assert certificate.min_clearance == pytest.approx(REQUIRED + shift, abs=1e-3)
 
 
+@pytest.mark.parametrize("gap", [0.002, 0.01, 0.03])
+def test_what_is_required_is_told_for_the_place_that_is_told(gap):
+    path, rule = clothoid([0.0, 3.0], [0.0, 0.0]), ClearanceRule(0.05, 0.0, 0.5)
+    ahead = ObstacleSet.from_polygons([square(3.45 + gap + 0.001, 0.0)])
+    certificate = certify_path(path, problem_for(path, ahead, clearance=rule))
+    assert certificate.certified
+    assert certificate.required_clearance == pytest.approx(0.05 * (3.0 - certificate.at_s) / 0.5, abs=1e-12)
+
+
 def curved_path():
     return clothoid([0.0, 1.0, 2.5, 4.0], [0.0, 1.2, -1.4, 0.3])
 
