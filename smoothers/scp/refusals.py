@@ -9,6 +9,7 @@ import numpy as np
 
 from optdock.dock import DockDirection
 from optdock.errors import FailedToSmoothPath
+from optdock.obstacles import in_words
 from optdock.path import Direction
 from optdock.verification import pose_clearances
 
@@ -48,7 +49,7 @@ def refuse_start(path: Path, problem: DockingProblem, start_clearance: float, ne
     """What makes any path with these gears impossible from the start on, or None."""
     if start_clearance < -_TOLERANCE:
         name = problem.all_obstacles.name_of(nearest)
-        message = f"the footprint overlaps {name} by {-start_clearance:.3f} m where the robot stands"
+        message = f"the footprint overlaps {in_words(name)} by {-start_clearance:.3f} m where the robot stands"
         return Refusal("start_in_collision", 0.0, -start_clearance, name, message)
     limit, steered = problem.robot.limits.max_curvature, problem.start_curvature
     if steered is not None and abs(steered) > limit:
@@ -86,7 +87,8 @@ def refuse_approach(path: Path, problem: DockingProblem, start_clearance: float)
     name = problem.all_obstacles.name_of(int(rows[k]))
     s = path.length - abs(float(back[k]))
     what = "at the goal" if back[k] == 0.0 else f"on the final straight, {abs(back[k]):.3f} m before the goal,"
-    does = f"overlaps {name} by {-distance[k]:.4f} m" if distance[k] < 0.0 else f"is {distance[k]:.4f} m from {name}"
+    met = in_words(name)
+    does = f"overlaps {met} by {-distance[k]:.4f} m" if distance[k] < 0.0 else f"is {distance[k]:.4f} m from {met}"
     message = f"{what} the footprint {does}, required are {required[k]:.4f} m"
     return Refusal("approach_blocked", s, float(short[k]), name, message, poses[k])
 
@@ -105,7 +107,9 @@ def refuse_search(nlp: NonlinearProgram, last: Iterate, final_straight: float) -
     name = nlp.scene.obstacles.name_of(int(last.clearance.pairs.obstacle[k]))
     at = int(last.clearance.pairs.interval[k])
     s = float(last.rollout.steps[:at].sum())
-    message = f"the best path found comes {last.shortfall:.4f} m closer to {name} than required at s = {s:.3f} m"
+    message = (
+        f"the best path found comes {last.shortfall:.4f} m closer to {in_words(name)} than required at s = {s:.3f} m"
+    )
     return Refusal("clearance", s, last.shortfall, name, message, last.rollout.poses[at])
 
 
