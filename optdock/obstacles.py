@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from optdock.geometry.footprint import Footprint
     from optdock.geometry.pose import Pose2
 
-__all__ = ["ObstacleSet"]
+__all__ = ["ObstacleSet", "in_words"]
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -206,7 +206,7 @@ class ObstacleSet(FrozenArrays):
         return found
 
     def name_of(self, row: int) -> str:
-        """What to call piece `row` in a message."""
+        """The name of piece `row`; a sentence has `in_words` of it."""
         return self.names[int(self.group[row])]
 
     def pieces(self, rows: IntArray) -> ConvexPieces:
@@ -234,3 +234,12 @@ def _widen(vertices: FloatArray, width: int) -> FloatArray:
     if missing == 0:
         return vertices
     return np.concatenate((vertices, np.repeat(vertices[..., -1:, :], missing, axis=-2)), axis=-2)
+
+
+def in_words(name: str) -> str:
+    """What a sentence calls an obstacle; files and `where` keep its name.
+
+    >>> in_words("unknown"), in_words("dock")
+    ('unknown cells of the map', 'dock')
+    """
+    return "unknown cells of the map" if name == "unknown" else name

@@ -51,10 +51,11 @@ from optdock.interfaces import (
     never_cancelled,
 )
 from optdock.limits import MotionLimits
+from optdock.obstacles import in_words
 from optdock.path import Path
 from optdock.plan import DockPlan, PartialPlan, where_broken
 from optdock.plugins import PluginChoice, create_plugin, plugin_from
-from optdock.problem import DockingProblem
+from optdock.problem import ClearanceRule, DockingProblem
 from optdock.robot import Robot
 from optdock.trajectory import Trajectory
 from optdock.verification import TOLERANCE, certify_path, certify_trajectory, end_clearances
@@ -476,11 +477,24 @@ def check_ends(problem: DockingProblem) -> None:
         if clearance < required - TOLERANCE:
             obstacle = problem.all_obstacles.name_of(row)
             what = (
-                f"overlaps {obstacle} by {-clearance:.4f} m"
+                f"overlaps {in_words(obstacle)} by {-clearance:.4f} m"
                 if clearance < 0.0
-                else (f"is {clearance:.4f} m from {obstacle}, required {required:.4f} m")
+                else f"is {clearance:.4f} m from {in_words(obstacle)}, required {required:.4f} m"
             )
+            # The robot does not overlap its own station, and may touch it: then the number is what asks for too much.
+            if obstacle == "dock" and name == "goal" and clearance >= 0.0:
+                what += _way_out(problem.clearance)
             raise occupied(f"the footprint at the {name} {what}", where={"obstacle": obstacle, "clearance": clearance})
+
+
+def _way_out(rule: ClearanceRule) -> str:
+    """How to write a clearance that lets the robot touch its station."""
+    parts = {"required": rule.required, "at_dock": 0.0}
+    if rule.taper != ClearanceRule().taper:
+        parts["taper"] = rule.taper
+    in_file = ", ".join(f"{key}: {value:g}" for key, value in parts.items())
+    in_python = ", ".join(f"{key}={value!r}" for key, value in parts.items())
+    return f"; clearance holds at the dock too; give {{{in_file}}} (in Python: ClearanceRule({in_python}))"
 
 
 def _reserve(budget: float) -> float:

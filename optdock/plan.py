@@ -17,6 +17,7 @@ from optdock.io.plan_file import (
     load_plan,
     save_plan,
 )
+from optdock.obstacles import in_words
 from optdock.outcomes import SmoothingReport, TimingReport
 from optdock.problem import DockingProblem
 from optdock.trajectory import Trajectory
@@ -64,7 +65,7 @@ class DockPlan:
         status = CERTIFIED if self.completed else f"{CERTIFIED}, stopped early by the time budget"
         parts = [f"{status}: {self.path.length:.2f} m in {self.trajectory.duration:.2f} s"]
         if math.isfinite(self.certificate.min_clearance):
-            parts.append(f"closest {self.certificate.min_clearance:.3f} m to {self.certificate.nearest}")
+            parts.append(f"closest {self.certificate.min_clearance:.3f} m to {in_words(self.certificate.nearest)}")
         if "total" in self.timing_ms:
             parts.append(f"planned in {self.timing_ms['total']:.1f} ms")
         return ", ".join(parts)

@@ -19,7 +19,8 @@ from optdock.errors import InvalidValue
 from optdock.fingerprint import ProblemFingerprint, digest
 from optdock.geometry.arrays import FrozenArrays
 from optdock.geometry.checked import finite_number, instance, number
-from optdock.geometry.pose import Pose2
+from optdock.geometry.pose import Pose2, transform_points
+from optdock.geometry.separation import separation
 from optdock.obstacles import ObstacleSet
 from optdock.robot import Robot
 
@@ -30,10 +31,13 @@ if TYPE_CHECKING:
 
     from optdock.costmap.costs import CostArray
     from optdock.geometry.arrays import FloatArray
+    from optdock.geometry.footprint import Footprint
 
 __all__ = ["ClearanceRule", "DockingProblem"]
 
 OCCUPIED_FROM = 65  # of 100: map_server's default `occupied_thresh`
+# [m]: also from a robot that is smaller, what belongs to a station, such as a marker on a wall, may stand so far.
+BESIDE_THE_ROBOT = 1.0
 # A robot that starts closer to an obstacle than required must leave it at least at this slope.
 START_RELIEF_SLOPE = 0.5
 
@@ -118,8 +122,9 @@ class DockingProblem(FrozenArrays):
         all_obstacles: The obstacles, the cells of the costmap, and the station last.
 
     Raises:
-        InvalidValue: start_speed or start_curvature is not finite, a polygon is none (the message says which), or a
-            part is of another class.
+        InvalidValue: start_speed or start_curvature is not finite, a polygon is none (the message says which), the
+            station stands farther from the docked robot than the robot is long, and than 1 m, as one in coordinates of
+            the map does; or a part is of another class.
     """
 
     start: Pose2
@@ -169,6 +174,7 @@ class DockingProblem(FrozenArrays):
             mapped = mapped_obstacles(known, unknown_is_obstacle=self.unknown_is_obstacle)
             everything = (everything + mapped).distinct() if len(everything) else mapped
         if self.dock.footprint is not None:
+            _check_station(self.dock.footprint, self.goal, self.robot)
             everything = everything + ObstacleSet.from_footprint(self.dock.footprint, self.dock.pose, "dock")
         object.__setattr__(self, "all_obstacles", everything)
 
@@ -289,6 +295,40 @@ class DockingProblem(FrozenArrays):
             start=digest(self.start.as_array(), self.start_speed, steered),
             frame=self.frame,
         )
+
+
+def _check_station(station: Footprint, goal: Pose2, robot: Robot) -> None:
+    """Refuse a station that stands so far from the docked robot that it can only be meant otherwise.
+
+    A real one touches the robot or stands within its length; an outline far off proves nothing about the true one.
+    """
+    outline = robot.footprint.vertices
+    length = _farthest_corners(outline, outline)
+    allowed = max(BESIDE_THE_ROBOT, length)
+    # Corners are near at nearly every dock; only at others the edges between them need to be looked at.
+    if _nearest_corners(outline, station.vertices) <= allowed:
+        return
+    pieces = ObstacleSet.from_footprint(station, Pose2(0.0, 0.0, 0.0), "dock")
+    rows = np.arange(len(pieces))
+    docked = np.zeros((rows.size, 3))
+    gap = min(float(separation(body, docked, pieces.pieces(rows)).distance.min()) for body in robot.footprint.bodies)
+    if gap <= allowed:
+        return
+    seen = transform_points(goal.inverse().as_array()[None], station.vertices)[0]
+    corners = ", ".join(f"[{x:.4g}, {y:.4g}]" for x, y in np.round(seen, 3) + 0.0)
+    meant = f"; meant as [{corners}]?" if _nearest_corners(outline, seen) <= allowed else ""
+    raise InvalidValue(
+        f"dock.footprint: is {gap:.3f} m away from the docked robot, which is {length:.3f} m long: the outline of the "
+        f"station is seen from the docked robot, not on the map{meant}"
+    )
+
+
+def _nearest_corners(first: FloatArray, second: FloatArray) -> float:
+    return float(np.hypot(*(first[:, None] - second).T).min())
+
+
+def _farthest_corners(first: FloatArray, second: FloatArray) -> float:
+    return float(np.hypot(*(first[:, None] - second).T).max())
 
 
 def _costs(occupancy: ArrayLike, occupied_from: int) -> CostArray:

@@ -10,10 +10,11 @@ import numpy as np
 
 from optdock.io.plan_file import CERTIFIED, PlanError, PlanFile, finite_or_null, strict_json
 from optdock.limits import LIMIT_UNITS
+from optdock.obstacles import in_words
 from optdock.plan import PartialPlan
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Collection, Iterable, Sequence
 
     from optdock.errors import OptdockError
     from optdock.geometry.arrays import FloatArray
@@ -35,6 +36,7 @@ __all__ = [
 
 RUN_FORMAT = "optdock-run/1"
 _WIDE = 78  # letters of a value on a line
+_NO_BREAK = "\N{NO-BREAK SPACE}"
 
 
 class Row(NamedTuple):
@@ -79,23 +81,33 @@ def certificate_rows(certificate: Certificate) -> list[Row]:
     """What a certificate proves."""
     rows = [Row("length", f"{certificate.length:.3f} m"), Row("max curvature", f"{certificate.max_curvature:.3f} 1/m")]
     if math.isfinite(certificate.min_clearance):
-        where = f"to {certificate.nearest} at s = {certificate.at_s:.3f} m"
+        where = f"to {in_words(certificate.nearest)} at s = {certificate.at_s:.3f} m"
         required = f"required there {certificate.required_clearance:.4f} m"
         rows.append(Row("min clearance", f"{certificate.min_clearance:.4f} m {where}, {required}"))
     return rows
 
 
-def limit_rows(limits: MotionLimits) -> list[Row]:
-    """The motion limits that hold, and those that do not because nobody gave them."""
+def limit_rows(limits: MotionLimits, defaults: Collection[str] = ()) -> list[Row]:
+    """The motion limits that hold, and those that do not because nobody gave them.
+
+    Args:
+        limits: Of the robot.
+        defaults: Names of those that nobody gave.
+    """
     values = {name: getattr(limits, name) for name in LIMIT_UNITS}
-    known = (f"{_spoken(name)} {value:g} {LIMIT_UNITS[name]}" for name, value in values.items() if math.isfinite(value))
+    known = (
+        f"{_spoken(name)} {value:g} {LIMIT_UNITS[name]}" + (" (default)" if name in defaults else "")
+        for name, value in values.items()
+        if math.isfinite(value)
+    )
     unlimited = (_spoken(name) for name, value in values.items() if not math.isfinite(value))
-    return [*_wrapped("limits", ", ".join(known)), *_wrapped("unlimited", ", ".join(unlimited))]
+    return [*_wrapped("limits", known), *_wrapped("unlimited", unlimited)]
 
 
-def _wrapped(name: str, text: str) -> list[Row]:
-    """A long value on as many lines as it needs; none without a value."""
-    return [Row(name if i == 0 else "", line) for i, line in enumerate(textwrap.wrap(text, _WIDE))]
+def _wrapped(name: str, parts: Iterable[str]) -> list[Row]:
+    """Parts between commas, on as many lines as they need, none of them torn; no row without a part."""
+    lines = textwrap.wrap(", ".join(part.replace(" ", _NO_BREAK) for part in parts), _WIDE)
+    return [Row(name if i == 0 else "", line.replace(_NO_BREAK, " ")) for i, line in enumerate(lines)]
 
 
 def _spoken(name: str) -> str:

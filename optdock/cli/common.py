@@ -61,9 +61,36 @@ VerboseOption: TypeAlias = Annotated[
 _INPUT_ERRORS = (InvalidFile, InvalidValue, PluginError, MissingExtra)
 
 
+class _Console(logging.Formatter):
+    """A warning as such, and what the library does with the name of who does it."""
+
+    def format(self, record: logging.LogRecord) -> str:
+        """The line of a record."""
+        begin = record.levelname.lower() if record.levelno >= logging.WARNING else record.name
+        return f"{begin}: {super().format(record)}"
+
+
+class _Once(logging.Filter):
+    """Lets every warning through once: a file that is read twice has the same fault twice."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self._said: set[str] = set()
+
+    def filter(self, record: logging.LogRecord) -> bool:
+        """Whether it is new."""
+        said = record.getMessage()
+        is_new = record.levelno < logging.WARNING or said not in self._said
+        self._said.add(said)
+        return is_new
+
+
 def listen(*, verbose: bool) -> None:
-    """Show warnings of the library on stderr, and what it does where that is asked for."""
-    logging.basicConfig(level=logging.WARNING, format="%(name)s: %(message)s")
+    """Show warnings of the library on stderr, each once, and what it does where that is asked for."""
+    handler = logging.StreamHandler()
+    handler.setFormatter(_Console())
+    handler.addFilter(_Once())
+    logging.basicConfig(level=logging.WARNING, handlers=[handler])
     if verbose:
         for package in ("optdock", "smoothers", "checkers"):
             logging.getLogger(package).setLevel(logging.INFO)

@@ -136,7 +136,11 @@ def _plan_and_tell(scenario: Scenario, time_budget: float | None, outputs: PlanO
     if profile is not None:
         draw_profile(profile, scenario, found)
     written = ", ".join(str(path) for path in (outputs.file, outputs.picture, profile) if path is not None)
-    rows = [*plan_rows(found), *limit_rows(scenario.problem.robot.limits), ("written", written)]
+    rows = [
+        *plan_rows(found),
+        *limit_rows(scenario.problem.robot.limits, scenario.default_limits),
+        ("written", written),
+    ]
     typer.echo(table(rows))
 
 

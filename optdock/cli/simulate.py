@@ -119,7 +119,11 @@ def demo(
             run = driven(scenario, plan, 0)
             _write(scenario, run, 0, out / "run.json", (out / "run.png", out / "run.gif"))
             advance("driven")
-        typer.echo(table([*plan_rows(plan), *limit_rows(scenario.problem.robot.limits), *run_rows(run)]))
+        typer.echo(
+            table(
+                [*plan_rows(plan), *limit_rows(scenario.problem.robot.limits, scenario.default_limits), *run_rows(run)]
+            )
+        )
         typer.echo(f"\nThe scenario, the plan, the run and their pictures are in {out}. Next, for example:")
         typer.echo(f"  {_program()} plan {out / 'scenario.yaml'} --plot plan.png")
         _refuse_fault(run)

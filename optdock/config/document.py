@@ -38,9 +38,22 @@ from optdock.pipeline import DEFAULT_TIME_BUDGET
 from optdock.problem import ClearanceRule
 from optdock.robot import Drive, Robot
 
-__all__ = ["SECTIONS", "ScenarioDocument", "known_keys"]
+__all__ = ["SECTIONS", "ScenarioDocument", "known_keys", "synonym"]
 
 _FARTHEST = 1e8  # [m]; as for polygons
+# What Nav2 and its planners and controllers call the same things.
+_SYNONYMS = {
+    "min_turning_radius": "max_curvature",
+    "minimum_turning_radius": "max_curvature",
+    "max_velocity": "max_speed",
+    "max_vel_x": "max_speed",
+    "min_vel_x": "max_reverse_speed",
+    "max_vel_theta": "max_yaw_rate",
+    "acc_lim_x": "max_acceleration",
+    "decel_lim_x": "max_deceleration",
+    "wheel_separation": "track_width",
+    "robot_radius": "radius",
+}
 SECTIONS = ("planner", "smoother", "timing", "controller", "goal_checker")
 
 
@@ -395,3 +408,19 @@ def known_keys(key: tuple[str | int, ...]) -> tuple[str, ...]:
         inner = field.annotation if field else None
         model = inner if isinstance(inner, type) and issubclass(inner, BaseModel) else None
     return tuple(model.model_fields) if model else ()
+
+
+def synonym(key: tuple[str | int, ...], value: object) -> str:
+    """`; write ...` for a key that others call so, with its value where a file would hold another; or "".
+
+    >>> synonym(("robot", "limits", "min_turning_radius"), 0.5)
+    '; write max_curvature: 2, that is 1 / radius'
+    """
+    ours = _SYNONYMS.get(str(key[-1]), "")
+    if ours not in known_keys(key[:-1]):
+        return ""
+    if not is_number(value) or not math.isfinite(value) or value == 0.0:
+        return f"; write {ours}"
+    is_radius = ours == "max_curvature"
+    size = abs(1.0 / value if is_radius else value)
+    return f"; write {ours}: {size:.5g}{', that is 1 / radius' if is_radius else ''}"

@@ -2,19 +2,22 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+import numpy as np
 from pydantic import ValidationError
 
-from optdock.config.document import SECTIONS, ScenarioDocument, known_keys
+from optdock.config.document import SECTIONS, ScenarioDocument, known_keys, synonym
 from optdock.config.plugin_sections import PLUGIN_DEFAULTS, plugin_choice
-from optdock.errors import InvalidFile, OptdockError
+from optdock.errors import InvalidFile, InvalidValue, OptdockError
 from optdock.io.faults import Fault, faults_of, report
 from optdock.io.maps import load_map
 from optdock.io.yaml_lines import load_yaml
+from optdock.limits import LIMIT_UNITS
 from optdock.obstacles import ObstacleSet
 from optdock.pipeline import DEFAULT_TIME_BUDGET, plan_dock
 from optdock.plugins import PluginChoice
@@ -22,9 +25,13 @@ from optdock.problem import DockingProblem
 
 if TYPE_CHECKING:
     from optdock.costmap.costmap import Costmap
+    from optdock.geometry.footprint import Footprint
+    from optdock.io.yaml_lines import Document
     from optdock.plan import DockPlan
 
 __all__ = ["Scenario", "load_scenario"]
+
+logger = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,6 +47,7 @@ class Scenario:
         controller: What drives the result in `optdock simulate`.
         goal_checker: What decides there that the robot has arrived.
         source: The file.
+        default_limits: The motion limits that the file does not give, so that `MotionLimits`'s own hold.
     """
 
     problem: DockingProblem
@@ -50,6 +58,7 @@ class Scenario:
     controller: PluginChoice = PluginChoice(PLUGIN_DEFAULTS["controller"])
     goal_checker: PluginChoice = PluginChoice(PLUGIN_DEFAULTS["goal_checker"])
     source: Path = Path("scenario.yaml")
+    default_limits: frozenset[str] = frozenset()
 
     def plan(self, time_budget: float | None = None) -> DockPlan:
         """The certified plan, by the plugins and in the time that the file asks for.
@@ -90,10 +99,12 @@ def load_scenario(source: str | Path) -> Scenario:
     costmap = _costmap(source, located.value.get("map"), faults)
     if faults or document is None:
         raise InvalidFile(report(faults, located))
+    _warn_of_an_outline_aside(source, document.robot.value().footprint)
     return Scenario(
-        problem=_problem(document, costmap),
+        problem=_problem(document, costmap, located),
         time_budget=document.time_budget,
         source=source,
+        default_limits=frozenset(LIMIT_UNITS) - document.robot.limits.model_fields_set,
         **choices,
     )
 
@@ -102,7 +113,7 @@ def _document(value: Mapping[str, object], faults: list[Fault]) -> ScenarioDocum
     try:
         return ScenarioDocument.model_validate(value)
     except ValidationError as error:
-        faults.extend(faults_of(error, known_keys))
+        faults.extend(faults_of(error, known_keys, synonym=synonym))
         return None
 
 
@@ -117,15 +128,34 @@ def _costmap(source: Path, name: object, faults: list[Fault]) -> Costmap | None:
         return None
 
 
-def _problem(document: ScenarioDocument, costmap: Costmap | None) -> DockingProblem:
-    return DockingProblem(
-        start=document.start.pose,
-        dock=document.dock.value(),
-        robot=document.robot.value(),
-        obstacles=ObstacleSet.from_polygons(document.obstacles),
-        clearance=document.clearance.value(),
-        start_speed=document.start.speed,
-        start_curvature=document.start.known_curvature,
-        costmap=costmap,
-        frame=document.frame,
-    )
+def _problem(document: ScenarioDocument, costmap: Costmap | None, located: Document) -> DockingProblem:
+    """The whole, which has a rule that its parts do not know.
+
+    Raises:
+        InvalidFile: It is broken.
+    """
+    try:
+        return DockingProblem(
+            start=document.start.pose,
+            dock=document.dock.value(),
+            robot=document.robot.value(),
+            obstacles=ObstacleSet.from_polygons(document.obstacles),
+            clearance=document.clearance.value(),
+            start_speed=document.start.speed,
+            start_curvature=document.start.known_curvature,
+            costmap=costmap,
+            frame=document.frame,
+        )
+    except InvalidValue as error:
+        name, _, rule = str(error).partition(": ")
+        raise InvalidFile(located.fault(tuple(name.split(".")), rule)) from error
+
+
+def _warn_of_an_outline_aside(source: Path, outline: Footprint) -> None:
+    """A robot whose own origin lies outside of it may be meant, but is more often an outline of another frame."""
+    if not any(np.all(body.offsets >= 0.0) for body in outline.bodies):
+        logger.warning(
+            "%s: robot.footprint does not contain [0, 0], the point of the robot that follows the path; is it seen "
+            "from there?",
+            source,
+        )

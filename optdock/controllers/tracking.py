@@ -17,6 +17,7 @@ from optdock.errors import ControllerInvalidPath, FailedToTimePath, NoValidContr
 from optdock.geometry.pose import Pose2, Twist2
 from optdock.interfaces import Controller
 from optdock.limits import MotionLimits
+from optdock.obstacles import in_words
 from optdock.parameters import PluginParameters
 from optdock.robot import Drive, admissible
 from optdock.trajectory import Trajectory
@@ -325,8 +326,8 @@ def require_free_stop(
     worst = int(np.argmin(clearance))
     if clearance[worst] < min(-tolerance, clearance[0] - _DEEPER):
         depth, obstacle = -float(clearance[worst]), obstacles.name_of(int(row[worst]))
+        goes = f"the footprint goes {depth:.3f} m into {in_words(obstacle)}"
         raise NoValidControl(
-            f"{context.name}: collision ahead: even braking now, the footprint goes {depth:.3f} m into {obstacle}, "
-            f"more than collision_tolerance = {tolerance} m",
+            f"{context.name}: collision ahead: even braking now, {goes}, more than collision_tolerance = {tolerance} m",
             where={"obstacle": obstacle, "depth": depth},
         )

@@ -47,18 +47,33 @@ class Fault(NamedTuple):
     message: str
 
 
-def faults_of(error: ValidationError, known: Callable[[Keys], Iterable[str]], base: Keys = ()) -> list[Fault]:
+def _no_synonym(_key: Keys, _value: object) -> str:
+    return ""
+
+
+def faults_of(
+    error: ValidationError,
+    known: Callable[[Keys], Iterable[str]],
+    base: Keys = (),
+    synonym: Callable[[Keys, object], str] = _no_synonym,
+) -> list[Fault]:
     """What a validation found, in our words.
 
     Args:
         error: What pydantic raised.
         known: The keys that a mapping at a key accepts, to name the one nearest to a misspelt key.
         base: Keys of the validated part inside its file.
+        synonym: What to write instead of an unknown key with its value, where others call the same thing so; or "".
     """
-    return [_fault(item, known, base) for item in error.errors()]
+    return [_fault(item, known, base, synonym) for item in error.errors()]
 
 
-def _fault(item: Mapping[str, object], known: Callable[[Keys], Iterable[str]], base: Keys) -> Fault:
+def _fault(
+    item: Mapping[str, object],
+    known: Callable[[Keys], Iterable[str]],
+    base: Keys,
+    synonym: Callable[[Keys, object], str],
+) -> Fault:
     location = item["loc"]
     key = location if isinstance(location, tuple) else ()
     kind, context = str(item["type"]), item.get("ctx")
@@ -66,7 +81,8 @@ def _fault(item: Mapping[str, object], known: Callable[[Keys], Iterable[str]], b
     if kind == "missing":
         return Fault(base + key, "is required")
     if kind == "extra_forbidden":
-        return Fault(base + key, f"unknown key{closest(str(key[-1]), known(key[:-1]))}")
+        hint = synonym(key, item["input"]) or closest(str(key[-1]), known(key[:-1]))
+        return Fault(base + key, f"unknown key{hint}")
     if kind == "value_error":
         # Our constructors say what they got; a bare ValueError is a parameter model's rule.
         said = isinstance(details.get("error"), InvalidValue)

@@ -6,6 +6,7 @@ import logging
 import math
 from collections.abc import Mapping
 from enum import Enum
+from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, TypeAlias, TypeGuard
 
 import numpy as np
@@ -20,8 +21,6 @@ from optdock.io.numbers import is_number, unit_fault
 from optdock.io.yaml_lines import load_yaml
 
 if TYPE_CHECKING:
-    from pathlib import Path
-
     from optdock.geometry.arrays import FloatArray, IntArray
     from optdock.io.yaml_lines import Document
 
@@ -29,6 +28,7 @@ __all__ = ["MapInfo", "MapMode", "load_map", "occupancy_from_image"]
 
 logger = logging.getLogger(__name__)
 
+_PICTURES = (".bmp", ".gif", ".jpeg", ".jpg", ".pgm", ".png", ".ppm", ".tif", ".tiff")
 _SAVER_UNKNOWN = 205  # the grey that map_saver writes for unknown cells
 
 
@@ -131,6 +131,7 @@ def load_map(path: str | Path) -> OccupancyGrid:
     Raises:
         InvalidFile: The YAML file or the image breaks the format; every fault in both is listed.
     """
+    _refuse_picture(Path(path))
     document = load_yaml(path)
     if not isinstance(document.value, Mapping):
         raise InvalidFile(document.fault((), f"must be a mapping of map_server keys, got {document.value!r}"))
@@ -146,6 +147,14 @@ def load_map(path: str | Path) -> OccupancyGrid:
         return OccupancyGrid(occupancy_from_image(image, info), info.resolution, info.origin)
     except InvalidValue as error:  # a map whose far corner is not a finite number
         raise InvalidFile(f"{path}: {error}") from error
+
+
+def _refuse_picture(path: Path) -> None:
+    """A map's picture in the place of its YAML file is refused by its suffix, with the name of that file."""
+    if path.suffix.lower() in _PICTURES and path.is_file():
+        beside = next((file.name for file in map(path.with_suffix, (".yaml", ".yml")) if file.is_file()), None)
+        named = f"beside it, {beside}" if beside else f"that describes it, such as {path.stem}.yaml"
+        raise InvalidFile(f"{path}: is a picture; name the YAML file {named}")
 
 
 def _info(values: Mapping[str, object], faults: list[Fault]) -> MapInfo | None:

@@ -85,7 +85,11 @@ def load_yaml(path: str | Path) -> Document:
             neither text nor whole numbers, or entries that contain themselves; every repeated key is listed.
     """
     path = Path(path)
-    loader = _open(path)
+    text = _text(path)
+    try:
+        loader = _Loader(text)
+    except yaml.YAMLError as error:  # control characters
+        raise InvalidFile(_yaml_fault(path, text, error)) from error
     try:
         root = loader.get_single_node()
         if root is None:
@@ -96,29 +100,27 @@ def load_yaml(path: str | Path) -> Document:
             raise InvalidFile("\n".join(reader.faults))
         return Document(path, value, reader.lines)
     except yaml.YAMLError as error:
-        raise InvalidFile(_yaml_fault(path, error)) from error
+        raise InvalidFile(_yaml_fault(path, text, error)) from error
     except RecursionError as error:
         raise InvalidFile(f"{path}: is nested too deeply") from error
     finally:
         loader.dispose()
 
 
-def _open(path: Path) -> _Loader:
+def _text(path: Path) -> str:
     try:
-        text = path.read_bytes().decode("utf-8-sig")
+        return path.read_bytes().decode("utf-8-sig")
     except OSError as error:
         raise InvalidFile(f"{path}: cannot be read: {error.strerror or error}") from error
     except ValueError as error:  # not UTF-8, or a path with a zero byte
         raise InvalidFile(f"{path}: cannot be read as UTF-8 text: {error}") from error
-    try:
-        return _Loader(text)
-    except yaml.YAMLError as error:  # control characters
-        raise InvalidFile(_yaml_fault(path, error)) from error
 
 
-def _yaml_fault(path: Path, error: yaml.YAMLError) -> str:
+def _yaml_fault(path: Path, text: str, error: yaml.YAMLError) -> str:
     mark = getattr(error, "problem_mark", None)
     where = f"{path}:{mark.line + 1}" if mark is not None else str(path)
+    if mark is not None and text[mark.index : mark.index + 1] == "\t":
+        return f"{where}: is not valid YAML: a tab stands where only spaces may; indent with spaces"
     reason = getattr(error, "problem", None) or getattr(error, "reason", None) or str(error)
     if reason.startswith("but "):  # the other half of the sentence
         reason = f"{getattr(error, 'context', None)}, {reason}"

@@ -14,7 +14,7 @@ from optdock.errors import DockNotInDB, DockNotValid, InvalidFile, InvalidValue
 from optdock.geometry.pose import Pose2
 from optdock.io.maps import load_map
 from optdock.io.numbers import is_number, unit_fault
-from optdock.limits import MotionLimits, SpeedZone
+from optdock.limits import LIMIT_UNITS, MotionLimits, SpeedZone
 from optdock.nav2.docks import DockEntry, DockType, load_dock_database
 from optdock.nav2.global_costmap import file_costmap
 from optdock.nav2.params import Nav2Params, load_nav2_params
@@ -101,7 +101,12 @@ def nav2_scenario(
         costmap=built.costmap,
         frame=dock.frame,
     )
-    return Nav2Scenario(problem, source=Path(params_source), costmap_rows=built.rows)
+    return Nav2Scenario(
+        problem,
+        source=Path(params_source),
+        default_limits=frozenset(LIMIT_UNITS) - _given_limits(params).keys(),
+        costmap_rows=built.rows,
+    )
 
 
 def _chosen(docks: Mapping[str, DockEntry], name: str | None, source: str) -> DockEntry:
@@ -160,15 +165,20 @@ def nav2_limits(params: Nav2Params) -> MotionLimits:
     Raises:
         InvalidFile: A limit is none, such as a largest velocity that is not > 0.
     """
-    smoother, found = params.node("velocity_smoother"), dict[str, float]()
     try:
-        for limit, name, axis, sign in _SMOOTHER_LIMITS:
-            value = _entry(smoother, name, axis, sign)
-            if value is not None:
-                found[limit] = min(value, found.get(limit, value))
-        return MotionLimits(**found)
+        return MotionLimits(**_given_limits(params))
     except InvalidValue as error:
         raise InvalidFile(f"{params.source}: velocity_smoother.{error}") from error
+
+
+def _given_limits(params: Nav2Params) -> dict[str, float]:
+    """Those of the motion limits that the velocity smoother has, by name."""
+    smoother, found = params.node("velocity_smoother"), dict[str, float]()
+    for limit, name, axis, sign in _SMOOTHER_LIMITS:
+        value = _entry(smoother, name, axis, sign)
+        if value is not None:
+            found[limit] = min(value, found.get(limit, value))
+    return found
 
 
 def _entry(values: Mapping[str, object], name: str, axis: str, sign: int) -> float | None:

@@ -167,7 +167,7 @@ def _check_direction(direction: Direction, wanted: DockDirection, ahead: float) 
         return
     side = "in front of" if ahead > 0.0 else "behind"
     raise NoValidPathCouldBeFound(
-        f"dock planner: the start is {abs(ahead):.6g} m {side} the docked robot, so it can only dock "
+        f"dock planner: the start is {round(abs(ahead), 3):g} m {side} the docked robot, so it can only dock "
         f"{found.value}, but direction is {wanted.value}; start from the other side, or set direction to auto",
         where={"step": "direction", "wanted": wanted.value, "possible": found.value, "ahead": ahead},
     )
@@ -175,8 +175,9 @@ def _check_direction(direction: Direction, wanted: DockDirection, ahead: float) 
 
 def _not_beyond_c(along: float, distance_min_c: float) -> NoValidPathCouldBeFound:
     return NoValidPathCouldBeFound(
-        f"dock planner: the start is {along:.6g} m from the docked pose along the axis of the dock, and must be more "
-        f"than {distance_min_c:.6g} m from it, half the lengths of robot and dock; start farther out along the axis",
+        f"dock planner: the start is {round(along, 3):g} m from the docked pose along the axis of the dock, and must "
+        f"be more than {round(distance_min_c, 3):g} m from it, half the lengths of robot and dock; start farther out "
+        "along the axis",
         where={"step": "beyond_c", "along": along, "distance_min_c": distance_min_c, "t": along / distance_min_c},
     )
 

@@ -10,6 +10,7 @@ import numpy as np
 from optdock.dock import DockDirection
 from optdock.errors import InvalidValue, LifecycleError, NoValidPathCouldBeFound
 from optdock.interfaces import GlobalPlanner, LifecycleState, PluginContext, never_cancelled
+from optdock.obstacles import in_words
 from optdock.planners.approach_axis import DockGeometry
 from optdock.planners.dock_parameters import DockPlannerParameters
 from optdock.planners.two_segment import TwoSegmentPlan, plan_two_segment
@@ -140,7 +141,7 @@ def _check_free(path: Path, obstacles: ObstacleSet) -> None:
         x, y = (float(value) for value in points[blocked[0]])
         name = obstacles.name_of(int(rows[blocked[0]]))
         raise NoValidPathCouldBeFound(
-            f"dock planner: the path is blocked at ({x:.3f}, {y:.3f}) by {name}",
+            f"dock planner: the path is blocked at ({x:.3f}, {y:.3f}) by {in_words(name)}",
             where={"x": x, "y": y, "obstacle": name},
         )
 

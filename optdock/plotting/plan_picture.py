@@ -10,6 +10,7 @@ import numpy as np
 
 from optdock.errors import GoalOccupied, GoalOutsideMapBounds, StartOccupied, StartOutsideMapBounds
 from optdock.geometry.pose import Pose2
+from optdock.obstacles import in_words
 from optdock.plotting.canvas import COLOURS, entitle, legend_below, new_figure, save_figure
 from optdock.plotting.scene import (
     DRAWN_BY_THE_MAP,
@@ -36,6 +37,7 @@ if TYPE_CHECKING:
 __all__ = ["save_plan_picture"]
 
 _SPACING = 0.02  # [m] between drawn points
+_RAW_WIDTH, _WIDTH = 4.5, 2.0  # of the two paths [pt]
 _FOOTPRINTS = 24  # drawn along a path at most
 
 
@@ -101,7 +103,8 @@ def _draw_sweep(axes: Axes, problem: DockingProblem, path: Path) -> None:
 
 def _draw_raw(axes: Axes, path: Path) -> None:
     samples = path.sample(_SPACING)
-    axes.plot(samples.x, samples.y, "--", color=COLOURS["raw"], linewidth=1.6, label="raw path", zorder=5)
+    # Wide and below the smoothed path: where the two coincide both are seen.
+    axes.plot(samples.x, samples.y, color=COLOURS["raw"], linewidth=_RAW_WIDTH, label="raw path", zorder=4.5)
 
 
 def _draw_smoothed(axes: Axes, path: Path, what: str) -> None:
@@ -110,7 +113,7 @@ def _draw_smoothed(axes: Axes, path: Path, what: str) -> None:
         mine = samples.direction == gear
         if mine.any():
             x, y = (np.where(mine, column, math.nan) for column in (samples.x, samples.y))
-            axes.plot(x, y, color=COLOURS[colour], linewidth=2.2, label=f"{what}, {driven}", zorder=5)
+            axes.plot(x, y, color=COLOURS[colour], linewidth=_WIDTH, label=f"{what}, {driven}", zorder=5)
     if path.cusps:
         cusps = path.poses_at(np.array(path.cusps))
         axes.plot(cusps[:, 0], cusps[:, 1], "D", color="black", markersize=5, label="cusp", zorder=6)
@@ -119,7 +122,7 @@ def _draw_smoothed(axes: Axes, path: Path, what: str) -> None:
 def _draw_closest(axes: Axes, problem: DockingProblem, path: Path, certificate: Certificate) -> None:
     """The pose of the least clearance, as the certificate has it."""
     if math.isfinite(certificate.min_clearance):
-        label = f"closest: {1e3 * certificate.min_clearance:.0f} mm to {certificate.nearest}"
+        label = f"closest: {1e3 * certificate.min_clearance:.0f} mm to {in_words(certificate.nearest)}"
         _mark(axes, problem, path.poses_at(certificate.at_s), label)
 
 

@@ -41,6 +41,7 @@ _GREYS = {"free": 255, "unknown": 225, "occupied": 70}
 _MAP_ORDER = 0.8  # above the grid, below all else
 _SLIMMEST = 0.55  # shorter side over longer: what stands beside a straight path is seen, and a legend has room
 _MARGIN = 0.6  # [m] around everything of interest
+_CLOSE_BY = 1.0  # [m]: obstacles so near to it are of interest too, as far as they are so near
 
 
 class View(NamedTuple):
@@ -58,13 +59,19 @@ class View(NamedTuple):
 
 
 def view_of(problem: DockingProblem, paths: Sequence[FloatArray]) -> View:
-    """A view that holds the robot's outline along every path, Shape (n, 3) each, the dock, and obstacles close by."""
+    """A view that holds the robot's outline along every path, Shape (n, 3) each, the dock, and obstacles close by.
+
+    Of a long obstacle the near part; cells of the map and its outside go on everywhere and do not widen the view.
+    """
     outline = problem.robot.footprint.vertices
     ends = np.array([problem.start.as_array(), problem.goal.as_array()])
     points = [transform_points(poses, outline).reshape(-1, 2) for poses in (*paths, ends)]
     if problem.dock.footprint is not None:
         points.append(transform_points(ends[1:], problem.dock.footprint.vertices)[0])
     everything = np.vstack(points)
+    lower, upper = everything.min(axis=0) - _CLOSE_BY, everything.max(axis=0) + _CLOSE_BY
+    near = problem.obstacles.in_box(lower, upper)
+    everything = np.vstack((everything, *(np.clip(corners, lower, upper) for corners in (near.lower, near.upper))))
     middle, half = 0.5 * (everything.min(axis=0) + everything.max(axis=0)), 0.5 * np.ptp(everything, axis=0) + _MARGIN
     half = np.maximum(half, _SLIMMEST * half.max())
     (left, bottom), (right, top) = middle - half, middle + half
@@ -103,9 +110,20 @@ def _draw_map(axes: Axes, costmap: Costmap, view: View) -> None:
         zorder=_MAP_ORDER,
     )
     shown = _in_view(costmap, view)
-    for name, cost in (("occupied", LETHAL), ("unknown", NO_INFORMATION)):
-        if np.any(shown == cost):
-            axes.plot([], [], "s", color=str(_GREYS[name] / 255.0), markersize=9, label=f"map, {name}")
+    is_beyond = view.left < x0 or view.right > x1 or view.bottom < y0 or view.top > y1
+    is_unknown = bool(np.any(shown == NO_INFORMATION))
+    unknown = {
+        (True, False): "map, unknown",
+        (False, True): "beyond the map",
+        (True, True): "unknown or beyond the map",
+    }
+    labels = {
+        "occupied": "map, occupied" if np.any(shown == LETHAL) else "",
+        "unknown": unknown.get((is_unknown, is_beyond), ""),
+    }
+    for name, label in labels.items():
+        if label:
+            axes.plot([], [], "s", color=str(_GREYS[name] / 255.0), markersize=9, label=label)
 
 
 def _greys() -> ListedColormap:

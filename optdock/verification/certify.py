@@ -7,6 +7,7 @@ from dataclasses import astuple, dataclass
 from typing import TYPE_CHECKING, Generic, TypeVar
 
 from optdock.deadline import never_late
+from optdock.obstacles import in_words
 from optdock.verification.certificate import Certificate, TrajectoryCertificate, Violation
 from optdock.verification.conservative_advancement import prove_clearance
 from optdock.verification.memo import Memo
@@ -95,10 +96,8 @@ def _clearance_violations(proof: ClearanceProof, problem: DockingProblem) -> tup
 def _too_close(row: FloatArray, problem: DockingProblem) -> Violation:
     s, clearance, required = (float(value) for value in row[:3])
     obstacle = problem.all_obstacles.name_of(int(row[3]))
-    what = "overlaps" if clearance < 0.0 else "comes too close to"
-    message = (
-        f"the footprint {what} {obstacle} at s = {s:.3f} m: clearance {clearance:.4f} m, required {required:.4f} m"
-    )
+    what = f"{'overlaps' if clearance < 0.0 else 'comes too close to'} {in_words(obstacle)}"
+    message = f"the footprint {what} at s = {s:.3f} m: clearance {clearance:.4f} m, required {required:.4f} m"
     where = {"pose": row[4:].tolist(), "obstacle": obstacle, "clearance": clearance, "required": required}
     return Violation("clearance", message, s, required - clearance, where)
 

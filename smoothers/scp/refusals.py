@@ -10,6 +10,7 @@ import numpy as np
 
 from optdock.dock import DockDirection
 from optdock.errors import FailedToSmoothPath
+from optdock.obstacles import in_words
 from optdock.path import Direction
 from optdock.plan import PartialPlan
 from optdock.verification import pose_clearances
@@ -72,7 +73,7 @@ def refuse_start(path: Path, problem: DockingProblem, start_clearance: float, ne
     """What makes any path with these gears impossible from the start on, or None."""
     if start_clearance < -_TOLERANCE:
         name = problem.all_obstacles.name_of(nearest)
-        message = f"the footprint overlaps {name} by {-start_clearance:.3f} m where the robot stands"
+        message = f"the footprint overlaps {in_words(name)} by {-start_clearance:.3f} m where the robot stands"
         return Refusal("start_in_collision", 0.0, -start_clearance, name, message)
     limit, steered = problem.robot.limits.max_curvature, problem.start_curvature
     if steered is not None and abs(steered) > limit:
@@ -110,7 +111,8 @@ def refuse_approach(path: Path, problem: DockingProblem, start_clearance: float)
     name = problem.all_obstacles.name_of(int(rows[k]))
     s = path.length - abs(float(back[k]))
     what = "at the goal" if back[k] == 0.0 else f"on the final straight, {abs(back[k]):.3f} m before the goal,"
-    does = f"overlaps {name} by {-distance[k]:.4f} m" if distance[k] < 0.0 else f"is {distance[k]:.4f} m from {name}"
+    met = in_words(name)
+    does = f"overlaps {met} by {-distance[k]:.4f} m" if distance[k] < 0.0 else f"is {distance[k]:.4f} m from {met}"
     message = f"{what} the footprint {does}, required are {required[k]:.4f} m"
     return Refusal("approach_blocked", s, float(short[k]), name, message, poses[k])
 
@@ -158,7 +160,8 @@ def _too_close(path: Path, problem: DockingProblem, start_clearance: float, boun
     name = obstacles.name_of(row) if row >= 0 else ""
     more: dict[str, object] = {"clearance": float(clearance[k]), "required": float(required[k])}
     if short > _TOLERANCE:
-        message = f"the best path found comes {short:.4f} m closer to {name} than required at s = {s[k]:.3f} m"
+        near = in_words(name)
+        message = f"the best path found comes {short:.4f} m closer to {near} than required at s = {s[k]:.3f} m"
     else:
         more["bound"] = bound
         message = (

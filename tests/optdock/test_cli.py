@@ -123,7 +123,7 @@ def test_verbose_is_accepted_before_and_after_the_command(arguments):
 def test_plan_says_which_limits_hold_and_which_do_not(planned):
     _, stdout = planned
     words = " ".join(stdout.split())
-    assert "limits speed 0.5 m/s, reverse speed 0.3 m/s, acceleration 0.5 m/s^2" in words
+    assert "limits speed 0.5 m/s, reverse speed 0.3 m/s (default), acceleration 0.5 m/s^2 (default)," in words
     assert "curvature 2 1/m, curvature rate 8 1/m^2 unlimited yaw rate, yaw acceleration, lateral acceleration" in words
 
 
@@ -744,3 +744,13 @@ def test_a_path_driven_against_its_gear_is_refused(planned):
     save_plan("reverse.json", PlanFile(path=Path((ClothoidSegment(spline),))))
     result = run("certify", "reverse.json", folder / "bay.yaml")
     assert result.exit_code == 3
+
+
+def test_a_warning_is_said_once_and_without_the_name_of_a_module():
+    """In a process of its own, whose console nobody has set up."""
+    write(old="[[0.4, 0.3], [-0.4, 0.3], [-0.4, -0.3], [0.4, -0.3]]", new="[[0.4, 0.3], [0.1, 0.3], [0.1, -0.3]]")
+    command = [sys.executable, "-c", "from optdock.cli import main; main()", "compare", "bay.yaml", "bay.yaml"]
+    result = subprocess.run(command, capture_output=True, text=True, check=False)
+    warnings = [line for line in result.stderr.splitlines() if "does not contain [0, 0]" in line]
+    assert len(warnings) == 1
+    assert warnings[0].startswith("warning: bay.yaml: robot.footprint ")

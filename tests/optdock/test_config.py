@@ -159,6 +159,18 @@ WRONG_VALUES = [
     ("max_speed: 0.7", "max_speed: fast", "8: robot.limits.max_speed: must be a number, got 'fast'"),
     ("max_speed: 0.7", "max_speed: true", "8: robot.limits.max_speed: must be a number, got True"),
     ("max_speed: 0.7", "max_sped: 0.7", "8: robot.limits.max_sped: unknown key; did you mean max_speed?"),
+    (
+        "max_curvature: 2.0",
+        "min_turning_radius: 0.6",
+        "8: robot.limits.min_turning_radius: unknown key; write max_curvature: 1.6667, that is 1 / radius",
+    ),
+    (
+        "max_curvature: 2.0",
+        "minimum_turning_radius: 0",
+        "8: robot.limits.minimum_turning_radius: unknown key; write max_curvature",
+    ),
+    ("max_speed: 0.7", "min_vel_x: -0.3", "8: robot.limits.min_vel_x: unknown key; write max_reverse_speed: 0.3"),
+    ("frame: depot", "max_vel_x: 0.3", "2: max_vel_x: unknown key"),
     ("max_curvature: 2.0", "max_curvature: 0", "8: robot.limits.max_curvature: must be > 0 1/m, got 0.0"),
     ("max_curvature: 2.0", "max_curvature: -2", "8: robot.limits.max_curvature: must be > 0 1/m, got -2.0"),
     ("drive: ackermann", "drive: omni", "7: robot.drive: must be differential or ackermann, got 'omni'"),
@@ -291,3 +303,46 @@ def test_a_real_map_becomes_obstacles_with_its_border(tmp_path, real_data):
     problem = scenario(tmp_path, text).problem
     assert (problem.costmap.columns, problem.costmap.rows) == (604, 307)
     assert "map border" in problem.all_obstacles.names
+
+
+STATION_ON_THE_MAP = """\
+format: optdock-scenario/1
+robot: {footprint: [[0.95, 0.4], [-0.25, 0.4], [-0.25, -0.4], [0.95, -0.4]]}
+dock:
+  pose: [1.52, 7.6, 3.141592653589793]
+  footprint: [[0.15, 7.2], [0.55, 7.2], [0.55, 8.0], [0.15, 8.0]]
+start: {pose: [6.0, 5.2, 2.0]}
+"""
+
+
+def test_a_station_in_coordinates_of_the_map_is_refused_with_what_was_meant(tmp_path):
+    (said,) = faults(tmp_path, STATION_ON_THE_MAP)
+    assert said.startswith("bay.yaml:5: dock.footprint: is 6.800 m away from the docked robot, which is 1.442 m long: ")
+    meant = said.removesuffix("?").partition("meant as ")[2]
+    assert meant == "[[1.37, 0.4], [0.97, 0.4], [0.97, -0.4], [1.37, -0.4]]"
+    outline = "[[0.15, 7.2], [0.55, 7.2], [0.55, 8.0], [0.15, 8.0]]"
+    corrected = scenario(tmp_path, with_change(outline, meant, STATION_ON_THE_MAP)).problem
+    station = corrected.all_obstacles
+    assert np.vstack((station.lower, station.upper)) == pytest.approx(np.array([[0.15, 7.2], [0.55, 8.0]]))
+
+
+@pytest.mark.parametrize(
+    ("outline", "inside"),
+    [
+        ("[[0.3, 0.2], [-0.3, 0.2], [-0.3, -0.2], [0.3, -0.2]]", True),
+        ("[[0.6, 0.2], [0.0, 0.2], [0.0, -0.2], [0.6, -0.2]]", True),
+        ("[[0.6, 0.4], [-0.6, 0.4], [-0.6, -0.4], [0.6, -0.4], [0.6, -0.3], [-0.2, -0.3], [-0.2, 0.3], [0.6, 0.3]]",
+         False),
+        ("[[0.9, 0.2], [0.3, 0.2], [0.3, -0.2], [0.9, -0.2]]", False),
+    ],
+)  # fmt: skip
+def test_an_outline_beside_its_own_origin_is_warned_of(tmp_path, caplog, outline, inside):
+    scenario(tmp_path, with_change("radius: 0.3", f"footprint: {outline}", MINIMAL))
+    said = [record.getMessage() for record in caplog.records if "does not contain [0, 0]" in record.getMessage()]
+    assert len(said) == (0 if inside else 1)
+
+
+def test_a_scenario_knows_which_limits_its_file_does_not_give(tmp_path):
+    given = scenario(tmp_path, with_change("radius: 0.3", "radius: 0.3, limits: {max_speed: 0.5}", MINIMAL))
+    assert "max_speed" not in given.default_limits  # given, though it is the default's value
+    assert {"max_deceleration", "max_jerk", "max_curvature"} <= given.default_limits

@@ -26,7 +26,7 @@ from optdock.verification import certify_path, pose_clearance
 
 LIMITS = MotionLimits(max_curvature=1.5, max_curvature_rate=6.0)
 BOX = Footprint.rectangle(0.3, 0.3, 0.4)
-START, GOAL = Pose2(0.0, 0.0, 0.0), Pose2(3.0, 0.0, 0.0)
+START, GOAL = Pose2(0.0, 0.0, 0.0), Pose2(2.8, 0.0, 0.0)
 STRAIGHT = Path.from_poses([START, Pose2(1.0, 0.0, 0.0), Pose2(2.0, 0.0, 0.0), GOAL])
 POST = [[1.4, 0.1], [1.6, 0.1], [1.6, 0.5], [1.4, 0.5]]
 
@@ -92,7 +92,7 @@ def worlds():
     yield "local costmap beside the problem", PluginContext(problem=free, local_costmap=AS_CELLS)
     yield "local costmap beside the global one", PluginContext(costmap=grid(), local_costmap=AS_CELLS, footprint=BOX)
     yield "costmap and footprint", PluginContext(costmap=AS_CELLS, footprint=BOX)
-    yield "a station", PluginContext(problem=problem(dock=Dock(GOAL, Footprint(np.array(POST) - [3.0, 0.0]))))
+    yield "a station", PluginContext(problem=problem(dock=Dock(GOAL, Footprint(np.array(POST) - [GOAL.x, 0.0]))))
 
 
 WORLDS = dict(worlds())
@@ -197,7 +197,7 @@ def test_a_configured_costmap_counts_beside_the_problem_of_the_call():
 
 
 def test_a_path_that_leads_elsewhere_keeps_its_ends_among_the_configured_obstacles():
-    station = Footprint(np.array(POST) - [3.0, 0.0])
+    station = Footprint(np.array(POST) - [GOAL.x, 0.0])
     smoother = create_plugin(Smoother, "CasadiSmoother")
     smoother.configure(PluginContext(problem=problem(dock=Dock(GOAL, station, DockDirection.BACKWARD))))
     away = Path.from_poses([Pose2(0.2, 0.1, 0.0), Pose2(1.0, 0.0, 0.0), Pose2(2.5, 0.0, 0.0)])

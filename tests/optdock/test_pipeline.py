@@ -177,6 +177,38 @@ def test_goal_closer_than_required_at_the_dock():
     assert "0.0050 m from dock, required 0.0200 m" in str(error)
 
 
+@pytest.mark.parametrize(
+    ("rule", "in_file", "in_python"),
+    [
+        (0.08, "{required: 0.08, at_dock: 0}", "ClearanceRule(required=0.08, at_dock=0.0)"),
+        (
+            ClearanceRule(0.08, 0.02, 0.3),
+            "{required: 0.08, at_dock: 0, taper: 0.3}",
+            "ClearanceRule(required=0.08, at_dock=0.0, taper=0.3)",
+        ),
+    ],
+)
+def test_a_clearance_that_forbids_to_touch_the_station_is_told_with_the_one_that_does_not(rule, in_file, in_python):
+    said = str(failure(problem(clearance=rule)))
+    assert f"clearance holds at the dock too; give {in_file} (in Python: {in_python})" in said
+    asked = eval(in_python, {"ClearanceRule": ClearanceRule})  # the advice as it stands
+    assert plan_dock(problem(clearance=asked)).certificate.certified
+
+
+def test_no_other_clearance_is_advised_where_something_else_is_too_close():
+    said = str(failure(problem(obstacles=wall(3.8, 1.302, 4.2, 1.5), clearance=ClearanceRule(0.05, 0.004))))
+    assert "obstacles[0]" in said
+    assert "holds at the dock" not in said
+
+
+def test_unknown_cells_are_called_so_and_keep_their_name_in_data():
+    cells = np.zeros((80, 120), dtype=np.uint8)
+    cells[40:44, 20:24] = 255
+    error = failure(problem(start=Pose2(1.1, 1.1, 0.0), obstacles=[], costmap=Costmap(cells, 0.05, (0.0, -1.0))))
+    assert "overlaps unknown cells of the map by" in str(error)
+    assert error.where["obstacle"] == "unknown"
+
+
 def test_start_too_close_to_the_dock():
     error = failure(problem(start=Pose2(3.7, 1.0, 0.0)))
     assert isinstance(error, NoValidPathCouldBeFound)

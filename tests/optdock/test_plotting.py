@@ -1,3 +1,4 @@
+import dataclasses
 import sys
 
 import numpy as np
@@ -6,6 +7,7 @@ from PIL import Image
 
 from optdock.builtin import demo_scenario
 from optdock.config import load_scenario
+from optdock.costmap.costmap import Costmap
 from optdock.dock import Dock
 from optdock.errors import (
     FailedToSmoothPath,
@@ -299,6 +301,53 @@ def test_titles_and_legends_stay_inside_every_figure(width, title):
 def test_a_dollar_in_a_name_is_no_formula(tmp_path, problem):
     save_plan_picture(tmp_path / "p.png", problem, title=r"a$b_$x^{ $\frac$")
     assert (tmp_path / "p.png").stat().st_size > 1000
+
+
+def test_the_view_holds_what_stands_close_by_but_no_more_of_a_long_wall(problem, path):
+    drawn = [path.sample(0.02).poses]
+    seen = view_of(problem, drawn)
+    top = max(problem.robot.footprint.vertices[:, 1].max() + path.sample(0.02).y.max(), 0.0)
+    pallet = [[0.0, top + 0.9], [1.0, top + 0.9], [1.0, top + 1.3], [0.0, top + 1.3]]
+    wall = [[-50.0, top + 0.9], [50.0, top + 0.9], [50.0, top + 1.3], [-50.0, top + 1.3]]
+    far = [[0.0, top + 9.0], [1.0, top + 9.0], [1.0, top + 9.4], [0.0, top + 9.4]]
+    views = {
+        name: view_of(dataclasses.replace(problem, obstacles=ObstacleSet.from_polygons([polygon])), drawn)
+        for name, polygon in (("pallet", pallet), ("wall", wall), ("far", far))
+    }
+    assert views["pallet"].top > top + 1.3
+    assert views["wall"].top > top + 1.3
+    assert views["wall"].right - views["wall"].left < seen.right - seen.left + 3.0
+    assert views["far"].top < top + 3.0
+
+
+def test_raw_and_smoothed_path_are_both_seen_where_they_coincide(tmp_path, problem, path):
+    save_plan_picture(tmp_path / "p.png", problem, raw_path=path, path=path)
+    colours = colours_in(tmp_path / "p.png")
+    legend = 200  # pixels of a line there, at most
+    assert colours[COLOURS["raw"]] > legend
+    assert colours[COLOURS["path"]] > legend
+
+
+@pytest.mark.parametrize(
+    ("unknown", "beyond", "label"),
+    [
+        (True, False, "map, unknown"),
+        (False, True, "beyond the map"),
+        (True, True, "unknown or beyond the map"),
+        (False, False, None),
+    ],
+)
+def test_the_legend_says_what_the_bright_grey_is(problem, unknown, beyond, label):
+    view = view_of(problem, [])
+    cells = np.zeros((400, 400), dtype=np.uint8)
+    if unknown:
+        row, column = round((view.bottom + 10.0) / 0.1), round((view.left + 10.0) / 0.1)
+        cells[row + 3 : row + 5, column + 3 : column + 5] = 255
+    known = Costmap(cells, 0.1, (-10.0, -10.0))
+    axes = new_figure(5.0, 5.0).add_subplot()
+    draw_scene(axes, dataclasses.replace(problem, costmap=known), view._replace(left=-11.0) if beyond else view)
+    named = [said for said in axes.get_legend_handles_labels()[1] if "map" in said]
+    assert named == ([] if label is None else [label])
 
 
 def test_the_legend_names_the_greys_of_the_map_that_are_in_view():

@@ -37,6 +37,34 @@ def test_plain_polygons_are_obstacles(polygons):
     assert made.obstacles.name_of(0) == "obstacles[0]"
 
 
+def test_a_station_that_no_docked_robot_can_reach_is_refused():
+    """The robot is 0.72 m long; a station may stand 1 m off, whichever way it is seen, and however long it is."""
+    corners = np.array([[0.0, -0.2], [0.2, -0.2], [0.2, 0.2], [0.0, 0.2]])
+    for gap, accepted in ((0.0, True), (0.99, True), (1.01, False), (50.0, False)):
+        for side, shift in ((1.0, [0.3 + gap, 0.0]), (-1.0, [0.3 + gap, 0.0]), (1.0, [-0.1, 0.4 + gap])):
+            dock = dataclasses.replace(DOCK, footprint=Footprint(side * (corners + np.array(shift))))
+            if accepted:
+                assert len(problem(dock=dock).all_obstacles) == 1
+            else:
+                with pytest.raises(InvalidValue, match=f"^dock.footprint: is {gap:.3f} m away from the docked robot"):
+                    problem(dock=dock)
+
+
+def test_a_long_wall_beside_the_docked_robot_is_a_station():
+    wall = Footprint(np.array([[0.31, -20.0], [0.5, -20.0], [0.5, 20.0], [0.31, 20.0]]))
+    around = Footprint(np.array([[-0.5, -9.0], [9.0, -9.0], [9.0, 9.0], [-0.5, 9.0], [-0.5, 8.9], [8.9, 8.9],
+                                 [8.9, -8.9], [-0.5, -8.9]]))  # fmt: skip
+    assert len(problem(dock=dataclasses.replace(DOCK, footprint=wall)).all_obstacles) == 1
+    with pytest.raises(InvalidValue, match=r"is 8\.6\d* m away"):
+        problem(dock=dataclasses.replace(DOCK, footprint=around))
+
+
+def test_no_station_is_meant_where_seen_from_the_robot_it_would_be_as_far():
+    far = Footprint(np.array([[90.0, 0.0], [91.0, 0.0], [91.0, 1.0]]))
+    with pytest.raises(InvalidValue, match="not on the map$"):
+        problem(dock=dataclasses.replace(DOCK, footprint=far))
+
+
 def test_no_obstacles_are_none():
     for nothing in ([], (), ObstacleSet.empty()):
         assert len(problem(obstacles=nothing).all_obstacles) == 0

@@ -6,9 +6,10 @@ import numpy as np
 from optdock.errors import NoValidPathCouldBeFound, OptdockError
 from optdock.fingerprint import ProblemFingerprint
 from optdock.geometry.pose import Pose2
+from optdock.limits import MotionLimits
 from optdock.path import Path
 from optdock.plan import PartialPlan
-from optdock.report import certificate_rows, failed_plan_file, run_json, run_rows, table
+from optdock.report import certificate_rows, failed_plan_file, limit_rows, run_json, run_rows, table
 from optdock.simulation import Run
 from optdock.verification import Certificate
 
@@ -21,6 +22,15 @@ def run_ending_at(pose, **options):
 
 def test_a_table_is_aligned_and_has_no_trailing_blanks():
     assert table([("a", "bb", "c"), ("aaa", "b", "")]) == "a    bb  c\naaa  b"
+
+
+def test_limits_say_which_of_them_nobody_gave_and_no_line_tears_one():
+    rows = limit_rows(MotionLimits(max_acceleration=0.4), defaults={"max_deceleration", "max_jerk", "max_yaw_rate"})
+    lines = [row.value for row in rows[: [row.name for row in rows].index("unlimited")]]
+    assert "acceleration 0.4 m/s^2, deceleration 0.6 m/s^2 (default), jerk 2 m/s^3 (default)" in " ".join(lines)
+    assert all(line.endswith(",") for line in lines[:-1])
+    assert len(lines) > 1
+    assert "(default)" not in " ".join(row.value for row in limit_rows(MotionLimits()))
 
 
 def test_a_run_tells_its_final_error_in_the_frame_of_the_dock():

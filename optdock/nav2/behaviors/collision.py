@@ -9,6 +9,7 @@ import numpy as np
 
 from optdock.errors import BehaviorException
 from optdock.interfaces import CostmapInfoType
+from optdock.obstacles import in_words
 from optdock.verification.time_of_impact import free_motion
 
 if TYPE_CHECKING:
@@ -55,4 +56,4 @@ class CollisionChecker:
         found = free_motion(self._footprint, obstacles, pose, twist, duration, self._clearance)
         if found.row < 0:
             return ""
-        return f"collision ahead: {obstacles.name_of(found.row)} in {found.free:.2f} s"
+        return f"collision ahead: {in_words(obstacles.name_of(found.row))} in {found.free:.2f} s"

@@ -207,3 +207,12 @@ def test_obstacles_of_real_maps_cover_their_cells(real_data, name):
     obstacles = obstacles_from_costmap(costmap, border=False)
     area = np.sum(np.prod(obstacles.upper - obstacles.lower, axis=1))
     assert area == pytest.approx(np.count_nonzero(costmap.data >= 254) * grid.resolution**2, rel=1e-9)
+
+
+def test_a_picture_in_the_place_of_its_yaml_file_is_refused_with_that_file(map_file, tmp_path):
+    described = map_file()
+    picture = tmp_path / "map.pgm"
+    assert faults_of(picture) == [f"{picture}: is a picture; name the YAML file beside it, map.yaml"]
+    described.rename(tmp_path / "hall.yaml")
+    assert faults_of(picture) == [f"{picture}: is a picture; name the YAML file that describes it, such as map.yaml"]
+    assert "cannot be read: No such file" in faults_of(tmp_path / "none.pgm")[0]

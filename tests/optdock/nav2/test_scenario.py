@@ -10,6 +10,7 @@ from optdock.cli import app
 from optdock.dock import DockDirection
 from optdock.errors import DockNotInDB, DockNotValid, InvalidFile, InvalidValue
 from optdock.geometry.pose import Pose2
+from optdock.limits import LIMIT_UNITS
 from optdock.nav2.params import load_nav2_params
 from optdock.nav2.scenario import nav2_limits, nav2_scenario
 
@@ -64,6 +65,8 @@ def test_the_problem_carries_what_the_files_say(files):
     assert (limits.max_speed, limits.max_reverse_speed, limits.max_yaw_rate) == (0.4, 0.2, 0.9)
     assert (limits.max_acceleration, limits.max_deceleration, limits.max_yaw_acceleration) == (0.7, 0.8, 1.1)
     assert problem.costmap.columns == 120
+    given = {f"max_{name}" for name in ("speed", "reverse_speed", "yaw_rate", "acceleration", "deceleration")}
+    assert scenario(files).default_limits == LIMIT_UNITS.keys() - given - {"max_yaw_acceleration"}
 
 
 def test_a_dock_of_a_type_that_the_parameters_do_not_know_is_refused_not_entered_with_the_wrong_end(files):
