@@ -10,6 +10,8 @@ import math
 from abc import abstractmethod
 from typing import TYPE_CHECKING
 
+from optdock.errors import InvalidPath
+from optdock.geometry.checked import instance
 from optdock.lifecycle import LifecycleState, Plugin, PluginContext
 from optdock.outcomes import (
     BehaviorResult,
@@ -24,6 +26,8 @@ from optdock.outcomes import (
     TimingStatus,
     Tolerances,
 )
+from optdock.path import Path
+from optdock.problem import DockingProblem
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
@@ -31,8 +35,6 @@ if TYPE_CHECKING:
     from optdock.costmap.costmap import Costmap
     from optdock.geometry.pose import Pose2, Twist2
     from optdock.limits import MotionLimits, SpeedZone
-    from optdock.path import Path
-    from optdock.problem import DockingProblem
     from optdock.trajectory import Trajectory
 
 __all__ = [
@@ -96,6 +98,9 @@ class Smoother(Plugin):
     ) -> SmoothingResult:
         """A smoother path between the same two poses, in the same frame.
 
+        Where `problem` is given and `path` begins or ends elsewhere, a smoother that proves its results goes from the
+        problem's start to its goal: the path only shows the way, and one that shows another way is refused.
+
         Args:
             path: The raw path, from any source.
             max_time: Wall-clock seconds for the whole call.
@@ -106,12 +111,28 @@ class Smoother(Plugin):
             cancel_checker: Polled at least every 5 ms.
 
         Raises:
-            InvalidValue: `max_time` is not finite, or negative.
-            InvalidPath: The path is too short to smooth, or names another frame than the problem.
+            InvalidValue: `max_time` is not finite, or negative; `problem` or `warm_start` is of another class.
+            InvalidPath: The path is none, is too short to smooth, names another frame than the problem, or leads
+                elsewhere.
             SmootherTimedOut: The time limit came before any usable result.
             FailedToSmoothPath: No result keeps every bound; the message names the one in the way.
             SmootherCancelled: `cancel_checker` returned True.
         """
+
+    @staticmethod
+    def check_task(path: Path, problem: DockingProblem | None, warm_start: Path | None) -> None:
+        """Refuse arguments of `smooth` that are of another class, by name.
+
+        Raises:
+            InvalidPath: `path` is no Path.
+            InvalidValue: `problem` or `warm_start` is of another class.
+        """
+        if not isinstance(path, Path):
+            raise InvalidPath(f"path: must be a Path, got {type(path).__name__}; Path.from_poses(poses) makes one")
+        if problem is not None:
+            instance(DockingProblem, problem, "problem")
+        if warm_start is not None:
+            instance(Path, warm_start, "warm_start")
 
     def warm_up(self) -> None:
         """Build and load in advance whatever makes a first call slower than the next."""

@@ -40,7 +40,7 @@ class SmoothingStatus(str, Enum):
     STRAIGHT = "straight"  # the straight line from start to goal is an answer: nothing is shorter
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class SmoothingReport:
     """What a smoother says about its work; None and empty where it does not say.
 
@@ -68,8 +68,17 @@ class SmoothingReport:
     certificate: Certificate | None = None
     extra: Mapping[str, object] = field(default_factory=dict)
 
+    def __repr__(self) -> str:
+        said = [self.status.value] if self.status is not None else []
+        said += [f"{self.iterations} iterations"] if self.iterations is not None else []
+        said += [f"cost {self.cost:.4g}"] if self.cost is not None else []
+        said += [f"{1e3 * self.total_s:.1f} ms"] if self.total_s is not None else []
+        if self.certificate is not None:
+            said.append("certified" if self.certificate.certified else "not certified")
+        return f"<SmoothingReport {', '.join(said) or 'empty'}>"
 
-@dataclass(frozen=True, eq=False)
+
+@dataclass(frozen=True, eq=False, repr=False)
 class SmoothingResult:
     """What a smoother returns.
 
@@ -83,6 +92,10 @@ class SmoothingResult:
     completed: bool = True
     report: SmoothingReport = field(default_factory=SmoothingReport)
 
+    def __repr__(self) -> str:
+        ended = "completed" if self.completed else "stopped early"
+        return f"<SmoothingResult {self.path.length:.3f} m, {ended}, {self.report!r}>"
+
 
 class TimingStatus(IntEnum):
     """How a time parameterization ended; physics is an outcome, not an exception."""
@@ -95,7 +108,7 @@ class TimingStatus(IntEnum):
     TIMED_OUT = 5
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class TimingReport:
     """What a time parameterizer says about its work.
 
@@ -109,8 +122,12 @@ class TimingReport:
     replaced: str = ""
     extra: Mapping[str, object] = field(default_factory=dict)
 
+    def __repr__(self) -> str:
+        said = [*self.gears, *([f"replaced {self.replaced.split(':')[0]}"] if self.replaced else [])]
+        return f"<TimingReport {', '.join(said) or 'empty'}>"
 
-@dataclass(frozen=True, eq=False)
+
+@dataclass(frozen=True, eq=False, repr=False)
 class TimingResult:
     """What a time parameterizer returns.
 
@@ -136,6 +153,11 @@ class TimingResult:
     reason: str = ""
     limit: str = ""
     at_s: float | None = None
+
+    def __repr__(self) -> str:
+        lasts = f" {self.trajectory.duration:.3f} s" if self.trajectory is not None else ""
+        why = f", {self.reason}" if self.reason else ""
+        return f"<TimingResult {self.status.name}{lasts}{why}, {self.report!r}>"
 
     def failure(self) -> FailedToTimePath:
         """The error that says why this is not OK."""

@@ -27,6 +27,7 @@ from optdock.errors import (
     PlannerTimedOut,
     PluginError,
     SmootherCancelled,
+    SmootherException,
     SmootherTimedOut,
     StartOccupied,
     StartOutsideMapBounds,
@@ -348,13 +349,24 @@ class _Run:
         return _plain(_returned(path, Path, planner), planner, self.problem.frame)
 
     def _smoothed(self, raw: Path) -> SmoothingResult:
-        smoother, allowance = self.plugins.smoother, self.deadline.left - _reserve(self.budget)
-        if allowance <= 0.0:
-            raise SmootherTimedOut(f"nothing is left of the time budget of {self.budget:.3g} s for smoothing")
-        with self._at_work(smoother):
-            result = smoother.smooth(
-                raw, allowance, problem=self.problem, warm_start=self.warm_start, cancel_checker=self.cancelled
-            )
+        smoother, left, kept_back = self.plugins.smoother, self.deadline.left, _reserve(self.budget)
+        kept = f"of {_in_ms(self.budget)}; {_in_ms(kept_back)} are kept back for timing and proof"
+        if left <= kept_back:
+            raise SmootherTimedOut(f"no time is left for smoothing: {_in_ms(max(left, 0.0))} are left {kept}")
+        try:
+            with self._at_work(smoother):
+                result = smoother.smooth(
+                    raw,
+                    left - kept_back,
+                    problem=self.problem,
+                    warm_start=self.warm_start,
+                    cancel_checker=self.cancelled,
+                )
+        except SmootherTimedOut as error:
+            raise SmootherTimedOut(f"{error}, the smoother's share {kept}", where=error.where) from error
+        except SmootherException as error:
+            self.so_far.path = PartialPlan.left_by(error).path
+            raise
         _returned(result, SmoothingResult, smoother)
         _returned(result.path, Path, smoother, "the path of its result")
         _returned(result.report, SmoothingReport, smoother, "the report of its result")
@@ -488,6 +500,10 @@ def _way_out(rule: ClearanceRule) -> str:
 def _reserve(budget: float) -> float:
     """Seconds kept back from the smoother for timing the path and proving the motion."""
     return min(max(_RESERVED_SHARE * budget, _RESERVED_LEAST), _RESERVED_MOST)
+
+
+def _in_ms(seconds: float) -> str:
+    return f"{1e3 * seconds:.0f} ms" if seconds >= 0.1 else f"{1e3 * seconds:.3g} ms"
 
 
 def _returned(value: object, kind: type[_T], plugin: Plugin, part: str = "") -> _T:

@@ -173,7 +173,9 @@ class PartialPlan:
 
     Args:
         raw_path: The planner's path, or None.
-        path: The smoothed path, or None; not necessarily certified.
+        path: The smoothed path; or, on a smoother's refusal, the best path that it found, which breaks the bound that
+            the error names: it is for looking at, and may end beside the goal. Certified only where `certificate` says
+            so. None: there is none.
         certificate: The verdict on `path`, or None.
         timing_ms: Wall-clock milliseconds of the stages that ran.
     """

@@ -47,13 +47,16 @@ class Row(NamedTuple):
 
 
 def failed_plan_file(error: OptdockError, frame: str) -> PlanFile:
-    """A failure as a file's content: its name, its reason, and whatever exists so far."""
+    """A failure as a file's content: its name, its reason, and whatever exists so far but for a path without verdict.
+
+    Such a path, the best of a search that failed, is for looking at; a file is for driving.
+    """
     so_far = PartialPlan.left_by(error)
     return PlanFile(
         status=type(error).__name__,
         frame=frame,
         raw_path=so_far.raw_path,
-        path=so_far.path,
+        path=so_far.path if so_far.certificate is not None else None,
         certificate=so_far.certificate.as_dict() if so_far.certificate is not None else None,
         timing_ms=so_far.timing_ms,
         error=PlanError.from_exception(error),

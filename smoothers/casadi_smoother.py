@@ -12,7 +12,7 @@ from pydantic import Field, field_validator
 from optdock.costmap.cell_obstacles import obstacles_from_costmap
 from optdock.deadline import Deadline, garbage_collection_paused
 from optdock.dock import Dock, DockDirection
-from optdock.errors import InvalidValue, SmootherException
+from optdock.errors import InvalidPath, InvalidValue, SmootherException
 from optdock.geometry.footprint import Footprint
 from optdock.geometry.pose import Pose2
 from optdock.interfaces import Smoother, SmoothingReport, SmoothingResult, SmoothingStatus, never_cancelled
@@ -41,6 +41,10 @@ __all__ = ["CasadiSmoother", "CasadiSmootherParameters"]
 _SAME_POSE = 1e-6  # [m], [rad]: as the certificate's
 _READ_AROUND = 1.5  # [m]: how far around the path the costmap is read, beyond the footprint
 _SPACING = 0.2  # [m] between the points that say where a path is
+# An input further than this from the start or the goal of the problem of the call is one for another problem: [m], or
+# this share of its length. Docks are found within decimetres of where maps have them, and a search that begins at the
+# input mends about as much; beyond that nothing of the input is left to be near to.
+_ELSEWHERE, _ELSEWHERE_SHARE = 1.0, 0.2
 
 
 class CasadiSmootherParameters(PluginParameters):
@@ -92,6 +96,10 @@ class CasadiSmoother(Smoother):
     ) -> SmoothingResult:
         """A certified clothoid path between the start and the goal of `problem`, near `path`.
 
+        Where `problem` is given, the ends of the result are its start and goal, whatever ends `path` has: it may begin
+        behind the robot, or end where the dock was thought to be. A path that passes the start, or ends beside the
+        goal, by more than 1 m and more than a fifth of its length is one for another problem, and refused.
+
         Args:
             path: The input, from any source.
             max_time: Wall-clock seconds for the whole call.
@@ -103,15 +111,18 @@ class CasadiSmoother(Smoother):
             cancel_checker: Polled every iteration.
 
         Raises:
-            InvalidPath: The path names another frame than the problem.
-            InvalidValue: `max_time` is not finite, or negative; there is no problem and no footprint.
+            InvalidPath: The path is none, names another frame than the problem, or is one for another problem.
+            InvalidValue: `max_time` is not finite, or negative; there is no problem and no footprint; `problem` or
+                `warm_start` is of another class.
             FailedToSmoothPath: `where["reason"]` names the bound in the way: `start_in_collision`, `start_curvature`,
-                `direction`, `approach_blocked`, `goal_unreachable`, `clearance`; `s` [m], `amount` and `obstacle` say
-                where and by how much.
+                `direction`, `approach_blocked`, `goal_unreachable`, `clearance`; `s` [m], `pose`, `amount` and
+                `obstacle` say where and by how much, with `clearance` what is measured there and what is `required`.
+                The best path that a search found, which breaks that bound, is the `path` of `partial`.
             SmootherTimedOut: No certified path within `max_time`.
             SmootherCancelled: `cancel_checker` returned True.
         """
         deadline = Deadline(checked_seconds(max_time, "max_time"), self.context.clock)
+        self.check_task(path, problem, warm_start)
         with garbage_collection_paused():
             return self._smoothed(path, deadline, problem, warm_start, cancel_checker)
 
@@ -169,7 +180,10 @@ class CasadiSmoother(Smoother):
         problem = self.context.problem_at_hand(called_with)
         if problem is None:
             return self._problem_of(path)
-        return problem if called_with is not None else configured_problem(path, problem)
+        if called_with is None:
+            return configured_problem(path, problem)
+        _check_way(path, problem)
+        return problem
 
     def _problem_of(self, path: Path) -> DockingProblem:
         chosen = self.parameters
@@ -180,7 +194,28 @@ class CasadiSmoother(Smoother):
         """Certify a result that left the part of the costmap which was read around its input."""
         certificate = certify_path(result, self._problem_of(result))
         if not certificate.certified:
-            raise refuse_certificate(certificate).error()
+            raise refuse_certificate(certificate, result).error()
+
+
+def _check_way(path: Path, problem: DockingProblem) -> None:
+    """Refuse a path that does not lead from the problem's start to its goal.
+
+    It may begin far behind a robot that is under way, so that any place on it counts for the start, the end only for
+    the goal.
+
+    Raises:
+        InvalidPath: It passes the start, or ends beside the goal, too far away.
+    """
+    allowed = max(_ELSEWHERE, _ELSEWHERE_SHARE * path.length)
+    off = path.end.distance_to(problem.goal)
+    what = f"ends {off:.2f} m from the goal"
+    if off <= allowed and path.start.distance_to(problem.start) > allowed:
+        points = path.sample(_SPACING).poses[:, :2]
+        off = float(np.hypot(*(points - problem.start.as_array()[:2]).T).min())
+        what = f"comes no nearer than {off:.2f} m to the start"
+    if off > allowed:
+        message = f"path: {what} of the problem, more than {allowed:.2f} m: it leads elsewhere"
+        raise InvalidPath(f"{message}; without `problem` it keeps its own ends")
 
 
 def configured_problem(path: Path, problem: DockingProblem) -> DockingProblem:

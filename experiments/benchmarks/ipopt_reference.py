@@ -69,7 +69,8 @@ def smooth_by_ipopt(path: Path, max_time: float, problem: DockingProblem, **para
     found = exact_path(nlp, iterate.variables, straight).with_frame(problem.frame)
     certificate = certify_path(found, problem)
     if not certificate.certified:
-        raise refuse_search(nlp, iterate, straight).error(certificate=certificate.reason)
+        refusal = refuse_search(nlp, iterate, problem)
+        raise refusal._replace(more={**refusal.more, "certificate": certificate.reason}).error()
     status = SmoothingStatus.CONVERGED if settled else SmoothingStatus.STOPPED
     report = SmoothingReport(status, iterate.cost, total_s=deadline.elapsed, certificate=certificate)
     return SmoothingResult(found, settled, report)

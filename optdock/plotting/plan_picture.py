@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from optdock.errors import GoalOccupied, GoalOutsideMapBounds
+from optdock.errors import GoalOccupied, GoalOutsideMapBounds, StartOccupied, StartOutsideMapBounds
 from optdock.geometry.pose import Pose2
 from optdock.obstacles import in_words
 from optdock.plotting.canvas import COLOURS, entitle, legend_below, new_figure, save_figure
@@ -57,9 +57,9 @@ def save_plan_picture(  # noqa: PLR0913 - one parameter for each thing that is d
         target: Where; the suffix chooses the format.
         problem: What was planned.
         raw_path: The planner's path.
-        path: The smoothed path.
+        path: The smoothed path; with a refusal and no certificate that holds, the best path found.
         certificate: The verdict on it; with one, the pose of its least clearance is marked.
-        refusal: Why there is no plan; the place that it speaks of and the obstacle in the way are marked.
+        refusal: Why there is no plan; the obstacle in the way is marked, and the place, where it speaks of one.
         title: Above the picture.
 
     Raises:
@@ -67,7 +67,8 @@ def save_plan_picture(  # noqa: PLR0913 - one parameter for each thing that is d
         InvalidFile: The file cannot be written.
     """
     drawn = [each for each in (raw_path, path) if each is not None]
-    place = None if refusal is None else _place(problem, refusal, drawn[-1] if drawn else None).as_array()[None]
+    pose = None if refusal is None else _place(problem, refusal, drawn[-1] if drawn else None)
+    place = None if pose is None else pose.as_array()[None]
     shown = [each.sample(_SPACING).poses for each in drawn]
     view = view_of(problem, shown if place is None else [*shown, place])
     figure = new_figure(*view.figure_size())
@@ -78,13 +79,14 @@ def save_plan_picture(  # noqa: PLR0913 - one parameter for each thing that is d
     if raw_path is not None:
         _draw_raw(axes, raw_path)
     if path is not None:
-        _draw_smoothed(axes, path)
+        is_proven = refusal is None or (certificate is not None and certificate.certified)
+        _draw_smoothed(axes, path, "path" if is_proven else "best path found, not certified")
     ends = np.array([problem.start.as_array(), problem.goal.as_array()])
     draw_footprints(axes, problem.robot.footprint, ends, OutlineStyle(edge="black", width=1.2, order=4.0))
     size = 0.6 * problem.robot.footprint.circumscribed_radius
     draw_arrow(axes, problem.start, size, COLOURS["start"], "start")
     draw_arrow(axes, problem.goal, size, COLOURS["goal"], "goal")
-    if refusal is not None and place is not None:
+    if refusal is not None:
         _draw_refusal(axes, problem, refusal, place)
     elif path is not None and certificate is not None:
         _draw_closest(axes, problem, path, certificate)
@@ -105,13 +107,13 @@ def _draw_raw(axes: Axes, path: Path) -> None:
     axes.plot(samples.x, samples.y, color=COLOURS["raw"], linewidth=_RAW_WIDTH, label="raw path", zorder=4.5)
 
 
-def _draw_smoothed(axes: Axes, path: Path) -> None:
+def _draw_smoothed(axes: Axes, path: Path, what: str) -> None:
     samples = path.sample(_SPACING)
-    for gear, colour, label in ((1, "path", "path, forward"), (-1, "reverse", "path, reverse")):
+    for gear, colour, driven in ((1, "path", "forward"), (-1, "reverse", "reverse")):
         mine = samples.direction == gear
         if mine.any():
             x, y = (np.where(mine, column, math.nan) for column in (samples.x, samples.y))
-            axes.plot(x, y, color=COLOURS[colour], linewidth=_WIDTH, label=label, zorder=5)
+            axes.plot(x, y, color=COLOURS[colour], linewidth=_WIDTH, label=f"{what}, {driven}", zorder=5)
     if path.cusps:
         cusps = path.poses_at(np.array(path.cusps))
         axes.plot(cusps[:, 0], cusps[:, 1], "D", color="black", markersize=5, label="cusp", zorder=6)
@@ -124,27 +126,32 @@ def _draw_closest(axes: Axes, problem: DockingProblem, path: Path, certificate: 
         _mark(axes, problem, path.poses_at(certificate.at_s), label)
 
 
-def _draw_refusal(axes: Axes, problem: DockingProblem, refusal: OptdockError, place: FloatArray) -> None:
-    """Where a refusal points to, Shape (1, 3), and the obstacle that it names."""
-    _mark(axes, problem, place, "refused here")
+def _draw_refusal(axes: Axes, problem: DockingProblem, refusal: OptdockError, place: FloatArray | None) -> None:
+    """Where a refusal points to, Shape (1, 3), if anywhere, and the obstacle that it names."""
+    if place is not None:
+        _mark(axes, problem, place, "refused here")
     obstacles = problem.all_obstacles
     named = [row for row in range(len(obstacles)) if obstacles.name_of(row) == refusal.where.get("obstacle")]
     if named and obstacles.name_of(named[0]) not in DRAWN_BY_THE_MAP:
         draw_shapes(axes, [obstacles.vertices[row] for row in named], OutlineStyle(edge=COLOURS["hot"], order=5.5))
 
 
-def _place(problem: DockingProblem, refusal: OptdockError, path: Path | None) -> Pose2:
-    """The pose that a refusal speaks of: its own, or that at its arc length, or the end that it names, or the start."""
+def _place(problem: DockingProblem, refusal: OptdockError, path: Path | None) -> Pose2 | None:
+    """The pose that a refusal speaks of: its own, or that at its arc length, or the end that it names; or None."""
     where = refusal.where
     pose = where.get("pose")
     if isinstance(pose, Sequence) and len(pose) == 3:
         return Pose2.from_sequence(pose)
+    if isinstance(refusal, StartOccupied | StartOutsideMapBounds):
+        return problem.start
+    if isinstance(refusal, GoalOccupied | GoalOutsideMapBounds):
+        return problem.goal
     x, y, s = (where.get(name) for name in ("x", "y", "s"))
     if isinstance(x, float) and isinstance(y, float):
         return Pose2(x, y, problem.start.yaw)
     if path is not None and isinstance(s, float):
         return path.pose_at(min(s, path.length))
-    return problem.goal if isinstance(refusal, GoalOccupied | GoalOutsideMapBounds) else problem.start
+    return None
 
 
 def _mark(axes: Axes, problem: DockingProblem, pose: FloatArray, label: str) -> None:

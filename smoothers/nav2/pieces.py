@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from optdock.errors import InvalidPath
 from optdock.geometry.pose import normalize_angle
 from optdock.path import Path, PolylineSegment
 from optdock.verification import pose_clearances
@@ -129,10 +128,8 @@ def task_of(path: Path, problem: DockingProblem | None, context: PluginContext) 
     """The path, in the frame of the problem at hand, and what stands around it.
 
     Raises:
-        InvalidPath: It is no path, or one in another frame.
+        InvalidPath: It stands in another frame.
     """
-    if not isinstance(path, Path):
-        raise InvalidPath(f"path: must be a Path, got {type(path).__name__}")
     wanted = context.problem_at_hand(problem)
     footprint = context.footprint if wanted is None else wanted.robot.footprint
     if footprint is None:

@@ -94,7 +94,7 @@ class SavitzkyGolaySmoother(Smoother):
         max_time: float,
         *,
         problem: DockingProblem | None = None,
-        warm_start: Path | None = None,  # noqa: ARG002 - the interface's; a filter has no first guess
+        warm_start: Path | None = None,
         cancel_checker: Callable[[], bool] = never_cancelled,
     ) -> SmoothingResult:
         """A smoother polyline between the same two poses.
@@ -107,12 +107,13 @@ class SavitzkyGolaySmoother(Smoother):
             cancel_checker: Polled before every piece.
 
         Raises:
-            InvalidValue: `max_time` is not finite, or negative.
+            InvalidValue: `max_time` is not finite, or negative; `problem` or `warm_start` is of another class.
             InvalidPath: It is no path, names another frame than the problem, or has too few distinct poses afterwards.
             SmootherTimedOut: The time was over before the first piece. Nav2's raises after later ones as well.
             SmootherCancelled: `cancel_checker` returned True.
         """
         deadline = Deadline(checked_seconds(max_time, "max_time"), self.context.clock)
+        self.check_task(path, problem, warm_start)
         path, surroundings = task_of(path, problem, self.context)
         poses, filtered, kept, completed = poses_of(path), 0, 0, True
         whole = [(0, len(poses) - 1)]

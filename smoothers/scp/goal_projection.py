@@ -26,6 +26,7 @@ if TYPE_CHECKING:
 
 __all__ = [
     "clipped",
+    "driven_path",
     "end_pose",
     "end_sensitivity",
     "exact_path",
@@ -202,6 +203,12 @@ def exact_path(nlp: NonlinearProgram, variables: Variables, final_straight: floa
         moved = np.clip(moved, nlp.bounds.lower, nlp.bounds.upper)
         variables = Variables(moved[: basis.num_knots], moved[basis.num_knots :])
         splines = _chained(basis, variables, ends, final_straight)
+    return Path(tuple(ClothoidSegment(spline) for spline in splines))
+
+
+def driven_path(nlp: NonlinearProgram, variables: Variables) -> Path:
+    """The clothoid splines of all gears as they stand, wherever they end, without the final straight."""
+    splines = _chained(nlp.basis, variables, nlp.ends, 0.0)
     return Path(tuple(ClothoidSegment(spline) for spline in splines))
 
 

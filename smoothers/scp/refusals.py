@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from types import MappingProxyType
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -11,9 +12,13 @@ from optdock.dock import DockDirection
 from optdock.errors import FailedToSmoothPath
 from optdock.obstacles import in_words
 from optdock.path import Direction
+from optdock.plan import PartialPlan
 from optdock.verification import pose_clearances
+from smoothers.scp.goal_projection import driven_path, exact_path
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping
+
     from optdock.geometry.arrays import FloatArray
     from optdock.path import Path
     from optdock.problem import DockingProblem
@@ -25,10 +30,24 @@ __all__ = ["Refusal", "refuse_approach", "refuse_certificate", "refuse_search", 
 
 _TOLERANCE = 1e-6  # [m], as the certificate's
 _STRAIGHT_SAMPLES = 13
+_SPACING = (
+    0.02  # [m] between the poses of a refused path that are measured, 0.7 ms for 5 m; 3 cm missed 6 mm of overlap
+)
 
 
 class Refusal(NamedTuple):
-    """One bound in the way: its name, where along the path, by how much, at which obstacle, a sentence, the pose."""
+    """One bound in the way.
+
+    Attributes:
+        reason: Its name.
+        s: Where along the path [m].
+        amount: By how much, in the bound's unit.
+        obstacle: At which obstacle; empty where it is at none.
+        message: A sentence with the numbers.
+        pose: Where, Shape (3,), or None.
+        more: What else belongs into `where`.
+        path: The best path found, which breaks the bound; None where nothing was searched for.
+    """
 
     reason: str
     s: float
@@ -36,13 +55,18 @@ class Refusal(NamedTuple):
     obstacle: str
     message: str
     pose: FloatArray | None = None
+    more: Mapping[str, object] = MappingProxyType({})
+    path: Path | None = None
 
-    def error(self, **more: object) -> FailedToSmoothPath:
-        """The exception that says so."""
-        where = {"reason": self.reason, "s": self.s, "amount": self.amount, "obstacle": self.obstacle, **more}
+    def error(self) -> FailedToSmoothPath:
+        """The exception that says so, with the best path found as the `path` of its `partial`."""
+        where = {"reason": self.reason, "s": self.s, "amount": self.amount, "obstacle": self.obstacle, **self.more}
         if self.pose is not None:
             where["pose"] = self.pose.tolist()
-        return FailedToSmoothPath(f"{self.reason}: {self.message}", where=where)
+        error = FailedToSmoothPath(f"{self.reason}: {self.message}", where=where)
+        if self.path is not None:
+            error.partial = PartialPlan(path=self.path)
+        return error
 
 
 def refuse_start(path: Path, problem: DockingProblem, start_clearance: float, nearest: int) -> Refusal | None:
@@ -93,42 +117,72 @@ def refuse_approach(path: Path, problem: DockingProblem, start_clearance: float)
     return Refusal("approach_blocked", s, float(short[k]), name, message, poses[k])
 
 
-def refuse_search(nlp: NonlinearProgram, last: Iterate, final_straight: float) -> Refusal:
+def refuse_search(nlp: NonlinearProgram, closest: Iterate, problem: DockingProblem) -> Refusal:
     """Which bound the search could not satisfy: the goal (through curvature and rate) or clearance.
+
+    The path of the refusal is that of `closest`; one that misses the goal has no final straight.
 
     Args:
         nlp: What was searched for.
-        last: How far it came.
-        final_straight: Length of the straight run between the target of the search and the goal [m].
+        closest: How close it came.
+        problem: What must hold.
     """
-    if not last.on_goal or last.clearance.margin.size == 0:
-        return _unreachable(nlp, last, final_straight)
-    k = int(np.argmin(last.clearance.margin))
-    name = nlp.scene.obstacles.name_of(int(last.clearance.pairs.obstacle[k]))
-    at = int(last.clearance.pairs.interval[k])
-    s = float(last.rollout.steps[:at].sum())
-    message = (
-        f"the best path found comes {last.shortfall:.4f} m closer to {in_words(name)} than required at s = {s:.3f} m"
-    )
-    return Refusal("clearance", s, last.shortfall, name, message, last.rollout.poses[at])
+    if not closest.on_goal or closest.clearance.margin.size == 0:
+        return _unreachable(nlp, closest, problem)
+    path = exact_path(nlp, closest.variables, problem.dock.final_straight).with_frame(problem.frame)
+    return _too_close(path, problem, nlp.scene.start_clearance, closest.shortfall)
 
 
-def refuse_certificate(certificate: Certificate) -> Refusal:
-    """The first violation that a certificate found in the result of a search."""
+def refuse_certificate(certificate: Certificate, path: Path) -> Refusal:
+    """The first violation that a certificate found in `path`, the result of a search."""
     broken = certificate.violations[0]
-    obstacle = str(broken.where.get("obstacle", ""))
-    return Refusal(broken.kind, broken.s, broken.amount, obstacle, broken.message)
+    more = dict(broken.where)
+    obstacle, pose = str(more.pop("obstacle", "")), more.pop("pose", None)
+    at = path.poses_at(min(broken.s, path.length))[0] if pose is None else np.array(pose)
+    return Refusal(broken.kind, broken.s, broken.amount, obstacle, broken.message, at, more, path)
 
 
-def _unreachable(nlp: NonlinearProgram, last: Iterate, final_straight: float) -> Refusal:
-    missed, turned = float(np.hypot(*last.end_error[:2])), abs(float(last.end_error[2]))
+def _too_close(path: Path, problem: DockingProblem, start_clearance: float, bound: float) -> Refusal:
+    """Where the path is closest to what is required, as measured by the certificate's own distances.
+
+    The search judges intervals by bounds, which may be short where every pose is legal.
+    """
+    s = np.linspace(0.0, path.length, max(2, math.ceil(path.length / _SPACING) + 1))
+    poses = path.poses_at(s)
+    from_goal, from_start = (
+        np.hypot(poses[:, 0] - end.x, poses[:, 1] - end.y) for end in (problem.goal, problem.start)
+    )
+    required = problem.clearance.required_at(from_goal, from_start, start_clearance)
+    footprint, obstacles = problem.robot.footprint, problem.all_obstacles
+    clearance, rows = pose_clearances(poses, footprint, obstacles, float(required.max()))
+    k = int(np.argmax(required - clearance))
+    short, row = float(required[k] - clearance[k]), int(rows[k])
+    name = obstacles.name_of(row) if row >= 0 else ""
+    more: dict[str, object] = {"clearance": float(clearance[k]), "required": float(required[k])}
+    if short > _TOLERANCE:
+        message = (
+            f"the best path found comes {short:.4f} m closer to {in_words(name)} than required at s = {s[k]:.3f} m"
+        )
+    else:
+        more["bound"] = bound
+        message = (
+            "every pose measured on the best path found keeps the required clearance, but between them it is not "
+            f"proven: the bound of the search is {bound:.4f} m short"
+        )
+    return Refusal("clearance", float(s[k]), short, name, message, poses[k], more, path)
+
+
+def _unreachable(nlp: NonlinearProgram, closest: Iterate, problem: DockingProblem) -> Refusal:
+    straight, variables = problem.dock.final_straight, closest.variables
+    path = driven_path(nlp, variables).with_frame(problem.frame)
+    missed, turned = float(np.hypot(*closest.end_error[:2])), abs(float(closest.end_error[2]))
     bound = float(nlp.bounds.upper[: nlp.basis.num_knots].max())
-    used = float(np.abs(last.variables.curvature).max()) / bound
-    steered = float(np.abs(last.rollout.rate).max()) / nlp.bounds.rate
+    used = float(np.abs(variables.curvature).max()) / bound
+    steered = float(np.abs(closest.rollout.rate).max()) / nlp.bounds.rate
     tight = [name for name, share in (("curvature", used), ("curvature rate", steered)) if share > 0.97]
-    tight += ["clearance"] if last.clearance.margin.size and last.clearance.margin.min() < 2e-3 else []
-    target = f"the final straight, {final_straight:.3f} m before the goal," if final_straight > 0.0 else "the goal"
+    tight += ["clearance"] if closest.clearance.margin.size and closest.clearance.margin.min() < 2e-3 else []
+    target = f"the final straight, {straight:.3f} m before the goal," if straight > 0.0 else "the goal"
     message = f"the best path found in the gears of the raw path misses {target} by {missed:.3f} m and {turned:.3f} rad"
     message += f"; at the limit: {', '.join(tight)}" if tight else ""
-    length = float(last.variables.lengths.sum())
-    return Refusal("goal_unreachable", length, missed, "", message, last.rollout.poses[-1])
+    at = path.poses_at(path.length)[0]
+    return Refusal("goal_unreachable", path.length, missed, "", message, at, path=path)

@@ -182,7 +182,7 @@ class Outcome:
         last: The last iterate.
         converged: Whether the search ended by itself.
         iterations: Steps tried.
-        refused: The last certificate that refused a candidate, or None.
+        refused: The last candidate that a certificate refused, and that certificate, or None.
         setup_time: Seconds from the start of the call to the first search.
         first_certified: Seconds from the start of the call to the first certificate, or None.
         certify_time: Seconds spent on certificates.
@@ -193,7 +193,7 @@ class Outcome:
     last: Iterate | None = None
     converged: bool = False
     iterations: int = 0
-    refused: Certificate | None = None
+    refused: tuple[Path, Certificate] | None = None
     setup_time: float = 0.0
     first_certified: float | None = None
     certify_time: float = 0.0
@@ -330,8 +330,9 @@ class Solver:
             message = f"no certified path within {1e3 * self.deadline.seconds:.1f} ms"
             return SmootherTimedOut(message, where={"iterations": outcome.iterations})
         if outcome.refused is not None and closest.feasible:
-            return refuse_certificate(outcome.refused).error()
-        return refuse_search(self._nlp, closest, self.call.problem.dock.final_straight).error()
+            path, certificate = outcome.refused
+            return refuse_certificate(certificate, path).error()
+        return refuse_search(self._nlp, closest, self.call.problem).error()
 
     def _offer(self, path: Path, status: SmoothingStatus) -> None:
         """A result from elsewhere, if it is certified."""
@@ -423,7 +424,7 @@ class Solver:
             self.outcome.converged = False
             return None
         if not certificate.certified:
-            self.outcome.refused = certificate
+            self.outcome.refused = path, certificate
             return candidate
         self.outcome.incumbent = Incumbent(path, certificate, candidate.cost)
         if self.outcome.first_certified is None:

@@ -17,6 +17,7 @@ from optdock.errors import (
     InvalidValue,
     MissingExtra,
     NoValidPathCouldBeFound,
+    SmootherTimedOut,
     StartOccupied,
 )
 from optdock.geometry.clothoid import ClothoidSpline
@@ -25,7 +26,7 @@ from optdock.geometry.pose import Pose2
 from optdock.limits import MotionLimits, SpeedZone
 from optdock.obstacles import ObstacleSet
 from optdock.path import ClothoidSegment, Path
-from optdock.plotting import save_animation, save_plan_picture, save_profile_picture, save_run_picture
+from optdock.plotting import plan_picture, save_animation, save_plan_picture, save_profile_picture, save_run_picture
 from optdock.plotting.canvas import COLOURS, canvas_of, entitle, legend_below, new_figure, save_figure
 from optdock.plotting.plan_picture import _draw_closest, _place
 from optdock.plotting.profile_picture import _panels
@@ -99,7 +100,6 @@ REFUSALS = {
     "an end of the map": (GoalOutsideMapBounds("no", where={"pose": [9.0, 9.0]}), "goal"),
     "the goal": (GoalOccupied("no", where={"obstacle": "dock"}), "goal"),
     "the start": (StartOccupied("no", where={"obstacle": "obstacles[0]"}), "start"),
-    "nothing": (NoValidPathCouldBeFound("no"), "start"),
 }
 
 
@@ -112,6 +112,30 @@ def test_a_refusal_is_marked_where_it_says(tmp_path, problem, path, speaks_of):
     assert (found.x, found.y) == pytest.approx(expected, abs=2e-3)
     save_plan_picture(tmp_path / "p.png", problem, raw_path=path, refusal=refusal)
     assert colours_in(tmp_path / "p.png").get(COLOURS["hot"], 0) > 50
+
+
+@pytest.mark.parametrize("where", [{}, {"iterations": 7}, {"obstacle": "obstacles[0]"}])
+def test_a_refusal_that_speaks_of_no_place_marks_none(problem, path, where):
+    assert _place(problem, SmootherTimedOut("no", where=where), path) is None
+
+
+def test_a_time_out_has_no_mark_in_its_picture(tmp_path, problem, path):
+    save_plan_picture(tmp_path / "p.png", problem, raw_path=path, refusal=SmootherTimedOut("no"))
+    assert COLOURS["hot"] not in colours_in(tmp_path / "p.png")
+
+
+def test_a_refused_path_is_drawn_in_its_gears_and_called_what_it_is(tmp_path, problem, path, monkeypatch):
+    legends = []
+    monkeypatch.setattr(
+        plan_picture, "legend_below", lambda _, axes: legends.append(axes.get_legend_handles_labels()[1])
+    )
+    refusal, refused = FailedToSmoothPath("no", where={"s": 1.0}), certify_path(path, problem.starting_at(path.end))
+    for proof in (None, refused, certify_path(path, problem)):
+        save_plan_picture(tmp_path / "p.png", problem, path=path, certificate=proof, refusal=refusal)
+    save_plan_picture(tmp_path / "p.png", problem, path=path)
+    best = {"best path found, not certified, forward", "best path found, not certified, reverse"}
+    assert [best <= set(labels) for labels in legends] == [True, True, False, False]
+    assert [{"path, forward", "path, reverse"} <= set(labels) for labels in legends] == [False, False, True, True]
 
 
 def test_a_refused_pose_far_from_every_path_is_in_the_picture(tmp_path, problem, path):

@@ -1,0 +1,175 @@
+"""What a refusal says can be measured again: its pose, its amount, its obstacle, on the path that it carries."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from optdock import pipeline
+from optdock.errors import FailedToSmoothPath, InvalidPath, InvalidValue, SmootherTimedOut
+from optdock.geometry.pose import Pose2
+from optdock.path import Path
+from optdock.pipeline import plan_dock
+from optdock.plan import PartialPlan
+from optdock.testing.families import instance
+from optdock.verification import certify_path, end_clearances, pose_clearance
+from smoothers.casadi_smoother import CasadiSmoother
+from smoothers.nav2.savitzky_golay import SavitzkyGolaySmoother
+from smoothers.nav2.simple import SimpleSmoother
+from smoothers.scp.refusals import _too_close
+
+EXACT = 1e-9
+
+
+def refusal_of(family, seed):
+    case = instance(family, seed)
+    with pytest.raises(FailedToSmoothPath) as caught:
+        CasadiSmoother().smooth(case.raw_path, 30.0, problem=case.problem)
+    return case.problem, caught.value
+
+
+def measured(pose, problem):
+    """Required and measured clearance of a pose, and the obstacle nearest to it."""
+    apart = [np.array([pose.distance_to(end)]) for end in (problem.goal, problem.start)]
+    required = problem.clearance.required_at(*apart, end_clearances(problem).start)[0]
+    clearance, row = pose_clearance(pose, problem.robot.footprint, problem.all_obstacles)
+    return required, clearance, problem.all_obstacles.name_of(row)
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_a_clearance_refusal_is_what_is_measured_at_its_pose(seed):
+    problem, error = refusal_of("gap_blocked", seed)
+    where, path = error.where, error.partial.path
+    assert where["reason"] == "clearance"
+    pose = Pose2.from_sequence(where["pose"])
+    required, clearance, obstacle = measured(pose, problem)
+    assert where["amount"] == pytest.approx(required - clearance, abs=EXACT)
+    assert (where["required"], where["clearance"]) == pytest.approx((required, clearance), abs=EXACT)
+    assert where["obstacle"] == obstacle
+    assert path.pose_at(where["s"]).gap_to(pose) < EXACT
+    assert where["amount"] > 0.0
+    assert f"{where['amount']:.4f} m closer to {obstacle}" in str(error)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_no_pose_of_the_best_path_is_much_worse_than_the_one_that_is_named(seed):
+    problem, error = refusal_of("gap_blocked", seed)
+    path = error.partial.path
+    for s in np.linspace(0.0, path.length, 400):
+        required, clearance, _ = measured(path.pose_at(s), problem)
+        assert required - clearance <= error.where["amount"] + 5e-3
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_path_that_misses_the_goal_ends_where_the_refusal_says(seed):
+    problem, error = refusal_of("too_close", seed)
+    path, where = error.partial.path, error.where
+    end = Pose2.from_sequence(where["pose"])
+    assert path.end.gap_to(end) < EXACT
+    back = int(path.segments[-1].direction) * problem.dock.final_straight
+    assert end.distance_to(problem.goal @ Pose2(-back, 0.0, 0.0)) == pytest.approx(where["amount"], abs=1e-4)
+
+
+def test_where_every_measured_pose_is_legal_the_refusal_says_so():
+    case = instance("corridor", 0)
+    path = CasadiSmoother().smooth(case.raw_path, 30.0, problem=case.problem).path
+    error = _too_close(path, case.problem, end_clearances(case.problem).start, 0.0123).error()
+    assert certify_path(path, case.problem).certified
+    assert error.where["amount"] <= 1e-6
+    assert error.where["bound"] == 0.0123
+    assert "keeps the required clearance" in str(error)
+    assert "0.0123 m short" in str(error)
+
+
+def test_a_failed_call_leaves_the_best_path_of_the_search_uncertified():
+    case = instance("gap_blocked", 0)
+    with pytest.raises(FailedToSmoothPath) as caught:
+        plan_dock(case.problem, time_budget=30.0)
+    left = PartialPlan.left_by(caught.value)
+    assert left.path.frame == case.problem.frame
+    assert left.path.end.gap_to(case.problem.goal) < 1e-6
+    assert left.certificate is None
+    assert not certify_path(left.path, case.problem).certified
+
+
+def test_what_is_refused_before_any_search_leaves_no_path():
+    _, error = refusal_of("approach_blocked", 0)
+    assert error.partial is None
+
+
+def test_a_time_out_names_the_whole_budget_and_what_is_kept_back():
+    class Late(CasadiSmoother):
+        def smooth(self, path, max_time, **rest):
+            raise SmootherTimedOut(f"nothing within {max_time:.1f} s", where={"iterations": 3})
+
+    with pytest.raises(
+        SmootherTimedOut,
+        match=r"within .* s, the smoother's share of 50000 ms; 30 ms are kept back for timing and proof",
+    ) as caught:
+        plan_dock(instance("open_s", 0).problem, time_budget=50.0, smoother=Late())
+    assert caught.value.where == {"iterations": 3}
+
+
+def test_a_budget_of_which_too_little_is_left_says_how_much(monkeypatch):
+    monkeypatch.setattr(pipeline, "_reserve", lambda budget: 2.0 * budget)
+    told = r"no time is left for smoothing: \d+ ms are left of 30000 ms; 60000 ms are kept back for timing and proof"
+    with pytest.raises(SmootherTimedOut, match=told):
+        plan_dock(instance("open_s", 0).problem, time_budget=30.0)
+
+
+SMOOTHERS = (CasadiSmoother, SimpleSmoother, SavitzkyGolaySmoother)
+
+
+@pytest.mark.parametrize("kind", SMOOTHERS)
+@pytest.mark.parametrize("poses", [[(0.0, 0.0, 0.0), (1.0, 0.0, 0.0)], np.zeros((3, 3)), None])
+def test_poses_are_no_path_and_the_refusal_says_what_makes_one(kind, poses):
+    with pytest.raises(InvalidPath, match=r"path: must be a Path.*Path.from_poses\(poses\) makes one"):
+        kind().smooth(poses, 1.0, problem=instance("open_s", 0).problem)
+
+
+@pytest.mark.parametrize("kind", SMOOTHERS)
+@pytest.mark.parametrize("name", ["problem", "warm_start"])
+def test_arguments_of_another_class_are_refused_by_name(kind, name):
+    case = instance("open_s", 0)
+    with pytest.raises(InvalidValue, match=f"{name}: must be a "):
+        kind().smooth(case.raw_path, 1.0, **{"problem": case.problem, name: "office"})
+
+
+def moved(path, by):
+    return Path.from_poses([by @ Pose2.from_sequence(row) for row in path.sample(0.05).poses])
+
+
+def test_a_path_of_another_place_is_refused():
+    case = instance("open_s", 0)
+    with pytest.raises(InvalidPath, match="m from the goal of the problem, more than 1.00 m: it leads elsewhere"):
+        CasadiSmoother().smooth(Path.from_poses([(20.0, 2.0, 0.0), (22.0, 2.0, 0.0)]), 5.0, problem=case.problem)
+    beside = dataclasses.replace(case.problem, start=case.problem.start @ Pose2(-9.0, 0.0, 0.0))
+    with pytest.raises(InvalidPath, match="m to the start of the problem"):
+        CasadiSmoother().smooth(case.raw_path, 5.0, problem=beside)
+
+
+def test_an_input_that_is_off_by_decimetres_shows_the_way_to_the_ends_of_the_problem():
+    case = instance("open_s", 0)
+    off = moved(case.raw_path, Pose2(0.2, -0.2, 0.0))
+    found = CasadiSmoother().smooth(off, 30.0, problem=case.problem).path
+    assert found.start.gap_to(case.problem.start) < 1e-6
+    assert found.end.gap_to(case.problem.goal) < 1e-6
+
+
+def test_an_input_may_begin_far_behind_the_robot():
+    case = instance("open_s", 0)
+    plan = plan_dock(case.problem, time_budget=30.0)
+    longer = [plan.path.start @ Pose2(x, 0.0, 0.0) for x in np.linspace(-4.0, -0.1, 40)]
+    longer += [Pose2.from_sequence(row) for row in plan.path.sample(0.1).poses]
+    found = CasadiSmoother().smooth(Path.from_poses(longer), 30.0, problem=case.problem).path
+    assert found.start.gap_to(case.problem.start) < 1e-6
+
+
+def test_results_print_in_a_line():
+    case = instance("open_s", 0)
+    result = CasadiSmoother().smooth(case.raw_path, 30.0, problem=case.problem)
+    plan = plan_dock(case.problem, time_budget=30.0)
+    for each in (result, result.report, plan.timing_report):
+        assert len(str(each)) < 160
+        assert "\n" not in str(each)
+    assert f"{result.path.length:.3f} m" in str(result)
