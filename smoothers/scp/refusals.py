@@ -160,8 +160,9 @@ def _too_close(path: Path, problem: DockingProblem, start_clearance: float, boun
     name = obstacles.name_of(row) if row >= 0 else ""
     more: dict[str, object] = {"clearance": float(clearance[k]), "required": float(required[k])}
     if short > _TOLERANCE:
-        near = in_words(name)
-        message = f"the best path found comes {short:.4f} m closer to {near} than required at s = {s[k]:.3f} m"
+        message = (
+            f"the best path found comes {short:.4f} m closer to {in_words(name)} than required at s = {s[k]:.3f} m"
+        )
     else:
         more["bound"] = bound
         message = (
