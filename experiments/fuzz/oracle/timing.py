@@ -28,6 +28,7 @@ _ZOOMS = 3  # rounds around the largest values
 _SPREAD = np.linspace(-1.0, 1.0, 21)
 _EXCESS = 1e-6  # relative: what the certificate accepts beyond a limit
 _SAMPLED = 0.05  # likewise of turning limits on the steps of a polyline
+_ROUNDED = 4.0  # units in the last place, of sums of some ten terms
 
 
 @dataclass(frozen=True)
@@ -156,6 +157,7 @@ def _ratios(case: Case, motion: Motion, law: _Law, instants: _Instants) -> dict[
     """Every limited quantity over its limit, Shape (n,) each."""
     limits, (phase, dt, piece, share) = case["limits"], instants
     s, v, a = law.at(phase, dt)
+    v, a = _without_rounding(law, phase, s, v, a)
     k0, k1, h = motion.k0[piece], motion.k1[piece], motion.h[piece]
     k, r = k0 + (k1 - k0) * share, np.where(k1 == k0, 0.0, (k1 - k0) / h)
     speed, track = np.abs(v), float(limits.get("track_width", 0.0))
@@ -174,6 +176,21 @@ def _ratios(case: Case, motion: Motion, law: _Law, instants: _Instants) -> dict[
     }
     bounded = {name: limits.get(f"max_{name}", math.inf) for name in curved}
     return found | {name: curved[name] / slack / limit for name, limit in bounded.items() if math.isfinite(limit)}
+
+
+def _without_rounding(law: _Law, phase: Ints, s: Floats, v: Floats, a: Floats) -> tuple[Floats, Floats]:
+    """Speed and acceleration less what `_ROUNDED` units in the last place of distance and speed may change of them.
+
+    Nobody can say more of an instant. It matters beside spikes of curvature that are picometres wide, which a robot
+    passes at some 1e-10 m/s: there one unit of 1e-16 m takes microseconds.
+    """
+    jerk, place = np.abs(law.jerk[phase]), _ROUNDED * np.spacing(np.abs(s))
+    with np.errstate(divide="ignore"):
+        time = np.minimum(place / np.abs(v), np.cbrt(6.0 * place / jerk))
+    time = np.where(np.isfinite(time), time, 0.0)
+    rounded = _ROUNDED * np.spacing(np.abs(law.v).max())
+    speed = np.maximum(np.abs(v) - rounded - np.abs(a) * time - 0.5 * jerk * time**2, 0.0)
+    return np.copysign(speed, v), np.copysign(np.maximum(np.abs(a) - jerk * time, 0.0), a)
 
 
 def _top_speed(case: Case, motion: Motion, s: Floats, piece: Ints) -> Floats:
