@@ -3,18 +3,39 @@ import math
 import subprocess
 import sys
 from pathlib import Path
+from typing import NamedTuple
 
 import pytest
 
 ROOT = Path(__file__).resolve().parents[2]
 
 
-def run(*arguments):
-    command = [sys.executable, "-m", "experiments.benchmarks", *arguments]
-    return subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
+class Done(NamedTuple):
+    returncode: int
+    stdout: str
+    stderr: str
 
 
-def test_the_smoothing_benchmark_counts_what_it_should(tmp_path):
+@pytest.fixture
+def run(capsys, monkeypatch):
+    """A run of the benchmarks in this process."""
+    monkeypatch.syspath_prepend(str(ROOT))
+    from experiments.benchmarks import __main__ as benchmarks
+
+    for name in benchmarks.THREAD_VARIABLES:
+        monkeypatch.setenv(name, "1")
+
+    def running(*arguments):
+        try:
+            status = benchmarks.run(list(arguments))
+        except SystemExit as stop:
+            status = stop.code
+        return Done(status, *capsys.readouterr())
+
+    return running
+
+
+def test_the_smoothing_benchmark_counts_what_it_should(run, tmp_path):
     out = tmp_path / "smoothing.json"
     small = ("--seeds", "1", "--repeats", "1", "--calls", "2", "--budgets", "50,100")
     done = run("smoothing", *small, "--families", "open_s,start_collision", "--out", str(out))
@@ -34,18 +55,18 @@ def test_the_smoothing_benchmark_counts_what_it_should(tmp_path):
     assert "Hard time budgets" in done.stdout
 
 
-def test_certificates_and_first_calls_are_measured():
+def test_certificates_and_first_calls_are_measured(run):
     done = run("certificate", "--seeds", "1")
     assert done.returncode == 0, done.stderr
     assert "reverse_alcove" in done.stdout
     assert len([line for line in done.stdout.splitlines() if line.startswith("clutter ")]) == 1
-    done = run("first_call", "--processes", "1")
+    done = run("first_call", "--processes", "1", "--families", "open_s")
     assert done.returncode == 0, done.stderr
     first, _, later = (float(word) for word in done.stdout.splitlines()[-1].split()[-3:])
     assert min(first, later) > 0.0
 
 
-def test_deadlines_are_measured_on_a_busy_machine_too():
+def test_deadlines_are_measured_on_a_busy_machine_too(run):
     done = run("deadlines", "--calls", "3", "--seeds", "1", "--busy", "1")
     assert done.returncode == 0, done.stderr
     rows = [line.split() for line in done.stdout.splitlines()[-4:]]
@@ -55,13 +76,20 @@ def test_deadlines_are_measured_on_a_busy_machine_too():
 
 
 @pytest.mark.parametrize("wrong", [("nosuch",), ("smoothing", "timing", "--seeds", "1")])
-def test_wrong_names_are_answered_with_the_known_ones(wrong):
+def test_wrong_names_are_answered_with_the_known_ones(run, wrong):
     done = run(*wrong)
     assert done.returncode == 2
     assert "smoothing" in done.stderr
 
 
-def test_wrong_families_are_answered_with_the_known_ones():
+def test_the_benchmarks_are_a_program():
+    command = [sys.executable, "-m", "experiments.benchmarks", "nosuch"]
+    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
+    assert done.returncode == 2
+    assert "smoothing" in done.stderr
+
+
+def test_wrong_families_are_answered_with_the_known_ones(run):
     done = run("smoothing", "--families", "alcove,nosuch")
     assert done.returncode == 2
     assert "unknown nosuch; known: open_s" in done.stderr
