@@ -58,7 +58,7 @@ from optdock.plugins import PluginChoice, create_plugin, plugin_from
 from optdock.problem import ClearanceRule, DockingProblem
 from optdock.robot import Robot
 from optdock.trajectory import Trajectory
-from optdock.verification import TOLERANCE, certify_path, certify_trajectory, end_clearances
+from optdock.verification import TOLERANCE, certify_motion, certify_path, end_clearances
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -409,11 +409,8 @@ class _Run:
             message = f"{method.name} timed another path than the certified one"
             raise CertificationFailed(message, where={"kind": "path"})
         trajectory = Trajectory(path, trajectory.time_law, self.problem.fingerprint)
-        limits, zone, speed = self.problem.robot.limits, self.problem.dock.approach, abs(self.problem.start_speed)
         with self._timed("certify"):
-            proof = certify_trajectory(
-                trajectory, limits, zone, start_speed=speed, start_acceleration=0.0, is_late=self._asked_to_stop
-            )
+            proof = certify_motion(trajectory, self.problem, is_late=self._asked_to_stop)
         self._require(proof, "trajectory", TimingCancelled, TimingTimedOut)
         return _Motion(trajectory, proof, result.report)
 

@@ -21,7 +21,7 @@ from optdock.obstacles import in_words
 from optdock.outcomes import SmoothingReport, TimingReport
 from optdock.problem import DockingProblem
 from optdock.trajectory import Trajectory
-from optdock.verification import certify_path, certify_trajectory
+from optdock.verification import certify_motion, certify_path
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -135,8 +135,7 @@ class DockPlan:
         path, raw_path = found.path.with_frame(problem.frame), found.raw_path.with_frame(problem.frame)
         certificate = certify_path(path, problem)
         motion = Trajectory(path, found.time_law, problem.fingerprint)
-        limits, zone, speed = problem.robot.limits, problem.dock.approach, abs(problem.start_speed)
-        proof = certify_trajectory(motion, limits, zone, start_speed=speed, start_acceleration=0.0)
+        proof = certify_motion(motion, problem)
         for what, verdict in (("path", certificate), ("motion", proof)):
             if not verdict.certified:
                 message = f"{source}: its {what} is not certified for this problem: {verdict.reason}"

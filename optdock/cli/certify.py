@@ -92,11 +92,10 @@ def _motion(plan: PlanFile, path: DockPath, problem: DockingProblem) -> _Motion:
 def _exact(motion: TrajectoryColumns, path: DockPath, law: TimeLaw, problem: DockingProblem) -> _Motion:
     """The proof of the phases, and whether the samples are those of them."""
     from optdock.trajectory import Trajectory
-    from optdock.verification import are_rounded_phases, certify_trajectory, check_samples_of
+    from optdock.verification import are_rounded_phases, certify_motion, check_samples_of
 
     trajectory = Trajectory(path, law)
-    limits, zone, speed = problem.robot.limits, problem.dock.approach, abs(problem.start_speed)
-    proof = certify_trajectory(trajectory, limits, zone, start_speed=speed, start_acceleration=0.0)
+    proof = certify_motion(trajectory, problem)
     samples = check_samples_of(trajectory, motion, problem)
     faults = [violation.message for violation in (*proof.violations, *samples.violations)]
     said = f"{law.durations.size} phases, {law.duration:.3f} s"

@@ -35,7 +35,7 @@ chapters, in the order in which a proof uses them:
 """
 
 from optdock.verification.certificate import SHARPNESS, TOLERANCE, Certificate, TrajectoryCertificate, Violation
-from optdock.verification.certify import certify_path, certify_trajectory
+from optdock.verification.certify import certify_motion, certify_path, certify_trajectory
 from optdock.verification.proximity import EndClearances, end_clearances, pose_clearance, pose_clearances
 from optdock.verification.refutation import (
     SampledMotionVerdict,
@@ -55,6 +55,7 @@ __all__ = [
     "TrajectoryCertificate",
     "Violation",
     "are_rounded_phases",
+    "certify_motion",
     "certify_path",
     "certify_trajectory",
     "check_sampled_motion",

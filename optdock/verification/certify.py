@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from optdock.trajectory import TimeLaw, Trajectory
     from optdock.verification.conservative_advancement import ClearanceProof
 
-__all__ = ["certify_path", "certify_trajectory"]
+__all__ = ["certify_motion", "certify_path", "certify_trajectory"]
 
 Subject = TypeVar("Subject")
 Verdict = TypeVar("Verdict", Certificate, TrajectoryCertificate)
@@ -139,6 +139,23 @@ def certify_trajectory(
 
     against = (_Itself(trajectory.path), astuple(limits), astuple(zone), start)
     return _made_once(_TIME_LAWS, trajectory.time_law, against, is_late, verdict)
+
+
+def certify_motion(
+    trajectory: Trajectory, problem: DockingProblem, *, is_late: Callable[[], bool] = never_late
+) -> TrajectoryCertificate:
+    """Prove that a trajectory keeps the motion limits of `problem` and begins as the robot does, without acceleration.
+
+    Args:
+        trajectory: The motion to judge.
+        problem: Its robot's limits, its dock's slow stretch and its start speed count.
+        is_late: As of `certify_trajectory`.
+
+    Returns:
+        The certificate, as of `certify_trajectory`.
+    """
+    limits, zone, speed = problem.robot.limits, problem.dock.approach, abs(problem.start_speed)
+    return certify_trajectory(trajectory, limits, zone, start_speed=speed, start_acceleration=0.0, is_late=is_late)
 
 
 class _Itself(weakref.ref[Subject]):
