@@ -28,6 +28,7 @@ __all__ = [
     "InvalidValue",
     "LifecycleError",
     "MissingExtra",
+    "NoMotionExists",
     "NoValidControl",
     "NoValidPathCouldBeFound",
     "OptdockError",
@@ -165,6 +166,14 @@ class NoValidPathCouldBeFound(PlannerException):
     """There is no path of the kind this planner makes."""
 
     code = 208
+
+
+class NoMotionExists(NoValidPathCouldBeFound):
+    """It is proven that no motion leads from the start to the goal; `proof` holds the proof."""
+
+    def __init__(self, proof: object) -> None:
+        super().__init__(str(proof))
+        self.proof = proof
 
 
 class PlannerCancelled(PlannerException, Cancelled):

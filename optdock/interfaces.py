@@ -18,6 +18,7 @@ from optdock.outcomes import (
     BehaviorStatus,
     Bounds,
     CostmapInfoType,
+    Guess,
     SmoothingReport,
     SmoothingResult,
     SmoothingStatus,
@@ -30,7 +31,7 @@ from optdock.path import Path
 from optdock.problem import DockingProblem
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping, Sequence
+    from collections.abc import Callable, Iterator, Mapping, Sequence
 
     from optdock.costmap.costmap import Costmap
     from optdock.geometry.pose import Pose2, Twist2
@@ -81,6 +82,27 @@ class GlobalPlanner(Plugin):
             PlannerException: Or one of its children; an empty path is never returned.
             PlannerCancelled: `cancel_checker` returned True.
         """
+
+    def create_plans(
+        self,
+        start: Pose2,
+        goal: Pose2,
+        cancel_checker: Callable[[], bool] = never_cancelled,
+        better_than: Callable[[], float] = lambda: math.inf,
+    ) -> Iterator[Guess]:
+        """Paths that are worth a try, the most promising first; by default the one of `create_plan`.
+
+        Args:
+            start: As of `create_plan`.
+            goal: Likewise.
+            cancel_checker: Likewise.
+            better_than: The price of the best plan that was made of a guess so far, see `DockPlan.price`; inf while
+                there is none. The guesses end when no later one can have a lower price.
+
+        Raises:
+            PlannerException: As `create_plan`.
+        """
+        yield Guess(self.create_plan(start, goal, cancel_checker), type(self).__name__)
 
 
 class Smoother(Plugin):

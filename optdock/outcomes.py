@@ -20,6 +20,7 @@ __all__ = [
     "BehaviorStatus",
     "Bounds",
     "CostmapInfoType",
+    "Guess",
     "SmoothingReport",
     "SmoothingResult",
     "SmoothingStatus",
@@ -28,6 +29,18 @@ __all__ = [
     "TimingStatus",
     "Tolerances",
 ]
+
+
+class Guess(NamedTuple):
+    """A raw path that is worth a try.
+
+    Attributes:
+        path: From start to goal, exactly.
+        stage: How it was found, for people.
+    """
+
+    path: Path
+    stage: str = ""
 
 
 class SmoothingStatus(str, Enum):
