@@ -58,7 +58,6 @@ class Car(NamedTuple):
     @property
     def robot(self) -> Robot:
         """The robot: curvature by the steering angle, its rate by the steering rate at a creep."""
-        half = 0.5 * self.width
         limits = MotionLimits(
             max_speed=self.max_speed,
             max_reverse_speed=self.max_reverse_speed,
@@ -68,8 +67,7 @@ class Car(NamedTuple):
             max_curvature=math.tan(self.max_steering_angle) / self.wheelbase,
             max_curvature_rate=self.max_steering_rate / self.wheelbase / STEERING_SPEED,
         )
-        outline = Footprint([[self.front, half], [-self.rear, half], [-self.rear, -half], [self.front, -half]])
-        return Robot(outline, limits, Drive.ACKERMANN)
+        return Robot(Footprint.rectangle(self.front, self.rear, self.width), limits, Drive.ACKERMANN)
 
 
 TPCAP_CAR = Car(2.8, 3.76, 0.929, 1.942, 0.75, 0.5, 1.0, 2.5, 2.5)
@@ -299,6 +297,7 @@ def load_obca(source: str | Path, scene: str, start: int) -> ParkingCase:
 
 
 def _known_keys(key: tuple[str | int, ...]) -> tuple[str, ...]:
-    parts = {"vehicle": _Vehicle, "start_grid": _Grid, "backwards": _Scene, "parallel": _Scene}
-    model = _Scenes if not key else parts.get(str(key[0]))
+    parts: dict[str, type[BaseModel]] = {"vehicle": _Vehicle, "start_grid": _Grid}
+    parts |= dict.fromkeys(OBCA_SCENES, _Scene)
+    model = parts.get(str(key[0])) if key else _Scenes
     return tuple(model.model_fields) if model and len(key) < 2 else ()
