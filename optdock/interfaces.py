@@ -47,6 +47,7 @@ __all__ = [
     "CostmapInfoType",
     "GlobalPlanner",
     "GoalChecker",
+    "Guess",
     "Layer",
     "LifecycleState",
     "Plugin",
@@ -88,21 +89,25 @@ class GlobalPlanner(Plugin):
         start: Pose2,
         goal: Pose2,
         cancel_checker: Callable[[], bool] = never_cancelled,
-        better_than: Callable[[], float] = lambda: math.inf,
+        better_than: Callable[[], float] = lambda: math.inf,  # noqa: ARG002 - one path is the best of one
     ) -> Iterator[Guess]:
-        """Paths that are worth a try, the most promising first; by default the one of `create_plan`.
+        """Several paths to try in turn, the most promising first; by default the one of `create_plan`.
+
+        It works only while it is asked for the next one. A planner that knows many stops when none that could follow
+        can have a lower price, and looks far afield only while nothing has been found.
 
         Args:
             start: As of `create_plan`.
-            goal: Likewise.
-            cancel_checker: Likewise.
-            better_than: The price of the best plan that was made of a guess so far, see `DockPlan.price`; inf while
-                there is none. The guesses end when no later one can have a lower price.
+            goal: As of `create_plan`.
+            cancel_checker: As of `create_plan`.
+            better_than: The price of the best plan that somebody has made of these paths so far [s]: its duration, and
+                what its cusps cost; inf while there is none.
 
         Raises:
-            PlannerException: As `create_plan`.
+            PlannerException: Or one of its children: there is no path, not even a first one.
+            PlannerCancelled: `cancel_checker` returned True.
         """
-        yield Guess(self.create_plan(start, goal, cancel_checker), type(self).__name__)
+        yield Guess(self.create_plan(start, goal, cancel_checker))
 
 
 class Smoother(Plugin):

@@ -32,11 +32,9 @@ __all__ = [
 
 
 class Guess(NamedTuple):
-    """A raw path that is worth a try.
+    """A raw path of a planner that has several.
 
-    Attributes:
-        path: From start to goal, exactly.
-        stage: How it was found, for people.
+    `path`: exactly from start to goal. `stage`: how it was found, in the words of the method, for reports.
     """
 
     path: Path

@@ -49,8 +49,8 @@ from optdock.path import Path
 from optdock.plan import Attempt, DockPlan, PartialPlan
 from optdock.plugins import PluginChoice, plugin_from
 from optdock.problem import ClearanceRule, DockingProblem
+from optdock.refinement import Cancellation, Refinement, Stopwatch, at_work, plain, returned
 from optdock.robot import Robot
-from optdock.stages import Cancellation, Stages, Stopwatch, at_work, plain, returned
 from optdock.verification import TOLERANCE, end_clearances
 
 
@@ -77,7 +77,7 @@ __all__ = [
 logger = logging.getLogger(__name__)
 
 DEFAULT_TIME_BUDGET = 1.0  # [s]: what a hard place may take; most calls need a fiftieth of it
-DEFAULT_PLANNERS = ("DockPlanner",)  # the cheap one first, then the one that searches
+DEFAULT_PLANNERS = ("DockPlanner", "ManoeuvrePlanner")  # the cheap one first, then the one that searches
 DEFAULT_SMOOTHER, DEFAULT_TIMING = "CasadiSmoother", "NearOptimal"
 # While nothing is certified and more guesses may follow, smoothing one of them may take this share of what is left, or
 # so long [s] where that is more: the hard ones that succeed at all are done by then.
@@ -301,7 +301,7 @@ class _Portfolio:
     so_far: PartialPlan
     deadline: Deadline = field(init=False)
     watch: Stopwatch = field(init=False)
-    stages: Stages = field(init=False)
+    refinement: Refinement = field(init=False)
     best: DockPlan | None = None
     tried: list[Attempt] = field(default_factory=list)
     failures: list[_Failure] = field(default_factory=list)
@@ -311,7 +311,7 @@ class _Portfolio:
         self.deadline = Deadline(self.budget - _margin(self.budget))
         self.watch = Stopwatch(self.deadline, self.so_far.timing_ms)
         _, smoother, timing = self.plugins
-        self.stages = Stages(
+        self.refinement = Refinement(
             self.problem, smoother, timing, self.warm_start, self.cancelled, self.budget, self.deadline, self.watch
         )
 
@@ -374,7 +374,7 @@ class _Portfolio:
             return self.best is None and self.deadline.elapsed > until
 
         def asked_to_stop() -> bool:
-            return is_used_up() or self.stages.asked_to_stop()
+            return is_used_up() or self.refinement.asked_to_stop()
 
         goal = self.problem.goal
         guesses = iter(planner.create_plans(self.problem.start, goal, asked_to_stop, self._lowest_price))
@@ -392,7 +392,7 @@ class _Portfolio:
                 return
             returned(guess, Guess, planner)
             path = plain(returned(guess.path, Path, planner), planner, self.problem.frame)
-            yield Guess(path, guess.stage)
+            yield Guess(path, guess.stage or type(planner).__name__)
             if is_used_up():
                 return
 
@@ -404,7 +404,7 @@ class _Portfolio:
 
     def _is_late(self) -> bool:
         """Whether no time is left for another guess."""
-        return self.deadline.left <= self.stages.reserve
+        return self.deadline.left <= self.refinement.reserve
 
     def _try(self, guess: Guess, *, is_last: bool) -> None:
         """Make a plan of a guess; it becomes the best one, or a failure."""
@@ -412,7 +412,7 @@ class _Portfolio:
         most = math.inf if unhurried else max(_SMOOTHING_SHARE * self.deadline.left, _SMOOTHING_LEAST)
         left, began = PartialPlan(timing_ms=self.so_far.timing_ms), self.deadline.elapsed
         try:
-            plan = self.stages.plan(guess.path, left, most, is_given=guess.stage == "given")
+            plan = self.refinement.refined(guess.path, left, most, is_given=guess.stage == "given")
         except OptdockError as error:
             stage = next((stage for kind, stage in _STAGES if isinstance(error, kind)), None)
             if isinstance(error, Cancelled) or (stage is None and self.best is None):

@@ -19,8 +19,7 @@ from optdock.io.plan_file import (
 )
 from optdock.obstacles import in_words
 from optdock.outcomes import SmoothingReport, TimingReport
-
-CUSP_PRICE = 1.0
+from optdock.planners.manoeuvres.price import CUSP_PRICE
 from optdock.problem import DockingProblem
 from optdock.trajectory import Trajectory
 from optdock.verification import certify_motion, certify_path

@@ -1,4 +1,4 @@
-"""The stages of one guess: smoothed, proven, timed, and its motion proven; every one may refuse with a typed error."""
+"""How a plan is made of one guess: smoothed, proven, timed, and its motion proven; every step may refuse it."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ if TYPE_CHECKING:
     from optdock.problem import DockingProblem
     from optdock.verification import Certificate, TrajectoryCertificate
 
-__all__ = ["Cancellation", "Stages", "Stopwatch", "at_work", "in_ms", "plain", "returned"]
+__all__ = ["Cancellation", "Refinement", "Stopwatch", "at_work", "in_ms", "plain", "returned"]
 
 logger = logging.getLogger(__name__)
 
@@ -104,7 +104,7 @@ class Stopwatch:
 
 
 @dataclass(eq=False)
-class Stages:
+class Refinement:
     """What one call of `plan_dock` does with every guess.
 
     Args:
@@ -131,7 +131,7 @@ class Stages:
     def __post_init__(self) -> None:
         self.reserve = min(max(_RESERVED_SHARE * self.budget, _RESERVED_LEAST), _RESERVED_MOST)
 
-    def plan(self, raw: Path, so_far: PartialPlan, most: float, *, is_given: bool = False) -> DockPlan:
+    def refined(self, raw: Path, so_far: PartialPlan, most: float, *, is_given: bool = False) -> DockPlan:
         """The certified plan near a guess; `so_far` holds what exists of it when a stage raises.
 
         Args:
