@@ -110,7 +110,6 @@ class GlobalPlanner(Plugin):
         yield Guess(self.create_plan(start, goal, cancel_checker))
 
 
-
 class Smoother(Plugin):
     """Makes a path smoother."""
 

@@ -55,9 +55,7 @@ class ManoeuvrePlanner(GlobalPlanner):
             InvalidValue: The context holds no problem.
         """
         if self.context.problem is None:
-            raise InvalidValue(
-                f"{self.context.name}: needs a problem; configure it with PluginContext(problem=...)"
-            )
+            raise InvalidValue(f"{self.context.name}: needs a problem; configure it with PluginContext(problem=...)")
 
     def create_plan(self, start: Pose2, goal: Pose2, cancel_checker: Callable[[], bool] = never_cancelled) -> Path:
         """The first of `create_plans`.
