@@ -16,6 +16,8 @@ from optdock.geometry.pose import transform_points
 from optdock.verification import TOLERANCE, end_clearances, pose_clearances
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from optdock.geometry.arrays import BoolArray, FloatArray, IntArray
     from optdock.geometry.footprint import Footprint
     from optdock.geometry.separation import ConvexBody
@@ -27,6 +29,7 @@ __all__ = ["DistanceField", "FreeSpace"]
 _TILE = 32  # grid points along the side of a tile
 _TILES = 64  # along the side of the field, which is as large as fits around start and goal
 _POINTS_PER_WIDTH = 16.0  # of the robot: what lies between two grid points is decided exactly anyway
+_POSES_PER_WIDTH = 12.0  # looked at over a way as long as the robot is wide
 _BLOCK = 24  # pieces whose distances to a whole tile are found in one go
 _FINE_DISCS = 4  # across the width of the footprint
 _EXACT_BLOCK = 300  # poses measured exactly in one go, about 2 ms
@@ -162,10 +165,14 @@ class FreeSpace:
 
     Args:
         problem: What must hold.
+        poll: Called every few milliseconds of work; raises where the caller wants no more.
+
+    Attributes:
+        spacing: Between poses that stand for a whole way [m].
     """
 
-    def __init__(self, problem: DockingProblem) -> None:
-        self.problem = problem
+    def __init__(self, problem: DockingProblem, poll: Callable[[], None]) -> None:
+        self.problem, self.poll = problem, poll
         self.footprint: Footprint = problem.robot.footprint
         self.obstacles = problem.all_obstacles
         ends = np.stack((problem.start.as_array(), problem.goal.as_array()))
@@ -175,7 +182,9 @@ class FreeSpace:
         radius = self.footprint.circumscribed_radius
         self._reach = radius + problem.clearance.required
         spread = float(np.abs(self._goal - self._start).max())
-        spacing = min(self.footprint.width, self.footprint.length) / _POINTS_PER_WIDTH
+        width = min(self.footprint.width, self.footprint.length)
+        self.spacing = width / _POSES_PER_WIDTH
+        spacing = width / _POINTS_PER_WIDTH
         spacing = max(spacing, 2.0 * spread / (_TILE * _TILES))
         self.field = DistanceField(self.obstacles, ends[:, :2].mean(axis=0), spacing, 2.0 * self._reach)
         bodies = self.footprint.bodies
@@ -185,12 +194,13 @@ class FreeSpace:
         """Required clearance at poses, and the margin, which tapers off towards both ends. Shape (n,) [m]."""
         from_start = np.hypot(*(poses[:, :2] - self._start).T)
         from_goal = np.hypot(*(poses[:, :2] - self._goal).T)
-        rule = self.problem.clearance.required_at(from_goal, from_start, self._start_clearance)
+        rule: FloatArray = self.problem.clearance.required_at(from_goal, from_start, self._start_clearance)
         if margin <= 0.0:
             return rule
         at_start = max(self._start_clearance, 0.0) + 0.25 * from_start
         at_goal = max(self._goal_clearance, 0.0) + 0.25 * from_goal
-        return np.maximum(rule, np.minimum(rule + margin, np.minimum(at_start, at_goal)))
+        kept: FloatArray = np.maximum(rule, np.minimum(rule + margin, np.minimum(at_start, at_goal)))
+        return kept
 
     def is_free(self, poses: FloatArray, margin: float = 0.0) -> BoolArray:
         """Whether poses, Shape (n, 3), keep the required clearance and the margin. Shape (n,)."""
@@ -212,6 +222,7 @@ class FreeSpace:
             if open_rows.size == 0:
                 return free
         for k in range(0, open_rows.size, _EXACT_BLOCK):
+            self.poll()
             some = open_rows[k : k + _EXACT_BLOCK]
             free[some] = self.clearances(poses[some], float(required[some].max()) + 1e-6) >= required[some]
         return free

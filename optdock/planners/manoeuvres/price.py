@@ -1,4 +1,4 @@
-"""What a manoeuvre costs: its time-optimal duration plus a price per cusp, and a quick estimate of that from its arcs."""
+"""What a manoeuvre costs: its time-optimal duration plus a price per cusp, and quick estimates of that."""
 
 from __future__ import annotations
 
@@ -11,10 +11,9 @@ if TYPE_CHECKING:
     from optdock.geometry.arrays import FloatArray
     from optdock.limits import MotionLimits
     from optdock.path import Path
-    from optdock.planners.manoeuvres.arcs import Arcs
     from optdock.problem import DockingProblem
 
-__all__ = ["CUSP_PRICE", "arc_prices", "least_price", "stopping_cost"]
+__all__ = ["CUSP_PRICE", "gear_changes", "least_price", "stopping_cost"]
 
 # [s] beside the time that stopping takes: a change of gear wears the drive and is where controllers overshoot, so one
 # more has to save a second.
@@ -59,18 +58,10 @@ def stopping_cost(limits: MotionLimits) -> float:
     return CUSP_PRICE + 0.5 * mean / limits.max_acceleration + 0.5 * mean / limits.max_deceleration
 
 
-def arc_prices(arcs: Arcs, limits: MotionLimits) -> FloatArray:
-    """Estimated prices of sequences of arcs: lengths at full speed, and what their cusps cost. Shape (n,) [s]."""
-    lengths = arcs.lengths
-    driven = np.where(lengths > 0.0, lengths / limits.max_speed, -lengths / limits.max_reverse_speed).sum(axis=1)
-    prices: FloatArray = driven + stopping_cost(limits) * gear_changes(lengths)
-    return prices
-
-
 def gear_changes(lengths: FloatArray) -> FloatArray:
     """How often the gear changes along signed lengths, zero ones left out; Shape (..., k) to (...)."""
     gear = np.where(np.abs(lengths) > _TURNS_GEAR, np.sign(lengths), 0.0)
-    changes = np.zeros(gear.shape[:-1])
+    changes: FloatArray = np.zeros(gear.shape[:-1])
     now = gear[..., 0]
     for k in range(1, gear.shape[-1]):
         following = gear[..., k]

@@ -15,7 +15,7 @@ import numpy as np
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from optdock.geometry.arrays import FloatArray
+    from optdock.geometry.arrays import BoolArray, FloatArray
 
 __all__ = ["TURNS", "Words", "reeds_shepp_words", "shortest_length"]
 
@@ -73,7 +73,7 @@ def _within_half_turn(angle: FloatArray) -> FloatArray:
     return folded
 
 
-def _where(valid: FloatArray, *parts: FloatArray | float) -> tuple[FloatArray, ...]:
+def _where(valid: BoolArray, *parts: FloatArray | float) -> tuple[FloatArray, ...]:
     with np.errstate(invalid="ignore"):
         return tuple(np.where(valid, part, np.nan) for part in parts)
 

@@ -10,7 +10,7 @@ import numpy as np
 
 from optdock.dock import DockDirection
 from optdock.outcomes import Guess
-from optdock.planners.manoeuvres.connections import connections, free_manoeuvres
+from optdock.planners.manoeuvres.connections import Nodes, connections, free_manoeuvres
 from optdock.planners.manoeuvres.free_space import FreeSpace
 from optdock.planners.manoeuvres.price import least_price
 from optdock.planners.manoeuvres.tree import ArcTree, Moves
@@ -24,7 +24,6 @@ if TYPE_CHECKING:
 
 __all__ = ["Stages"]
 
-_SPACINGS_PER_WIDTH = 12.0  # poses checked over a way as long as the robot is wide
 _RUNS = np.array([0.0, 0.25, 0.5, 1.0, 1.5, 2.0, 3.0])  # straight runs beyond the shortest one, in turning radii
 _ENTRY_TURNS = np.array([0.25, 0.5, 0.75, 1.0, 1.25, 1.57])  # [rad] of entry arcs
 _EXIT_TURNS = np.array([0.3, 0.7, 1.2])  # [rad] of exit arcs; straight ones are as long
@@ -54,11 +53,10 @@ class Stages:
     def __init__(
         self, problem: DockingProblem, slack: float, poll: Callable[[], None], better_than: Callable[[], float]
     ) -> None:
-        self.problem, self._poll, self._better_than = problem, poll, better_than
-        self.space = FreeSpace(problem)
+        self.problem, self._better_than = problem, better_than
+        self.space = FreeSpace(problem, poll)
         limits, footprint = problem.robot.limits, problem.robot.footprint
         self.radius = turning_radius(problem)
-        self._spacing = min(footprint.width, footprint.length) / _SPACINGS_PER_WIDTH
         rate = limits.max_curvature_rate
         # Half of the way on which the steering angle builds up lies before the arc.
         self._wind_up = 0.5 / (self.radius * rate) if math.isfinite(rate) else 0.0
@@ -77,8 +75,12 @@ class Stages:
         wanted = self.problem.dock.direction
         return {DockDirection.FORWARD: (1.0,), DockDirection.BACKWARD: (-1.0,)}.get(wanted, (1.0, -1.0))
 
+    @functools.cached_property
+    def _start(self) -> Nodes:
+        return Nodes(ArcTree(self.problem.start.as_array(), self.problem.robot.limits, 1), np.zeros(1, dtype=np.int64))
+
     @functools.cache  # noqa: B019 - a search lives as long as its call
-    def _staging(self, effort: _Effort) -> tuple[ArcTree, IntArray]:
+    def _staging(self, effort: _Effort) -> Nodes:
         """Straight runs out of the dock, as far as they are free, and where the final straight may begin."""
         tree = ArcTree(self.problem.goal.as_array(), self.problem.robot.limits, -1)
         moves = Moves.of(tuple(-gear for gear in self._gears), (0.0,))
@@ -88,10 +90,10 @@ class Stages:
             stations = np.concatenate(([straight], stations))
         rows = self._grown(tree, np.zeros(1, dtype=np.int64), moves, stations, effort)
         rows = rows[np.abs(tree.lengths[rows]) >= straight]
-        return tree, rows if straight > 0.0 else np.concatenate(([0], rows))
+        return Nodes(tree, rows if straight > 0.0 else np.concatenate(([0], rows)))
 
     @functools.cache  # noqa: B019
-    def _entries(self, effort: _Effort) -> tuple[ArcTree, IntArray]:
+    def _entries(self, effort: _Effort) -> Nodes:
         """Arcs out of the staging poses, in the gear of the run."""
         tree, staging = self._staging(effort)
         found = [staging]
@@ -101,48 +103,42 @@ class Stages:
             moves = Moves.of((-gear,), (kappa, -kappa))
             found.append(self._grown(tree, mine, moves, effort.radius * _ENTRY_TURNS, effort))
         rows = np.concatenate(found)
-        return tree, rows[np.argsort(tree.prices[rows], kind="stable")][:_ENTRY_ROWS]
+        return Nodes(tree, rows[np.argsort(tree.prices[rows], kind="stable")][:_ENTRY_ROWS])
 
     @functools.cache  # noqa: B019
-    def _exits(self, effort: _Effort) -> tuple[ArcTree, IntArray]:
+    def _exits(self, effort: _Effort) -> Nodes:
         """Arcs and lines out of the start."""
         tree = ArcTree(self.problem.start.as_array(), self.problem.robot.limits, 1)
         speed, kappa = self.problem.start_speed, 1.0 / effort.radius
         moves = Moves.of((1.0, -1.0) if speed == 0.0 else (math.copysign(1.0, speed),), (0.0, kappa, -kappa))
         root = np.zeros(1, dtype=np.int64)
         rows = self._grown(tree, root, moves, effort.radius * _EXIT_TURNS, effort)
-        return tree, rows[np.argsort(tree.prices[rows], kind="stable")][:_EXIT_ROWS]
+        return Nodes(tree, rows[np.argsort(tree.prices[rows], kind="stable")][:_EXIT_ROWS])
 
     def _grown(self, tree: ArcTree, rows: IntArray, moves: Moves, stations: FloatArray, effort: _Effort) -> IntArray:
-        return tree.grow(rows, moves, stations, self._spacing, self.space, effort.margin, self._poll)
+        return tree.grow(rows, moves, stations, self.space, effort.margin)
 
     def _words(self) -> Iterator[Guess]:
         """Words from the start to the staging poses."""
         for effort in self._efforts:
-            start = ArcTree(self.problem.start.as_array(), self.problem.robot.limits, 1)
-            yield from self._joined("Reeds-Shepp", (start, np.zeros(1, dtype=np.int64)), self._staging(effort), effort)
+            yield from self._joined("Reeds-Shepp", self._start, self._staging(effort), effort)
 
     def _entry_arcs(self) -> Iterator[Guess]:
         """Words from the start to the ends of entry arcs."""
         for effort in self._efforts:
-            start = ArcTree(self.problem.start.as_array(), self.problem.robot.limits, 1)
-            yield from self._joined("entry arcs", (start, np.zeros(1, dtype=np.int64)), self._entries(effort), effort)
+            yield from self._joined("entry arcs", self._start, self._entries(effort), effort)
 
     def _exit_arcs(self) -> Iterator[Guess]:
         """Words from the ends of exit arcs to the ends of entry arcs."""
         for effort in self._efforts:
             yield from self._joined("exit arcs", self._exits(effort), self._entries(effort), effort)
 
-    def _joined(
-        self, stage: str, exits: tuple[ArcTree, IntArray], entries: tuple[ArcTree, IntArray], effort: _Effort
-    ) -> Iterator[Guess]:
-        if exits[1].size == 0 or entries[1].size == 0:
+    def _joined(self, stage: str, exits: Nodes, entries: Nodes, effort: _Effort) -> Iterator[Guess]:
+        if exits.rows.size == 0 or entries.rows.size == 0:
             return
-        found = connections(*exits, *entries, effort.radius, self.problem, self._poll).cheapest(_LOOKS)
+        found = connections(exits, entries, effort.radius, self.space).rows(slice(_LOOKS))
         offered = 0
-        for price, arcs in free_manoeuvres(
-            found, exits[0], entries[0], self.space, effort.margin, self._spacing, self._poll
-        ):
+        for price, arcs in free_manoeuvres(found, exits.tree, entries.tree, self.space, effort.margin):
             if price >= self._better_than() or offered == _TRIES:
                 return
             path = arcs.path(self.radius / _SAMPLING, self.problem.goal.as_array(), self.problem.frame)

@@ -14,15 +14,13 @@ from optdock.planners.manoeuvres.arcs import Arcs, advance
 from optdock.planners.manoeuvres.price import stopping_cost
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    from optdock.geometry.arrays import BoolArray, FloatArray, IntArray
+    from optdock.geometry.arrays import FloatArray, IntArray
     from optdock.limits import MotionLimits
     from optdock.planners.manoeuvres.free_space import FreeSpace
 
-__all__ = ["ArcTree", "Moves"]
+__all__ = ["ArcTree", "Moves", "joined"]
 
-_STRIDE = 8  # poses per arc that are checked in one go before blocked arcs are given up
+_STRIDE, _ABREAST = 8, 64  # poses per arc, and arcs, that are checked in one go; blocked arcs are given up after it
 
 
 class Moves(NamedTuple):
@@ -36,6 +34,14 @@ class Moves(NamedTuple):
         """Every sign with every curvature."""
         grid = np.array([(sign, curvature) for sign in signs for curvature in curvatures])
         return cls(grid[:, 0], grid[:, 1])
+
+
+class _Starts(NamedTuple):
+    """Where arcs begin, and how: poses (n, 3), signs and curvatures (n,)."""
+
+    poses: FloatArray
+    signs: FloatArray
+    curvatures: FloatArray
 
 
 class ArcTree:
@@ -63,16 +69,13 @@ class ArcTree:
     def __len__(self) -> int:
         return len(self.poses)
 
-    def grow(  # noqa: PLR0913 - from where, how, how far, among what
+    def grow(
         self,
         rows: IntArray,
         moves: Moves,
         stations: FloatArray,
-        spacing: float,
         space: FreeSpace,
         margin: float,
-        poll: Callable[[], None],
-        is_new: Callable[[FloatArray], BoolArray] | None = None,
     ) -> IntArray:
         """Drive all moves from the nodes at `rows`; the rows of the new nodes.
 
@@ -80,75 +83,46 @@ class ArcTree:
             rows: Where to begin.
             moves: What to drive.
             stations: Ascending lengths after which a node is left, and where the last pose was free [m].
-            spacing: Between checked poses [m].
             space: What is free.
             margin: Beside the required clearance [m].
-            poll: Raises where the caller wants no more.
-            is_new: Which of the poses found are worth a node, in ascending order of price; None: all.
         """
         node = np.repeat(rows, moves.signs.size)
         sign, curvature = np.tile(moves.signs, rows.size), np.tile(moves.curvatures, rows.size)
-        free = self._free_lengths(node, sign, curvature, float(stations[-1]), spacing, space, margin, poll)
+        free = self._free_lengths(_Starts(self.poses[node], sign, curvature), float(stations[-1]), space, margin)
         reached = np.where(stations <= free[:, None] + 1e-12, stations, 0.0)
         # Where the way ends between two stations, its end is one as well.
-        last = np.where(reached.max(axis=1) < free - 0.5 * spacing, free, 0.0)
+        last = np.where(reached.max(axis=1) < free - 0.5 * space.spacing, free, 0.0)
         lengths = np.column_stack((reached, last))
         arc, station = np.nonzero(lengths > 0.0)
-        node, sign, curvature = node[arc], sign[arc], curvature[arc]
-        length = sign * lengths[arc, station]
-        return self._added(node, length, curvature, is_new)
+        return self._added(node[arc], sign[arc] * lengths[arc, station], curvature[arc])
 
-    def _free_lengths(  # noqa: PLR0913, PLR0917 - as grow
-        self,
-        node: IntArray,
-        sign: FloatArray,
-        curvature: FloatArray,
-        longest: float,
-        spacing: float,
-        space: FreeSpace,
-        margin: float,
-        poll: Callable[[], None],
-    ) -> FloatArray:
-        free = np.zeros(node.size)
-        steps = spacing * np.arange(1, int(np.ceil(longest / spacing - 1e-9)) + 1)
+    @staticmethod
+    def _free_lengths(starts: _Starts, longest: float, space: FreeSpace, margin: float) -> FloatArray:
+        """How far each arc is free, up to `longest`. Shape (n,) [m]."""
+        free = np.zeros(starts.signs.size)
+        steps = space.spacing * np.arange(1, int(np.ceil(longest / space.spacing - 1e-9)) + 1)
         steps[-1] = longest
-        going = np.arange(node.size)
+        going = np.arange(free.size)
         for k in range(0, steps.size, _STRIDE):
             some = steps[k : k + _STRIDE]
-            still: list[IntArray] = []
-            for block in range(0, going.size, 64):
-                poll()
-                mine = going[block : block + 64]
-                ends = advance(self.poses[node[mine], None], sign[mine, None] * some, curvature[mine, None])
+            still = []
+            for block in range(0, going.size, _ABREAST):
+                space.poll()
+                mine = going[block : block + _ABREAST]
+                ends = advance(starts.poses[mine, None], starts.signs[mine, None] * some, starts.curvatures[mine, None])
                 good = space.is_free(ends.reshape(-1, 3), margin).reshape(mine.size, some.size)
                 count = np.where(good.all(axis=1), some.size, np.argmin(good, axis=1))
                 free[mine] = np.where(count > 0, some[np.maximum(count - 1, 0)], free[mine])
                 still.append(mine[count == some.size])
             going = np.concatenate(still) if still else going
-            if going.size == 0:
-                break
         return free
 
-    def _added(
-        self,
-        parent: IntArray,
-        length: FloatArray,
-        curvature: FloatArray,
-        is_new: Callable[[FloatArray], BoolArray] | None,
-    ) -> IntArray:
+    def _added(self, parent: IntArray, length: FloatArray, curvature: FloatArray) -> IntArray:
         speed = np.where(self.gear * length > 0.0, self._limits.max_speed, self._limits.max_reverse_speed)
         sign = np.sign(length)
         price = self.prices[parent] + np.abs(length) / speed + self._stop * (self.signs[parent] * sign < 0.0)
-        order = np.argsort(price, kind="stable")
-        parent, length, curvature, price, sign = (part[order] for part in (parent, length, curvature, price, sign))
-        poses = advance(self.poses[parent], length, curvature)
-        if is_new is not None:
-            kept = is_new(poses)
-            parent, length, curvature, price, sign, poses = (
-                part[kept] for part in (parent, length, curvature, price, sign, poses)
-            )
         first = len(self)
-        self.poses = np.concatenate((self.poses, poses))
+        self.poses = np.concatenate((self.poses, advance(self.poses[parent], length, curvature)))
         self.prices = np.concatenate((self.prices, price))
         self.signs = np.concatenate((self.signs, sign))
         self.parents = np.concatenate((self.parents, parent))
