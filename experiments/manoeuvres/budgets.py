@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from typing import TYPE_CHECKING
 
 from experiments.benchmarks.tables import Table, percentile
@@ -36,7 +35,7 @@ def budget_table(by_budget: Mapping[float, Sequence[Record]]) -> Table:
                 sum(one.outcome.startswith("impossible") for one in records),
                 sum(old.outcome == CERTIFIED != new.outcome for old, new in pairs),
                 sum(_is_worse(old, new) for old, new in pairs),
-                percentile([price(one) for one in plans], 50),
+                percentile([one.price for one in plans], 50),
                 *(percentile(late, share) for share in (50, 99, 100)),
                 1e3 * max(one.cpu - budget for one in records),
             )
@@ -46,19 +45,5 @@ def budget_table(by_budget: Mapping[float, Sequence[Record]]) -> Table:
     return Table("Budgets", header, tuple(rows), note)
 
 
-def price(record: Record) -> float:
-    """What the search minimizes [s]: the duration, and a price per cusp."""
-    return record.duration + _cusp_price() * record.cusps
-
-
-def _cusp_price() -> float:
-    try:
-        from optdock.planners.manoeuvres.price import CUSP_PRICE
-    except ImportError:
-        return 0.0
-    return float(CUSP_PRICE)
-
-
 def _is_worse(old: Record, new: Record) -> bool:
-    both = old.outcome == new.outcome == CERTIFIED
-    return both and price(new) > price(old) * (1.0 + _SAME) and not math.isnan(price(old))
+    return old.outcome == new.outcome == CERTIFIED and new.price > old.price * (1.0 + _SAME)

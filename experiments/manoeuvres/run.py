@@ -50,14 +50,17 @@ class Record(NamedTuple):
         outcome: `certified`, `impossible (proven)` (also an occupied start or goal) or `not found`.
         error: Name of the error and its reason; empty when certified.
         stage: What found the guess that became the plan.
+        tried: Every guess, and what became of it.
         certificate: What is proven, in a line.
         min_clearance: Proven least clearance.
         margin: Proven least clearance less what is required.
         start_relief: The run near the start that the certificate needs; 0 is the strict rule.
-        first: Wall clock until the first certified plan.
+        price: What plans are chosen by: the duration, and a price per cusp.
+        first: Wall clock until the first certified plan, where the plan says so; else an upper bound of it.
         faults: What the independent check found; empty: nothing.
         seen_clearance: Least clearance that it saw.
         bottleneck_error: From the place that a proof names to the true one, of blocked scenes.
+        missing_error: The width that a proof says is missing, less what truly is.
     """
 
     name: str
@@ -67,11 +70,13 @@ class Record(NamedTuple):
     outcome: str
     error: str = ""
     stage: str = ""
+    tried: str = ""
     certificate: str = ""
     min_clearance: float = math.nan
     margin: float = math.nan
     start_relief: float = math.nan
     duration: float = math.nan
+    price: float = math.nan
     length: float = math.nan
     cusps: int = 0
     first: float = math.nan
@@ -80,6 +85,7 @@ class Record(NamedTuple):
     faults: str = ""
     seen_clearance: float = math.nan
     bottleneck_error: float = math.nan
+    missing_error: float = math.nan
 
 
 def ask(case: Case, budget: float | None = None, figure: Path | None = None) -> Record:
@@ -90,37 +96,40 @@ def ask(case: Case, budget: float | None = None, figure: Path | None = None) -> 
         plan = plan_dock(case.problem, time_budget=budget)
         wall, cpu = timer.wall, timer.cpu
     except OptdockError as error:
-        wall, cpu = timer.wall, timer.cpu
-        record = Record(case.name, case.family, case.tag, budget, _word(error), wall=wall, cpu=cpu)
-        if figure is not None:
-            _draw(figure, case, PartialPlan.left_by(error), f"{record.outcome}: {error}", error)
-        reason = f"{type(error).__name__}: {' '.join(str(error).split())}"
-        return record._replace(error=reason, bottleneck_error=_bottleneck_error(case, error))
-    found = checked(plan, case.problem)
-    proof, path = plan.certificate, plan.path
-    stage, first = _search(plan, wall)
+        record = Record(case.name, case.family, case.tag, budget, _word(error), wall=timer.wall, cpu=timer.cpu)
+        return _refused(record, case, error, figure)
+    record = Record(case.name, case.family, case.tag, budget, CERTIFIED, wall=wall, cpu=cpu)
     if figure is not None:
-        _draw(figure, case, plan, f"{plan}; {stage}")
-    return Record(
-        case.name,
-        case.family,
-        case.tag,
-        budget,
-        CERTIFIED,
-        stage=stage,
+        _draw(figure, case, plan, f"{plan}; {_stage(plan)}")
+    return _planned(record, case, plan)
+
+
+def _planned(record: Record, case: Case, plan: DockPlan) -> Record:
+    found, proof = checked(plan, case.problem), plan.certificate
+    return record._replace(
+        stage=_stage(plan),
+        tried=_tried(plan),
         certificate=repr(proof),
         min_clearance=proof.min_clearance,
         margin=proof.margin,
         start_relief=float(getattr(proof, "start_relief", 0.0)),
         duration=plan.trajectory.duration,
-        length=path.length,
-        cusps=len(path.cusps),
-        first=first,
-        wall=wall,
-        cpu=cpu,
+        price=float(getattr(plan, "price", plan.trajectory.duration)),
+        length=plan.path.length,
+        cusps=len(plan.path.cusps),
+        first=_first(plan, record.wall),
         faults="; ".join(found.faults),
         seen_clearance=found.min_clearance,
     )
+
+
+def _refused(record: Record, case: Case, error: OptdockError, figure: Path | None) -> Record:
+    left = PartialPlan.left_by(error)
+    if figure is not None:
+        _draw(figure, case, left, f"{record.outcome}: {error}", error)
+    off, missing = _bottleneck_errors(case, error)
+    reason = f"{type(error).__name__}: {' '.join(str(error).split())}"
+    return record._replace(error=reason, tried=_tried(left), bottleneck_error=off, missing_error=missing)
 
 
 def _word(error: OptdockError) -> str:
@@ -129,21 +138,40 @@ def _word(error: OptdockError) -> str:
     return IMPOSSIBLE if proven else NOT_FOUND
 
 
-def _search(plan: DockPlan, wall: float) -> tuple[str, float]:
-    """The stage that found the plan and the time to the first certified one [s], where the plan says so."""
-    report = getattr(plan, "search_report", None)
-    stage = str(getattr(report, "stage", "")) or "DockPlanner"
-    first = getattr(report, "first_certified_s", None)
-    return stage, wall if first is None else float(first)
+# What a plan says of its search is read where it says it: the benchmark also runs planners that have one guess only.
+def _stage(plan: DockPlan) -> str:
+    return str(getattr(plan, "stage", "")) or "DockPlanner"
 
 
-def _bottleneck_error(case: Case, error: OptdockError) -> float:
-    """Distance from the bottleneck of a proof to the true one [m]."""
-    bottleneck = getattr(getattr(error, "proof", None), "bottleneck", None)
-    pose = getattr(bottleneck, "pose", bottleneck)
-    if case.truth is None or case.truth.place is None or not hasattr(pose, "x"):
-        return math.nan
-    return math.hypot(pose.x - case.truth.place[0], pose.y - case.truth.place[1])
+def _tried(found: DockPlan | PartialPlan) -> str:
+    return " | ".join(str(attempt) for attempt in getattr(found, "tried", ()))
+
+
+def _first(plan: DockPlan, wall: float) -> float:
+    """Wall clock until the first certified plan [s]: as told; else all planning and what was tried until then."""
+    if "first" in plan.timing_ms:
+        return 1e-3 * plan.timing_ms["first"]
+    spent = 1e-3 * plan.timing_ms.get("plan", 0.0)
+    for attempt in getattr(plan, "tried", ()):
+        spent += attempt.seconds
+        if not attempt.reason:
+            return min(spent, wall)
+    return wall
+
+
+def _bottleneck_errors(case: Case, error: OptdockError) -> tuple[float, float]:
+    """From the bottleneck of a proof to the true one, and between the missing widths [m]; NaN where there is none.
+
+    The body is as tight in a gap wherever along its length the gap holds it, so that much is no error.
+    """
+    found, truth = getattr(getattr(error, "proof", None), "bottleneck", None), case.truth
+    if found is None or truth is None or truth.place is None:
+        return math.nan, math.nan
+    dx, dy = found.x - truth.place[0], found.y - truth.place[1]
+    c, s = math.cos(truth.heading or 0.0), math.sin(truth.heading or 0.0)
+    along, across = abs(c * dx + s * dy), abs(c * dy - s * dx)
+    beyond = max(0.0, along - 0.5 * case.problem.robot.footprint.length)
+    return math.hypot(across, beyond), found.missing_width - truth.missing
 
 
 def _draw(

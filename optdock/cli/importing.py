@@ -62,14 +62,17 @@ def obca(
     For example: optdock import obca scenes.json --scene parallel --start 3 -o parallel3.yaml
     """
     with reported(verbose=verbose):
-        from optdock.io.parking_cases import load_obca
-
         spare(file, out)
-        try:
-            case = load_obca(file, scene, start)
-        except InvalidValue as error:
-            raise InvalidValue(f"--{error}") from error
-        _write_parking(out, case, time_budget, f"OBCA, {file.name}, scene {scene}, start {start}")
+        _write_parking(out, _asked(file, scene, start), time_budget, f"OBCA, {file.name}, scene {scene}, start {start}")
+
+
+def _asked(file: Path, scene: str, start: int) -> ParkingCase:
+    from optdock.io.parking_cases import load_obca
+
+    try:
+        return load_obca(file, scene, start)
+    except InvalidValue as error:
+        raise InvalidValue(f"--{error}") from error
 
 
 def _write_parking(out: Path, case: ParkingCase, time_budget: float, note: str) -> None:

@@ -27,6 +27,7 @@ if TYPE_CHECKING:
     from optdock.dock import Dock
     from optdock.geometry.footprint import Footprint
     from optdock.geometry.pose import Pose2
+    from optdock.plugins import PluginChoice
     from optdock.problem import DockingProblem
     from optdock.robot import Robot
 
@@ -75,10 +76,9 @@ def save_scenario(
         "clearance": dataclasses.asdict(problem.clearance),
         "time_budget": scenario.time_budget,
     }
-    for kind, default in PLUGIN_DEFAULTS.items():
-        choice = getattr(scenario, kind)
-        if choice.name != default or choice.parameters:
-            document[kind] = {"plugin": choice.name, **choice.parameters}
+    for kind in PLUGIN_DEFAULTS:
+        if getattr(scenario, kind) != getattr(type(scenario), kind):
+            document[kind] = _section(getattr(scenario, kind))
     comment = "".join(f"# {line}\n" for line in note.splitlines())
     write_text(target, comment + _yaml(document))
     return (target, *drawn)
@@ -140,6 +140,13 @@ def _start(problem: DockingProblem) -> dict[str, object]:
     said: dict[str, object] = {"pose": _pose(problem.start)}
     said |= {"speed": problem.start_speed} if problem.start_speed != 0.0 else {}
     return said | ({"curvature": problem.start_curvature} if problem.start_curvature is not None else {})
+
+
+def _section(choice: PluginChoice | tuple[PluginChoice, ...]) -> dict[str, object]:
+    """A plugin with its parameters; of several planners the parameters of the first, which needs no name."""
+    if isinstance(choice, tuple):
+        return dict(choice[0].parameters) if len(choice) > 1 else _section(choice[0])
+    return {"plugin": choice.name, **choice.parameters}
 
 
 def _pose(pose: Pose2) -> list[float]:
