@@ -246,3 +246,17 @@ def test_cusps_of_one_path_are_its_joints():
     path = fold(0.2, 0.1)
     np.testing.assert_allclose(path.joint_curvatures, [[0.2, -0.1]], atol=1e-12)
     assert s_bend(0.0, 0.1).joint_curvatures.shape == (0, 2)
+
+
+@pytest.mark.parametrize("period", [0.02, 0.3, 5.0])
+def test_samples_show_the_wait_at_the_cusp(period):
+    path = fold()
+    motion = timed(path, CAR)
+    samples = motion.sample(period)
+    wait = 2.0 * math.atan(0.84) / 0.5
+    arrival = float(motion.cusp_times[0])
+    assert arrival == pytest.approx(0.5 * (motion.duration - wait))
+    assert arrival in samples.t
+    waiting = (samples.t >= arrival) & (samples.t <= arrival + wait)
+    np.testing.assert_allclose(samples.speed[waiting], 0.0, atol=1e-9)
+    np.testing.assert_allclose(samples.yaw_rate[waiting], 0.0, atol=1e-9)
