@@ -169,10 +169,14 @@ class NoValidPathCouldBeFound(PlannerException):
 
 
 class NoMotionExists(NoValidPathCouldBeFound):
-    """It is proven that no motion leads from the start to the goal; `proof` holds the proof."""
+    """No motion of any kind joins start and goal, and that is proven.
 
-    def __init__(self, proof: object) -> None:
-        super().__init__(str(proof))
+    Attributes:
+        proof: The `ImpossibilityProof`.
+    """
+
+    def __init__(self, message: str, *, proof: object, where: Mapping[str, object] | None = None) -> None:
+        super().__init__(message, where=where)
         self.proof = proof
 
 
