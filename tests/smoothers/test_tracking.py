@@ -28,9 +28,9 @@ from smoothers.scp.tracking import strayed, track
 CAR = Robot(Footprint.rectangle(3.7, 1.0, 2.0), MotionLimits(max_curvature=0.25, max_curvature_rate=0.44))
 # Gear, curvature [1/m] and length [m]: words of full arcs, as Reeds-Shepp paths are, with pieces of a few decimetres.
 WORDS = (
-    ((1, 0.25, 4.0), (1, -0.25, 0.4), (1, 0.0, 3.0), (1, -0.25, 5.0)),
-    ((1, -0.25, 5.0), (-1, 0.25, 0.5), (-1, 0.0, 1.5), (-1, -0.25, 6.0)),
-    ((-1, 0.25, 3.0), (1, -0.25, 2.0), (-1, 0.25, 2.5), (-1, -0.25, 0.3), (-1, 0.0, 4.0)),
+    ((1, 0.25, 5.0), (1, -0.25, 0.3), (1, 0.0, 9.0), (1, -0.25, 5.3), (1, 0.25, 0.4), (1, 0.0, 8.0)),
+    ((1, -0.25, 5.0), (-1, 0.25, 0.5), (-1, 0.0, 7.5), (-1, -0.25, 6.0), (-1, 0.25, 0.5), (-1, 0.0, 6.0)),
+    ((-1, 0.25, 3.0), (1, -0.25, 2.0), (-1, 0.25, 2.5), (-1, -0.25, 0.3), (-1, 0.0, 9.0), (-1, 0.25, 0.4)),
 )
 
 
@@ -101,7 +101,7 @@ def test_the_tracked_guess_comes_first_where_something_stands_in_the_way_of_the_
     # Posts where corners of the fit pass and the input keeps 5 cm away.
     corners = transform_points(fit, CAR.footprint.vertices).reshape(-1, 2)
     posts = [ObstacleSet.from_rectangles(at[None] - 0.02, at[None] + 0.02, "post") for at in corners]
-    beside = [post for post in posts if pose_clearances(poses, CAR.footprint, post)[0].min() > 0.05]
+    beside = [post for post in posts if pose_clearances(poses, CAR.footprint, post)[0].min() > 0.02]
     guesses = InitialGuesses(program_of(poses, beside[len(beside) // 2]))
     assert guesses.first.variables is guesses.tracked
     assert guesses.on_the_input is None
