@@ -51,12 +51,7 @@ from optdock.plugins import PluginChoice, plugin_from
 from optdock.problem import ClearanceRule, DockingProblem
 from optdock.refinement import Cancellation, Refinement, Stopwatch, at_work, plain, returned
 from optdock.robot import Robot
-from optdock.verification import TOLERANCE, end_clearances
-
-
-def prove_impossible(problem, **k):
-    return None
-
+from optdock.verification import TOLERANCE, end_clearances, prove_impossible
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -447,7 +442,7 @@ class _Portfolio:
             proof = prove_impossible(self.problem, time_budget=allowed, cancel_checker=self.cancelled)
         if proof is not None:
             self._leave(self._furthest().left)
-            raise NoMotionExists(proof)
+            raise NoMotionExists(proof.message, proof=proof)
 
     def _furthest(self) -> _Failure:
         """The failure that tells most: of the guess that came furthest, the earliest; time-outs tell least."""
