@@ -43,17 +43,21 @@ class DistanceField:
         centre: Of the square, Shape (2,) [m].
         spacing: Between grid points [m].
         reach: Larger distances count as this one [m].
+        poll: Called before every tile.
     """
 
-    def __init__(self, obstacles: ObstacleSet, centre: FloatArray, spacing: float, reach: float) -> None:
+    def __init__(
+        self, obstacles: ObstacleSet, centre: FloatArray, spacing: float, reach: float, poll: Callable[[], None]
+    ) -> None:
+        self._poll = poll
         side = _TILE * _TILES
         self.spacing, self.reach = spacing, reach
         self.origin = centre - 0.5 * spacing * (side - 1)
         self._obstacles = obstacles
         self._is_box = _are_boxes(obstacles)
-        # Memory that nobody has looked at yet costs nothing.
-        self._values = np.zeros((_TILES * _TILES, _TILE, _TILE), dtype=np.float32)
-        self._is_known = np.zeros(_TILES * _TILES, dtype=np.bool_)
+        self._slots = np.full(_TILES * _TILES, -1)  # where the values of a tile are; -1: nobody has looked there yet
+        self._values = np.empty((16, _TILE, _TILE))
+        self._count = 0
 
     def bounds(self, points: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Lower and upper bounds of the distances of points, Shape (..., 2) [m]; off the field nothing is free."""
@@ -70,16 +74,19 @@ class DistanceField:
     def _at(self, index: IntArray) -> FloatArray:
         i, j = index[..., 0], index[..., 1]
         tile = (i // _TILE) * _TILES + j // _TILE
-        missing = ~self._is_known[tile]
+        slot = self._slots[tile]
+        missing = slot < 0
         if missing.any():
             for one in np.unique(tile[missing]).tolist():
                 self._fill(one)
-        values: FloatArray = self._values[tile, i % _TILE, j % _TILE].astype(np.float64)
+            slot = self._slots[tile]
+        values: FloatArray = self._values[slot, i % _TILE, j % _TILE]
         return values
 
     def _fill(self, tile: int) -> None:
         first = np.array(divmod(tile, _TILES)) * _TILE
         axes = self.origin + (first + np.arange(_TILE)[:, None]) * self.spacing
+        self._poll()
         low, high = axes[0] - self.reach, axes[-1] + self.reach
         rows = self._obstacles.rows_in_box(low, high)
         best = np.full((_TILE, _TILE), self.reach)
@@ -88,8 +95,11 @@ class DistanceField:
             np.minimum(best, _to_boxes(self._obstacles, some, axes), out=best)
         for some in _blocks(others):
             np.minimum(best, _to_polygons(self._obstacles, some, axes), out=best)
-        self._values[tile] = best
-        self._is_known[tile] = True
+        if self._count == len(self._values):
+            self._values = np.concatenate((self._values, np.empty_like(self._values)))
+        self._values[self._count] = best
+        self._slots[tile] = self._count
+        self._count += 1
 
 
 def _blocks(rows: IntArray) -> list[IntArray]:
@@ -186,7 +196,7 @@ class FreeSpace:
         self.spacing = width / _POSES_PER_WIDTH
         spacing = width / _POINTS_PER_WIDTH
         spacing = max(spacing, 2.0 * spread / (_TILE * _TILES))
-        self.field = DistanceField(self.obstacles, ends[:, :2].mean(axis=0), spacing, 2.0 * self._reach)
+        self.field = DistanceField(self.obstacles, ends[:, :2].mean(axis=0), spacing, 2.0 * self._reach, poll)
         bodies = self.footprint.bodies
         self._levels = tuple(tuple(_discs(body, across) for body in bodies) for across in (1, _FINE_DISCS))
 
