@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from optdock.geometry.pose import transform_points
+from optdock.planners.manoeuvres.wavefront import Wavefront
 from optdock.verification import TOLERANCE, end_clearances, pose_clearances
 
 if TYPE_CHECKING:
@@ -29,6 +30,7 @@ __all__ = ["DistanceField", "FreeSpace"]
 _TILE = 32  # grid points along the side of a tile
 _TILES = 64  # along the side of the field, which is as large as fits around start and goal
 _POINTS_PER_WIDTH = 16.0  # of the robot: what lies between two grid points is decided exactly anyway
+_COARSE_POINTS_PER_WIDTH = 4.0  # of the grid on which ways around obstacles are measured
 _POSES_PER_WIDTH = 12.0  # looked at over a way as long as the robot is wide
 _BLOCK = 24  # pieces whose distances to a whole tile are found in one go
 _FINE_DISCS = 4  # across the width of the footprint
@@ -49,10 +51,9 @@ class DistanceField:
     def __init__(
         self, obstacles: ObstacleSet, centre: FloatArray, spacing: float, reach: float, poll: Callable[[], None]
     ) -> None:
-        self._poll = poll
-        side = _TILE * _TILES
+        self.poll, self.side = poll, _TILE * _TILES
         self.spacing, self.reach = spacing, reach
-        self.origin = centre - 0.5 * spacing * (side - 1)
+        self.origin = centre - 0.5 * spacing * (self.side - 1)
         self._obstacles = obstacles
         self._is_box = _are_boxes(obstacles)
         self._slots = np.full(_TILES * _TILES, -1)  # where the values of a tile are; -1: nobody has looked there yet
@@ -63,15 +64,15 @@ class DistanceField:
         """Lower and upper bounds of the distances of points, Shape (..., 2) [m]; off the field nothing is free."""
         scaled = (points - self.origin) / self.spacing
         cell = np.rint(scaled)
-        side = _TILE * _TILES
-        is_inside = np.all((cell >= 0) & (cell < side), axis=-1)
-        index = np.clip(cell, 0, side - 1).astype(np.int64)
-        distance = self._at(index)
+        is_inside = np.all((cell >= 0) & (cell < self.side), axis=-1)
+        index = np.clip(cell, 0, self.side - 1).astype(np.int64)
+        distance = self.at(index)
         offset = scaled - cell
         away = self.spacing * np.sqrt(np.einsum("...i,...i->...", offset, offset))
         return np.where(is_inside, distance - away, -np.inf), distance + away
 
-    def _at(self, index: IntArray) -> FloatArray:
+    def at(self, index: IntArray) -> FloatArray:
+        """Distances of grid points, Shape (..., 2) within the grid. Shape (...) [m]."""
         i, j = index[..., 0], index[..., 1]
         tile = (i // _TILE) * _TILES + j // _TILE
         slot = self._slots[tile]
@@ -86,7 +87,7 @@ class DistanceField:
     def _fill(self, tile: int) -> None:
         first = np.array(divmod(tile, _TILES)) * _TILE
         axes = self.origin + (first + np.arange(_TILE)[:, None]) * self.spacing
-        self._poll()
+        self.poll()
         low, high = axes[0] - self.reach, axes[-1] + self.reach
         rows = self._obstacles.rows_in_box(low, high)
         best = np.full((_TILE, _TILE), self.reach)
@@ -199,6 +200,13 @@ class FreeSpace:
         self.field = DistanceField(self.obstacles, ends[:, :2].mean(axis=0), spacing, 2.0 * self._reach, poll)
         bodies = self.footprint.bodies
         self._levels = tuple(tuple(_discs(body, across) for body in bodies) for across in (1, _FINE_DISCS))
+
+    def wavefront(self, source: FloatArray) -> Wavefront:
+        """Lengths of ways around the obstacles from a place, Shape (2,) [m], for a disc inside the footprint."""
+        width = min(self.footprint.width, self.footprint.length)
+        spacing = max(self.field.spacing, width / _COARSE_POINTS_PER_WIDTH)
+        field = DistanceField(self.obstacles, 0.5 * (self._start + self._goal), spacing, 2.0 * width, self.poll)
+        return Wavefront(field, source, self.footprint.inscribed_radius)
 
     def required(self, poses: FloatArray, margin: float) -> FloatArray:
         """Required clearance at poses, and the margin, which tapers off towards both ends. Shape (n,) [m]."""
