@@ -23,7 +23,6 @@ if TYPE_CHECKING:
 __all__ = ["Connections", "Nodes", "connections", "free_manoeuvres"]
 
 _PAIRS = 128  # whose words are found in one go, about a millisecond
-_KEPT = 60  # words kept of each such block
 _GLANCE = np.arange(1, 9) / 9.0  # shares of a word at which it is looked at before it is looked at whole
 _BATCH = 24  # words glanced at in one go
 _NOTHING = 1e-6  # [m]: shorter arcs are no motion
@@ -63,36 +62,36 @@ class Nodes(NamedTuple):
     rows: IntArray
 
 
-def connections(exits: Nodes, entries: Nodes, radius: float, space: FreeSpace) -> Connections:
-    """The cheapest words from nodes of the start's tree to nodes of the goal's, among which no one has looked yet."""
+def connections(exits: Nodes, entries: Nodes, radius: float, space: FreeSpace, per_pair: int) -> Connections:
+    """The cheapest words of every pair of a node of the start's tree and one of the goal's; no one has looked yet."""
     i, j = (grid.ravel() for grid in np.meshgrid(exits.rows, entries.rows, indexing="ij"))
     blocks = []
     for k in range(0, i.size, _PAIRS):
         space.poll()
         some = slice(k, k + _PAIRS)
-        blocks.append(_cheapest(Nodes(exits.tree, i[some]), Nodes(entries.tree, j[some]), radius, space.problem))
+        blocks.append(_cheapest(Nodes(exits.tree, i[some]), Nodes(entries.tree, j[some]), radius, space.problem, per_pair))
     return Connections.merged(blocks)
 
 
-def _cheapest(exits: Nodes, entries: Nodes, radius: float, problem: DockingProblem) -> Connections:
+def _cheapest(exits: Nodes, entries: Nodes, radius: float, problem: DockingProblem, per_pair: int) -> Connections:
     """The cheapest words of as many pairs."""
     limits = problem.robot.limits
     (leaving, i), (arriving, j) = exits, entries
     words = reeds_shepp_words(leaving.poses[i], arriving.poses[j], radius).lengths
     with np.errstate(invalid="ignore"):
         driven = np.where(words > 0.0, words / limits.max_speed, -words / limits.max_reverse_speed).sum(axis=2)
-    prices = driven + leaving.prices[i] + arriving.prices[j]
-    form, pair = np.nonzero(np.isfinite(prices))
-    prices = prices[form, pair]
-    kept = np.argsort(prices, kind="stable")[: 4 * _KEPT]
-    form, pair, prices = form[kept], pair[kept], prices[kept]
+    driven = np.where(np.isnan(driven), np.inf, driven)
+    few = np.argpartition(driven, per_pair, axis=0)[:per_pair]
+    pair = np.broadcast_to(np.arange(i.size), few.shape)[np.isfinite(driven[few, np.arange(i.size)])]
+    form = few[np.isfinite(driven[few, np.arange(i.size)])]
     lengths = words[form, pair]
     # With the gears in which the nodes are left and reached, cusps at the joints count as well.
     gears = np.column_stack((leaving.signs[i[pair]], lengths, -arriving.signs[j[pair]]))
-    prices = prices + stopping_cost(limits) * gear_changes(gears)
-    allowed = _in_allowed_gears(gears, problem)
-    order = np.argsort(np.where(allowed, prices, np.inf), kind="stable")[: min(_KEPT, int(allowed.sum()))]
-    return Connections(prices[order], i[pair][order], j[pair][order], lengths[order], TURNS[form[order]] / radius)
+    prices = driven[form, pair] + leaving.prices[i[pair]] + arriving.prices[j[pair]]
+    prices += stopping_cost(limits) * gear_changes(gears)
+    kept = np.flatnonzero(_in_allowed_gears(gears, problem))
+    pair, form = pair[kept], form[kept]
+    return Connections(prices[kept], i[pair], j[pair], lengths[kept], TURNS[form] / radius)
 
 
 def _in_allowed_gears(gears: FloatArray, problem: DockingProblem) -> BoolArray:

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from optdock.geometry.pose import transform_points
+from optdock.planners.manoeuvres.wavefront import Wavefront
 from optdock.verification import TOLERANCE, end_clearances, pose_clearances
 
 if TYPE_CHECKING:
@@ -29,6 +30,7 @@ __all__ = ["DistanceField", "FreeSpace"]
 _TILE = 32  # grid points along the side of a tile
 _TILES = 64  # along the side of the field, which is as large as fits around start and goal
 _POINTS_PER_WIDTH = 16.0  # of the robot: what lies between two grid points is decided exactly anyway
+_COARSE_POINTS_PER_WIDTH = 4.0  # of the grid on which ways around obstacles are measured
 _POSES_PER_WIDTH = 12.0  # looked at over a way as long as the robot is wide
 _BLOCK = 24  # pieces whose distances to a whole tile are found in one go
 _FINE_DISCS = 4  # across the width of the footprint
@@ -43,43 +45,49 @@ class DistanceField:
         centre: Of the square, Shape (2,) [m].
         spacing: Between grid points [m].
         reach: Larger distances count as this one [m].
+        poll: Called before every tile.
     """
 
-    def __init__(self, obstacles: ObstacleSet, centre: FloatArray, spacing: float, reach: float) -> None:
-        side = _TILE * _TILES
+    def __init__(
+        self, obstacles: ObstacleSet, centre: FloatArray, spacing: float, reach: float, poll: Callable[[], None]
+    ) -> None:
+        self.poll, self.side = poll, _TILE * _TILES
         self.spacing, self.reach = spacing, reach
-        self.origin = centre - 0.5 * spacing * (side - 1)
+        self.origin = centre - 0.5 * spacing * (self.side - 1)
         self._obstacles = obstacles
         self._is_box = _are_boxes(obstacles)
-        # Memory that nobody has looked at yet costs nothing.
-        self._values = np.zeros((_TILES * _TILES, _TILE, _TILE), dtype=np.float32)
-        self._is_known = np.zeros(_TILES * _TILES, dtype=np.bool_)
+        self._slots = np.full(_TILES * _TILES, -1)  # where the values of a tile are; -1: nobody has looked there yet
+        self._values = np.empty((16, _TILE, _TILE))
+        self._count = 0
 
     def bounds(self, points: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Lower and upper bounds of the distances of points, Shape (..., 2) [m]; off the field nothing is free."""
         scaled = (points - self.origin) / self.spacing
         cell = np.rint(scaled)
-        side = _TILE * _TILES
-        is_inside = np.all((cell >= 0) & (cell < side), axis=-1)
-        index = np.clip(cell, 0, side - 1).astype(np.int64)
-        distance = self._at(index)
+        is_inside = np.all((cell >= 0) & (cell < self.side), axis=-1)
+        index = np.clip(cell, 0, self.side - 1).astype(np.int64)
+        distance = self.at(index)
         offset = scaled - cell
         away = self.spacing * np.sqrt(np.einsum("...i,...i->...", offset, offset))
         return np.where(is_inside, distance - away, -np.inf), distance + away
 
-    def _at(self, index: IntArray) -> FloatArray:
+    def at(self, index: IntArray) -> FloatArray:
+        """Distances of grid points, Shape (..., 2) within the grid. Shape (...) [m]."""
         i, j = index[..., 0], index[..., 1]
         tile = (i // _TILE) * _TILES + j // _TILE
-        missing = ~self._is_known[tile]
+        slot = self._slots[tile]
+        missing = slot < 0
         if missing.any():
             for one in np.unique(tile[missing]).tolist():
                 self._fill(one)
-        values: FloatArray = self._values[tile, i % _TILE, j % _TILE].astype(np.float64)
+            slot = self._slots[tile]
+        values: FloatArray = self._values[slot, i % _TILE, j % _TILE]
         return values
 
     def _fill(self, tile: int) -> None:
         first = np.array(divmod(tile, _TILES)) * _TILE
         axes = self.origin + (first + np.arange(_TILE)[:, None]) * self.spacing
+        self.poll()
         low, high = axes[0] - self.reach, axes[-1] + self.reach
         rows = self._obstacles.rows_in_box(low, high)
         best = np.full((_TILE, _TILE), self.reach)
@@ -88,8 +96,11 @@ class DistanceField:
             np.minimum(best, _to_boxes(self._obstacles, some, axes), out=best)
         for some in _blocks(others):
             np.minimum(best, _to_polygons(self._obstacles, some, axes), out=best)
-        self._values[tile] = best
-        self._is_known[tile] = True
+        if self._count == len(self._values):
+            self._values = np.concatenate((self._values, np.empty_like(self._values)))
+        self._values[self._count] = best
+        self._slots[tile] = self._count
+        self._count += 1
 
 
 def _blocks(rows: IntArray) -> list[IntArray]:
@@ -186,9 +197,16 @@ class FreeSpace:
         self.spacing = width / _POSES_PER_WIDTH
         spacing = width / _POINTS_PER_WIDTH
         spacing = max(spacing, 2.0 * spread / (_TILE * _TILES))
-        self.field = DistanceField(self.obstacles, ends[:, :2].mean(axis=0), spacing, 2.0 * self._reach)
+        self.field = DistanceField(self.obstacles, ends[:, :2].mean(axis=0), spacing, 2.0 * self._reach, poll)
         bodies = self.footprint.bodies
         self._levels = tuple(tuple(_discs(body, across) for body in bodies) for across in (1, _FINE_DISCS))
+
+    def wavefront(self, source: FloatArray) -> Wavefront:
+        """Lengths of ways around the obstacles from a place, Shape (2,) [m], for a disc inside the footprint."""
+        width = min(self.footprint.width, self.footprint.length)
+        spacing = max(self.field.spacing, width / _COARSE_POINTS_PER_WIDTH)
+        field = DistanceField(self.obstacles, 0.5 * (self._start + self._goal), spacing, 2.0 * width, self.poll)
+        return Wavefront(field, source, self.footprint.inscribed_radius)
 
     def required(self, poses: FloatArray, margin: float) -> FloatArray:
         """Required clearance at poses, and the margin, which tapers off towards both ends. Shape (n,) [m]."""

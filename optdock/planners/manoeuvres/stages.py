@@ -12,6 +12,7 @@ from optdock.dock import DockDirection
 from optdock.outcomes import Guess
 from optdock.planners.manoeuvres.connections import Nodes, connections, free_manoeuvres
 from optdock.planners.manoeuvres.free_space import FreeSpace
+from optdock.planners.manoeuvres.hybrid_a_star import hybrid_a_star
 from optdock.planners.manoeuvres.price import least_price
 from optdock.planners.manoeuvres.tree import ArcTree, Moves
 
@@ -28,7 +29,9 @@ _RUNS = np.array([0.0, 0.25, 0.5, 1.0, 1.5, 2.0, 3.0])  # straight runs beyond t
 _ENTRY_TURNS = np.array([0.25, 0.5, 0.75, 1.0, 1.25, 1.57])  # [rad] of entry arcs
 _EXIT_TURNS = np.array([0.3, 0.7, 1.2])  # [rad] of exit arcs; straight ones are as long
 _ENTRY_ROWS, _EXIT_ROWS = 64, 19  # nodes that are joined at most
+_NODES = 2000
 _TRIES = 4  # different ways that one stage offers at most
+_WORDS_PER_PAIR = 12
 _LOOKS = 300  # words that one stage looks at most
 _SAMPLING = 40.0  # poses of a path per turning radius
 
@@ -68,6 +71,8 @@ class Stages:
         """The guesses of all stages."""
         for stage in (self._words, self._entry_arcs, self._exit_arcs):
             yield from stage()
+        if math.isinf(self._better_than()):
+            yield from self._hybrid_a_star()
 
     @property
     def _gears(self) -> tuple[float, ...]:
@@ -133,19 +138,34 @@ class Stages:
         for effort in self._efforts:
             yield from self._joined("exit arcs", self._exits(effort), self._entries(effort), effort)
 
+    def _hybrid_a_star(self) -> Iterator[Guess]:
+        wavefront = self.space.wavefront(self.problem.start.as_array()[:2])
+        for effort in self._efforts:
+            self._staging.cache_clear()
+            ways = hybrid_a_star(
+                self._start, self._staging(effort), self.space, effort.radius, effort.margin, _NODES, wavefront
+            )
+            yield from self._offered("hybrid A*", ways)
+
     def _joined(self, stage: str, exits: Nodes, entries: Nodes, effort: _Effort) -> Iterator[Guess]:
         if exits.rows.size == 0 or entries.rows.size == 0:
             return
-        found = connections(exits, entries, effort.radius, self.space).rows(slice(_LOOKS))
+        found = connections(exits, entries, effort.radius, self.space, _WORDS_PER_PAIR).rows(slice(_LOOKS))
+        yield from self._offered(stage, free_manoeuvres(found, exits.tree, entries.tree, self.space, effort.margin))
+
+    def _offered(self, stage: str, found: Iterator[tuple[float, Arcs]]) -> Iterator[Guess]:
+        """The first few of the ways found that are unlike those offered before and may beat the best plan."""
         offered = 0
-        for price, arcs in free_manoeuvres(found, exits.tree, entries.tree, self.space, effort.margin):
-            if price >= self._better_than() or offered == _TRIES:
-                return
+        for price, arcs in found:
+            if price >= self._better_than():
+                continue
             path = arcs.path(self.radius / _SAMPLING, self.problem.goal.as_array(), self.problem.frame)
             if least_price(path, self.problem) >= self._better_than() or not self._is_another_way(arcs):
                 continue
             offered += 1
             yield Guess(path, stage)
+            if offered == _TRIES:
+                return
 
     def _is_another_way(self, arcs: Arcs) -> bool:
         """Whether a way is not one that has been offered, but for a little."""

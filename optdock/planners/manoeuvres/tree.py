@@ -14,7 +14,9 @@ from optdock.planners.manoeuvres.arcs import Arcs, advance
 from optdock.planners.manoeuvres.price import stopping_cost
 
 if TYPE_CHECKING:
-    from optdock.geometry.arrays import FloatArray, IntArray
+    from collections.abc import Callable
+
+    from optdock.geometry.arrays import BoolArray, FloatArray, IntArray
     from optdock.limits import MotionLimits
     from optdock.planners.manoeuvres.free_space import FreeSpace
 
@@ -76,6 +78,7 @@ class ArcTree:
         stations: FloatArray,
         space: FreeSpace,
         margin: float,
+        is_new: Callable[[FloatArray], BoolArray] | None = None,
     ) -> IntArray:
         """Drive all moves from the nodes at `rows`; the rows of the new nodes.
 
@@ -85,6 +88,7 @@ class ArcTree:
             stations: Ascending lengths after which a node is left, and where the last pose was free [m].
             space: What is free.
             margin: Beside the required clearance [m].
+            is_new: Which of the poses found, in ascending order of price, are worth a node; None: all.
         """
         node = np.repeat(rows, moves.signs.size)
         sign, curvature = np.tile(moves.signs, rows.size), np.tile(moves.curvatures, rows.size)
@@ -94,7 +98,7 @@ class ArcTree:
         last = np.where(reached.max(axis=1) < free - 0.5 * space.spacing, free, 0.0)
         lengths = np.column_stack((reached, last))
         arc, station = np.nonzero(lengths > 0.0)
-        return self._added(node[arc], sign[arc] * lengths[arc, station], curvature[arc])
+        return self._added(node[arc], sign[arc] * lengths[arc, station], curvature[arc], is_new)
 
     @staticmethod
     def _free_lengths(starts: _Starts, longest: float, space: FreeSpace, margin: float) -> FloatArray:
@@ -117,17 +121,26 @@ class ArcTree:
             going = np.concatenate(still) if still else going
         return free
 
-    def _added(self, parent: IntArray, length: FloatArray, curvature: FloatArray) -> IntArray:
+    def _added(
+        self,
+        parent: IntArray,
+        length: FloatArray,
+        curvature: FloatArray,
+        is_new: Callable[[FloatArray], BoolArray] | None,
+    ) -> IntArray:
         speed = np.where(self.gear * length > 0.0, self._limits.max_speed, self._limits.max_reverse_speed)
         sign = np.sign(length)
         price = self.prices[parent] + np.abs(length) / speed + self._stop * (self.signs[parent] * sign < 0.0)
+        poses = advance(self.poses[parent], length, curvature)
+        order = np.argsort(price, kind="stable")
+        kept = order if is_new is None else order[is_new(poses[order])]
         first = len(self)
-        self.poses = np.concatenate((self.poses, advance(self.poses[parent], length, curvature)))
-        self.prices = np.concatenate((self.prices, price))
-        self.signs = np.concatenate((self.signs, sign))
-        self.parents = np.concatenate((self.parents, parent))
-        self.lengths = np.concatenate((self.lengths, length))
-        self.curvatures = np.concatenate((self.curvatures, curvature))
+        self.poses = np.concatenate((self.poses, poses[kept]))
+        self.prices = np.concatenate((self.prices, price[kept]))
+        self.signs = np.concatenate((self.signs, sign[kept]))
+        self.parents = np.concatenate((self.parents, parent[kept]))
+        self.lengths = np.concatenate((self.lengths, length[kept]))
+        self.curvatures = np.concatenate((self.curvatures, curvature[kept]))
         return np.arange(first, len(self))
 
     def way(self, row: int) -> tuple[FloatArray, FloatArray]:
