@@ -65,7 +65,7 @@ class ManoeuvrePlanner(GlobalPlanner):
             NoValidPathCouldBeFound: Nothing was found; that is no proof that there is nothing.
             PlannerCancelled: `cancel_checker` returned True.
         """
-        return next(self.create_plans(start, goal, cancel_checker)).path
+        return next(guess for guess in self.create_plans(start, goal, cancel_checker) if guess is not None).path
 
     def create_plans(
         self,
@@ -73,7 +73,7 @@ class ManoeuvrePlanner(GlobalPlanner):
         goal: Pose2,
         cancel_checker: Callable[[], bool] = never_cancelled,
         better_than: Callable[[], float] = lambda: math.inf,
-    ) -> Iterator[Guess]:
+    ) -> Iterator[Guess | None]:
         """Collision-free manoeuvres, stage by stage, within a stage the cheapest first.
 
         Raises:
@@ -90,8 +90,9 @@ class ManoeuvrePlanner(GlobalPlanner):
         poll()
         count = 0
         for guess in Stages(problem, self.parameters.turning_radius_factor, poll, better_than).guesses():
-            count += 1
-            self.context.logger.debug("%s: %s, %r", self.context.name, guess.stage, guess.path)
+            if guess is not None:
+                count += 1
+                self.context.logger.debug("%s: %s, %r", self.context.name, guess.stage, guess.path)
             yield guess
         if count == 0:
             raise NoValidPathCouldBeFound(

@@ -67,12 +67,14 @@ class Stages:
         self._efforts = tuple(_Effort(factor * self.radius, keep) for keep in (margin, 0.0) for factor in (slack, 1.0))
         self._known: list[FloatArray] = []
 
-    def guesses(self) -> Iterator[Guess]:
-        """The guesses of all stages."""
-        for stage in (self._words, self._entry_arcs, self._exit_arcs):
+    def guesses(self) -> Iterator[Guess | None]:
+        """The guesses of all stages, with a pause between two of them; after the first only while nothing is found."""
+        yield from self._words()
+        for stage in (self._entry_arcs, self._exit_arcs, self._hybrid_a_star):
+            if math.isfinite(self._better_than()):
+                return
+            yield None
             yield from stage()
-        if math.isinf(self._better_than()):
-            yield from self._hybrid_a_star()
 
     @property
     def _gears(self) -> tuple[float, ...]:
