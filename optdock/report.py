@@ -65,7 +65,7 @@ def failed_plan_file(error: OptdockError, frame: str) -> PlanFile:
 
 def plan_rows(plan: DockPlan) -> list[Row]:
     """A certified plan in a few lines."""
-    gears = " ".join("forward" if int(segment.direction) > 0 else "reverse" for segment in plan.path.segments)
+    gears = " ".join(segment.direction.name.lower().replace("_", "-") for segment in plan.path.segments)
     status = CERTIFIED if plan.completed else f"{CERTIFIED}, stopped early by the time budget"
     times = ", ".join(f"{stage} {ms:.1f}" for stage, ms in plan.timing_ms.items())
     return [

@@ -204,7 +204,7 @@ class Trajectory(FrozenArrays):
 
     def __repr__(self) -> str:
         proven = ", proven" if self.certified_for is not None else ""
-        return f"<Trajectory {self.duration:.3f} s over {self.path.length:.3f} m{proven}>"
+        return f"<Trajectory {self.duration:.3f} s over {self.path.driven:.3f} m{proven}>"
 
     @property
     def frame(self) -> str:
