@@ -123,15 +123,17 @@ def zone_of(basis: Basis, node: IntArray, zones: int) -> IntArray:
 
 
 def trusted_nodes(basis: Basis, settings: StepSettings) -> IntArray:
-    """Nodes whose headings the trust region bounds, evenly over the path: one for every two spans, at least twelve.
+    """Nodes whose headings the trust region bounds, evenly over the path.
 
-    Between fewer of them curvatures could swing as they like.
+    Twelve do for 24 spans. Longer paths have longer spans, and need one for each: between fewer of them curvatures
+    swing as they like, however small the trust region is.
     """
     return np.linspace(1, basis.num_nodes - 1, _trust_rows(basis, settings)).astype(np.int64)
 
 
 def _trust_rows(basis: Basis, settings: StepSettings) -> int:
-    return max(settings.trust_nodes, basis.span_gear.size // 2)
+    spans = basis.span_gear.size
+    return settings.trust_nodes if spans <= 2 * settings.trust_nodes else spans
 
 
 class Subproblem(NamedTuple):

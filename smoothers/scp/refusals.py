@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from optdock.path import Path
     from optdock.problem import DockingProblem
     from optdock.verification import Certificate
+    from smoothers.scp.collision.scene import Scene
     from smoothers.scp.loop import Iterate
     from smoothers.scp.problem import NonlinearProgram
 
@@ -102,7 +103,7 @@ def refuse_approach(path: Path, problem: DockingProblem, start_clearance: float)
         (goal.x - back * math.cos(goal.yaw), goal.y - back * math.sin(goal.yaw), np.full(back.size, goal.yaw))
     )
     from_start = np.hypot(poses[:, 0] - problem.start.x, poses[:, 1] - problem.start.y)
-    required = problem.clearance.required_at(np.abs(back), from_start, start_clearance)
+    required = problem.clearance.required_at(np.abs(back), from_start, start_clearance, problem.start_run)
     distance, rows = pose_clearances(poses, problem.robot.footprint, problem.all_obstacles, float(required.max()))
     short = required - distance
     k = int(np.argmax(short))
@@ -130,7 +131,7 @@ def refuse_search(nlp: NonlinearProgram, closest: Iterate, problem: DockingProbl
     if not closest.on_goal or closest.clearance.margin.size == 0:
         return _unreachable(nlp, closest, problem)
     path = exact_path(nlp, closest.variables, problem.dock.final_straight).with_frame(problem.frame)
-    return _too_close(path, problem, nlp.scene.start_clearance, closest.shortfall)
+    return _too_close(path, problem, nlp.scene, closest.shortfall)
 
 
 def refuse_certificate(certificate: Certificate, path: Path) -> Refusal:
@@ -142,7 +143,7 @@ def refuse_certificate(certificate: Certificate, path: Path) -> Refusal:
     return Refusal(broken.kind, broken.s, broken.amount, obstacle, broken.message, at, more, path)
 
 
-def _too_close(path: Path, problem: DockingProblem, start_clearance: float, bound: float) -> Refusal:
+def _too_close(path: Path, problem: DockingProblem, scene: Scene, bound: float) -> Refusal:
     """Where the path is closest to what is required, as measured by the certificate's own distances.
 
     The search judges intervals by bounds, which may be short where every pose is legal.
@@ -152,7 +153,7 @@ def _too_close(path: Path, problem: DockingProblem, start_clearance: float, boun
     from_goal, from_start = (
         np.hypot(poses[:, 0] - end.x, poses[:, 1] - end.y) for end in (problem.goal, problem.start)
     )
-    required = problem.clearance.required_at(from_goal, from_start, start_clearance)
+    required = problem.clearance.required_at(from_goal, from_start, scene.start_clearance, scene.start_relief)
     footprint, obstacles = problem.robot.footprint, problem.all_obstacles
     clearance, rows = pose_clearances(poses, footprint, obstacles, float(required.max()))
     k = int(np.argmax(required - clearance))
