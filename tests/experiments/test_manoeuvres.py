@@ -11,9 +11,9 @@ import shapely
 
 from experiments.manoeuvres import cases
 from experiments.manoeuvres.__main__ import FAMILIES, families, main
-from experiments.manoeuvres.budgets import budget_table
 from experiments.manoeuvres.check import checked
-from experiments.manoeuvres.run import BUDGETS, CERTIFIED, IMPOSSIBLE, NOT_FOUND, Record, ask, csv_text, summary
+from experiments.manoeuvres.run import BUDGETS, CERTIFIED, IMPOSSIBLE, NOT_FOUND, Record, ask, csv_text
+from experiments.manoeuvres.tables import budget_table, grid_table, proof_table, summary
 from optdock.dock import Dock
 from optdock.geometry.pose import Pose2
 from optdock.limits import MotionLimits
@@ -197,6 +197,20 @@ def test_plans_that_get_lost_or_worse_with_the_budget_are_counted():
     worse = budget_table({0.1: [plan, plan], 0.2: [plan._replace(price=4.1), record(NOT_FOUND)]})
     row = dict(zip(worse.header, worse.rows[1], strict=True))
     assert (row["lost"], row["worse"], row["certified"]) == (1, 1, 1)
+
+
+def test_proofs_are_held_against_the_truth():
+    proof = record(IMPOSSIBLE, bottleneck_error=0.03, missing_error=-0.02, cause="right")
+    wrong = proof._replace(bottleneck_error=0.01, cause="wrong", wall=0.2)
+    table = proof_table([proof, wrong, record(NOT_FOUND)])
+    row = dict(zip(table.header, table.rows[0], strict=True))
+    assert (row["n"], row["proven"], row["wrong cause"], row["worst"]) == (3, 2, 1, 200.0)
+    assert (row["place off cm worst"], row["width off cm worst"]) == (3.0, 2.0)
+
+
+def test_feasibility_near_the_dock_is_a_line_of_letters():
+    rows = grid_table([record(CERTIFIED), record(NOT_FOUND), record(IMPOSSIBLE)]).rows
+    assert rows == (("parallel", "C.I", 1),)
 
 
 def test_a_refusal_is_recorded_with_its_reason():
