@@ -75,8 +75,8 @@ def test_every_part_of_a_scenario_is_written(tmp_path):
 
 
 def test_every_limit_is_written_or_stays_unsaid(tmp_path):
-    values = {spec.name: 0.1 * (3 + i) for i, spec in enumerate(dataclasses.fields(MotionLimits))}
-    robot = Robot(CHARGER, MotionLimits(**values))
+    values = {spec.name: 0.05 * (3 + i) for i, spec in enumerate(dataclasses.fields(MotionLimits))}
+    robot = Robot(CHARGER, MotionLimits(**values), Drive.ACKERMANN)
     save_scenario(tmp_path / "all.yaml", Scenario(problem(robot=robot)))
     assert load_scenario(tmp_path / "all.yaml").problem.robot.limits == robot.limits
     usual = Scenario(problem(robot=Robot(CHARGER, MotionLimits())), default_limits=frozenset({"max_speed", "max_jerk"}))
