@@ -37,6 +37,7 @@ _FORGIVEN = 2e-6  # [m]: twice the certificate's tolerance
 _SLOPE = 0.5  # of the clearance that a start which is too close must gain, over the distance
 _ON_PATH = 1e-6  # [m], [rad] between the samples of the trajectory and the path
 _STEERING = 1.0 + 2e-6  # relative
+_INSTANT = 1e-6  # [s]
 _SAME_PLACE = 1e-7  # [m]: where the robot rests
 _BATCH = 5000
 
@@ -192,5 +193,5 @@ def _steering_faults(plan: DockPlan, motion: Motion, problem: DockingProblem) ->
         still = np.abs(law.states[:, 0] - after.start_s) <= _SAME_PLACE
         rest = float(law.durations[still[1:] & still[:-1]].sum())
         turn = abs(first[after.first] - last[before.stop - 1])
-        if not turn <= limits.max_steering_rate * rest * _STEERING + _ON_PATH:
+        if not turn / limits.max_steering_rate <= rest * _STEERING + _INSTANT:
             yield f"the wheels turn by {turn:.4f} rad in a rest of {rest:.4f} s at {after.start_s:.3f} m"
