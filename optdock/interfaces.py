@@ -18,6 +18,7 @@ from optdock.outcomes import (
     BehaviorStatus,
     Bounds,
     CostmapInfoType,
+    Guess,
     SmoothingReport,
     SmoothingResult,
     SmoothingStatus,
@@ -30,7 +31,7 @@ from optdock.path import Path
 from optdock.problem import DockingProblem
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping, Sequence
+    from collections.abc import Callable, Iterator, Mapping, Sequence
 
     from optdock.costmap.costmap import Costmap
     from optdock.geometry.pose import Pose2, Twist2
@@ -46,6 +47,7 @@ __all__ = [
     "CostmapInfoType",
     "GlobalPlanner",
     "GoalChecker",
+    "Guess",
     "Layer",
     "LifecycleState",
     "Plugin",
@@ -81,6 +83,31 @@ class GlobalPlanner(Plugin):
             PlannerException: Or one of its children; an empty path is never returned.
             PlannerCancelled: `cancel_checker` returned True.
         """
+
+    def create_plans(
+        self,
+        start: Pose2,
+        goal: Pose2,
+        cancel_checker: Callable[[], bool] = never_cancelled,
+        better_than: Callable[[], float] = lambda: math.inf,  # noqa: ARG002 - one path is the best of one
+    ) -> Iterator[Guess]:
+        """Several paths to try in turn, the most promising first; by default the one of `create_plan`.
+
+        It works only while it is asked for the next one. A planner that knows many stops when none that could follow
+        can have a lower price, and looks far afield only while nothing has been found.
+
+        Args:
+            start: As of `create_plan`.
+            goal: As of `create_plan`.
+            cancel_checker: As of `create_plan`.
+            better_than: The price of the best plan that somebody has made of these paths so far [s]: its duration, and
+                what its cusps cost; inf while there is none.
+
+        Raises:
+            PlannerException: Or one of its children: there is no path, not even a first one.
+            PlannerCancelled: `cancel_checker` returned True.
+        """
+        yield Guess(self.create_plan(start, goal, cancel_checker))
 
 
 class Smoother(Plugin):

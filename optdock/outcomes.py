@@ -20,6 +20,7 @@ __all__ = [
     "BehaviorStatus",
     "Bounds",
     "CostmapInfoType",
+    "Guess",
     "SmoothingReport",
     "SmoothingResult",
     "SmoothingStatus",
@@ -28,6 +29,16 @@ __all__ = [
     "TimingStatus",
     "Tolerances",
 ]
+
+
+class Guess(NamedTuple):
+    """A raw path of a planner that has several.
+
+    `path`: exactly from start to goal. `stage`: how it was found, in the words of the method, for reports.
+    """
+
+    path: Path
+    stage: str = ""
 
 
 class SmoothingStatus(str, Enum):

@@ -34,7 +34,7 @@ from optdock.geometry.polygon import simple_polygon
 from optdock.geometry.pose import Pose2
 from optdock.io.numbers import check_outline, check_speed, check_yaw, is_number
 from optdock.limits import MotionLimits, check_steering
-from optdock.pipeline import DEFAULT_TIME_BUDGET
+from optdock.pipeline import DEFAULT_PLANNERS, DEFAULT_TIME_BUDGET
 from optdock.problem import ClearanceRule
 from optdock.robot import Drive, Robot, check_drive
 
@@ -406,7 +406,11 @@ class ScenarioDocument(_Part):
         absent="each key's own default",
     )
     time_budget: Number = _key("wall-clock time for planning [s]", DEFAULT_TIME_BUDGET, above=0, finite=True)
-    planner: Section = _key("what makes the raw path, and its parameters", {}, absent=PLUGIN_DEFAULTS["planner"])
+    planner: Section = _key(
+        "what makes the raw path, and its parameters",
+        {},
+        absent=" and then ".join(DEFAULT_PLANNERS),
+    )
     smoother: Section = _key("what smooths it, and its parameters", {}, absent=PLUGIN_DEFAULTS["smoother"])
     timing: Section = _key("what times it, and its parameters", {}, absent=PLUGIN_DEFAULTS["timing"])
     controller: Section = _key(

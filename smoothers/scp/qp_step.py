@@ -46,6 +46,7 @@ __all__ = [
     "pool_of_this_thread",
     "prepare_programs",
     "solve_step",
+    "trusted_nodes",
     "zone_of",
 ]
 
@@ -119,6 +120,11 @@ def _consecutive(*counts: int) -> list[slice]:
 def zone_of(basis: Basis, node: IntArray, zones: int) -> IntArray:
     """Zone of the path in which nodes lie."""
     return np.minimum(zones - 1, node * zones // basis.num_nodes)
+
+
+def trusted_nodes(basis: Basis, settings: StepSettings) -> IntArray:
+    """Nodes whose headings the trust region bounds, evenly over the path."""
+    return np.linspace(1, basis.num_nodes - 1, settings.trust_nodes).astype(np.int64)
 
 
 class Subproblem(NamedTuple):

@@ -17,11 +17,12 @@ from optdock.geometry.clothoid import ClothoidSpline
 from optdock.interfaces import SmoothingStatus
 from optdock.path import ClothoidSegment, Path
 from optdock.verification import certify_path, end_clearances
+from smoothers.scp.collision.narrow_phase import most_sag
 from smoothers.scp.collision.scene import scene_around
 from smoothers.scp.goal_projection import exact_path
 from smoothers.scp.initial_guess import InitialGuesses, rest_of_earlier_result
 from smoothers.scp.loop import search
-from smoothers.scp.problem import formulate
+from smoothers.scp.problem import formulate, with_finer_intervals
 from smoothers.scp.refusals import refuse_approach, refuse_certificate, refuse_search, refuse_start
 
 if TYPE_CHECKING:
@@ -90,8 +91,9 @@ class Given(NamedTuple):
 class Search(NamedTuple):
     """A search from a guess; up to two repairs where the certificate refuses its result.
 
-    A repair begins at the refused variables, aims at three times the buffer, and looks at four times as many obstacles
-    in every interval, small ones included.
+    A repair begins at the refused variables. Where the search took them for feasible it aims at three times the buffer
+    and looks at four times as many obstacles in every interval, small ones included; where only the cautious bound
+    between its nodes was in the way, its intervals are half as long.
 
     Attributes:
         guess: Where it begins, or None.
@@ -155,9 +157,11 @@ STRATEGY: tuple[Given | Search, ...] = (
     # The first search that ends with a certified path, or for want of time, is the last one.
     Search(lambda guesses: guesses.rest_of_earlier),
     Search(lambda guesses: guesses.first),
+    Search(lambda guesses: guesses.on_the_input),
     Search(lambda guesses: guesses.other, after_the_goal=True),
     Search(lambda guesses: guesses.rest_of_earlier, thoroughly=True),
     Search(lambda guesses: guesses.first, thoroughly=True),
+    Search(lambda guesses: guesses.on_the_input, thoroughly=True),
     Search(lambda guesses: guesses.other, thoroughly=True, after_the_goal=True),
     Given(SmoothingStatus.WARM_START_KEPT, earlier_answer),
 )
@@ -317,7 +321,7 @@ class Solver:
         expected, pace = self.settings.anytime, self.pool.pace
         self._iteration = pace * _expected(nlp, expected.iteration_seconds)
         self._certificate = self._certificate or pace * _expected(nlp, expected.certificate_seconds)
-        return nlp, InitialGuesses(nlp, earlier)
+        return nlp, InitialGuesses(nlp, earlier, self.pool, self.deadline.passed)
 
     def _look_at_the_clock(self) -> None:
         if self.deadline.passed():
@@ -350,11 +354,14 @@ class Solver:
             refused = self._settle(nlp)
             if refused is None or not self.outcome.converged:
                 break
-            seen = nlp.scene.settings
-            seen = replace(seen, nearest=chosen.repair_nearest * seen.nearest, thins_small_obstacles=False)
-            step = replace(nlp.settings.step, buffer=chosen.repair_buffer * nlp.settings.step.buffer)
-            scene, settings = replace(nlp.scene, settings=seen), replace(nlp.settings, step=step)
-            nlp, guess = replace(nlp, scene=scene, settings=settings), guess._replace(variables=refused.variables)
+            nlp = self._more_cautious(nlp) if refused.feasible else with_finer_intervals(nlp, chosen.repair_finer)
+            guess = guess._replace(variables=refused.variables)
+
+    def _more_cautious(self, nlp: NonlinearProgram) -> NonlinearProgram:
+        chosen, seen = self.settings.anytime, nlp.scene.settings
+        seen = replace(seen, nearest=chosen.repair_nearest * seen.nearest, thins_small_obstacles=False)
+        step = replace(nlp.settings.step, buffer=chosen.repair_buffer * nlp.settings.step.buffer)
+        return replace(nlp, scene=replace(nlp.scene, settings=seen), settings=replace(nlp.settings, step=step))
 
     def _search(self, nlp: NonlinearProgram, guess: Guess) -> None:
         self.outcome.converged = False
@@ -409,7 +416,7 @@ class Solver:
     def _settle(self, nlp: NonlinearProgram) -> Iterate | None:
         """Certify the candidate; returns it when it was refused."""
         candidate, self._candidate = self._candidate, None
-        if candidate is None and self.outcome.incumbent is None and self._is_nearly_feasible():
+        if candidate is None and self.outcome.incumbent is None and self._is_nearly_feasible(nlp):
             candidate = self.outcome.last
         if candidate is None:
             return None
@@ -441,11 +448,13 @@ class Solver:
     def _is_late(self) -> bool:
         return self.deadline.left < -self.settings.anytime.latest
 
-    def _is_nearly_feasible(self) -> bool:
+    def _is_nearly_feasible(self, nlp: NonlinearProgram) -> bool:
         last = self.outcome.last
         if last is None or not self.outcome.converged:
             return False
-        return last.on_goal and last.shortfall < self.settings.anytime.nearly
+        chosen = self.settings.anytime
+        lost = most_sag(last.rollout, nlp.scene.body.radius)
+        return last.on_goal and last.shortfall < max(chosen.nearly, chosen.nearly_in_sags * lost)
 
 
 def _expected(nlp: NonlinearProgram, share: tuple[float, float, float]) -> float:

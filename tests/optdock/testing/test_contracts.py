@@ -37,6 +37,11 @@ DRIVE = {"target": 1.0, "speed": 0.3}
 SPIN = {"target_yaw": 1.5}
 SAMPLES = {
     "planners.DockPlanner": {"needs_context": True, "unitless": {"step", "alpha", "beta", "gamma"}},
+    "planners.ManoeuvrePlanner": {
+        "needs_context": True,
+        "is_equivariant": False,
+        "unitless": {"turning_radius_factor"},
+    },
     "smoothers.SimpleSmoother": {"unitless": {"w_data", "w_smooth"}},
     "timing.Windowed": {"unitless": {"cap_ratio", "yaw_share"}},
     "controllers.TrackingController": {"plugin_parameters": {"period": 0.05}, "unitless": {"damping"}},

@@ -1,0 +1,131 @@
+"""Reeds-Shepp words between the nodes of two trees, cheapest first, and which of them are free."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+from optdock.dock import DockDirection
+from optdock.planners.manoeuvres.arcs import Arcs
+from optdock.planners.manoeuvres.price import gear_changes, stopping_cost
+from optdock.planners.manoeuvres.reeds_shepp import TURNS, reeds_shepp_words
+from optdock.planners.manoeuvres.tree import joined
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Sequence
+
+    from optdock.geometry.arrays import BoolArray, FloatArray, IntArray
+    from optdock.planners.manoeuvres.free_space import FreeSpace
+    from optdock.planners.manoeuvres.tree import ArcTree
+    from optdock.problem import DockingProblem
+
+__all__ = ["Connections", "Nodes", "connections", "free_manoeuvres"]
+
+_PAIRS = 128  # whose words are found in one go, about a millisecond
+_GLANCE = np.arange(1, 9) / 9.0  # shares of a word at which it is looked at before it is looked at whole
+_BATCH = 24  # words glanced at in one go
+_NOTHING = 1e-6  # [m]: shorter arcs are no motion
+
+
+class Connections(NamedTuple):
+    """Words between nodes in ascending order of the price of the whole manoeuvre: Shape (n,) and (n, 5)."""
+
+    prices: FloatArray
+    exits: IntArray
+    entries: IntArray
+    lengths: FloatArray
+    curvatures: FloatArray
+
+    @property
+    def size(self) -> int:
+        """How many there are."""
+        return int(self.prices.size)
+
+    def rows(self, keep: IntArray | slice) -> Connections:
+        """Those at `keep`."""
+        return Connections(
+            self.prices[keep], self.exits[keep], self.entries[keep], self.lengths[keep], self.curvatures[keep]
+        )
+
+    @classmethod
+    def merged(cls, blocks: Sequence[Connections]) -> Connections:
+        """All of several, in ascending order of price."""
+        columns = [np.concatenate(column) for column in zip(*blocks, strict=True)]
+        return cls(*columns).rows(np.argsort(columns[0], kind="stable"))
+
+
+class Nodes(NamedTuple):
+    """Some nodes of a tree."""
+
+    tree: ArcTree
+    rows: IntArray
+
+
+def connections(exits: Nodes, entries: Nodes, radius: float, space: FreeSpace, per_pair: int) -> Connections:
+    """The cheapest words of every pair of a node of the start's tree and one of the goal's; no one has looked yet."""
+    i, j = (grid.ravel() for grid in np.meshgrid(exits.rows, entries.rows, indexing="ij"))
+    blocks = []
+    for k in range(0, i.size, _PAIRS):
+        space.poll()
+        some = slice(k, k + _PAIRS)
+        blocks.append(_cheapest(Nodes(exits.tree, i[some]), Nodes(entries.tree, j[some]), radius, space.problem, per_pair))
+    return Connections.merged(blocks)
+
+
+def _cheapest(exits: Nodes, entries: Nodes, radius: float, problem: DockingProblem, per_pair: int) -> Connections:
+    """The cheapest words of as many pairs."""
+    limits = problem.robot.limits
+    (leaving, i), (arriving, j) = exits, entries
+    words = reeds_shepp_words(leaving.poses[i], arriving.poses[j], radius).lengths
+    with np.errstate(invalid="ignore"):
+        driven = np.where(words > 0.0, words / limits.max_speed, -words / limits.max_reverse_speed).sum(axis=2)
+    driven = np.where(np.isnan(driven), np.inf, driven)
+    few = np.argpartition(driven, per_pair, axis=0)[:per_pair]
+    pair = np.broadcast_to(np.arange(i.size), few.shape)[np.isfinite(driven[few, np.arange(i.size)])]
+    form = few[np.isfinite(driven[few, np.arange(i.size)])]
+    lengths = words[form, pair]
+    # With the gears in which the nodes are left and reached, cusps at the joints count as well.
+    gears = np.column_stack((leaving.signs[i[pair]], lengths, -arriving.signs[j[pair]]))
+    prices = driven[form, pair] + leaving.prices[i[pair]] + arriving.prices[j[pair]]
+    prices += stopping_cost(limits) * gear_changes(gears)
+    kept = np.flatnonzero(_in_allowed_gears(gears, problem))
+    pair, form = pair[kept], form[kept]
+    return Connections(prices[kept], i[pair], j[pair], lengths[kept], TURNS[form] / radius)
+
+
+def _in_allowed_gears(gears: FloatArray, problem: DockingProblem) -> BoolArray:
+    """Whether a robot in motion keeps its gear at first, and the last gear is the one that the dock asks for."""
+    gears = np.where(np.abs(gears) > _NOTHING, gears, 0.0)
+    rows, is_moving = np.arange(len(gears)), gears != 0.0
+    allowed: BoolArray = is_moving.any(axis=1)
+    wanted = {DockDirection.FORWARD: 1.0, DockDirection.BACKWARD: -1.0}.get(problem.dock.direction)
+    if wanted is not None:
+        allowed &= gears[rows, -1 - np.argmax(is_moving[:, ::-1], axis=1)] * wanted > 0.0
+    if problem.start_speed != 0.0:
+        allowed &= gears[rows, np.argmax(is_moving, axis=1)] * problem.start_speed > 0.0
+    return allowed
+
+
+def free_manoeuvres(
+    found: Connections, exits: ArcTree, entries: ArcTree, space: FreeSpace, margin: float
+) -> Iterator[tuple[float, Arcs]]:
+    """Those whose words are free, in ascending order of price: the price, and the whole way from start to goal."""
+    for k in range(0, found.size, _BATCH):
+        space.poll()
+        some = slice(k, k + _BATCH)
+        words = Arcs(exits.poses[found.exits[some]], found.lengths[some], found.curvatures[some])
+        glanced = words.poses_at_shares(_GLANCE)
+        passed = space.is_free(glanced.reshape(-1, 3), margin).reshape(glanced.shape[:2]).all(axis=1)
+        for row in np.flatnonzero(passed).tolist():
+            space.poll()
+            word = words.rows(slice(row, row + 1))
+            if not space.is_free(word.poses_every(space.spacing), margin).all():
+                continue
+            r = k + row
+            parts = (
+                exits.way(int(found.exits[r])),
+                (found.lengths[r], found.curvatures[r]),
+                entries.way(int(found.entries[r])),
+            )
+            yield float(found.prices[r]), joined(space.problem.start.as_array(), *parts)

@@ -1,0 +1,251 @@
+"""Which poses are free: a distance field with covering discs decides most, exact distances the others.
+
+The field holds exact distances from grid points to the nearest obstacle piece; between grid points a distance changes
+by no more than the way there, so it bounds the distance of any point from below and above ([Ericson2005] ch. 7 has
+grids, [Ziegler2010] discs that cover a car). Discs that cover the footprint prove a pose free, discs inside it prove it
+blocked; what lies between is measured exactly. The field is computed in tiles, where somebody looks.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+from optdock.geometry.pose import transform_points
+from optdock.planners.manoeuvres.wavefront import Wavefront
+from optdock.verification import TOLERANCE, end_clearances, pose_clearances
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from optdock.geometry.arrays import BoolArray, FloatArray, IntArray
+    from optdock.geometry.footprint import Footprint
+    from optdock.geometry.separation import ConvexBody
+    from optdock.obstacles import ObstacleSet
+    from optdock.problem import DockingProblem
+
+__all__ = ["DistanceField", "FreeSpace"]
+
+_TILE = 32  # grid points along the side of a tile
+_TILES = 64  # along the side of the field, which is as large as fits around start and goal
+_POINTS_PER_WIDTH = 16.0  # of the robot: what lies between two grid points is decided exactly anyway
+_COARSE_POINTS_PER_WIDTH = 4.0  # of the grid on which ways around obstacles are measured
+_POSES_PER_WIDTH = 12.0  # looked at over a way as long as the robot is wide
+_BLOCK = 24  # pieces whose distances to a whole tile are found in one go
+_FINE_DISCS = 4  # across the width of the footprint
+_EXACT_BLOCK = 300  # poses measured exactly in one go, about 2 ms
+
+
+class DistanceField:
+    """Distances to the nearest obstacle, of points in a square around a place, up to a reach.
+
+    Args:
+        obstacles: What is there.
+        centre: Of the square, Shape (2,) [m].
+        spacing: Between grid points [m].
+        reach: Larger distances count as this one [m].
+        poll: Called before every tile.
+    """
+
+    def __init__(
+        self, obstacles: ObstacleSet, centre: FloatArray, spacing: float, reach: float, poll: Callable[[], None]
+    ) -> None:
+        self.poll, self.side = poll, _TILE * _TILES
+        self.spacing, self.reach = spacing, reach
+        self.origin = centre - 0.5 * spacing * (self.side - 1)
+        self._obstacles = obstacles
+        self._is_box = _are_boxes(obstacles)
+        self._slots = np.full(_TILES * _TILES, -1)  # where the values of a tile are; -1: nobody has looked there yet
+        self._values = np.empty((16, _TILE, _TILE))
+        self._count = 0
+
+    def bounds(self, points: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Lower and upper bounds of the distances of points, Shape (..., 2) [m]; off the field nothing is free."""
+        scaled = (points - self.origin) / self.spacing
+        cell = np.rint(scaled)
+        is_inside = np.all((cell >= 0) & (cell < self.side), axis=-1)
+        index = np.clip(cell, 0, self.side - 1).astype(np.int64)
+        distance = self.at(index)
+        offset = scaled - cell
+        away = self.spacing * np.sqrt(np.einsum("...i,...i->...", offset, offset))
+        return np.where(is_inside, distance - away, -np.inf), distance + away
+
+    def at(self, index: IntArray) -> FloatArray:
+        """Distances of grid points, Shape (..., 2) within the grid. Shape (...) [m]."""
+        i, j = index[..., 0], index[..., 1]
+        tile = (i // _TILE) * _TILES + j // _TILE
+        slot = self._slots[tile]
+        missing = slot < 0
+        if missing.any():
+            for one in np.unique(tile[missing]).tolist():
+                self._fill(one)
+            slot = self._slots[tile]
+        values: FloatArray = self._values[slot, i % _TILE, j % _TILE]
+        return values
+
+    def _fill(self, tile: int) -> None:
+        first = np.array(divmod(tile, _TILES)) * _TILE
+        axes = self.origin + (first + np.arange(_TILE)[:, None]) * self.spacing
+        self.poll()
+        low, high = axes[0] - self.reach, axes[-1] + self.reach
+        rows = self._obstacles.rows_in_box(low, high)
+        best = np.full((_TILE, _TILE), self.reach)
+        boxes, others = rows[self._is_box[rows]], rows[~self._is_box[rows]]
+        for some in _blocks(boxes):
+            np.minimum(best, _to_boxes(self._obstacles, some, axes), out=best)
+        for some in _blocks(others):
+            np.minimum(best, _to_polygons(self._obstacles, some, axes), out=best)
+        if self._count == len(self._values):
+            self._values = np.concatenate((self._values, np.empty_like(self._values)))
+        self._values[self._count] = best
+        self._slots[tile] = self._count
+        self._count += 1
+
+
+def _blocks(rows: IntArray) -> list[IntArray]:
+    return [rows[k : k + _BLOCK] for k in range(0, rows.size, _BLOCK)]
+
+
+def _are_boxes(obstacles: ObstacleSet) -> BoolArray:
+    """Which pieces are axis-aligned rectangles. Shape (m,)."""
+    x, y = obstacles.vertices[..., 0], obstacles.vertices[..., 1]
+    low, high = obstacles.lower, obstacles.upper
+    at_corner = ((x == low[:, :1]) | (x == high[:, :1])) & ((y == low[:, 1:]) | (y == high[:, 1:]))
+    turned: BoolArray = np.all(at_corner, axis=1)
+    if not turned.any():
+        return turned
+    step = np.roll(obstacles.vertices, -1, axis=1) - obstacles.vertices
+    # Of a rectangle's corners no step leads across.
+    turned &= np.all((step[..., 0] == 0.0) | (step[..., 1] == 0.0), axis=1)
+    return turned
+
+
+def _to_boxes(obstacles: ObstacleSet, rows: IntArray, axes: FloatArray) -> FloatArray:
+    low, high = obstacles.lower[rows], obstacles.upper[rows]
+    x = np.maximum(low[:, 0] - axes[:, :1], axes[:, :1] - high[:, 0])[:, None, :]
+    y = np.maximum(low[:, 1] - axes[:, 1:], axes[:, 1:] - high[:, 1])[None]
+    outside = np.sqrt(np.maximum(x, 0.0) ** 2 + np.maximum(y, 0.0) ** 2)
+    nearest: FloatArray = (outside + np.minimum(np.maximum(x, y), 0.0)).min(axis=2)
+    return nearest
+
+
+def _to_polygons(obstacles: ObstacleSet, rows: IntArray, axes: FloatArray) -> FloatArray:
+    x, y = (axis[..., None] for axis in np.meshgrid(axes[:, 0], axes[:, 1], indexing="ij"))
+    vertices, normals, offsets = (part[rows] for part in (obstacles.vertices, obstacles.normals, obstacles.offsets))
+    squared: FloatArray | float = np.inf
+    height: FloatArray | float = -np.inf
+    ends = np.roll(vertices, -1, axis=1)
+    for k in range(vertices.shape[1]):
+        px, py = vertices[:, k].T
+        ex, ey = (ends[:, k] - vertices[:, k]).T
+        norm = np.maximum(ex * ex + ey * ey, 1e-300)
+        share = np.clip(((x - px) * ex + (y - py) * ey) / norm, 0.0, 1.0)
+        squared = np.minimum(squared, (x - px - share * ex) ** 2 + (y - py - share * ey) ** 2)
+        height = np.maximum(height, normals[:, k, 0] * x + normals[:, k, 1] * y - offsets[:, k])
+    distance = np.sqrt(squared)
+    nearest: FloatArray = np.where(np.asarray(height) < 0.0, -distance, distance).min(axis=2)
+    return nearest
+
+
+class _Discs(NamedTuple):
+    """Centres (k, 2) [m]; radius that together cover a body; radii (k,) of discs inside it, negative where none is."""
+
+    centres: FloatArray
+    cover: float
+    inside: FloatArray
+
+
+def _discs(body: ConvexBody, across: int) -> _Discs:
+    """One disc for every square of the body's bounding box, which has `across` of them on its shorter side."""
+    low, high = body.vertices.min(axis=0), body.vertices.max(axis=0)
+    size = high - low
+    side = float(size.min()) / across
+    counts = np.maximum(np.ceil(size / side - 1e-9), 1.0)
+    xs, ys = (low[i] + size[i] * (np.arange(int(counts[i])) + 0.5) / counts[i] for i in (0, 1))
+    centres = np.column_stack([axis.ravel() for axis in np.meshgrid(xs, ys, indexing="ij")])
+    cover = 0.5 * float(np.hypot(*(size / counts)))
+    inside = np.min(body.offsets - centres @ body.normals.T, axis=1)
+    # Squares that lie beside the body cover nothing.
+    kept = inside > -cover
+    return _Discs(centres[kept], cover, inside[kept])
+
+
+class FreeSpace:
+    """Which poses keep the clearance that a problem asks for, and a margin.
+
+    Args:
+        problem: What must hold.
+        poll: Called every few milliseconds of work; raises where the caller wants no more.
+
+    Attributes:
+        spacing: Between poses that stand for a whole way [m].
+    """
+
+    def __init__(self, problem: DockingProblem, poll: Callable[[], None]) -> None:
+        self.problem, self.poll = problem, poll
+        self.footprint: Footprint = problem.robot.footprint
+        self.obstacles = problem.all_obstacles
+        ends = np.stack((problem.start.as_array(), problem.goal.as_array()))
+        self._start, self._goal = ends[:, :2]
+        clearances = end_clearances(problem)
+        self._start_clearance, self._goal_clearance = clearances.start, clearances.goal
+        radius = self.footprint.circumscribed_radius
+        self._reach = radius + problem.clearance.required
+        spread = float(np.abs(self._goal - self._start).max())
+        width = min(self.footprint.width, self.footprint.length)
+        self.spacing = width / _POSES_PER_WIDTH
+        spacing = width / _POINTS_PER_WIDTH
+        spacing = max(spacing, 2.0 * spread / (_TILE * _TILES))
+        self.field = DistanceField(self.obstacles, ends[:, :2].mean(axis=0), spacing, 2.0 * self._reach, poll)
+        bodies = self.footprint.bodies
+        self._levels = tuple(tuple(_discs(body, across) for body in bodies) for across in (1, _FINE_DISCS))
+
+    def wavefront(self, source: FloatArray) -> Wavefront:
+        """Lengths of ways around the obstacles from a place, Shape (2,) [m], for a disc inside the footprint."""
+        width = min(self.footprint.width, self.footprint.length)
+        spacing = max(self.field.spacing, width / _COARSE_POINTS_PER_WIDTH)
+        field = DistanceField(self.obstacles, 0.5 * (self._start + self._goal), spacing, 2.0 * width, self.poll)
+        return Wavefront(field, source, self.footprint.inscribed_radius)
+
+    def required(self, poses: FloatArray, margin: float) -> FloatArray:
+        """Required clearance at poses, and the margin, which tapers off towards both ends. Shape (n,) [m]."""
+        from_start = np.hypot(*(poses[:, :2] - self._start).T)
+        from_goal = np.hypot(*(poses[:, :2] - self._goal).T)
+        rule: FloatArray = self.problem.clearance.required_at(from_goal, from_start, self._start_clearance)
+        if margin <= 0.0:
+            return rule
+        at_start = max(self._start_clearance, 0.0) + 0.25 * from_start
+        at_goal = max(self._goal_clearance, 0.0) + 0.25 * from_goal
+        kept: FloatArray = np.maximum(rule, np.minimum(rule + margin, np.minimum(at_start, at_goal)))
+        return kept
+
+    def is_free(self, poses: FloatArray, margin: float = 0.0) -> BoolArray:
+        """Whether poses, Shape (n, 3), keep the required clearance and the margin. Shape (n,)."""
+        if len(self.obstacles) == 0 or len(poses) == 0:
+            return np.ones(len(poses), dtype=np.bool_)
+        required = self.required(poses, margin) - TOLERANCE
+        free = np.zeros(len(poses), dtype=np.bool_)
+        open_rows = np.arange(len(poses))
+        for level in self._levels:
+            is_covered = np.ones(open_rows.size, dtype=np.bool_)
+            is_blocked = np.zeros(open_rows.size, dtype=np.bool_)
+            for discs in level:
+                lower, upper = self.field.bounds(transform_points(poses[open_rows], discs.centres))
+                is_covered &= lower.min(axis=1) - discs.cover >= required[open_rows]
+                is_blocked |= (upper - discs.inside).min(axis=1) < required[open_rows]
+                is_blocked |= np.isneginf(lower).any(axis=1)
+            free[open_rows[is_covered]] = True
+            open_rows = open_rows[~is_covered & ~is_blocked]
+            if open_rows.size == 0:
+                return free
+        for k in range(0, open_rows.size, _EXACT_BLOCK):
+            self.poll()
+            some = open_rows[k : k + _EXACT_BLOCK]
+            free[some] = self.clearances(poses[some], float(required[some].max()) + 1e-6) >= required[some]
+        return free
+
+    def clearances(self, poses: FloatArray, within: float = np.inf) -> FloatArray:
+        """Exact signed clearances of poses up to `within` [m]. Shape (n,)."""
+        found, _ = pose_clearances(poses, self.footprint, self.obstacles, within)
+        return found

@@ -1,0 +1,113 @@
+"""Hybrid A* from the goal back to the start, many nodes at a time, with Reeds-Shepp words as shots.
+
+[Dolgov2010] search over poses that are not rounded to a grid, keep one node per cell of a pose grid, and try from nodes
+whether the rest can be driven without regard to obstacles. Here the search begins at the goal, where space is tight:
+every node knows its way into the dock, and each new one is shot at from the start by the cheapest words. The bound of
+what is still to drive is the cheaper of all words, and the length of the shortest way among the obstacles for a disc.
+"""
+
+from __future__ import annotations
+
+import heapq
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from optdock.planners.manoeuvres.connections import Connections, Nodes, connections, free_manoeuvres
+from optdock.planners.manoeuvres.tree import Moves
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from optdock.geometry.arrays import BoolArray, FloatArray, IntArray
+    from optdock.planners.manoeuvres.arcs import Arcs
+    from optdock.planners.manoeuvres.free_space import FreeSpace
+    from optdock.planners.manoeuvres.tree import ArcTree
+    from optdock.planners.manoeuvres.wavefront import Wavefront
+
+__all__ = ["PoseGrid", "hybrid_a_star"]
+
+_EXPANDED = 24  # nodes in one go
+_WORDS_PER_NODE = 4
+_SHOTS = 48  # words looked at after each expansion
+_CELLS_PER_WIDTH, _YAWS = 10.0, 60  # of the pose grid: cells along the robot's width, headings
+_STATIONS = np.array([0.25, 0.5, 1.0])  # where a node is left on an arc, in turning radii
+
+
+class PoseGrid:
+    """Cells of poses, each of which is entered once.
+
+    Args:
+        side: Of a cell [m].
+        headings: How many.
+    """
+
+    def __init__(self, side: float, headings: int) -> None:
+        self._side, self._headings = side, headings
+        self._seen: set[int] = set()
+
+    def enter(self, poses: FloatArray) -> BoolArray:
+        """Which of the poses, Shape (n, 3), are the first in their cells. Shape (n,)."""
+        x, y = np.floor(poses[:, :2] / self._side).astype(np.int64).T
+        yaw = np.rint(poses[:, 2] * (self._headings / (2.0 * np.pi))).astype(np.int64) % self._headings
+        keys = ((x * 0x100000 + y) * self._headings + yaw).tolist()
+        new = np.zeros(len(poses), dtype=np.bool_)
+        for i, key in enumerate(keys):
+            if key not in self._seen:
+                self._seen.add(key)
+                new[i] = True
+        return new
+
+
+def hybrid_a_star(  # noqa: PLR0913, PLR0917 - both ends, what is free, how sharply and how long
+    exits: Nodes,
+    entries: Nodes,
+    space: FreeSpace,
+    radius: float,
+    margin: float,
+    most_nodes: int,
+    wavefront: Wavefront | None,
+) -> Iterator[tuple[float, Arcs]]:
+    """Free manoeuvres as they are found: the price, and the whole way from start to goal.
+
+    Args:
+        exits: Nodes of the start's tree from which shots are taken.
+        entries: Nodes of the goal's tree from which the search goes on; its tree grows.
+        space: What is free.
+        radius: Of all arcs [m].
+        margin: Beside the required clearance [m].
+        most_nodes: Where the search ends.
+        wavefront: Lengths of the shortest ways from the start for a disc; None: not asked.
+    """
+    tree, footprint, limits = entries.tree, space.footprint, space.problem.robot.limits
+    speed = max(limits.max_speed, limits.max_reverse_speed)
+    grid = PoseGrid(min(footprint.width, footprint.length) / _CELLS_PER_WIDTH, _YAWS)
+    grid.enter(tree.poses)
+    moves = Moves.of((1.0, -1.0), (0.0, 1.0 / radius, -1.0 / radius))
+    opened: list[tuple[float, int]] = []
+    shots: list[Connections] = []
+    fresh, nodes = entries.rows, 0
+    while fresh.size:
+        words = connections(exits, Nodes(tree, fresh), radius, space, _WORDS_PER_NODE)
+        shots = [Connections.merged([*shots, words])]
+        for bound, row in zip(_bounds(tree, fresh, words, speed, wavefront).tolist(), fresh.tolist(), strict=True):
+            heapq.heappush(opened, (bound, row))
+        looked, shots = shots[0].rows(slice(_SHOTS)), [shots[0].rows(slice(_SHOTS, None))]
+        yield from free_manoeuvres(looked, exits.tree, tree, space, margin)
+        fresh = fresh[:0]
+        while fresh.size == 0 and opened and nodes < most_nodes:
+            rows = np.array([heapq.heappop(opened)[1] for _ in range(min(_EXPANDED, len(opened)))])
+            fresh = tree.grow(rows, moves, radius * _STATIONS, space, margin, grid.enter)
+            nodes += fresh.size
+    for rest in shots:
+        yield from free_manoeuvres(rest, exits.tree, tree, space, margin)
+
+
+def _bounds(tree: ArcTree, rows: IntArray, words: Connections, speed: float, wavefront: Wavefront | None) -> FloatArray:
+    """Estimated prices of the whole manoeuvres through nodes. Shape (n,)."""
+    cheapest = np.full(len(tree), np.inf)
+    np.minimum.at(cheapest, words.entries, words.prices)
+    found: FloatArray = cheapest[rows]
+    if wavefront is not None:
+        found = np.maximum(found, tree.prices[rows] + wavefront.lengths(tree.poses[rows, :2]) / speed)
+    return found

@@ -1,0 +1,111 @@
+"""The manoeuvre planner as a plugin."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from typing import TYPE_CHECKING, ClassVar
+
+from pydantic import Field
+
+from optdock.errors import InvalidValue, LifecycleError, NoValidPathCouldBeFound, PlannerCancelled
+from optdock.interfaces import GlobalPlanner, LifecycleState, never_cancelled
+from optdock.parameters import PluginParameters
+from optdock.planners.manoeuvres.stages import Stages
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator
+
+    from optdock.geometry.pose import Pose2
+    from optdock.outcomes import Guess
+    from optdock.path import Path
+    from optdock.problem import DockingProblem
+
+__all__ = ["ManoeuvrePlanner", "ManoeuvrePlannerParameters"]
+
+
+class ManoeuvrePlannerParameters(PluginParameters):
+    """What the manoeuvre planner can be told."""
+
+    turning_radius_factor: float = Field(
+        1.25, ge=1.0, le=3.0, description="radius of the arcs tried first, in smallest turning radii of the robot"
+    )
+
+
+class ManoeuvrePlanner(GlobalPlanner):
+    """Plans manoeuvres with cusps among obstacles: Reeds-Shepp words between trees of arcs around start and goal.
+
+    Every path keeps the clearance that the problem asks for and the turning radius of the robot; its curvature jumps
+    where arcs meet, which is left to a smoother. It needs a problem, so it must be configured before it plans.
+
+    Args:
+        **parameters: See `ManoeuvrePlannerParameters`.
+
+    Raises:
+        InvalidValue: A parameter is unknown, of the wrong type or out of range.
+    """
+
+    Parameters: ClassVar[type[PluginParameters]] = ManoeuvrePlannerParameters
+    parameters: ManoeuvrePlannerParameters
+
+    def on_configure(self) -> None:
+        """Check the surroundings.
+
+        Raises:
+            InvalidValue: The context holds no problem.
+        """
+        if self.context.problem is None:
+            raise InvalidValue(f"{self.context.name}: needs a problem; configure it with PluginContext(problem=...)")
+
+    def create_plan(self, start: Pose2, goal: Pose2, cancel_checker: Callable[[], bool] = never_cancelled) -> Path:
+        """The first of `create_plans`.
+
+        Raises:
+            LifecycleError: The planner is not configured.
+            NoValidPathCouldBeFound: Nothing was found; that is no proof that there is nothing.
+            PlannerCancelled: `cancel_checker` returned True.
+        """
+        return next(self.create_plans(start, goal, cancel_checker)).path
+
+    def create_plans(
+        self,
+        start: Pose2,
+        goal: Pose2,
+        cancel_checker: Callable[[], bool] = never_cancelled,
+        better_than: Callable[[], float] = lambda: math.inf,
+    ) -> Iterator[Guess]:
+        """Collision-free manoeuvres, stage by stage, within a stage the cheapest first.
+
+        Raises:
+            LifecycleError: The planner is not configured.
+            NoValidPathCouldBeFound: Nothing was found; that is no proof that there is nothing.
+            PlannerCancelled: `cancel_checker` returned True.
+        """
+        problem = self._problem(start, goal)
+
+        def poll() -> None:
+            if cancel_checker():
+                raise PlannerCancelled("cancelled while a manoeuvre was searched for")
+
+        poll()
+        count = 0
+        for guess in Stages(problem, self.parameters.turning_radius_factor, poll, better_than).guesses():
+            count += 1
+            self.context.logger.debug("%s: %s, %r", self.context.name, guess.stage, guess.path)
+            yield guess
+        if count == 0:
+            raise NoValidPathCouldBeFound(
+                f"manoeuvre planner: no free manoeuvre found from {start.brief} to {goal.brief}; "
+                "there may still be one",
+                where={"start": start.as_array().tolist(), "goal": goal.as_array().tolist()},
+            )
+
+    def _problem(self, start: Pose2, goal: Pose2) -> DockingProblem:
+        problem = self.context.problem_at_hand(None)
+        if self.state not in (LifecycleState.INACTIVE, LifecycleState.ACTIVE) or problem is None:
+            raise LifecycleError(
+                f"{self.context.name}: cannot plan when {self.state.value}; call configure(PluginContext(...)) first"
+            )
+        if start == problem.start and goal == problem.goal:
+            return problem
+        return dataclasses.replace(problem, start=start, dock=dataclasses.replace(problem.dock, pose=goal))

@@ -1,0 +1,161 @@
+"""Trees of arcs that grow from an end pose of a manoeuvre: out of the dock backwards in time, or away from the start.
+
+What grows is the same in both cases; only the direction of driving differs. From a node the robot drives an arc or a
+straight line in either gear as far as it is free, and leaves nodes on its way.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+from optdock.planners.manoeuvres.arcs import Arcs, advance
+from optdock.planners.manoeuvres.price import stopping_cost
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from optdock.geometry.arrays import BoolArray, FloatArray, IntArray
+    from optdock.limits import MotionLimits
+    from optdock.planners.manoeuvres.free_space import FreeSpace
+
+__all__ = ["ArcTree", "Moves", "joined"]
+
+_STRIDE, _ABREAST = 8, 64  # poses per arc, and arcs, that are checked in one go; blocked arcs are given up after it
+
+
+class Moves(NamedTuple):
+    """What may be driven from every node: signs of the lengths and curvatures, Shape (c,) each [1/m]."""
+
+    signs: FloatArray
+    curvatures: FloatArray
+
+    @classmethod
+    def of(cls, signs: tuple[float, ...], curvatures: tuple[float, ...]) -> Moves:
+        """Every sign with every curvature."""
+        grid = np.array([(sign, curvature) for sign in signs for curvature in curvatures])
+        return cls(grid[:, 0], grid[:, 1])
+
+
+class _Starts(NamedTuple):
+    """Where arcs begin, and how: poses (n, 3), signs and curvatures (n,)."""
+
+    poses: FloatArray
+    signs: FloatArray
+    curvatures: FloatArray
+
+
+class ArcTree:
+    """Nodes that are reached from a root by free arcs.
+
+    Args:
+        root: The pose where it begins, Shape (3,).
+        limits: For the prices of its nodes.
+        gear: The sign that a positive length has when it is driven: 1 from the start, -1 from the goal, where growing
+            is driving back in time.
+
+    Attributes:
+        poses: Shape (n, 3).
+        prices: Of the way between root and node, Shape (n,) [s].
+        signs: Sign of the length of the last arc, 0 at the root. Shape (n,).
+    """
+
+    def __init__(self, root: FloatArray, limits: MotionLimits, gear: int) -> None:
+        self.gear, self._limits = gear, limits
+        self.poses, self.prices, self.signs = root[None].copy(), np.zeros(1), np.zeros(1)
+        self.parents = np.full(1, -1)
+        self.lengths, self.curvatures = np.zeros(1), np.zeros(1)
+        self._stop = stopping_cost(limits)
+
+    def __len__(self) -> int:
+        return len(self.poses)
+
+    def grow(
+        self,
+        rows: IntArray,
+        moves: Moves,
+        stations: FloatArray,
+        space: FreeSpace,
+        margin: float,
+        is_new: Callable[[FloatArray], BoolArray] | None = None,
+    ) -> IntArray:
+        """Drive all moves from the nodes at `rows`; the rows of the new nodes.
+
+        Args:
+            rows: Where to begin.
+            moves: What to drive.
+            stations: Ascending lengths after which a node is left, and where the last pose was free [m].
+            space: What is free.
+            margin: Beside the required clearance [m].
+            is_new: Which of the poses found, in ascending order of price, are worth a node; None: all.
+        """
+        node = np.repeat(rows, moves.signs.size)
+        sign, curvature = np.tile(moves.signs, rows.size), np.tile(moves.curvatures, rows.size)
+        free = self._free_lengths(_Starts(self.poses[node], sign, curvature), float(stations[-1]), space, margin)
+        reached = np.where(stations <= free[:, None] + 1e-12, stations, 0.0)
+        # Where the way ends between two stations, its end is one as well.
+        last = np.where(reached.max(axis=1) < free - 0.5 * space.spacing, free, 0.0)
+        lengths = np.column_stack((reached, last))
+        arc, station = np.nonzero(lengths > 0.0)
+        return self._added(node[arc], sign[arc] * lengths[arc, station], curvature[arc], is_new)
+
+    @staticmethod
+    def _free_lengths(starts: _Starts, longest: float, space: FreeSpace, margin: float) -> FloatArray:
+        """How far each arc is free, up to `longest`. Shape (n,) [m]."""
+        free = np.zeros(starts.signs.size)
+        steps = space.spacing * np.arange(1, int(np.ceil(longest / space.spacing - 1e-9)) + 1)
+        steps[-1] = longest
+        going = np.arange(free.size)
+        for k in range(0, steps.size, _STRIDE):
+            some = steps[k : k + _STRIDE]
+            still = []
+            for block in range(0, going.size, _ABREAST):
+                space.poll()
+                mine = going[block : block + _ABREAST]
+                ends = advance(starts.poses[mine, None], starts.signs[mine, None] * some, starts.curvatures[mine, None])
+                good = space.is_free(ends.reshape(-1, 3), margin).reshape(mine.size, some.size)
+                count = np.where(good.all(axis=1), some.size, np.argmin(good, axis=1))
+                free[mine] = np.where(count > 0, some[np.maximum(count - 1, 0)], free[mine])
+                still.append(mine[count == some.size])
+            going = np.concatenate(still) if still else going
+        return free
+
+    def _added(
+        self,
+        parent: IntArray,
+        length: FloatArray,
+        curvature: FloatArray,
+        is_new: Callable[[FloatArray], BoolArray] | None,
+    ) -> IntArray:
+        speed = np.where(self.gear * length > 0.0, self._limits.max_speed, self._limits.max_reverse_speed)
+        sign = np.sign(length)
+        price = self.prices[parent] + np.abs(length) / speed + self._stop * (self.signs[parent] * sign < 0.0)
+        poses = advance(self.poses[parent], length, curvature)
+        order = np.argsort(price, kind="stable")
+        kept = order if is_new is None else order[is_new(poses[order])]
+        first = len(self)
+        self.poses = np.concatenate((self.poses, poses[kept]))
+        self.prices = np.concatenate((self.prices, price[kept]))
+        self.signs = np.concatenate((self.signs, sign[kept]))
+        self.parents = np.concatenate((self.parents, parent[kept]))
+        self.lengths = np.concatenate((self.lengths, length[kept]))
+        self.curvatures = np.concatenate((self.curvatures, curvature[kept]))
+        return np.arange(first, len(self))
+
+    def way(self, row: int) -> tuple[FloatArray, FloatArray]:
+        """Lengths and curvatures of the arcs between root and node, as they are driven. Shape (k,) each."""
+        lengths, curvatures = [], []
+        while row > 0:
+            lengths.append(self.lengths[row])
+            curvatures.append(self.curvatures[row])
+            row = int(self.parents[row])
+        found = np.array(lengths, dtype=np.float64), np.array(curvatures, dtype=np.float64)
+        # From node to root is how the way out of the goal is driven, its lengths the other way round.
+        return (-found[0], found[1]) if self.gear < 0 else (found[0][::-1], found[1][::-1])
+
+
+def joined(start: FloatArray, *parts: tuple[FloatArray, FloatArray]) -> Arcs:
+    """Ways one after the other, as one sequence of arcs from a pose."""
+    lengths, curvatures = (np.concatenate([part[i] for part in parts])[None] for i in (0, 1))
+    return Arcs(start[None], lengths, curvatures)
