@@ -110,7 +110,7 @@ def test_public_cases_are_whole(real_data):
 @pytest.fixture(scope="module")
 def planned():
     case = next(case for case in cases.near_dock() if case.name == "3 cm aside, 1.00 m before")
-    return case, plan_dock(case.problem, time_budget=5.0)
+    return case, plan_dock(case.problem, time_budget=5.0, planner="DockPlanner")
 
 
 def test_a_certified_plan_is_confirmed(planned):
@@ -151,7 +151,7 @@ def test_the_check_sees_a_broken_rule(planned, changed, told):
 def test_the_check_sees_wheels_that_turn_too_far_too_fast_or_while_nobody_waits():
     case = next(case for case in cases.near_dock() if case.name == "30 cm aside, 0.70 m before")
     limits = dataclasses.asdict(case.problem.robot.limits)
-    plan = plan_dock(case.problem, time_budget=5.0)
+    plan = plan_dock(case.problem, time_budget=5.0, planner="DockPlanner")
     bend = max(plan.certificate.max_curvature, 1e-3)
     angle = math.atan(0.5 * bend)
 
@@ -212,10 +212,10 @@ def test_a_refusal_is_recorded_with_its_reason():
 
 
 def test_the_program_writes_a_row_and_a_picture_per_case(tmp_path, capsys):
-    words = ["--family", "near dock", "--every", "60", "--out", str(tmp_path), "--figures", "--budget", "2"]
+    words = ["--family", "near dock", "--every", "100", "--out", str(tmp_path), "--figures", "--budget", "0.2"]
     assert main(words) == 0
     rows = list(csv.DictReader((tmp_path / "cases.csv").read_text().splitlines()))
-    assert [row["name"] for row in rows] == [case.name for case in cases.near_dock()[::60]]
+    assert [row["name"] for row in rows] == [case.name for case in cases.near_dock()[::100]]
     assert len(list((tmp_path / "figures").iterdir())) == len(rows)
     assert (tmp_path / "versions.json").is_file()
     told = capsys.readouterr().out
