@@ -17,6 +17,8 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from experiments.manoeuvres import count_cpu_seconds
+
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
@@ -108,6 +110,9 @@ def parser() -> argparse.ArgumentParser:
     made.add_argument("--budget", type=float, help="[s], instead of each family's own")
     made.add_argument("--seed", type=int, default=11, help="of the drawn families (default: %(default)s)")
     made.add_argument("--jobs", type=int, default=1, help="processes; times are comparable with one only")
+    made.add_argument(
+        "--cpu-clock", action="store_true", help="budgets in CPU seconds: on a machine that others use too"
+    )
     made.add_argument("--figures", action="store_true", help="a picture of every case")
     made.add_argument("--out", type=Path, default=Path("results/manoeuvres"), help="folder (default: %(default)s)")
     return made
@@ -117,10 +122,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Run it; the exit status is 1 where the independent check refuted a plan."""
     options = parser().parse_args(arguments)
     os.environ.update(dict.fromkeys(THREADS, "1"))  # numpy reads them once, when it is imported
+    if options.cpu_clock:
+        count_cpu_seconds()
     from experiments.manoeuvres.run import csv_text, versions
     from optdock.io.atomic_file import write_text
 
-    ran = {**versions(), "seed": str(options.seed), "command": options.command}
+    clock = "cpu" if options.cpu_clock else "wall"
+    ran = {**versions(), "seed": str(options.seed), "command": options.command, "clock": clock}
     print(", ".join(f"{name} {value}" for name, value in ran.items()))
     write_text(options.out / "versions.json", json.dumps(ran, indent=1) + "\n")
     records = {"cases": cases_command, "budgets": budgets_command}[options.command](options)
