@@ -116,7 +116,24 @@ class InitialGuesses:
     @cached_property
     def tracked(self) -> Variables:
         """The drivable path whose positions are nearest to the input's."""
-        return track(self.nlp, self.pool, self.fitted, self.is_late)
+        return track(self.nlp, self.pool, self._untracked[0], self.trust_region, self.is_late)
+
+    @cached_property
+    def trust_region(self) -> float:
+        """How far headings may turn in a first step [rad]: positions err by its square times half the length."""
+        settings, nlp = self.nlp.settings.guess, self.nlp
+        longest = settings.bold_length * nlp.radius
+        return settings.trust_region * math.sqrt(min(1.0, longest / float(nlp.lengths.sum())))
+
+    @cached_property
+    def _untracked(self) -> tuple[Variables, Variables]:
+        """The fit and the drive, the one that stays closer to the input first."""
+        nlp, settings = self.nlp, self.nlp.settings.guess
+        driven = self._driven(self.fitted)
+        turned = abs(float(driven.poses[-1, 2] - nlp.ends.target[2]))
+        if strayed(nlp, driven) < settings.astray and turned < settings.turned_away:
+            return self.fitted, self.pursued
+        return self.pursued, self.fitted
 
     @cached_property
     def _is_trackable(self) -> bool:
@@ -124,20 +141,12 @@ class InitialGuesses:
 
     @cached_property
     def _order(self) -> tuple[Variables, Variables]:
-        """With which to begin, and with which to go on.
-
-        The fit where it stays on the input. Else the tracked one, where the input can be tracked and the fit would
-        begin worse; else the fit or the drive.
-        """
-        nlp, settings = self.nlp, self.nlp.settings.guess
-        driven = self._driven(self.fitted)
-        away = strayed(nlp, driven)
-        if away > settings.off_the_input and self._is_trackable and self._begins_better(self.tracked, self.fitted):
-            return self.tracked, self.fitted
-        turned = abs(float(driven.poses[-1, 2] - nlp.ends.target[2]))
-        if away < settings.astray and turned < settings.turned_away:
-            return self.fitted, self.pursued
-        return self.pursued, self.fitted
+        """With which to begin, and with which to go on: the tracked one where the others leave the input to worse."""
+        settings, (first, second) = self.nlp.settings.guess, self._untracked
+        off = strayed(self.nlp, self._driven(first)) > settings.off_the_input
+        if off and self._is_trackable and self._begins_better(self.tracked, first):
+            return self.tracked, first
+        return first, second
 
     def _begins_better(self, one: Variables, other: Variables) -> bool:
         """Whether a search from the first would begin with the smaller merit."""
@@ -155,7 +164,7 @@ class InitialGuesses:
 
     def _cold(self, variables: Variables, patience: int) -> Guess:
         settings = self.nlp.settings.guess
-        return Guess(variables, settings.trust_region, settings.proximal / self.nlp.radius, patience)
+        return Guess(variables, self.trust_region, settings.proximal / self.nlp.radius, patience)
 
 
 class EarlierResult(NamedTuple):

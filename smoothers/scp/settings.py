@@ -75,7 +75,7 @@ class GuessSettings:
     astray: float = 0.4  # [m]: a fit that leads further from the input is not begun with
     turned_away: float = 0.4  # [rad], likewise at the goal
     off_the_input: float = 0.1  # [m]: a fit that leads further from the input may be worse than a tracked one
-    trackable: float = 0.15  # [m]: an input that cannot be tracked more closely is not drivable
+    trackable: float = 0.4  # [m]: an input that cannot be tracked more closely is not drivable
     different: float = 0.15  # [m]: guesses closer together lead to the same result
     different_on_the_input: float = 0.03  # [m], likewise, where the one is on the input
     pursuit_step: float = 0.25  # of the smallest radius, at most
@@ -84,6 +84,7 @@ class GuessSettings:
     earlier_lost: float = 0.5  # [m]: a robot further from the earlier path does not follow it
     earlier_shortest: float = 0.02  # [m]: less left of a gear is no guess
     trust_region: float = 0.45  # [rad]: first bound of the heading changes; 0.2 to 1.0 make no difference
+    bold_length: float = 12.0  # times the smallest radius: longer paths begin with smaller steps
     proximal: float = 0.67  # [m]: first weight of squared motion, times the largest curvature; 0.1 to 5 likewise
     trust_region_near: float = 0.2  # an earlier result is near the new one
     proximal_near: float = 0.067
@@ -101,7 +102,6 @@ class TrackingSettings:
     smoothness: float = 0.05  # times the search's weight of the squared curvature rate
     goal_weight: float = 100.0  # [1/m] of the error at the goal
     proximal: float = 1e-3  # weight of the squared step
-    trust_region: float = 0.45  # [rad], as the search's
     trust_growth: float = 2.0
     most_trust: float = 0.9  # [rad]
     trust_cut: float = 0.3
@@ -143,7 +143,7 @@ class StepSettings:
     """The quadratic program of one step."""
 
     zones: int = 6  # of the path, with one slack of clearance each: one alone costs 1 %, twelve cost time
-    trust_nodes: int = 12  # whose headings the trust region bounds
+    trust_nodes: int = 12  # whose headings the trust region bounds, at least
     clearance_rows: tuple[int, ...] = (48, 96, 160, 256, 400)  # programs are built for so many, and used again
     usual_shapes: tuple[tuple[tuple[int, int], ...], ...] = (  # built at warm-up: one to three gears
         ((24, 2),),

@@ -99,11 +99,13 @@ class Search(NamedTuple):
         guess: Where it begins, or None.
         thoroughly: With finer nodes and small obstacles looked at everywhere; worth trying among many obstacles only.
         after_the_goal: Only where the search before met the goal: one that is out of reach for the curvature stays so.
+        relieved: Under the weaker rule of clearance near the start; for robots that start too close to something.
     """
 
     guess: Callable[[InitialGuesses], Guess | None]
     thoroughly: bool = False
     after_the_goal: bool = False
+    relieved: bool = False
 
 
 def is_clothoid_answer(path: Path, problem: DockingProblem, settings: AnytimeSettings) -> bool:
@@ -163,6 +165,9 @@ STRATEGY: tuple[Given | Search, ...] = (
     Search(lambda guesses: guesses.first, thoroughly=True),
     Search(lambda guesses: guesses.on_the_input, thoroughly=True),
     Search(lambda guesses: guesses.other, thoroughly=True, after_the_goal=True),
+    Search(lambda guesses: guesses.first, relieved=True),
+    Search(lambda guesses: guesses.on_the_input, relieved=True),
+    Search(lambda guesses: guesses.other, relieved=True, after_the_goal=True),
     Given(SmoothingStatus.WARM_START_KEPT, earlier_answer),
 )
 """Everything that is tried, in this order."""
@@ -268,6 +273,12 @@ class Solver:
                 return False
             self._nlp, self._guesses = self._prepared_thoroughly()
             self._is_thorough, self._closest = True, None
+        if row.relieved and self._nlp.scene.start_relief == 0.0:
+            if self._nlp.scene.start_clearance >= self.call.problem.clearance.required:
+                return False
+            scene = replace(self._nlp.scene, start_relief=self.call.problem.start_run)
+            self._nlp = replace(self._nlp, scene=scene)
+            self._guesses, self._closest = replace(self._guesses, nlp=self._nlp), None
         failed = self.outcome.last
         if row.after_the_goal and not (failed is not None and failed.on_goal):
             return False

@@ -38,19 +38,22 @@ def strayed(nlp: NonlinearProgram, rollout: Rollout) -> float:
     return float(np.hypot(*(rollout.poses[:, :2] - nlp.traced.positions).T).max())
 
 
-def track(nlp: NonlinearProgram, pool: ProgramPool, variables: Variables, is_late: Callable[[], bool]) -> Variables:
+def track(
+    nlp: NonlinearProgram, pool: ProgramPool, variables: Variables, trust_region: float, is_late: Callable[[], bool]
+) -> Variables:
     """The variables after some Gauss-Newton steps towards the input's positions.
 
     Args:
         nlp: Holds the input, the ends and the bounds.
         pool: Convex programs.
         variables: Where to begin.
+        trust_region: First bound of the heading changes of a step [rad].
         is_late: Asked before every step; once it is True what is reached is returned.
     """
     settings, knots = nlp.settings.tracking, nlp.basis.num_knots
     least_squares = _LeastSquares.of(nlp)
     current = least_squares.at(limit_rate(nlp.basis, variables, nlp.inner_bounds))
-    trust_region, penalties = settings.trust_region, Penalties(0.0, settings.goal_weight)
+    penalties = Penalties(0.0, settings.goal_weight)
     around: Subproblem | None = None
     for _ in range(settings.most_steps):
         if is_late():

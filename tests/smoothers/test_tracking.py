@@ -59,7 +59,7 @@ def driven(nlp, variables):
 
 
 def tracked(nlp):
-    return track(nlp, pool_of_this_thread(), InitialGuesses(nlp).fitted, lambda: False)
+    return track(nlp, pool_of_this_thread(), InitialGuesses(nlp).fitted, 0.45, lambda: False)
 
 
 @pytest.mark.parametrize("word", WORDS)
@@ -89,7 +89,7 @@ def test_what_is_drivable_already_is_left_where_it_is():
 def test_it_stops_at_once_when_it_is_late():
     nlp = program_of(driven_word(WORDS[0]))
     fitted = InitialGuesses(nlp).fitted
-    late = track(nlp, pool_of_this_thread(), fitted, lambda: True)
+    late = track(nlp, pool_of_this_thread(), fitted, 0.45, lambda: True)
     assert strayed(nlp, driven(nlp, late)) > strayed(nlp, driven(nlp, tracked(nlp)))
 
 
