@@ -110,7 +110,7 @@ def _planned(record: Record, case: Case, plan: DockPlan) -> Record:
         certificate=repr(proof),
         min_clearance=proof.min_clearance,
         margin=proof.margin,
-        start_relief=float(getattr(proof, "start_relief", 0.0)),
+        start_relief=proof.start_relief,
         duration=plan.trajectory.duration,
         price=float(getattr(plan, "price", plan.trajectory.duration)),
         length=plan.path.length,

@@ -121,6 +121,23 @@ def test_a_certified_plan_is_confirmed(planned):
     assert found.poses > plan.path.length / 0.01
 
 
+def test_the_check_knows_both_rules_near_a_start_along_a_wall():
+    """A straight drive, 2 cm beside a wall all along: kept by the weaker rule, broken by the strict one."""
+    case = next(case for case in cases.near_dock() if case.name == "0 cm aside, 1.00 m before")
+    plan = plan_dock(case.problem, time_budget=5.0, planner="DockPlanner")
+    outline = case.problem.robot.footprint
+    low, high = 0.5 * outline.width + 0.02, 0.5 * outline.width + 0.1
+    walled = dataclasses.replace(case.problem, obstacles=[[[-1.45, low], [0.45, low], [0.45, high], [-1.45, high]]])
+
+    def faults(run):
+        proof = dataclasses.replace(plan.certificate, start_relief=run)
+        return checked(dataclasses.replace(plan, certificate=proof), walled).faults
+
+    assert "clearance" in faults(0.0)[0]
+    assert faults(outline.length) == ()
+    assert faults(2.0) == ("start relief of 2.0000 m, 0.9000 m are allowed",)
+
+
 def with_limits(problem, **limits):
     return dataclasses.replace(
         problem, robot=Robot(problem.robot.footprint, MotionLimits(**limits), problem.robot.drive)
