@@ -306,6 +306,7 @@ class _Search:
         cost = np.array(self.cost)
         first, second = np.concatenate((joints, joints[:, ::-1])).T
         graph = sparse.csr_matrix((cost[second], (first, second)), shape=(cost.size, cost.size))
+        self.graph = graph
         spent, before = csgraph.dijkstra(graph, indices=np.array([1]), return_predecessors=True)
         if not np.isfinite(spent[0, 2]):
             return True
@@ -332,22 +333,41 @@ class _Search:
         return bool(split)
 
     def proof(self, bottleneck: Bottleneck | None) -> ImpossibilityProof:
-        tiles: dict[bool, list[tuple[int, int, int]]] = {True: [], False: []}
+        """The proof, once no route is left: around the goal, or around the start where the goal is in the open."""
+        goal = self._reached(2)
+        end, reached = ("start", self._reached(1)) if goal[0] else ("goal", goal)
+        tiles: dict[tuple[int, int, int], BoolArray] = {}
+        whole = []
         for tile in self.tiles.values():
-            tiles[tile.margin is not None].append(tile[:3])
-        seen, unseen = (np.array(sorted(tiles[which]), dtype=np.int64).reshape(-1, 3) for which in (True, False))
+            if tile.margin is None:
+                whole += [tile[:3]] if reached[tile.labels].all() else []
+            elif tile.labels.max() >= 0:
+                tiles[tile[:3]] = (tile.labels >= 0) & reached[tile.labels]
+            else:
+                tiles[tile[:3]] = tile.labels >= 0
+        order = sorted(tiles)
         (x, y), (cx, cy) = self.grid.origin.tolist(), self.body.centre.tolist()
         return ImpossibilityProof(
+            end,
             (x, y),
             self.grid.cell,
             self.grid.headings,
             (cx, cy),
             self.body.discs,
-            seen,
-            unseen,
+            np.array(order, dtype=np.int64).reshape(-1, 3),
+            tuple(tiles[place] for place in order),
+            np.array(sorted(whole), dtype=np.int64).reshape(-1, 3),
             bottleneck,
             self.problem.fingerprint,
         )
+
+    def _reached(self, node: int) -> BoolArray:
+        """Which nodes are joined to a node."""
+        from scipy.sparse import csgraph
+
+        component = csgraph.connected_components(self.graph, directed=False)[1]
+        found: BoolArray = component == component[node]
+        return found
 
     def _new_nodes(self, count: int, cost: float) -> None:
         self.cost.extend([cost] * count)
