@@ -295,6 +295,9 @@ def _fault(proof: ImpossibilityProof, problem: DockingProblem) -> str:
     """What is wrong with a proof before any cell is looked at; empty where nothing is."""
     import shapely
 
+    shapes = [(proof.headings << level, CELLS, CELLS) for level in proof.tiles[:, 0].tolist()]
+    if [cells.shape for cells in proof.inside] != shapes:
+        return "the cells do not fit the tiles"
     known = [tuple(tile) for tile in np.concatenate((proof.tiles, proof.whole)).tolist()]
     ancestors = {(level - up, i >> up, j >> up) for level, i, j in known for up in range(1, level + _LEVELS + 1)}
     if len(set(known)) < len(known) or set(known) & ancestors:
@@ -344,13 +347,13 @@ class _Rim:
             return "the set does not hold the end that it is around"
         if any(self.inside[k][cells].any() for k, cells in self._cells_at(outer)[0]):
             return "the set holds both ends"
-        for inside, blocked in zip(self.inside, self.blocked, strict=True):
+        for inside, rim in zip(self.inside, self.blocked, strict=True):
             for axis in (1, 2):
-                first, second = np.swapaxes(inside, 0, axis), np.swapaxes(blocked, 0, axis)
+                first, second = np.swapaxes(inside, 0, axis), np.swapaxes(rim, 0, axis)
                 second[1:] |= first[:-1] & ~first[1:]
                 second[:-1] |= first[1:] & ~first[:-1]
             for turned in (-1, 1):
-                blocked |= np.roll(inside, turned, axis=0) & ~inside
+                np.logical_or(rim, np.roll(inside, turned, axis=0) & ~inside, out=rim)
         return "" if self._is_closed_at_sides() else "the set goes on where no tile is"
 
     def _cells_at(self, pose: FloatArray) -> tuple[list[tuple[int, tuple[IntArray, ...]]], bool]:

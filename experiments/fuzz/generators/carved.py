@@ -1,7 +1,8 @@
-"""Scenes carved around a motion: all that the motion does not need is obstacle, so no proof that none exists may hold."""
+"""Scenes carved around a motion: all that it does not need is obstacle, and no proof that none exists may hold."""
 
 from __future__ import annotations
 
+import itertools
 import math
 from typing import TYPE_CHECKING, TypeAlias
 
@@ -112,7 +113,7 @@ def _at(shape: shapely.Geometry, pose: Floats) -> shapely.Geometry:
 def _hulls(pieces: list[shapely.Geometry], poses: Floats) -> list[shapely.Geometry]:
     """What the body sweeps between neighbouring poses: hulls of its pieces, with the sagitta of turns around them."""
     found = []
-    for first, second in zip(poses[:-1], poses[1:], strict=True):
+    for first, second in itertools.pairwise(poses):
         ends = [[_at(piece, pose) for pose in (first, second)] for piece in pieces]
         hull = shapely.union_all([shapely.convex_hull(shapely.union_all(pair)) for pair in ends])
         reach = max(shapely.hausdorff_distance(piece, shapely.Point(0.0, 0.0)) for piece in pieces)

@@ -35,7 +35,7 @@ def problem_of(case: Case) -> DockingProblem:
     x, y = case["moved"]
     start, goal = (Pose2(pose[0] + x, pose[1] + y, pose[2]) for pose in (case["start"], case["goal"]))
     robot = Robot(Footprint(np.array(case["footprint"]["polygon"])), _LIMITS)
-    obstacles = [np.array(polygon) + (x, y) for polygon in case["obstacles"]]
+    obstacles = [np.array(polygon) + np.array(case["moved"]) for polygon in case["obstacles"]]
     return DockingProblem(start, Dock(goal), robot, obstacles, ClearanceRule(*case["clearance"]))
 
 
