@@ -143,6 +143,28 @@ class ImpossibilityProof:
         why = self.bottleneck or f"the {self.end} is shut in"
         return f"no motion joins start and goal, reversing and turning in place included: {why}"
 
+    @property
+    def where(self) -> dict[str, object]:
+        """What a refusal says of it: pose, missing width and obstacle of the bottleneck, if it is known."""
+        found = self.bottleneck
+        if found is None:
+            return {}
+        pose = [found.x, found.y, found.yaw]
+        missing = {"missing_width": found.missing_width, "missing_without_clearance": found.missing_without_clearance}
+        return {"pose": pose, **missing, "obstacle": found.between[0] if found.between else ""}
+
+    def squares(self) -> list[FloatArray]:
+        """The places of the centre that some cell of the set has, as squares of corners, Shape (4, 2) each [m]."""
+        found = []
+        corners = np.array([(0.0, 0.0), (1.0, 0.0), (1.0, 1.0), (0.0, 1.0)])
+        for (level, column, row), cells in zip(self.tiles.tolist(), self.inside, strict=True):
+            side = 2.0 * self.cell / 2**level
+            for j, i in np.argwhere(cells.any(axis=0)).tolist():
+                found.append(self.origin + side * (corners + np.array([CELLS * column + i, CELLS * row + j])))
+        for level, column, row in self.whole.tolist():
+            found.append(self.origin + 2.0 * CELLS * self.cell * 2.0**-level * (corners + np.array([column, row])))
+        return found
+
     def as_dict(self) -> dict[str, object]:
         """Plain values for a plan file; the cells as bits, packed by zlib and written in base 64."""
         bits = b"".join(np.packbits(cells).tobytes() for cells in self.inside)
