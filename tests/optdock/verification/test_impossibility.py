@@ -247,7 +247,10 @@ def without_a_tile(proof):
         (without_a_tile, ""),
         (lambda proof: dataclasses.replace(proof, tiles=proof.tiles[:0], inside=()), "does not hold the end"),
         (lambda proof: dataclasses.replace(proof, discs=proof.discs * 1.05), "not within the footprint"),
-        (lambda proof: dataclasses.replace(proof, discs=proof.discs + (0.3, 0.0, 0.0)), "not within the footprint"),
+        (
+            lambda proof: dataclasses.replace(proof, discs=proof.discs + np.array([0.3, 0.0, 0.0])),
+            "not within the footprint",
+        ),
         (lambda proof: dataclasses.replace(proof, cell=0.5 * proof.cell), ""),
         (lambda proof: dataclasses.replace(proof, headings=2 * proof.headings), "do not fit"),
         (lambda proof: dataclasses.replace(proof, tiles=proof.tiles[[0, *range(len(proof.tiles) - 1)]]), ""),
