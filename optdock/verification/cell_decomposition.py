@@ -58,6 +58,7 @@ _GATHERED = 250_000  # distances read in one go, less than a millisecond
 _OPEN = 1e-6  # the cost of a node that looks open, or lies outside: of two routes that are open the shorter
 _FEWEST_HEADINGS = 8  # of level 0
 _SHARP = 0.25  # of half a cell: how sharp the margin of the widest route is found
+_ROUNDS = 8  # of finer cells for the bottleneck: four are usual, more where a wall is as thin everywhere
 _FINE = 0.04  # [m]: cells that know a missing width to that are not made finer
 _UNSURE = 2.2  # of half a cell: how much finer cells may change the margin of the widest route
 _SEEN_FROM = 30.0  # [m]: obstacles further from start and goal widen no tile
@@ -529,7 +530,7 @@ class _Search:
         tiles = self._coarse_tiles()
         low, high, half = -self.problem.clearance.required - float(self.body.discs[:, 2].max()), 0.0, self.grid.cell
         low -= half
-        while True:
+        for _ in range(_ROUNDS):
             while high - low > _SHARP * half:
                 middle = 0.5 * (low + high)
                 low, high = (middle, high) if self._by_margin(tiles, middle, middle).route() else (low, middle)

@@ -192,7 +192,7 @@ class ImpossibilityProof:
         try:
             document = _ProofDocument.model_validate(values)
             return cls._read(document)
-        except (ValueError, zlib.error) as error:  # pydantic's errors are ValueErrors
+        except (ValueError, TypeError, zlib.error) as error:  # pydantic's errors are ValueErrors
             raise InvalidFile(f"impossibility: {error}") from error
 
     @classmethod
