@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
     from optdock.geometry.arrays import BoolArray, FloatArray, IntArray
     from optdock.planners.manoeuvres.arcs import Arcs
-    from optdock.planners.manoeuvres.free_space import FreeSpace
+    from optdock.planners.manoeuvres.free_space import DistanceField, FreeSpace
     from optdock.planners.manoeuvres.tree import ArcTree
     from optdock.planners.manoeuvres.wavefront import Wavefront
 
@@ -30,27 +30,34 @@ __all__ = ["PoseGrid", "hybrid_a_star"]
 _EXPANDED = 24  # nodes in one go
 _WORDS_PER_NODE = 4
 _SHOTS = 48  # words looked at after each expansion
-_CELLS_PER_WIDTH, _YAWS = 10.0, 60  # of the pose grid: cells along the robot's width, headings
+_CELLS_PER_WIDTH, _YAWS = 10.0, 60  # of the pose grid where it is finest: cells along the robot's width, headings
+# Distances to obstacles, in reaches of the distance field, from which cells are so many times as large.
+_ROOM, _COARSER, _COARSEST_YAW = np.array([0.5, 0.75]), np.array([1.0, 3.0, 5.0]), 3.0
+_GREED = 1.5  # weight of what is still to drive
 _STATIONS = np.array([0.25, 0.5, 1.0])  # where a node is left on an arc, in turning radii
 
 
 class PoseGrid:
-    """Cells of poses, each of which is entered once.
+    """Cells of poses, each of which is entered once: fine among obstacles, coarse where there is room.
 
     Args:
-        side: Of a cell [m].
-        headings: How many.
+        fine: Side of the smallest cells, which have `_YAWS` headings [m].
+        field: Distances to the obstacles.
     """
 
-    def __init__(self, side: float, headings: int) -> None:
-        self._side, self._headings = side, headings
+    def __init__(self, fine: float, field: DistanceField) -> None:
+        self._fine, self._field = fine, field
         self._seen: set[int] = set()
 
     def enter(self, poses: FloatArray) -> BoolArray:
         """Which of the poses, Shape (n, 3), are the first in their cells. Shape (n,)."""
-        x, y = np.floor(poses[:, :2] / self._side).astype(np.int64).T
-        yaw = np.rint(poses[:, 2] * (self._headings / (2.0 * np.pi))).astype(np.int64) % self._headings
-        keys = ((x * 0x100000 + y) * self._headings + yaw).tolist()
+        room, _ = self._field.bounds(poses[:, :2])
+        level = np.searchsorted(_ROOM * self._field.reach, room)
+        scale = _COARSER[level]
+        x, y = np.floor(poses[:, :2] / (self._fine * scale)[:, None]).astype(np.int64).T
+        headings = (_YAWS / np.minimum(scale, _COARSEST_YAW)).astype(np.int64)
+        yaw = np.rint(poses[:, 2] * (headings / (2.0 * np.pi))).astype(np.int64) % headings
+        keys = (((x * 0x100000 + y) * _YAWS + yaw) * _COARSER.size + level).tolist()
         new = np.zeros(len(poses), dtype=np.bool_)
         for i, key in enumerate(keys):
             if key not in self._seen:
@@ -81,7 +88,7 @@ def hybrid_a_star(  # noqa: PLR0913, PLR0917 - both ends, what is free, how shar
     """
     tree, footprint, limits = entries.tree, space.footprint, space.problem.robot.limits
     speed = max(limits.max_speed, limits.max_reverse_speed)
-    grid = PoseGrid(min(footprint.width, footprint.length) / _CELLS_PER_WIDTH, _YAWS)
+    grid = PoseGrid(min(footprint.width, footprint.length) / _CELLS_PER_WIDTH, space.field)
     grid.enter(tree.poses)
     moves = Moves.of((1.0, -1.0), (0.0, 1.0 / radius, -1.0 / radius))
     opened: list[tuple[float, int]] = []
@@ -89,7 +96,7 @@ def hybrid_a_star(  # noqa: PLR0913, PLR0917 - both ends, what is free, how shar
     fresh, nodes = entries.rows, 0
     while fresh.size:
         words = connections(exits, Nodes(tree, fresh), radius, space, _WORDS_PER_NODE)
-        shots = [Connections.merged([*shots, words])]
+        shots = [Connections.merged([*shots, _long_enough(words, tree, wavefront)])]
         for bound, row in zip(_bounds(tree, fresh, words, speed, wavefront).tolist(), fresh.tolist(), strict=True):
             heapq.heappush(opened, (bound, row))
         looked, shots = shots[0].rows(slice(_SHOTS)), [shots[0].rows(slice(_SHOTS, None))]
@@ -103,11 +110,21 @@ def hybrid_a_star(  # noqa: PLR0913, PLR0917 - both ends, what is free, how shar
         yield from free_manoeuvres(rest, exits.tree, tree, space, margin)
 
 
+def _long_enough(words: Connections, tree: ArcTree, wavefront: Wavefront | None) -> Connections:
+    """Words that are not shorter than the shortest way among the obstacles: the others collide."""
+    if wavefront is None:
+        return words
+    least = wavefront.lengths(tree.poses[words.entries, :2])
+    return words.rows(np.flatnonzero(np.abs(words.lengths).sum(axis=1) >= least))
+
+
 def _bounds(tree: ArcTree, rows: IntArray, words: Connections, speed: float, wavefront: Wavefront | None) -> FloatArray:
     """Estimated prices of the whole manoeuvres through nodes. Shape (n,)."""
     cheapest = np.full(len(tree), np.inf)
     np.minimum.at(cheapest, words.entries, words.prices)
-    found: FloatArray = cheapest[rows]
+    driven = tree.prices[rows]
+    left: FloatArray = cheapest[rows] - driven
     if wavefront is not None:
-        found = np.maximum(found, tree.prices[rows] + wavefront.lengths(tree.poses[rows, :2]) / speed)
+        left = np.maximum(left, wavefront.lengths(tree.poses[rows, :2]) / speed)
+    found: FloatArray = driven + _GREED * left
     return found
