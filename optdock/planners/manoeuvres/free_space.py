@@ -184,6 +184,7 @@ class FreeSpace:
         poll: Called every few milliseconds of work; raises where the caller wants no more.
 
     Attributes:
+        width: The lesser extent of the footprint [m].
         spacing: Between poses that stand for a whole way [m].
     """
 
@@ -197,7 +198,7 @@ class FreeSpace:
         self._start_clearance, self._goal_clearance = clearances.start, clearances.goal
         radius = self.footprint.circumscribed_radius
         self._reach = radius + problem.clearance.required
-        width = min(self.footprint.width, self.footprint.length)
+        self.width = width = min(self.footprint.width, self.footprint.length)
         self.spacing = width / _POSES_PER_WIDTH
         side = max(_SIDE * width, 2.0 * float(np.abs(self._goal - self._start).max()))
         self._square = np.array((*ends[:, :2].mean(axis=0), side))
@@ -207,8 +208,7 @@ class FreeSpace:
 
     def wavefront(self, source: FloatArray) -> Wavefront:
         """Lengths of ways around the obstacles from a place, Shape (2,) [m], for a disc inside the footprint."""
-        width = min(self.footprint.width, self.footprint.length)
-        field = DistanceField(self.obstacles, self._square, 4.0 * self.field.spacing, 2.0 * width, self.poll)
+        field = DistanceField(self.obstacles, self._square, 4.0 * self.field.spacing, 2.0 * self.width, self.poll)
         return Wavefront(field, source, self.footprint.inscribed_radius)
 
     def required(self, poses: FloatArray, margin: float) -> FloatArray:
@@ -222,6 +222,14 @@ class FreeSpace:
         at_goal = max(self._goal_clearance, 0.0) + 0.25 * from_goal
         kept: FloatArray = np.maximum(rule, np.minimum(rule + margin, np.minimum(at_start, at_goal)))
         return kept
+
+    def may_be_free(self, poses: FloatArray) -> BoolArray:
+        """Whether no disc inside the footprint meets an obstacle: a quick first look. Shape (n,)."""
+        passed = np.ones(len(poses), dtype=np.bool_)
+        for discs in self._levels[0] if len(self.obstacles) else ():
+            _, upper = self.field.bounds(transform_points(poses, discs.centres))
+            passed &= (upper - discs.inside).min(axis=1) >= 0.0
+        return passed
 
     def is_free(self, poses: FloatArray, margin: float = 0.0) -> BoolArray:
         """Whether poses, Shape (n, 3), keep the required clearance and the margin. Shape (n,)."""
