@@ -4,16 +4,18 @@ VENV := .venv
 SECONDS := 600
 SEED := 1
 JOBS := 1
+ARGS :=
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
 
-.PHONY: help demo test check unit docs fuzz bench experiments clean
+.PHONY: help demo test check unit docs fuzz bench bench-manoeuvres experiments clean
 help:
 	@echo "make demo         built-in docking scenario, start to finish, pictures in demo/"
 	@echo "make test         the whole check: ruff, mypy, import-linter, pytest with doctests"
 	@echo "make docs         the documentation, warnings are errors; open site/index.html"
 	@echo "make fuzz         random problems against an independent oracle; SECONDS=600 SEED=1 JOBS=1, failures in results/fuzz/"
 	@echo "make bench        benchmarks, tables on stdout"
+	@echo "make bench-manoeuvres  from anywhere into the dock, tables on stdout, results/manoeuvres/; ARGS='--every 20'"
 	@echo "make experiments  every numbered script in experiments/, results in results/; on Nav2's maps too with OPTDOCK_DATA"
 
 $(STAMP): pyproject.toml
@@ -49,6 +51,9 @@ fuzz: $(STAMP)
 bench: $(STAMP)
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check -e '.[bench]'
 	$(BIN)/python -m experiments.benchmarks
+
+bench-manoeuvres: $(STAMP)
+	$(BIN)/python -m experiments.manoeuvres $(ARGS)
 
 experiments: $(STAMP)
 	failed=0; \

@@ -28,6 +28,7 @@ __all__ = [
     "InvalidValue",
     "LifecycleError",
     "MissingExtra",
+    "NoMotionExists",
     "NoValidControl",
     "NoValidPathCouldBeFound",
     "OptdockError",
@@ -165,6 +166,18 @@ class NoValidPathCouldBeFound(PlannerException):
     """There is no path of the kind this planner makes."""
 
     code = 208
+
+
+class NoMotionExists(NoValidPathCouldBeFound):
+    """No motion of any kind joins start and goal, and that is proven.
+
+    Attributes:
+        proof: The `ImpossibilityProof`.
+    """
+
+    def __init__(self, message: str, *, proof: object, where: Mapping[str, object] | None = None) -> None:
+        super().__init__(message, where=where)
+        self.proof = proof
 
 
 class PlannerCancelled(PlannerException, Cancelled):

@@ -4,11 +4,17 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, fields
+from typing import TYPE_CHECKING
+
+import numpy as np
 
 from optdock.errors import InvalidValue
 from optdock.geometry.checked import number
 
-__all__ = ["LIMIT_UNITS", "MotionLimits", "SpeedZone"]
+if TYPE_CHECKING:
+    from optdock.geometry.arrays import FloatArray
+
+__all__ = ["LIMIT_UNITS", "STEERING_UNITS", "MotionLimits", "SpeedZone", "check_steering"]
 
 
 @dataclass(frozen=True)
@@ -26,11 +32,15 @@ class MotionLimits:
         max_lateral_acceleration: speed^2 * |curvature| [m/s^2].
         max_wheel_speed: Rim speed of either wheel, |v| * (1 + track_width / 2 * |curvature|) [m/s].
         track_width: Distance between the wheels [m]; used with max_wheel_speed only.
-        max_curvature: 1 / smallest turning radius [1/m].
+        max_curvature: 1 / smallest turning radius [1/m]; never more than what `max_steering_angle` allows.
         max_curvature_rate: |d curvature / ds| [1/m^2].
+        wheelbase: Distance between the axles of a robot that steers its wheels [m]; needed by the two below.
+        max_steering_angle: Of the wheels, |atan(wheelbase * curvature)| [rad].
+        max_steering_rate: At which they turn [rad/s], at rest too: where the curvature jumps the robot waits for them.
 
     Raises:
-        InvalidValue: A bound is not > 0, NaN, or speeds, accelerations or jerk are infinite.
+        InvalidValue: A bound is not > 0, NaN, or speeds, accelerations or jerk are infinite; a steering angle of a
+            quarter turn or more; an angle or a rate without a wheelbase.
     """
 
     max_speed: float = 0.5
@@ -45,6 +55,9 @@ class MotionLimits:
     track_width: float = 0.0
     max_curvature: float = math.inf
     max_curvature_rate: float = math.inf
+    wheelbase: float = 0.0
+    max_steering_angle: float = math.inf
+    max_steering_rate: float = math.inf
 
     def __post_init__(self) -> None:
         for spec in fields(self):
@@ -53,6 +66,23 @@ class MotionLimits:
             rule, holds = _rule(spec.name, value)
             if not holds:
                 raise InvalidValue(f"limits.{spec.name}: must be {rule}, got {value}")
+        check_steering(self.wheelbase, self.max_steering_angle, self.max_steering_rate)
+        if math.isfinite(self.max_steering_angle):
+            tightest = math.tan(self.max_steering_angle) / self.wheelbase
+            object.__setattr__(self, "max_curvature", min(self.max_curvature, tightest))
+
+    def steering_angle(self, curvature: FloatArray) -> FloatArray:
+        """Angle of the wheels on a path of this curvature, driven forward; in reverse the opposite. Shape (n,) [rad].
+
+        The bicycle model [DeLuca2001]: the yaw rate is speed / wheelbase * tan(angle), with the sign of the speed.
+        """
+        angle: FloatArray = np.arctan(self.wheelbase * curvature)
+        return angle
+
+    def steering_times(self, curvatures: FloatArray) -> FloatArray:
+        """How long the wheels take to turn between curvatures as driven forward, Shape (n, 2) [1/m]. Shape (n,) [s]."""
+        turned: FloatArray = np.abs(np.diff(self.steering_angle(curvatures), axis=1)[:, 0])
+        return turned / self.max_steering_rate
 
 
 LIMIT_UNITS = {
@@ -68,16 +98,36 @@ LIMIT_UNITS = {
     "max_curvature": "1/m",
     "max_curvature_rate": "1/m^2",
 }
+STEERING_UNITS = {"max_steering_angle": "rad", "max_steering_rate": "rad/s"}  # of robots that steer their wheels only
 _FINITE = ("max_speed", "max_reverse_speed", "max_acceleration", "max_deceleration", "max_jerk")
 
 
+def check_steering(wheelbase: float, angle: float, rate: float) -> None:
+    """Refuse limits of a steering whose geometry nobody knows.
+
+    Args:
+        wheelbase: Distance between the axles [m]; 0 where it is not known.
+        angle: Largest steering angle [rad]; inf without a limit.
+        rate: Largest steering rate [rad/s]; likewise.
+
+    Raises:
+        InvalidValue: One of them is limited, and the wheelbase is 0.
+    """
+    for name, value in (("max_steering_angle", angle), ("max_steering_rate", rate)):
+        if math.isfinite(value) and wheelbase == 0.0:
+            unit = STEERING_UNITS[name]
+            raise InvalidValue(f"limits.{name}: {value} {unit} means nothing without wheelbase > 0 m")
+
+
 def _rule(name: str, value: float) -> tuple[str, bool]:
-    if name == "track_width":
+    if name in ("track_width", "wheelbase"):
         return "finite and >= 0 m", math.isfinite(value) and value >= 0.0
     if name in _FINITE:
         finite = math.isfinite(value)
         return f"{'' if finite else 'finite and '}> 0 {LIMIT_UNITS[name]}", finite and value > 0.0
-    return f"> 0 {LIMIT_UNITS[name]}", value > 0.0
+    if name == "max_steering_angle":
+        return "> 0 and < pi / 2 rad, or inf", 0.0 < value < 0.5 * math.pi or value == math.inf
+    return f"> 0 {(LIMIT_UNITS | STEERING_UNITS)[name]}", value > 0.0
 
 
 @dataclass(frozen=True)

@@ -129,6 +129,18 @@ class Path(FrozenArrays):
         """Arc lengths at which the gear changes [m]."""
         return tuple(float(s) for s in self.segment_starts[1:-1])
 
+    @property
+    def joint_curvatures(self) -> FloatArray:
+        """Curvature that the wheels are steered for just before and just after every cusp, Shape (cusps, 2) [1/m].
+
+        Signed as driven forward, a left turn of the wheels positive: what a gear drives in reverse, it steers mirrored.
+        """
+        ends = [
+            (int(segment.direction) * segment.curvature_at([0.0, segment.length])).tolist() for segment in self.segments
+        ]
+        joints = [(before[1], after[0]) for before, after in itertools.pairwise(ends)]
+        return np.array(joints, dtype=np.float64).reshape(-1, 2)
+
     @functools.cached_property
     def start(self) -> Pose2:
         """Pose at s = 0; before the turn where the path begins with one in place."""

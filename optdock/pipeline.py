@@ -1,4 +1,9 @@
-"""`plan_dock`: a docking problem in, a certified trajectory out, or a typed error that says why not."""
+"""`plan_dock`: a docking problem in, a certified trajectory out, or a typed error that says why not.
+
+An algorithm portfolio ([Huberman1997]): guesses of the caller, then those of every planner in turn. Each is smoothed,
+proven and timed; the plan of the lowest price is returned as soon as no later guess can beat it. Where none succeeds,
+what is left of the budget goes into a proof that no motion exists.
+"""
 
 from __future__ import annotations
 
@@ -8,8 +13,9 @@ import functools
 import logging
 import math
 import time
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, NamedTuple, TypeAlias, TypeVar
+from typing import TYPE_CHECKING, NamedTuple, TypeAlias
 
 from optdock.deadline import Deadline, garbage_collection_paused
 from optdock.dock import Dock
@@ -19,55 +25,39 @@ from optdock.errors import (
     FailedToTimePath,
     GoalOccupied,
     GoalOutsideMapBounds,
-    InvalidPath,
     InvalidValue,
-    LifecycleError,
+    NoMotionExists,
+    NoValidPathCouldBeFound,
     OptdockError,
     PlannerCancelled,
+    PlannerException,
     PlannerTimedOut,
-    PluginError,
-    SmootherCancelled,
     SmootherException,
     SmootherTimedOut,
     StartOccupied,
     StartOutsideMapBounds,
-    TimingCancelled,
-    TimingTimedOut,
+    TimedOut,
 )
 from optdock.geometry.checked import instance, number
 from optdock.geometry.footprint import Footprint
 from optdock.geometry.pose import Pose2
-from optdock.interfaces import (
-    GlobalPlanner,
-    LifecycleState,
-    PluginContext,
-    Smoother,
-    SmoothingReport,
-    SmoothingResult,
-    TimeParameterizer,
-    TimingReport,
-    TimingResult,
-    TimingStatus,
-    never_cancelled,
-)
+from optdock.interfaces import GlobalPlanner, Smoother, TimeParameterizer, never_cancelled
 from optdock.limits import MotionLimits
 from optdock.obstacles import in_words
+from optdock.outcomes import Guess
 from optdock.path import Path
-from optdock.plan import DockPlan, PartialPlan, where_broken
-from optdock.plugins import PluginChoice, create_plugin, plugin_from
+from optdock.plan import Attempt, DockPlan, PartialPlan
+from optdock.plugins import PluginChoice, plugin_from
 from optdock.problem import ClearanceRule, DockingProblem
+from optdock.refinement import Cancellation, Refinement, Stopwatch, at_work, plain, returned
 from optdock.robot import Robot
-from optdock.trajectory import Trajectory
-from optdock.verification import TOLERANCE, certify_motion, certify_path, end_clearances
+from optdock.verification import TOLERANCE, end_clearances, prove_impossible
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
-    from optdock.lifecycle import Plugin
-    from optdock.verification import Certificate, TrajectoryCertificate
-
 __all__ = [
-    "DEFAULT_PLANNER",
+    "DEFAULT_PLANNERS",
     "DEFAULT_SMOOTHER",
     "DEFAULT_TIME_BUDGET",
     "DEFAULT_TIMING",
@@ -81,33 +71,38 @@ __all__ = [
 
 logger = logging.getLogger(__name__)
 
-DEFAULT_TIME_BUDGET = 0.1  # [s]
-DEFAULT_PLANNER, DEFAULT_SMOOTHER, DEFAULT_TIMING = "DockPlanner", "CasadiSmoother", "NearOptimal"
-_PLAIN_TIMING = "Windowed"  # needs no repair
-# Share of the budget, its least and most [s], kept back from the smoother for timing the path and proving the motion.
-_RESERVED_SHARE, _RESERVED_LEAST, _RESERVED_MOST = 0.3, 0.004, 0.03
+DEFAULT_TIME_BUDGET = 1.0  # [s]: what a hard place may take; most calls need a fiftieth of it
+DEFAULT_PLANNERS = ("DockPlanner", "ManoeuvrePlanner")  # the cheap one first, then the one that searches
+DEFAULT_SMOOTHER, DEFAULT_TIMING = "CasadiSmoother", "NearOptimal"
+# While nothing is certified and more guesses may follow, smoothing one of them may take this share of what is left, or
+# so long [s] where that is more: the hard ones that succeed at all are done by then.
+_SMOOTHING_SHARE, _SMOOTHING_LEAST = 0.4, 0.06
+# Shares of what is left that a proof of impossibility may take: after a planner that failed, while others follow, and
+# what the last planner must leave for it.
+_EARLY_PROOF, _LAST_PROOF = 0.1, 0.4
 _WARM_UP = 3.0  # [s], budget of the plan that warms up; a planner that uses all it gets takes that long, once
-_PROOF = 0.001  # [s], kept back from the time parameterizer for the proof of its motion
 
 # A plugin by its name, by its name with parameters, or the object itself.
 PlannerLike: TypeAlias = "str | PluginChoice | GlobalPlanner"
 SmootherLike: TypeAlias = "str | PluginChoice | Smoother"
 TimingLike: TypeAlias = "str | PluginChoice | TimeParameterizer"
 
-_T = TypeVar("_T")
-
 
 def plan_dock(  # noqa: PLR0913 - what may be chosen is chosen by name
     problem: DockingProblem,
     *,
     time_budget: float = DEFAULT_TIME_BUDGET,
-    planner: PlannerLike = DEFAULT_PLANNER,
+    planner: PlannerLike | Sequence[PlannerLike] = DEFAULT_PLANNERS,
     smoother: SmootherLike = DEFAULT_SMOOTHER,
     timing: TimingLike = DEFAULT_TIMING,
+    guesses: Iterable[Path] = (),
     warm_start: DockPlan | Path | None = None,
     cancel_checker: Callable[[], bool] = never_cancelled,
 ) -> DockPlan:
     """Plan, smooth, prove and time a docking motion.
+
+    It ends in one of three words: certified; impossible, which is proven (`NoMotionExists`); or not found, with the
+    reason that stood in the way of the guess that came furthest, or because the time was over.
 
     Planner, smoother and time parameterizer are names of installed plugins, or plugins: `CasadiSmoother(spans=32)`. An
     object must not be configured; it is for the time of the call, and serves one call at a time.
@@ -115,22 +110,28 @@ def plan_dock(  # noqa: PLR0913 - what may be chosen is chosen by name
     Args:
         problem: From where, to where, with what, among what.
         time_budget: Wall-clock seconds for the whole call, but for the first call of a process with these plugins:
-            there the clock starts when they are warm; see `warm_up`.
-        planner: Makes the raw path.
-        smoother: Makes it drivable.
-        timing: Gives it its time law.
+            there the clock starts when they are warm; see `warm_up`. The call returns as soon as no later guess can
+            beat what it has, mostly long before.
+        planner: Makes the guesses; several are asked in this order.
+        smoother: Makes them drivable.
+        timing: Gives them their time law.
+        guesses: Raw paths of the caller, from any source, which are tried first: of another planner, or a recorded
+            drive.
         warm_start: An earlier plan, or its path, for a problem much like this one: the smoother may begin there.
         cancel_checker: Polled at least every 5 ms by the stages that take long; what it raises is passed on as it is.
 
     Returns:
-        The certified plan.
+        The certified plan of the lowest price found (see `DockPlan.price`); `tried` names every guess, and what became
+        of it.
 
     Raises:
         InvalidValue: The budget is not a finite number > 0, an argument is of another class, or a parameter of a plugin
             is wrong.
+        InvalidPath: A guess stands in another frame than the problem.
         StartOccupied: Also GoalOccupied, StartOutsideMapBounds, GoalOutsideMapBounds: an end pose is impossible.
-        NoValidPathCouldBeFound: The planner finds no raw path.
-        FailedToSmoothPath: No path near the raw one keeps every bound.
+        NoMotionExists: It is proven that nothing of this shape can come from the start to the goal.
+        NoValidPathCouldBeFound: No planner finds a raw path.
+        FailedToSmoothPath: No path near a raw one keeps every bound.
         FailedToTimePath: No time law keeps the motion limits.
         TimedOut: The deadline came before the raw path (PlannerTimedOut), before the first certified path
             (SmootherTimedOut), or before the time law or its proof (TimingTimedOut).
@@ -150,19 +151,20 @@ def plan_dock(  # noqa: PLR0913 - what may be chosen is chosen by name
         warm_start = warm_start.path
     if warm_start is not None:
         instance(Path, warm_start, "warm_start")
+    given = _paths(guesses, problem.frame)
     if not callable(cancel_checker):
         raise InvalidValue(f"cancel_checker: must be a function that says whether to stop, got {cancel_checker!r}")
     so_far, began = PartialPlan(), time.monotonic()
     try:
         plugins = _Plugins.chosen(planner, smoother, timing)
-        _warm_once(*map(type, plugins))
+        _warm_once(*plugins.classes)
         began = time.monotonic()
-        run = _Run(problem, plugins, warm_start, _Cancellation(cancel_checker), time_budget, so_far)
+        run = _Portfolio(problem, plugins, given, warm_start, Cancellation(cancel_checker), time_budget, so_far)
         try:
             with garbage_collection_paused():
                 plan = run.plan()
         finally:
-            _WAITS.append(run.longest_wait)
+            _WAITS.append(run.watch.longest_wait)
         logger.info("%s; %s", plan, ", ".join(f"{stage} {ms:.1f} ms" for stage, ms in plan.timing_ms.items()))
         return plan
     except OptdockError as error:
@@ -172,8 +174,18 @@ def plan_dock(  # noqa: PLR0913 - what may be chosen is chosen by name
         raise
 
 
+def _paths(guesses: Iterable[Path], frame: str) -> tuple[Path, ...]:
+    """The caller's guesses, in the frame of the problem."""
+    if isinstance(guesses, Path | str) or not isinstance(guesses, Iterable):
+        raise InvalidValue(f"guesses: must be a list of paths, got {type(guesses).__name__}")
+    paths = tuple(guesses)
+    for i, path in enumerate(paths):
+        instance(Path, path, f"guesses[{i}]")
+    return tuple(Path(path.segments, path.frame).with_frame(frame) for path in paths)
+
+
 def warm_up(
-    planner: PlannerLike = DEFAULT_PLANNER,
+    planner: PlannerLike | Sequence[PlannerLike] = DEFAULT_PLANNERS,
     smoother: SmootherLike = DEFAULT_SMOOTHER,
     timing: TimingLike = DEFAULT_TIMING,
 ) -> None:
@@ -191,37 +203,52 @@ def warm_up(
         PluginError: A plugin is unknown or cannot be built.
         InvalidValue: A parameter of a plugin is wrong.
     """
-    _warm_once(*map(type, _Plugins.chosen(planner, smoother, timing)))
+    _warm_once(*_Plugins.chosen(planner, smoother, timing).classes)
 
 
 @functools.cache
-def _warm_once(planner: type[GlobalPlanner], smoother: type[Smoother], timing: type[TimeParameterizer]) -> None:
+def _warm_once(
+    planners: tuple[type[GlobalPlanner], ...], smoother: type[Smoother], timing: type[TimeParameterizer]
+) -> None:
     limits = MotionLimits(max_curvature=2.0, max_curvature_rate=8.0)
     outline = Footprint.rectangle(0.6, -0.4, 0.5)
     problem = DockingProblem(
         Pose2(-2.0, 0.1, 0.1), Dock(Pose2(0.0, 0.0, 0.0), outline), Robot(Footprint.rectangle(0.3, 0.3, 0.5), limits)
     )
     clock = Deadline(_WARM_UP)
-    with contextlib.suppress(Exception):  # also of constructors that need parameters: what is wrong shows in its call
-        plugins = _Plugins(planner(), smoother(), timing())
-        with contextlib.suppress(OptdockError):
-            _Run(problem, plugins, None, _Cancellation(never_cancelled), clock.seconds, PartialPlan()).plan()
-        plugins.smoother.warm_up()
+    for planner in planners:
+        with contextlib.suppress(Exception):  # also of constructors that need parameters: what is wrong shows later
+            plugins = _Plugins((planner(),), smoother(), timing())
+            with contextlib.suppress(OptdockError):
+                never = Cancellation(never_cancelled)
+                _Portfolio(problem, plugins, (), None, never, clock.seconds, PartialPlan()).plan()
+            plugins.smoother.warm_up()
+    walled = [[[-1.2, -3.0], [-1.0, -3.0], [-1.0, 3.0], [-1.2, 3.0]]]
+    prove_impossible(replace(problem, obstacles=walled), time_budget=0.05)
     logger.info("libraries loaded and caches filled in %.1f s, once per process", clock.elapsed)
 
 
 class _Plugins(NamedTuple):
-    planner: GlobalPlanner
+    planners: tuple[GlobalPlanner, ...]
     smoother: Smoother
     timing: TimeParameterizer
 
     @classmethod
-    def chosen(cls, planner: PlannerLike, smoother: SmootherLike, timing: TimingLike) -> _Plugins:
+    def chosen(
+        cls, planner: PlannerLike | Sequence[PlannerLike], smoother: SmootherLike, timing: TimingLike
+    ) -> _Plugins:
+        asked = tuple(planner) if isinstance(planner, list | tuple) else (planner,)
+        if not asked:
+            raise InvalidValue("planner: must be one planner or several, got none")
         return cls(
-            plugin_from(GlobalPlanner, planner, "planner"),
+            tuple(plugin_from(GlobalPlanner, one, "planner") for one in asked),
             plugin_from(Smoother, smoother, "smoother"),
             plugin_from(TimeParameterizer, timing, "timing"),
         )
+
+    @property
+    def classes(self) -> tuple[tuple[type[GlobalPlanner], ...], type[Smoother], type[TimeParameterizer]]:
+        return tuple(map(type, self.planners)), type(self.smoother), type(self.timing)
 
 
 # How long the machine kept each of the last calls waiting [s]; on a quiet one about none.
@@ -239,220 +266,204 @@ def _margin(budget: float) -> float:
     return min(usual, _MARGIN_SHARE * budget, _MARGIN_MOST)
 
 
-class _Cancellation:
-    """The caller's cancel checker: what it raises is the caller's own, whoever polls it; a yes is never taken back."""
+class _Failure(NamedTuple):
+    """A guess, or a planner, that came to nothing: why, what existed by then, and how far it came."""
 
-    def __init__(self, checker: Callable[[], bool]) -> None:
-        self._checker, self._said_yes = checker, False
-        self.raised: BaseException | None = None
+    error: OptdockError
+    left: PartialPlan
+    stage: int
 
-    def __call__(self) -> bool:
-        try:
-            self._said_yes = self._said_yes or bool(self._checker())
-            return self._said_yes
-        except BaseException as error:
-            self.raised = error
-            raise
+
+# How far a guess came that ended in such an error: the further, the more its reason tells.
+_STAGES: tuple[tuple[type[OptdockError], int], ...] = (
+    (FailedToTimePath, 3),
+    (CertificationFailed, 2),
+    (SmootherException, 1),
+    (PlannerException, 0),
+)
 
 
 @dataclass(eq=False)
-class _Run:
-    """One call of `plan_dock`: its stages in driving order, and what they share."""
+class _Portfolio:
+    """One call of `plan_dock`: its guesses in order, the best plan so far, and why the others failed."""
 
     problem: DockingProblem
     plugins: _Plugins
+    given: tuple[Path, ...]
     warm_start: Path | None
-    cancelled: _Cancellation
+    cancelled: Cancellation
     budget: float
     so_far: PartialPlan
     deadline: Deadline = field(init=False)
-    longest_wait: float = 0.0
+    watch: Stopwatch = field(init=False)
+    refinement: Refinement = field(init=False)
+    best: DockPlan | None = None
+    tried: list[Attempt] = field(default_factory=list)
+    failures: list[_Failure] = field(default_factory=list)
+    cut_short: list[Guess] = field(default_factory=list)
 
     def __post_init__(self) -> None:
         self.deadline = Deadline(self.budget - _margin(self.budget))
-
-    def plan(self) -> DockPlan:
-        """All stages in turn; `so_far` holds what exists when one of them raises."""
-        with self._timed("plan"):
-            check_ends(self.problem)
-            raw = self.so_far.raw_path = self._raw_path()
-        with self._timed("smooth"):
-            result = self._smoothed(raw)
-            path = self.so_far.path = _plain(result.path, self.plugins.smoother, self.problem.frame)
-        with self._timed("certify"):
-            certificate = self._certified(path)
-        motion = self._certified_motion(path)
-        timing = {**self.so_far.timing_ms, "total": 1e3 * self.deadline.elapsed}
-        return DockPlan(
-            problem=self.problem,
-            raw_path=raw,
-            path=path,
-            trajectory=motion.trajectory,
-            certificate=certificate,
-            trajectory_certificate=motion.proof,
-            completed=result.completed and not self.deadline.passed(),
-            timing_ms=timing,
-            smoothing_report=result.report,
-            timing_report=motion.report,
+        self.watch = Stopwatch(self.deadline, self.so_far.timing_ms)
+        _, smoother, timing = self.plugins
+        self.refinement = Refinement(
+            self.problem, smoother, timing, self.warm_start, self.cancelled, self.budget, self.deadline, self.watch
         )
 
-    @contextlib.contextmanager
-    def _timed(self, stage: str) -> Iterator[None]:
-        began, worked = self.deadline.elapsed, time.thread_time()
-        try:
-            yield
-        finally:
-            took = self.deadline.elapsed - began
-            self.longest_wait = max(self.longest_wait, took - (time.thread_time() - worked))
-            self.so_far.timing_ms[stage] = self.so_far.timing_ms.get(stage, 0.0) + 1e3 * took
+    def plan(self) -> DockPlan:
+        """The best plan; `so_far` holds what exists of the guess that came furthest when there is none."""
+        with self.watch.timed("plan"):
+            check_ends(self.problem)
+        with contextlib.closing(self._guesses()) as guesses:
+            for guess, is_last in guesses:
+                self._try(guess, is_last=is_last)
+                if self._is_late():
+                    break
+        for guess in self.cut_short:  # nothing else is left to be tried
+            if self.best is None and not self._is_late():
+                self._try(guess, is_last=True)
+        if self.best is None:
+            raise self._refusal()
+        timing = {**self.so_far.timing_ms, "total": 1e3 * self.deadline.elapsed}
+        completed = self.best.completed and not self.deadline.passed()
+        return replace(self.best, completed=completed, timing_ms=timing, tried=tuple(self.tried))
 
-    @contextlib.contextmanager
-    def _at_work(self, plugin: Plugin) -> Iterator[None]:
-        """A plugin, configured for the problem; whatever it raises that its interface does not name is its own fault.
+    def _guesses(self) -> Iterator[tuple[Guess, bool]]:
+        """Every guess, and whether it is known to be the last one; a proof that there is no way ends them.
 
         Raises:
-            PluginError: With what it raised as the cause.
+            NoMotionExists: That is proven.
         """
-        name = type(plugin).__name__
-        if plugin.state is not LifecycleState.UNCONFIGURED:
-            raise LifecycleError(f"{name} is {plugin.state.value}; plan_dock configures the plugins that it is given")
-        try:
-            plugin.configure(PluginContext(name=plugin.name, problem=self.problem))
+        for path in self.given:
+            yield Guess(path, "given"), False
+        last = self.plugins.planners[-1]
+        for planner in self.plugins.planners:
+            makes_one = type(planner).create_plans is GlobalPlanner.create_plans
             try:
-                yield
-            except (InvalidValue, InvalidPath) as error:  # nothing that the caller gave: the problem is valid
-                raise PluginError(f"{name} failed: {type(error).__name__}: {error}") from error
-            finally:
-                plugin.cleanup()
-        except Exception as error:
-            if isinstance(error, OptdockError) or self.cancelled.raised is not None:
-                raise
-            raise PluginError(f"{name} failed: {type(error).__name__}: {error}") from error
-        finally:
-            if self.cancelled.raised is not None:
-                raise self.cancelled.raised from None
+                with at_work(planner, self.problem, self.cancelled):
+                    for guess in self._guesses_of(planner, leaves_time=planner is last):
+                        yield guess, makes_one and planner is last
+            except PlannerException as error:
+                if isinstance(error, Cancelled):
+                    raise
+                self._fail(_Failure(error, PartialPlan(), 0), type(planner).__name__)
+            if self._is_late():
+                break
+            if self.best is None:
+                self._look_for_a_proof(1.0 if planner is last else _EARLY_PROOF)
 
-    def _asked_to_stop(self) -> bool:
-        return self.cancelled() or self.deadline.passed()
+    def _guesses_of(self, planner: GlobalPlanner, *, leaves_time: bool) -> Iterator[Guess]:
+        """The guesses of a planner, which is at work while it makes them.
 
-    def _raw_path(self) -> Path:
-        planner, late = self.plugins.planner, f"the planner used up the time budget of {self.budget:.3g} s"
-        try:
-            with self._at_work(planner):
-                path = planner.create_plan(self.problem.start, self.problem.goal, self._asked_to_stop)
-        except PlannerCancelled as error:
-            if self.deadline.passed():
-                raise PlannerTimedOut(late) from error
-            raise
-        if self.deadline.passed():
-            raise PlannerTimedOut(late)
-        return _plain(_returned(path, Path, planner), planner, self.problem.frame)
+        Args:
+            planner: Configured.
+            leaves_time: Whether it must leave time for a proof while nothing is found.
 
-    def _smoothed(self, raw: Path) -> SmoothingResult:
-        smoother, left, kept_back = self.plugins.smoother, self.deadline.left, _reserve(self.budget)
-        kept = f"of {_in_ms(self.budget)}; {_in_ms(kept_back)} are kept back for timing and proof"
-        if left <= kept_back:
-            raise SmootherTimedOut(f"no time is left for smoothing: {_in_ms(max(left, 0.0))} are left {kept}")
-        try:
-            with self._at_work(smoother):
-                result = smoother.smooth(
-                    raw,
-                    left - kept_back,
-                    problem=self.problem,
-                    warm_start=self.warm_start,
-                    cancel_checker=self.cancelled,
-                )
-        except SmootherTimedOut as error:
-            raise SmootherTimedOut(f"{error}, the smoother's share {kept}", where=error.where) from error
-        except SmootherException as error:
-            self.so_far.path = PartialPlan.left_by(error).path
-            raise
-        _returned(result, SmoothingResult, smoother)
-        _returned(result.path, Path, smoother, "the path of its result")
-        _returned(result.report, SmoothingReport, smoother, "the report of its result")
-        return result
-
-    def _certified(self, path: Path) -> Certificate:
-        certificate = certify_path(path, self.problem, is_late=self._asked_to_stop)
-        self.so_far.certificate = certificate
-        self._require(certificate, "smoothed path", SmootherCancelled, SmootherTimedOut)
-        return certificate
-
-    def _certified_motion(self, path: Path) -> _Motion:
-        """The motion of the chosen method, or where that fails its proof, of the method that never needs repair.
-
-        That the path cannot be timed is an answer; any other error of the method is its own mistake.
+        Raises:
+            PlannerException: It has none, or none any more.
         """
-        chosen = self.plugins.timing
+        share = 1.0 - _LAST_PROOF if leaves_time and len(self.plugins.planners) > 1 else 1.0
+        until = self.deadline.elapsed + share * self.deadline.left
+
+        def is_used_up() -> bool:
+            return self.best is None and self.deadline.elapsed > until
+
+        def asked_to_stop() -> bool:
+            return is_used_up() or self.refinement.asked_to_stop()
+
+        goal = self.problem.goal
+        guesses = iter(planner.create_plans(self.problem.start, goal, asked_to_stop, self._lowest_price))
+        while True:
+            with self.watch.timed("plan"):
+                try:
+                    guess = next(guesses, None)
+                except PlannerCancelled as error:
+                    if self.cancelled():
+                        raise
+                    raise self._planner_late() from error
+            if self.deadline.passed():
+                raise self._planner_late()
+            if guess is None:
+                return
+            returned(guess, Guess, planner)
+            path = plain(returned(guess.path, Path, planner), planner, self.problem.frame)
+            yield Guess(path, guess.stage or type(planner).__name__)
+            if is_used_up():
+                return
+
+    def _lowest_price(self) -> float:
+        return self.best.price if self.best is not None else math.inf
+
+    def _planner_late(self) -> PlannerTimedOut:
+        return PlannerTimedOut(f"the planner used up its share of the time budget of {self.budget:.3g} s")
+
+    def _is_late(self) -> bool:
+        """Whether no time is left for another guess."""
+        return self.deadline.left <= self.refinement.reserve
+
+    def _try(self, guess: Guess, *, is_last: bool) -> None:
+        """Make a plan of a guess; it becomes the best one, or a failure."""
+        unhurried = is_last or self.best is not None
+        most = math.inf if unhurried else max(_SMOOTHING_SHARE * self.deadline.left, _SMOOTHING_LEAST)
+        left, began = PartialPlan(timing_ms=self.so_far.timing_ms), self.deadline.elapsed
         try:
-            return self._proven_motion(chosen, path)
-        except (FailedToTimePath, Cancelled, LifecycleError):
-            raise
+            plan = self.refinement.refined(guess.path, left, most, is_given=guess.stage == "given")
         except OptdockError as error:
-            plain = create_plugin(TimeParameterizer, _PLAIN_TIMING)
-            if type(chosen) is type(plain):
+            stage = next((stage for kind, stage in _STAGES if isinstance(error, kind)), None)
+            if isinstance(error, Cancelled) or (stage is None and self.best is None):
+                self._leave(left)
                 raise
-            logger.warning("%s: %s; timed by %s instead", chosen.name, error, _PLAIN_TIMING)
-            try:
-                motion = self._proven_motion(plain, path)
-            except FailedToTimePath:
-                raise error from None
-            return motion._replace(report=replace(motion.report, replaced=f"{chosen.name}: {error}"))
-
-    def _proven_motion(self, method: TimeParameterizer, path: Path) -> _Motion:
-        with self._timed("time"):
-            result = self._timing(method, path)
-        if result.status is not TimingStatus.OK:
-            raise result.failure()
-        trajectory = _returned(result.trajectory, Trajectory, method, "the trajectory of its result")
-        if trajectory.path is not path and trajectory.path.digest != path.digest:
-            message = f"{method.name} timed another path than the certified one"
-            raise CertificationFailed(message, where={"kind": "path"})
-        trajectory = Trajectory(path, trajectory.time_law, self.problem.fingerprint)
-        with self._timed("certify"):
-            proof = certify_motion(trajectory, self.problem, is_late=self._asked_to_stop)
-        self._require(proof, "trajectory", TimingCancelled, TimingTimedOut)
-        return _Motion(trajectory, proof, result.report)
-
-    def _timing(self, method: TimeParameterizer, path: Path) -> TimingResult:
-        allowance = self.deadline.left - _PROOF
-        if allowance <= 0.0:
-            raise TimingTimedOut(f"nothing is left of the time budget of {self.budget:.3g} s for timing")
-        limits, zone, speed = self.problem.robot.limits, self.problem.dock.approach, abs(self.problem.start_speed)
-        with self._at_work(method):
-            result = method.parameterize(
-                path, limits, zone, start_speed=speed, max_time=allowance, cancel_checker=self.cancelled
-            )
-        _returned(result, TimingResult, method)
-        _returned(result.status, TimingStatus, method, "the status of its result")
-        _returned(result.report, TimingReport, method, "the report of its result")
-        return result
-
-    def _require(
-        self,
-        verdict: Certificate | TrajectoryCertificate,
-        what: str,
-        cancelled: type[Cancelled],
-        late: type[OptdockError],
-    ) -> None:
-        """Raise what stands in the way of a proof; where nothing is broken as far as it went, that is the clock."""
-        if verdict.certified:
+            if isinstance(error, SmootherTimedOut) and not unhurried:
+                self.cut_short.append(guess)
+            self._fail(_Failure(error, left, stage or 0), guess.stage, guess.path, self.deadline.elapsed - began)
             return
-        where = where_broken(verdict)
-        if all(violation.kind == "unproven" for violation in verdict.violations):
-            if self.cancelled():
-                raise cancelled(f"cancelled while the {what} was proven", where=where)
-            if self.deadline.passed():
-                raise late(f"the proof of the {what} was cut short: {verdict.reason}", where=where)
-        raise CertificationFailed(f"the {what} is not certified: {verdict.reason}", where=where)
+        self.tried.append(Attempt(guess.stage, guess.path, self.deadline.elapsed - began, plan.price))
+        if plan.price < self._lowest_price():
+            self.best = plan
 
+    def _fail(self, failure: _Failure, stage: str, path: Path | None = None, seconds: float = 0.0) -> None:
+        reason = f"{type(failure.error).__name__}: {failure.error}"
+        self.tried.append(Attempt(stage, path, seconds, reason=reason))
+        self.failures.append(failure)
 
-class _Motion(NamedTuple):
-    """A certified trajectory, its proof, and what the time parameterizer says about its work."""
+    def _leave(self, left: PartialPlan) -> None:
+        """Hand out what exists of a guess."""
+        self.so_far.raw_path, self.so_far.path, self.so_far.certificate = left.raw_path, left.path, left.certificate
+        self.so_far.tried = tuple(self.tried)
 
-    trajectory: Trajectory
-    proof: TrajectoryCertificate
-    report: TimingReport
+    def _look_for_a_proof(self, share: float) -> None:
+        """Spend a share of what is left on a proof that no motion exists.
+
+        Raises:
+            NoMotionExists: That is proven.
+        """
+        with self.watch.timed("prove"):
+            allowed = share * self.deadline.left
+            proof = prove_impossible(self.problem, time_budget=allowed, cancel_checker=self.cancelled)
+        if proof is not None:
+            self._leave(self._furthest().left)
+            raise NoMotionExists(proof.message, proof=proof)
+
+    def _furthest(self) -> _Failure:
+        """The failure that tells most: of the guess that came furthest, the earliest; time-outs tell least."""
+        return max(self.failures, key=lambda failure: (failure.stage, not isinstance(failure.error, TimedOut)))
+
+    def _refusal(self) -> OptdockError:
+        """What is raised when nothing was found and nothing proven."""
+        if not self.failures:
+            return NoValidPathCouldBeFound("no planner offers a path")
+        found = self._furthest()
+        self._leave(found.left)
+        late = [failure for failure in self.failures if isinstance(failure.error, TimedOut)]
+        if self._is_late() and late:
+            found = late[-1]
+        if len(self.failures) == 1:
+            return found.error
+        kind, count = type(found.error), len(self.failures)
+        if self._is_late() and not isinstance(found.error, TimedOut):
+            kind = SmootherTimedOut
+        tried = f"none of {count} guesses was certified; that there is no way is not proven"
+        return kind(f"{found.error} ({tried})", where=found.error.where)
 
 
 def check_ends(problem: DockingProblem) -> None:
@@ -492,36 +503,3 @@ def _way_out(rule: ClearanceRule) -> str:
     in_file = ", ".join(f"{key}: {value:g}" for key, value in parts.items())
     in_python = ", ".join(f"{key}={value!r}" for key, value in parts.items())
     return f"; clearance holds at the dock too; give {{{in_file}}} (in Python: ClearanceRule({in_python}))"
-
-
-def _reserve(budget: float) -> float:
-    """Seconds kept back from the smoother for timing the path and proving the motion."""
-    return min(max(_RESERVED_SHARE * budget, _RESERVED_LEAST), _RESERVED_MOST)
-
-
-def _in_ms(seconds: float) -> str:
-    return f"{1e3 * seconds:.0f} ms" if seconds >= 0.1 else f"{1e3 * seconds:.3g} ms"
-
-
-def _returned(value: object, kind: type[_T], plugin: Plugin, part: str = "") -> _T:
-    """What a plugin returned, or a part of it, of the type that its interface promises.
-
-    Raises:
-        PluginError: It is of another type.
-    """
-    if not isinstance(value, kind):
-        promised = f"{type(plugin).__name__} must return a {kind.__name__}{part and ' as '}{part}"
-        raise PluginError(f"{promised}, got {type(value).__name__}")
-    return value
-
-
-def _plain(path: Path, plugin: Plugin, frame: str) -> Path:
-    """The path, of no subclass: one could have other poses than the segments that are proven.
-
-    Raises:
-        PluginError: It stands in another frame than the problem.
-    """
-    try:
-        return (path if type(path) is Path else Path(path.segments, path.frame)).with_frame(frame)
-    except InvalidPath as error:
-        raise PluginError(f"{type(plugin).__name__} returned a {error}") from error

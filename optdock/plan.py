@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 from optdock.errors import CertificationFailed, InvalidFile, OptdockError
 from optdock.geometry.checked import instance
@@ -19,6 +19,7 @@ from optdock.io.plan_file import (
 )
 from optdock.obstacles import in_words
 from optdock.outcomes import SmoothingReport, TimingReport
+from optdock.planners.manoeuvres.price import CUSP_PRICE
 from optdock.problem import DockingProblem
 from optdock.trajectory import Trajectory
 from optdock.verification import certify_motion, certify_path
@@ -30,7 +31,30 @@ if TYPE_CHECKING:
     from optdock.path import Path
     from optdock.verification import Certificate, TrajectoryCertificate
 
-__all__ = ["DockPlan", "PartialPlan", "where_broken"]
+__all__ = ["Attempt", "DockPlan", "PartialPlan", "where_broken"]
+
+
+class Attempt(NamedTuple):
+    """A guess, and what became of it.
+
+    Attributes:
+        stage: Where the guess came from: the stage of a planner, `given` by the caller, or a planner that had none.
+        guess: The guess; None where a planner had none.
+        seconds: What smoothing, proof and timing took.
+        price: Of the plan that was made of it [s], see `DockPlan.price`; inf where none was.
+        reason: Why none was; empty where one was.
+    """
+
+    stage: str
+    guess: Path | None
+    seconds: float = 0.0
+    price: float = math.inf
+    reason: str = ""
+
+    def __str__(self) -> str:
+        shape = "" if self.guess is None else f" {self.guess.length:.2f} m, {len(self.guess.cusps)} cusps"
+        found = self.reason or f"certified, price {self.price:.2f} s"
+        return f"{self.stage}{shape}, {1e3 * self.seconds:.1f} ms: {found}"
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -48,6 +72,8 @@ class DockPlan:
         timing_ms: Wall-clock milliseconds per stage: plan, smooth, certify, time, total.
         smoothing_report: What the smoother says about its work.
         timing_report: What the time parameterizer says about its work.
+        tried: Every guess that was tried, in this order, and what became of it; this plan is the one of the lowest
+            price.
     """
 
     problem: DockingProblem
@@ -60,6 +86,7 @@ class DockPlan:
     timing_ms: Mapping[str, float]
     smoothing_report: SmoothingReport = field(default_factory=SmoothingReport)
     timing_report: TimingReport = field(default_factory=TimingReport)
+    tried: tuple[Attempt, ...] = ()
 
     def __str__(self) -> str:
         status = CERTIFIED if self.completed else f"{CERTIFIED}, stopped early by the time budget"
@@ -72,6 +99,16 @@ class DockPlan:
 
     def __repr__(self) -> str:
         return f"<DockPlan {self}>"
+
+    @property
+    def price(self) -> float:
+        """What plans are chosen by: the duration of the motion and `CUSP_PRICE` for every cusp [s]."""
+        return self.trajectory.duration + CUSP_PRICE * len(self.path.cusps)
+
+    @property
+    def stage(self) -> str:
+        """Where the guess of this plan came from; empty where nobody said."""
+        return next((attempt.stage for attempt in self.tried if attempt.guess is self.raw_path), "")
 
     @property
     def frame(self) -> str:
@@ -177,12 +214,14 @@ class PartialPlan:
             so. None: there is none.
         certificate: The verdict on `path`, or None.
         timing_ms: Wall-clock milliseconds of the stages that ran.
+        tried: Every guess that was tried, and what became of it.
     """
 
     raw_path: Path | None = None
     path: Path | None = None
     certificate: Certificate | None = None
     timing_ms: dict[str, float] = field(default_factory=dict)
+    tried: tuple[Attempt, ...] = ()
 
     @classmethod
     def left_by(cls, error: OptdockError) -> PartialPlan:

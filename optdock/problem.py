@@ -38,7 +38,8 @@ __all__ = ["ClearanceRule", "DockingProblem"]
 OCCUPIED_FROM = 65  # of 100: map_server's default `occupied_thresh`
 # [m]: also from a robot that is smaller, what belongs to a station, such as a marker on a wall, may stand so far.
 BESIDE_THE_ROBOT = 1.0
-# A robot that starts closer to an obstacle than required must leave it at least at this slope.
+# A robot that starts closer to an obstacle than required must leave it at least at this slope, from its start on or,
+# under the weaker rule, from `DockingProblem.start_run` on.
 START_RELIEF_SLOPE = 0.5
 
 
@@ -82,18 +83,27 @@ class ClearanceRule:
         if self.at_dock > self.required:
             raise InvalidValue(f"clearance.at_dock: must be <= required = {self.required} m, got {self.at_dock}")
 
-    def required_at(self, from_goal: FloatArray, from_start: FloatArray, start_clearance: float) -> FloatArray:
+    def required_at(
+        self, from_goal: FloatArray, from_start: FloatArray, start_clearance: float, start_relief: float = 0.0
+    ) -> FloatArray:
         """Required clearance, Shape (n,) [m].
 
         Args:
             from_goal: Distances of the poses from the goal position, Shape (n,) [m].
             from_start: Distances from the start position, Shape (n,) [m].
             start_clearance: Clearance of the start pose itself [m].
+            start_relief: Distance from the start within which the robot may keep no more than that, because it stands
+                along a wall, say [m]; 0 is the strict rule.
         """
         share = np.minimum(1.0, from_goal / self.taper) if self.taper > 0.0 else np.where(from_goal > 0.0, 1.0, 0.0)
         near_goal = self.at_dock + (self.required - self.at_dock) * share
-        near_start = max(0.0, start_clearance) + START_RELIEF_SLOPE * from_start
+        near_start = self.near_start(from_start, start_clearance, start_relief)
         return np.minimum(near_goal, near_start)
+
+    @staticmethod
+    def near_start(from_start: FloatArray, start_clearance: float, start_relief: float = 0.0) -> FloatArray:
+        """What a start that is too close asks for at distances from it, Shape (n,) [m]; arguments as `required_at`."""
+        return max(0.0, start_clearance) + START_RELIEF_SLOPE * np.maximum(0.0, from_start - start_relief)
 
 
 @dataclass(frozen=True, eq=False, init=False, repr=False)
@@ -265,6 +275,16 @@ class DockingProblem(FrozenArrays):
     def goal(self) -> Pose2:
         """The pose of the robot when docked."""
         return self.dock.pose
+
+    @property
+    def start_run(self) -> float:
+        """The start relief of the weaker rule [m]: the robot's length.
+
+        A robot that stands along a wall closer than required cannot gain clearance at once: its tail swings towards the
+        wall as its nose leaves it. Over its own length it may keep what it has.
+        """
+        footprint = self.robot.footprint
+        return min(footprint.length, 2.0 * footprint.circumscribed_radius)
 
     def among(self, costmap: Costmap) -> DockingProblem:
         """The same problem with a costmap's cells among its obstacles, beside whatever it knows already."""

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from optdock.io.plan_file import CERTIFIED, PlanError, PlanFile, finite_or_null, strict_json
-from optdock.limits import LIMIT_UNITS
+from optdock.limits import LIMIT_UNITS, STEERING_UNITS
 from optdock.obstacles import in_words
 from optdock.plan import PartialPlan
 
@@ -94,9 +94,10 @@ def limit_rows(limits: MotionLimits, defaults: Collection[str] = ()) -> list[Row
         limits: Of the robot.
         defaults: Names of those that nobody gave.
     """
-    values = {name: getattr(limits, name) for name in LIMIT_UNITS}
+    units = LIMIT_UNITS | (STEERING_UNITS if limits.wheelbase > 0.0 else {})
+    values = {name: getattr(limits, name) for name in units}
     known = (
-        f"{_spoken(name)} {value:g} {LIMIT_UNITS[name]}" + (" (default)" if name in defaults else "")
+        f"{_spoken(name)} {value:g} {units[name]}" + (" (default)" if name in defaults else "")
         for name, value in values.items()
         if math.isfinite(value)
     )

@@ -4,17 +4,18 @@ from __future__ import annotations
 
 import functools
 import math
-from dataclasses import astuple, dataclass
+from dataclasses import asdict, dataclass
 from enum import Enum
 from typing import NamedTuple
 
+from optdock.errors import InvalidValue
 from optdock.fingerprint import digest
 from optdock.geometry.checked import instance, member
 from optdock.geometry.footprint import Footprint
 from optdock.geometry.pose import Twist2
-from optdock.limits import MotionLimits
+from optdock.limits import STEERING_UNITS, MotionLimits
 
-__all__ = ["Drive", "Robot", "RobotFingerprint", "admissible"]
+__all__ = ["Drive", "Robot", "RobotFingerprint", "admissible", "check_drive"]
 
 
 class Drive(str, Enum):
@@ -34,7 +35,8 @@ class Robot:
         drive: How it steers, a `Drive` or its word.
 
     Raises:
-        InvalidValue: The drive is none, or a part is of another class.
+        InvalidValue: The drive is none, a part is of another class, or a differential drive has a steering angle or
+            rate.
     """
 
     footprint: Footprint
@@ -45,12 +47,27 @@ class Robot:
         instance(Footprint, self.footprint, "robot.footprint")
         instance(MotionLimits, self.limits, "robot.limits")
         object.__setattr__(self, "drive", member(Drive, self.drive, "robot.drive"))
+        check_drive(self.drive, self.limits)
 
     @functools.cached_property
     def fingerprint(self) -> RobotFingerprint:
         """Digests of its outline, and of its limits and drive."""
-        limits = digest(astuple(self.limits), self.drive.value)
-        return RobotFingerprint(digest(self.footprint.vertices), limits)
+        # What a robot does not use is no part of its digest: certificates outlive the limits that came after them.
+        steering = {"wheelbase", *STEERING_UNITS} if self.limits.wheelbase == 0.0 else set()
+        limits = tuple(value for name, value in asdict(self.limits).items() if name not in steering)
+        return RobotFingerprint(digest(self.footprint.vertices), digest(limits, self.drive.value))
+
+
+def check_drive(drive: Drive, limits: MotionLimits) -> None:
+    """Refuse limits that a drive does not have.
+
+    Raises:
+        InvalidValue: A differential drive, which has no wheels to steer, has a steering angle or rate.
+    """
+    for name, unit in STEERING_UNITS.items():
+        value = getattr(limits, name)
+        if drive is Drive.DIFFERENTIAL and math.isfinite(value):
+            raise InvalidValue(f"robot.limits.{name}: {value} {unit} is for drive: ackermann; this one is differential")
 
 
 class RobotFingerprint(NamedTuple):

@@ -34,6 +34,7 @@ __all__ = [
 ]
 
 Number = TypeVar("Number", float, FloatArray)
+_AT_REST = 1e-6  # [m/s], [m/s^2]: as at the cusps that are proven
 
 
 def constant_jerk(t: Number, s: Number, v: Number, a: Number, jerk: Number) -> tuple[Number, Number, Number]:
@@ -252,11 +253,14 @@ class Trajectory(FrozenArrays):
 
     @property
     def cusp_times(self) -> FloatArray:
-        """Times at which the robot reaches each cusp, Shape (number of cusps,) [s]."""
-        cusps = np.asarray(self.path.cusps)
-        borders = self.time_law.states[:, 0]
+        """Times at which the robot reaches each cusp, however long it waits there; Shape (number of cusps,) [s]."""
+        cusps, law = np.asarray(self.path.cusps), self.time_law
+        borders = law.states[:, 0]
         nearest = np.argmin(np.abs(borders[:, None] - cusps[None, :]), axis=0) if cusps.size else np.zeros(0, np.int64)
-        arrivals: FloatArray = self.time_law.times[nearest]
+        waits = (law.jerks == 0.0) & np.all(np.abs(law.states[:-1, 1:]) <= _AT_REST, axis=1)
+        while np.any(late := waits[nearest - 1] & (nearest > 0)):
+            nearest = nearest - late
+        arrivals: FloatArray = law.times[nearest]
         return arrivals
 
     def at(self, t: float) -> TrajectoryState:

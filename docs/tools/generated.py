@@ -240,9 +240,17 @@ def _commands(_: str) -> str:
 
     from optdock.cli import app
 
-    command = typer.main.get_command(app)
-    names = command.list_commands(None)  # type: ignore[attr-defined, arg-type]
-    return "\n\n".join(_command(name, command.commands[name]) for name in names)  # type: ignore[attr-defined]
+    return "\n\n".join(_command(name, command) for name, command in _leaves(typer.main.get_command(app)))
+
+
+def _leaves(group: Any, above: str = "") -> Iterator[tuple[str, Any]]:
+    """Every command by all of its words; groups are no commands."""
+    for name in group.list_commands(None):
+        command = group.commands[name]
+        if hasattr(command, "commands"):
+            yield from _leaves(command, f"{above}{name} ")
+        else:
+            yield f"{above}{name}", command
 
 
 def _command(name: str, command: Any) -> str:

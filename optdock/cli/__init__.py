@@ -1,4 +1,4 @@
-"""The command line: `optdock plan | simulate | certify | compare | demo | plugins | schema`.
+"""The command line: `optdock plan | simulate | certify | compare | demo | import | plugins | schema`.
 
 Commands load the library when they run, so that `--help` stays quick.
 """
@@ -14,6 +14,7 @@ import typer
 from optdock import __version__
 from optdock.cli.certify import certify
 from optdock.cli.common import VerboseOption, listen, reported
+from optdock.cli.importing import app as importing
 from optdock.cli.plan import compare, plan
 from optdock.cli.simulate import demo, simulate
 
@@ -94,3 +95,4 @@ def schema(
 
 for _command in (plan, simulate, certify, compare, demo, plugins, schema):
     app.command()(_command)
+app.add_typer(importing, name="import")

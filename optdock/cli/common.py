@@ -153,7 +153,7 @@ def spare(source: Path | None, *targets: Path | None) -> None:
             and source.exists()
             and target.samefile(source)
         ):
-            raise InvalidValue(f"{target}: is the scenario, and would be overwritten; choose another name")
+            raise InvalidValue(f"{target}: is the file to read, and would be overwritten; choose another name")
 
 
 def checked_positive(option: str, value: float | None, unit: str) -> None:

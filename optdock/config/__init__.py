@@ -2,12 +2,14 @@
 
 from optdock.config.reference import KeyReference, plugin_reference, scenario_reference, scenario_schema
 from optdock.config.scenario import Scenario, load_scenario
+from optdock.config.writing import save_scenario
 
 __all__ = [
     "KeyReference",
     "Scenario",
     "load_scenario",
     "plugin_reference",
+    "save_scenario",
     "scenario_reference",
     "scenario_schema",
 ]

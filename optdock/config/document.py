@@ -33,10 +33,10 @@ from optdock.geometry.footprint import Footprint
 from optdock.geometry.polygon import simple_polygon
 from optdock.geometry.pose import Pose2
 from optdock.io.numbers import check_outline, check_speed, check_yaw, is_number
-from optdock.limits import MotionLimits
-from optdock.pipeline import DEFAULT_TIME_BUDGET
+from optdock.limits import MotionLimits, check_steering
+from optdock.pipeline import DEFAULT_PLANNERS, DEFAULT_TIME_BUDGET
 from optdock.problem import ClearanceRule
-from optdock.robot import Drive, Robot
+from optdock.robot import Drive, Robot, check_drive
 
 __all__ = ["SECTIONS", "ScenarioDocument", "known_keys", "synonym"]
 
@@ -52,6 +52,7 @@ _SYNONYMS = {
     "acc_lim_x": "max_acceleration",
     "decel_lim_x": "max_deceleration",
     "wheel_separation": "track_width",
+    "wheel_base": "wheelbase",
     "robot_radius": "radius",
 }
 SECTIONS = ("planner", "smoother", "timing", "controller", "goal_checker")
@@ -218,12 +219,32 @@ class LimitsDocument(_Part):
         above=0,
         absent="unlimited",
     )
+    wheelbase: Number = _key(
+        "distance between the axles, for the limits of the steering [m]", _LIMITS.wheelbase, least=0, finite=True
+    )
+    max_steering_angle: Number = _key(
+        "of the wheels, |atan(wheelbase * curvature)|; bounds the curvature beside max_curvature [rad]",
+        _LIMITS.max_steering_angle,
+        above=0,
+        absent="unlimited",
+    )
+    max_steering_rate: Number = _key(
+        "at which the wheels turn, also at rest between two gears [rad/s]",
+        _LIMITS.max_steering_rate,
+        above=0,
+        absent="unlimited",
+    )
 
     @field_validator("*")
     @classmethod
     def _in_range(cls, value: float, info: ValidationInfo) -> float:
-        MotionLimits(**{str(info.field_name): value})
+        MotionLimits(**{"wheelbase": 1.0, str(info.field_name): value})
         return value
+
+    @model_validator(mode="after")
+    def _steers(self) -> LimitsDocument:
+        check_steering(self.wheelbase, self.max_steering_angle, self.max_steering_rate)
+        return self
 
     def value(self) -> MotionLimits:
         """The limits."""
@@ -251,6 +272,11 @@ class RobotDocument(_Part):
     def _one_outline(self) -> RobotDocument:
         if (self.footprint is None) == (self.radius is None):
             raise InvalidValue(f"needs either footprint or radius, got {'neither' if self.radius is None else 'both'}")
+        return self
+
+    @model_validator(mode="after")
+    def _steers(self) -> RobotDocument:
+        check_drive(self.drive, self.limits.value())
         return self
 
     def value(self) -> Robot:
@@ -380,7 +406,11 @@ class ScenarioDocument(_Part):
         absent="each key's own default",
     )
     time_budget: Number = _key("wall-clock time for planning [s]", DEFAULT_TIME_BUDGET, above=0, finite=True)
-    planner: Section = _key("what makes the raw path, and its parameters", {}, absent=PLUGIN_DEFAULTS["planner"])
+    planner: Section = _key(
+        "what makes the raw path, and its parameters",
+        {},
+        absent=" and then ".join(DEFAULT_PLANNERS),
+    )
     smoother: Section = _key("what smooths it, and its parameters", {}, absent=PLUGIN_DEFAULTS["smoother"])
     timing: Section = _key("what times it, and its parameters", {}, absent=PLUGIN_DEFAULTS["timing"])
     controller: Section = _key(

@@ -11,17 +11,17 @@ from pydantic import ValidationError
 from optdock.errors import PluginError
 from optdock.io.faults import Fault, faults_of
 from optdock.io.numbers import is_number, unit_fault
-from optdock.pipeline import DEFAULT_PLANNER, DEFAULT_SMOOTHER, DEFAULT_TIMING
+from optdock.pipeline import DEFAULT_PLANNERS, DEFAULT_SMOOTHER, DEFAULT_TIMING
 from optdock.plugins import INTERFACES, PluginChoice, load_plugin
 
 if TYPE_CHECKING:
     from optdock.lifecycle import Plugin
 
-__all__ = ["PLUGIN_DEFAULTS", "plugin_choice", "plural"]
+__all__ = ["PLUGIN_DEFAULTS", "planners", "plugin_choice", "plural"]
 
-# The plugin of a section that names none.
+# The plugin of a section that names none; of several planners the first, whose parameters a section may give.
 PLUGIN_DEFAULTS: Mapping[str, str] = {
-    "planner": DEFAULT_PLANNER,
+    "planner": DEFAULT_PLANNERS[0],
     "smoother": DEFAULT_SMOOTHER,
     "timing": DEFAULT_TIMING,
     "controller": "TrackingController",
@@ -55,6 +55,18 @@ def plugin_choice(kind: str, section: object, faults: list[Fault]) -> PluginChoi
         return PluginChoice(name, {})
     faults.extend(parameter_faults(plugin, parameters, (kind,)))
     return PluginChoice(asked, parameters)
+
+
+def planners(choice: PluginChoice, section: object) -> tuple[PluginChoice, ...]:
+    """The planners that a file asks for: the one that it names, or the default ones, the first with its parameters.
+
+    Args:
+        choice: What `plugin_choice` read.
+        section: The section.
+    """
+    if isinstance(section, Mapping) and "plugin" in section:
+        return (choice,)
+    return (choice, *(PluginChoice(name) for name in DEFAULT_PLANNERS[1:]))
 
 
 def parameter_faults(plugin: type[Plugin], parameters: Mapping[str, object], base: tuple[str, ...]) -> list[Fault]:

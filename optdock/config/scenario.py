@@ -12,14 +12,14 @@ import numpy as np
 from pydantic import ValidationError
 
 from optdock.config.document import SECTIONS, ScenarioDocument, known_keys, synonym
-from optdock.config.plugin_sections import PLUGIN_DEFAULTS, plugin_choice
+from optdock.config.plugin_sections import PLUGIN_DEFAULTS, planners, plugin_choice
 from optdock.errors import InvalidFile, InvalidValue, OptdockError
 from optdock.io.faults import Fault, faults_of, report
 from optdock.io.maps import load_map
 from optdock.io.yaml_lines import load_yaml
 from optdock.limits import LIMIT_UNITS
 from optdock.obstacles import ObstacleSet
-from optdock.pipeline import DEFAULT_TIME_BUDGET, plan_dock
+from optdock.pipeline import DEFAULT_PLANNERS, DEFAULT_TIME_BUDGET, plan_dock
 from optdock.plugins import PluginChoice
 from optdock.problem import DockingProblem
 
@@ -41,7 +41,7 @@ class Scenario:
     Args:
         problem: The docking problem.
         time_budget: Wall-clock seconds for planning it.
-        planner: Makes the raw path.
+        planner: Make the guesses, in this order.
         smoother: Makes it drivable.
         timing: Gives it its time law.
         controller: What drives the result in `optdock simulate`.
@@ -52,7 +52,7 @@ class Scenario:
 
     problem: DockingProblem
     time_budget: float = DEFAULT_TIME_BUDGET
-    planner: PluginChoice = PluginChoice(PLUGIN_DEFAULTS["planner"])
+    planner: tuple[PluginChoice, ...] = tuple(PluginChoice(name) for name in DEFAULT_PLANNERS)
     smoother: PluginChoice = PluginChoice(PLUGIN_DEFAULTS["smoother"])
     timing: PluginChoice = PluginChoice(PLUGIN_DEFAULTS["timing"])
     controller: PluginChoice = PluginChoice(PLUGIN_DEFAULTS["controller"])
@@ -100,11 +100,13 @@ def load_scenario(source: str | Path) -> Scenario:
     if faults or document is None:
         raise InvalidFile(report(faults, located))
     _warn_of_an_outline_aside(source, document.robot.value().footprint)
+    asked = planners(choices.pop("planner"), located.value.get("planner"))
     return Scenario(
         problem=_problem(document, costmap, located),
         time_budget=document.time_budget,
         source=source,
         default_limits=frozenset(LIMIT_UNITS) - document.robot.limits.model_fields_set,
+        planner=asked,
         **choices,
     )
 

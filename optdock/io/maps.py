@@ -12,24 +12,26 @@ from typing import TYPE_CHECKING, Annotated, TypeAlias, TypeGuard
 import numpy as np
 from pydantic import BaseModel, BeforeValidator, ConfigDict, ValidationError, ValidationInfo, field_validator
 
-from optdock.costmap.costs import OCCUPANCY_UNKNOWN, OccupancyArray
+from optdock.costmap.costs import LETHAL, NO_INFORMATION, OCCUPANCY_UNKNOWN, OccupancyArray
 from optdock.costmap.occupancy import OccupancyGrid
 from optdock.errors import InvalidFile, InvalidValue
+from optdock.io.atomic_file import replacing, write_text
 from optdock.io.faults import Fault, faults_of, report
 from optdock.io.map_image import GreyImage, load_grey_image
 from optdock.io.numbers import is_number, unit_fault
 from optdock.io.yaml_lines import load_yaml
 
 if TYPE_CHECKING:
+    from optdock.costmap.costmap import Costmap
     from optdock.geometry.arrays import FloatArray, IntArray
     from optdock.io.yaml_lines import Document
 
-__all__ = ["MapInfo", "MapMode", "load_map", "occupancy_from_image"]
+__all__ = ["MapInfo", "MapMode", "load_map", "occupancy_from_image", "save_map"]
 
 logger = logging.getLogger(__name__)
 
 _PICTURES = (".bmp", ".gif", ".jpeg", ".jpg", ".pgm", ".png", ".ppm", ".tif", ".tiff")
-_SAVER_UNKNOWN = 205  # the grey that map_saver writes for unknown cells
+_SAVER_FREE, _SAVER_UNKNOWN, _SAVER_OCCUPIED = 254, 205, 0  # the greys that map_saver writes
 
 
 class MapMode(str, Enum):
@@ -147,6 +149,35 @@ def load_map(path: str | Path) -> OccupancyGrid:
         return OccupancyGrid(occupancy_from_image(image, info), info.resolution, info.origin)
     except InvalidValue as error:  # a map whose far corner is not a finite number
         raise InvalidFile(f"{path}: {error}") from error
+
+
+def save_map(target: str | Path, costmap: Costmap) -> tuple[Path, Path]:
+    """Write what a costmap blocks as a map: lethal cells occupied, unknown ones unknown, all others free.
+
+    Args:
+        target: The YAML file; the image is beside it, with the suffix `.pgm`.
+        costmap: What to write.
+
+    Returns:
+        Both files, the YAML first.
+
+    Raises:
+        InvalidFile: A file cannot be written.
+    """
+    target = Path(target)
+    image = target.with_suffix(".pgm")
+    data = costmap.data
+    grey = np.select([data == LETHAL, data == NO_INFORMATION], [_SAVER_OCCUPIED, _SAVER_UNKNOWN], _SAVER_FREE)
+    with replacing(image) as temporary:
+        header = f"P5 {data.shape[1]} {data.shape[0]} 255\n".encode()
+        temporary.write_bytes(header + grey[::-1].astype(np.uint8).tobytes())
+    x, y = costmap.origin
+    write_text(
+        target,
+        f"image: {image.name}\nmode: trinary\nresolution: {costmap.resolution!r}\norigin: [{x!r}, {y!r}, 0.0]\n"
+        "negate: 0\noccupied_thresh: 0.65\nfree_thresh: 0.196\n",
+    )
+    return target, image
 
 
 def _refuse_picture(path: Path) -> None:

@@ -54,6 +54,8 @@ class DenseReport:
         max_curvature: Largest |curvature| [1/m].
         max_curvature_rate: Largest |d curvature / ds| [1/m^2].
         length: Length of the path [m].
+        start_relief: Of the rule of clearance that the faults speak of [m]: the strict one (0), or where that is broken
+            and the weaker one is not, the weaker one.
     """
 
     faults: tuple[Fault, ...]
@@ -63,6 +65,7 @@ class DenseReport:
     max_curvature: float
     max_curvature_rate: float
     length: float
+    start_relief: float
 
     @property
     def ok(self) -> bool:
@@ -98,7 +101,12 @@ def dense_check(path: Path, problem: DockingProblem, step: float = 0.002) -> Den
     gears = _gears(path, step)
     s, poses = np.concatenate([g.s for g in gears]), np.vstack([g.poses for g in gears])
     clearance = _clearances(poses, problem)
-    margin = clearance - _required(poses, float(clearance[0]), problem)
+    margin, relief = clearance - _required(poses, float(clearance[0]), problem, 0.0), 0.0
+    if margin.min() < -_CLEARANCE_TOLERANCE:
+        run = float(np.ptp(problem.robot.footprint.vertices[:, 0]))
+        run = min(run, 2.0 * float(np.hypot(*problem.robot.footprint.vertices.T).max()))
+        weaker = clearance - _required(poses, float(clearance[0]), problem, run)
+        margin, relief = (weaker, run) if weaker.min() >= -_CLEARANCE_TOLERANCE else (margin, relief)
     curvature = [_curvature(g) for g in gears]
     rates = [np.abs(np.diff(k)) / g.step for k, g in zip(curvature, gears, strict=True)]
     worst = int(np.argmin(margin))
@@ -116,6 +124,7 @@ def dense_check(path: Path, problem: DockingProblem, step: float = 0.002) -> Den
         max_curvature=max((float(np.abs(k).max()) for k in curvature if k.size), default=0.0),
         max_curvature_rate=max((float(r.max()) for r in rates if r.size), default=0.0),
         length=path.length,
+        start_relief=relief,
     )
 
 
@@ -218,14 +227,17 @@ def _straight_faults(path: Path, problem: DockingProblem, step: float) -> tuple[
     return _above("final straight", at, np.maximum(sideways, turned), _STRAIGHT_TOLERANCE)
 
 
-def _required(poses: FloatArray, start_clearance: float, problem: DockingProblem) -> FloatArray:
-    """`at_dock + (required - at_dock) min(1, d / taper)`, relieved near a start that is itself too close."""
+def _required(poses: FloatArray, start_clearance: float, problem: DockingProblem, run: float) -> FloatArray:
+    """`at_dock + (required - at_dock) min(1, d / taper)`, relieved near a start that is itself too close.
+
+    Strictly it grows from there at once (`run` 0), else beyond so many metres from the start.
+    """
     rule, goal, start = problem.clearance, problem.dock.pose, problem.start
     from_goal = np.hypot(poses[:, 0] - goal.x, poses[:, 1] - goal.y)
     from_start = np.hypot(poses[:, 0] - start.x, poses[:, 1] - start.y)
     grown = from_goal / rule.taper if rule.taper > 0.0 else np.where(from_goal > 0.0, 1.0, 0.0)
     wanted = rule.at_dock + (rule.required - rule.at_dock) * np.clip(grown, 0.0, 1.0)
-    required: FloatArray = np.minimum(wanted, max(start_clearance, 0.0) + 0.5 * from_start)
+    required: FloatArray = np.minimum(wanted, max(start_clearance, 0.0) + 0.5 * np.clip(from_start - run, 0.0, None))
     return required
 
 

@@ -127,7 +127,7 @@ def _single_moves(limits: PathLimits, start: State, settings: NearOptimalSetting
     strategy = settings.strategy
     if limits.length >= strategy.single_move_below:
         return
-    full = limits.drive_bounds._replace(speed=1.0 / float(limits.slowness.min()))
+    full = limits.drive_bounds._replace(speed=limits.fastest)
     end = State(limits.length)
     phases = move(start, end, full)
     plan = checked_plan(limits, start, phases, "one move") if phases else None

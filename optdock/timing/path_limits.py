@@ -3,7 +3,10 @@
 Over arc length s a segment has the curvature k(s) = dtheta/ds and its rate k'(s). With the speed v and its rate a,
 
     v <= min(v_max, sqrt(a_lat / |k|), w_max / |k|, v_wheel / (1 + b |k| / 2), v_zone)    the speed caps,
+    v <= steering rate (1 + (L k)^2) / (L |k'|)                                           one more, of steered wheels,
     |a k + v^2 k'| <= al                                                                  the yaw acceleration.
+
+The steering angle atan(L k), L the wheelbase, turns at L k' v / (1 + (L k)^2). Its cap jumps where k' does.
 
 The *maximum velocity curve* [Bobrow1985] [Shin1985] is the least of the caps and of sqrt(al / |k'|), beyond which no
 motion at constant speed keeps the yaw acceleration. Speeds are kept as their reciprocals, `slowness`: the largest of
@@ -96,8 +99,25 @@ class SpeedCaps:
             slowness = np.maximum(slowness, (1.0 + 0.5 * drive.track_width * bend) / drive.max_wheel_speed)
         return slowness
 
-    def tightest(self, bend: float) -> tuple[str, str]:
-        """The limit that decides at |curvature| `bend` [1/m]: its name in `MotionLimits`, and that with its value."""
+    @property
+    def steering(self) -> bool:
+        """Whether the wheels take time to turn, so that the curvature rate caps the speed."""
+        return math.isfinite(self.drive.max_steering_rate)
+
+    def steering_slowness(self, curvature: FloatArray, rate: FloatArray) -> FloatArray:
+        """Of the steering rate, at curvatures and their rates. Shape (n,) [s/m]."""
+        wheelbase = self.drive.wheelbase
+        bend = wheelbase * curvature
+        slowness: FloatArray = wheelbase / self.drive.max_steering_rate * np.abs(rate) / (1.0 + bend * bend)
+        return slowness
+
+    def tightest(self, bend: float, rate: float) -> tuple[str, str]:
+        """The limit that decides: its name in `MotionLimits`, and that with its value.
+
+        Args:
+            bend: |curvature| [1/m].
+            rate: Curvature rate [1/m^2].
+        """
         drive = self.drive
         speed = "max_speed" if self.direction > 0 else "max_reverse_speed"
         table = (
@@ -105,6 +125,7 @@ class SpeedCaps:
             (bend / drive.max_yaw_rate, "max_yaw_rate", "rad/s"),
             (math.sqrt(bend / drive.max_lateral_acceleration), "max_lateral_acceleration", "m/s^2"),
             ((1.0 + 0.5 * drive.track_width * bend) / drive.max_wheel_speed, "max_wheel_speed", "m/s"),
+            (float(self.steering_slowness(np.array(bend), np.array(rate))), "max_steering_rate", "rad/s"),
         )
         _slowness, name, unit = max(table)
         return name, f"{name} = {getattr(drive, name):.4g} {unit}"
@@ -126,7 +147,8 @@ class PathLimits:
         begin: Where this begins on the whole path [m]; messages count from there.
 
     Attributes:
-        slowness: 1 / speed cap at the nodes, zone not included, Shape (n,) [s/m].
+        slowness_left: 1 / speed cap just right of every cell's left node, zone not included, Shape (n - 1,) [s/m].
+        slowness_right: Just left of every cell's right node, Shape (n - 1,) [s/m].
         steepest: The larger |rate| of every cell, Shape (n - 1,) [1/m^2].
         length: [m].
         duration_estimate: Along the maximum velocity curve, or from rest to rest under acceleration or jerk alone: the
@@ -142,14 +164,22 @@ class PathLimits:
     zone_speed: float
     excess: FloatArray | None = None
     begin: float = 0.0
-    slowness: FloatArray = field(init=False, repr=False)
+    slowness_left: FloatArray = field(init=False, repr=False)
+    slowness_right: FloatArray = field(init=False, repr=False)
     steepest: FloatArray = field(init=False, repr=False)
     length: float = field(init=False)
     duration_estimate: float = field(init=False)
 
     def __post_init__(self) -> None:
         slowness = self.caps.slowness(self.curvature, 0.0 if self.excess is None else self.excess)
-        object.__setattr__(self, "slowness", readonly(slowness))
+        left, right = slowness[:-1], slowness[1:]
+        if self.caps.steering:
+            first, last = self.curvature[:-1], self.curvature[1:]
+            crosses = first * last < 0.0  # in a cell that goes through straight on, the wheels turn fastest there
+            left = np.maximum(left, self.caps.steering_slowness(np.where(crosses, 0.0, first), self.rate_left))
+            right = np.maximum(right, self.caps.steering_slowness(np.where(crosses, 0.0, last), self.rate_right))
+        object.__setattr__(self, "slowness_left", readonly(left))
+        object.__setattr__(self, "slowness_right", readonly(right))
         steepest = np.maximum(np.abs(self.rate_left), np.abs(self.rate_right))
         object.__setattr__(self, "steepest", readonly(steepest))
         length, drive = float(self.s[-1]), self.drive
@@ -171,6 +201,11 @@ class PathLimits:
         return DriveBounds(self.caps.max_speed, drive.max_acceleration, drive.max_deceleration, drive.max_jerk)
 
     @property
+    def fastest(self) -> float:
+        """The largest of the speed caps [m/s]."""
+        return 1.0 / min(float(self.slowness_left.min()), float(self.slowness_right.min()))
+
+    @property
     def has_zone(self) -> bool:
         """Whether the speed zone reaches into this segment."""
         return self.zone_start < self.length
@@ -181,7 +216,7 @@ class PathLimits:
         Args:
             yaw_share: Of the yaw acceleration that v^2 |k'| may use.
         """
-        slowness = np.maximum(self.slowness[:-1], self.slowness[1:])
+        slowness = np.maximum(self.slowness_left, self.slowness_right)
         if self.has_zone:
             slow = self.s[1:] > self.zone_start + 1e-12
             slowness = np.where(slow, np.maximum(slowness, 1.0 / self.zone_speed), slowness)
@@ -204,6 +239,8 @@ class PathLimits:
         rate = self.rate_left[cell] + share * (self.rate_right[cell] - self.rate_left[cell])
         excess = 0.0 if self.excess is None else np.interp(s, self.s, self.excess)
         slowness = self.caps.slowness(curvature, excess)
+        if self.caps.steering:
+            slowness = np.maximum(slowness, self.caps.steering_slowness(curvature, rate))
         if self.has_zone:
             slowness = np.where(s >= self.zone_start, np.maximum(slowness, 1.0 / self.zone_speed), slowness)
         return LimitPoints(curvature, rate, slowness)
@@ -211,7 +248,7 @@ class PathLimits:
     def cap_at(self, s: float) -> tuple[str, str]:
         """The speed cap that decides at `s` [m]: the name of its limit, and that with its value."""
         point = self.points_at(np.array([s]))
-        name, words = self.caps.tightest(abs(float(point.curvature[0])))
+        name, words = self.caps.tightest(abs(float(point.curvature[0])), float(point.rate[0]))
         zone = self.has_zone and s >= self.zone_start and float(point.slowness[0]) <= 1.0 / self.zone_speed
         return ("approach_speed", f"approach_speed = {self.zone_speed:.4g} m/s") if zone else (name, words)
 
@@ -359,7 +396,9 @@ def motion_ratios(limits: PathLimits, motion: Motion, times: FloatArray | None =
     nodes = inner[first:last]
     node_v, node_a = np.interp(nodes, s, v), np.interp(nodes, s, a)
     points = limits.points_at(s)
-    slowness = limits.slowness[1:-1][first:last]
+    slowness = limits.slowness_left[1:][first:last]
+    if limits.caps.steering:
+        slowness = np.maximum(slowness, limits.slowness_right[:-1][first:last])
     if limits.has_zone:
         slowness = np.where(nodes >= limits.zone_start, np.maximum(slowness, 1.0 / limits.zone_speed), slowness)
     curvature = limits.curvature[1:-1][first:last]
@@ -420,7 +459,8 @@ class ReferenceBounds:
         speed_squared: Bound on v^2 in each cell, for the reference, Shape (n - 1,) [m^2/s^2].
         yaw: Bound on the yaw acceleration in each cell, for the reference, Shape (n - 1,) [rad/s^2].
         cap_squared: v^2 at which a cell meets its speed caps, no margin, Shape (n - 1,) [m^2/s^2].
-        jumps: Indices of the inner nodes where the curvature rate jumps by so much that it matters.
+        jumps: Indices of the inner nodes where the curvature rate jumps by so much that it matters, for the yaw
+            acceleration or for the cap of the steering rate.
     """
 
     limits: PathLimits
@@ -436,7 +476,7 @@ class ReferenceBounds:
 
     def __post_init__(self) -> None:
         limits, margins = self.limits, self.settings.margins
-        left, right = limits.slowness[:-1], limits.slowness[1:]
+        left, right = limits.slowness_left, limits.slowness_right
         if limits.has_zone:
             slow = np.where(limits.s[:-1] >= limits.zone_start, 1.0 / limits.zone_speed, 0.0)
             left, right = np.maximum(left, slow), np.maximum(right, slow)
@@ -449,6 +489,8 @@ class ReferenceBounds:
         yaw = factor**2 * np.where(relieved, 1.0 - margins.relieved_yaw, 1.0 - margins.yaw)
         jump = np.abs(limits.rate_left[1:] - limits.rate_right[:-1]) * np.minimum(cap[1:], cap[:-1])
         jumps = np.flatnonzero(jump > margins.jump * limits.drive.max_yaw_acceleration) + 1
+        if limits.caps.steering:
+            jumps = np.union1d(jumps, np.flatnonzero(np.abs(left[1:] / right[:-1] - 1.0) > margins.cap_jump) + 1)
         object.__setattr__(self, "jumps", jumps)
         for name, value in (
             ("cap_squared", cap),
@@ -488,11 +530,14 @@ class ReferenceBounds:
         return self._checked(s, np.maximum(v * slowness, np.sqrt(yaw)))
 
     def jump_excess_at(self, nodes: IntArray, v: FloatArray, a: FloatArray) -> FloatArray:
-        """As `excess_at`, at `nodes`, of the yaw acceleration with the rates on both their sides. Shape (n,)."""
+        """As `excess_at`, at `nodes`, of what the rates on both their sides limit. Shape (n,)."""
         limits, curvature = self.limits, self.limits.curvature[nodes]
         sides = (limits.rate_right[nodes - 1], limits.rate_left[nodes])
         left, right = (yaw_ratio(limits.drive, curvature, rate, v, a) for rate in sides)
-        return self._checked(limits.s[nodes], np.sqrt(np.maximum(left, right)))
+        excess = np.sqrt(np.maximum(left, right))
+        if limits.caps.steering:
+            excess = np.maximum(excess, v * np.maximum(limits.slowness_right[nodes - 1], limits.slowness_left[nodes]))
+        return self._checked(limits.s[nodes], excess)
 
     def _checked(self, s: FloatArray, excess: FloatArray) -> FloatArray:
         share = 1.0 / (1.0 - self.settings.margins.check)

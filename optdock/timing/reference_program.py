@@ -140,8 +140,7 @@ def grid_of(bounds: ReferenceBounds, profile: SpeedProfile, first: State, last: 
     """Knots from `first` to `last`, a step of pseudo time apart, wider where the robot cruises, on every large jump."""
     limits, step, settings = bounds.limits, bounds.settings.step, bounds.settings.knots
     clock = _cruise_clock(bounds, profile)
-    sizes = _jump_sizes(bounds, profile, bounds.jumps)
-    jumps = bounds.jumps[sizes > settings.jump * limits.drive.max_yaw_acceleration]
+    jumps = bounds.jumps[_jump_sizes(bounds, profile, bounds.jumps) > settings.jump]
     breaks = _breaks(bounds, profile, (first, last), jumps)
     times = np.interp(breaks, limits.s, clock)
     parts = np.maximum(1, np.rint(np.diff(times) / step)).astype(np.int64)
@@ -196,9 +195,12 @@ def _breaks(bounds: ReferenceBounds, profile: SpeedProfile, ends: tuple[State, S
 
 
 def _jump_sizes(bounds: ReferenceBounds, profile: SpeedProfile, nodes: IntArray) -> FloatArray:
-    """v^2 times the jump of the curvature rate [rad/s^2]."""
-    limits = bounds.limits
-    sizes: FloatArray = np.abs(limits.rate_left[nodes] - limits.rate_right[nodes - 1]) * profile.speed_squared[nodes]
+    """v^2 times the jump of the curvature rate over the yaw acceleration; v times that of 1 / speed cap."""
+    limits, x = bounds.limits, profile.speed_squared[nodes]
+    jump = np.abs(limits.rate_left[nodes] - limits.rate_right[nodes - 1])
+    sizes: FloatArray = jump * x / limits.drive.max_yaw_acceleration
+    if limits.caps.steering:
+        sizes = np.maximum(sizes, np.sqrt(x) * np.abs(limits.slowness_left[nodes] - limits.slowness_right[nodes - 1]))
     return sizes
 
 

@@ -99,6 +99,7 @@ class Margins:
         relieved_speed: Of the speed caps where full braking from a moving start leaves no room for `speed`.
         relieved_yaw: Likewise of the yaw acceleration.
         jump: Of the yaw acceleration: smaller jumps of v^2 * rate are left to these margins.
+        cap_jump: Of a speed cap: likewise, smaller jumps of what the steering rate allows.
     """
 
     speed: float = 0.003
@@ -109,6 +110,7 @@ class Margins:
     relieved_speed: float = 1e-4
     relieved_yaw: float = 1e-3
     jump: float = 0.004
+    cap_jump: float = 0.001
 
 
 @dataclass(frozen=True)
@@ -137,7 +139,7 @@ class Knots:
     """Where the reference has its knots.
 
     Attributes:
-        jump: Share of the yaw acceleration: smaller jumps of v^2 * rate need no knot.
+        jump: Share of the yaw acceleration: smaller jumps of v^2 * rate need no knot, nor do those of a speed cap.
         crowded: Jumps per shortest step: beyond it no knot is put on any of them.
         least_step: Share of the step: jumps closer together share a cell.
         least_cells: Of a reference.

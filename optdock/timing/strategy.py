@@ -1,7 +1,8 @@
 """The strategy: from a path to a proven time law. Every retry is in this list.
 
-At a cusp and at the end the robot rests, so segments do not touch each other; each is planned alone. From its start
-state the first line that fits counts (`segment_plans`, `judge_start`):
+At a cusp and at the end the robot rests, so segments do not touch each other; each is planned alone. Where the wheels
+must be turned between two of them, the robot waits at rest for as long as that takes. From its start state the first
+line that fits counts (`segment_plans`, `judge_start`):
 
 1. At rest: the plans of the method, best first; the next one is made only when the one before was refused.
 2. It rolls backwards whatever is done: BAD_START.
@@ -35,7 +36,7 @@ from optdock.timing.path_limits import KEPT, NO_LENGTH, limits_along, worst_rati
 from optdock.timing.settings import CLOCK, SAMPLING
 from optdock.timing.start_states import NO_DISTANCE, judge_start
 from optdock.trajectory import TimeLaw, Trajectory
-from optdock.verification import certify_trajectory
+from optdock.verification import TOLERANCE, certify_trajectory
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -73,6 +74,7 @@ class Deadlines(NamedTuple):
 
 
 NO_DEADLINES = Deadlines()
+_NO_WAIT = 0.5 * TOLERANCE  # [s]: wheels that need no more than that do not wait
 
 SegmentPlanner: TypeAlias = "Callable[[PathLimits, State, Deadlines], Iterator[SegmentPlan]]"
 """A method: plans one segment from a state whose full braking keeps the speed caps.
@@ -149,7 +151,7 @@ def _proven(
     """The result once every refused segment has another plan, or none is left."""
     (drive, zone, start), (plans, waiting) = asked, segments
     while True:
-        result = _result(path, plans, start)
+        result = _result(path, drive, plans, start)
         if result.status is not TimingStatus.OK or result.trajectory is None:
             return result
         proof = certify_trajectory(
@@ -192,12 +194,14 @@ def _turn_in_place(segment: Segment) -> tuple[float, float]:
     return float(segment.poses[first + 1, 2] - segment.poses[first, 2]), float(segment.knots[first])
 
 
-def _result(path: Path, plans: list[SegmentPlan], start: tuple[float, float]) -> TimingResult:
+def _result(path: Path, drive: MotionLimits, plans: list[SegmentPlan], start: tuple[float, float]) -> TimingResult:
     worst = max(plans, key=lambda plan: plan.status)  # the statuses are in order of gravity
     trajectory = None
     if worst.status not in (TimingStatus.FAIL, TimingStatus.BAD_START, TimingStatus.TIMED_OUT):
         driven = path if len(plans) == len(path.segments) else Path(path.segments[: len(plans)])
-        phases = np.array([phase for plan in plans for phase in plan.phases if phase[0] > 0.0])
+        waits = _waits(path, drive)
+        parts = [(*waits.get(i, ()), *plan.phases) for i, plan in enumerate(plans)]
+        phases = np.array([phase for part in parts for phase in part if phase[0] > 0.0])
         trajectory = Trajectory(driven, TimeLaw(phases[:, 0], phases[:, 1], 0.0, *start))
     return TimingResult(
         worst.status,
@@ -209,6 +213,14 @@ def _result(path: Path, plans: list[SegmentPlan], start: tuple[float, float]) ->
         limit=worst.limit,
         at_s=worst.s,
     )
+
+
+def _waits(path: Path, drive: MotionLimits) -> dict[int, Phases]:
+    """Phases at rest before those segments that the wheels must be turned for."""
+    if len(path.segments) == 1 or not math.isfinite(drive.max_steering_rate):
+        return {}
+    times = drive.steering_times(path.joint_curvatures).tolist()
+    return {i: ((time, 0.0),) for i, time in enumerate(times, start=1) if time > _NO_WAIT}
 
 
 def _refused(plan: SegmentPlan, violation: Violation) -> SegmentPlan:

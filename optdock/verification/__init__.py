@@ -31,11 +31,20 @@ chapters, in the order in which a proof uses them:
     memo                    what was proven of a frozen value is kept while it lives
     sampled_motion          motions that others hand over as samples: rounding, and the place of each on its path
     refutation              the inequalities that every lawful motion keeps between any two of its samples
+    impossibility           why blocked cells that separate start from goal prove that no motion exists, and their check
+    cell_decomposition      the search for such a proof
     time_of_impact          the same advance at a constant body velocity: how long a command is safe
 """
 
+from optdock.verification.cell_decomposition import prove_impossible
 from optdock.verification.certificate import SHARPNESS, TOLERANCE, Certificate, TrajectoryCertificate, Violation
 from optdock.verification.certify import certify_motion, certify_path, certify_trajectory
+from optdock.verification.impossibility import (
+    Bottleneck,
+    ImpossibilityProof,
+    ImpossibilityVerdict,
+    check_impossibility,
+)
 from optdock.verification.proximity import EndClearances, end_clearances, pose_clearance, pose_clearances
 from optdock.verification.refutation import (
     SampledMotionVerdict,
@@ -48,8 +57,11 @@ from optdock.verification.sampled_motion import SampledMotion
 __all__ = [
     "SHARPNESS",
     "TOLERANCE",
+    "Bottleneck",
     "Certificate",
     "EndClearances",
+    "ImpossibilityProof",
+    "ImpossibilityVerdict",
     "SampledMotion",
     "SampledMotionVerdict",
     "TrajectoryCertificate",
@@ -58,9 +70,11 @@ __all__ = [
     "certify_motion",
     "certify_path",
     "certify_trajectory",
+    "check_impossibility",
     "check_sampled_motion",
     "check_samples_of",
     "end_clearances",
     "pose_clearance",
     "pose_clearances",
+    "prove_impossible",
 ]

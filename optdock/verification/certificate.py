@@ -63,6 +63,9 @@ class Certificate:
         poses_checked: How many poses the proof looked at.
         problem: Digests of what it was proven against; a certificate says nothing about any other problem.
         path: Digest of the path that was judged.
+        start_relief: Which rule of clearance near the start it speaks of: 0 the strict one, which asks for a growing
+            clearance from the start on; else the weaker one, which lets the robot keep what it has within this distance
+            from the start [m]. The weaker one counts only where the strict one is broken.
     """
 
     violations: tuple[Violation, ...]
@@ -77,6 +80,7 @@ class Certificate:
     poses_checked: int
     problem: ProblemFingerprint
     path: str
+    start_relief: float = 0.0
 
     def __repr__(self) -> str:
         if not self.certified:
@@ -84,7 +88,8 @@ class Certificate:
         if not self.nearest:
             return f"<Certificate: {self.length:.3f} m certified, no obstacle>"
         closest = f"{self.min_clearance:.4f} m to {self.nearest} at s = {self.at_s:.3f} m"
-        return f"<Certificate: {self.length:.3f} m certified, closest {closest}>"
+        relieved = f", no more required than at the start for {self.start_relief:.2f} m" if self.start_relief else ""
+        return f"<Certificate: {self.length:.3f} m certified, closest {closest}{relieved}>"
 
     @property
     def certified(self) -> bool:
@@ -106,6 +111,7 @@ class Certificate:
             "max_curvature",
             "max_curvature_rate",
             "length",
+            "start_relief",
         )
         numbers = {name: _plain(getattr(self, name)) for name in names}
         return {

@@ -6,12 +6,15 @@ import weakref
 from dataclasses import astuple, dataclass
 from typing import TYPE_CHECKING, Generic, TypeVar
 
+import numpy as np
+
 from optdock.deadline import never_late
 from optdock.obstacles import in_words
-from optdock.verification.certificate import Certificate, TrajectoryCertificate, Violation
+from optdock.verification.certificate import TOLERANCE, Certificate, TrajectoryCertificate, Violation
 from optdock.verification.conservative_advancement import prove_clearance
 from optdock.verification.memo import Memo
 from optdock.verification.path_rules import max_curvature, max_curvature_rate, path_violations
+from optdock.verification.proximity import end_clearances
 from optdock.verification.trajectory_rules import trajectory_violations
 
 if TYPE_CHECKING:
@@ -47,6 +50,9 @@ def certify_path(path: Path, problem: DockingProblem, *, is_late: Callable[[], b
     A proof is kept for as long as the path lives: paths and problems are frozen, so the same two have the same verdict.
     One that was cut short serves callers with a deadline, and only where it is certified all the same.
 
+    A robot that starts closer to something than required must leave it at a slope; where the path breaks only that, it
+    is judged once more by the weaker rule of a robot along a wall, and `Certificate.start_relief` says so.
+
     It does NOT look at time: see `certify_trajectory`.
 
     Args:
@@ -63,7 +69,11 @@ def certify_path(path: Path, problem: DockingProblem, *, is_late: Callable[[], b
 
 
 def _path_verdict(path: Path, problem: DockingProblem, is_late: Callable[[], bool]) -> Certificate:
-    proof = prove_clearance(path, problem, is_late)
+    proof, relief = prove_clearance(path, problem, is_late), 0.0
+    if not proof.holds and _only_near_the_start(proof, problem):
+        weaker = prove_clearance(path, problem, is_late, problem.start_run)
+        if weaker.holds:
+            proof, relief = weaker, problem.start_run
     violations = (*path_violations(path, problem), *_clearance_violations(proof, problem))
     return Certificate(
         violations=violations,
@@ -78,7 +88,22 @@ def _path_verdict(path: Path, problem: DockingProblem, is_late: Callable[[], boo
         poses_checked=proof.poses,
         problem=problem.fingerprint,
         path=path.digest,
+        start_relief=relief,
     )
+
+
+def _only_near_the_start(proof: ClearanceProof, problem: DockingProblem) -> bool:
+    """Whether the robot starts too close to something and the weaker rule allows every pose that broke the strict one.
+
+    Proofs that the weaker rule is broken as well are not made twice.
+    """
+    clearance, rule = end_clearances(problem).start, problem.clearance
+    if clearance >= rule.required:
+        return False
+    at = proof.violations[:, 4:6]
+    from_goal, from_start = (np.hypot(*(at - [end.x, end.y]).T) for end in (problem.goal, problem.start))
+    required = rule.required_at(from_goal, from_start, clearance, problem.start_run)
+    return bool(np.all(proof.violations[:, 1] >= required - TOLERANCE))
 
 
 def _clearance_violations(proof: ClearanceProof, problem: DockingProblem) -> tuple[Violation, ...]:

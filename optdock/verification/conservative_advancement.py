@@ -80,6 +80,11 @@ class ClearanceProof(NamedTuple):
     unproven: FloatArray
     poses: int
 
+    @property
+    def holds(self) -> bool:
+        """Whether the rule was proven everywhere."""
+        return len(self.violations) == 0 and len(self.unproven) == 0
+
 
 class _Round(NamedTuple):
     """One round over a set of cells.
@@ -100,7 +105,9 @@ class _Round(NamedTuple):
         return table
 
 
-def prove_clearance(path: Path, problem: DockingProblem, is_late: Callable[[], bool] = never_late) -> ClearanceProof:
+def prove_clearance(
+    path: Path, problem: DockingProblem, is_late: Callable[[], bool] = never_late, start_relief: float = 0.0
+) -> ClearanceProof:
     """Prove the clearance rule of `problem` for every point of `path`, or find the poses that break it.
 
     Args:
@@ -108,6 +115,7 @@ def prove_clearance(path: Path, problem: DockingProblem, is_late: Callable[[], b
         problem: What must hold.
         is_late: Polled after every round of cells. Once it is True what is proven counts, the minimum is sharpened no
             further, and cells that are still open are given up.
+        start_relief: Of the rule, see `ClearanceRule.required_at` [m].
     """
     footprint, obstacles = problem.robot.footprint, problem.all_obstacles
     if len(obstacles) == 0:
@@ -117,7 +125,8 @@ def prove_clearance(path: Path, problem: DockingProblem, is_late: Callable[[], b
     clearances, _ = pose_clearances(ends, footprint, obstacles)
     start_clearance, attained = float(clearances[0]), float(clearances.min())
     motion = PathMotion(path)
-    subdivision = _Subdivision(motion, problem, start_clearance, attained, _CROP, is_late)
+    rule = functools.partial(problem.clearance.required_at, start_clearance=start_clearance, start_relief=start_relief)
+    subdivision = _Subdivision(motion, problem, rule, attained, _CROP, is_late)
     near = subdivision.run()
     if near.proven <= _CROP or len(subdivision.near) == len(obstacles):
         return near
@@ -125,7 +134,7 @@ def prove_clearance(path: Path, problem: DockingProblem, is_late: Callable[[], b
     if is_late():
         margin = min(near.margin, _CROP - problem.clearance.required)
         return near._replace(proven=min(near.proven, _CROP), margin=margin)
-    return _Subdivision(motion, problem, start_clearance, attained, np.inf, is_late).run()
+    return _Subdivision(motion, problem, rule, attained, np.inf, is_late).run()
 
 
 class _Subdivision:
@@ -134,7 +143,7 @@ class _Subdivision:
     Args:
         motion: The path as cells.
         problem: What must hold.
-        start_clearance: Clearance of the start pose [m].
+        rule: Required clearance by the distances from the goal and from the start, Shape (n,) [m] each.
         attained: Smallest clearance of a pose on the path so far [m].
         crop: Obstacles further from the swept area are left out [m].
         is_late: See `prove_clearance`.
@@ -144,12 +153,12 @@ class _Subdivision:
         self,
         motion: PathMotion,
         problem: DockingProblem,
-        start_clearance: float,
+        rule: Callable[[FloatArray, FloatArray], FloatArray],
         attained: float,
         crop: float,
         is_late: Callable[[], bool],
     ) -> None:
-        self.motion, self.problem, self.start_clearance = motion, problem, start_clearance
+        self.motion, self.problem, self.rule = motion, problem, rule
         self.attained, self.is_late = attained, is_late
         self.step = max(_MAX_STEP, motion.path.length / _MOST_FIRST)
         self.poses = 0
@@ -270,7 +279,7 @@ class _Subdivision:
         found = advance_bounds(bodies, advances, self.near, exact_within, self.is_late)
         earlier = found.bound[:n] <= found.bound[n:]
         pick = np.where(earlier, np.arange(n), np.arange(n) + n)
-        violations = self._violations(nodes, found, self._required(*distances))
+        violations = self._violations(nodes, found, self.rule(*distances))
         attained = float(np.min(found.distance, initial=np.inf))
         place = nodes.s[advances.pose[pick]]
         return _Round(found.bound[pick], required, found.row[pick], place, violations, attained)
@@ -288,15 +297,12 @@ class _Subdivision:
         """Largest requirement within each cell: distance to a fixed point is convex along the chord."""
         sag = bounds.bend * bounds.width**2 / 8.0
         from_goal, from_start = (np.maximum(d[ends.first], d[ends.last]) + sag for d in distances)
-        return self._required(from_goal, from_start)
-
-    def _required(self, from_goal: FloatArray, from_start: FloatArray) -> FloatArray:
-        return self.problem.clearance.required_at(from_goal, from_start, self.start_clearance)
+        return self.rule(from_goal, from_start)
 
     def _required_at(self, pose: Pose2) -> float:
         ends = (self.problem.goal, self.problem.start)
         from_goal, from_start = (np.array([np.hypot(pose.x - end.x, pose.y - end.y)]) for end in ends)
-        return float(self._required(from_goal, from_start)[0])
+        return float(self.rule(from_goal, from_start)[0])
 
     def _distances(self, nodes: Nodes) -> tuple[FloatArray, FloatArray]:
         """Distances from the goal and from the start, Shape (n,) [m] each."""

@@ -15,7 +15,7 @@ a = v', jerk |a'| <= J, -D <= a <= A, and samples h apart:
 They are asked of neighbours and of samples 2, 4, 8, ... apart, where the rounding of the numbers weighs less. At one
 instant the path, whose curvature k and its rate r are known, ties the columns: w = v k, w' = a k + v^2 r. And a robot
 that rests at a cusp between two samples, at time c, has v0 <= J (c - t0)^2 / 2, a0 <= J (c - t0), and lies at most
-J (c - t0)^3 / 6 before the cusp.
+J (c - t0)^3 / 6 before the cusp. Between a sample before a cusp and one behind it steered wheels have the time to turn.
 
 What is left open: if the jerk keeps its limit between the samples too, speed leaves the chord between two of them by
 at most J h^2 / 8 (and A D h / (A + D)), acceleration by J h / 2, place by J h^3 / 12. If it does not, nothing is known
@@ -71,6 +71,7 @@ _STEEPEST = 10.0  # [1/m]: no more of a curvature counts for that
 OFF_PATH = 2e-3
 _DECIMALS = 6  # that a file's rounded phases keep
 _ROUNDED = 1e-5  # [s], [m/s^3], ...: of every number of such phases; ten units, as programs round what was rounded
+_STEERED = 1e-4  # of a steering time: six decimals of a curvature, and the tolerance of the proof
 _ARITHMETIC = 1e-9  # rounding of what is computed here from numbers around 1
 _UNEXPLAINED = 0.5  # of the time in which a rate matters
 _MATTERS = 0.05  # of its limit
@@ -138,7 +139,7 @@ def check_sampled_motion(motion: SampledMotion, path: Path, problem: DockingProb
             violations += tuple(_at_samples(judged, problem))
             sure = judged if places.sure.all() else judged.rows(places.sure, limits)
             violations += () if sure is judged else tuple(_through_rests(judged, problem))
-            rules = (_between_samples, _at_knots, _rests, _explained_rates)
+            rules = (_by_curvature, _between_samples, _at_knots, _rests, _explained_rates)
             violations += tuple(violation for rule in rules for violation in rule(sure, problem))
     return SampledMotionVerdict(violations, motion.t.size, step, offset, _unproven(judged, limits))
 
@@ -328,7 +329,7 @@ def _bends(judged: _Judged) -> _Bends:
 
 
 def _at_samples(judged: _Judged, problem: DockingProblem) -> Iterator[Violation]:
-    """Every column within its limit, and as the path has it at its place."""
+    """Every column along the travel within its limit."""
     limits, zone, rounding = problem.robot.limits, problem.dock.approach, judged.rounding
     v = np.maximum(judged.v, 0.0)
     fastest = np.where(judged.motion.speed >= 0.0, limits.max_speed, limits.max_reverse_speed)
@@ -339,8 +340,12 @@ def _at_samples(judged: _Judged, problem: DockingProblem) -> Iterator[Violation]
     yield from _worst(judged, "acceleration [m/s^2]", a, limits.max_acceleration, allowed)
     yield from _worst(judged, "deceleration [m/s^2]", -a, limits.max_deceleration, allowed)
     yield from _worst(judged, "jerk [m/s^3]", np.abs(judged.j), limits.max_jerk, rounding.jerk)
+
+
+def _by_curvature(judged: _Judged, problem: DockingProblem) -> Iterator[Violation]:
+    """Every column that depends on the curvature within its limit, and as the path has it at its place."""
     bends = _bends(judged)
-    yield from _curved(judged, limits, bends, np.maximum(v - rounding.speed, 0.0))
+    yield from _curved(judged, problem.robot.limits, bends, np.maximum(judged.v - judged.rounding.speed, 0.0))
     yield from _ties(judged, bends)
 
 
@@ -361,6 +366,16 @@ def _curved(judged: _Judged, limits: MotionLimits, bends: _Bends, v: FloatArray)
     yield from _worst(judged, "yaw acceleration [rad/s^2]", np.maximum(stated, by_path), limits.max_yaw_acceleration)
     yield from _worst(judged, "lateral acceleration [m/s^2]", v**2 * k, limits.max_lateral_acceleration)
     yield from _worst(judged, "wheel speed [m/s]", v * (1.0 + 0.5 * limits.track_width * k), limits.max_wheel_speed)
+    if np.isfinite(limits.max_steering_rate):
+        rate, most = np.min(np.abs(bends.rate), axis=0), np.max(np.abs(bends.curvature), axis=0)
+        steered = np.where(exact, v * _steering_rate(limits, most, rate), 0.0)
+        yield from _worst(judged, "steering rate [rad/s]", steered, limits.max_steering_rate)
+
+
+def _steering_rate(limits: MotionLimits, curvature: FloatArray, rate: FloatArray) -> FloatArray:
+    """How far the steering angle turns per metre, Shape (n,) [rad/m]."""
+    per_metre: FloatArray = limits.wheelbase * np.abs(rate) / (1.0 + (limits.wheelbase * curvature) ** 2)
+    return per_metre
 
 
 def _yaw_accelerations(judged: _Judged, bends: _Bends) -> tuple[FloatArray, FloatArray]:
@@ -555,6 +570,9 @@ def _at_knots(judged: _Judged, problem: DockingProblem) -> Iterator[Violation]:
         )
         rim = v * (1.0 + 0.5 * limits.track_width * k)
         yield from _worst(judged, "wheel speed at a knot [m/s]", rim, limits.max_wheel_speed, at=at)
+        if np.isfinite(limits.max_steering_rate):
+            steered = v * _steering_rate(limits, k, rate)
+            yield from _worst(judged, "steering rate at a knot [rad/s]", steered, limits.max_steering_rate, at=at)
 
 
 def _rests(judged: _Judged, problem: DockingProblem) -> Iterator[Violation]:
@@ -578,6 +596,8 @@ def _rests(judged: _Judged, problem: DockingProblem) -> Iterator[Violation]:
             yield Violation("rest", message, ends, abs(float(value)))
     for cusp in path.cusps:
         yield from _no_rest(judged, problem.robot.limits, cusp)
+    if np.isfinite(problem.robot.limits.max_steering_rate):
+        yield from _unsteered(judged, problem.robot.limits)
 
 
 def _no_rest(judged: _Judged, limits: MotionLimits, cusp: float) -> Iterator[Violation]:
@@ -604,6 +624,28 @@ def _no_rest(judged: _Judged, limits: MotionLimits, cusp: float) -> Iterator[Vio
             f"that takes {needed[k]:.3g} s, the samples are {given[k]:.3g} s apart"
         )
         yield Violation("rest", message, cusp, float(missing[k]))
+
+
+def _unsteered(judged: _Judged, limits: MotionLimits) -> Iterator[Violation]:
+    """Whether the samples before and behind a cusp are too close together in time for the wheels to turn there.
+
+    The ends of a polyline have the curvature of a difference quotient, so only clothoids are asked.
+    """
+    path, motion, slack = judged.path, judged.motion, 2.0 * judged.slack
+    needed = limits.steering_times(path.joint_curvatures)
+    exact = [isinstance(segment, ClothoidSegment) for segment in path.segments]
+    for i in (i for i in range(needed.size) if exact[i] and exact[i + 1]):
+        before = np.flatnonzero(judged.s < path.cusps[i] - slack)
+        behind = np.flatnonzero(judged.s > path.cusps[i] + slack)
+        if before.size and behind.size:
+            t0, t1 = motion.t[before[-1]], motion.t[behind[0]]
+            missing = float(needed[i] * (1.0 - _STEERED) - (t1 - t0) - 2.0 * judged.rounding.time - _ARITHMETIC)
+            if missing > 0.0:
+                message = (
+                    f"cusp at s = {path.cusps[i]:.3f} m: the wheels turn for {needed[i]:.4g} s, the robot is before "
+                    f"it at t = {t0:.3f} s and behind it at t = {t1:.3f} s"
+                )
+                yield Violation("rest", message, path.cusps[i], missing)
 
 
 def _explained_rates(judged: _Judged, problem: DockingProblem) -> Iterator[Violation]:

@@ -11,6 +11,13 @@ and r its rate per metre:
     yaw acc. a k + v^2 r  f'' = 4 j v r + 3 a^2 r
     wheel v (1 +- b k/2)  f'' = j +- b/2 (j k + 3 a v r)
 
+and of steered wheels, at wheelbase L, the steering angle atan(u), u = L k, turns at f = u' / (1 + u^2), so that
+
+    f'' = u'''/(1 + u^2) - 6 u u' u''/(1 + u^2)^2 + u'^3 (6 u^2 - 2)/(1 + u^2)^3
+    |f''| <= |u'''| + 2 |u' u''| + 2 |u'|^3,   u' = L r v, u'' = L r a, u''' = L r j.
+
+Where the curvature jumps between two segments the wheels turn at rest, and the rest must be long enough for that.
+
 Cells that the bound does not clear are bisected.
 
 Time within a cell counts from the start of its phase, and arc length from the knot before it, so that neither a long
@@ -66,10 +73,11 @@ def trajectory_violations(
     """Every broken rule, and the proven ratio of each quantity to its limit; see `certify_trajectory`."""
     path, law = trajectory.path, trajectory.time_law
     extremes = _speed_extremes(law)
-    structure = (*_coverage(trajectory, extremes), *_rest(trajectory), *_start(law, *start))
+    waits = _waits(trajectory, limits)
+    structure = (*_coverage(trajectory, extremes), *_rest(trajectory), *_too_short(waits), *_start(law, *start))
     if any(v.kind == "coverage" for v in structure):
         return structure, {}
-    stretches, judge = _segment_limits(path, limits, zone), _Judge(_curved_limits(limits), limits.track_width)
+    stretches, judge = _segment_limits(path, limits, zone), _Judge(_curved_limits(limits), limits)
     borders = stretches[:, :2].ravel()
     with np.errstate(over="ignore", invalid="ignore"):
         pieces = _path_pieces(path) if judge.limits else None
@@ -80,6 +88,8 @@ def trajectory_violations(
     peaks = tuple(_stretch_peaks(law, stretches, reached.rows(slice(borders.size)), extremes))
     plain = {violation.kind: violation for violation in (*_speed(peaks), *_rates(law, limits))}
     ratios = {**_plain_ratios(law, limits, peaks), **judge.ratios}
+    if waits:
+        ratios["steering_rate"] = max(ratios["steering_rate"], *(wait.ratio for wait in waits))
     return (*structure, *plain.values(), *judge.violations()), ratios
 
 
@@ -178,6 +188,50 @@ def _border_at(law: TimeLaw, s: float) -> int:
     moving = np.max(np.abs(law.states[:, 1:]), axis=1)
     at = off <= REST_TOLERANCE
     return int(np.argmin(np.where(at, moving, np.inf) if at.any() else off))
+
+
+class _Wait(NamedTuple):
+    """A rest at one place: where [m], the time that the wheels need there and that they have [s]."""
+
+    s: float
+    needed: float
+    given: float
+
+    @property
+    def ratio(self) -> float:
+        """Steering rate over its limit, if the wheels turn evenly."""
+        return self.needed / self.given if self.given > 0.0 else np.inf
+
+
+def _waits(trajectory: Trajectory, limits: MotionLimits) -> list[_Wait]:
+    """Where the wheels are turned at rest, by more than the tolerance.
+
+    A phase at rest lies between two borders at rest: its acceleration, linear, is none within it, nor is its speed.
+    Cusps that one border may stand for share the phases there, so what they need is added up.
+    """
+    law, path = trajectory.time_law, trajectory.path
+    if not (path.cusps and np.isfinite(limits.max_steering_rate)):
+        return []
+    places, needed = np.array(path.cusps), limits.steering_times(path.joint_curvatures)
+    still = np.max(np.abs(law.states[:, 1:]), axis=1) <= REST_TOLERANCE
+    waits = []
+    for group in np.split(np.arange(places.size), np.flatnonzero(np.diff(places) > 2.0 * REST_TOLERANCE) + 1):
+        first, last = places[group[[0, -1]]] + (-REST_TOLERANCE, REST_TOLERANCE)
+        at_rest = still & (law.states[:, 0] >= first) & (law.states[:, 0] <= last)
+        given = float(np.sum(law.durations[at_rest[:-1] & at_rest[1:]]))
+        wait = _Wait(float(places[group[0]]), float(np.sum(needed[group])), given)
+        if wait.needed > TOLERANCE:
+            waits.append(wait)
+    return waits
+
+
+def _too_short(waits: Sequence[_Wait]) -> Iterator[Violation]:
+    for s, needed, given in waits:
+        if not given >= needed * (1.0 - TOLERANCE):
+            message = (
+                f"the wheels take {needed:.4g} s to turn at the cusp s = {s:.4f} m, the motion rests {given:.4g} s"
+            )
+            yield Violation("rest", message, s, needed - given)
 
 
 def _start(law: TimeLaw, speed: float | None, acceleration: float | None) -> Iterator[Violation]:
@@ -394,17 +448,20 @@ def _initial_cells(law: TimeLaw, pieces: _Pieces, knots: _Instants) -> _Cells:
     return cells.and_also(turning.rows(np.flatnonzero(np.isfinite(step))))
 
 
-def _quantities(cells: _Cells, track: float) -> Mapping[str, FloatArray]:
+def _quantities(cells: _Cells, drive: MotionLimits) -> Mapping[str, FloatArray]:
     v, a, k, r = cells.v, cells.a, cells.k, cells.r
-    return {
+    found = {
         "yaw_rate": np.abs(v * k),
         "lateral_acceleration": v * v * np.abs(k),
         "yaw_acceleration": np.abs(a * k + v * v * r),
-        "wheel_speed": np.abs(v) * (1.0 + 0.5 * track * np.abs(k)),
+        "wheel_speed": np.abs(v) * (1.0 + 0.5 * drive.track_width * np.abs(k)),
     }
+    if np.isfinite(drive.max_steering_rate):
+        found["steering_rate"] = np.abs(drive.wheelbase * r * v) / (1.0 + (drive.wheelbase * k) ** 2)
+    return found
 
 
-def _bend(first: _Cells, last: _Cells, track: float) -> Mapping[str, FloatArray]:
+def _bend(first: _Cells, last: _Cells, drive: MotionLimits) -> Mapping[str, FloatArray]:
     """Bounds of |f''| over each cell."""
     # Speed is a parabola with second derivative j: it leaves the chord by at most |j| width^2 / 8.
     v = np.maximum(np.abs(first.v), np.abs(last.v)) + np.abs(first.j) * first.width**2 / 8.0
@@ -412,12 +469,17 @@ def _bend(first: _Cells, last: _Cells, track: float) -> Mapping[str, FloatArray]
     k = np.maximum(np.abs(first.k), np.abs(last.k))
     j, r = np.abs(first.j), np.abs(first.r)
     yaw_rate = j * k + 3.0 * a * v * r
-    return {
+    found = {
         "yaw_rate": yaw_rate,
         "lateral_acceleration": 2.0 * a * a * k + 2.0 * v * j * k + 5.0 * v * v * a * r,
         "yaw_acceleration": 4.0 * j * v * r + 3.0 * a * a * r,
-        "wheel_speed": j + 0.5 * track * yaw_rate,
+        "wheel_speed": j + 0.5 * drive.track_width * yaw_rate,
     }
+    if np.isfinite(drive.max_steering_rate):
+        steepest = drive.wheelbase * r
+        turned = steepest * v
+        found["steering_rate"] = steepest * j + 2.0 * turned * steepest * a + 2.0 * turned**3
+    return found
 
 
 def _curved_limits(limits: MotionLimits) -> dict[str, float]:
@@ -427,6 +489,7 @@ def _curved_limits(limits: MotionLimits) -> dict[str, float]:
         "lateral_acceleration": limits.max_lateral_acceleration,
         "yaw_acceleration": limits.max_yaw_acceleration,
         "wheel_speed": limits.max_wheel_speed,
+        "steering_rate": limits.max_steering_rate,
     }
     return {kind: limit for kind, limit in bounds.items() if np.isfinite(limit)}
 
@@ -459,16 +522,16 @@ def _subdivide(first: _Cells, judge: _Judge, is_late: Callable[[], bool]) -> Non
 class _Judge:
     """Looks at cells and keeps the worst of each quantity."""
 
-    def __init__(self, limits: Mapping[str, float], track: float) -> None:
-        self.limits, self.track = limits, track
+    def __init__(self, limits: Mapping[str, float], drive: MotionLimits) -> None:
+        self.limits, self.drive = limits, drive
         self.ratios = dict.fromkeys(limits, 0.0)
         self.found: dict[str, Violation] = {}
 
     def look_at(self, cells: _Cells) -> IntArray:
         """Judge cells; the rows of those that are neither cleared nor broken."""
         last = cells.advanced(cells.width)
-        at_ends = (_quantities(cells, self.track), _quantities(last, self.track))
-        bend = _bend(cells, last, self.track)
+        at_ends = (_quantities(cells, self.drive), _quantities(last, self.drive))
+        bend = _bend(cells, last, self.drive)
         open_cells = np.zeros(cells.t.size, dtype=np.bool_)
         for kind, limit in self.limits.items():
             # What is no number proves nothing: it counts as infinite where it arises.

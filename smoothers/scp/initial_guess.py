@@ -1,29 +1,38 @@
-"""Initial guesses: fitted to the input's headings, driven along it by pure pursuit, or left of an earlier result.
+"""Initial guesses: fitted to the input's headings or positions, driven along it by pure pursuit, or an earlier result.
 
-The fit is the best start where the input is nearly drivable. Where it is not (turns in place, a start that looks the
-wrong way), curvatures fitted to its headings and cut to the limit lead far away from it: there a robot with bounded
-curvature and curvature rate pursues the input [Coulter1992].
+The fit of headings is the cheapest, and the best start where the input is smooth. Where the input is drivable but for
+its curvature, which switches within centimetres, the fit drifts away from it, and `tracking` stays on it. Where it is
+not drivable at all (turns in place, a start that looks the wrong way), a robot with bounded curvature and curvature
+rate pursues it [Coulter1992].
 """
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
+from optdock.deadline import never_late
 from optdock.path import ClothoidSegment
 from smoothers.scp.goal_projection import clipped
+from smoothers.scp.loop import evaluated
+from smoothers.scp.qp_step import Penalties, pool_of_this_thread
 from smoothers.scp.rollout import Variables, roll_out
+from smoothers.scp.tracking import strayed, track
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from optdock.geometry.arrays import FloatArray
     from optdock.path import Path
     from optdock.problem import DockingProblem
     from smoothers.scp.basis import Basis
     from smoothers.scp.problem import Bounds, Ends, NonlinearProgram
+    from smoothers.scp.qp_step import ProgramPool
+    from smoothers.scp.rollout import Rollout
     from smoothers.scp.settings import GuessSettings
 
 __all__ = ["EarlierResult", "Guess", "InitialGuesses", "pure_pursuit", "rest_of_earlier_result"]
@@ -52,25 +61,34 @@ class InitialGuesses:
     Args:
         nlp: The program.
         earlier: What is left of an earlier result, or None.
+        pool: Convex programs, for tracking.
+        is_late: Asked within tracking.
     """
 
     nlp: NonlinearProgram
     earlier: EarlierResult | None = None
+    pool: ProgramPool = field(default_factory=pool_of_this_thread)
+    is_late: Callable[[], bool] = never_late
 
     @property
     def first(self) -> Guess:
-        """The fit, or the drive where the fit leads away from the input."""
+        """The most promising one: see `_order`."""
+        return self._cold(self._order[0], self.nlp.settings.guess.patience)
+
+    @property
+    def on_the_input(self) -> Guess | None:
+        """The tracked one, where the input can be tracked and it was not the first; None where both are alike."""
+        if not self._is_trackable or self.tracked is self._order[0]:
+            return None
         settings = self.nlp.settings.guess
-        return self._cold(self._first, settings.patience)
+        apart = self._apart(self.tracked, self._order[0])
+        return self._cold(self.tracked, settings.patience) if apart > settings.different_on_the_input else None
 
     @property
     def other(self) -> Guess | None:
-        """The guess that is not the first, for an obstacle met on its wrong side; None where both are alike."""
-        settings, nlp = self.nlp.settings.guess, self.nlp
-        second = self.pursued if self._first is self.fitted else self.fitted
-        poses = [roll_out(nlp.basis, v, nlp.ends.start, nlp.ends.signs).poses for v in (self._first, second)]
-        apart = float(np.abs(poses[0][:, :2] - poses[1][:, :2]).max())
-        return self._cold(second, settings.patience_other) if apart > settings.different else None
+        """The second of fit and drive, for an obstacle met on its wrong side; None where it is like the first."""
+        settings, (first, second) = self.nlp.settings.guess, self._order
+        return self._cold(second, settings.patience_other) if self._apart(first, second) > settings.different else None
 
     @property
     def rest_of_earlier(self) -> Guess | None:
@@ -96,16 +114,57 @@ class InitialGuesses:
         return clipped(found, nlp.inner_bounds)
 
     @cached_property
-    def _first(self) -> Variables:
+    def tracked(self) -> Variables:
+        """The drivable path whose positions are nearest to the input's."""
+        return track(self.nlp, self.pool, self._untracked[0], self.trust_region, self.is_late)
+
+    @cached_property
+    def trust_region(self) -> float:
+        """How far headings may turn in a first step [rad]: positions err by its square times half the length."""
+        settings, nlp = self.nlp.settings.guess, self.nlp
+        longest = settings.bold_length * nlp.radius
+        return settings.trust_region * math.sqrt(min(1.0, longest / float(nlp.lengths.sum())))
+
+    @cached_property
+    def _untracked(self) -> tuple[Variables, Variables]:
+        """The fit and the drive, the one that stays closer to the input first."""
         nlp, settings = self.nlp, self.nlp.settings.guess
-        driven = roll_out(nlp.basis, self.fitted, nlp.ends.start, nlp.ends.signs)
-        away = np.abs(driven.poses[:, :2] - nlp.traced.positions).max()
+        driven = self._driven(self.fitted)
         turned = abs(float(driven.poses[-1, 2] - nlp.ends.target[2]))
-        return self.fitted if away < settings.astray and turned < settings.turned_away else self.pursued
+        if strayed(nlp, driven) < settings.astray and turned < settings.turned_away:
+            return self.fitted, self.pursued
+        return self.pursued, self.fitted
+
+    @cached_property
+    def _is_trackable(self) -> bool:
+        return strayed(self.nlp, self._driven(self.tracked)) < self.nlp.settings.guess.trackable
+
+    @cached_property
+    def _order(self) -> tuple[Variables, Variables]:
+        """With which to begin, and with which to go on: the tracked one where the others leave the input to worse."""
+        settings, (first, second) = self.nlp.settings.guess, self._untracked
+        off = strayed(self.nlp, self._driven(first)) > settings.off_the_input
+        if off and self._is_trackable and self._begins_better(self.tracked, first):
+            return self.tracked, first
+        return first, second
+
+    def _begins_better(self, one: Variables, other: Variables) -> bool:
+        """Whether a search from the first would begin with the smaller merit."""
+        loop = self.nlp.settings.loop
+        penalties = Penalties(loop.clearance_penalty, loop.goal_penalty)
+        first, second = (evaluated(self.nlp, variables)[0].merit(penalties) for variables in (one, other))
+        return first < second
+
+    def _driven(self, variables: Variables) -> Rollout:
+        return roll_out(self.nlp.basis, variables, self.nlp.ends.start, self.nlp.ends.signs)
+
+    def _apart(self, one: Variables, other: Variables) -> float:
+        between = self._driven(one).poses[:, :2] - self._driven(other).poses[:, :2]
+        return float(np.abs(between).max())
 
     def _cold(self, variables: Variables, patience: int) -> Guess:
         settings = self.nlp.settings.guess
-        return Guess(variables, settings.trust_region, settings.proximal / self.nlp.radius, patience)
+        return Guess(variables, self.trust_region, settings.proximal / self.nlp.radius, patience)
 
 
 class EarlierResult(NamedTuple):

@@ -22,7 +22,7 @@ from smoothers.scp.collision.linearization import linearized_clearance
 from smoothers.scp.collision.narrow_phase import narrow_phase
 from smoothers.scp.collision.scene import body_at_nodes
 from smoothers.scp.goal_projection import end_sensitivity, project_and_roll_out
-from smoothers.scp.qp_step import Penalties, Step, Subproblem, solve_step, zone_of
+from smoothers.scp.qp_step import Penalties, Step, Subproblem, solve_step, trusted_nodes, zone_of
 from smoothers.scp.rollout import Variables, sensitivity
 
 if TYPE_CHECKING:
@@ -177,7 +177,6 @@ def _linearized(nlp: NonlinearProgram, current: Iterate, state: _State) -> Subpr
     goal = end_sensitivity(basis, current.variables, rollout.moves), current.end_error
     share = float(current.variables.lengths.sum()) / basis.num_intervals
     motion = share * (by.x.T @ by.x + by.y.T @ by.y + settings.yaw_motion * (by.yaw.T @ by.yaw))
-    nodes = np.linspace(1, basis.num_nodes - 1, settings.trust_nodes).astype(np.int64)
     most = settings.clearance_rows[-1]
     active = active_pairs(nlp.scene, found, basis.num_intervals, most // 3)
     rows = linearized_clearance(nlp.scene, basis, rollout, by, found, active).lowest(most)
@@ -186,7 +185,7 @@ def _linearized(nlp: NonlinearProgram, current: Iterate, state: _State) -> Subpr
     wanted = buffer * np.minimum(1.0, np.minimum(away[0], away[1]) / settings.buffer_taper)
     rows = rows._replace(gap=rows.gap - wanted[rows.node])
     quadratic = nlp.cost.quadratic(current.variables, rollout, by)
-    return Subproblem(current.variables, quadratic, motion, goal, by.yaw[nodes], rows)
+    return Subproblem(current.variables, quadratic, motion, goal, by.yaw[trusted_nodes(basis, settings)], rows)
 
 
 def _improved(nlp: NonlinearProgram, current: Iterate, step: Step | None, state: _State) -> Iterate | None:

@@ -11,7 +11,7 @@ K: curvatures at the knots, L: lengths of the gears. The final straight is no va
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -155,6 +155,25 @@ def formulate(
     cost = CostModel(basis, chosen.weights, scales, _reference_of(traced, basis))
     bounds, inner = _variable_bounds(basis, problem, lengths, settings.bounds)
     return NonlinearProgram(basis, ends, bounds, inner, cost, scene, traced, lengths, radius, settings)
+
+
+def with_finer_intervals(nlp: NonlinearProgram, times: int) -> NonlinearProgram:
+    """The same program with so many times as many collision intervals; its variables mean the same."""
+    basis = basis_for(tuple((q, times * r) for q, r in nlp.basis.shape), nlp.settings.resolution.fit_smoothing)
+    # Node k of a gear is node `times * k` of the finer one, the same share of its length.
+    node = np.concatenate(
+        [
+            np.interp(basis.fraction[basis.node_gear == m], nlp.basis.fraction[own], np.flatnonzero(own))
+            for m, own in enumerate(nlp.basis.node_gear == m for m in range(basis.num_gears))
+        ]
+    )
+    known = np.arange(nlp.basis.num_nodes)
+    positions, normals = (
+        np.column_stack([np.interp(node, known, column) for column in values.T]) for values in nlp.cost.reference
+    )
+    traced = TracedInput(positions, np.repeat(nlp.traced.headings, times), nlp.traced.end_yaw)
+    cost = replace(nlp.cost, basis=basis, reference=Reference(positions, normals))
+    return replace(nlp, basis=basis, cost=cost, traced=traced)
 
 
 def free_lengths(path: Path, final_straight: float) -> FloatArray:

@@ -46,6 +46,7 @@ __all__ = [
     "pool_of_this_thread",
     "prepare_programs",
     "solve_step",
+    "trusted_nodes",
     "zone_of",
 ]
 
@@ -108,7 +109,7 @@ def blocks_for(basis: Basis, rate_spans: int, clearance_rows: int, settings: Ste
         settings: Numbers of zones and of trust region rows.
     """
     path, above, below, slack = _consecutive(basis.size, 3, 3, settings.zones)
-    rows = _consecutive(3, settings.trust_nodes, rate_spans, rate_spans, clearance_rows)
+    rows = _consecutive(3, _trust_rows(basis, settings), rate_spans, rate_spans, clearance_rows)
     return Blocks(path, above, below, slack, *rows)
 
 
@@ -119,6 +120,20 @@ def _consecutive(*counts: int) -> list[slice]:
 def zone_of(basis: Basis, node: IntArray, zones: int) -> IntArray:
     """Zone of the path in which nodes lie."""
     return np.minimum(zones - 1, node * zones // basis.num_nodes)
+
+
+def trusted_nodes(basis: Basis, settings: StepSettings) -> IntArray:
+    """Nodes whose headings the trust region bounds, evenly over the path.
+
+    Twelve do for 24 spans. Longer paths have longer spans, and need one for each: between fewer of them curvatures
+    swing as they like, however small the trust region is.
+    """
+    return np.linspace(1, basis.num_nodes - 1, _trust_rows(basis, settings)).astype(np.int64)
+
+
+def _trust_rows(basis: Basis, settings: StepSettings) -> int:
+    spans = basis.span_gear.size
+    return settings.trust_nodes if spans <= 2 * settings.trust_nodes else spans
 
 
 class Subproblem(NamedTuple):

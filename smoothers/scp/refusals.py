@@ -13,7 +13,7 @@ from optdock.errors import FailedToSmoothPath
 from optdock.obstacles import in_words
 from optdock.path import Direction
 from optdock.plan import PartialPlan
-from optdock.verification import pose_clearances
+from optdock.verification import end_clearances, pose_clearances
 from smoothers.scp.goal_projection import driven_path, exact_path
 
 if TYPE_CHECKING:
@@ -30,6 +30,8 @@ __all__ = ["Refusal", "refuse_approach", "refuse_certificate", "refuse_search", 
 
 _TOLERANCE = 1e-6  # [m], as the certificate's
 _STRAIGHT_SAMPLES = 13
+# A search is local: what it does not find near one input, it may find near another.
+_NEAR_THIS_GUESS = "refused near this guess:"
 _SPACING = (
     0.02  # [m] between the poses of a refused path that are measured, 0.7 ms for 5 m; 3 cm missed 6 mm of overlap
 )
@@ -102,7 +104,7 @@ def refuse_approach(path: Path, problem: DockingProblem, start_clearance: float)
         (goal.x - back * math.cos(goal.yaw), goal.y - back * math.sin(goal.yaw), np.full(back.size, goal.yaw))
     )
     from_start = np.hypot(poses[:, 0] - problem.start.x, poses[:, 1] - problem.start.y)
-    required = problem.clearance.required_at(np.abs(back), from_start, start_clearance)
+    required = problem.clearance.required_at(np.abs(back), from_start, start_clearance, problem.start_run)
     distance, rows = pose_clearances(poses, problem.robot.footprint, problem.all_obstacles, float(required.max()))
     short = required - distance
     k = int(np.argmax(short))
@@ -120,7 +122,8 @@ def refuse_approach(path: Path, problem: DockingProblem, start_clearance: float)
 def refuse_search(nlp: NonlinearProgram, closest: Iterate, problem: DockingProblem) -> Refusal:
     """Which bound the search could not satisfy: the goal (through curvature and rate) or clearance.
 
-    The path of the refusal is that of `closest`; one that misses the goal has no final straight.
+    It says nothing about other inputs: no search proves that there is no way. The path of the refusal is that of
+    `closest`; one that misses the goal has no final straight.
 
     Args:
         nlp: What was searched for.
@@ -130,7 +133,7 @@ def refuse_search(nlp: NonlinearProgram, closest: Iterate, problem: DockingProbl
     if not closest.on_goal or closest.clearance.margin.size == 0:
         return _unreachable(nlp, closest, problem)
     path = exact_path(nlp, closest.variables, problem.dock.final_straight).with_frame(problem.frame)
-    return _too_close(path, problem, nlp.scene.start_clearance, closest.shortfall)
+    return _too_close(path, problem, closest.shortfall, nlp.scene.start_relief)
 
 
 def refuse_certificate(certificate: Certificate, path: Path) -> Refusal:
@@ -142,7 +145,7 @@ def refuse_certificate(certificate: Certificate, path: Path) -> Refusal:
     return Refusal(broken.kind, broken.s, broken.amount, obstacle, broken.message, at, more, path)
 
 
-def _too_close(path: Path, problem: DockingProblem, start_clearance: float, bound: float) -> Refusal:
+def _too_close(path: Path, problem: DockingProblem, bound: float, start_relief: float = 0.0) -> Refusal:
     """Where the path is closest to what is required, as measured by the certificate's own distances.
 
     The search judges intervals by bounds, which may be short where every pose is legal.
@@ -152,7 +155,8 @@ def _too_close(path: Path, problem: DockingProblem, start_clearance: float, boun
     from_goal, from_start = (
         np.hypot(poses[:, 0] - end.x, poses[:, 1] - end.y) for end in (problem.goal, problem.start)
     )
-    required = problem.clearance.required_at(from_goal, from_start, start_clearance)
+    start_clearance = end_clearances(problem).start
+    required = problem.clearance.required_at(from_goal, from_start, start_clearance, start_relief)
     footprint, obstacles = problem.robot.footprint, problem.all_obstacles
     clearance, rows = pose_clearances(poses, footprint, obstacles, float(required.max()))
     k = int(np.argmax(required - clearance))
@@ -161,13 +165,14 @@ def _too_close(path: Path, problem: DockingProblem, start_clearance: float, boun
     more: dict[str, object] = {"clearance": float(clearance[k]), "required": float(required[k])}
     if short > _TOLERANCE:
         message = (
-            f"the best path found comes {short:.4f} m closer to {in_words(name)} than required at s = {s[k]:.3f} m"
+            f"{_NEAR_THIS_GUESS} the best path found comes {short:.4f} m closer to {in_words(name)} than required at "
+            f"s = {s[k]:.3f} m"
         )
     else:
         more["bound"] = bound
         message = (
-            "every pose measured on the best path found keeps the required clearance, but between them it is not "
-            f"proven: the bound of the search is {bound:.4f} m short"
+            f"{_NEAR_THIS_GUESS} every pose measured on the best path found keeps the required clearance, but between "
+            f"them it is not proven: the bound of the search is {bound:.4f} m short"
         )
     return Refusal("clearance", float(s[k]), short, name, message, poses[k], more, path)
 
@@ -182,7 +187,8 @@ def _unreachable(nlp: NonlinearProgram, closest: Iterate, problem: DockingProble
     tight = [name for name, share in (("curvature", used), ("curvature rate", steered)) if share > 0.97]
     tight += ["clearance"] if closest.clearance.margin.size and closest.clearance.margin.min() < 2e-3 else []
     target = f"the final straight, {straight:.3f} m before the goal," if straight > 0.0 else "the goal"
-    message = f"the best path found in the gears of the raw path misses {target} by {missed:.3f} m and {turned:.3f} rad"
+    message = f"{_NEAR_THIS_GUESS} the best path found in the gears of the raw path misses {target} by"
+    message += f" {missed:.3f} m and {turned:.3f} rad"
     message += f"; at the limit: {', '.join(tight)}" if tight else ""
     at = path.poses_at(path.length)[0]
     return Refusal("goal_unreachable", path.length, missed, "", message, at, path=path)

@@ -20,6 +20,7 @@ __all__ = [
     "ResolutionSettings",
     "Settings",
     "StepSettings",
+    "TrackingSettings",
 ]
 
 
@@ -73,18 +74,40 @@ class GuessSettings:
 
     astray: float = 0.4  # [m]: a fit that leads further from the input is not begun with
     turned_away: float = 0.4  # [rad], likewise at the goal
+    off_the_input: float = 0.1  # [m]: a fit that leads further from the input may be worse than a tracked one
+    trackable: float = 0.4  # [m]: an input that cannot be tracked more closely is not drivable
     different: float = 0.15  # [m]: guesses closer together lead to the same result
+    different_on_the_input: float = 0.03  # [m], likewise, where the one is on the input
     pursuit_step: float = 0.25  # of the smallest radius, at most
     pursuit_longest: float = 3.0  # times the input, and a loop
     earlier_spacing: float = 0.02  # [m], of the search for the robot on the earlier path
     earlier_lost: float = 0.5  # [m]: a robot further from the earlier path does not follow it
     earlier_shortest: float = 0.02  # [m]: less left of a gear is no guess
     trust_region: float = 0.45  # [rad]: first bound of the heading changes; 0.2 to 1.0 make no difference
+    bold_length: float = 12.0  # times the smallest radius: longer paths begin with smaller steps
     proximal: float = 0.67  # [m]: first weight of squared motion, times the largest curvature; 0.1 to 5 likewise
     trust_region_near: float = 0.2  # an earlier result is near the new one
     proximal_near: float = 0.067
     patience: int = 4  # iterations within which a shortfall must shrink
     patience_other: int = 3  # with the other guess: most problems that got so far have no answer
+
+
+@dataclass(frozen=True)
+class TrackingSettings:
+    """Least squares of positions, for a first guess that stays on the input."""
+
+    weight: float = 30.0  # [1/m^3] of squared distance across the input: a hundred times the search's
+    along: float = 0.1  # times as much along it: rounding an input whose curvature jumps makes it a little shorter
+    cusp: float = 1.0  # times as much at cusps, in both directions: there the input's positions are anchors
+    smoothness: float = 0.05  # times the search's weight of the squared curvature rate
+    goal_weight: float = 100.0  # [1/m] of the error at the goal
+    proximal: float = 1e-3  # weight of the squared step
+    trust_growth: float = 2.0
+    most_trust: float = 0.9  # [rad]
+    trust_cut: float = 0.3
+    most_steps: int = 8
+    small_gain: float = 0.05  # of the merit, not worth a further step
+    near: float = 0.02  # [m] from the input everywhere is near enough
 
 
 @dataclass(frozen=True)
@@ -120,7 +143,7 @@ class StepSettings:
     """The quadratic program of one step."""
 
     zones: int = 6  # of the path, with one slack of clearance each: one alone costs 1 %, twelve cost time
-    trust_nodes: int = 12  # whose headings the trust region bounds
+    trust_nodes: int = 12  # whose headings the trust region bounds, at least
     clearance_rows: tuple[int, ...] = (48, 96, 160, 256, 400)  # programs are built for so many, and used again
     usual_shapes: tuple[tuple[tuple[int, int], ...], ...] = (  # built at warm-up: one to three gears
         ((24, 2),),
@@ -190,9 +213,11 @@ class AnytimeSettings:
     repairs: int = 2  # of a path that the certificate refused
     repair_nearest: int = 4  # times the obstacles looked at in every interval, at each repair
     repair_buffer: float = 3.0  # times the buffer, at each repair
+    repair_finer: int = 2  # times the intervals, at a repair of what only the bound between nodes is against
     nearly: float = (
         5e-3  # [m]: a shortfall that may be due to the cautious bound between nodes: the certificate decides
     )
+    nearly_in_sags: float = 2.0  # likewise, in what that bound can lose: 5 cm for a car, 3 mm for a robot of 0.9 m
     same_pose: float = 1e-6  # [m, rad], as the certificate's
     on_axis: float = 1e-7  # [m, rad]: a robot there drives the straight line
     staging: float = 0.05  # [m] before the final straight: from further away there is something to optimize
@@ -206,6 +231,7 @@ class Settings:
     bounds: BoundSettings = field(default_factory=BoundSettings)
     projection: GoalProjectionSettings = field(default_factory=GoalProjectionSettings)
     guess: GuessSettings = field(default_factory=GuessSettings)
+    tracking: TrackingSettings = field(default_factory=TrackingSettings)
     collision: CollisionSettings = field(default_factory=CollisionSettings)
     step: StepSettings = field(default_factory=StepSettings)
     loop: LoopSettings = field(default_factory=LoopSettings)

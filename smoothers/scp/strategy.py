@@ -17,11 +17,12 @@ from optdock.geometry.clothoid import ClothoidSpline
 from optdock.interfaces import SmoothingStatus
 from optdock.path import ClothoidSegment, Path
 from optdock.verification import certify_path, end_clearances
+from smoothers.scp.collision.narrow_phase import most_sag
 from smoothers.scp.collision.scene import scene_around
 from smoothers.scp.goal_projection import exact_path
 from smoothers.scp.initial_guess import InitialGuesses, rest_of_earlier_result
 from smoothers.scp.loop import search
-from smoothers.scp.problem import formulate
+from smoothers.scp.problem import formulate, with_finer_intervals
 from smoothers.scp.refusals import refuse_approach, refuse_certificate, refuse_search, refuse_start
 
 if TYPE_CHECKING:
@@ -90,18 +91,21 @@ class Given(NamedTuple):
 class Search(NamedTuple):
     """A search from a guess; up to two repairs where the certificate refuses its result.
 
-    A repair begins at the refused variables, aims at three times the buffer, and looks at four times as many obstacles
-    in every interval, small ones included.
+    A repair begins at the refused variables. Where the search took them for feasible it aims at three times the buffer
+    and looks at four times as many obstacles in every interval, small ones included; where only the cautious bound
+    between its nodes was in the way, its intervals are half as long.
 
     Attributes:
         guess: Where it begins, or None.
         thoroughly: With finer nodes and small obstacles looked at everywhere; worth trying among many obstacles only.
         after_the_goal: Only where the search before met the goal: one that is out of reach for the curvature stays so.
+        relieved: Under the weaker rule of clearance near the start; for robots that start too close to something.
     """
 
     guess: Callable[[InitialGuesses], Guess | None]
     thoroughly: bool = False
     after_the_goal: bool = False
+    relieved: bool = False
 
 
 def is_clothoid_answer(path: Path, problem: DockingProblem, settings: AnytimeSettings) -> bool:
@@ -155,10 +159,15 @@ STRATEGY: tuple[Given | Search, ...] = (
     # The first search that ends with a certified path, or for want of time, is the last one.
     Search(lambda guesses: guesses.rest_of_earlier),
     Search(lambda guesses: guesses.first),
+    Search(lambda guesses: guesses.on_the_input),
     Search(lambda guesses: guesses.other, after_the_goal=True),
     Search(lambda guesses: guesses.rest_of_earlier, thoroughly=True),
     Search(lambda guesses: guesses.first, thoroughly=True),
+    Search(lambda guesses: guesses.on_the_input, thoroughly=True),
     Search(lambda guesses: guesses.other, thoroughly=True, after_the_goal=True),
+    Search(lambda guesses: guesses.first, relieved=True),
+    Search(lambda guesses: guesses.on_the_input, relieved=True),
+    Search(lambda guesses: guesses.other, relieved=True, after_the_goal=True),
     Given(SmoothingStatus.WARM_START_KEPT, earlier_answer),
 )
 """Everything that is tried, in this order."""
@@ -264,6 +273,12 @@ class Solver:
                 return False
             self._nlp, self._guesses = self._prepared_thoroughly()
             self._is_thorough, self._closest = True, None
+        if row.relieved and self._nlp.scene.start_relief == 0.0:
+            if self._nlp.scene.start_clearance >= self.call.problem.clearance.required:
+                return False
+            scene = replace(self._nlp.scene, start_relief=self.call.problem.start_run)
+            self._nlp = replace(self._nlp, scene=scene)
+            self._guesses, self._closest = replace(self._guesses, nlp=self._nlp), None
         failed = self.outcome.last
         if row.after_the_goal and not (failed is not None and failed.on_goal):
             return False
@@ -317,7 +332,7 @@ class Solver:
         expected, pace = self.settings.anytime, self.pool.pace
         self._iteration = pace * _expected(nlp, expected.iteration_seconds)
         self._certificate = self._certificate or pace * _expected(nlp, expected.certificate_seconds)
-        return nlp, InitialGuesses(nlp, earlier)
+        return nlp, InitialGuesses(nlp, earlier, self.pool, self.deadline.passed)
 
     def _look_at_the_clock(self) -> None:
         if self.deadline.passed():
@@ -350,11 +365,14 @@ class Solver:
             refused = self._settle(nlp)
             if refused is None or not self.outcome.converged:
                 break
-            seen = nlp.scene.settings
-            seen = replace(seen, nearest=chosen.repair_nearest * seen.nearest, thins_small_obstacles=False)
-            step = replace(nlp.settings.step, buffer=chosen.repair_buffer * nlp.settings.step.buffer)
-            scene, settings = replace(nlp.scene, settings=seen), replace(nlp.settings, step=step)
-            nlp, guess = replace(nlp, scene=scene, settings=settings), guess._replace(variables=refused.variables)
+            nlp = self._more_cautious(nlp) if refused.feasible else with_finer_intervals(nlp, chosen.repair_finer)
+            guess = guess._replace(variables=refused.variables)
+
+    def _more_cautious(self, nlp: NonlinearProgram) -> NonlinearProgram:
+        chosen, seen = self.settings.anytime, nlp.scene.settings
+        seen = replace(seen, nearest=chosen.repair_nearest * seen.nearest, thins_small_obstacles=False)
+        step = replace(nlp.settings.step, buffer=chosen.repair_buffer * nlp.settings.step.buffer)
+        return replace(nlp, scene=replace(nlp.scene, settings=seen), settings=replace(nlp.settings, step=step))
 
     def _search(self, nlp: NonlinearProgram, guess: Guess) -> None:
         self.outcome.converged = False
@@ -409,7 +427,7 @@ class Solver:
     def _settle(self, nlp: NonlinearProgram) -> Iterate | None:
         """Certify the candidate; returns it when it was refused."""
         candidate, self._candidate = self._candidate, None
-        if candidate is None and self.outcome.incumbent is None and self._is_nearly_feasible():
+        if candidate is None and self.outcome.incumbent is None and self._is_nearly_feasible(nlp):
             candidate = self.outcome.last
         if candidate is None:
             return None
@@ -441,11 +459,13 @@ class Solver:
     def _is_late(self) -> bool:
         return self.deadline.left < -self.settings.anytime.latest
 
-    def _is_nearly_feasible(self) -> bool:
+    def _is_nearly_feasible(self, nlp: NonlinearProgram) -> bool:
         last = self.outcome.last
         if last is None or not self.outcome.converged:
             return False
-        return last.on_goal and last.shortfall < self.settings.anytime.nearly
+        chosen = self.settings.anytime
+        lost = most_sag(last.rollout, nlp.scene.body.radius)
+        return last.on_goal and last.shortfall < max(chosen.nearly, chosen.nearly_in_sags * lost)
 
 
 def _expected(nlp: NonlinearProgram, share: tuple[float, float, float]) -> float:

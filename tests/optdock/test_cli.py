@@ -542,7 +542,7 @@ def test_no_command_writes_over_its_scenario(command):
     pathlib.Path("bay.yaml").replace(name)
     result = run(command[0], name, command[1], f"./{name}")
     assert result.exit_code == 2
-    assert result.stderr == f"{name}: is the scenario, and would be overwritten; choose another name\n"
+    assert result.stderr == f"{name}: is the file to read, and would be overwritten; choose another name\n"
     assert pathlib.Path(name).read_text() == SCENARIO
 
 

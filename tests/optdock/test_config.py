@@ -9,6 +9,7 @@ from optdock.config import load_scenario
 from optdock.dock import DockDirection
 from optdock.errors import InvalidFile
 from optdock.geometry.pose import Pose2
+from optdock.limits import MotionLimits
 from optdock.robot import Drive
 
 COMPLETE = """\
@@ -206,6 +207,37 @@ def test_a_wrong_value_is_named_with_line_key_and_rule(tmp_path):
     for old, new, message in WRONG_VALUES:
         start = f"bay.yaml:{message}"
         assert [line[: len(start)] for line in faults(tmp_path, with_change(old, new))] == [start]
+
+
+WRONG_STEERING = [
+    (
+        "drive: ackermann, limits: {max_steering_angle: 0.6}",
+        ".limits.max_steering_angle: 0.6 rad means nothing without wheelbase > 0 m",
+    ),
+    (
+        "drive: ackermann, limits: {wheelbase: 2.8, max_steering_angle: 35}",
+        ".limits.max_steering_angle: must be > 0 and < pi / 2 rad, or inf, got 35",
+    ),
+    (
+        "limits: {wheelbase: 2.8, max_steering_rate: 0.5}",
+        ".limits.max_steering_rate: 0.5 rad/s is for drive: ackermann; this one is differential",
+    ),
+    ("limits: {wheel_base: 2.8}", ".limits.wheel_base: unknown key; write wheelbase: 2.8"),
+]
+
+
+def test_a_steering_that_is_none_is_refused(tmp_path):
+    for limits, message in WRONG_STEERING:
+        start = f"bay.yaml:2: robot{message}"
+        found = faults(tmp_path, with_change("radius: 0.3", f"radius: 0.3, {limits}", MINIMAL))
+        assert [line[: len(start)] for line in found] == [start]
+
+
+def test_a_steering_is_read(tmp_path):
+    steered = "radius: 0.3, drive: ackermann, limits: {wheelbase: 2.8, max_steering_angle: 0.6, max_steering_rate: .5}"
+    (tmp_path / "bay.yaml").write_text(with_change("radius: 0.3", steered, MINIMAL))
+    limits = load_scenario(tmp_path / "bay.yaml").problem.robot.limits
+    assert limits == MotionLimits(wheelbase=2.8, max_steering_angle=0.6, max_steering_rate=0.5)
 
 
 WRONG_OUTLINES = [

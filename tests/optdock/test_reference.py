@@ -17,7 +17,13 @@ MINIMAL = {
     "start": {"pose": [0.0, 0.0, 0.0]},
 }
 # What a key needs beside it.
-COMPANIONS = {"dock.approach_speed": {"dock.approach_distance": 0.5}, "clearance.at_dock": {"clearance.required": 1e9}}
+STEERED = {"robot.drive": "ackermann", "robot.limits.wheelbase": 1.0}
+COMPANIONS = {
+    "dock.approach_speed": {"dock.approach_distance": 0.5},
+    "clearance.at_dock": {"clearance.required": 1e9},
+    "robot.limits.max_steering_angle": STEERED,
+    "robot.limits.max_steering_rate": STEERED,
+}
 
 
 @pytest.fixture(scope="module")

@@ -34,11 +34,51 @@ from optdock.trajectory import TimeLaw, Trajectory
         ("max_curvature", 0.0, "> 0 1/m"),
         ("max_curvature", math.nan, "> 0 1/m"),
         ("track_width", -0.1, ".*>= 0 m"),
+        ("wheelbase", math.inf, ".*finite and >= 0 m"),
+        ("max_steering_angle", 1.6, "> 0 and < pi / 2 rad"),
+        ("max_steering_rate", 0.0, "> 0 rad/s"),
     ],
 )
 def test_limits_name_the_bound_and_its_rule(name, value, rule):
     with pytest.raises(InvalidValue, match=f"limits.{name}: must be {rule}".replace("^", r"\^")):
         MotionLimits(**{name: value})
+
+
+@pytest.mark.parametrize(("name", "unit"), [("max_steering_angle", "rad"), ("max_steering_rate", "rad/s")])
+def test_a_steering_without_its_wheelbase_means_nothing(name, unit):
+    with pytest.raises(InvalidValue, match=f"limits.{name}: 0.5 {unit} means nothing without wheelbase > 0 m"):
+        MotionLimits(**{name: 0.5})
+    limits = MotionLimits(wheelbase=2.8, **{name: 0.5})
+    Robot(Footprint.from_radius(0.3), limits, Drive.ACKERMANN)
+    with pytest.raises(InvalidValue, match=f"robot.limits.{name}: 0.5 {unit} is for drive: ackermann"):
+        Robot(Footprint.from_radius(0.3), limits)
+
+
+def test_the_steering_angle_bounds_the_curvature():
+    steered = {"wheelbase": 2.8, "max_steering_angle": 0.75}
+    tightest = math.tan(0.75) / 2.8
+    assert MotionLimits(**steered).max_curvature == pytest.approx(tightest)
+    assert MotionLimits(max_curvature=0.2, **steered).max_curvature == 0.2
+    assert MotionLimits(**steered).steering_angle(np.array(tightest)) == pytest.approx(0.75)
+
+
+def test_a_robot_without_steering_has_the_digest_that_it_had_before_there_was_one():
+    """Plan files outlive the limits that are added: these digests are older than the steering."""
+    box = Footprint.rectangle(0.4, 0.4, 0.6)
+    assert Robot(box, MotionLimits(max_curvature=2.0)).fingerprint.limits == "a715eb726bf84520"
+    turning = MotionLimits(max_yaw_rate=1.0, track_width=0.3)
+    assert Robot(box, turning, Drive.ACKERMANN).fingerprint.limits == "d41a009c2195fe0b"
+    seen = {Robot(box, limits, Drive.ACKERMANN).fingerprint.limits for limits in STEERED}
+    assert len(seen) == len(STEERED)
+
+
+STEERED = [
+    MotionLimits(max_curvature=0.3),
+    MotionLimits(max_curvature=0.3, wheelbase=2.8),
+    MotionLimits(max_curvature=0.3, wheelbase=2.8, max_steering_rate=0.5),
+    MotionLimits(max_curvature=0.3, wheelbase=2.8, max_steering_rate=0.6),
+    MotionLimits(max_curvature=0.3, wheelbase=2.8, max_steering_angle=1.2),
+]
 
 
 def test_unlimited_is_infinity():

@@ -73,12 +73,13 @@ def test_a_path_that_misses_the_goal_ends_where_the_refusal_says(seed):
 def test_where_every_measured_pose_is_legal_the_refusal_says_so():
     case = instance("corridor", 0)
     path = CasadiSmoother().smooth(case.raw_path, 30.0, problem=case.problem).path
-    error = _too_close(path, case.problem, end_clearances(case.problem).start, 0.0123).error()
+    error = _too_close(path, case.problem, 0.0123).error()
     assert certify_path(path, case.problem).certified
     assert error.where["amount"] <= 1e-6
     assert error.where["bound"] == 0.0123
     assert "keeps the required clearance" in str(error)
     assert "0.0123 m short" in str(error)
+    assert "refused near this guess" in str(error)
 
 
 def test_a_failed_call_leaves_the_best_path_of_the_search_uncertified():

@@ -11,7 +11,7 @@ from experiments.fuzz.doors import path_of, problem_of
 from experiments.fuzz.generators.problems import path_problem
 from experiments.fuzz.oracle.motion import motion_of
 from experiments.fuzz.oracle.rules import findings
-from experiments.fuzz.oracle.sweep import required_at, start_clearance, sweep
+from experiments.fuzz.oracle.sweep import required_at, start_clearance, start_run, sweep
 from experiments.fuzz.oracle.world import World
 from optdock.errors import OptdockError
 from optdock.verification import certify_path
@@ -57,7 +57,12 @@ def refuted(case: Case, certificate: Certificate) -> Verdict | None:
     world = World.of(case)
     if world.is_empty:
         return None
-    seen = sweep(case, motion, world)
+    run, relief = start_run(case), certificate.start_relief
+    if relief and abs(relief - run) > _ROUND * run:
+        return Verdict(
+            "false certificate", f"start relief, {_scene(case)}: {relief:.9g} m, the rule allows {run:.9g} m"
+        )
+    seen = sweep(case, motion, world, relief=relief)
     k, least = seen.worst, int(np.argmin(seen.clearance))
     if not seen.margin[k] >= -_FORGIVEN:
         text = (
@@ -102,13 +107,13 @@ def _scene(case: Case) -> str:
 def _has_room(case: Case, motion: Motion, certificate: Certificate) -> bool:
     """Whether the margin is above a millimetre everywhere, where the certificate says it is not first of all."""
     world = World.of(case)
-    spare = _SPARE + _ROUND * world.radius
+    spare, run = _SPARE + _ROUND * world.radius, start_run(case)
     shown = [violation.where["pose"] for violation in certificate.violations if "pose" in violation.where]
     if shown and not world.is_empty:
         poses = np.array(shown, dtype=float)
-        spared = world.clearances(poses) - required_at(case, poses, start_clearance(case, world))
+        spared = world.clearances(poses) - required_at(case, poses, start_clearance(case, world), run)
         if float(spared.min()) <= spare:
             return False
-    if float(sweep(case, motion, world, refine=False).margin.min()) <= spare:
+    if float(sweep(case, motion, world, refine=False, relief=run).margin.min()) <= spare:
         return False
-    return bool(sweep(case, motion, world).margin.min() > spare)
+    return bool(sweep(case, motion, world, relief=run).margin.min() > spare)

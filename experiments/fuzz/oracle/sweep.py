@@ -12,7 +12,7 @@ if TYPE_CHECKING:
     from experiments.fuzz.oracle.motion import Floats, Ints, Motion
     from experiments.fuzz.oracle.world import World
 
-__all__ = ["AROUND", "Sweep", "required_at", "start_clearance", "sweep"]
+__all__ = ["AROUND", "Sweep", "required_at", "start_clearance", "start_run", "sweep"]
 
 _STEP, _TURN = 0.04, 0.08  # [m], [rad] between first samples
 _MOST = 1500  # first samples
@@ -38,15 +38,27 @@ class Sweep:
         return int(np.argmin(self.margin))
 
 
-def required_at(case: Case, poses: Floats, start_clearance: float) -> Floats:
-    """What the rule asks: a taper to the goal; near a start that is too close, growth from there. Shape (n,) [m]."""
+def start_run(case: Case) -> float:
+    """How far a robot along a wall may keep no more clearance than at its start, under the weaker rule [m]."""
+    footprint = case["footprint"]
+    if "radius" in footprint:
+        return 2.0 * float(footprint["radius"])
+    outline = np.array(footprint["polygon"], dtype=float)
+    return min(float(np.ptp(outline[:, 0])), 2.0 * float(np.hypot(outline[:, 0], outline[:, 1]).max()))
+
+
+def required_at(case: Case, poses: Floats, start_clearance: float, relief: float = 0.0) -> Floats:
+    """What the rule asks: a taper to the goal; near a start that is too close, growth from there. Shape (n,) [m].
+
+    The growth begins `relief` [m] from the start: 0 is the strict rule, `start_run` the weaker one.
+    """
     required, at_dock, taper = case["clearance"]
     goal, start = case["dock"]["pose"], case["start"]
     from_goal = np.hypot(poses[:, 0] - goal[0], poses[:, 1] - goal[1])
     from_start = np.hypot(poses[:, 0] - start[0], poses[:, 1] - start[1])
     share = np.clip(from_goal / taper, 0.0, 1.0) if taper > 0.0 else (from_goal > 0.0).astype(float)
-    relief = max(start_clearance, 0.0) + 0.5 * from_start
-    required_there: Floats = np.minimum(at_dock + (required - at_dock) * share, relief)
+    near_start = max(start_clearance, 0.0) + 0.5 * np.clip(from_start - relief, 0.0, None)
+    required_there: Floats = np.minimum(at_dock + (required - at_dock) * share, near_start)
     return required_there
 
 
@@ -58,23 +70,24 @@ def start_clearance(case: Case, world: World) -> float:
     return float(world.clearances(np.array([case["start"]], dtype=float))[0]) - AROUND * world.radius
 
 
-def sweep(case: Case, motion: Motion, world: World, *, refine: bool = True) -> Sweep:
+def sweep(case: Case, motion: Motion, world: World, *, refine: bool = True, relief: float = 0.0) -> Sweep:
     """Clearance and margin along the path.
 
     Args:
         case: Holds the clearance rule.
         motion: The path.
         world: The obstacles and the outline.
+        relief: Of the clearance rule, see `required_at` [m].
         refine: Whether to look for the minimum between the first samples; without, minima may be missed.
     """
-    return _Search(case, motion, world).run(rounds=_ROUNDS if refine else 0)
+    return _Search(case, motion, world, relief).run(rounds=_ROUNDS if refine else 0)
 
 
 class _Search:
     """Samples by (piece, share), kept in order of the path; intervals between neighbours of one piece."""
 
-    def __init__(self, case: Case, motion: Motion, world: World) -> None:
-        self.case, self.motion, self.world = case, motion, world
+    def __init__(self, case: Case, motion: Motion, world: World, relief: float) -> None:
+        self.case, self.motion, self.world, self.relief = case, motion, world, relief
         self.start_clearance = start_clearance(case, world)
         reach = world.reach
         self.travel = motion.way + reach * motion.turn  # of any outline point within each piece
@@ -118,7 +131,7 @@ class _Search:
     def _measured(self, piece: Ints, share: Floats) -> Sweep:
         poses = self.motion.poses_at(piece, share)
         clearance = self.world.clearances(poses)
-        margin = clearance - required_at(self.case, poses, self.start_clearance)
+        margin = clearance - required_at(self.case, poses, self.start_clearance, self.relief)
         return Sweep(self.motion.s_at(piece, share), poses, clearance, margin)
 
     def _promising(self, table: tuple[Floats, ...], best: float) -> Ints:

@@ -33,7 +33,7 @@ if TYPE_CHECKING:
     from smoothers.scp.rollout import Rollout
     from smoothers.scp.settings import CollisionSettings
 
-__all__ = ["Chords", "Clearance", "best_separating_axes", "chords", "narrow_phase", "sag"]
+__all__ = ["Chords", "Clearance", "best_separating_axes", "chords", "most_sag", "narrow_phase", "sag"]
 
 _CACHED = (
     100_000  # numbers, 0.8 MB: what is read again at once should still be in the processor's cache (8 times as fast)
@@ -144,6 +144,17 @@ def sag(scene: Scene, rollout: Rollout, pairs: Pairs, seen: _Seen, body: BodyAtN
     third = np.abs(rate) * (1.0 + 3.0 * most * reach) + most**2 * (1.0 + most * reach)
     dip: FloatArray = 0.125 * step**2 * np.maximum(bend + 0.5 * step * third, 0.0)
     return dip
+
+
+def most_sag(rollout: Rollout, radius: float) -> float:
+    """Roughly the most that any vertex within `radius` [m] may dip below its chord: what finer intervals can give back.
+
+    Args:
+        rollout: The driven path.
+        radius: Of the body [m].
+    """
+    turn, rate = np.abs(rollout.curvature).max(), np.abs(rollout.rate).max()
+    return float(0.125 * rollout.steps.max() ** 2 * (turn + radius * (turn**2 + rate)))
 
 
 def best_separating_axes(

@@ -89,6 +89,7 @@ class Scene:
         goal: Goal position, Shape (2,) [m].
         start_clearance: Clearance of the start pose [m].
         settings: Which pairs are looked at, and how.
+        start_relief: Of the clearance rule [m].
 
     Attributes:
         outline: Obstacle vertices, one column per obstacle, Shape (k, m) [m].
@@ -103,6 +104,7 @@ class Scene:
     goal: FloatArray
     start_clearance: float
     settings: CollisionSettings = DEFAULT_SETTINGS.collision
+    start_relief: float = 0.0
     outline: Points = field(init=False, repr=False)
     edge_normals: Points = field(init=False, repr=False)
     box_middle: Points = field(init=False, repr=False)
@@ -120,12 +122,13 @@ class Scene:
         """What is required at robot positions, Shape (n, 2) [m]."""
         to_goal, to_start = positions - self.goal, positions - self.start
         from_goal, from_start = np.hypot(to_goal[:, 0], to_goal[:, 1]), np.hypot(to_start[:, 0], to_start[:, 1])
-        value = self.rule.required_at(from_goal, from_start, self.start_clearance)
-        relieved = max(0.0, self.start_clearance) + START_RELIEF_SLOPE * from_start
+        value = self.rule.required_at(from_goal, from_start, self.start_clearance, self.start_relief)
+        relieved = self.rule.near_start(from_start, self.start_clearance, self.start_relief)
         eased, near = value == relieved, from_goal < self.rule.taper
         slope = (self.rule.required - self.rule.at_dock) / self.rule.taper if self.rule.taper > 0.0 else 0.0
         toward = np.where(near, slope / np.maximum(from_goal, 1e-9), 0.0)[:, None] * to_goal
-        away = (START_RELIEF_SLOPE / np.maximum(from_start, 1e-9))[:, None] * to_start
+        rising = np.where(from_start > self.start_relief, START_RELIEF_SLOPE, 0.0)
+        away = (rising / np.maximum(from_start, 1e-9))[:, None] * to_start
         gradient, rule = np.where(eased[:, None], away, toward), np.where(eased, 2, np.where(near, 0, 1))
         return Requirement(value, gradient, rule, relieved)
 

@@ -33,8 +33,17 @@ def _dense_ratios(trajectory, limits, zone) -> dict[str, float]:
         "acceleration": a / limits.max_acceleration,
         "deceleration": -a / limits.max_deceleration,
         "jerk": np.abs(law.jerks) / limits.max_jerk,
+        "steering rate": _steering_rates(row, limits) / limits.max_steering_rate,
     }
     return {name: float(np.max(values)) for name, values in ratios.items()}
+
+
+def _steering_rates(row, limits) -> np.ndarray:
+    """Mean rates of the steering angle between samples, rests included: of the bicycle model that yaws as the samples
+    do, whatever the gear; at rest nobody sees the wheels."""
+    moving = np.abs(row.speed) > 1e-6
+    angle = np.arctan(limits.wheelbase * row.yaw_rate[moving] / row.speed[moving])
+    return np.append(np.abs(np.diff(angle)) / np.diff(row.t[moving]), 0.0)
 
 
 def _rests(trajectory) -> bool:

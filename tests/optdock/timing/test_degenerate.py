@@ -120,14 +120,20 @@ def test_slow_limits_are_as_good_as_fast_ones(make, dense):
 
 
 TURNING = MotionLimits(
-    max_yaw_rate=1.0, max_yaw_acceleration=2.0, max_lateral_acceleration=0.5, max_wheel_speed=0.7, track_width=0.4
+    max_yaw_rate=1.0,
+    max_yaw_acceleration=2.0,
+    max_lateral_acceleration=0.5,
+    max_wheel_speed=0.7,
+    track_width=0.4,
+    wheelbase=0.6,
+    max_steering_rate=0.5,
 )
 ZONE = SpeedZone(0.1, 0.3)
 PATH = Path((ClothoidSegment(ClothoidSpline(Pose2(0.0, 0.0, 0.0), [0.0, 1.0, 2.0, 3.0], [0.0, 0.8, -0.5, 0.0])),))
 NAMES = [
     field.name
     for field in dataclasses.fields(TURNING)
-    if field.name.startswith("max_") and "curvature" not in field.name
+    if field.name.startswith("max_") and "curvature" not in field.name and field.name != "max_steering_angle"
 ]
 
 

@@ -77,7 +77,7 @@ def test_polyline_and_clothoid_of_the_same_arc_agree(all_limits):
 def test_cap_binds_where_its_limit_is_tight(make):
     limits = dataclasses.replace(MotionLimits(), max_lateral_acceleration=0.1)
     along = segment_limits(make.spline([1.0], [0.0, 2.0]), SpeedCaps(limits, Direction.FORWARD), math.inf, math.inf)
-    assert 1.0 / along.slowness[-1] == pytest.approx(math.sqrt(0.05))
+    assert 1.0 / along.slowness_right[-1] == pytest.approx(math.sqrt(0.05))
 
 
 @pytest.mark.parametrize("beside", [-1e-13, -(2.0**-52), 0.0, 2.0**-52, 1e-13])

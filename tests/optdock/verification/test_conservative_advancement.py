@@ -1,5 +1,6 @@
 """The proof of clearance, attacked: thin posts, corners, cusps, in-place turns, long steps, tangency."""
 
+import functools
 import itertools
 import tracemalloc
 
@@ -61,7 +62,8 @@ def test_a_thin_post_beside_a_straight_run_is_found_2_mm_inside_and_passed_2_mm_
     for shift, certified in ((-0.002, False), (0.002, True)):
         y = side * (0.3 + REQUIRED + shift + 0.001)
         certificate = certify_path(path, problem_for(path, ObstacleSet.from_polygons([square(x, y)])))
-        assert certificate.certified is certified
+        # Beside a post at its start the robot may keep what it has, by the weaker rule.
+        assert (certificate.certified and certificate.start_relief == 0.0) is certified
         assert certificate.min_clearance == pytest.approx(REQUIRED + shift, abs=1e-3)
 
 
@@ -479,7 +481,9 @@ def test_the_requirement_of_a_cell_holds_for_all_of_its_poses(seed):
     rule = ClearanceRule(0.3, 0.0, float(rng.uniform(0.2, 1.5)))
     problem = problem_for(path, ObstacleSet.from_polygons([square(5.0, 5.0)]), clearance=rule)
     start_clearance = float(rng.uniform(0.0, 0.4))
-    prover = _Subdivision(PathMotion(path), problem, start_clearance, 0.0, np.inf, never_late)
+    relief = float(rng.choice([0.0, rng.uniform(0.0, 0.9)]))
+    asked = functools.partial(rule.required_at, start_clearance=start_clearance, start_relief=relief)
+    prover = _Subdivision(PathMotion(path), problem, asked, 0.0, np.inf, never_late)
     cells = prover.motion.cells(0.3)
     ends = cells.ends()
     nodes = prover.motion.nodes(ends.segment, ends.u)
@@ -488,7 +492,7 @@ def test_the_requirement_of_a_cell_holds_for_all_of_its_poses(seed):
     for first, last, most in zip(cells.first, cells.last, required, strict=True):
         at = path.poses_at(np.linspace(first, last, 40))[:, :2]
         away = [np.hypot(*(at - np.array([end.x, end.y])).T) for end in (problem.goal, problem.start)]
-        assert rule.required_at(*away, start_clearance).max() <= most + 1e-12
+        assert rule.required_at(*away, start_clearance, relief).max() <= most + 1e-12
 
 
 def test_a_curvature_beyond_all_numbers_is_never_certified():

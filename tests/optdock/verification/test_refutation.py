@@ -19,7 +19,7 @@ from optdock.path import ClothoidSegment, Path
 from optdock.pipeline import plan_dock
 from optdock.plugins import create_plugin
 from optdock.problem import ClearanceRule, DockingProblem
-from optdock.robot import Robot
+from optdock.robot import Drive, Robot
 from optdock.testing.families import FEASIBLE_FAMILIES, instance
 from optdock.trajectory import TimeLaw, Trajectory
 from optdock.verification import certify_path, certify_trajectory, check_sampled_motion, check_samples_of
@@ -93,6 +93,53 @@ def test_samples_of_a_certified_motion_refute_nothing(bend, first, second, perio
     path = two_gears(bend, first, second)
     motion = motion_of(path, period)
     assert messages(motion if decimals is None else rounded(motion, decimals), path, problem_of(path)) == []
+
+
+STEERED = dataclasses.replace(LIMITS, wheelbase=0.6, max_steering_rate=0.4)
+
+
+def steered_problem(path, zone=ZONE):
+    robot = Robot(Footprint.rectangle(0.4, 0.4, 0.6), STEERED, Drive.ACKERMANN)
+    dock = Dock(path.end, approach_speed=zone.speed, approach_distance=zone.distance)
+    return DockingProblem(path.start, dock, robot)
+
+
+def unsteered_gears(bend, kept=0.5):
+    """Two gears between which the wheels turn: along the travel the curvature stays what it was."""
+    first = ClothoidSpline(Pose2(1.0, -1.0, 0.7), np.array([0.0, 1.2]), np.array([0.0, bend]))
+    second = ClothoidSpline(first.end, np.array([0.0, 1.0]), np.array([kept * bend, 0.0]), -1)
+    return Path((ClothoidSegment(first), ClothoidSegment(second)))
+
+
+@settings(max_examples=15)
+@given(st.floats(0.1, 1.5), st.floats(-1.0, 1.0), st.floats(0.005, 0.3), st.sampled_from([None, 9, 6, 5, 4]))
+def test_samples_of_a_steered_motion_refute_nothing(bend, kept, period, decimals):
+    path = unsteered_gears(bend, kept)
+    motion = motion_of(path, period, limits=STEERED)
+    assert messages(motion if decimals is None else rounded(motion, decimals), path, steered_problem(path)) == []
+
+
+@pytest.mark.parametrize("late", [0.0, 1e-4, 7e-4, 5e-3])
+def test_a_sample_just_behind_a_cusp_is_not_judged_by_the_gear_before_it(late):
+    """It still rests, but it accelerates, and the path bends another way there."""
+    path = unsteered_gears(1.0, 1.0)
+    trajectory = timed(path, limits=STEERED)
+    wait = STEERED.steering_times(path.joint_curvatures)[0]
+    times = np.union1d(trajectory.sample(0.02).t, trajectory.cusp_times + wait + late)
+    samples = trajectory.sample_at(times)
+    motion = TrajectoryColumns(**{name: getattr(samples, name) for name in TrajectoryColumns._fields})
+    assert messages(motion, path, steered_problem(path)) == []
+
+
+@pytest.mark.parametrize("period", [0.005, 0.05, 0.2])
+def test_samples_of_wheels_that_turn_too_fast_are_refuted(period):
+    """Of a motion that keeps every other limit: on the way, and where it does not wait at the cusp."""
+    path = curve([0.0, 0.5, 1.0, 1.5], [0.0, 1.4, -1.0, 0.0])
+    found = messages(motion_of(path, period), path, steered_problem(path))
+    assert any(message.startswith("steering rate") for message in found)
+    path = unsteered_gears(0.5)
+    found = check_sampled_motion(motion_of(path, period), path, steered_problem(path)).violations
+    assert "rest" in [violation.kind for violation in found]
 
 
 @pytest.mark.parametrize("number", range(len(FEASIBLE_FAMILIES)))

@@ -15,12 +15,13 @@ from optdock.path import ClothoidSegment, Path, PolylineSegment
 from optdock.trajectory import TimeLaw, Trajectory
 from optdock.verification import certify_trajectory, trajectory_rules
 
-OPEN = MotionLimits(1.0, 1.0, 1.0, 1.0, 4.0, track_width=0.5)
+OPEN = MotionLimits(1.0, 1.0, 1.0, 1.0, 4.0, track_width=0.5, wheelbase=0.8)
 QUANTITIES = {
     "max_yaw_rate": lambda r: np.abs(r.yaw_rate),
     "max_yaw_acceleration": lambda r: np.abs(r.yaw_acceleration),
     "max_lateral_acceleration": lambda r: np.abs(r.yaw_rate * r.speed),
     "max_wheel_speed": lambda r: np.abs(r.speed) + 0.25 * np.abs(r.yaw_rate),
+    "max_steering_rate": lambda r: np.abs(np.gradient(np.arctan(0.8 * path().curvature_at(r.s)), r.t)),
     "max_speed": lambda r: np.abs(r.speed),
     "max_acceleration": lambda r: r.acceleration,
     "max_deceleration": lambda r: -r.acceleration,

@@ -1,0 +1,138 @@
+"""The manoeuvre benchmark: `plan_dock` on the cases of `cases`, one process and one thread, settings fixed in `run`.
+
+    python -m experiments.manoeuvres                                   # every family
+    python -m experiments.manoeuvres --family obca --family "dock starts" --every 20
+    python -m experiments.manoeuvres --budget 0.25 --figures
+    python -m experiments.manoeuvres budgets --every 20                # 50 to 1000 ms on the same cases
+
+Writes results/manoeuvres/cases.csv, versions.json and, where asked for, a figure per case.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
+
+    from experiments.manoeuvres.cases import Case
+    from experiments.manoeuvres.run import Record
+
+THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
+FAMILIES = ("tpcap", "obca", "dock starts", "open hall", "near dock", "blocked")
+
+
+def families(seed: int) -> dict[str, Callable[[], list[Case]]]:
+    """How to make each family."""
+    from experiments.manoeuvres import cases
+
+    return {
+        "tpcap": cases.tpcap,
+        "obca": cases.obca,
+        "dock starts": lambda: cases.dock_starts(seed=seed),
+        "open hall": lambda: [case for length in cases.LENGTHS for case in cases.open_hall(length, seed=seed)],
+        "near dock": cases.near_dock,
+        "blocked": lambda: cases.blocked(seed=seed),
+    }
+
+
+def chosen(options: argparse.Namespace) -> list[Case]:
+    """The cases asked for."""
+    makers = families(options.seed)
+    found = [case for name in options.family or FAMILIES for case in _made(name, makers[name])[:: options.every]]
+    return [case for case in found if options.only in case.name]
+
+
+def _made(name: str, make: Callable[[], list[Case]]) -> list[Case]:
+    """The cases of a family; none, and a line on stderr, where its files are missing."""
+    from optdock.errors import InvalidFile
+
+    try:
+        return make()
+    except InvalidFile as error:
+        print(f"{name}: left out, {str(error).splitlines()[0]}; set OPTDOCK_DATA", file=sys.stderr)
+        return []
+
+
+def measured(options: argparse.Namespace, cases: Sequence[Case], budget: float | None) -> list[Record]:
+    """All records; how far it is, on stderr."""
+    from experiments.manoeuvres.run import ask_all
+
+    records = []
+    figures = options.out / "figures" if options.figures else None
+    for record in ask_all(cases, budget, figures, options.jobs):
+        records.append(record)
+        if len(records) % 50 == 0:
+            print(f"{len(records)} of {len(cases)}: {record.family}", file=sys.stderr, flush=True)
+    return records
+
+
+def cases_command(options: argparse.Namespace) -> None:
+    """Every case once."""
+    from experiments.manoeuvres import run
+    from optdock.io.atomic_file import write_text
+
+    records = measured(options, chosen(options), options.budget)
+    write_text(options.out / "cases.csv", run.csv_text(records))
+    print(run.summary(records))
+    if any(one.family == "tpcap" for one in records):
+        print(run.reference_table(records))
+    print(run.refusal_table(records))
+    for one in records:
+        if one.faults:
+            print(f"REFUTED {one.family}: {one.name}: {one.faults}")
+
+
+def budgets_command(options: argparse.Namespace) -> None:
+    """The same cases with five budgets."""
+    from experiments.manoeuvres import budgets
+    from optdock.io.atomic_file import write_text
+
+    cases = chosen(options)
+    by_budget = {budget: measured(options, cases, budget) for budget in budgets.BUDGETS}
+    from experiments.manoeuvres.run import csv_text
+
+    write_text(options.out / "budgets.csv", csv_text([one for records in by_budget.values() for one in records]))
+    print(budgets.budget_table(by_budget))
+
+
+def parser() -> argparse.ArgumentParser:
+    """The options."""
+    made = argparse.ArgumentParser(
+        prog="python -m experiments.manoeuvres",
+        description=__doc__,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    made.add_argument("command", nargs="?", default="cases", choices=("cases", "budgets"))
+    made.add_argument("--family", action="append", choices=FAMILIES, help="may be given several times; default: all")
+    made.add_argument("--only", default="", help="cases whose name holds this text")
+    made.add_argument("--every", type=int, default=1, help="only every n-th case of each family")
+    made.add_argument("--budget", type=float, help="[s], instead of each family's own")
+    made.add_argument("--seed", type=int, default=11, help="of the drawn families (default: %(default)s)")
+    made.add_argument("--jobs", type=int, default=1, help="processes; times are comparable with one only")
+    made.add_argument("--figures", action="store_true", help="a picture of every case")
+    made.add_argument("--out", type=Path, default=Path("results/manoeuvres"), help="folder (default: %(default)s)")
+    return made
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run it; the exit status is 1 where the independent check refuted a plan."""
+    options = parser().parse_args(arguments)
+    os.environ.update(dict.fromkeys(THREADS, "1"))  # numpy reads them once, when it is imported
+    from experiments.manoeuvres.run import versions
+    from optdock.io.atomic_file import write_text
+
+    ran = {**versions(), "seed": str(options.seed), "command": options.command}
+    print(", ".join(f"{name} {value}" for name, value in ran.items()))
+    write_text(options.out / "versions.json", json.dumps(ran, indent=1) + "\n")
+    {"cases": cases_command, "budgets": budgets_command}[options.command](options)
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,196 @@
+"""Every plan of the benchmark looked at again: poses, clearances and instants by the oracle of the fuzzer and shapely.
+
+Nothing of `optdock.verification` is used. The path is driven by the oracle's own clothoids, at most 1 cm and 2 mrad
+from pose to pose; the outline's distance to the obstacles is shapely's. Only the list of obstacles is the problem's own
+(its cells of a map as rectangles), because the union of a warehouse of cells takes seconds.
+
+A fault is claimed only where a pose or an instant shows it, beyond twice the tolerance that the certificate states.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import itertools
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+import shapely
+
+from experiments.fuzz.doors import path_spec, problem_spec
+from experiments.fuzz.oracle.motion import motion_of
+from experiments.fuzz.oracle.rules import findings
+from experiments.fuzz.oracle.timing import judged
+from experiments.fuzz.oracle.world import placed
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from experiments.fuzz.case import Case as Spec
+    from experiments.fuzz.oracle.motion import Floats, Ints, Motion
+    from optdock.plan import DockPlan
+    from optdock.problem import DockingProblem
+
+__all__ = ["Check", "checked"]
+
+STEP, TURN, PERIOD = 0.01, 0.002, 0.005  # [m], [rad], [s]
+_FORGIVEN = 2e-6  # [m]: twice the certificate's tolerance
+_SLOPE = 0.5  # of the clearance that a start which is too close must gain, over the distance
+_ON_PATH = 1e-6  # [m], [rad] between the samples of the trajectory and the path
+_STEERING = 1.0 + 2e-6  # relative
+_SAME_PLACE = 1e-7  # [m]: where the robot rests
+_BATCH = 5000
+
+
+class Check(NamedTuple):
+    """What the samples show.
+
+    Args:
+        faults: The broken rules, each once, with numbers; empty: none.
+        min_clearance: Smallest distance seen [m].
+        margin: Smallest distance less what is required there [m].
+        poses: How many were looked at.
+    """
+
+    faults: tuple[str, ...]
+    min_clearance: float
+    margin: float
+    poses: int
+
+
+def checked(plan: DockPlan, problem: DockingProblem) -> Check:
+    """Whether `plan` keeps what `problem` asks, as far as samples show."""
+    gears = path_spec(plan.path)
+    motion = motion_of(gears)
+    spec = _spec(problem)
+    swept = _poses(motion)
+    distance = _clearances(swept, problem)
+    margin = distance - _required(swept, distance[0], plan, problem)
+    worst = int(np.argmin(margin))
+    faults = [f"{one.kind} at {one.s:.3f} m, {one.ratio:.3g} x" for one in findings(spec, motion) if one.is_broken]
+    if not margin[worst] >= -_FORGIVEN:
+        faults.append(f"clearance {1e3 * margin[worst]:.4f} mm beyond the rule at {swept[worst].round(4).tolist()}")
+    faults += _relief_faults(plan, problem)
+    faults += _time_faults(plan, gears, spec, motion)
+    faults += _steering_faults(plan, motion, problem)
+    return Check(tuple(dict.fromkeys(faults)), float(distance.min()), float(margin[worst]), len(swept))
+
+
+def _spec(problem: DockingProblem) -> Spec:
+    """The problem as plain data, without the map, which only the clearance needs."""
+    return problem_spec(dataclasses.replace(problem, costmap=None, obstacles=()))
+
+
+def _poses(motion: Motion) -> Floats:
+    """Poses all along, ends of the pieces included. Shape (n, 3)."""
+    parts = np.maximum(1, np.ceil(np.maximum(motion.way / STEP, motion.turn / TURN))).astype(np.int64)
+    piece = np.repeat(np.arange(parts.size), parts + 1)
+    rank = np.arange(piece.size) - np.repeat(np.cumsum(parts + 1) - (parts + 1), parts + 1)
+    return motion.poses_at(piece, rank / parts[piece])
+
+
+def _clearances(poses: Floats, problem: DockingProblem) -> Floats:
+    """Distance of the outline to the nearest obstacle; minus infinity where it overlaps one by more than rounding."""
+    found = np.full(len(poses), np.inf)
+    if not len(problem.all_obstacles):
+        return found
+    tree, outline = shapely.STRtree(shapely.polygons(problem.all_obstacles.vertices)), problem.robot.footprint.vertices
+    shrunk = np.array(shapely.buffer(shapely.Polygon(outline), -_FORGIVEN, join_style="mitre").exterior.coords)[:-1]
+    for first in range(0, len(poses), _BATCH):
+        rows = np.arange(first, min(first + _BATCH, len(poses)))
+        found[rows] = _nearest(tree, outline, poses[rows])
+        touching = rows[found[rows] <= 0.0]
+        inner = _nearest(tree, shrunk, poses[touching])
+        found[touching] = np.where(inner > 0.0, 0.0, -np.inf)
+    return found
+
+
+def _nearest(tree: Any, outline: Floats, poses: Floats) -> Floats:  # noqa: ANN401
+    out = np.full(len(poses), np.inf)
+    if len(poses):
+        bodies = shapely.polygons(placed(outline, poses))
+        (rows, _), distance = tree.query_nearest(bodies, return_distance=True, all_matches=False)
+        out[rows] = distance
+    return out
+
+
+def _required(poses: Floats, at_start: float, plan: DockPlan, problem: DockingProblem) -> Floats:
+    """The rule: a taper to the goal; near a start that is too close, growth from there, after the run it may take."""
+    rule, goal, start = problem.clearance, problem.goal, problem.start
+    from_goal = np.hypot(poses[:, 0] - goal.x, poses[:, 1] - goal.y)
+    from_start = np.hypot(poses[:, 0] - start.x, poses[:, 1] - start.y)
+    share = np.minimum(from_goal / rule.taper, 1.0) if rule.taper > 0.0 else (from_goal > 0.0).astype(float)
+    run = _start_relief(plan)
+    near_start: Floats = max(at_start, 0.0) + _SLOPE * np.maximum(from_start - run, 0.0)
+    return np.minimum(rule.at_dock + (rule.required - rule.at_dock) * share, near_start)
+
+
+def _start_relief(plan: DockPlan) -> float:
+    """The run within which the certificate lets the robot keep its start's clearance [m]; 0: the strict rule."""
+    return float(getattr(plan.certificate, "start_relief", 0.0))
+
+
+def _relief_faults(plan: DockPlan, problem: DockingProblem) -> Iterator[str]:
+    """The relief is no longer than the robot may need to leave a wall: its length, from corner to corner at most."""
+    reach = float(np.hypot(*problem.robot.footprint.vertices.T).max())
+    if not 0.0 <= _start_relief(plan) <= 2.0 * reach * (1.0 + 1e-9):
+        yield f"start relief of {_start_relief(plan):.3f} m"
+
+
+def _time_faults(plan: DockPlan, gears: list[Spec], spec: Spec, motion: Motion) -> Iterator[str]:
+    """Speeds, accelerations and rests of the time law; and that its samples every 5 ms lie on the path."""
+    law = plan.trajectory.time_law
+    timed = {
+        "path": gears,
+        "law": {
+            "durations": law.durations.tolist(),
+            "jerks": law.jerks.tolist(),
+            "start_speed": float(law.start_speed),
+            "start_acceleration": float(law.start_acceleration),
+        },
+        "limits": spec["limits"],
+        "zone": spec["zone"],
+        "start_speed": abs(spec["start_speed"]),
+    }
+    verdict = judged(timed, motion)
+    values = {**verdict.ratios, **verdict.structure}
+    yield from (f"{name}, {values[name]:.6g} x" for name in verdict.broken)
+    samples = plan.trajectory.sample(PERIOD)
+    piece, share = _places(motion, samples.s)
+    off = float(np.abs(np.column_stack((samples.x, samples.y, samples.yaw)) - motion.poses_at(piece, share)).max())
+    if not off <= _ON_PATH:
+        yield f"the trajectory's samples are {off:.3g} off the path"
+
+
+def _places(motion: Motion, s: Floats) -> tuple[Ints, Floats]:
+    """Piece and share at arc lengths."""
+    piece = np.clip(np.searchsorted(motion.s, s, side="right") - 1, 0, motion.s.size - 1)
+    return piece, np.clip((s - motion.s[piece]) / np.maximum(motion.h[piece], 1e-300), 0.0, 1.0)
+
+
+def _steering_faults(plan: DockPlan, motion: Motion, problem: DockingProblem) -> Iterator[str]:
+    """Steering angle and rate, where the robot has limits of them; at cusps there is time to turn the wheels.
+
+    In reverse the wheels stand the other way for the same curvature along the travel.
+    """
+    limits = problem.robot.limits
+    base = getattr(limits, "wheelbase", 0.0)
+    if not base > 0.0:
+        return
+    first, last = (np.arctan(base * motion.gear * k) for k in (motion.k0, motion.k1))
+    most = float(np.maximum(np.abs(first), np.abs(last)).max())
+    if not most <= limits.max_steering_angle * _STEERING:
+        yield f"steering angle {most:.6f} rad"
+    samples = plan.trajectory.sample(PERIOD)
+    piece, share = _places(motion, samples.s)
+    bend = motion.k0[piece] + share * (motion.k1 - motion.k0)[piece]
+    change = np.abs(motion.k1 - motion.k0)[piece] / np.maximum(motion.h[piece], 1e-300)
+    rate = float((base * change * np.abs(samples.speed) / (1.0 + (base * bend) ** 2)).max())
+    if not rate <= limits.max_steering_rate * _STEERING:
+        yield f"steering rate {rate:.6f} rad/s"
+    law = plan.trajectory.time_law
+    for before, after in itertools.pairwise(motion.segments):
+        still = np.abs(law.states[:, 0] - after.start_s) <= _SAME_PLACE
+        rest = float(law.durations[still[1:] & still[:-1]].sum())
+        turn = abs(first[after.first] - last[before.stop - 1])
+        if not turn <= limits.max_steering_rate * rest * _STEERING + _ON_PATH:
+            yield f"the wheels turn by {turn:.4f} rad in a rest of {rest:.4f} s at {after.start_s:.3f} m"

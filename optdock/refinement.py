@@ -1,0 +1,339 @@
+"""How a plan is made of one guess: smoothed, proven, timed, and its motion proven; every step may refuse it."""
+
+from __future__ import annotations
+
+import contextlib
+import logging
+import time
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING, NamedTuple, TypeVar
+
+from optdock.errors import (
+    Cancelled,
+    CertificationFailed,
+    FailedToSmoothPath,
+    FailedToTimePath,
+    InvalidPath,
+    InvalidValue,
+    LifecycleError,
+    OptdockError,
+    PluginError,
+    SmootherCancelled,
+    SmootherException,
+    SmootherTimedOut,
+    TimingCancelled,
+    TimingTimedOut,
+)
+from optdock.interfaces import (
+    LifecycleState,
+    PluginContext,
+    Smoother,
+    SmoothingReport,
+    SmoothingResult,
+    TimeParameterizer,
+    TimingReport,
+    TimingResult,
+    TimingStatus,
+)
+from optdock.path import Path
+from optdock.plan import DockPlan, PartialPlan, where_broken
+from optdock.plugins import create_plugin
+from optdock.trajectory import Trajectory
+from optdock.verification import certify_motion, certify_path
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator
+
+    from optdock.deadline import Deadline
+    from optdock.lifecycle import Plugin
+    from optdock.problem import DockingProblem
+    from optdock.verification import Certificate, TrajectoryCertificate
+
+__all__ = ["Cancellation", "Refinement", "Stopwatch", "at_work", "in_ms", "plain", "returned"]
+
+logger = logging.getLogger(__name__)
+
+PLAIN_TIMING = "Windowed"  # needs no repair
+# Share of the budget, its least and most [s], kept back from the smoother for timing the path and proving the motion.
+_RESERVED_SHARE, _RESERVED_LEAST, _RESERVED_MOST = 0.3, 0.004, 0.03
+_PROOF = 0.001  # [s], kept back from the time parameterizer for the proof of its motion
+
+_T = TypeVar("_T")
+
+
+class Cancellation:
+    """The caller's cancel checker: what it raises is the caller's own, whoever polls it; a yes is never taken back."""
+
+    def __init__(self, checker: Callable[[], bool]) -> None:
+        self._checker, self._said_yes = checker, False
+        self.raised: BaseException | None = None
+
+    def __call__(self) -> bool:
+        """Whether the caller wants an end."""
+        try:
+            self._said_yes = self._said_yes or bool(self._checker())
+            return self._said_yes
+        except BaseException as error:
+            self.raised = error
+            raise
+
+
+@dataclass
+class Stopwatch:
+    """What the stages of a call took.
+
+    Attributes:
+        timing_ms: Wall-clock milliseconds of every stage, over all guesses.
+        longest_wait: Longest time for which the machine kept a stage waiting [s].
+    """
+
+    deadline: Deadline
+    timing_ms: dict[str, float]
+    longest_wait: float = 0.0
+
+    @contextlib.contextmanager
+    def timed(self, stage: str) -> Iterator[None]:
+        """Count what is done within as `stage`."""
+        began, worked = self.deadline.elapsed, time.thread_time()
+        try:
+            yield
+        finally:
+            took = self.deadline.elapsed - began
+            self.longest_wait = max(self.longest_wait, took - (time.thread_time() - worked))
+            self.timing_ms[stage] = self.timing_ms.get(stage, 0.0) + 1e3 * took
+
+
+@dataclass(eq=False)
+class Refinement:
+    """What one call of `plan_dock` does with every guess.
+
+    Args:
+        problem: What must hold.
+        smoother: Makes a guess drivable.
+        timing: Gives it its time law.
+        warm_start: An earlier path for a problem much like this one, or None.
+        cancelled: The caller's wish.
+        budget: Of the whole call [s], for messages and shares.
+        deadline: When it ends.
+        watch: Counts what the stages take.
+    """
+
+    problem: DockingProblem
+    smoother: Smoother
+    timing: TimeParameterizer
+    warm_start: Path | None
+    cancelled: Cancellation
+    budget: float
+    deadline: Deadline
+    watch: Stopwatch
+    reserve: float = field(init=False)
+
+    def __post_init__(self) -> None:
+        self.reserve = min(max(_RESERVED_SHARE * self.budget, _RESERVED_LEAST), _RESERVED_MOST)
+
+    def refined(self, raw: Path, so_far: PartialPlan, most: float, *, is_given: bool = False) -> DockPlan:
+        """The certified plan near a guess; `so_far` holds what exists of it when a stage raises.
+
+        Args:
+            raw: The guess.
+            so_far: Filled in on the way.
+            most: Seconds that smoothing may take.
+            is_given: Whether the guess is the caller's, so that a wrong one is no plugin's fault.
+
+        Raises:
+            OptdockError: As `plan_dock`, but for what planners raise.
+        """
+        so_far.raw_path = raw
+        with self.watch.timed("smooth"):
+            result = self._smoothed(raw, most, so_far, is_given=is_given)
+            path = so_far.path = plain(result.path, self.smoother, self.problem.frame)
+        with self.watch.timed("certify"):
+            certificate = so_far.certificate = certify_path(path, self.problem, is_late=self.asked_to_stop)
+            self._require(certificate, "smoothed path", SmootherCancelled, SmootherTimedOut)
+        motion = self._certified_motion(path)
+        return DockPlan(
+            problem=self.problem,
+            raw_path=raw,
+            path=path,
+            trajectory=motion.trajectory,
+            certificate=certificate,
+            trajectory_certificate=motion.proof,
+            completed=result.completed,
+            timing_ms={},
+            smoothing_report=result.report,
+            timing_report=motion.report,
+        )
+
+    def asked_to_stop(self) -> bool:
+        """Whether the caller or the clock wants an end."""
+        return self.cancelled() or self.deadline.passed()
+
+    def _smoothed(self, raw: Path, most: float, so_far: PartialPlan, *, is_given: bool) -> SmoothingResult:
+        smoother, left = self.smoother, self.deadline.left
+        kept = f"of {in_ms(self.budget)}; {in_ms(self.reserve)} are kept back for timing and proof"
+        if left <= self.reserve:
+            raise SmootherTimedOut(f"no time is left for smoothing: {in_ms(max(left, 0.0))} are left {kept}")
+        try:
+            with at_work(smoother, self.problem, self.cancelled):
+                try:
+                    result = smoother.smooth(
+                        raw,
+                        min(left - self.reserve, most),
+                        problem=self.problem,
+                        warm_start=self.warm_start,
+                        cancel_checker=self.cancelled,
+                    )
+                except InvalidPath as error:
+                    if is_given:
+                        raise FailedToSmoothPath(f"the given {error}") from error
+                    raise
+        except SmootherTimedOut as error:
+            raise SmootherTimedOut(f"{error}, the smoother's share {kept}", where=error.where) from error
+        except SmootherException as error:
+            so_far.path = PartialPlan.left_by(error).path
+            raise
+        returned(result, SmoothingResult, smoother)
+        returned(result.path, Path, smoother, "the path of its result")
+        returned(result.report, SmoothingReport, smoother, "the report of its result")
+        return result
+
+    def _certified_motion(self, path: Path) -> _Motion:
+        """The motion of the chosen method, or where that fails its proof, of the method that never needs repair.
+
+        That the path cannot be timed is an answer; any other error of the method is its own mistake.
+        """
+        chosen = self.timing
+        try:
+            return self._proven_motion(chosen, path)
+        except (FailedToTimePath, Cancelled, LifecycleError):
+            raise
+        except OptdockError as error:
+            fallback = create_plugin(TimeParameterizer, PLAIN_TIMING)
+            if type(chosen) is type(fallback):
+                raise
+            logger.warning("%s: %s; timed by %s instead", chosen.name, error, PLAIN_TIMING)
+            try:
+                motion = self._proven_motion(fallback, path)
+            except FailedToTimePath:
+                raise error from None
+            return motion._replace(report=replace(motion.report, replaced=f"{chosen.name}: {error}"))
+
+    def _proven_motion(self, method: TimeParameterizer, path: Path) -> _Motion:
+        with self.watch.timed("time"):
+            result = self._timing(method, path)
+        if result.status is not TimingStatus.OK:
+            raise result.failure()
+        trajectory = returned(result.trajectory, Trajectory, method, "the trajectory of its result")
+        if trajectory.path is not path and trajectory.path.digest != path.digest:
+            message = f"{method.name} timed another path than the certified one"
+            raise CertificationFailed(message, where={"kind": "path"})
+        trajectory = Trajectory(path, trajectory.time_law, self.problem.fingerprint)
+        with self.watch.timed("certify"):
+            proof = certify_motion(trajectory, self.problem, is_late=self.asked_to_stop)
+        self._require(proof, "trajectory", TimingCancelled, TimingTimedOut)
+        return _Motion(trajectory, proof, result.report)
+
+    def _timing(self, method: TimeParameterizer, path: Path) -> TimingResult:
+        allowance = self.deadline.left - _PROOF
+        if allowance <= 0.0:
+            raise TimingTimedOut(f"nothing is left of the time budget of {self.budget:.3g} s for timing")
+        limits, zone, speed = self.problem.robot.limits, self.problem.dock.approach, abs(self.problem.start_speed)
+        with at_work(method, self.problem, self.cancelled):
+            result = method.parameterize(
+                path, limits, zone, start_speed=speed, max_time=allowance, cancel_checker=self.cancelled
+            )
+        returned(result, TimingResult, method)
+        returned(result.status, TimingStatus, method, "the status of its result")
+        returned(result.report, TimingReport, method, "the report of its result")
+        return result
+
+    def _require(
+        self,
+        verdict: Certificate | TrajectoryCertificate,
+        what: str,
+        cancelled: type[Cancelled],
+        late: type[OptdockError],
+    ) -> None:
+        """Raise what stands in the way of a proof; where nothing is broken as far as it went, that is the clock."""
+        if verdict.certified:
+            return
+        where = where_broken(verdict)
+        if all(violation.kind == "unproven" for violation in verdict.violations):
+            if self.cancelled():
+                raise cancelled(f"cancelled while the {what} was proven", where=where)
+            if self.deadline.passed():
+                raise late(f"the proof of the {what} was cut short: {verdict.reason}", where=where)
+        raise CertificationFailed(f"the {what} is not certified: {verdict.reason}", where=where)
+
+
+class _Motion(NamedTuple):
+    """A certified trajectory, its proof, and what the time parameterizer says about its work."""
+
+    trajectory: Trajectory
+    proof: TrajectoryCertificate
+    report: TimingReport
+
+
+@contextlib.contextmanager
+def at_work(plugin: Plugin, problem: DockingProblem, cancelled: Cancellation) -> Iterator[None]:
+    """A plugin, configured for the problem; whatever it raises that its interface does not name is its own fault.
+
+    Args:
+        plugin: Not configured yet.
+        problem: What it is configured for.
+        cancelled: What the caller's cancel checker raises goes to the caller as it is.
+
+    Raises:
+        PluginError: With what it raised as the cause.
+        LifecycleError: It is configured already.
+    """
+    name = type(plugin).__name__
+    if plugin.state is not LifecycleState.UNCONFIGURED:
+        raise LifecycleError(f"{name} is {plugin.state.value}; plan_dock configures the plugins that it is given")
+    try:
+        plugin.configure(PluginContext(name=plugin.name, problem=problem))
+        try:
+            yield
+        except (InvalidValue, InvalidPath) as error:  # nothing that the caller gave: the problem is valid
+            raise PluginError(f"{name} failed: {type(error).__name__}: {error}") from error
+        finally:
+            plugin.cleanup()
+    except GeneratorExit:  # nobody wants the planner's next guess
+        raise
+    except BaseException as error:
+        if cancelled.raised is not None:
+            raise cancelled.raised from None
+        if isinstance(error, OptdockError) or not isinstance(error, Exception):
+            raise
+        raise PluginError(f"{name} failed: {type(error).__name__}: {error}") from error
+    if cancelled.raised is not None:  # swallowed by the plugin
+        raise cancelled.raised
+
+
+def in_ms(seconds: float) -> str:
+    """A duration for a message."""
+    return f"{1e3 * seconds:.0f} ms" if seconds >= 0.1 else f"{1e3 * seconds:.3g} ms"
+
+
+def returned(value: object, kind: type[_T], plugin: Plugin, part: str = "") -> _T:
+    """What a plugin returned, or a part of it, of the type that its interface promises.
+
+    Raises:
+        PluginError: It is of another type.
+    """
+    if not isinstance(value, kind):
+        promised = f"{type(plugin).__name__} must return a {kind.__name__}{part and ' as '}{part}"
+        raise PluginError(f"{promised}, got {type(value).__name__}")
+    return value
+
+
+def plain(path: Path, plugin: Plugin, frame: str) -> Path:
+    """The path, of no subclass: one could have other poses than the segments that are proven.
+
+    Raises:
+        PluginError: It stands in another frame than the problem.
+    """
+    try:
+        return (path if type(path) is Path else Path(path.segments, path.frame)).with_frame(frame)
+    except InvalidPath as error:
+        raise PluginError(f"{type(plugin).__name__} returned a {error}") from error

@@ -1,0 +1,219 @@
+"""The manoeuvre benchmark: its cases are what they say, its check sees faults, its tables count."""
+
+import csv
+import dataclasses
+import math
+import types
+
+import numpy as np
+import pytest
+import shapely
+
+from experiments.manoeuvres import cases
+from experiments.manoeuvres.__main__ import FAMILIES, families, main
+from experiments.manoeuvres.budgets import budget_table
+from experiments.manoeuvres.check import checked
+from experiments.manoeuvres.run import BUDGETS, CERTIFIED, IMPOSSIBLE, NOT_FOUND, Record, ask, csv_text, summary
+from optdock.dock import Dock
+from optdock.geometry.pose import Pose2
+from optdock.limits import MotionLimits
+from optdock.pipeline import plan_dock
+from optdock.robot import Robot
+from optdock.verification import end_clearances
+
+
+def solid(problem):
+    return shapely.union_all(shapely.polygons(problem.all_obstacles.vertices))
+
+
+def drawn():
+    return [*cases.near_dock(), *cases.blocked(draws=2), *(one for s in (10.0, 60.0) for one in cases.open_hall(s, 4))]
+
+
+def test_names_are_unique_and_seeds_decide():
+    first, again, other = drawn(), drawn(), cases.open_hall(10.0, 4, seed=1)
+    assert len({(case.family, case.name) for case in first}) == len(first)
+    assert [case.problem.fingerprint for case in first] == [case.problem.fingerprint for case in again]
+    assert other[0].problem.fingerprint != cases.open_hall(10.0, 4)[0].problem.fingerprint
+    assert set(FAMILIES) == set(families(1)) == set(BUDGETS)
+
+
+def test_ends_are_free_but_where_a_bay_is_shorter_than_the_body():
+    for case in drawn():
+        ends = end_clearances(case.problem)
+        assert ends.start > 0.01, case.name
+        occupied = case.tag == "bay, 30 cm missing"
+        assert (ends.goal < 0.0) == occupied, case.name
+
+
+def test_starts_in_the_hall_are_as_far_as_they_say_and_pillars_leave_room():
+    for length in (10.0, 60.0):
+        for case in cases.open_hall(length, 4):
+            start, goal = case.problem.start, case.problem.goal
+            assert math.hypot(start.x - goal.x, start.y - goal.y) == pytest.approx(length)
+            pillars = shapely.polygons(case.problem.obstacles.vertices[4:])
+            assert len(pillars) == cases.PILLARS
+            near = shapely.STRtree(pillars)
+            _, gaps = near.query_nearest(pillars, return_distance=True, exclusive=True, all_matches=False)
+            assert gaps.min() >= cases.BETWEEN
+            assert shapely.distance(shapely.Point(start.x, start.y), pillars).min() >= cases.AROUND_START
+
+
+def test_the_gap_of_a_blocked_scene_is_where_and_as_narrow_as_its_truth_says():
+    needed = cases.ROBOT.footprint.width + 2.0 * cases.RULE.required
+    seen = set()
+    for case in cases.blocked(draws=2):
+        truth = case.truth
+        assert truth.missing > 0.0
+        seen.add((case.tag.split(",")[0], truth.is_body))
+        if truth.place is not None:
+            across = truth.heading + 0.5 * math.pi
+            beside = 0.5 * (needed - truth.missing)
+            far = shapely.distance(shapely.Point(truth.place), solid(case.problem))
+            assert far == pytest.approx(beside, abs=1e-9), case.name
+            for side in (-1.0, 1.0):
+                x, y = (truth.place[0] + side * (beside + 1e-6) * math.cos(across),
+                        truth.place[1] + side * (beside + 1e-6) * math.sin(across))  # fmt: skip
+                assert shapely.distance(shapely.Point(x, y), solid(case.problem)) == 0.0, case.name
+    assert {kind for kind, _ in seen} == {"gap", "bay", "ring", "door"}
+    assert {is_body for _, is_body in seen} == {True, False}
+
+
+def test_no_disc_as_wide_as_the_robot_gets_from_start_to_dock_where_it_is_blocked_for_the_body():
+    """Free space shrunk by half the least width of the body falls apart between them."""
+    half = 0.5 * cases.ROBOT.footprint.width
+    for case in cases.blocked(draws=1):
+        if case.truth.is_body and not case.tag.startswith("bay"):
+            box = shapely.box(-30.0, -30.0, 30.0, 30.0)
+            free = shapely.difference(box, shapely.buffer(solid(case.problem), half - 1e-6))
+            ends = [shapely.Point(p.x, p.y) for p in (case.problem.start, case.problem.goal)]
+            parts = [shapely.intersects(part, ends) for part in shapely.get_parts(free)]
+            assert not any(both.all() for both in parts), case.name
+
+
+def test_starts_around_real_docks(real_data):
+    found = cases.dock_starts(per_dock=3)
+    assert len(found) == 29 * 3
+    assert {case.tag for case in found} == {"before", "oblique", "beside or behind"}
+    for case in found[::7]:
+        start, goal = case.problem.start, case.problem.goal
+        assert cases.NEAREST <= math.hypot(start.x - goal.x, start.y - goal.y) <= cases.FARTHEST
+        assert end_clearances(case.problem).start >= cases.FREE_START - 1e-9
+        seen = goal.inverse() @ start
+        before = seen.x if case.problem.dock.direction.value == "backward" else -seen.x
+        assert (before <= 0.0) == (case.tag == "beside or behind")
+
+
+def test_public_cases_are_whole(real_data):
+    assert len(cases.tpcap()) == 10
+    assert [case.problem.clearance.required for case in cases.obca()] == [0.05] * 168
+
+
+@pytest.fixture(scope="module")
+def planned():
+    case = next(case for case in cases.near_dock() if case.name == "3 cm aside, 1.00 m before")
+    return case, plan_dock(case.problem, time_budget=5.0)
+
+
+def test_a_certified_plan_is_confirmed(planned):
+    case, plan = planned
+    found = checked(plan, case.problem)
+    assert found.faults == ()
+    assert plan.certificate.min_clearance - 1e-6 <= found.min_clearance
+    assert found.poses > plan.path.length / 0.01
+
+
+def with_limits(problem, **limits):
+    return dataclasses.replace(
+        problem, robot=Robot(problem.robot.footprint, MotionLimits(**limits), problem.robot.drive)
+    )
+
+
+@pytest.mark.parametrize(
+    ("changed", "told"),
+    [
+        (lambda p: dataclasses.replace(p, obstacles=[[[-0.5, 0.28], [-0.4, 0.28], [-0.4, 0.4]]]), "clearance"),
+        (lambda p: dataclasses.replace(p, clearance=0.05), "clearance"),
+        (lambda p: p.starting_at(Pose2(-1.0, 0.0301, 0.0)), "start"),
+        (lambda p: dataclasses.replace(p, dock=Dock(Pose2(0.0, 1e-5, 0.0), p.dock.footprint)), "goal"),
+        (lambda p: dataclasses.replace(p, dock=dataclasses.replace(p.dock, direction="backward")), "direction"),
+        (lambda p: dataclasses.replace(p, dock=dataclasses.replace(p.dock, final_straight=0.9)), "final_straight"),
+        (lambda p: dataclasses.replace(p, dock=dataclasses.replace(p.dock, approach_speed=0.05)), "speed"),
+        (lambda p: with_limits(p, max_curvature=0.01), "curvature"),
+        (lambda p: with_limits(p, max_curvature_rate=0.1), "curvature_rate"),
+        (lambda p: with_limits(p, max_jerk=1.0), "jerk"),
+        (lambda p: with_limits(p, max_acceleration=0.05), "acceleration"),
+    ],
+)  # fmt: skip
+def test_the_check_sees_a_broken_rule(planned, changed, told):
+    case, plan = planned
+    assert told in " ".join(fault.split(" ")[0].rstrip(",") for fault in checked(plan, changed(case.problem)).faults)
+
+
+class Wheels(types.SimpleNamespace):
+    """Limits with a wheelbase, whatever else they have."""
+
+
+def test_the_check_sees_wheels_that_turn_too_far_too_fast_or_while_nobody_waits():
+    from experiments.fuzz.doors import path_spec
+    from experiments.fuzz.oracle.motion import motion_of
+    from experiments.manoeuvres.check import _steering_faults
+
+    case = next(case for case in cases.near_dock() if case.name == "30 cm aside, 1.50 m before")
+    plan = plan_dock(case.problem, time_budget=5.0)
+    motion = motion_of(path_spec(plan.path))
+
+    def faults(**limits):
+        robot = types.SimpleNamespace(limits=Wheels(wheelbase=0.5, **limits))
+        return " ".join(_steering_faults(plan, motion, types.SimpleNamespace(robot=robot)))
+
+    bend = np.abs(motion.k0).max()
+    angle = math.atan(0.5 * bend)
+    assert faults(max_steering_angle=1.001 * angle, max_steering_rate=math.inf) == ""
+    assert "steering angle" in faults(max_steering_angle=0.99 * angle, max_steering_rate=math.inf)
+    assert "steering rate" in faults(max_steering_angle=2.0, max_steering_rate=1e-3)
+    if len(plan.path.cusps):
+        assert "wheels turn" in faults(max_steering_angle=2.0, max_steering_rate=1e-3)
+
+
+def record(outcome, budget=0.1, family="obca", **values):
+    return Record("case", family, "parallel", budget, outcome, cpu=0.05, wall=0.05, **values)
+
+
+def test_tables_count():
+    plan = record(CERTIFIED, price=4.0, duration=3.0, length=2.0, cusps=2, first=0.01)
+    bad = plan._replace(faults="clearance", cusps=1, tag="backwards")
+    table = summary([plan, bad, record(NOT_FOUND, error="TimedOut: 3"), record(IMPOSSIBLE)])
+    rows = {row[0].strip(): dict(zip(table.header, row, strict=True)) for row in table.rows}
+    assert rows["obca"]["n"] == 4
+    assert [rows["obca"][name] for name in ("certified", "impossible", "not found", "refuted")] == [2, 1, 1, 1]
+    assert rows["obca"]["certified %"] == 50.0
+    assert rows["obca"]["cusps mean"] == 1.5
+    assert rows["parallel"]["refuted"] == 0
+
+
+def test_plans_that_get_lost_or_worse_with_the_budget_are_counted():
+    plan = record(CERTIFIED, price=4.0)
+    worse = budget_table({0.1: [plan, plan], 0.2: [plan._replace(price=4.1), record(NOT_FOUND)]})
+    row = dict(zip(worse.header, worse.rows[1], strict=True))
+    assert (row["lost"], row["worse"], row["certified"]) == (1, 1, 1)
+
+
+def test_a_refusal_is_recorded_with_its_reason():
+    case = next(case for case in cases.blocked(1) if case.tag == "bay, 30 cm missing")
+    found = ask(case)
+    assert found.outcome == IMPOSSIBLE
+    assert found.error.startswith("GoalOccupied: ")
+
+
+def test_the_program_writes_a_row_and_a_picture_per_case(tmp_path, capsys):
+    words = ["--family", "near dock", "--every", "60", "--out", str(tmp_path), "--figures", "--budget", "2"]
+    assert main(words) == 0
+    rows = list(csv.DictReader((tmp_path / "cases.csv").read_text().splitlines()))
+    assert [row["name"] for row in rows] == [case.name for case in cases.near_dock()[::60]]
+    assert len(list((tmp_path / "figures").iterdir())) == len(rows)
+    assert (tmp_path / "versions.json").is_file()
+    told = capsys.readouterr().out
+    assert "## Manoeuvres" in told
+    assert "near dock" in told
+    assert csv_text([]).splitlines() == [",".join(Record._fields)]

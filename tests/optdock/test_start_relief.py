@@ -1,0 +1,112 @@
+"""Start relief: a robot along a wall may keep what it has within its own length, and the certificate says so."""
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from optdock.dock import Dock
+from optdock.geometry.footprint import Footprint
+from optdock.geometry.pose import Pose2
+from optdock.limits import MotionLimits
+from optdock.obstacles import ObstacleSet
+from optdock.path import Path
+from optdock.problem import ClearanceRule, DockingProblem
+from optdock.robot import Robot
+from optdock.testing.dense_check import dense_check
+from optdock.verification import certify_path
+from smoothers.casadi_smoother import CasadiSmoother
+
+ROBOT = Robot(Footprint.rectangle(0.45, 0.45, 0.6), MotionLimits(max_curvature=1.5, max_curvature_rate=6.0))
+REQUIRED = 0.05
+WALL = [[-5.0, 0.3], [9.0, 0.3], [9.0, 0.5], [-5.0, 0.5]]
+
+
+def along_the_wall(length, gap, *others, turned=0.0, required=REQUIRED):
+    """A robot at `gap` [m] from a wall on its left, and its drive of `length` [m] straight ahead."""
+    start = Pose2(0.0, -gap, 0.0)
+    goal = Pose2(length, -gap + turned, 0.0)
+    problem = DockingProblem(
+        start, Dock(goal), ROBOT, ObstacleSet.from_polygons([WALL, *others]), ClearanceRule(required, required, 0.0)
+    )
+    x = np.linspace(0.0, length, 40)
+    return Path.from_poses(np.column_stack((x, np.full(40, -gap), np.zeros(40)))), problem
+
+
+@given(st.floats(0.2, 2.0), st.floats(0.0, 0.1))
+def test_along_a_wall_the_robot_may_keep_what_it_has_over_its_own_length_and_no_further(length, gap):
+    path, problem = along_the_wall(length, gap)
+    certificate, run = certify_path(path, problem), problem.start_run
+    assert run == pytest.approx(0.9)
+    if gap >= REQUIRED:
+        assert certificate.certified
+        assert certificate.start_relief == 0.0
+    elif length <= run:
+        assert certificate.certified
+        assert certificate.start_relief == run
+    elif length > run + 1e-5:
+        assert not certificate.certified
+        assert certificate.start_relief == 0.0
+    if abs(length - run) > 1e-4 and abs(gap - REQUIRED) > 1e-5:
+        report = dense_check(path, problem, 0.01)
+        assert report.ok is certificate.certified
+        assert report.start_relief == pytest.approx(certificate.start_relief)
+
+
+def test_a_plan_file_says_which_rule_holds():
+    certificate = certify_path(*along_the_wall(0.8, 0.01))
+    assert certificate.as_dict()["start_relief"] == pytest.approx(0.9)
+    assert "0.90 m" in repr(certificate)
+
+
+@pytest.mark.parametrize(("gap", "deep"), [(0.01, 0.002), (0.0, 0.001), (0.045, 0.02)])
+def test_nothing_may_come_closer_than_the_start_does(gap, deep):
+    path, problem = along_the_wall(0.8, gap)
+    assert certify_path(path, problem).certified
+    # A thin post beside the other side of the robot, closer than what it keeps at its start.
+    y = -gap - 0.3 - gap + deep
+    post = [[0.9, y - 0.1], [0.902, y - 0.1], [0.902, y], [0.9, y]]
+    path, problem = along_the_wall(0.8, gap, post)
+    certificate = certify_path(path, problem)
+    assert not certificate.certified
+    assert not dense_check(path, problem, 0.002).ok
+
+
+def test_a_robot_that_starts_with_enough_clearance_has_no_relief():
+    y = -0.06 - 0.3 - 0.03
+    post = [[0.9, y - 0.1], [0.902, y - 0.1], [0.902, y], [0.9, y]]
+    path, problem = along_the_wall(0.8, 0.06, post)
+    assert not certify_path(path, problem).certified
+    assert not dense_check(path, problem, 0.002).ok
+
+
+def test_beyond_the_run_it_must_leave_at_the_slope_of_the_strict_rule():
+    for more, holds in ((1e-3, True), (-1e-3, False)):
+        run, gap = 0.9, 0.01
+        x = np.linspace(0.0, run + 0.06, 400)
+        y = -gap - 0.5 * np.maximum(0.0, x - run) - more * np.clip((x - run) / 0.02, 0.0, 1.0)
+        path = Path.from_poses(np.column_stack((x, y, np.zeros(400))))
+        problem = along_the_wall(1.0, gap)[1]
+        kinds = {violation.kind for violation in certify_path(path, problem).violations}
+        assert ("clearance" not in kinds and "unproven" not in kinds) is holds
+
+
+@pytest.mark.parametrize("gap", [0.004, 0.02])
+@pytest.mark.parametrize("mirror", [1.0, -1.0])
+def test_the_smoother_leaves_a_wall_that_the_strict_rule_would_not_let_it_leave(gap, mirror):
+    # Its nose points a little away from the wall, its tail is beside it: straight ahead it gains a tenth of its way.
+    wall = np.array(WALL) * [1.0, mirror]
+    start = Pose2(0.0, (0.3 - gap - 0.45 * math.sin(0.1) - 0.3 * math.cos(0.1)) * mirror, -0.1 * mirror)
+    goal = Pose2(3.5, -0.9 * mirror, 0.0)
+    problem = DockingProblem(start, Dock(goal), ROBOT, ObstacleSet.from_polygons([wall]), ClearanceRule(REQUIRED))
+    raw = Path.from_poses(
+        [start, Pose2(1.2, start.y - 0.12 * mirror, -0.2 * mirror), Pose2(2.4, -0.8 * mirror, 0.0), goal]
+    )
+    result = CasadiSmoother().smooth(raw, 30.0, problem=problem)
+    assert result.report.certificate.certified
+    assert result.report.certificate.start_relief == pytest.approx(0.9)
+    report = dense_check(result.path, problem)
+    assert report.ok
+    assert report.start_relief == pytest.approx(0.9)

@@ -1,0 +1,124 @@
+"""Tracking: the drivable path nearest to the input's positions, and programs with finer intervals."""
+
+import math
+
+import numpy as np
+import pytest
+
+from optdock.dock import Dock
+from optdock.geometry.footprint import Footprint
+from optdock.geometry.pose import transform_points
+from optdock.limits import MotionLimits
+from optdock.obstacles import ObstacleSet
+from optdock.path import Path
+from optdock.problem import DockingProblem
+from optdock.robot import Robot
+from optdock.verification import pose_clearances
+from smoothers.scp.collision.scene import scene_around
+from smoothers.scp.cost import Weights
+from smoothers.scp.goal_projection import rate_is_kept
+from smoothers.scp.initial_guess import InitialGuesses
+from smoothers.scp.loop import evaluated
+from smoothers.scp.problem import Formulation, formulate, with_finer_intervals
+from smoothers.scp.qp_step import pool_of_this_thread
+from smoothers.scp.rollout import roll_out
+from smoothers.scp.settings import DEFAULT_SETTINGS
+from smoothers.scp.tracking import strayed, track
+
+CAR = Robot(Footprint.rectangle(3.7, 1.0, 2.0), MotionLimits(max_curvature=0.25, max_curvature_rate=0.44))
+# Gear, curvature [1/m] and length [m]: words of full arcs, as Reeds-Shepp paths are, with pieces of a few decimetres.
+WORDS = (
+    ((1, 0.25, 5.0), (1, -0.25, 0.3), (1, 0.0, 9.0), (1, -0.25, 5.3), (1, 0.25, 0.4), (1, 0.0, 8.0)),
+    ((1, -0.25, 5.0), (-1, 0.25, 0.5), (-1, 0.0, 7.5), (-1, -0.25, 6.0), (-1, 0.25, 0.5), (-1, 0.0, 6.0)),
+    ((-1, 0.25, 3.0), (1, -0.25, 2.0), (-1, 0.25, 2.5), (-1, -0.25, 0.3), (-1, 0.0, 9.0), (-1, 0.25, 0.4)),
+)
+
+
+def driven_word(word, sign=1.0, spacing=0.02):
+    """Poses along arcs; `sign` -1 mirrors it."""
+    poses = [np.zeros(3)]
+    for gear, curvature, length in word:
+        for _ in range(round(length / spacing)):
+            x, y, yaw = poses[-1]
+            turned = yaw + 0.5 * sign * curvature * spacing
+            step = gear * spacing
+            poses.append(np.array([x + step * math.cos(turned), y + step * math.sin(turned), yaw]))
+            poses[-1][2] += sign * curvature * spacing
+    return np.array(poses)
+
+
+def program_of(poses, obstacles=()):
+    path = Path.from_poses(poses)
+    problem = DockingProblem(path.start, Dock(path.end), CAR, obstacles)
+    scene = scene_around(problem, poses[:, :2], 1.0, DEFAULT_SETTINGS.collision)
+    return formulate(path, problem, scene, Formulation(Weights(), 24, 0.4), None, DEFAULT_SETTINGS)
+
+
+def driven(nlp, variables):
+    return roll_out(nlp.basis, variables, nlp.ends.start, nlp.ends.signs)
+
+
+def tracked(nlp):
+    return track(nlp, pool_of_this_thread(), InitialGuesses(nlp).fitted, 0.45, lambda: False)
+
+
+@pytest.mark.parametrize("word", WORDS)
+def test_it_stays_on_words_of_full_arcs_within_the_bounds_whereas_a_fit_of_headings_leaves_them(word):
+    nlp = program_of(driven_word(word))
+    variables = tracked(nlp)
+    assert strayed(nlp, driven(nlp, variables)) < 0.1
+    assert strayed(nlp, driven(nlp, variables)) < 0.5 * strayed(nlp, driven(nlp, InitialGuesses(nlp).fitted))
+    assert np.abs(variables.curvature).max() <= 0.25
+    assert rate_is_kept(nlp.basis, variables, nlp.bounds)
+
+
+@pytest.mark.parametrize("word", WORDS)
+def test_a_mirrored_input_is_tracked_by_the_mirrored_path(word):
+    left, right = (tracked(program_of(driven_word(word, sign))) for sign in (1.0, -1.0))
+    assert right.curvature == pytest.approx(-left.curvature, abs=1e-6)
+    assert right.lengths == pytest.approx(left.lengths, abs=1e-6)
+
+
+def test_what_is_drivable_already_is_left_where_it_is():
+    turned = np.linspace(0.0, 0.5, 60)
+    poses = np.column_stack((8.0 * np.sin(turned), 8.0 - 8.0 * np.cos(turned), turned))
+    nlp = program_of(poses)
+    assert strayed(nlp, driven(nlp, tracked(nlp))) < 1e-3
+
+
+def test_it_stops_at_once_when_it_is_late():
+    nlp = program_of(driven_word(WORDS[0]))
+    fitted = InitialGuesses(nlp).fitted
+    late = track(nlp, pool_of_this_thread(), fitted, 0.45, lambda: True)
+    assert strayed(nlp, driven(nlp, late)) > strayed(nlp, driven(nlp, tracked(nlp)))
+
+
+def test_the_tracked_guess_comes_first_where_something_stands_in_the_way_of_the_fit():
+    poses = driven_word(WORDS[2])
+    free = InitialGuesses(program_of(poses))
+    fit = evaluated(free.nlp, free.fitted)[0].rollout.poses
+    assert free.first.variables is free.fitted
+    # Posts where corners of the fit pass and the input keeps 5 cm away.
+    corners = transform_points(fit, CAR.footprint.vertices).reshape(-1, 2)
+    posts = [ObstacleSet.from_rectangles(at[None] - 0.02, at[None] + 0.02, "post") for at in corners]
+    beside = [post for post in posts if pose_clearances(poses, CAR.footprint, post)[0].min() > 0.02]
+    guesses = InitialGuesses(program_of(poses, beside[len(beside) // 2]))
+    assert guesses.first.variables is guesses.tracked
+    assert guesses.on_the_input is None
+
+
+def test_an_input_that_cannot_be_driven_is_not_tracked():
+    straight = np.linspace(0.0, 6.0, 100)
+    poses = np.column_stack((straight, np.where(straight > 3.0, 2.0 * (straight - 3.0), 0.0), np.zeros(100)))
+    guesses = InitialGuesses(program_of(poses))
+    assert guesses.first.variables is not guesses.tracked
+    assert guesses.on_the_input is None
+
+
+def test_finer_intervals_drive_the_same_path_beside_the_same_input():
+    nlp = program_of(driven_word(WORDS[1]))
+    finer, variables = with_finer_intervals(nlp, 3), tracked(nlp)
+    same = np.concatenate([np.flatnonzero(finer.basis.node_gear == m)[::3] for m in range(finer.basis.num_gears)])
+    np.testing.assert_allclose(driven(finer, variables).poses[same], driven(nlp, variables).poses, atol=1e-5)
+    np.testing.assert_allclose(finer.traced.positions[same], nlp.traced.positions, atol=1e-12)
+    assert finer.basis.num_intervals == 3 * nlp.basis.num_intervals
