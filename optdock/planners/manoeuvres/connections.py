@@ -20,10 +20,11 @@ if TYPE_CHECKING:
     from optdock.planners.manoeuvres.tree import ArcTree
     from optdock.problem import DockingProblem
 
-__all__ = ["Connections", "Nodes", "connections", "free_manoeuvres"]
+__all__ = ["Connections", "Nodes", "all_pairs", "connections", "free_manoeuvres", "promising"]
 
 _PAIRS = 128  # whose words are found in one go, about a millisecond
 _GLANCE = np.arange(1, 9) / 9.0  # shares of a word at which it is looked at before it is looked at whole
+_ROUGH_BATCH = 256  # words of which a quick look is taken in one go
 _BATCH = 24  # words glanced at in one go
 _NOTHING = 1e-6  # [m]: shorter arcs are no motion
 
@@ -63,14 +64,23 @@ class Nodes(NamedTuple):
 
 
 def connections(exits: Nodes, entries: Nodes, radius: float, space: FreeSpace, per_pair: int) -> Connections:
-    """The cheapest words of every pair of a node of the start's tree and one of the goal's; no one has looked yet."""
-    i, j = (grid.ravel() for grid in np.meshgrid(exits.rows, entries.rows, indexing="ij"))
+    """The cheapest words of every pair of a node of the start's tree and one of the goal's, both of as many rows.
+
+    Nobody has looked yet whether they are free.
+    """
     blocks = []
-    for k in range(0, i.size, _PAIRS):
+    for k in range(0, exits.rows.size, _PAIRS):
         space.poll()
         some = slice(k, k + _PAIRS)
-        blocks.append(_cheapest(Nodes(exits.tree, i[some]), Nodes(entries.tree, j[some]), radius, space.problem, per_pair))
+        leaving, arriving = Nodes(exits.tree, exits.rows[some]), Nodes(entries.tree, entries.rows[some])
+        blocks.append(_cheapest(leaving, arriving, radius, space.problem, per_pair))
     return Connections.merged(blocks)
+
+
+def all_pairs(exits: Nodes, entries: Nodes) -> tuple[Nodes, Nodes]:
+    """Every node of the one with every node of the other."""
+    i, j = (grid.ravel() for grid in np.meshgrid(exits.rows, entries.rows, indexing="ij"))
+    return Nodes(exits.tree, i), Nodes(entries.tree, j)
 
 
 def _cheapest(exits: Nodes, entries: Nodes, radius: float, problem: DockingProblem, per_pair: int) -> Connections:
@@ -105,6 +115,18 @@ def _in_allowed_gears(gears: FloatArray, problem: DockingProblem) -> BoolArray:
     if problem.start_speed != 0.0:
         allowed &= gears[rows, np.argmax(is_moving, axis=1)] * problem.start_speed > 0.0
     return allowed
+
+
+def promising(found: Connections, exits: ArcTree, space: FreeSpace) -> Connections:
+    """Those whose words pass a quick look at a few of their poses."""
+    kept = []
+    for k in range(0, found.size, _ROUGH_BATCH):
+        space.poll()
+        some = slice(k, k + _ROUGH_BATCH)
+        words = Arcs(exits.poses[found.exits[some]], found.lengths[some], found.curvatures[some])
+        poses = words.poses_at_shares(_GLANCE)
+        kept.append(space.may_be_free(poses.reshape(-1, 3)).reshape(poses.shape[:2]).all(axis=1))
+    return found.rows(np.flatnonzero(np.concatenate(kept))) if kept else found
 
 
 def free_manoeuvres(

@@ -22,6 +22,7 @@ if TYPE_CHECKING:
 
 __all__ = ["ArcTree", "Moves", "joined"]
 
+_BISECTIONS = 4
 _STRIDE, _ABREAST = 8, 64  # poses per arc, and arcs, that are checked in one go; blocked arcs are given up after it
 
 
@@ -44,6 +45,13 @@ class _Starts(NamedTuple):
     poses: FloatArray
     signs: FloatArray
     curvatures: FloatArray
+
+    def are_free(self, rows: IntArray, lengths: FloatArray, space: FreeSpace, margin: float) -> BoolArray:
+        """Whether the poses after lengths, Shape (k,) or (n, k) [m], on the arcs at `rows` are free. Shape (n, k)."""
+        space.poll()
+        poses = advance(self.poses[rows, None], self.signs[rows, None] * lengths, self.curvatures[rows, None])
+        free: BoolArray = space.is_free(poses.reshape(-1, 3), margin).reshape(poses.shape[:2])
+        return free
 
 
 class ArcTree:
@@ -95,7 +103,7 @@ class ArcTree:
         free = self._free_lengths(_Starts(self.poses[node], sign, curvature), float(stations[-1]), space, margin)
         reached = np.where(stations <= free[:, None] + 1e-12, stations, 0.0)
         # Where the way ends between two stations, its end is one as well.
-        last = np.where(reached.max(axis=1) < free - 0.5 * space.spacing, free, 0.0)
+        last = np.where(reached.max(axis=1) < free - 0.1 * space.spacing, free, 0.0)
         lengths = np.column_stack((reached, last))
         arc, station = np.nonzero(lengths > 0.0)
         return self._added(node[arc], sign[arc] * lengths[arc, station], curvature[arc], is_new)
@@ -104,21 +112,26 @@ class ArcTree:
     def _free_lengths(starts: _Starts, longest: float, space: FreeSpace, margin: float) -> FloatArray:
         """How far each arc is free, up to `longest`. Shape (n,) [m]."""
         free = np.zeros(starts.signs.size)
-        steps = space.spacing * np.arange(1, int(np.ceil(longest / space.spacing - 1e-9)) + 1)
-        steps[-1] = longest
-        going = np.arange(free.size)
+        steps = np.append(np.arange(space.spacing, longest - 1e-9, space.spacing), longest)
+        going, blocked = np.arange(free.size), np.zeros(free.size)
         for k in range(0, steps.size, _STRIDE):
             some = steps[k : k + _STRIDE]
             still = []
             for block in range(0, going.size, _ABREAST):
-                space.poll()
                 mine = going[block : block + _ABREAST]
-                ends = advance(starts.poses[mine, None], starts.signs[mine, None] * some, starts.curvatures[mine, None])
-                good = space.is_free(ends.reshape(-1, 3), margin).reshape(mine.size, some.size)
+                good = starts.are_free(mine, some, space, margin)
                 count = np.where(good.all(axis=1), some.size, np.argmin(good, axis=1))
                 free[mine] = np.where(count > 0, some[np.maximum(count - 1, 0)], free[mine])
+                blocked[mine] = some[np.minimum(count, some.size - 1)]
                 still.append(mine[count == some.size])
             going = np.concatenate(still) if still else going
+        # Between the last free pose and the first blocked one: in a narrow place every centimetre counts.
+        ended = np.setdiff1d(np.arange(free.size), going)
+        for _ in range(_BISECTIONS if ended.size else 0):
+            middle = 0.5 * (free[ended] + blocked[ended])
+            good = starts.are_free(ended, middle[:, None], space, margin)[:, 0]
+            free[ended] = np.where(good, middle, free[ended])
+            blocked[ended] = np.where(good, blocked[ended], middle)
         return free
 
     def _added(

@@ -1,7 +1,8 @@
 """Lengths of the shortest ways around the obstacles for a disc: what hybrid A* expects of what is still to drive.
 
 A wave runs over a coarse grid from one place, alternately to the four and to the eight neighbours of its front, so that
-it grows as an octagon: the number of steps is never more than the length in cells and at most 11 % less. It goes on only as far as somebody asks.
+it grows as an octagon: the number of steps is never more than the length in cells, and at most 11 % less. It goes on
+only as far as somebody asks.
 """
 
 from __future__ import annotations
