@@ -33,7 +33,13 @@ from optdock.testing.dense_check import dense_check
 from optdock.timing.near_optimal import NearOptimal
 from optdock.timing.windowed import Windowed
 from optdock.trajectory import TimeLaw, Trajectory
-from optdock.verification import certify_motion, certify_path, certify_trajectory, check_samples_of
+from optdock.verification import (
+    certify_motion,
+    certify_path,
+    certify_trajectory,
+    check_sampled_motion,
+    check_samples_of,
+)
 
 LIMITS = MotionLimits(0.5, 0.3, 0.4, 0.6, 2.0, max_yaw_rate=0.8, max_yaw_acceleration=1.5, max_curvature=2.0)
 BOX = Footprint.rectangle(0.5, 0.3, 0.4)
@@ -401,6 +407,68 @@ def test_samples_of_a_turn_are_those_of_its_phases():
     assert not check_samples_of(plan.trajectory, motion, plan.problem).refuted
     bent = motion._replace(yaw_rate=motion.yaw_rate * 1.01)
     assert check_samples_of(plan.trajectory, bent, plan.problem).refuted
+
+
+@settings(max_examples=25)
+@given(
+    st.lists(
+        st.one_of(
+            st.tuples(st.floats(-6.0, 6.0).filter(lambda turn: abs(turn) > 1e-3)),
+            st.tuples(st.floats(0.05, 1.5), st.floats(-1.5, 1.5), st.sampled_from((1, -1))),
+        ),
+        min_size=1,
+        max_size=6,
+    ),
+    st.floats(0.005, 0.3),
+    st.sampled_from([None, 9, 6, 5, 4]),
+)
+def test_samples_of_a_motion_that_turns_refute_nothing(parts, period, decimals):
+    path = gears(*parts)
+    zone = SpeedZone(0.1, 0.4)
+    motion = TrajectoryColumns.from_trajectory(timed(path, zone=zone), period)
+    if decimals is not None:
+        motion = TrajectoryColumns(motion.t, *(np.round(column, decimals) for column in motion[1:]))
+    found = check_sampled_motion(motion, path, problem_of(path, zone=zone))
+    assert [violation.message for violation in found.violations] == []
+
+
+def lie(name, change):
+    return lambda motion, turning: motion._replace(
+        **{name: np.where(turning, change(getattr(motion, name)), getattr(motion, name))}
+    )
+
+
+LIES = {
+    "yaw rate": lie("yaw_rate", lambda w: 1.2 * w),
+    "yaw acceleration": lie("yaw_acceleration", lambda a: 1.2 * a),
+    "yaw": lie("yaw", lambda yaw: yaw + 0.01),
+    "place": lie("x", lambda x: x + 0.005),
+    "speed": lie("speed", lambda v: v + 1e-3),
+    "the other way": lie("yaw_rate", lambda w: -w),
+    "in a hurry": lambda motion, turning: motion._replace(
+        t=np.concatenate(([0.0], np.cumsum(np.diff(motion.t) * np.where(turning[1:], 0.8, 1.0))))
+    ),
+    "cut short": lambda motion, turning: TrajectoryColumns(
+        *(column[: np.flatnonzero(turning)[-20]] for column in motion)
+    ),
+}
+
+
+@pytest.mark.parametrize("name", sorted(LIES))
+@pytest.mark.parametrize("path", [ROUTE, STILL], ids=["route", "still"])
+def test_a_lie_about_a_turn_is_refuted(name, path):
+    honest = TrajectoryColumns.from_trajectory(timed(path), 0.02)
+    turning = np.abs(honest.yaw_rate) > 2.0 * np.abs(honest.speed) + 1e-3
+    assert not check_sampled_motion(honest, path, problem_of(path)).refuted
+    assert check_sampled_motion(LIES[name](honest, turning), path, problem_of(path)).refuted
+
+
+def test_a_motion_that_leaves_out_a_turn_is_refuted():
+    straight = gears((1.0, 0.0, 1), (2.0 * math.pi,), (1.0, 0.0, 1))
+    without = gears((1.0, 0.0, 1), (1.0, 0.0, 1))
+    motion = TrajectoryColumns.from_trajectory(timed(without), 0.02)
+    found = check_sampled_motion(motion, straight, problem_of(straight))
+    assert "the motion drives; the path drives, turns left, drives" in found.violations[0].message
 
 
 @pytest.mark.parametrize("path", [ROUTE, STILL, gears((0.7,), (1.0, 0.0, 1), (-0.7,))])
