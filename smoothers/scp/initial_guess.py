@@ -137,7 +137,10 @@ class InitialGuesses:
 
     @cached_property
     def _is_trackable(self) -> bool:
-        return strayed(self.nlp, self._driven(self.tracked)) < self.nlp.settings.guess.trackable
+        """Whether it stays near the input, or at least much nearer than the others do: on long paths spans are long."""
+        settings = self.nlp.settings.guess
+        tracked, other = (strayed(self.nlp, self._driven(v)) for v in (self.tracked, self._untracked[0]))
+        return tracked < max(settings.trackable, settings.much_nearer * other)
 
     @cached_property
     def _order(self) -> tuple[Variables, Variables]:

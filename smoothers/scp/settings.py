@@ -76,6 +76,7 @@ class GuessSettings:
     turned_away: float = 0.4  # [rad], likewise at the goal
     off_the_input: float = 0.1  # [m]: a fit that leads further from the input may be worse than a tracked one
     trackable: float = 0.4  # [m]: an input that cannot be tracked more closely is not drivable
+    much_nearer: float = 0.1  # likewise, of how far the others lead away
     different: float = 0.15  # [m]: guesses closer together lead to the same result
     different_on_the_input: float = 0.03  # [m], likewise, where the one is on the input
     pursuit_step: float = 0.25  # of the smallest radius, at most
@@ -105,7 +106,7 @@ class TrackingSettings:
     trust_growth: float = 2.0
     most_trust: float = 0.9  # [rad]
     trust_cut: float = 0.3
-    most_steps: int = 8
+    most_steps: int = 20
     small_gain: float = 0.05  # of the merit, not worth a further step
     near: float = 0.02  # [m] from the input everywhere is near enough
 
