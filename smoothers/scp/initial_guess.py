@@ -166,7 +166,9 @@ class InitialGuesses:
         return float(np.abs(between).max())
 
     def _cold(self, variables: Variables, patience: int) -> Guess:
-        settings = self.nlp.settings.guess
+        """A guess of this call; the longer the path, the more steps are in vain until they are small enough."""
+        settings, spans = self.nlp.settings.guess, self.nlp.basis.span_gear.size
+        patience = round(patience * max(1.0, spans / settings.spans_per_patience))
         return Guess(variables, self.trust_region, settings.proximal / self.nlp.radius, patience)
 
 

@@ -90,6 +90,7 @@ class GuessSettings:
     trust_region_near: float = 0.2  # an earlier result is near the new one
     proximal_near: float = 0.067
     patience: int = 4  # iterations within which a shortfall must shrink
+    spans_per_patience: int = 32  # paths with more spans get as much more patience
     patience_other: int = 3  # with the other guess: most problems that got so far have no answer
 
 
