@@ -107,7 +107,8 @@ class TrackingSettings:
     trust_growth: float = 2.0
     most_trust: float = 0.9  # [rad]
     trust_cut: float = 0.3
-    most_steps: int = 20
+    most_steps: int = 20  # where a first turn was missed on a long path; five otherwise
+    most_intervals: int = 3  # per span: positions tell no more, and obstacles do not count here
     small_gain: float = 0.05  # of the merit, not worth a further step
     near: float = 0.02  # [m] from the input everywhere is near enough
 
