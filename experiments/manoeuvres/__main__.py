@@ -45,10 +45,15 @@ def families(seed: int) -> dict[str, Callable[[], list[Case]]]:
 
 
 def chosen(options: argparse.Namespace) -> list[Case]:
-    """The cases asked for."""
-    makers = families(options.seed)
-    found = [case for name in options.family or FAMILIES for case in _made(name, makers[name])[:: options.every]]
-    return [case for case in found if options.only in case.name]
+    """The cases asked for: of each family one in so many, drawn, because tags come with periods of their own."""
+    import numpy as np
+
+    makers, found = families(options.seed), []
+    for name in options.family or FAMILIES:
+        made = [case for case in _made(name, makers[name]) if options.only in case.name]
+        some = np.random.default_rng(options.seed).permutation(len(made))[: -(-len(made) // options.every)]
+        found += [made[i] for i in sorted(some.tolist())]
+    return found
 
 
 def _made(name: str, make: Callable[[], list[Case]]) -> list[Case]:
@@ -106,7 +111,7 @@ def parser() -> argparse.ArgumentParser:
     made.add_argument("command", nargs="?", default="cases", choices=("cases", "budgets"))
     made.add_argument("--family", action="append", choices=FAMILIES, help="may be given several times; default: all")
     made.add_argument("--only", default="", help="cases whose name holds this text")
-    made.add_argument("--every", type=int, default=1, help="only every n-th case of each family")
+    made.add_argument("--every", type=int, default=1, help="only one case in so many, drawn by the seed")
     made.add_argument("--budget", type=float, help="[s], instead of each family's own")
     made.add_argument("--seed", type=int, default=11, help="of the drawn families (default: %(default)s)")
     made.add_argument("--jobs", type=int, default=1, help="processes; times are comparable with one only")
