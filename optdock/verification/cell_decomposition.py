@@ -59,8 +59,8 @@ _OPEN = 1e-6  # the cost of a node that looks open, or lies outside: of two rout
 _FEWEST_HEADINGS = 8  # of level 0
 _SHARP = 0.25  # of half a cell: how sharp the margin of the widest route is found
 _ROUNDS = 8  # of finer cells for the bottleneck: four are usual, more where a wall is as thin everywhere
+_POLISHED = 2  # times a fourth of a cell: then a place is known to a sixteenth of it
 _FINE = 0.04  # [m]: cells that know a missing width to that are not made finer
-_UNSURE = 2.2  # of half a cell: how much finer cells may change the margin of the widest route
 _SEEN_FROM = 30.0  # [m]: obstacles further from start and goal widen no tile
 
 
@@ -527,13 +527,10 @@ class _Search:
 
     def _bottlenecks(self) -> Iterator[Bottleneck]:
         """The narrowest place of the widest route, by margins at the middles of cells, which are made ever finer."""
-        tiles = self._coarse_tiles()
-        low, high, half = -self.problem.clearance.required - float(self.body.discs[:, 2].max()), 0.0, self.grid.cell
-        low -= half
+        tiles, half = self._coarse_tiles(), self.grid.cell
+        low, high = -self.problem.clearance.required - float(self.body.discs[:, 2].max()) - half, 0.0
         for _ in range(_ROUNDS):
-            while high - low > _SHARP * half:
-                middle = 0.5 * (low + high)
-                low, high = (middle, high) if self._by_margin(tiles, middle, middle).route() else (low, middle)
+            low, high = self._widest(tiles, low, high, _SHARP * half)
             graph = self._by_margin(tiles, low, high)
             route = graph.route()
             narrow = [node for node in route if graph.cost[node] > _OPEN]
@@ -543,13 +540,25 @@ class _Search:
             keys = {graph.tile_of[node] for node in narrow}
             half = max(self.grid.half(graph.tiles[key].level) for key in keys)
             keys = {key for key in keys if 4.0 * self.grid.half(graph.tiles[key].level) > _FINE}
-            keys |= {
-                graph.tile_of[node] for node in route[1:-1] if node and graph.tiles[graph.tile_of[node]].margin is None
-            }
+            # What nobody looked at counts as wide, and hides how thick a wall is.
+            passed = {graph.tile_of[node] for node in route if node > _GOAL}
+            keys |= {key for key in passed if graph.tiles[key].margin is None}
             if not self._split(graph, keys):
                 return
             tiles = [graph.tiles[key] for key in graph.present()]
-            low, high = low - _UNSURE * half, min(high + _UNSURE * half, 0.0)
+            low, high = low - half, high + half
+
+    def _widest(self, tiles: list[_Tile], low: float, high: float, sharp: float) -> tuple[float, float]:
+        """Margins that leave a route and that leave none, at most `sharp` apart [m]: first found, then bisected."""
+        step = high - low
+        while self._by_margin(tiles, high, high).route():
+            low, high = high, high + step
+        while not self._by_margin(tiles, low, low).route():
+            low, high = low - step, low
+        while high - low > sharp:
+            middle = 0.5 * (low + high)
+            low, high = (middle, high) if self._by_margin(tiles, middle, middle).route() else (low, middle)
+        return low, high
 
     def _coarse_tiles(self) -> list[_Tile]:
         """The tiles that were looked at first, and those that never were."""
@@ -622,13 +631,36 @@ class _Search:
         half, turn = self.grid.half(tile.level), math.pi / margin.shape[0]
         yaw = turn * (2.0 * float(layer) + 1.0)
         x, y = (2.0 * half * (CELLS * first + k + 0.5) for first, k in ((tile.column, float(i)), (tile.row, float(j))))
+        (x, y, yaw), most = self._best_near(np.array([x, y, yaw]), np.array([half, half, turn]))
         (x0, y0), (mx, my), c, s = self.grid.origin, self.body.centre, math.cos(yaw), math.sin(yaw)
         pose = Pose2(float(x0 + x - (c * mx - s * my)), float(y0 + y - (s * mx + c * my)), yaw)
         required = least_required(self.problem, np.array(pose.x), np.array(pose.y), 0.0, self.start_clearance)
-        missing = -2.0 * float(margin.max())
-        return Bottleneck(
-            pose.x, pose.y, pose.yaw, missing, missing - 2.0 * float(required), 4.0 * half, self._between(pose)
-        )
+        body = -2.0 * most
+        return Bottleneck(pose.x, pose.y, pose.yaw, body + 2.0 * float(required), body, 4.0 * half, self._between(pose))
+
+    def _best_near(self, pose: FloatArray, reach: FloatArray) -> tuple[tuple[float, float, float], float]:
+        """The pose of the centre within a cell that is farthest from obstacles, and how far its discs are there [m]."""
+        import shapely
+
+        everything, (x, y, radius) = self.obstacles, self.body.discs.T
+        extent = 2.0 * self.body.reach
+        near = ((everything.lower <= pose[:2] + extent) & (everything.upper >= pose[:2] - extent)).all(axis=1)
+        tree = shapely.STRtree(shapely.polygons(everything.vertices[near]))
+        share = np.linspace(-1.0, 1.0, 5)
+        around = np.stack(np.meshgrid(share, share, share), axis=-1).reshape(-1, 3) * reach
+        most = -math.inf if near.any() else 0.0
+        for _ in range(_POLISHED if near.any() else 0):
+            self.deadline.look()
+            poses = pose + around
+            c, s = np.cos(poses[:, 2:]), np.sin(poses[:, 2:])
+            at = poses[:, :1] + c * x - s * y, poses[:, 1:2] + s * x + c * y
+            apart = tree.query_nearest(
+                shapely.points(*(v.ravel() for v in at)), return_distance=True, all_matches=False
+            )[1]
+            margin = (apart.reshape(at[0].shape) - radius).min(axis=1)
+            best = int(margin.argmax())
+            pose, most, around = poses[best], float(margin[best]), 0.25 * around
+        return (float(pose[0]), float(pose[1]), float(pose[2])), most
 
     def _between(self, pose: Pose2) -> tuple[str, ...]:
         """The obstacle nearest to the robot at a pose, and the nearest on its other side."""
