@@ -11,8 +11,8 @@ import numpy as np
 from optdock.dock import DockDirection
 from optdock.outcomes import Guess
 from optdock.planners.manoeuvres.connections import Nodes, all_pairs, connections, free_manoeuvres, promising
-from optdock.planners.manoeuvres.free_space import FreeSpace
-from optdock.planners.manoeuvres.hybrid_a_star import Effort, hybrid_a_star
+from optdock.planners.manoeuvres.free_space import Effort, FreeSpace
+from optdock.planners.manoeuvres.hybrid_a_star import hybrid_a_star
 from optdock.planners.manoeuvres.price import least_price
 from optdock.planners.manoeuvres.tree import ArcTree, Moves
 
@@ -27,6 +27,7 @@ __all__ = ["Stages"]
 
 _RUNS = np.array([0.0, 0.25, 0.5, 1.0, 1.5, 2.0, 3.0])  # straight runs beyond the shortest one, in turning radii
 _EXIT_TURN = 1.0  # [rad] of arcs out of the start; straight lines are as long
+_WORTHWHILE = 0.9
 _TRIES = 4  # different ways that one stage offers at most
 _WORDS_PER_PAIR = 12  # words from the start to a staging pose that are looked at
 _SAMPLING = 40.0  # poses of a path per turning radius
@@ -54,13 +55,15 @@ class Stages:
         self._wind_up = 0.5 / (self.radius * rate) if math.isfinite(rate) else 0.0
         margin = 0.02 * footprint.width
         eased, sharp = slack * self.radius, self.radius
+        # The weaker rule of a start along a wall comes last, as the certificate tries the strict one first.
         self._efforts = (
             Effort(eased, margin, 12, 4000),
             Effort(sharp, margin, 12, 4000),
-            Effort(eased, 0.0, 24, 4000),
-            Effort(sharp, 0.0, 80, 8000),
+            Effort(eased, 0.0, 24, 4000, problem.start_run),
+            Effort(sharp, 0.0, 80, 8000, problem.start_run),
         )
         self._known: list[FloatArray] = []
+        self._best_price = math.inf  # estimated, of the way that led to the best plan so far
 
     def guesses(self) -> Iterator[Guess]:
         """The guesses of all stages."""
@@ -78,7 +81,6 @@ class Stages:
     def _start(self) -> Nodes:
         return Nodes(ArcTree(self.problem.start.as_array(), self.problem.robot.limits, 1), np.zeros(1, dtype=np.int64))
 
-    @functools.cache  # noqa: B019 - a search lives as long as its call
     def _staging(self, effort: Effort) -> Nodes:
         """Straight runs out of the dock, as far as they are free, and where the final straight may begin."""
         tree = ArcTree(self.problem.goal.as_array(), self.problem.robot.limits, -1)
@@ -87,18 +89,17 @@ class Stages:
         stations = np.unique(straight + self._wind_up + self.radius * _RUNS)
         if straight > 0.0:
             stations = np.concatenate(([straight], stations))
-        rows = tree.grow(np.zeros(1, dtype=np.int64), moves, stations, self.space, effort.margin)
+        rows = tree.grow(np.zeros(1, dtype=np.int64), moves, stations, self.space, effort)
         rows = rows[np.abs(tree.lengths[rows]) >= straight]
         return Nodes(tree, rows if straight > 0.0 else np.concatenate(([0], rows)))
 
-    @functools.cache  # noqa: B019
     def _exits(self, effort: Effort) -> Nodes:
         """The start, and the ends of arcs and lines out of it."""
         tree = ArcTree(self.problem.start.as_array(), self.problem.robot.limits, 1)
         speed, kappa = self.problem.start_speed, 1.0 / effort.radius
         moves = Moves.of((1.0, -1.0) if speed == 0.0 else (math.copysign(1.0, speed),), (0.0, kappa, -kappa))
         root = np.zeros(1, dtype=np.int64)
-        rows = tree.grow(root, moves, np.array([effort.radius * _EXIT_TURN]), self.space, effort.margin)
+        rows = tree.grow(root, moves, np.array([effort.radius * _EXIT_TURN]), self.space, effort)
         return Nodes(tree, np.concatenate((root, rows)))
 
     def _words(self) -> Iterator[Guess]:
@@ -111,27 +112,41 @@ class Stages:
             found = promising(
                 connections(*pairs, effort.radius, self.space, _WORDS_PER_PAIR), self._start.tree, self.space
             )
-            ways = free_manoeuvres(found, self._start.tree, staging.tree, self.space, effort.margin)
+            found = found.rows(np.flatnonzero(found.prices < _WORTHWHILE * self._best_price))
+            ways = free_manoeuvres(found, self._start.tree, staging.tree, self.space, effort)
             yield from self._offered("Reeds-Shepp", ways)
 
     def _hybrid_a_star(self) -> Iterator[Guess]:
+        """As far afield as it takes, until there is a plan."""
         wavefront = self.space.wavefront(self.problem.start.as_array()[:2])
         for effort in self._efforts:
-            self._staging.cache_clear()
-            ways = hybrid_a_star(self._exits(effort), self._staging(effort), self.space, effort, wavefront)
-            yield from self._offered("hybrid A*", ways)
+            exits, entries = self._exits(effort), self._staging(effort)
+            if exits.rows.size < 2 or entries.rows.size == 0:
+                continue  # no arc leads away from the start, or no straight run out of the dock
+            ways = hybrid_a_star(exits, entries, self.space, effort, wavefront)
+            for guess in self._offered("hybrid A*", ways):
+                yield guess
+                if math.isfinite(self._better_than()):
+                    return
 
     def _offered(self, stage: str, found: Iterator[tuple[float, Arcs]]) -> Iterator[Guess]:
-        """The first few of the ways found that are unlike those offered before and may beat the best plan."""
+        """The first few of the ways found that are unlike those offered before and may beat the best plan.
+
+        Once one of them has become a plan, another is worth the time of a smoother where it promises to be cheaper by
+        a tenth: both are estimates.
+        """
         offered = 0
         for price, arcs in found:
-            if price >= self._better_than():
+            if price >= _WORTHWHILE * self._best_price:
                 continue
             path = arcs.path(self.radius / _SAMPLING, self.problem.goal.as_array(), self.problem.frame)
-            if least_price(path, self.problem) >= self._better_than() or not self._is_another_way(arcs):
+            before = self._better_than()
+            if least_price(path, self.problem) >= before or not self._is_another_way(arcs):
                 continue
             offered += 1
             yield Guess(path, stage)
+            if self._better_than() < before:
+                self._best_price = price
             if offered == _TRIES:
                 return
 
