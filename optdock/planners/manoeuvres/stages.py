@@ -77,6 +77,17 @@ class Stages:
         wanted = self.problem.dock.direction
         return {DockDirection.FORWARD: (1.0,), DockDirection.BACKWARD: (-1.0,)}.get(wanted, (1.0, -1.0))
 
+    def straight_runs(self) -> dict[str, float]:
+        """How far the dock can be left straight on so that it could be entered in each gear, up to some lengths [m]."""
+        tree = ArcTree(self.problem.goal.as_array(), self.problem.robot.limits, -1)
+        longest = np.array([self.problem.dock.final_straight + 2.0 * self.radius])
+        root = np.zeros(1, dtype=np.int64)
+        tree.grow(root, Moves.of((-1.0, 1.0), (0.0,)), longest, self.space, self._efforts[-1])
+        return {
+            DockDirection.FORWARD.value: float(-min(tree.lengths)),
+            DockDirection.BACKWARD.value: float(max(tree.lengths)),
+        }
+
     @functools.cached_property
     def _start(self) -> Nodes:
         return Nodes(ArcTree(self.problem.start.as_array(), self.problem.robot.limits, 1), np.zeros(1, dtype=np.int64))
@@ -119,6 +130,8 @@ class Stages:
     def _hybrid_a_star(self) -> Iterator[Guess]:
         """As far afield as it takes, until there is a plan."""
         wavefront = self.space.wavefront(self.problem.start.as_array()[:2])
+        if math.isinf(wavefront.lengths(self.problem.goal.as_array()[None, :2])[0]):
+            return
         for effort in self._efforts:
             exits, entries = self._exits(effort), self._staging(effort)
             if exits.rows.size < 2 or entries.rows.size == 0:
