@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
     from optdock.geometry.arrays import BoolArray, FloatArray, IntArray
-    from optdock.planners.manoeuvres.free_space import FreeSpace
+    from optdock.planners.manoeuvres.free_space import Effort, FreeSpace
     from optdock.planners.manoeuvres.tree import ArcTree
     from optdock.problem import DockingProblem
 
@@ -24,6 +24,7 @@ __all__ = ["Connections", "Nodes", "all_pairs", "connections", "free_manoeuvres"
 
 _PAIRS = 128  # whose words are found in one go, about a millisecond
 _GLANCE = np.arange(1, 9) / 9.0  # shares of a word at which it is looked at before it is looked at whole
+_CLOSE_POSES_PER_WIDTH = 40.0  # of the last look at a whole way, over a length as the robot is wide
 _ROUGH_BATCH = 256  # words of which a quick look is taken in one go
 _BATCH = 24  # words glanced at in one go
 _NOTHING = 1e-6  # [m]: shorter arcs are no motion
@@ -130,7 +131,7 @@ def promising(found: Connections, exits: ArcTree, space: FreeSpace) -> Connectio
 
 
 def free_manoeuvres(
-    found: Connections, exits: ArcTree, entries: ArcTree, space: FreeSpace, margin: float
+    found: Connections, exits: ArcTree, entries: ArcTree, space: FreeSpace, effort: Effort
 ) -> Iterator[tuple[float, Arcs]]:
     """Those whose words are free, in ascending order of price: the price, and the whole way from start to goal."""
     for k in range(0, found.size, _BATCH):
@@ -138,11 +139,12 @@ def free_manoeuvres(
         some = slice(k, k + _BATCH)
         words = Arcs(exits.poses[found.exits[some]], found.lengths[some], found.curvatures[some])
         glanced = words.poses_at_shares(_GLANCE)
-        passed = space.is_free(glanced.reshape(-1, 3), margin).reshape(glanced.shape[:2]).all(axis=1)
+        asked = effort.margin, effort.start_relief
+        passed = space.is_free(glanced.reshape(-1, 3), *asked).reshape(glanced.shape[:2]).all(axis=1)
         for row in np.flatnonzero(passed).tolist():
             space.poll()
             word = words.rows(slice(row, row + 1))
-            if not space.is_free(word.poses_every(space.spacing), margin).all():
+            if not space.is_free(word.poses_every(space.spacing(effort)), *asked).all():
                 continue
             r = k + row
             parts = (
@@ -150,4 +152,7 @@ def free_manoeuvres(
                 (found.lengths[r], found.curvatures[r]),
                 entries.way(int(found.entries[r])),
             )
-            yield float(found.prices[r]), joined(space.problem.start.as_array(), *parts)
+            whole = joined(space.problem.start.as_array(), *parts)
+            # All of it, closely, without the margin: what a search glances over must not reach anybody.
+            if space.is_free(whole.poses_every(space.width / _CLOSE_POSES_PER_WIDTH), 0.0, effort.start_relief).all():
+                yield float(found.prices[r]), whole

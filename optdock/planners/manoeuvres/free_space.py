@@ -25,16 +25,31 @@ if TYPE_CHECKING:
     from optdock.obstacles import ObstacleSet
     from optdock.problem import DockingProblem
 
-__all__ = ["DistanceField", "FreeSpace"]
+__all__ = ["DistanceField", "Effort", "FreeSpace"]
 
 _TILE = 32  # grid points along the side of a tile
 # Grid points along the sides of the field, which is this many robot widths long, or twice as long as start and goal are
 # apart: 16 points over the width of the robot; what lies between two of them is decided exactly anyway.
 _POINTS, _SIDE = 2048, 128.0
-_POSES_PER_WIDTH = 12.0  # looked at over a way as long as the robot is wide
+_POSES_PER_WIDTH = 12, 24  # at least and at most: poses looked at over a way as long as the robot is wide
 _BLOCK = 24  # pieces whose distances to a whole tile are found in one go
 _FINE_DISCS = 4  # across the width of the footprint
 _EXACT_BLOCK = 300  # poses measured exactly in one go, about 2 ms
+
+
+class Effort(NamedTuple):
+    """How closely a search looks.
+
+    `radius`: of all arcs [m]. `margin`: kept beside the required clearance, for what a smoother changes [m].
+    `fineness`: cells of the pose grid along the width of the robot. `nodes`: where hybrid A* gives up. `start_relief`:
+    see `ClearanceRule.required_at` [m].
+    """
+
+    radius: float
+    margin: float
+    fineness: int
+    nodes: int
+    start_relief: float = 0.0
 
 
 class DistanceField:
@@ -185,7 +200,6 @@ class FreeSpace:
 
     Attributes:
         width: The lesser extent of the footprint [m].
-        spacing: Between poses that stand for a whole way [m].
     """
 
     def __init__(self, problem: DockingProblem, poll: Callable[[], None]) -> None:
@@ -199,23 +213,28 @@ class FreeSpace:
         radius = self.footprint.circumscribed_radius
         self._reach = radius + problem.clearance.required
         self.width = width = min(self.footprint.width, self.footprint.length)
-        self.spacing = width / _POSES_PER_WIDTH
         side = max(_SIDE * width, 2.0 * float(np.abs(self._goal - self._start).max()))
         self._square = np.array((*ends[:, :2].mean(axis=0), side))
         self.field = DistanceField(self.obstacles, self._square, side / _POINTS, 2.0 * self._reach, poll)
         bodies = self.footprint.bodies
         self._levels = tuple(tuple(_discs(body, across) for body in bodies) for across in (1, _FINE_DISCS))
 
+    def spacing(self, effort: Effort) -> float:
+        """Between poses that stand for a whole way [m]."""
+        return self.width / min(max(effort.fineness, _POSES_PER_WIDTH[0]), _POSES_PER_WIDTH[1])
+
     def wavefront(self, source: FloatArray) -> Wavefront:
         """Lengths of ways around the obstacles from a place, Shape (2,) [m], for a disc inside the footprint."""
         field = DistanceField(self.obstacles, self._square, 4.0 * self.field.spacing, 2.0 * self.width, self.poll)
         return Wavefront(field, source, self.footprint.inscribed_radius)
 
-    def required(self, poses: FloatArray, margin: float) -> FloatArray:
+    def required(self, poses: FloatArray, margin: float, start_relief: float) -> FloatArray:
         """Required clearance at poses, and the margin, which tapers off towards both ends. Shape (n,) [m]."""
         from_start = np.hypot(*(poses[:, :2] - self._start).T)
         from_goal = np.hypot(*(poses[:, :2] - self._goal).T)
-        rule: FloatArray = self.problem.clearance.required_at(from_goal, from_start, self._start_clearance)
+        rule: FloatArray = self.problem.clearance.required_at(
+            from_goal, from_start, self._start_clearance, start_relief
+        )
         if margin <= 0.0:
             return rule
         at_start = max(self._start_clearance, 0.0) + 0.25 * from_start
@@ -231,11 +250,11 @@ class FreeSpace:
             passed &= (upper - discs.inside).min(axis=1) >= 0.0
         return passed
 
-    def is_free(self, poses: FloatArray, margin: float = 0.0) -> BoolArray:
-        """Whether poses, Shape (n, 3), keep the required clearance and the margin. Shape (n,)."""
+    def is_free(self, poses: FloatArray, margin: float = 0.0, start_relief: float = 0.0) -> BoolArray:
+        """Whether poses, Shape (n, 3), keep the required clearance and the margin [m]. Shape (n,)."""
         if len(self.obstacles) == 0 or len(poses) == 0:
             return np.ones(len(poses), dtype=np.bool_)
-        required = self.required(poses, margin) - TOLERANCE
+        required = self.required(poses, margin, start_relief) - TOLERANCE
         free = np.zeros(len(poses), dtype=np.bool_)
         open_rows = np.arange(len(poses))
         for level in self._levels:

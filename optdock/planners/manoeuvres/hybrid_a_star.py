@@ -9,7 +9,7 @@ what is still to drive is the cheaper of all words, and the length of the shorte
 from __future__ import annotations
 
 import heapq
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -21,11 +21,11 @@ if TYPE_CHECKING:
 
     from optdock.geometry.arrays import BoolArray, FloatArray, IntArray
     from optdock.planners.manoeuvres.arcs import Arcs
-    from optdock.planners.manoeuvres.free_space import FreeSpace
+    from optdock.planners.manoeuvres.free_space import Effort, FreeSpace
     from optdock.planners.manoeuvres.tree import ArcTree
     from optdock.planners.manoeuvres.wavefront import Wavefront
 
-__all__ = ["Effort", "PoseGrid", "hybrid_a_star"]
+__all__ = ["PoseGrid", "hybrid_a_star"]
 
 _EXPANDED = 24  # nodes in one go
 _WORDS_PER_NODE = 4
@@ -33,22 +33,9 @@ _SHOTS = 48  # words looked at after each expansion
 # Of the pose grid, which has so many headings on a turn as a cell is smaller than the robot's width, times this.
 _YAWS_PER_CELL = 6
 # Distances to obstacles, in reaches of the distance field, from which cells are so many times as large.
-_ROOM, _COARSER, _COARSEST_YAW = np.array([0.5, 0.75]), np.array([1.0, 3.0, 5.0]), 3.0
-_GREED = 1.5  # weight of what is still to drive
-_STATIONS = np.array([0.25, 0.5, 1.0])  # where a node is left on an arc, in turning radii
-
-
-class Effort(NamedTuple):
-    """How a search is made.
-
-    `radius`: of all arcs [m]. `margin`: beside the required clearance [m]. `fineness`: of the pose grid. `nodes`: where
-    hybrid A* ends.
-    """
-
-    radius: float
-    margin: float
-    fineness: int
-    nodes: int
+_ROOM, _COARSER, _COARSEST_YAW = np.array([0.3, 0.5]), np.array([1.0, 4.0, 10.0]), 4.0
+_GREED = 2.5  # weight of what is still to drive
+_STATIONS = np.array([0.25, 0.5, 1.0, 2.0])  # where a node is left on an arc, in turning radii
 
 
 class PoseGrid:
@@ -98,7 +85,7 @@ def hybrid_a_star(
         wavefront: Lengths of the shortest ways from the start for a disc; None: not asked.
     """
     tree, limits = entries.tree, space.problem.robot.limits
-    radius, margin = effort.radius, effort.margin
+    radius = effort.radius
     speed = max(limits.max_speed, limits.max_reverse_speed)
     grid = PoseGrid(space, effort.fineness)
     grid.enter(tree.poses)
@@ -113,14 +100,14 @@ def hybrid_a_star(
         for bound, row in zip(_bounds(tree, fresh, words, speed, wavefront).tolist(), fresh.tolist(), strict=True):
             heapq.heappush(opened, (bound, row))
         looked, shots = shots[0].rows(slice(_SHOTS)), [shots[0].rows(slice(_SHOTS, None))]
-        yield from free_manoeuvres(looked, exits.tree, tree, space, margin)
+        yield from free_manoeuvres(looked, exits.tree, tree, space, effort)
         fresh = fresh[:0]
         while fresh.size == 0 and opened and nodes < effort.nodes:
             rows = np.array([heapq.heappop(opened)[1] for _ in range(min(_EXPANDED, len(opened)))])
-            fresh = tree.grow(rows, moves, radius * _STATIONS, space, margin, grid.enter)
+            fresh = tree.grow(rows, moves, radius * _STATIONS, space, effort, grid.enter)
             nodes += fresh.size
     for rest in shots:
-        yield from free_manoeuvres(rest, exits.tree, tree, space, margin)
+        yield from free_manoeuvres(rest, exits.tree, tree, space, effort)
 
 
 def _pairs(exits: Nodes, fresh: Nodes) -> tuple[Nodes, Nodes]:

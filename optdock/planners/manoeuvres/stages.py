@@ -11,8 +11,8 @@ import numpy as np
 from optdock.dock import DockDirection
 from optdock.outcomes import Guess
 from optdock.planners.manoeuvres.connections import Nodes, all_pairs, connections, free_manoeuvres, promising
-from optdock.planners.manoeuvres.free_space import FreeSpace
-from optdock.planners.manoeuvres.hybrid_a_star import Effort, hybrid_a_star
+from optdock.planners.manoeuvres.free_space import Effort, FreeSpace
+from optdock.planners.manoeuvres.hybrid_a_star import hybrid_a_star
 from optdock.planners.manoeuvres.price import ends_price, least_price
 from optdock.planners.manoeuvres.tree import ArcTree, Moves
 
@@ -54,17 +54,18 @@ class Stages:
         self._wind_up = 0.5 / (self.radius * rate) if math.isfinite(rate) else 0.0
         margin = 0.02 * footprint.width
         eased, sharp = slack * self.radius, self.radius
+        # The weaker rule of a start along a wall comes last, as the certificate tries the strict one first.
         self._efforts = (
             Effort(eased, margin, 12, 4000),
             Effort(sharp, margin, 12, 4000),
-            Effort(eased, 0.0, 24, 4000),
-            Effort(sharp, 0.0, 80, 8000),
+            Effort(eased, 0.0, 24, 4000, problem.start_run),
+            Effort(sharp, 0.0, 80, 8000, problem.start_run),
         )
         self._known: list[FloatArray] = []
         self._ends_price = ends_price(problem)
 
     def guesses(self) -> Iterator[Guess | None]:
-        """The guesses of both stages, with a pause between them; the second only while nothing is found."""
+        """The guesses of all stages."""
         yield from self._words()
         if math.isinf(self._better_than()):
             yield None
@@ -76,11 +77,21 @@ class Stages:
         wanted = self.problem.dock.direction
         return {DockDirection.FORWARD: (1.0,), DockDirection.BACKWARD: (-1.0,)}.get(wanted, (1.0, -1.0))
 
+    def straight_runs(self) -> dict[str, float]:
+        """How far the dock can be left straight on so that it could be entered in each gear, up to some lengths [m]."""
+        tree = ArcTree(self.problem.goal.as_array(), self.problem.robot.limits, -1)
+        longest = np.array([self.problem.dock.final_straight + 2.0 * self.radius])
+        root = np.zeros(1, dtype=np.int64)
+        tree.grow(root, Moves.of((-1.0, 1.0), (0.0,)), longest, self.space, self._efforts[-1])
+        return {
+            DockDirection.FORWARD.value: float(-min(tree.lengths)),
+            DockDirection.BACKWARD.value: float(max(tree.lengths)),
+        }
+
     @functools.cached_property
     def _start(self) -> Nodes:
         return Nodes(ArcTree(self.problem.start.as_array(), self.problem.robot.limits, 1), np.zeros(1, dtype=np.int64))
 
-    @functools.cache  # noqa: B019 - a search lives as long as its call
     def _staging(self, effort: Effort) -> Nodes:
         """Straight runs out of the dock, as far as they are free, and where the final straight may begin."""
         tree = ArcTree(self.problem.goal.as_array(), self.problem.robot.limits, -1)
@@ -89,18 +100,17 @@ class Stages:
         stations = np.unique(straight + self._wind_up + self.radius * _RUNS)
         if straight > 0.0:
             stations = np.concatenate(([straight], stations))
-        rows = tree.grow(np.zeros(1, dtype=np.int64), moves, stations, self.space, effort.margin)
+        rows = tree.grow(np.zeros(1, dtype=np.int64), moves, stations, self.space, effort)
         rows = rows[np.abs(tree.lengths[rows]) >= straight]
         return Nodes(tree, rows if straight > 0.0 else np.concatenate(([0], rows)))
 
-    @functools.cache  # noqa: B019
     def _exits(self, effort: Effort) -> Nodes:
         """The start, and the ends of arcs and lines out of it."""
         tree = ArcTree(self.problem.start.as_array(), self.problem.robot.limits, 1)
         speed, kappa = self.problem.start_speed, 1.0 / effort.radius
         moves = Moves.of((1.0, -1.0) if speed == 0.0 else (math.copysign(1.0, speed),), (0.0, kappa, -kappa))
         root = np.zeros(1, dtype=np.int64)
-        rows = tree.grow(root, moves, np.array([effort.radius * _EXIT_TURN]), self.space, effort.margin)
+        rows = tree.grow(root, moves, np.array([effort.radius * _EXIT_TURN]), self.space, effort)
         return Nodes(tree, np.concatenate((root, rows)))
 
     def _words(self) -> Iterator[Guess]:
@@ -114,15 +124,23 @@ class Stages:
             found = connections(*all_pairs(self._start, staging), effort.radius, self.space, _WORDS_PER_PAIR)
             worth = found.rows(np.flatnonzero(found.prices + self._ends_price < self._better_than()))
             seen = promising(worth, self._start.tree, self.space)
-            ways = free_manoeuvres(seen, self._start.tree, staging.tree, self.space, effort.margin)
+            ways = free_manoeuvres(seen, self._start.tree, staging.tree, self.space, effort)
             yield from self._offered("Reeds-Shepp", ways)
 
     def _hybrid_a_star(self) -> Iterator[Guess]:
+        """As far afield as it takes, until there is a plan."""
         wavefront = self.space.wavefront(self.problem.start.as_array()[:2])
+        if math.isinf(wavefront.lengths(self.problem.goal.as_array()[None, :2])[0]):
+            return
         for effort in self._efforts:
-            self._staging.cache_clear()
-            ways = hybrid_a_star(self._exits(effort), self._staging(effort), self.space, effort, wavefront)
-            yield from self._offered("hybrid A*", ways)
+            exits, entries = self._exits(effort), self._staging(effort)
+            if exits.rows.size < 2 or entries.rows.size == 0:
+                continue  # no arc leads away from the start, or no straight run out of the dock
+            ways = hybrid_a_star(exits, entries, self.space, effort, wavefront)
+            for guess in self._offered("hybrid A*", ways):
+                yield guess
+                if math.isfinite(self._better_than()):
+                    return
 
     def _offered(self, stage: str, found: Iterator[tuple[float, Arcs]]) -> Iterator[Guess]:
         """The first few of the ways found that are unlike those offered before and may beat the best plan."""

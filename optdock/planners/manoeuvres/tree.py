@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
     from optdock.geometry.arrays import BoolArray, FloatArray, IntArray
     from optdock.limits import MotionLimits
-    from optdock.planners.manoeuvres.free_space import FreeSpace
+    from optdock.planners.manoeuvres.free_space import Effort, FreeSpace
 
 __all__ = ["ArcTree", "Moves", "joined"]
 
@@ -46,11 +46,13 @@ class _Starts(NamedTuple):
     signs: FloatArray
     curvatures: FloatArray
 
-    def are_free(self, rows: IntArray, lengths: FloatArray, space: FreeSpace, margin: float) -> BoolArray:
+    def are_free(self, rows: IntArray, lengths: FloatArray, space: FreeSpace, effort: Effort) -> BoolArray:
         """Whether the poses after lengths, Shape (k,) or (n, k) [m], on the arcs at `rows` are free. Shape (n, k)."""
         space.poll()
         poses = advance(self.poses[rows, None], self.signs[rows, None] * lengths, self.curvatures[rows, None])
-        free: BoolArray = space.is_free(poses.reshape(-1, 3), margin).reshape(poses.shape[:2])
+        free: BoolArray = space.is_free(poses.reshape(-1, 3), effort.margin, effort.start_relief).reshape(
+            poses.shape[:2]
+        )
         return free
 
 
@@ -85,7 +87,7 @@ class ArcTree:
         moves: Moves,
         stations: FloatArray,
         space: FreeSpace,
-        margin: float,
+        effort: Effort,
         is_new: Callable[[FloatArray], BoolArray] | None = None,
     ) -> IntArray:
         """Drive all moves from the nodes at `rows`; the rows of the new nodes.
@@ -95,31 +97,32 @@ class ArcTree:
             moves: What to drive.
             stations: Ascending lengths after which a node is left, and where the last pose was free [m].
             space: What is free.
-            margin: Beside the required clearance [m].
+            effort: How closely to look.
             is_new: Which of the poses found, in ascending order of price, are worth a node; None: all.
         """
         node = np.repeat(rows, moves.signs.size)
         sign, curvature = np.tile(moves.signs, rows.size), np.tile(moves.curvatures, rows.size)
-        free = self._free_lengths(_Starts(self.poses[node], sign, curvature), float(stations[-1]), space, margin)
+        free = self._free_lengths(_Starts(self.poses[node], sign, curvature), float(stations[-1]), space, effort)
         reached = np.where(stations <= free[:, None] + 1e-12, stations, 0.0)
         # Where the way ends between two stations, its end is one as well.
-        last = np.where(reached.max(axis=1) < free - 0.1 * space.spacing, free, 0.0)
+        last = np.where(reached.max(axis=1) < free - 0.1 * space.spacing(effort), free, 0.0)
         lengths = np.column_stack((reached, last))
         arc, station = np.nonzero(lengths > 0.0)
         return self._added(node[arc], sign[arc] * lengths[arc, station], curvature[arc], is_new)
 
     @staticmethod
-    def _free_lengths(starts: _Starts, longest: float, space: FreeSpace, margin: float) -> FloatArray:
+    def _free_lengths(starts: _Starts, longest: float, space: FreeSpace, effort: Effort) -> FloatArray:
         """How far each arc is free, up to `longest`. Shape (n,) [m]."""
         free = np.zeros(starts.signs.size)
-        steps = np.append(np.arange(space.spacing, longest - 1e-9, space.spacing), longest)
+        spacing = space.spacing(effort)
+        steps = np.append(np.arange(spacing, longest - 1e-9, spacing), longest)
         going, blocked = np.arange(free.size), np.zeros(free.size)
         for k in range(0, steps.size, _STRIDE):
             some = steps[k : k + _STRIDE]
             still = []
             for block in range(0, going.size, _ABREAST):
                 mine = going[block : block + _ABREAST]
-                good = starts.are_free(mine, some, space, margin)
+                good = starts.are_free(mine, some, space, effort)
                 count = np.where(good.all(axis=1), some.size, np.argmin(good, axis=1))
                 free[mine] = np.where(count > 0, some[np.maximum(count - 1, 0)], free[mine])
                 blocked[mine] = some[np.minimum(count, some.size - 1)]
@@ -129,7 +132,7 @@ class ArcTree:
         ended = np.setdiff1d(np.arange(free.size), going)
         for _ in range(_BISECTIONS if ended.size else 0):
             middle = 0.5 * (free[ended] + blocked[ended])
-            good = starts.are_free(ended, middle[:, None], space, margin)[:, 0]
+            good = starts.are_free(ended, middle[:, None], space, effort)[:, 0]
             free[ended] = np.where(good, middle, free[ended])
             blocked[ended] = np.where(good, blocked[ended], middle)
         return free
