@@ -68,7 +68,6 @@ class Stages:
         """The guesses of all stages."""
         yield from self._words()
         if math.isinf(self._better_than()):
-            yield None
             yield from self._hybrid_a_star()
 
     @property
@@ -127,10 +126,11 @@ class Stages:
             ways = free_manoeuvres(seen, self._start.tree, staging.tree, self.space, effort)
             yield from self._offered("Reeds-Shepp", ways)
 
-    def _hybrid_a_star(self) -> Iterator[Guess]:
-        """As far afield as it takes, until there is a plan."""
+    def _hybrid_a_star(self) -> Iterator[Guess | None]:
+        """As far afield as it takes, until there is a plan; with a pause where the first effort was in vain."""
         wavefront = self.space.wavefront(self.problem.start.as_array()[:2])
         if math.isinf(wavefront.lengths(self.problem.goal.as_array()[None, :2])[0]):
+            yield None
             return
         for effort in self._efforts:
             exits, entries = self._exits(effort), self._staging(effort)
@@ -141,6 +141,7 @@ class Stages:
                 yield guess
                 if math.isfinite(self._better_than()):
                     return
+            yield None
 
     def _offered(self, stage: str, found: Iterator[tuple[float, Arcs]]) -> Iterator[Guess]:
         """The first few of the ways found that are unlike those offered before and may beat the best plan."""
