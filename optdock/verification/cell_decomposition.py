@@ -62,7 +62,7 @@ _FEWEST_HEADINGS = 8  # of level 0
 _SHARP = 0.25  # of half a cell: how sharp the margin of the widest route is found
 _ROUNDS = 8  # of finer cells for the bottleneck: four are usual, more where a wall is as thin everywhere
 _POLISHED = 2  # times a fourth of a cell: then a place is known to a sixteenth of it
-_FINE = 0.04  # [m]: cells that know a missing width to that are not made finer
+_FINE = 0.08  # [m]: four halves of a cell; the place within finer ones is found by exact distances
 _SEEN_FROM = 30.0  # [m]: obstacles further from start and goal widen no tile
 
 
@@ -452,6 +452,7 @@ class _Search:
         self.grid = self._grid()
         self.obstacles = _Obstacles(problem, self.grid.origin, deadline.look)
         self.ends = [_middle(pose, self.body.centre, self.grid.origin) for pose in (problem.start, problem.goal)]
+        self.known: dict[tuple[int, int, int], _Tile] = {}
         self.graph = _Graph(self.grid, self.ends, _by_certainty(self.grid))
         self.graph.add([_Tile(-self.grid.above, 0, 0)])
 
@@ -580,8 +581,11 @@ class _Search:
         return graph
 
     def _seen(self, level: int, column: int, row: int) -> _Tile:
-        """A tile that was looked at."""
+        """A tile that was looked at, once."""
         self.deadline.look()
+        known = self.known.get((level, column, row))
+        if known is not None:
+            return known
         half, count, body = self.grid.half(level), self.grid.count(level), self.body
         turn, required_most = math.pi / count, self.problem.clearance.required
         halo = math.ceil((body.reach + required_most) / half) + 1
@@ -609,9 +613,10 @@ class _Search:
             self.deadline.look()
         required = self._required(corner, half, (c, s), turn)
         shape = (count, CELLS, CELLS)
-        return _Tile(
+        tile = self.known[level, column, row] = _Tile(
             level, column, row, (most < required).reshape(shape), (least - required).astype(np.float32).reshape(shape)
         )
+        return tile
 
     def _required(
         self, corner: FloatArray, half: float, turned: tuple[FloatArray, FloatArray], turn: float
