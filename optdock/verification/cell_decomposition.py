@@ -61,6 +61,7 @@ _STEP = 0.004  # [s]: the longest steps between two looks at the clock take abou
 _FEWEST_HEADINGS = 8  # of level 0
 _SHARP = 0.25  # of half a cell: how sharp the margin of the widest route is found
 _ROUNDS = 8  # of finer cells for the bottleneck: four are usual, more where a wall is as thin everywhere
+_PLACES = 5  # on the widest route that are compared by exact distances
 _POLISHED = 2  # times a fourth of a cell: then a place is known to a sixteenth of it
 _FINE = 0.08  # [m]: four halves of a cell; the place within finer ones is found by exact distances
 _SEEN_FROM = 30.0  # [m]: obstacles further from start and goal widen no tile
@@ -541,7 +542,8 @@ class _Search:
             narrow = [node for node in route if graph.cost[node] > _OPEN]
             if not narrow:
                 return
-            yield self._at_node(graph, narrow[len(narrow) // 2])
+            some = narrow[:: -(-len(narrow) // _PLACES)]  # rough cells may look as narrow as the narrowest
+            yield max((self._at_node(graph, node) for node in some), key=lambda found: found.missing_width)
             keys = {graph.tile_of[node] for node in narrow}
             half = max(self.grid.half(graph.tiles[key].level) for key in keys)
             keys = {key for key in keys if 4.0 * self.grid.half(graph.tiles[key].level) > _FINE}
