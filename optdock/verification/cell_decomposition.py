@@ -1,7 +1,7 @@
 """The search for a proof that no motion exists: approximate cell decomposition, refined where a route is left.
 
 What such a proof is, and why it is one, stands in `impossibility`. Here tiles of cells are made until no route from
-start to goal is left, one is found that is wide open, or time is up ([BrooksLozanoPerez1985], [ZhangKimManocha2008]):
+start to goal is left, one is found that is wide open, or time is up ([Brooks1985], [Zhang2008]):
 
     1. The plane is a quadtree of tiles. Of a tile that nobody has looked at everything counts as free.
     2. A tile that was looked at falls into blocked cells, cells that look open, and narrow ones between. Connected
@@ -24,6 +24,7 @@ from typing import TYPE_CHECKING, NamedTuple, TypeAlias
 import numpy as np
 
 from optdock.deadline import Deadline, OutOfTime, never_late
+from optdock.geometry.arrays import readonly
 from optdock.geometry.pose import Pose2, transform_points
 from optdock.geometry.separation import separation
 from optdock.verification.impossibility import (
@@ -56,11 +57,13 @@ _SMALLER = 0.6  # from one disc in a corner to the next
 _LARGEST = 6  # levels of unseen tiles above level 0
 _GATHERED = 250_000  # distances read in one go, less than a millisecond
 _OPEN = 1e-6  # the cost of a node that looks open, or lies outside: of two routes that are open the shorter
+_STEP = 0.004  # [s]: the longest steps between two looks at the clock take about so long, on a quiet machine
 _FEWEST_HEADINGS = 8  # of level 0
 _SHARP = 0.25  # of half a cell: how sharp the margin of the widest route is found
 _ROUNDS = 8  # of finer cells for the bottleneck: four are usual, more where a wall is as thin everywhere
+_PLACES = 5  # on the widest route that are compared by exact distances
 _POLISHED = 2  # times a fourth of a cell: then a place is known to a sixteenth of it
-_FINE = 0.04  # [m]: cells that know a missing width to that are not made finer
+_FINE = 0.08  # [m]: four halves of a cell; the place within finer ones is found by exact distances
 _SEEN_FROM = 30.0  # [m]: obstacles further from start and goal widen no tile
 
 
@@ -77,7 +80,7 @@ def prove_impossible(
     Returns:
         The proof; or None: there may be a motion, or the time was too short. `check_impossibility` judges it.
     """
-    deadline = Deadline(time_budget, stop=cancel_checker)
+    deadline = Deadline(time_budget - _STEP, stop=cancel_checker)
     if len(problem.all_obstacles) == 0:
         return None
     try:
@@ -184,8 +187,8 @@ class _Tile(NamedTuple):
 class _Obstacles:
     """Obstacles in the frame of the tiles, for distances of lattice nodes from them."""
 
-    def __init__(self, problem: DockingProblem, origin: FloatArray) -> None:
-        everything = problem.all_obstacles
+    def __init__(self, problem: DockingProblem, origin: FloatArray, look: Callable[[], None]) -> None:
+        everything, self.look = problem.all_obstacles, look
         self.normals, self.vertices = everything.normals, everything.vertices - origin
         self.offsets = (self.normals * self.vertices).sum(axis=2)
         self.lower, self.upper = everything.lower - origin, everything.upper - origin
@@ -222,7 +225,9 @@ class _Obstacles:
         none[node[:, 1], node[:, 0]] = False
         if none.all():
             return np.full((count, count), np.inf, dtype=np.float32)
+        self.look()
         row, column = ndimage.distance_transform_edt(none, return_distances=False, return_indices=True)
+        self.look()
         nearest = row * count + column
         found = np.hypot(at_x - point_x.take(nearest), at_y - point_y.take(nearest))
         found[inside] = 0.0
@@ -249,7 +254,7 @@ class _Obstacles:
         return inside
 
     def _samples(self, corner: FloatArray, extent: float, spacing: float) -> FloatArray:
-        """Points of the outlines within a square, at most `spacing` apart, from its corner. Shape (n, 2) [m]."""
+        """Points of the outlines, clipped to a square ([Liang1984]), at most `spacing` apart. Shape (n, 2) [m]."""
         rows = np.flatnonzero(((self.low <= corner + extent) & (self.high >= corner)).all(axis=1))
         start, along = self.starts[rows] - corner, self.along[rows]
         with np.errstate(divide="ignore", invalid="ignore"):
@@ -268,7 +273,7 @@ class _Obstacles:
 
 
 Kinds: TypeAlias = "Callable[[_Tile], tuple[BoolArray, BoolArray]]"
-_ONE = np.ones((1, 1, 1), dtype=np.bool_)
+_ONE = readonly(np.ones((1, 1, 1), dtype=np.bool_))
 
 
 def _by_certainty(grid: _Grid) -> Kinds:
@@ -446,8 +451,9 @@ class _Search:
         self.body = _body(problem.robot.footprint)
         self.start_clearance = end_clearances(problem).start
         self.grid = self._grid()
-        self.obstacles = _Obstacles(problem, self.grid.origin)
+        self.obstacles = _Obstacles(problem, self.grid.origin, deadline.look)
         self.ends = [_middle(pose, self.body.centre, self.grid.origin) for pose in (problem.start, problem.goal)]
+        self.known: dict[tuple[int, int, int], _Tile] = {}
         self.graph = _Graph(self.grid, self.ends, _by_certainty(self.grid))
         self.graph.add([_Tile(-self.grid.above, 0, 0)])
 
@@ -536,7 +542,8 @@ class _Search:
             narrow = [node for node in route if graph.cost[node] > _OPEN]
             if not narrow:
                 return
-            yield self._at_node(graph, narrow[len(narrow) // 2])
+            some = narrow[:: -(-len(narrow) // _PLACES)]  # rough cells may look as narrow as the narrowest
+            yield max((self._at_node(graph, node) for node in some), key=lambda found: found.missing_width)
             keys = {graph.tile_of[node] for node in narrow}
             half = max(self.grid.half(graph.tiles[key].level) for key in keys)
             keys = {key for key in keys if 4.0 * self.grid.half(graph.tiles[key].level) > _FINE}
@@ -576,8 +583,11 @@ class _Search:
         return graph
 
     def _seen(self, level: int, column: int, row: int) -> _Tile:
-        """A tile that was looked at."""
+        """A tile that was looked at, once."""
         self.deadline.look()
+        known = self.known.get((level, column, row))
+        if known is not None:
+            return known
         half, count, body = self.grid.half(level), self.grid.count(level), self.body
         turn, required_most = math.pi / count, self.problem.clearance.required
         halo = math.ceil((body.reach + required_most) / half) + 1
@@ -605,9 +615,10 @@ class _Search:
             self.deadline.look()
         required = self._required(corner, half, (c, s), turn)
         shape = (count, CELLS, CELLS)
-        return _Tile(
+        tile = self.known[level, column, row] = _Tile(
             level, column, row, (most < required).reshape(shape), (least - required).astype(np.float32).reshape(shape)
         )
+        return tile
 
     def _required(
         self, corner: FloatArray, half: float, turned: tuple[FloatArray, FloatArray], turn: float
