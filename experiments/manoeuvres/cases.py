@@ -64,13 +64,14 @@ class Truth(NamedTuple):
             infinite where there is no gap at all [m].
         place: The middle of that place, x and y [m]; None where no single place is the narrowest.
         heading: Along which the robot would have to pass, or the opposite [rad].
-        is_body: Whether the body alone does not fit; else it does, and the required clearance does not.
+        is_body: Whether the body alone does not fit (else it does, and the required clearance does not); None where it
+            fits exactly, so that nobody can tell.
     """
 
     missing: float
     place: tuple[float, float] | None = None
     heading: float | None = None
-    is_body: bool = False
+    is_body: bool | None = False
 
 
 class Case(NamedTuple):
@@ -286,6 +287,11 @@ def blocked(draws: int = 10, seed: int = SEED) -> list[Case]:
     return cases
 
 
+def _is_body(room: float, size: float) -> bool | None:
+    """Whether a body of this size does not fit into the room [m]; None for an exact fit."""
+    return None if abs(room - size) < 1e-6 else room < size
+
+
 def _tag(kind: str, missing: float) -> str:
     return f"{kind}, closed" if math.isinf(missing) else f"{kind}, {100 * missing:g} cm missing"
 
@@ -325,7 +331,7 @@ def _gap(missing: float, number: int, rng: np.random.Generator) -> Case:
     start = Pose2(x - 1.7, rng.uniform(-1.0, 1.0), rng.uniform(-math.pi, math.pi))
     dock = _dock(Pose2(0.5 * width - 0.6, rng.uniform(-1.0, 1.0), 0.0))
     walls = _walls(-0.5 * width, bottom, 0.5 * width, top)
-    truth = Truth(missing, (x, at), 0.0, wide < ROBOT.footprint.width)
+    truth = Truth(missing, (x, at), 0.0, _is_body(wide, ROBOT.footprint.width))
     return _turned_case("gap", number, (start, dock), [*walls, *across], truth, _frame(rng))
 
 
@@ -342,7 +348,7 @@ def _bay(missing: float, number: int, rng: np.random.Generator) -> Case:
     beside = [_rectangle(side * (0.5 * length + 1.0), bottom + 0.5 * depth, 2.0, depth) for side in (-1.0, 1.0)]
     walls = _walls(-0.5 * length - 2.0, bottom, 0.5 * length + 2.0, mouth + aisle)
     start = Pose2(rng.uniform(-1.5, 1.5), mouth + 0.5 * aisle, rng.uniform(-0.5, 0.5))
-    truth = Truth(missing, is_body=length < ROBOT.footprint.length)
+    truth = Truth(missing, is_body=_is_body(length, ROBOT.footprint.length))
     dock = Dock(Pose2(0.0, 0.0, 0.0))
     return _turned_case("bay", number, (start, dock), [*walls, *beside], truth, _frame(rng))
 
@@ -366,7 +372,7 @@ def _ring(missing: float, number: int, rng: np.random.Generator) -> Case:
     start = Pose2(4.5 * math.cos(bearing), 4.5 * math.sin(bearing), rng.uniform(-math.pi, math.pi))
     wide = _NEEDED - missing
     place = (inner + 0.5 * thick, 0.0) if math.isfinite(missing) else None
-    truth = Truth(missing, place, 0.0 if place else None, wide < ROBOT.footprint.width)
+    truth = Truth(missing, place, 0.0 if place else None, _is_body(wide, ROBOT.footprint.width))
     return _turned_case("ring", number, (start, _dock(goal)), pieces, truth, _frame(rng))
 
 
@@ -393,6 +399,6 @@ def _door(missing: float, number: int, rng: np.random.Generator) -> Case:
         start, problem.dock, ROBOT, doors, problem.clearance, costmap=problem.costmap, frame=problem.frame
     )
     tag = _tag("door", missing)
-    is_body = _NEEDED - missing < ROBOT.footprint.width
+    is_body = _is_body(_NEEDED - missing, ROBOT.footprint.width)
     truth = Truth(missing, place, 0.5 * math.pi if place else None, is_body)
     return Case(f"{tag} {number}", "blocked", shut, tag, truth)

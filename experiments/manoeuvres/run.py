@@ -163,7 +163,7 @@ def _judged(record: Record, case: Case, proof: Any) -> Record:  # noqa: ANN401 -
     return record._replace(
         bottleneck_error=math.hypot(c * dy - s * dx, beyond),
         missing_error=found.missing_width - truth.missing,
-        cause="right" if found.body_fits != truth.is_body else "wrong",
+        cause="" if truth.is_body is None else "right" if found.body_fits != truth.is_body else "wrong",
     )
 
 
