@@ -44,7 +44,7 @@ class Connections(NamedTuple):
         """How many there are."""
         return int(self.prices.size)
 
-    def rows(self, keep: IntArray | slice) -> Connections:
+    def rows(self, keep: IntArray | BoolArray | slice) -> Connections:
         """Those at `keep`."""
         return Connections(
             self.prices[keep], self.exits[keep], self.entries[keep], self.lengths[keep], self.curvatures[keep]

@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from optdock.path import Path
     from optdock.problem import DockingProblem
 
-__all__ = ["CUSP_PRICE", "gear_changes", "least_price", "stopping_cost"]
+__all__ = ["CUSP_PRICE", "ends_cost", "gear_changes", "least_price", "stopping_cost"]
 
 # [s] beside the time that stopping takes: a change of gear wears the drive and is where controllers overshoot, so one
 # more has to save a second.
@@ -56,6 +56,14 @@ def stopping_cost(limits: MotionLimits) -> float:
     """What a change of gear adds to the time at full speed, with the price of the cusp [s]."""
     mean = 0.5 * (limits.max_speed + limits.max_reverse_speed)
     return CUSP_PRICE + 0.5 * mean / limits.max_acceleration + 0.5 * mean / limits.max_deceleration
+
+
+def ends_cost(problem: DockingProblem) -> float:
+    """What setting off, the slow stretch before the dock and stopping there add to the time at full speed [s]."""
+    limits, zone = problem.robot.limits, problem.dock.approach
+    mean = 0.5 * (limits.max_speed + limits.max_reverse_speed)
+    slow = zone.distance * max(1.0 / zone.speed - 1.0 / mean, 0.0)
+    return 0.5 * mean / limits.max_acceleration + 0.5 * min(mean, zone.speed) / limits.max_deceleration + slow
 
 
 def gear_changes(lengths: FloatArray) -> FloatArray:

@@ -13,7 +13,7 @@ from optdock.outcomes import Guess
 from optdock.planners.manoeuvres.connections import Nodes, all_pairs, connections, free_manoeuvres, promising
 from optdock.planners.manoeuvres.free_space import Effort, FreeSpace
 from optdock.planners.manoeuvres.hybrid_a_star import hybrid_a_star
-from optdock.planners.manoeuvres.price import least_price
+from optdock.planners.manoeuvres.price import ends_cost, least_price
 from optdock.planners.manoeuvres.tree import ArcTree, Moves
 
 if TYPE_CHECKING:
@@ -116,14 +116,14 @@ class Stages:
     def _words(self) -> Iterator[Guess]:
         """Words from the start to the staging poses."""
         for effort in self._efforts:
+            if effort.margin == 0.0 and math.isfinite(self._better_than()):
+                return  # there is a plan with room to spare, and what has less is hardly better
             staging = self._staging(effort)
             if staging.rows.size == 0:
                 continue
             pairs = all_pairs(self._start, staging)
-            found = promising(
-                connections(*pairs, effort.radius, self.space, _WORDS_PER_PAIR), self._start.tree, self.space
-            )
-            found = found.rows(np.flatnonzero(found.prices < _WORTHWHILE * self._best_price))
+            found = connections(*pairs, effort.radius, self.space, _WORDS_PER_PAIR)
+            found = promising(found.rows(found.prices < self._worthwhile()), self._start.tree, self.space)
             ways = free_manoeuvres(found, self._start.tree, staging.tree, self.space, effort)
             yield from self._offered("Reeds-Shepp", ways)
 
@@ -150,8 +150,8 @@ class Stages:
         """
         offered = 0
         for price, arcs in found:
-            if price >= _WORTHWHILE * self._best_price:
-                continue
+            if price >= self._worthwhile():
+                return
             path = arcs.path(self.radius / _SAMPLING, self.problem.goal.as_array(), self.problem.frame)
             before = self._better_than()
             if least_price(path, self.problem) >= before or not self._is_another_way(arcs):
@@ -162,6 +162,11 @@ class Stages:
                 self._best_price = price
             if offered == _TRIES:
                 return
+
+    def _worthwhile(self) -> float:
+        """The estimated price from which on a way is not worth the time of a smoother."""
+        best = self._better_than() - ends_cost(self.problem)
+        return best if math.isinf(best) else _WORTHWHILE * min(best, self._best_price)
 
     def _is_another_way(self, arcs: Arcs) -> bool:
         """Whether a way is not one that has been offered, but for a little."""
