@@ -12,7 +12,7 @@ from optdock.dock import DockDirection
 from optdock.outcomes import Guess
 from optdock.planners.manoeuvres.connections import Nodes, all_pairs, connections, free_manoeuvres, promising
 from optdock.planners.manoeuvres.free_space import Effort, FreeSpace
-from optdock.planners.manoeuvres.hybrid_a_star import hybrid_a_star
+from optdock.planners.manoeuvres.hybrid_a_star import PoseGrid, hybrid_a_star
 from optdock.planners.manoeuvres.price import ends_cost, least_price
 from optdock.planners.manoeuvres.tree import ArcTree, Moves
 
@@ -27,6 +27,7 @@ __all__ = ["Stages"]
 
 _RUNS = np.array([0.0, 0.25, 0.5, 1.0, 1.5, 2.0, 3.0])  # straight runs beyond the shortest one, in turning radii
 _EXIT_TURN = 1.0  # [rad] of arcs out of the start; straight lines are as long
+_FREE_EXITS, _MOST_EXITS = 4, 60  # of six; nodes of the start's tree after which it grows no more
 _WORTHWHILE = 0.9
 _TRIES = 4  # different ways that one stage offers at most
 _WORDS_PER_PAIR = 12  # words from the start to a staging pose that are looked at
@@ -105,13 +106,21 @@ class Stages:
         return Nodes(tree, rows if straight > 0.0 else np.concatenate(([0], rows)))
 
     def _exits(self, effort: Effort) -> Nodes:
-        """The start, and the ends of arcs and lines out of it."""
+        """The start, and the ends of arcs and lines out of it, one after another where it is boxed in."""
         tree = ArcTree(self.problem.start.as_array(), self.problem.robot.limits, 1)
         speed, kappa = self.problem.start_speed, 1.0 / effort.radius
         moves = Moves.of((1.0, -1.0) if speed == 0.0 else (math.copysign(1.0, speed),), (0.0, kappa, -kappa))
         root = np.zeros(1, dtype=np.int64)
-        rows = tree.grow(root, moves, np.array([effort.radius * _EXIT_TURN]), self.space, effort)
-        return Nodes(tree, np.concatenate((root, rows)))
+        station, grid = np.array([effort.radius * _EXIT_TURN]), PoseGrid(self.space, effort.fineness)
+        rows = fresh = tree.grow(root, moves, station, self.space, effort)
+        # Where hardly anything is free for all of its length, the way out takes several arcs.
+        is_boxed_in = np.sum(np.abs(tree.lengths[rows]) >= station) < _FREE_EXITS
+        onwards = Moves.of((1.0, -1.0), (0.0, kappa, -kappa))
+        while is_boxed_in and fresh.size and rows.size < _MOST_EXITS:
+            fresh = tree.grow(fresh, onwards, station, self.space, effort, grid.enter)
+            rows = np.concatenate((rows, fresh))
+        # Where nothing new is left to grow from, nothing leads out.
+        return Nodes(tree, np.concatenate((root, rows)) if fresh.size else root)
 
     def _words(self) -> Iterator[Guess]:
         """Words from the start to the staging poses."""
