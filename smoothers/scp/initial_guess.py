@@ -137,7 +137,10 @@ class InitialGuesses:
 
     @cached_property
     def _is_trackable(self) -> bool:
-        return strayed(self.nlp, self._driven(self.tracked)) < self.nlp.settings.guess.trackable
+        """Whether it stays near the input, or at least much nearer than the others do: on long paths spans are long."""
+        settings = self.nlp.settings.guess
+        tracked, other = (strayed(self.nlp, self._driven(v)) for v in (self.tracked, self._untracked[0]))
+        return tracked < max(settings.trackable, settings.much_nearer * other)
 
     @cached_property
     def _order(self) -> tuple[Variables, Variables]:
@@ -163,7 +166,9 @@ class InitialGuesses:
         return float(np.abs(between).max())
 
     def _cold(self, variables: Variables, patience: int) -> Guess:
-        settings = self.nlp.settings.guess
+        """A guess of this call; the longer the path, the more steps are in vain until they are small enough."""
+        settings, spans = self.nlp.settings.guess, self.nlp.basis.span_gear.size
+        patience = round(patience * max(1.0, spans / settings.spans_per_patience))
         return Guess(variables, self.trust_region, settings.proximal / self.nlp.radius, patience)
 
 

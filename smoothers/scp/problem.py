@@ -21,6 +21,8 @@ from smoothers.scp.basis import basis_for
 from smoothers.scp.cost import CostModel, Reference
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from optdock.geometry.arrays import FloatArray
     from optdock.limits import MotionLimits
     from optdock.path import Path
@@ -157,21 +159,31 @@ def formulate(
     return NonlinearProgram(basis, ends, bounds, inner, cost, scene, traced, lengths, radius, settings)
 
 
-def with_finer_intervals(nlp: NonlinearProgram, times: int) -> NonlinearProgram:
-    """The same program with so many times as many collision intervals; its variables mean the same."""
-    basis = basis_for(tuple((q, times * r) for q, r in nlp.basis.shape), nlp.settings.resolution.fit_smoothing)
-    # Node k of a gear is node `times * k` of the finer one, the same share of its length.
+def with_intervals(nlp: NonlinearProgram, cells: Sequence[int]) -> NonlinearProgram:
+    """The same program with other collision intervals; its variables mean the same.
+
+    Args:
+        nlp: The program.
+        cells: Intervals in every span of each gear.
+    """
+    shape = tuple((spans, count) for (spans, _), count in zip(nlp.basis.shape, cells, strict=True))
+    if shape == nlp.basis.shape:
+        return nlp
+    old, basis = nlp.basis, basis_for(shape, nlp.settings.resolution.fit_smoothing)
+    # Where every new node lies among the old ones: at the same share of its gear's length.
     node = np.concatenate(
         [
-            np.interp(basis.fraction[basis.node_gear == m], nlp.basis.fraction[own], np.flatnonzero(own))
-            for m, own in enumerate(nlp.basis.node_gear == m for m in range(basis.num_gears))
+            np.interp(basis.fraction[basis.node_gear == m], old.fraction[own], np.flatnonzero(own))
+            for m, own in enumerate(old.node_gear == m for m in range(basis.num_gears))
         ]
     )
-    known = np.arange(nlp.basis.num_nodes)
+    known = np.arange(old.num_nodes)
     positions, normals = (
         np.column_stack([np.interp(node, known, column) for column in values.T]) for values in nlp.cost.reference
     )
-    traced = TracedInput(positions, np.repeat(nlp.traced.headings, times), nlp.traced.end_yaw)
+    middles = 0.5 * (node[basis.left] + node[basis.left + 1])
+    headings = np.interp(middles, old.left + 0.5, nlp.traced.headings)
+    traced = TracedInput(positions, headings, nlp.traced.end_yaw)
     cost = replace(nlp.cost, basis=basis, reference=Reference(positions, normals))
     return replace(nlp, basis=basis, cost=cost, traced=traced)
 

@@ -76,6 +76,7 @@ class GuessSettings:
     turned_away: float = 0.4  # [rad], likewise at the goal
     off_the_input: float = 0.1  # [m]: a fit that leads further from the input may be worse than a tracked one
     trackable: float = 0.4  # [m]: an input that cannot be tracked more closely is not drivable
+    much_nearer: float = 0.1  # likewise, of how far the others lead away
     different: float = 0.15  # [m]: guesses closer together lead to the same result
     different_on_the_input: float = 0.03  # [m], likewise, where the one is on the input
     pursuit_step: float = 0.25  # of the smallest radius, at most
@@ -89,6 +90,7 @@ class GuessSettings:
     trust_region_near: float = 0.2  # an earlier result is near the new one
     proximal_near: float = 0.067
     patience: int = 4  # iterations within which a shortfall must shrink
+    spans_per_patience: int = 32  # paths with more spans get as much more patience
     patience_other: int = 3  # with the other guess: most problems that got so far have no answer
 
 
@@ -105,7 +107,8 @@ class TrackingSettings:
     trust_growth: float = 2.0
     most_trust: float = 0.9  # [rad]
     trust_cut: float = 0.3
-    most_steps: int = 8
+    most_steps: int = 20  # where a first turn was missed on a long path; five otherwise
+    most_intervals: int = 3  # per span: positions tell no more, and obstacles do not count here
     small_gain: float = 0.05  # of the merit, not worth a further step
     near: float = 0.02  # [m] from the input everywhere is near enough
 

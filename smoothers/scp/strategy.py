@@ -22,7 +22,7 @@ from smoothers.scp.collision.scene import scene_around
 from smoothers.scp.goal_projection import exact_path
 from smoothers.scp.initial_guess import InitialGuesses, rest_of_earlier_result
 from smoothers.scp.loop import search
-from smoothers.scp.problem import formulate, with_finer_intervals
+from smoothers.scp.problem import formulate, with_intervals
 from smoothers.scp.refusals import refuse_approach, refuse_certificate, refuse_search, refuse_start
 
 if TYPE_CHECKING:
@@ -365,7 +365,8 @@ class Solver:
             refused = self._settle(nlp)
             if refused is None or not self.outcome.converged:
                 break
-            nlp = self._more_cautious(nlp) if refused.feasible else with_finer_intervals(nlp, chosen.repair_finer)
+            finer = [chosen.repair_finer * cells for _, cells in nlp.basis.shape]
+            nlp = self._more_cautious(nlp) if refused.feasible else with_intervals(nlp, finer)
             guess = guess._replace(variables=refused.variables)
 
     def _more_cautious(self, nlp: NonlinearProgram) -> NonlinearProgram:

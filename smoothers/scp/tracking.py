@@ -19,6 +19,7 @@ import numpy as np
 from smoothers.scp.collision.linearization import ClearanceRows
 from smoothers.scp.cost import Quadratic
 from smoothers.scp.goal_projection import end_sensitivity, limit_rate
+from smoothers.scp.problem import with_intervals
 from smoothers.scp.qp_step import Penalties, Subproblem, solve_step, trusted_nodes
 from smoothers.scp.rollout import Variables, roll_out, sensitivity
 
@@ -51,6 +52,7 @@ def track(
         is_late: Asked before every step; once it is True what is reached is returned.
     """
     settings, knots = nlp.settings.tracking, nlp.basis.num_knots
+    nlp = with_intervals(nlp, [min(cells, settings.most_intervals) for _, cells in nlp.basis.shape])
     least_squares = _LeastSquares.of(nlp)
     current = least_squares.at(limit_rate(nlp.basis, variables, nlp.inner_bounds))
     penalties = Penalties(0.0, settings.goal_weight)

@@ -19,7 +19,7 @@ from smoothers.scp.cost import Weights
 from smoothers.scp.goal_projection import rate_is_kept
 from smoothers.scp.initial_guess import InitialGuesses
 from smoothers.scp.loop import evaluated
-from smoothers.scp.problem import Formulation, formulate, with_finer_intervals
+from smoothers.scp.problem import Formulation, formulate, with_intervals
 from smoothers.scp.qp_step import pool_of_this_thread
 from smoothers.scp.rollout import roll_out
 from smoothers.scp.settings import DEFAULT_SETTINGS
@@ -117,7 +117,7 @@ def test_an_input_that_cannot_be_driven_is_not_tracked():
 
 def test_finer_intervals_drive_the_same_path_beside_the_same_input():
     nlp = program_of(driven_word(WORDS[1]))
-    finer, variables = with_finer_intervals(nlp, 3), tracked(nlp)
+    finer, variables = with_intervals(nlp, [3 * cells for _, cells in nlp.basis.shape]), tracked(nlp)
     same = np.concatenate([np.flatnonzero(finer.basis.node_gear == m)[::3] for m in range(finer.basis.num_gears)])
     np.testing.assert_allclose(driven(finer, variables).poses[same], driven(nlp, variables).poses, atol=1e-5)
     np.testing.assert_allclose(finer.traced.positions[same], nlp.traced.positions, atol=1e-12)
