@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from optdock.dock import DockDirection
+from optdock.geometry.arrays import readonly
 from optdock.outcomes import Guess
 from optdock.planners.manoeuvres.connections import Nodes, all_pairs, connections, free_manoeuvres, promising
 from optdock.planners.manoeuvres.free_space import Effort, FreeSpace
@@ -25,7 +26,9 @@ if TYPE_CHECKING:
 
 __all__ = ["Stages"]
 
-_RUNS = np.array([0.0, 0.25, 0.5, 1.0, 1.5, 2.0, 3.0])  # straight runs beyond the shortest one, in turning radii
+_RUNS = readonly(
+    np.array([0.0, 0.25, 0.5, 1.0, 1.5, 2.0, 3.0])
+)  # straight runs beyond the shortest one, in turning radii
 _EXIT_TURN = 1.0  # [rad] of arcs out of the start; straight lines are as long
 _FREE_EXITS, _MOST_EXITS = 4, 60  # of six; nodes of the start's tree after which it grows no more
 _WORTHWHILE = 0.9
