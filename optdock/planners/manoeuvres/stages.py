@@ -26,7 +26,8 @@ if TYPE_CHECKING:
 
 __all__ = ["Stages"]
 
-_RUNS = readonly(
+# Straight runs beyond the shortest one, in turning radii.
+_RUNS = readonly(np.array([0.0, 0.25, 0.5, 1.0, 1.5, 2.0, 3.0]))
     np.array([0.0, 0.25, 0.5, 1.0, 1.5, 2.0, 3.0])
 )  # straight runs beyond the shortest one, in turning radii
 _EXIT_TURN = 1.0  # [rad] of arcs out of the start; straight lines are as long
