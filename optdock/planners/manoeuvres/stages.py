@@ -28,8 +28,6 @@ __all__ = ["Stages"]
 
 # Straight runs beyond the shortest one, in turning radii.
 _RUNS = readonly(np.array([0.0, 0.25, 0.5, 1.0, 1.5, 2.0, 3.0]))
-    np.array([0.0, 0.25, 0.5, 1.0, 1.5, 2.0, 3.0])
-)  # straight runs beyond the shortest one, in turning radii
 _EXIT_TURN = 1.0  # [rad] of arcs out of the start; straight lines are as long
 _FREE_EXITS, _MOST_EXITS = 4, 60  # of six; nodes of the start's tree after which it grows no more
 _WORTHWHILE = 0.9
