@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from optdock.dock import DockDirection
+from optdock.geometry.arrays import readonly
 from optdock.planners.manoeuvres.arcs import Arcs
 from optdock.planners.manoeuvres.price import gear_changes, stopping_cost
 from optdock.planners.manoeuvres.reeds_shepp import TURNS, reeds_shepp_words
@@ -23,7 +24,7 @@ if TYPE_CHECKING:
 __all__ = ["Connections", "Nodes", "all_pairs", "connections", "free_manoeuvres", "promising"]
 
 _PAIRS = 128  # whose words are found in one go, about a millisecond
-_GLANCE = np.arange(1, 9) / 9.0  # shares of a word at which it is looked at before it is looked at whole
+_GLANCE = readonly(np.arange(1, 9) / 9.0)  # shares of a word at which it is looked at before it is looked at whole
 _CLOSE_POSES_PER_WIDTH = 40.0  # of the last look at a whole way, over a length as the robot is wide
 _ROUGH_BATCH = 256  # words of which a quick look is taken in one go
 _BATCH = 24  # words glanced at in one go
@@ -44,7 +45,7 @@ class Connections(NamedTuple):
         """How many there are."""
         return int(self.prices.size)
 
-    def rows(self, keep: IntArray | slice) -> Connections:
+    def rows(self, keep: IntArray | BoolArray | slice) -> Connections:
         """Those at `keep`."""
         return Connections(
             self.prices[keep], self.exits[keep], self.entries[keep], self.lengths[keep], self.curvatures[keep]

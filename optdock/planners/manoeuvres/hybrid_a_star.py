@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from optdock.geometry.arrays import readonly
 from optdock.planners.manoeuvres.connections import Connections, Nodes, connections, free_manoeuvres, promising
 from optdock.planners.manoeuvres.tree import Moves
 
@@ -30,12 +31,12 @@ __all__ = ["PoseGrid", "hybrid_a_star"]
 _EXPANDED = 24  # nodes in one go
 _WORDS_PER_NODE = 4
 _SHOTS = 48  # words looked at after each expansion
-# Of the pose grid, which has so many headings on a turn as a cell is smaller than the robot's width, times this.
+# Headings of the pose grid, times its fineness.
 _YAWS_PER_CELL = 6
 # Distances to obstacles, in reaches of the distance field, from which cells are so many times as large.
-_ROOM, _COARSER, _COARSEST_YAW = np.array([0.3, 0.5]), np.array([1.0, 4.0, 10.0]), 4.0
+_ROOM, _COARSER, _COARSEST_YAW = readonly(np.array([0.3, 0.5])), readonly(np.array([1.0, 4.0, 10.0])), 4.0
 _GREED = 2.5  # weight of what is still to drive
-_STATIONS = np.array([0.25, 0.5, 1.0, 2.0])  # where a node is left on an arc, in turning radii
+_STATIONS = readonly(np.array([0.25, 0.5, 1.0, 2.0]))  # where a node is left on an arc, in turning radii
 
 
 class PoseGrid:

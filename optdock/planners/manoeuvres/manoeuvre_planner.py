@@ -83,12 +83,12 @@ class ManoeuvrePlanner(GlobalPlanner):
         """
         problem = self._problem(start, goal)
 
-        def poll() -> None:
+        def _poll() -> None:
             if cancel_checker():
                 raise PlannerCancelled("cancelled while a manoeuvre was searched for")
 
-        poll()
-        count, stages = 0, Stages(problem, self.parameters.turning_radius_factor, poll, better_than)
+        _poll()
+        count, stages = 0, Stages(problem, self.parameters.turning_radius_factor, _poll, better_than)
         for guess in stages.guesses():
             if guess is not None:
                 count += 1

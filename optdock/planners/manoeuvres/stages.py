@@ -9,11 +9,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from optdock.dock import DockDirection
+from optdock.geometry.arrays import readonly
 from optdock.outcomes import Guess
 from optdock.planners.manoeuvres.connections import Nodes, all_pairs, connections, free_manoeuvres, promising
 from optdock.planners.manoeuvres.free_space import Effort, FreeSpace
-from optdock.planners.manoeuvres.hybrid_a_star import hybrid_a_star
-from optdock.planners.manoeuvres.price import ends_price, least_price
+from optdock.planners.manoeuvres.hybrid_a_star import PoseGrid, hybrid_a_star
+from optdock.planners.manoeuvres.price import ends_cost, least_price
 from optdock.planners.manoeuvres.tree import ArcTree, Moves
 
 if TYPE_CHECKING:
@@ -25,8 +26,10 @@ if TYPE_CHECKING:
 
 __all__ = ["Stages"]
 
-_RUNS = np.array([0.0, 0.25, 0.5, 1.0, 1.5, 2.0, 3.0])  # straight runs beyond the shortest one, in turning radii
+# Straight runs beyond the shortest one, in turning radii.
+_RUNS = readonly(np.array([0.0, 0.25, 0.5, 1.0, 1.5, 2.0, 3.0]))
 _EXIT_TURN = 1.0  # [rad] of arcs out of the start; straight lines are as long
+_FREE_EXITS, _MOST_EXITS = 4, 60  # of six; nodes of the start's tree after which it grows no more
 _TRIES = 4  # different ways that one stage offers at most
 _WORDS_PER_PAIR = 12  # words from the start to a staging pose that are looked at
 _SAMPLING = 40.0  # poses of a path per turning radius
@@ -62,10 +65,9 @@ class Stages:
             Effort(sharp, 0.0, 80, 8000, problem.start_run),
         )
         self._known: list[FloatArray] = []
-        self._ends_price = ends_price(problem)
 
     def guesses(self) -> Iterator[Guess | None]:
-        """The guesses of all stages."""
+        """The guesses of all stages, the first of them in a few milliseconds."""
         yield from self._words()
         if math.isinf(self._better_than()):
             yield from self._hybrid_a_star()
@@ -104,30 +106,38 @@ class Stages:
         return Nodes(tree, rows if straight > 0.0 else np.concatenate(([0], rows)))
 
     def _exits(self, effort: Effort) -> Nodes:
-        """The start, and the ends of arcs and lines out of it."""
+        """The start, and the ends of arcs and lines out of it, one after another where it is boxed in."""
         tree = ArcTree(self.problem.start.as_array(), self.problem.robot.limits, 1)
         speed, kappa = self.problem.start_speed, 1.0 / effort.radius
         moves = Moves.of((1.0, -1.0) if speed == 0.0 else (math.copysign(1.0, speed),), (0.0, kappa, -kappa))
         root = np.zeros(1, dtype=np.int64)
-        rows = tree.grow(root, moves, np.array([effort.radius * _EXIT_TURN]), self.space, effort)
-        return Nodes(tree, np.concatenate((root, rows)))
+        station, grid = np.array([effort.radius * _EXIT_TURN]), PoseGrid(self.space, effort.fineness)
+        rows = fresh = tree.grow(root, moves, station, self.space, effort)
+        # Where hardly anything is free for all of its length, the way out takes several arcs.
+        is_boxed_in = np.sum(np.abs(tree.lengths[rows]) >= station) < _FREE_EXITS
+        onwards = Moves.of((1.0, -1.0), (0.0, kappa, -kappa))
+        while is_boxed_in and fresh.size and rows.size < _MOST_EXITS:
+            fresh = tree.grow(fresh, onwards, station, self.space, effort, grid.enter)
+            rows = np.concatenate((rows, fresh))
+        # Where nothing new is left to grow from, nothing leads out.
+        return Nodes(tree, np.concatenate((root, rows)) if fresh.size else root)
 
     def _words(self) -> Iterator[Guess]:
         """Words from the start to the staging poses."""
-        for i, effort in enumerate(self._efforts):
-            if i > 0 and math.isfinite(self._better_than()):
-                return
+        for effort in self._efforts:
+            if effort.margin == 0.0 and math.isfinite(self._better_than()):
+                return  # there is a plan with room to spare, and what has less is hardly better
             staging = self._staging(effort)
             if staging.rows.size == 0:
                 continue
-            found = connections(*all_pairs(self._start, staging), effort.radius, self.space, _WORDS_PER_PAIR)
-            worth = found.rows(np.flatnonzero(found.prices + self._ends_price < self._better_than()))
-            seen = promising(worth, self._start.tree, self.space)
-            ways = free_manoeuvres(seen, self._start.tree, staging.tree, self.space, effort)
+            pairs = all_pairs(self._start, staging)
+            found = connections(*pairs, effort.radius, self.space, _WORDS_PER_PAIR)
+            found = promising(found.rows(found.prices < self._worthwhile()), self._start.tree, self.space)
+            ways = free_manoeuvres(found, self._start.tree, staging.tree, self.space, effort)
             yield from self._offered("Reeds-Shepp", ways)
 
     def _hybrid_a_star(self) -> Iterator[Guess | None]:
-        """As far afield as it takes, until there is a plan; with a pause where the first effort was in vain."""
+        """As far afield as it takes, until there is a plan; with a pause where an effort was in vain."""
         wavefront = self.space.wavefront(self.problem.start.as_array()[:2])
         if math.isinf(wavefront.lengths(self.problem.goal.as_array()[None, :2])[0]):
             yield None
@@ -147,8 +157,8 @@ class Stages:
         """The first few of the ways found that are unlike those offered before and may beat the best plan."""
         offered = 0
         for price, arcs in found:
-            if price + self._ends_price >= self._better_than():
-                continue
+            if price >= self._worthwhile():
+                return
             path = arcs.path(self.radius / _SAMPLING, self.problem.goal.as_array(), self.problem.frame)
             if least_price(path, self.problem) >= self._better_than() or not self._is_another_way(arcs):
                 continue
@@ -156,6 +166,10 @@ class Stages:
             yield Guess(path, stage)
             if offered == _TRIES:
                 return
+
+    def _worthwhile(self) -> float:
+        """The estimated price from which on a way cannot beat the best plan."""
+        return self._better_than() - ends_cost(self.problem)
 
     def _is_another_way(self, arcs: Arcs) -> bool:
         """Whether a way is not one that has been offered, but for a little."""

@@ -11,14 +11,16 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from optdock.geometry.arrays import readonly
+
 if TYPE_CHECKING:
     from optdock.geometry.arrays import FloatArray, IntArray
     from optdock.planners.manoeuvres.free_space import DistanceField
 
 __all__ = ["Wavefront"]
 
-_FOUR = np.array([(1, 0), (-1, 0), (0, 1), (0, -1)])
-_EIGHT = np.concatenate((_FOUR, [(1, 1), (1, -1), (-1, 1), (-1, -1)]))
+_FOUR = readonly(np.array([(1, 0), (-1, 0), (0, 1), (0, -1)]))
+_EIGHT = readonly(np.concatenate((_FOUR, [(1, 1), (1, -1), (-1, 1), (-1, -1)])))
 _BESIDE = 0.75  # cells: half a diagonal, and rounding
 _UNREACHED = np.inf
 
