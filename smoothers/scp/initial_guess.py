@@ -128,10 +128,9 @@ class InitialGuesses:
     @cached_property
     def _untracked(self) -> tuple[Variables, Variables]:
         """The fit and the drive, the one that stays closer to the input first."""
-        nlp, settings = self.nlp, self.nlp.settings.guess
-        driven = self._driven(self.fitted)
-        turned = abs(float(driven.poses[-1, 2] - nlp.ends.target[2]))
-        if strayed(nlp, driven) < settings.astray and turned < settings.turned_away:
+        settings, driven = self.nlp.settings.guess, self._fit_driven
+        turned = abs(float(driven.poses[-1, 2] - self.nlp.ends.target[2]))
+        if strayed(self.nlp, driven) < settings.astray and turned < settings.turned_away:
             return self.fitted, self.pursued
         return self.pursued, self.fitted
 
@@ -144,19 +143,25 @@ class InitialGuesses:
 
     @cached_property
     def _order(self) -> tuple[Variables, Variables]:
-        """With which to begin, and with which to go on: the tracked one where the others leave the input to worse."""
-        settings, (first, second) = self.nlp.settings.guess, self._untracked
-        off = strayed(self.nlp, self._driven(first)) > settings.off_the_input
-        if off and self._is_trackable and self._begins_better(self.tracked, first):
+        """With which to begin, and with which to go on.
+
+        The tracked one where the others lead off the input into obstacles or past the goal, and it does better.
+        """
+        nlp, (first, second) = self.nlp, self._untracked
+        if first is self.fitted and strayed(nlp, self._fit_driven) < nlp.settings.guess.off_the_input:
+            return first, second
+        begun, _ = evaluated(nlp, first)
+        if begun.on_goal and begun.shortfall < nlp.scene.settings.deep * nlp.scene.body.width:
+            return first, second
+        loop = nlp.settings.loop
+        penalties = Penalties(loop.clearance_penalty, loop.goal_penalty)
+        if self._is_trackable and evaluated(nlp, self.tracked)[0].merit(penalties) < begun.merit(penalties):
             return self.tracked, first
         return first, second
 
-    def _begins_better(self, one: Variables, other: Variables) -> bool:
-        """Whether a search from the first would begin with the smaller merit."""
-        loop = self.nlp.settings.loop
-        penalties = Penalties(loop.clearance_penalty, loop.goal_penalty)
-        first, second = (evaluated(self.nlp, variables)[0].merit(penalties) for variables in (one, other))
-        return first < second
+    @cached_property
+    def _fit_driven(self) -> Rollout:
+        return self._driven(self.fitted)
 
     def _driven(self, variables: Variables) -> Rollout:
         return roll_out(self.nlp.basis, variables, self.nlp.ends.start, self.nlp.ends.signs)
