@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from optdock.errors import FailedToTimePath
-from optdock.path import ClothoidSegment
+from optdock.path import ClothoidSegment, TurnSegment
 from optdock.plugins import timed_by
 from optdock.report import table
 from optdock.verification import certify_path
@@ -77,7 +77,7 @@ def figures_of(scenario: Scenario, kind: str, path: Path, duration: float | None
         scenario=scenario.source.stem,
         path=kind,
         status="certified" if certificate.certified else "not certified",
-        length=path.length,
+        length=path.driven,
         max_curvature=certificate.max_curvature,
         worst_joint=math.degrees(worst_joint_angle(path)),
         min_clearance=certificate.min_clearance,
@@ -109,7 +109,7 @@ def _turn(first: float, second: float) -> float:
 
 
 def _jump_inside(segment: Segment) -> float:
-    if isinstance(segment, ClothoidSegment):
+    if isinstance(segment, ClothoidSegment | TurnSegment):
         return 0.0
     poses = segment.poses_at(segment.knots)
     step = np.diff(poses[:, :2], axis=0) * int(segment.direction)

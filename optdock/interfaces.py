@@ -90,18 +90,19 @@ class GlobalPlanner(Plugin):
         goal: Pose2,
         cancel_checker: Callable[[], bool] = never_cancelled,
         better_than: Callable[[], float] = lambda: math.inf,  # noqa: ARG002 - one path is the best of one
-    ) -> Iterator[Guess]:
+    ) -> Iterator[Guess | None]:
         """Several paths to try in turn, the most promising first; by default the one of `create_plan`.
 
         It works only while it is asked for the next one. A planner that knows many stops when none that could follow
-        can have a lower price, and looks far afield only while nothing has been found.
+        can have a lower price, and looks far afield only while nothing has been found. None is a pause: what follows
+        takes longer than what went before, and whoever asks may do something else first.
 
         Args:
             start: As of `create_plan`.
             goal: As of `create_plan`.
             cancel_checker: As of `create_plan`.
-            better_than: The price of the best plan that somebody has made of these paths so far [s]: its duration, and
-                what its cusps cost; inf while there is none.
+            better_than: The price below which a path is worth a try [s]: duration, and what cusps cost; inf while no
+                plan has been made of any.
 
         Raises:
             PlannerException: Or one of its children: there is no path, not even a first one.

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, fields
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -14,7 +14,18 @@ from optdock.geometry.checked import number
 if TYPE_CHECKING:
     from optdock.geometry.arrays import FloatArray
 
-__all__ = ["LIMIT_UNITS", "STEERING_UNITS", "MotionLimits", "SpeedZone", "check_steering"]
+__all__ = ["LIMIT_UNITS", "STEERING_UNITS", "MotionLimits", "SpeedZone", "TurnLimits", "check_steering"]
+
+
+class TurnLimits(NamedTuple):
+    """Bounds on turning in place, in either direction: rate [rad/s], acceleration [rad/s^2], jerk [rad/s^3].
+
+    `inf` means unlimited.
+    """
+
+    rate: float
+    acceleration: float
+    jerk: float
 
 
 @dataclass(frozen=True)
@@ -31,7 +42,7 @@ class MotionLimits:
         max_yaw_acceleration: [rad/s^2].
         max_lateral_acceleration: speed^2 * |curvature| [m/s^2].
         max_wheel_speed: Rim speed of either wheel, |v| * (1 + track_width / 2 * |curvature|) [m/s].
-        track_width: Distance between the wheels [m]; used with max_wheel_speed only.
+        track_width: Distance between the wheels [m]; used with max_wheel_speed, and where the robot turns in place.
         max_curvature: 1 / smallest turning radius [1/m]; never more than what `max_steering_angle` allows.
         max_curvature_rate: |d curvature / ds| [1/m^2].
         wheelbase: Distance between the axles of a robot that steers its wheels [m]; needed by the two below.
@@ -70,6 +81,20 @@ class MotionLimits:
         if math.isfinite(self.max_steering_angle):
             tightest = math.tan(self.max_steering_angle) / self.wheelbase
             object.__setattr__(self, "max_curvature", min(self.max_curvature, tightest))
+
+    @property
+    def turning(self) -> TurnLimits:
+        """The limits of a turn in place, where the wheels run against each other at +-track_width / 2 * yaw rate.
+
+        Their rims keep the wheel speed, and accelerate no faster than straight on, where the track width is known. The
+        yaw acceleration takes as long to build up as the drive's own does straight on, max_acceleration / max_jerk (or
+        deceleration, if that is larger): this is what bounds its jerk, as no limit names one.
+        """
+        lever = 0.5 * self.track_width
+        rate = min(self.max_yaw_rate, self.max_wheel_speed / lever if lever > 0.0 else math.inf)
+        weaker, stronger = sorted((self.max_acceleration, self.max_deceleration))
+        acceleration = min(self.max_yaw_acceleration, weaker / lever if lever > 0.0 else math.inf)
+        return TurnLimits(rate, acceleration, acceleration * self.max_jerk / stronger)
 
     def steering_angle(self, curvature: FloatArray) -> FloatArray:
         """Angle of the wheels on a path of this curvature, driven forward; in reverse the opposite. Shape (n,) [rad].

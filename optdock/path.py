@@ -1,7 +1,7 @@
 """Paths: gear segments by arc length, joined at cusps.
 
-`s` is the distance travelled, never negative, in either gear. Curvature is d yaw / d s: a left turn along the travel
-is positive. A path has no time; see `trajectory` for that.
+`s` is the distance travelled, never negative, in either gear; a turn in place counts 1 m for every rad (`segments` says
+why). Curvature is d yaw / d s: a left turn along the travel is positive. A path has no time; see `trajectory` for that.
 """
 
 from __future__ import annotations
@@ -27,6 +27,7 @@ from optdock.segments import (
     PathSamples,
     PolylineSegment,
     Segment,
+    TurnSegment,
 )
 
 if TYPE_CHECKING:
@@ -36,7 +37,16 @@ if TYPE_CHECKING:
 
     from optdock.geometry.arrays import FloatArray, IntArray
 
-__all__ = ["ClothoidSegment", "Direction", "Path", "PathSamples", "PolylineSegment", "Segment", "may_be_one_frame"]
+__all__ = [
+    "ClothoidSegment",
+    "Direction",
+    "Path",
+    "PathSamples",
+    "PolylineSegment",
+    "Segment",
+    "TurnSegment",
+    "may_be_one_frame",
+]
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -51,7 +61,8 @@ class Path(FrozenArrays):
         segment_starts: Arc length at which each segment begins, and the total: Shape (number of segments + 1,) [m].
 
     Raises:
-        InvalidPath: No segment, one that is neither a clothoid nor a polyline segment, or a frame that is no name.
+        InvalidPath: No segment, one that is neither a clothoid segment nor a polyline segment nor a turn segment, or a
+            frame that is no name.
     """
 
     segments: tuple[Segment, ...]
@@ -66,9 +77,9 @@ class Path(FrozenArrays):
             raise InvalidPath(f"path.frame: must be a name, got {self.frame!r}")
         for i, segment in enumerate(self.segments):
             # Subclasses too: what overrides a curve's poses is another curve, of which nothing is known.
-            if type(segment) not in (ClothoidSegment, PolylineSegment):
-                found = type(segment).__name__
-                raise InvalidPath(f"path: segment {i} must be a ClothoidSegment or a PolylineSegment, got {found}")
+            if type(segment) not in (ClothoidSegment, PolylineSegment, TurnSegment):
+                kinds, found = "a ClothoidSegment, a PolylineSegment or a TurnSegment", type(segment).__name__
+                raise InvalidPath(f"path: segment {i} must be {kinds}, got {found}")
         lengths = [segment.length for segment in self.segments]
         object.__setattr__(self, "segment_starts", readonly(np.concatenate(([0.0], np.cumsum(lengths)))))
 
@@ -116,17 +127,52 @@ class Path(FrozenArrays):
         return dataclasses.replace(self, frame=frame)
 
     def __repr__(self) -> str:
-        gears = ", ".join(segment.direction.name.lower() for segment in self.segments)
-        return f"<Path {self.length:.3f} m {gears}, {self.start.brief} -> {self.end.brief}{_in_frame(self.frame)}>"
+        gears = ", ".join(segment.direction.name.lower().replace("_", " ") for segment in self.segments)
+        return f"<Path {self.driven:.3f} m {gears}, {self.start.brief} -> {self.end.brief}{_in_frame(self.frame)}>"
 
     @property
     def length(self) -> float:
-        """Arc length over all gears [m]."""
+        """Arc length over all gears and turns: where `s` ends [m]."""
         return float(self.segment_starts[-1])
 
     @property
+    def driven(self) -> float:
+        """How far the robot drives [m]: the arc length without the turns in place."""
+        turned = sum(segment.length for segment in self.segments if isinstance(segment, TurnSegment))
+        return self.length - turned
+
+    @property
+    def turns(self) -> bool:
+        """Whether it turns in place anywhere."""
+        return any(isinstance(segment, TurnSegment) for segment in self.segments)
+
+    @property
+    def driven_stretches(self) -> tuple[tuple[float, float], ...]:
+        """Where the robot drives, from `s` to `s` [m]: between turns in place, in order."""
+        ends = itertools.pairwise(self.segment_starts.tolist())
+        groups = itertools.groupby(
+            zip(self.segments, ends, strict=True), key=lambda one: isinstance(one[0], TurnSegment)
+        )
+        stretches = ([span for _, span in group] for turn, group in groups if not turn)
+        return tuple((spans[0][0], spans[-1][1]) for spans in stretches)
+
+    def before_end(self, distance: float) -> float:
+        """Where `distance` [m] are left to drive; below 0 where the path is shorter."""
+        s = self.length - distance
+        for segment, end in zip(self.segments[::-1], self.segment_starts[:0:-1].tolist(), strict=True):
+            if isinstance(segment, TurnSegment) and end > s:
+                s -= segment.length
+        return s
+
+    def parts(self) -> tuple[Path | TurnSegment, ...]:
+        """The path cut at its turns in place: paths without any, and the turns between them, in order."""
+        groups = itertools.groupby(self.segments, key=lambda segment: isinstance(segment, TurnSegment))
+        cut = [[*segments] if turn else [Path(tuple(segments), self.frame)] for turn, segments in groups]
+        return tuple(itertools.chain.from_iterable(cut))  # type: ignore[arg-type]  # as the groups' key says
+
+    @property
     def cusps(self) -> tuple[float, ...]:
-        """Arc lengths at which the gear changes [m]."""
+        """Arc lengths at which the robot rests: the gear changes, or a turn in place begins or ends [m]."""
         return tuple(float(s) for s in self.segment_starts[1:-1])
 
     @property
@@ -174,7 +220,7 @@ class Path(FrozenArrays):
         return self._evaluate(s, lambda segment, local: segment.curvature_rate_at(local), ())
 
     def direction_at(self, s: ArrayLike) -> IntArray:
-        """1 or -1 at `s`; at a cusp the next gear's. Shape (n,)."""
+        """1 or -1 at `s`, 0 where the robot turns in place; at a cusp the next gear's. Shape (n,)."""
         gears = np.array([int(segment.direction) for segment in self.segments])
         directions: IntArray = gears[self._owners(np.atleast_1d(np.asarray(s, dtype=np.float64)))]
         return directions
@@ -223,6 +269,8 @@ def _definition(segment: Segment) -> tuple[ArrayLike, ...]:
     if isinstance(segment, ClothoidSegment):
         spline = segment.spline
         return spline.start.as_array(), spline.knots, spline.curvature, spline.sign
+    if isinstance(segment, TurnSegment):
+        return segment.pose.as_array(), segment.turn
     assert isinstance(segment, PolylineSegment)  # a path holds no other kind
     return segment.poses, int(segment.direction)
 

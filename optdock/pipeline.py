@@ -77,9 +77,12 @@ DEFAULT_SMOOTHER, DEFAULT_TIMING = "CasadiSmoother", "NearOptimal"
 # While nothing is certified and more guesses may follow, smoothing one of them may take this share of what is left, or
 # so long [s] where that is more: the hard ones that succeed at all are done by then.
 _SMOOTHING_SHARE, _SMOOTHING_LEAST = 0.4, 0.06
-# Shares of what is left that a proof of impossibility may take: after a planner that failed, while others follow, and
-# what the last planner must leave for it.
+# Shares of what is left that a proof of impossibility may take: when a planner pauses before it searches far afield,
+# and what the last planner must leave for it.
 _EARLY_PROOF, _LAST_PROOF = 0.1, 0.4
+# A guess is worth a try only if it may be cheaper than the best plan by so much: plans come out 3 % dearer than
+# `least_price` says (the median of 160 on real maps), and 5 % are what another 20 ms of everybody's time are worth.
+_WORTH_A_TRY = 0.92
 _WARM_UP = 3.0  # [s], budget of the plan that warms up; a planner that uses all it gets takes that long, once
 
 # A plugin by its name, by its name with parameters, or the object itself.
@@ -219,10 +222,10 @@ def _warm_once(
     for planner in planners:
         with contextlib.suppress(Exception):  # also of constructors that need parameters: what is wrong shows later
             plugins = _Plugins((planner(),), smoother(), timing())
-            with contextlib.suppress(OptdockError):
-                never = Cancellation(never_cancelled)
-                _Portfolio(problem, plugins, (), None, never, clock.seconds, PartialPlan()).plan()
-            plugins.smoother.warm_up()
+            never = Cancellation(never_cancelled)
+            _Portfolio(problem, plugins, (), None, never, clock.seconds, PartialPlan()).plan()
+    with contextlib.suppress(Exception):
+        smoother().warm_up()
     walled = [[[-1.2, -3.0], [-1.0, -3.0], [-1.0, 3.0], [-1.2, 3.0]]]
     prove_impossible(replace(problem, obstacles=walled), time_budget=0.05)
     logger.info("libraries loaded and caches filled in %.1f s, once per process", clock.elapsed)
@@ -264,6 +267,9 @@ def _margin(budget: float) -> float:
     """
     usual = sorted(_WAITS)[-2] if len(_WAITS) > 1 else 0.0
     return min(usual, _MARGIN_SHARE * budget, _MARGIN_MOST)
+
+
+_END = object()  # of a planner's guesses
 
 
 class _Failure(NamedTuple):
@@ -341,7 +347,7 @@ class _Portfolio:
             makes_one = type(planner).create_plans is GlobalPlanner.create_plans
             try:
                 with at_work(planner, self.problem, self.cancelled):
-                    for guess in self._guesses_of(planner, leaves_time=planner is last):
+                    for guess in self._guesses_of(planner, is_last=planner is last):
                         yield guess, makes_one and planner is last
             except PlannerException as error:
                 if isinstance(error, Cancelled):
@@ -349,20 +355,19 @@ class _Portfolio:
                 self._fail(_Failure(error, PartialPlan(), 0), type(planner).__name__)
             if self._is_late():
                 break
-            if self.best is None:
-                self._look_for_a_proof(1.0 if planner is last else _EARLY_PROOF)
+        if self.best is None and self.deadline.left > 0.0:
+            self._look_for_a_proof(1.0)
 
-    def _guesses_of(self, planner: GlobalPlanner, *, leaves_time: bool) -> Iterator[Guess]:
+    def _guesses_of(self, planner: GlobalPlanner, *, is_last: bool) -> Iterator[Guess]:
         """The guesses of a planner, which is at work while it makes them.
 
-        Args:
-            planner: Configured.
-            leaves_time: Whether it must leave time for a proof while nothing is found.
+        The last of several must leave time for a proof while nothing is found.
 
         Raises:
             PlannerException: It has none, or none any more.
+            NoMotionExists: That was proven while it paused.
         """
-        share = 1.0 - _LAST_PROOF if leaves_time and len(self.plugins.planners) > 1 else 1.0
+        share = 1.0 - _LAST_PROOF if is_last and len(self.plugins.planners) > 1 else 1.0
         until = self.deadline.elapsed + share * self.deadline.left
 
         def is_used_up() -> bool:
@@ -371,31 +376,38 @@ class _Portfolio:
         def asked_to_stop() -> bool:
             return is_used_up() or self.refinement.asked_to_stop()
 
-        goal = self.problem.goal
-        guesses = iter(planner.create_plans(self.problem.start, goal, asked_to_stop, self._lowest_price))
-        while True:
-            with self.watch.timed("plan"):
-                try:
-                    guess = next(guesses, None)
-                except PlannerCancelled as error:
-                    if self.cancelled():
-                        raise
-                    raise self._planner_late() from error
-            if self.deadline.passed():
-                raise self._planner_late()
-            if guess is None:
+        guesses = planner.create_plans(self.problem.start, self.problem.goal, asked_to_stop, self._worth_a_try)
+        while not is_used_up():
+            found = self._next(guesses, planner)
+            if found is _END:
                 return
-            returned(guess, Guess, planner)
+            if found is None:
+                if self.best is None and "prove" not in self.watch.timing_ms:
+                    self._look_for_a_proof(_EARLY_PROOF)
+                continue
+            guess = returned(found, Guess, planner)
             path = plain(returned(guess.path, Path, planner), planner, self.problem.frame)
             yield Guess(path, guess.stage or type(planner).__name__)
-            if is_used_up():
-                return
+
+    def _next(self, guesses: Iterator[Guess | None], planner: GlobalPlanner) -> object:
+        """What a planner offers next: a guess, a pause, or `_END`."""
+        late = f"{type(planner).__name__} used up its share of the time budget of {self.budget:.3g} s"
+        try:
+            with self.watch.timed("plan"):
+                found = next(guesses, _END)
+        except PlannerCancelled as error:
+            if self.cancelled():
+                raise
+            raise PlannerTimedOut(late) from error
+        if self.deadline.passed():
+            raise PlannerTimedOut(late)
+        return found
 
     def _lowest_price(self) -> float:
         return self.best.price if self.best is not None else math.inf
 
-    def _planner_late(self) -> PlannerTimedOut:
-        return PlannerTimedOut(f"the planner used up its share of the time budget of {self.budget:.3g} s")
+    def _worth_a_try(self) -> float:
+        return _WORTH_A_TRY * self._lowest_price()
 
     def _is_late(self) -> bool:
         """Whether no time is left for another guess."""
@@ -445,12 +457,18 @@ class _Portfolio:
             raise NoMotionExists(proof.message, proof=proof)
 
     def _furthest(self) -> _Failure:
-        """The failure that tells most: of the guess that came furthest, the earliest; time-outs tell least."""
-        return max(self.failures, key=lambda failure: (failure.stage, not isinstance(failure.error, TimedOut)))
+        """The failure that tells most: of the guess that came furthest, the earliest; time-outs tell least.
+
+        Where no planner had a guess the last one, which searched, tells more than the first.
+        """
+        ordered = self.failures if any(failure.stage for failure in self.failures) else self.failures[::-1]
+        return max(ordered, key=lambda failure: (failure.stage, not isinstance(failure.error, TimedOut)))
 
     def _refusal(self) -> OptdockError:
         """What is raised when nothing was found and nothing proven."""
         if not self.failures:
+            if self._is_late():
+                return PlannerTimedOut(f"the time budget of {self.budget:.3g} s is too short for a first guess")
             return NoValidPathCouldBeFound("no planner offers a path")
         found = self._furthest()
         self._leave(found.left)
@@ -462,8 +480,8 @@ class _Portfolio:
         kind, count = type(found.error), len(self.failures)
         if self._is_late() and not isinstance(found.error, TimedOut):
             kind = SmootherTimedOut
-        tried = f"none of {count} guesses was certified; that there is no way is not proven"
-        return kind(f"{found.error} ({tried})", where=found.error.where)
+        more = f"{count} attempts failed; that there is no way is not proven"
+        return kind(f"{found.error} ({more})", where=found.error.where)
 
 
 def check_ends(problem: DockingProblem) -> None:

@@ -90,7 +90,7 @@ class DockPlan:
 
     def __str__(self) -> str:
         status = CERTIFIED if self.completed else f"{CERTIFIED}, stopped early by the time budget"
-        parts = [f"{status}: {self.path.length:.2f} m in {self.trajectory.duration:.2f} s"]
+        parts = [f"{status}: {self.path.driven:.2f} m in {self.trajectory.duration:.2f} s"]
         if math.isfinite(self.certificate.min_clearance):
             parts.append(f"closest {self.certificate.min_clearance:.3f} m to {in_words(self.certificate.nearest)}")
         if "total" in self.timing_ms:

@@ -12,6 +12,7 @@ from optdock.io.plan_file import CERTIFIED, PlanError, PlanFile, finite_or_null,
 from optdock.limits import LIMIT_UNITS, STEERING_UNITS
 from optdock.obstacles import in_words
 from optdock.plan import PartialPlan
+from optdock.verification import ImpossibilityProof
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterable, Sequence
@@ -51,7 +52,7 @@ def failed_plan_file(error: OptdockError, frame: str) -> PlanFile:
 
     Such a path, the best of a search that failed, is for looking at; a file is for driving.
     """
-    so_far = PartialPlan.left_by(error)
+    so_far, proof = PartialPlan.left_by(error), getattr(error, "proof", None)
     return PlanFile(
         status=type(error).__name__,
         frame=frame,
@@ -60,12 +61,13 @@ def failed_plan_file(error: OptdockError, frame: str) -> PlanFile:
         certificate=so_far.certificate.as_dict() if so_far.certificate is not None else None,
         timing_ms=so_far.timing_ms,
         error=PlanError.from_exception(error),
+        impossibility=proof if isinstance(proof, ImpossibilityProof) else None,
     )
 
 
 def plan_rows(plan: DockPlan) -> list[Row]:
     """A certified plan in a few lines."""
-    gears = " ".join("forward" if int(segment.direction) > 0 else "reverse" for segment in plan.path.segments)
+    gears = " ".join(segment.direction.name.lower().replace("_", "-") for segment in plan.path.segments)
     status = CERTIFIED if plan.completed else f"{CERTIFIED}, stopped early by the time budget"
     times = ", ".join(f"{stage} {ms:.1f}" for stage, ms in plan.timing_ms.items())
     return [

@@ -33,21 +33,25 @@ class Robot:
         footprint: Outline in the robot's frame; the frame's origin is the point that follows the path.
         limits: Bounds on its motion.
         drive: How it steers, a `Drive` or its word.
+        turns_in_place: Whether its paths may turn where it stands (`TurnSegment`); a differential drive that has limits
+            for it.
 
     Raises:
-        InvalidValue: The drive is none, a part is of another class, or a differential drive has a steering angle or
-            rate.
+        InvalidValue: The drive is none, a part is of another class, a differential drive has a steering angle or rate,
+            or a robot turns in place that cannot or whose turns nothing limits.
     """
 
     footprint: Footprint
     limits: MotionLimits
     drive: Drive = Drive.DIFFERENTIAL
+    turns_in_place: bool = False
 
     def __post_init__(self) -> None:
         instance(Footprint, self.footprint, "robot.footprint")
         instance(MotionLimits, self.limits, "robot.limits")
         object.__setattr__(self, "drive", member(Drive, self.drive, "robot.drive"))
-        check_drive(self.drive, self.limits)
+        instance(bool, self.turns_in_place, "robot.turns_in_place")
+        check_drive(self.drive, self.limits, turns_in_place=self.turns_in_place)
 
     @functools.cached_property
     def fingerprint(self) -> RobotFingerprint:
@@ -55,19 +59,26 @@ class Robot:
         # What a robot does not use is no part of its digest: certificates outlive the limits that came after them.
         steering = {"wheelbase", *STEERING_UNITS} if self.limits.wheelbase == 0.0 else set()
         limits = tuple(value for name, value in asdict(self.limits).items() if name not in steering)
-        return RobotFingerprint(digest(self.footprint.vertices), digest(limits, self.drive.value))
+        turns = ("turns in place",) if self.turns_in_place else ()
+        return RobotFingerprint(digest(self.footprint.vertices), digest(limits, self.drive.value, *turns))
 
 
-def check_drive(drive: Drive, limits: MotionLimits) -> None:
-    """Refuse limits that a drive does not have.
+def check_drive(drive: Drive, limits: MotionLimits, *, turns_in_place: bool) -> None:
+    """Refuse limits that a drive does not have, and turns in place without theirs.
 
     Raises:
-        InvalidValue: A differential drive, which has no wheels to steer, has a steering angle or rate.
+        InvalidValue: A differential drive, which has no wheels to steer, has a steering angle or rate; another one
+            turns in place; or nothing limits the yaw rate or the yaw acceleration of such turns.
     """
     for name, unit in STEERING_UNITS.items():
         value = getattr(limits, name)
         if drive is Drive.DIFFERENTIAL and math.isfinite(value):
             raise InvalidValue(f"robot.limits.{name}: {value} {unit} is for drive: ackermann; this one is differential")
+    if turns_in_place and drive is not Drive.DIFFERENTIAL:
+        raise InvalidValue(f"robot.turns_in_place: is for drive: differential; drive: {drive.value} cannot")
+    if turns_in_place and not all(map(math.isfinite, limits.turning)):
+        needed = "max_yaw_rate and max_yaw_acceleration, or max_wheel_speed and track_width"
+        raise InvalidValue(f"robot.turns_in_place: needs limits: {needed}")
 
 
 class RobotFingerprint(NamedTuple):

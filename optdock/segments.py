@@ -1,7 +1,14 @@
-"""Gear segments: one curve by arc length each, exact (clothoid spline) or sampled (polyline)."""
+"""Gear segments: one curve by arc length each, exact (clothoid spline) or sampled (polyline); and turns in place.
+
+A turn in place leads nowhere, so arc length cannot tell its poses apart. It has a stretch of the path coordinate s all
+the same: as long as the way of a point 1 m from the robot's origin, 1 m for every rad. So every s has one pose; a time
+law over s drives a turn as it drives a curve, with yaw rate and yaw acceleration for speed and acceleration; proofs,
+samples and files need not know that there are turns. Only what counts metres must leave them out.
+"""
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field
 from enum import IntEnum
 from typing import TYPE_CHECKING, NamedTuple, Protocol
@@ -10,19 +17,30 @@ import numpy as np
 
 from optdock.errors import InvalidPath, InvalidValue
 from optdock.geometry.arrays import FrozenArrays, frozen_array, readonly
-from optdock.geometry.checked import member
+from optdock.geometry.checked import exactly, finite_number, member
 from optdock.geometry.clothoid import ClothoidSpline
-from optdock.geometry.pose import check_range, unwrap_yaw
+from optdock.geometry.pose import Pose2, check_range, unwrap_yaw
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike
 
     from optdock.geometry.arrays import FloatArray, IntArray
 
-__all__ = ["SAME_POSITION", "SAME_YAW", "ClothoidSegment", "Direction", "PathSamples", "PolylineSegment", "Segment"]
+__all__ = [
+    "SAME_POSITION",
+    "SAME_YAW",
+    "TURN_RADIUS",
+    "ClothoidSegment",
+    "Direction",
+    "PathSamples",
+    "PolylineSegment",
+    "Segment",
+    "TurnSegment",
+]
 
 SAME_POSITION = 1e-9  # [m]: shorter steps carry no direction
 SAME_YAW = 1e-9  # [rad]
+TURN_RADIUS = 1.0  # [m]: a turn in place counts as the way of a point so far from the robot's origin
 
 
 class Direction(IntEnum):
@@ -30,10 +48,14 @@ class Direction(IntEnum):
 
     FORWARD = 1
     REVERSE = -1
+    IN_PLACE = 0
 
 
 class PathSamples(NamedTuple):
-    """Points of a path, all Shape (n,): s [m], x [m], y [m], yaw [rad], curvature [1/m], direction (1 or -1)."""
+    """Points of a path, all Shape (n,): s [m], x [m], y [m], yaw [rad], curvature [1/m], direction.
+
+    The direction is 1 or -1, and 0 where the robot turns in place.
+    """
 
     s: FloatArray
     x: FloatArray
@@ -49,7 +71,7 @@ class PathSamples(NamedTuple):
 
 
 class Segment(Protocol):
-    """One gear's curve by arc length; arguments are clipped to [0, length]."""
+    """One gear's curve by arc length, or a turn; arguments are clipped to [0, length]."""
 
     @property
     def direction(self) -> Direction:
@@ -58,7 +80,7 @@ class Segment(Protocol):
 
     @property
     def length(self) -> float:
-        """Arc length [m]."""
+        """Arc length [m]; of a turn in place its stretch of the path coordinate."""
         ...
 
     @property
@@ -149,6 +171,8 @@ class PolylineSegment(FrozenArrays):
         if len(poses) < 2:
             raise InvalidPath(f"path: a segment needs at least 2 poses, got {len(poses)}")
         object.__setattr__(self, "direction", member(Direction, self.direction, "path: a segment's direction"))
+        if self.direction is Direction.IN_PLACE:
+            raise InvalidValue("path: a segment's direction: poses are driven forward or in reverse; see TurnSegment")
         check_range(poses, "path")
         poses[:, 2] = unwrap_yaw(poses[:, 2])
         turn, arc = _step_arcs(poses)
@@ -198,6 +222,70 @@ class PolylineSegment(FrozenArrays):
         found = np.searchsorted(self.knots[kept], points, side="right") - 1
         rates: FloatArray = slope[np.clip(found, 0, slope.size - 1)]
         return rates
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class TurnSegment:
+    """A turn in place: the position stays, the yaw moves from one heading to another.
+
+    Only for robots that `turns_in_place`. It begins and ends at rest.
+
+    Args:
+        pose: Where it begins.
+        turn: How far it turns, left positive; more than a whole turn, if asked [rad].
+
+    Attributes:
+        knots: Begin and end of its stretch of the path coordinate, `TURN_RADIUS` * |turn| long, Shape (2,) [m].
+
+    Raises:
+        InvalidValue: The pose is none; the turn is 0, not finite, or leads beyond 1e6 rad.
+    """
+
+    pose: Pose2
+    turn: float
+    knots: FloatArray = field(init=False, repr=False)
+
+    def __post_init__(self) -> None:
+        exactly(Pose2, self.pose, "path: a turn's pose")
+        turn = finite_number(self.turn, "path: a turn")
+        if turn == 0.0:
+            raise InvalidValue("path: a turn: must not be 0 rad")
+        object.__setattr__(self, "turn", turn)
+        object.__setattr__(self, "knots", readonly(np.array([0.0, TURN_RADIUS * abs(turn)])))
+        check_range(self.poses_at(self.knots), "path: a turn")
+
+    def __repr__(self) -> str:
+        return f"<TurnSegment {self.turn:.4g} rad at {self.pose.brief}>"
+
+    @property
+    def direction(self) -> Direction:
+        """Neither gear."""
+        return Direction.IN_PLACE
+
+    @property
+    def length(self) -> float:
+        """Its stretch of the path coordinate [m]."""
+        return float(self.knots[-1])
+
+    @property
+    def end(self) -> Pose2:
+        """Where it ends."""
+        return Pose2(self.pose.x, self.pose.y, self.pose.yaw + self.turn)
+
+    def poses_at(self, s: ArrayLike) -> FloatArray:
+        """Shape (n, 3)."""
+        points = np.clip(np.atleast_1d(np.asarray(s, dtype=np.float64)), 0.0, self.length)
+        poses = np.tile(self.pose.as_array(), (points.size, 1))
+        poses[:, 2] += math.copysign(1.0 / TURN_RADIUS, self.turn) * points
+        return poses
+
+    def curvature_at(self, s: ArrayLike) -> FloatArray:
+        """D yaw / ds: 1 / `TURN_RADIUS` to the left, or to the right. Shape (n,) [1/m]."""
+        return np.full(np.atleast_1d(np.asarray(s)).size, math.copysign(1.0 / TURN_RADIUS, self.turn))
+
+    def curvature_rate_at(self, s: ArrayLike) -> FloatArray:
+        """None. Shape (n,) [1/m^2]."""
+        return np.zeros(np.atleast_1d(np.asarray(s)).size)
 
 
 def _step_arcs(poses: FloatArray) -> tuple[FloatArray, FloatArray]:

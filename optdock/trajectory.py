@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, NamedTuple, TypeVar
 import numpy as np
 
 from optdock.errors import InvalidValue
-from optdock.geometry.arrays import FloatArray, FrozenArrays, frozen_array, readonly
+from optdock.geometry.arrays import FloatArray, FrozenArrays, IntArray, frozen_array, readonly
 from optdock.geometry.checked import exactly, finite_number, sampling_step
 from optdock.geometry.pose import Pose2, Twist2
 from optdock.path import Path
@@ -137,9 +137,19 @@ class TimeLaw(FrozenArrays):
     def at(self, t: ArrayLike) -> FloatArray:
         """Distance, speed, acceleration, jerk at times `t`, Shape (n,) [s], clipped. Shape (n, 4)."""
         points = np.clip(np.atleast_1d(np.asarray(t, dtype=np.float64)), 0.0, self.duration)
-        phase = np.clip(np.searchsorted(self.times, points, side="right") - 1, 0, self.durations.size - 1)
+        phase = self._phases_at(points)
         (s, v, a), jerk = self.states[phase].T, self.jerks[phase]
         return np.column_stack((*constant_jerk(points - self.times[phase], s, v, a, jerk), jerk))
+
+    def phase_middles(self, t: FloatArray) -> FloatArray:
+        """Distance halfway through the phase in force at each of the times `t`, Shape (n,) [s]. Shape (n,) [m]."""
+        phase = self._phases_at(t)
+        middles: FloatArray = 0.5 * (self.states[phase, 0] + self.states[phase + 1, 0])
+        return middles
+
+    def _phases_at(self, t: FloatArray) -> IntArray:
+        found: IntArray = np.clip(np.searchsorted(self.times, t, side="right") - 1, 0, self.durations.size - 1)
+        return found
 
 
 class TrajectoryState(NamedTuple):
@@ -204,7 +214,7 @@ class Trajectory(FrozenArrays):
 
     def __repr__(self) -> str:
         proven = ", proven" if self.certified_for is not None else ""
-        return f"<Trajectory {self.duration:.3f} s over {self.path.length:.3f} m{proven}>"
+        return f"<Trajectory {self.duration:.3f} s over {self.path.driven:.3f} m{proven}>"
 
     @property
     def frame(self) -> str:
@@ -223,6 +233,8 @@ class Trajectory(FrozenArrays):
         s = np.clip(s, 0.0, self.path.length)
         poses, gear = self.path.poses_at(s), self.path.direction_at(s).astype(np.float64)
         curvature, rate = self.path.curvature_at(s), self.path.curvature_rate_at(s)
+        if self.path.turns:  # of a turn the jerk is none, also at its first instant, which rounding puts before it
+            j = np.where(self.path.direction_at(self.time_law.phase_middles(times)) == 0, 0.0, j)
         x, y, yaw = poses.T
         return TrajectorySamples(
             times, s, x, y, yaw, gear * v, gear * a, gear * j, v * curvature, a * curvature + v * v * rate

@@ -17,6 +17,7 @@ Case: TypeAlias = dict[str, Any]  # JSON: numbers, strings, lists and dicts of t
 # What counts as a failure of the library, the worst first; every other outcome is a count.
 FAULTS = (
     "false certificate",
+    "false proof",
     "overclaimed bound",
     "accepted forgery",
     "uncertified plan",

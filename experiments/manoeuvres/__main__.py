@@ -5,7 +5,7 @@
     python -m experiments.manoeuvres --budget 0.25 --figures
     python -m experiments.manoeuvres budgets --every 20                # 50 to 1000 ms on the same cases
 
-Writes results/manoeuvres/cases.csv, versions.json and, where asked for, a figure per case.
+Writes results/manoeuvres/cases.csv (or budgets.csv), versions.json and, where asked for, a figure per case.
 """
 
 from __future__ import annotations
@@ -17,6 +17,8 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from experiments.manoeuvres import count_cpu_seconds
+
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
@@ -24,6 +26,7 @@ if TYPE_CHECKING:
     from experiments.manoeuvres.run import Record
 
 THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
+STEPS = (0.05, 0.1, 0.25, 0.5, 1.0)  # [s], of the experiment with budgets
 FAMILIES = ("tpcap", "obca", "dock starts", "open hall", "near dock", "blocked")
 
 
@@ -42,10 +45,15 @@ def families(seed: int) -> dict[str, Callable[[], list[Case]]]:
 
 
 def chosen(options: argparse.Namespace) -> list[Case]:
-    """The cases asked for."""
-    makers = families(options.seed)
-    found = [case for name in options.family or FAMILIES for case in _made(name, makers[name])[:: options.every]]
-    return [case for case in found if options.only in case.name]
+    """The cases asked for: of each family one in so many, drawn, because tags come with periods of their own."""
+    import numpy as np
+
+    makers, found = families(options.seed), []
+    for name in options.family or FAMILIES:
+        made = [case for case in _made(name, makers[name]) if options.only in case.name]
+        some = np.random.default_rng(options.seed).permutation(len(made))[: -(-len(made) // options.every)]
+        found += [made[i] for i in sorted(some.tolist())]
+    return found
 
 
 def _made(name: str, make: Callable[[], list[Case]]) -> list[Case]:
@@ -72,33 +80,25 @@ def measured(options: argparse.Namespace, cases: Sequence[Case], budget: float |
     return records
 
 
-def cases_command(options: argparse.Namespace) -> None:
+def cases_command(options: argparse.Namespace) -> list[Record]:
     """Every case once."""
-    from experiments.manoeuvres import run
-    from optdock.io.atomic_file import write_text
+    from experiments.manoeuvres.tables import report
 
     records = measured(options, chosen(options), options.budget)
-    write_text(options.out / "cases.csv", run.csv_text(records))
-    print(run.summary(records))
-    if any(one.family == "tpcap" for one in records):
-        print(run.reference_table(records))
-    print(run.refusal_table(records))
-    for one in records:
-        if one.faults:
-            print(f"REFUTED {one.family}: {one.name}: {one.faults}")
+    if records:
+        print("\n".join(report(records)))
+    return records
 
 
-def budgets_command(options: argparse.Namespace) -> None:
-    """The same cases with five budgets."""
-    from experiments.manoeuvres import budgets
-    from optdock.io.atomic_file import write_text
+def budgets_command(options: argparse.Namespace) -> list[Record]:
+    """The same cases with each of the budgets."""
+    from experiments.manoeuvres.tables import budget_table
 
     cases = chosen(options)
-    by_budget = {budget: measured(options, cases, budget) for budget in budgets.BUDGETS}
-    from experiments.manoeuvres.run import csv_text
-
-    write_text(options.out / "budgets.csv", csv_text([one for records in by_budget.values() for one in records]))
-    print(budgets.budget_table(by_budget))
+    by_budget = {budget: measured(options, cases, budget) for budget in STEPS}
+    if cases:
+        print(budget_table(by_budget))
+    return [one for records in by_budget.values() for one in records]
 
 
 def parser() -> argparse.ArgumentParser:
@@ -111,10 +111,13 @@ def parser() -> argparse.ArgumentParser:
     made.add_argument("command", nargs="?", default="cases", choices=("cases", "budgets"))
     made.add_argument("--family", action="append", choices=FAMILIES, help="may be given several times; default: all")
     made.add_argument("--only", default="", help="cases whose name holds this text")
-    made.add_argument("--every", type=int, default=1, help="only every n-th case of each family")
+    made.add_argument("--every", type=int, default=1, help="only one case in so many, drawn by the seed")
     made.add_argument("--budget", type=float, help="[s], instead of each family's own")
     made.add_argument("--seed", type=int, default=11, help="of the drawn families (default: %(default)s)")
     made.add_argument("--jobs", type=int, default=1, help="processes; times are comparable with one only")
+    made.add_argument(
+        "--cpu-clock", action="store_true", help="budgets in CPU seconds: on a machine that others use too"
+    )
     made.add_argument("--figures", action="store_true", help="a picture of every case")
     made.add_argument("--out", type=Path, default=Path("results/manoeuvres"), help="folder (default: %(default)s)")
     return made
@@ -124,14 +127,18 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Run it; the exit status is 1 where the independent check refuted a plan."""
     options = parser().parse_args(arguments)
     os.environ.update(dict.fromkeys(THREADS, "1"))  # numpy reads them once, when it is imported
-    from experiments.manoeuvres.run import versions
+    if options.cpu_clock:
+        count_cpu_seconds()
+    from experiments.manoeuvres.run import csv_text, versions
     from optdock.io.atomic_file import write_text
 
-    ran = {**versions(), "seed": str(options.seed), "command": options.command}
+    clock = "cpu" if options.cpu_clock else "wall"
+    ran = {**versions(), "seed": str(options.seed), "command": options.command, "clock": clock}
     print(", ".join(f"{name} {value}" for name, value in ran.items()))
     write_text(options.out / "versions.json", json.dumps(ran, indent=1) + "\n")
-    {"cases": cases_command, "budgets": budgets_command}[options.command](options)
-    return 0
+    records = {"cases": cases_command, "budgets": budgets_command}[options.command](options)
+    write_text(options.out / f"{options.command}.csv", csv_text(records))
+    return 1 if any(one.faults for one in records) else 0
 
 
 if __name__ == "__main__":

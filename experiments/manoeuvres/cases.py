@@ -39,6 +39,7 @@ if TYPE_CHECKING:
 __all__ = ["Case", "Truth", "blocked", "data_folder", "dock_starts", "near_dock", "obca", "open_hall", "tpcap"]
 
 SEED = 11
+OBCA_BOUNDS = (-15.0, 15.0, 1.0, 10.0)  # [m] of the rear axle, in the file too
 # Around the docks.
 NEAREST, FARTHEST = 1.0, 6.0  # [m] from the docked pose
 FREE_START = 0.01  # [m] of clearance that a drawn start has
@@ -81,6 +82,8 @@ class Case(NamedTuple):
         problem: The question.
         tag: The row of the summary that it counts in.
         truth: Of a blocked scene.
+        bounds: Least and largest x, least and largest y, that the source has for the robot's origin. They are no walls:
+            leaving them is only counted.
     """
 
     name: str
@@ -88,6 +91,7 @@ class Case(NamedTuple):
     problem: DockingProblem
     tag: str = ""
     truth: Truth | None = None
+    bounds: tuple[float, float, float, float] | None = None
 
 
 def data_folder() -> Path:
@@ -117,7 +121,7 @@ def obca() -> list[Case]:
         first = found[0].problem
         for i, case in enumerate(found):
             name = f"{scene} {i}: from {case.start.x:g}, {case.start.y:g}"
-            cases.append(Case(name, "obca", first.starting_at(case.start), scene))
+            cases.append(Case(name, "obca", first.starting_at(case.start), scene, bounds=OBCA_BOUNDS))
     return cases
 
 

@@ -19,6 +19,7 @@ import shapely
 from experiments.fuzz.doors import path_spec, problem_spec
 from experiments.fuzz.oracle.motion import motion_of
 from experiments.fuzz.oracle.rules import findings
+from experiments.fuzz.oracle.sweep import required_at, start_run
 from experiments.fuzz.oracle.timing import judged
 from experiments.fuzz.oracle.world import placed
 
@@ -34,9 +35,9 @@ __all__ = ["Check", "checked"]
 
 STEP, TURN, PERIOD = 0.01, 0.002, 0.005  # [m], [rad], [s]
 _FORGIVEN = 2e-6  # [m]: twice the certificate's tolerance
-_SLOPE = 0.5  # of the clearance that a start which is too close must gain, over the distance
 _ON_PATH = 1e-6  # [m], [rad] between the samples of the trajectory and the path
 _STEERING = 1.0 + 2e-6  # relative
+_INSTANT = 1e-6  # [s]
 _SAME_PLACE = 1e-7  # [m]: where the robot rests
 _BATCH = 5000
 
@@ -64,12 +65,13 @@ def checked(plan: DockPlan, problem: DockingProblem) -> Check:
     spec = _spec(problem)
     swept = _poses(motion)
     distance = _clearances(swept, problem)
-    margin = distance - _required(swept, distance[0], plan, problem)
+    relief = plan.certificate.start_relief
+    margin = distance - required_at(spec, swept, float(distance[0]), relief)
     worst = int(np.argmin(margin))
     faults = [f"{one.kind} at {one.s:.3f} m, {one.ratio:.3g} x" for one in findings(spec, motion) if one.is_broken]
     if not margin[worst] >= -_FORGIVEN:
         faults.append(f"clearance {1e3 * margin[worst]:.4f} mm beyond the rule at {swept[worst].round(4).tolist()}")
-    faults += _relief_faults(plan, problem)
+    faults += _relief_faults(relief, spec)
     faults += _time_faults(plan, gears, spec, motion)
     faults += _steering_faults(plan, motion, problem)
     return Check(tuple(dict.fromkeys(faults)), float(distance.min()), float(margin[worst]), len(swept))
@@ -113,27 +115,10 @@ def _nearest(tree: Any, outline: Floats, poses: Floats) -> Floats:  # noqa: ANN4
     return out
 
 
-def _required(poses: Floats, at_start: float, plan: DockPlan, problem: DockingProblem) -> Floats:
-    """The rule: a taper to the goal; near a start that is too close, growth from there, after the run it may take."""
-    rule, goal, start = problem.clearance, problem.goal, problem.start
-    from_goal = np.hypot(poses[:, 0] - goal.x, poses[:, 1] - goal.y)
-    from_start = np.hypot(poses[:, 0] - start.x, poses[:, 1] - start.y)
-    share = np.minimum(from_goal / rule.taper, 1.0) if rule.taper > 0.0 else (from_goal > 0.0).astype(float)
-    run = _start_relief(plan)
-    near_start: Floats = max(at_start, 0.0) + _SLOPE * np.maximum(from_start - run, 0.0)
-    return np.minimum(rule.at_dock + (rule.required - rule.at_dock) * share, near_start)
-
-
-def _start_relief(plan: DockPlan) -> float:
-    """The run within which the certificate lets the robot keep its start's clearance [m]; 0: the strict rule."""
-    return float(getattr(plan.certificate, "start_relief", 0.0))
-
-
-def _relief_faults(plan: DockPlan, problem: DockingProblem) -> Iterator[str]:
-    """The relief is no longer than the robot may need to leave a wall: its length, from corner to corner at most."""
-    reach = float(np.hypot(*problem.robot.footprint.vertices.T).max())
-    if not 0.0 <= _start_relief(plan) <= 2.0 * reach * (1.0 + 1e-9):
-        yield f"start relief of {_start_relief(plan):.3f} m"
+def _relief_faults(relief: float, spec: Spec) -> Iterator[str]:
+    """The run without growing clearance is no longer than the rule allows."""
+    if not 0.0 <= relief <= start_run(spec) * (1.0 + 1e-9):
+        yield f"start relief of {relief:.4f} m, {start_run(spec):.4f} m are allowed"
 
 
 def _time_faults(plan: DockPlan, gears: list[Spec], spec: Spec, motion: Motion) -> Iterator[str]:
@@ -192,5 +177,5 @@ def _steering_faults(plan: DockPlan, motion: Motion, problem: DockingProblem) ->
         still = np.abs(law.states[:, 0] - after.start_s) <= _SAME_PLACE
         rest = float(law.durations[still[1:] & still[:-1]].sum())
         turn = abs(first[after.first] - last[before.stop - 1])
-        if not turn <= limits.max_steering_rate * rest * _STEERING + _ON_PATH:
+        if not turn / limits.max_steering_rate <= rest * _STEERING + _INSTANT:
             yield f"the wheels turn by {turn:.4f} rad in a rest of {rest:.4f} s at {after.start_s:.3f} m"

@@ -10,14 +10,12 @@ import math
 import platform
 import re
 import subprocess
-from collections import Counter
 from concurrent.futures import ProcessPoolExecutor
-from itertools import groupby
 from multiprocessing import get_context
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
-from experiments.benchmarks.tables import Table, Timer, percentile
+from experiments.benchmarks.tables import Timer
 from experiments.manoeuvres.check import checked
 from optdock.errors import GoalOccupied, OptdockError, StartOccupied
 from optdock.pipeline import plan_dock, warm_up
@@ -29,18 +27,13 @@ if TYPE_CHECKING:
     from experiments.manoeuvres.cases import Case
     from optdock.plan import DockPlan
 
-__all__ = ["BUDGETS", "Record", "ask", "ask_all", "csv_text", "reference_table", "refusal_table", "summary", "versions"]
+__all__ = ["BUDGETS", "CERTIFIED", "IMPOSSIBLE", "NOT_FOUND", "Record", "ask", "ask_all", "csv_text", "versions"]
 
 # [s] of wall clock, fixed before any run: what a user of each family would wait for. Nothing else is set: every case is
 # `plan_dock(problem, time_budget=...)` with its defaults.
 BUDGETS = {"tpcap": 5.0, "obca": 1.0, "dock starts": 1.0, "open hall": 0.3, "near dock": 1.0, "blocked": 1.0}
 
-# [s]: the durations of the solutions that AutomatedValetParking (wenqing, BSD-2) publishes for the cases it solves
-# without a collision, by an independent evaluator; planned in 46 s to 207 s.
-REFERENCE_DURATIONS = {"case 1": 10.82, "case 2": 14.37, "case 3": 14.22, "case 6": 14.34, "case 9": 37.73}
-
 CERTIFIED, IMPOSSIBLE, NOT_FOUND = "certified", "impossible (proven)", "not found"
-_NUMBERS = re.compile(r"-?\d[\d.e+-]*")
 
 
 class Record(NamedTuple):
@@ -57,10 +50,12 @@ class Record(NamedTuple):
         start_relief: The run near the start that the certificate needs; 0 is the strict rule.
         price: What plans are chosen by: the duration, and a price per cusp.
         first: Wall clock until the first certified plan, where the plan says so; else an upper bound of it.
-        faults: What the independent check found; empty: nothing.
+        faults: What the independent check of a plan or of a proof found; empty: nothing.
         seen_clearance: Least clearance that it saw.
+        outside: How far the robot's origin leaves `Case.bounds`.
         bottleneck_error: From the place that a proof names to the true one, of blocked scenes.
         missing_error: The width that a proof says is missing, less what truly is.
+        cause: Whether a proof names body or clearance rightly: `right`, `wrong`, or empty.
     """
 
     name: str
@@ -84,8 +79,10 @@ class Record(NamedTuple):
     cpu: float = math.nan
     faults: str = ""
     seen_clearance: float = math.nan
+    outside: float = math.nan
     bottleneck_error: float = math.nan
     missing_error: float = math.nan
+    cause: str = ""
 
 
 def ask(case: Case, budget: float | None = None, figure: Path | None = None) -> Record:
@@ -95,8 +92,9 @@ def ask(case: Case, budget: float | None = None, figure: Path | None = None) -> 
     try:
         plan = plan_dock(case.problem, time_budget=budget)
         wall, cpu = timer.wall, timer.cpu
-    except OptdockError as error:
-        record = Record(case.name, case.family, case.tag, budget, _word(error), wall=timer.wall, cpu=timer.cpu)
+    except Exception as error:  # what is no `OptdockError` is a fault of its own, and must not end a long run
+        wall, cpu = timer.wall, timer.cpu
+        record = Record(case.name, case.family, case.tag, budget, _word(error), wall=wall, cpu=cpu)
         return _refused(record, case, error, figure)
     record = Record(case.name, case.family, case.tag, budget, CERTIFIED, wall=wall, cpu=cpu)
     if figure is not None:
@@ -112,7 +110,7 @@ def _planned(record: Record, case: Case, plan: DockPlan) -> Record:
         certificate=repr(proof),
         min_clearance=proof.min_clearance,
         margin=proof.margin,
-        start_relief=float(getattr(proof, "start_relief", 0.0)),
+        start_relief=proof.start_relief,
         duration=plan.trajectory.duration,
         price=float(getattr(plan, "price", plan.trajectory.duration)),
         length=plan.path.length,
@@ -120,22 +118,53 @@ def _planned(record: Record, case: Case, plan: DockPlan) -> Record:
         first=_first(plan, record.wall),
         faults="; ".join(found.faults),
         seen_clearance=found.min_clearance,
+        outside=_outside(case, plan),
     )
 
 
-def _refused(record: Record, case: Case, error: OptdockError, figure: Path | None) -> Record:
+def _outside(case: Case, plan: DockPlan) -> float:
+    if case.bounds is None:
+        return math.nan
+    samples, (low_x, high_x, low_y, high_y) = plan.path.sample(0.01), case.bounds
+    beyond = (low_x - samples.x, samples.x - high_x, low_y - samples.y, samples.y - high_y)
+    return max(0.0, *(float(one.max()) for one in beyond))
+
+
+def _word(error: Exception) -> str:
+    # A proof of impossibility is known by what it carries: its class is younger than this benchmark.
+    proven = getattr(error, "proof", None) is not None or isinstance(error, StartOccupied | GoalOccupied)
+    return IMPOSSIBLE if proven else NOT_FOUND
+
+
+def _refused(record: Record, case: Case, error: Exception, figure: Path | None) -> Record:
+    if not isinstance(error, OptdockError):
+        return record._replace(error=repr(error), faults=f"untyped exception: {error!r}")
     left = PartialPlan.left_by(error)
     if figure is not None:
         _draw(figure, case, left, f"{record.outcome}: {error}", error)
-    off, missing = _bottleneck_errors(case, error)
     reason = f"{type(error).__name__}: {' '.join(str(error).split())}"
-    return record._replace(error=reason, tried=_tried(left), bottleneck_error=off, missing_error=missing)
+    record = record._replace(error=reason, tried=_tried(left))
+    proof = getattr(error, "proof", None)
+    return record if proof is None else _judged(record, case, proof)
 
 
-def _word(error: OptdockError) -> str:
-    # A proof of impossibility is known by what it carries: the class is younger than this benchmark.
-    proven = getattr(error, "proof", None) is not None or isinstance(error, StartOccupied | GoalOccupied)
-    return IMPOSSIBLE if proven else NOT_FOUND
+def _judged(record: Record, case: Case, proof: Any) -> Record:  # noqa: ANN401 - as the error carries it
+    """A proof beside the truth, and judged by the checker that did not make it."""
+    from optdock.verification import check_impossibility
+
+    verdict, found, truth = check_impossibility(proof, case.problem), proof.bottleneck, case.truth
+    record = record._replace(faults="" if verdict.proven else f"proof refused: {verdict.reason}")
+    if found is None or truth is None or truth.place is None:
+        return record
+    # The body is as tight in a gap wherever along its length the gap holds it: so much is no error.
+    dx, dy = found.x - truth.place[0], found.y - truth.place[1]
+    c, s = math.cos(truth.heading or 0.0), math.sin(truth.heading or 0.0)
+    beyond = max(0.0, abs(c * dx + s * dy) - 0.5 * case.problem.robot.footprint.length)
+    return record._replace(
+        bottleneck_error=math.hypot(c * dy - s * dx, beyond),
+        missing_error=found.missing_width - truth.missing,
+        cause="right" if found.body_fits != truth.is_body else "wrong",
+    )
 
 
 # What a plan says of its search is read where it says it: the benchmark also runs planners that have one guess only.
@@ -157,21 +186,6 @@ def _first(plan: DockPlan, wall: float) -> float:
         if not attempt.reason:
             return min(spent, wall)
     return wall
-
-
-def _bottleneck_errors(case: Case, error: OptdockError) -> tuple[float, float]:
-    """From the bottleneck of a proof to the true one, and between the missing widths [m]; NaN where there is none.
-
-    The body is as tight in a gap wherever along its length the gap holds it, so that much is no error.
-    """
-    found, truth = getattr(getattr(error, "proof", None), "bottleneck", None), case.truth
-    if found is None or truth is None or truth.place is None:
-        return math.nan, math.nan
-    dx, dy = found.x - truth.place[0], found.y - truth.place[1]
-    c, s = math.cos(truth.heading or 0.0), math.sin(truth.heading or 0.0)
-    along, across = abs(c * dx + s * dy), abs(c * dy - s * dx)
-    beyond = max(0.0, along - 0.5 * case.problem.robot.footprint.length)
-    return math.hypot(across, beyond), found.missing_width - truth.missing
 
 
 def _draw(
@@ -239,62 +253,3 @@ def csv_text(records: Iterable[Record]) -> str:
     for record in records:
         writer.writerow(f"{value:.6g}" if isinstance(value, float) else value for value in record)
     return out.getvalue()
-
-
-def summary(records: Sequence[Record]) -> Table:
-    """A row per family and per tag in it."""
-    header = ("cases", "n", "certified", "impossible", "not found", "certified %")
-    header = (*header, "cpu ms p50", "p90", "p99", "first ms p50", "s p50", "m p50", "cusps mean", "max", "refuted")
-    rows = []
-    for family, of_family in groupby(records, key=lambda one: one.family):
-        members = list(of_family)
-        rows.append(_row(family, members))
-        tags = list(dict.fromkeys(one.tag for one in members))
-        if tags != [family]:
-            rows += [_row(f"  {tag}", [one for one in members if one.tag == tag]) for tag in tags]
-    note = (
-        "CPU of whole calls, whatever their end; first: wall clock until the first certified plan; s, m: duration and "
-        "length of the plans; refuted: certified plans in which the independent check saw a fault"
-    )
-    return Table("Manoeuvres", header, tuple(rows), note)
-
-
-def _row(name: str, records: Sequence[Record]) -> tuple[object, ...]:
-    counts = Counter(one.outcome for one in records)
-    plans = [one for one in records if one.outcome == CERTIFIED]
-    cpu = [1e3 * one.cpu for one in records]
-    return (
-        name,
-        len(records),
-        *(counts[word] for word in (CERTIFIED, IMPOSSIBLE, NOT_FOUND)),
-        round(100.0 * len(plans) / len(records), 1),
-        *(percentile(cpu, share) for share in (50, 90, 99)),
-        percentile([1e3 * one.first for one in plans], 50),
-        percentile([one.duration for one in plans], 50),
-        percentile([one.length for one in plans], 50),
-        sum(one.cusps for one in plans) / len(plans) if plans else math.nan,
-        max((one.cusps for one in plans), default=0),
-        sum(bool(one.faults) for one in plans),
-    )
-
-
-def refusal_table(records: Sequence[Record]) -> Table:
-    """What the others were told, by family: errors with their numbers left out."""
-    told = Counter((one.family, _NUMBERS.sub("#", one.error)[:110]) for one in records if one.error)
-    stages = Counter((one.family, f"certified: {one.stage}") for one in records if one.outcome == CERTIFIED)
-    rows = [
-        (family, text, n) for (family, text), n in sorted((told + stages).items(), key=lambda kv: (kv[0][0], -kv[1]))
-    ]
-    return Table("How calls end", ("family", "what was said", "n"), tuple(rows))
-
-
-def reference_table(records: Sequence[Record]) -> Table:
-    """The competition's cases beside the durations of an independent planner that are free of collisions."""
-    rows = []
-    for one in records:
-        if one.family == "tpcap":
-            reference = REFERENCE_DURATIONS.get(one.name, math.nan)
-            rows.append((one.name, one.outcome, one.duration, reference, one.length, one.cusps, 1e3 * one.cpu))
-    header = ("case", "outcome", "duration s", "reference s", "length m", "cusps", "cpu ms")
-    note = "reference: published solutions of AutomatedValetParking, those that an independent evaluator finds clean"
-    return Table("TPCAP", header, tuple(rows), note)

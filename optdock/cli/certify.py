@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from optdock.path import Path as DockPath
     from optdock.problem import DockingProblem
     from optdock.trajectory import TimeLaw
-    from optdock.verification import Certificate, SampledMotionVerdict
+    from optdock.verification import Certificate, ImpossibilityProof, SampledMotionVerdict
 
 __all__ = ["certify"]
 
@@ -33,6 +33,7 @@ def certify(
 
     The path is proven or refused. The motion is proven where the file holds its phases; samples alone can be refuted,
     never proven, and what they leave open is said. Exit status 0: path certified and motion certified or not refuted.
+    Of a refusal that holds a proof that no motion exists the proof is judged; exit status 0 then: impossible, proven.
     """
     with reported(verbose=verbose):
         from optdock.config import load_scenario
@@ -59,6 +60,8 @@ def _judged(plan: PlanFile, problem: DockingProblem) -> list[str]:
     from optdock.report import certificate_rows, table
     from optdock.verification import certify_path
 
+    if plan.impossibility is not None:
+        return _judged_impossible(plan.impossibility, problem)
     if plan.path is None:
         return [f"the file holds no path, its status is {plan.status}"]
     if not may_be_one_frame(plan.frame, problem.frame):
@@ -78,6 +81,26 @@ def _judged(plan: PlanFile, problem: DockingProblem) -> list[str]:
     typer.echo(table(rows))
     for claim in claims:
         typer.echo(f"false claim: {claim}", err=True)
+    return faults
+
+
+def _judged_impossible(proof: ImpossibilityProof, problem: DockingProblem) -> list[str]:
+    """Whether the proof that no motion exists holds, printed with what it says of the bottleneck."""
+    from optdock.report import table
+    from optdock.verification import check_impossibility
+
+    verdict = check_impossibility(proof, problem)
+    faults = [] if verdict.proven else [f"the proof that no motion exists does not hold: {verdict.reason}"]
+    others = ", ".join(proof.problem.differences(problem.fingerprint))
+    bottleneck = proof.bottleneck
+    rows = [
+        ("verdict", "impossible, proven" if verdict.proven else "not certified"),
+        ("proof", f"{verdict.cells} cells of poses around the {proof.end} judged again"),
+        *((("bottleneck", f"{bottleneck} (as the file says, not proven)"),) if bottleneck is not None else ()),
+        *((("file proven for", f"another problem: {others} differ; judged here for this one"),) if others else ()),
+        *(("violation", fault) for fault in faults),
+    ]
+    typer.echo(table(rows))
     return faults
 
 

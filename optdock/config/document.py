@@ -19,6 +19,7 @@ from pydantic import (
     ConfigDict,
     Field,
     GetJsonSchemaHandler,
+    StrictBool,
     ValidationInfo,
     WithJsonSchema,
     field_validator,
@@ -259,6 +260,10 @@ class RobotDocument(_Part):
     )
     radius: Number | None = _key("of a round robot [m]", None, above=0, absent="footprint must be given")
     drive: Drive = _key("how it steers", Drive.DIFFERENTIAL)
+    turns_in_place: StrictBool = _key(
+        "whether its paths may turn where it stands; for a differential drive with limits of yaw rate and acceleration",
+        False,  # noqa: FBT003 - as pydantic's Field
+    )
     limits: LimitsDocument = _key("bounds on the motion", LimitsDocument(), absent="each limit's own default")
 
     @field_validator("radius")
@@ -276,13 +281,13 @@ class RobotDocument(_Part):
 
     @model_validator(mode="after")
     def _steers(self) -> RobotDocument:
-        check_drive(self.drive, self.limits.value())
+        check_drive(self.drive, self.limits.value(), turns_in_place=self.turns_in_place)
         return self
 
     def value(self) -> Robot:
         """The robot."""
         outline = self.footprint if self.footprint is not None else Footprint.from_radius(self.radius or math.nan)
-        return Robot(outline, self.limits.value(), self.drive)
+        return Robot(outline, self.limits.value(), self.drive, self.turns_in_place)
 
 
 class DockDocument(_Part):

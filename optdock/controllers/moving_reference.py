@@ -23,15 +23,21 @@ _SAMPLES = 400  # for the peak speed and the nearest point
 class ReferenceState(NamedTuple):
     """The reference at one instant.
 
-    `speed`, `acceleration`: of the trajectory itself, along its travel, at rate 1 [m/s, m/s^2]. `gear`: 1 or -1.
+    `speed`, `acceleration`: of the trajectory itself, along its travel, at rate 1 [m/s, m/s^2]; where it turns in place
+    those of its yaw [rad/s, rad/s^2]. `gear`: 1 or -1, 0 where it turns in place; `turn`: 1 or -1 there, 0 elsewhere.
     `previewed`: velocity a little later, scaled by the rate; zero beyond the end.
     """
 
     pose: Pose2
     gear: float
+    turn: float
     speed: float
     acceleration: float
     previewed: Twist2
+
+    def lag_of(self, error: Pose2) -> float:
+        """How far along the travel, or along the turn, the reference is ahead of a robot that sees it at `error`."""
+        return error.x * self.gear + error.yaw * self.turn
 
 
 class Reference:
@@ -48,8 +54,9 @@ class Reference:
         self.rate = 1.0
         grid = trajectory.sample_at(np.linspace(0.0, trajectory.duration, _SAMPLES))
         # Speed peaks lie at phase borders or inside a phase; the grid adds what the borders miss.
-        self.peak_speed = max(float(np.max(np.abs(grid.speed))), float(np.max(trajectory.time_law.states[:, 1])))
-        self.peak_acceleration = float(np.max(np.abs(trajectory.time_law.states[:, 2])))
+        driven = trajectory.path.direction_at(trajectory.time_law.states[:, 0]) != 0
+        v, a = (np.max(np.abs(trajectory.time_law.states[driven, i]), initial=0.0) for i in (1, 2))
+        self.peak_speed, self.peak_acceleration = max(float(np.max(np.abs(grid.speed))), float(v)), float(a)
         self._grid = grid
 
     @property
@@ -65,12 +72,14 @@ class Reference:
         gear = (
             math.copysign(1.0, speed) if abs(speed) > _AT_REST else float(self.trajectory.path.direction_at(row.s)[0])
         )
+        turn = math.copysign(1.0, float(self.trajectory.path.curvature_at(row.s)[0])) if gear == 0.0 else 0.0
         share = self.rate if ahead < self.trajectory.duration else 0.0
         return ReferenceState(
             pose=Pose2(float(row.x[0]), float(row.y[0]), float(row.yaw[0])),
             gear=gear,
-            speed=abs(speed),
-            acceleration=gear * float(row.acceleration[0]),
+            turn=turn,
+            speed=abs(speed) + turn * float(row.yaw_rate[0]),
+            acceleration=gear * float(row.acceleration[0]) + turn * float(row.yaw_acceleration[0]),
             previewed=Twist2(share * float(row.speed[1]), share * float(row.yaw_rate[1])),
         )
 
@@ -96,13 +105,15 @@ class Reference:
         if now.speed <= _AT_REST or abs(target_rate - before) < 1e-6:
             self.rate = before = target_rate
         else:
-            lowest, highest = _rate_bounds(now.speed, before**2 * now.acceleration, limits)
+            turning = limits.turning.acceleration
+            bounds = (turning, turning) if now.turn else (limits.max_acceleration, limits.max_deceleration)
+            lowest, highest = _rate_bounds(now.speed, before**2 * now.acceleration, bounds)
             wanted = (target_rate - before) / max(settling, period)
             self.rate = min(1.0, max(0.0, before + period * min(max(wanted, lowest), highest)))
         self.time = min(self.trajectory.duration, self.time + 0.5 * (before + self.rate) * period)
 
 
-def _rate_bounds(speed: float, acceleration: float, limits: MotionLimits) -> tuple[float, float]:
-    """Bounds of d rate/dt [1/s] that keep the played-back acceleration within the limits."""
-    lowest = min(0.0, -(limits.max_deceleration + acceleration) / speed)
-    return lowest, max(0.0, (limits.max_acceleration - acceleration) / speed)
+def _rate_bounds(speed: float, acceleration: float, limits: tuple[float, float]) -> tuple[float, float]:
+    """Bounds of d rate/dt [1/s] that keep the played-back acceleration and deceleration within their limits."""
+    rise, fall = limits
+    return min(0.0, -(fall + acceleration) / speed), max(0.0, (rise - acceleration) / speed)

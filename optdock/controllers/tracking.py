@@ -152,7 +152,7 @@ class TrackingController(Controller):
         self._check_error(error)
         wanted = self._wanted(self._reference, now, error, goal_checker)
         command = admissible(rate_limited(self._last, wanted, self._limits, p.period), self._limits, self._drive)
-        self._seen = (now, error.x * now.gear)
+        self._seen = (now, now.lag_of(error))
         self._last = Twist2()  # what a refusal leaves the robot with
         if p.use_collision_detection:
             require_free_stop(self.context, pose, command, self._limits, p.period, p.collision_tolerance)

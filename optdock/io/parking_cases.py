@@ -57,14 +57,16 @@ class Car(NamedTuple):
 
     @property
     def robot(self) -> Robot:
-        """The robot: curvature by the steering angle, its rate by the steering rate at a creep."""
+        """The robot: the steering angle bounds its curvature; the rate its motion and, at a creep, its path."""
         limits = MotionLimits(
             max_speed=self.max_speed,
             max_reverse_speed=self.max_reverse_speed,
             max_acceleration=self.max_acceleration,
             max_deceleration=self.max_acceleration,
             max_jerk=JERK,
-            max_curvature=math.tan(self.max_steering_angle) / self.wheelbase,
+            wheelbase=self.wheelbase,
+            max_steering_angle=self.max_steering_angle,
+            max_steering_rate=self.max_steering_rate,
             max_curvature_rate=self.max_steering_rate / self.wheelbase / STEERING_SPEED,
         )
         return Robot(Footprint.rectangle(self.front, self.rear, self.width), limits, Drive.ACKERMANN)

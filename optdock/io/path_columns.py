@@ -17,7 +17,7 @@ from pydantic import BaseModel, ConfigDict, Field
 from optdock.errors import InvalidFile
 from optdock.geometry.clothoid import ClothoidSpline
 from optdock.geometry.pose import Pose2
-from optdock.path import ClothoidSegment, Direction, Path, PolylineSegment, Segment
+from optdock.path import ClothoidSegment, Direction, Path, PolylineSegment, Segment, TurnSegment
 from optdock.verification.sampled_motion import half_unit
 
 if TYPE_CHECKING:
@@ -37,6 +37,7 @@ _ENOUGH = 3  # steps that show which unit yaws are in
 _ALIGNED = 0.05  # sine of the angle between motion and heading; wheels roll within it
 
 Gear: TypeAlias = Literal[1, -1]
+GearOrTurn: TypeAlias = Literal[1, -1, 0]  # 0 where the robot turns in place
 # Numbers beyond this are no plan of anything; a polyline that turns in place has this curvature.
 Number: TypeAlias = Annotated[float, Field(ge=-1e9, le=1e9)]
 Json: TypeAlias = Mapping[str, object]
@@ -62,6 +63,16 @@ class _Polyline(_Columns):
     direction: Gear
 
 
+class _Turn(_Columns):
+    """A turn in place: where it begins [m, m, rad], and by how much [rad]."""
+
+    start: Annotated[list[Number], Field(min_length=3, max_length=3)]
+    turn: Number
+
+
+_Curve: TypeAlias = _Clothoid | _Polyline | _Turn
+
+
 class PathColumns(_Columns):
     """A path as a plan file holds it; s [m], curvature [1/m] and direction may be missing in files of others."""
 
@@ -70,8 +81,8 @@ class PathColumns(_Columns):
     y: list[Number]
     yaw: list[Number]
     curvature: list[Number] | None = None
-    direction: list[Gear] | None = None
-    segments: list[_Clothoid | _Polyline] | None = None
+    direction: list[GearOrTurn] | None = None
+    segments: list[_Curve] | None = None
 
 
 def path_columns(path: Path, spacing: float) -> dict[str, object]:
@@ -94,6 +105,8 @@ def _curve(segment: Segment) -> Json | None:
         }
     if isinstance(segment, PolylineSegment):
         return {"poses": segment.poses.tolist(), "direction": int(segment.direction)}
+    if isinstance(segment, TurnSegment):
+        return {"start": segment.pose.as_array().tolist(), "turn": segment.turn}
     return None
 
 
@@ -127,7 +140,7 @@ def path_from_columns(columns: PathColumns, name: str) -> Path:
     return path
 
 
-def _are_rounded(columns: PathColumns, curves: Sequence[_Clothoid | _Polyline], path: Path, poses: FloatArray) -> bool:
+def _are_rounded(columns: PathColumns, curves: Sequence[_Curve], path: Path, poses: FloatArray) -> bool:
     """Whether all numbers of the curves have at most six decimals, and no more than that keeps them off the samples."""
     if columns.s is None or abs(columns.s[-1] - path.length) > _ROUNDED:
         return False
@@ -140,14 +153,18 @@ def _are_rounded(columns: PathColumns, curves: Sequence[_Clothoid | _Polyline], 
     return bool(np.array_equal(np.round(numbers, 6), numbers) and np.max(np.abs(ends)) <= _ROUNDED)
 
 
-def _numbers(curve: _Clothoid | _Polyline) -> Iterator[float]:
+def _numbers(curve: _Curve) -> Iterator[float]:
     if isinstance(curve, _Clothoid):
         yield from (*curve.start, *curve.knots, *curve.curvature)
+    elif isinstance(curve, _Turn):
+        yield from (*curve.start, curve.turn)
     else:
         yield from (number for pose in curve.poses for number in pose)
 
 
-def _segment(curve: _Clothoid | _Polyline) -> Segment:
+def _segment(curve: _Curve) -> Segment:
+    if isinstance(curve, _Turn):
+        return TurnSegment(Pose2.from_sequence(curve.start), curve.turn)
     if isinstance(curve, _Polyline):
         return PolylineSegment(np.array(curve.poses).reshape(-1, 3), Direction(curve.direction))
     start = Pose2.from_sequence(curve.start)
@@ -239,7 +256,7 @@ def _off_curves(s: FloatArray, poses: FloatArray, path: Path, near: float = _STI
 
 
 def _turns_in_place(path: Path) -> FloatArray:
-    """Arc lengths at which the robot turns without moving, increasing; Shape (k,) [m]."""
+    """Arc lengths at which a polyline turns without moving, increasing; Shape (k,) [m]."""
     still = [
         segment.knots[1:][np.diff(segment.knots) <= _STILL] + start
         for segment, start in zip(path.segments, path.segment_starts[:-1], strict=True)

@@ -19,7 +19,7 @@ from optdock.io.atomic_file import write_text
 from optdock.io.path_columns import Number, PathColumns, path_columns, path_from_columns
 from optdock.io.yaml_lines import printable
 from optdock.trajectory import TimeLaw
-from optdock.verification import SampledMotion
+from optdock.verification import ImpossibilityProof, SampledMotion
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -87,6 +87,7 @@ class PlanFile:
         certificate: The proof in numbers, as `Certificate.as_dict` gives it.
         timing_ms: Milliseconds per stage.
         error: Why there is no certified plan.
+        impossibility: The proof that there can be none.
 
     Raises:
         InvalidPath: A path names another frame.
@@ -102,6 +103,7 @@ class PlanFile:
     certificate: Mapping[str, object] | None = None
     timing_ms: Mapping[str, float] = field(default_factory=dict)
     error: PlanError | None = None
+    impossibility: ImpossibilityProof | None = None
 
     def __post_init__(self) -> None:
         for name in ("raw_path", "path"):
@@ -134,6 +136,8 @@ class PlanFile:
             body["certificate"] = finite_or_null(self.certificate)
         if self.error is not None:
             body["error"] = finite_or_null(self.error._asdict())
+        if self.impossibility is not None:
+            body["impossibility"] = self.impossibility.as_dict()
         return strict_json({**head, **body, "timing_ms": finite_or_null(self.timing_ms)})
 
 
@@ -236,6 +240,7 @@ class _PlanDocument(_Model):
     certificate: dict[str, JsonValue] | None = None
     timing_ms: dict[str, float | None] = {}
     error: _ErrorDocument | None = None
+    impossibility: dict[str, JsonValue] | None = None
 
 
 def load_plan(source: str | FilePath) -> PlanFile:
@@ -251,6 +256,7 @@ def load_plan(source: str | FilePath) -> PlanFile:
     path = _built(lambda: _path(document.path, "path"), faults)
     trajectory = _built(lambda: _trajectory(document.trajectory), faults)
     time_law = _built(lambda: _time_law(document.trajectory), faults)
+    proof = _built(lambda: _impossibility(document.impossibility), faults)
     if faults:
         raise InvalidFile("\n".join(f"{source}: {fault}" for fault in faults))
     return PlanFile(
@@ -264,6 +270,7 @@ def load_plan(source: str | FilePath) -> PlanFile:
         certificate=document.certificate,
         timing_ms={key: value for key, value in document.timing_ms.items() if value is not None},
         error=None if document.error is None else PlanError(*document.error.model_dump().values()),
+        impossibility=proof,
     )
 
 
@@ -274,6 +281,10 @@ def _built(build: Callable[[], T | None], faults: list[str]) -> T | None:
     except (InvalidFile, InvalidValue, InvalidPath) as error:
         faults.append(str(error))
         return None
+
+
+def _impossibility(values: Mapping[str, object] | None) -> ImpossibilityProof | None:
+    return None if values is None else ImpossibilityProof.from_dict(values)
 
 
 def _path(columns: PathColumns | None, name: str) -> Path | None:

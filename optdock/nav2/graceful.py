@@ -124,6 +124,10 @@ class GracefulController(Controller):
         """
         path = checked_task(path, self.context, "GracefulController")
         path = path.path if isinstance(path, Trajectory) else path
+        if path.turns:
+            raise ControllerInvalidPath(
+                "GracefulController: the path turns in place; only TrackingController does that"
+            )
         legs = [
             (segment.direction, [Pose2.from_sequence(row) for row in Path((segment,)).sample(_SPACING).poses])
             for segment in path.segments

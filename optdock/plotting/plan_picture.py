@@ -8,7 +8,13 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from optdock.errors import GoalOccupied, GoalOutsideMapBounds, StartOccupied, StartOutsideMapBounds
+from optdock.errors import (
+    GoalOccupied,
+    GoalOutsideMapBounds,
+    NoMotionExists,
+    StartOccupied,
+    StartOutsideMapBounds,
+)
 from optdock.geometry.pose import Pose2
 from optdock.obstacles import in_words
 from optdock.plotting.canvas import COLOURS, entitle, legend_below, new_figure, save_figure
@@ -22,6 +28,7 @@ from optdock.plotting.scene import (
     draw_sweep,
     view_of,
 )
+from optdock.verification import ImpossibilityProof
 
 if TYPE_CHECKING:
     from pathlib import Path as FilePath
@@ -86,7 +93,9 @@ def save_plan_picture(  # noqa: PLR0913 - one parameter for each thing that is d
     size = 0.6 * problem.robot.footprint.circumscribed_radius
     draw_arrow(axes, problem.start, size, COLOURS["start"], "start")
     draw_arrow(axes, problem.goal, size, COLOURS["goal"], "goal")
-    if refusal is not None:
+    if isinstance(refusal, NoMotionExists) and isinstance(refusal.proof, ImpossibilityProof):
+        _draw_impossibility(axes, problem, refusal.proof)
+    elif refusal is not None:
         _draw_refusal(axes, problem, refusal, place)
     elif path is not None and certificate is not None:
         _draw_closest(axes, problem, path, certificate)
@@ -134,6 +143,22 @@ def _draw_refusal(axes: Axes, problem: DockingProblem, refusal: OptdockError, pl
     named = [row for row in range(len(obstacles)) if obstacles.name_of(row) == refusal.where.get("obstacle")]
     if named and obstacles.name_of(named[0]) not in DRAWN_BY_THE_MAP:
         draw_shapes(axes, [obstacles.vertices[row] for row in named], OutlineStyle(edge=COLOURS["hot"], order=5.5))
+
+
+def _draw_impossibility(axes: Axes, problem: DockingProblem, proof: ImpossibilityProof) -> None:
+    """Where the middle of the robot can get from one end, and the outline where the widest way out is too narrow."""
+    style = OutlineStyle(
+        face=COLOURS["start" if proof.end == "start" else "goal"],
+        alpha=0.3,
+        order=1.5,
+        label=f"where the robot's middle can be, from the {proof.end}",
+    )
+    draw_shapes(axes, proof.squares(), style)
+    found = proof.bottleneck
+    if found is not None:
+        missing = found.missing_width if found.body_fits else found.missing_without_clearance
+        label = f"bottleneck: {1e3 * missing:.0f} mm too wide{', with its clearance' if found.body_fits else ''}"
+        _mark(axes, problem, np.array([[found.x, found.y, found.yaw]]), label)
 
 
 def _place(problem: DockingProblem, refusal: OptdockError, path: Path | None) -> Pose2 | None:

@@ -67,10 +67,11 @@ def save_profile_picture(
 def _panels(trajectory: Trajectory, limits: MotionLimits, zone: SpeedZone, times: FloatArray) -> list[_Panel]:
     samples = trajectory.sample_at(times)
     curvature, gear = trajectory.path.curvature_at(samples.s), trajectory.path.direction_at(samples.s)
-    forward = gear > 0
+    forward, turning = gear > 0, gear == 0
     up, down = limits.max_acceleration, limits.max_deceleration
     speed = _speed_bound(limits, np.abs(curvature), forward)
-    speed = np.where(samples.s > trajectory.path.length - zone.distance, np.minimum(speed, zone.speed), speed)
+    speed = np.where(samples.s > trajectory.path.before_end(zone.distance), np.minimum(speed, zone.speed), speed)
+    speed, curvature = np.where(turning, 0.0, speed), np.where(turning, 0.0, curvature)
     accelerations = np.where(forward, -down, -up), np.where(forward, up, down)
     return [
         _Panel("speed [m/s]", samples.speed, np.where(forward, 0.0, -speed), np.where(forward, speed, 0.0)),

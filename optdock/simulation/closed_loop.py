@@ -11,6 +11,7 @@ import numpy as np
 
 from optdock.errors import ControllerException, InvalidValue
 from optdock.geometry.pose import Pose2, Twist2
+from optdock.path import PathSamples
 from optdock.simulation.plant import Actuation, DifferentialDrive, PlantState
 from optdock.simulation.run import Run, executed_clearance
 
@@ -197,9 +198,9 @@ def _differences(trajectory: Trajectory, robot: Robot, obstacles: ObstacleSet | 
 class RemainingPath:
     """A sampled path that is consumed from its start, monotonically, and never beyond its last two poses.
 
-    The robot's place is the nearest sample among the next few of the present gear segment; the next segment opens
-    once the cusp's sample is reached. So the overlapping legs of a cusp are not mistaken for each other, and the
-    path-length rule of the checkers holds them off until the last leg.
+    The robot's place is the nearest sample among the next few of the present gear segment, turns in place left out; the
+    next segment opens once the cusp's sample is reached. So the overlapping legs of a cusp are not mistaken for each
+    other, and the path-length rule of the checkers holds them off until the last leg.
 
     Args:
         path: The whole path.
@@ -208,9 +209,12 @@ class RemainingPath:
 
     def __init__(self, path: Path, spacing: float = 0.05) -> None:
         samples = path.sample(spacing)
-        self._poses = [Pose2.from_sequence(row) for row in samples.poses]
         gears = samples.direction
-        self._segment_ends = [i for i in range(len(gears) - 1) if gears[i] != gears[i + 1]] + [len(gears) - 1]
+        legs = np.cumsum(np.diff(gears, prepend=gears[0]) != 0)
+        if np.any(gears):  # no place tells where in a turn the robot is
+            legs, samples = legs[gears != 0], PathSamples(*(column[gears != 0] for column in samples))
+        self._poses = [Pose2.from_sequence(row) for row in samples.poses]
+        self._segment_ends = [*np.flatnonzero(np.diff(legs)).tolist(), legs.size - 1]
         self._at = 0
 
     def from_pose(self, pose: Pose2) -> Sequence[Pose2]:

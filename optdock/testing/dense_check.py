@@ -121,9 +121,11 @@ def dense_check(path: Path, problem: DockingProblem, step: float = 0.002) -> Den
         min_clearance=float(clearance.min()),
         worst_margin=float(margin[worst]),
         worst_s=float(s[worst]),
-        max_curvature=max((float(np.abs(k).max()) for k in curvature if k.size), default=0.0),
+        max_curvature=max(
+            (float(np.abs(k).max()) for k, g in zip(curvature, gears, strict=True) if g.sign), default=0.0
+        ),
         max_curvature_rate=max((float(r.max()) for r in rates if r.size), default=0.0),
-        length=path.length,
+        length=path.driven,
         start_relief=relief,
     )
 
@@ -183,6 +185,10 @@ def _motion_faults(
     found: list[Fault] = []
     for gear, kappa, rate in zip(gears, curvature, rates, strict=True):
         at = gear.s[:-1]
+        if gear.sign == 0:
+            moved = np.hypot(*(gear.poses[1:, :2] - gear.poses[:1, :2]).T)
+            found += _above("turn", at, moved, 0.0 if problem.robot.turns_in_place else -1.0)
+            continue
         found += _above("curvature", at, np.abs(kappa), limits.max_curvature * (1.0 + _CURVATURE_TOLERANCE))
         found += _above("curvature rate", at[1:], rate, limits.max_curvature_rate * (1.0 + _RATE_TOLERANCE))
         steepest = min(limits.max_curvature_rate, float(np.max(rate, initial=0.0)))

@@ -24,7 +24,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from optdock.geometry.arrays import readonly
-from optdock.path import ClothoidSegment, Direction, PolylineSegment
+from optdock.path import ClothoidSegment, Direction, PolylineSegment, TurnSegment
 from optdock.timing.motion import DriveBounds, Motion
 from optdock.timing.settings import NEAR_OPTIMAL, SAMPLING, NearOptimalSettings
 
@@ -276,13 +276,13 @@ class PathLimits:
 
 
 def limits_along(path: Path, drive: MotionLimits, zone: SpeedZone) -> list[PathLimits | None]:
-    """The limits of every segment of a path; None for a segment of no length."""
-    zone_start = path.length - zone.distance if zone.distance > 0.0 and math.isfinite(zone.speed) else math.inf
+    """The limits of every segment of a path; None for a segment of no length, and for a turn in place."""
+    zone_start = path.before_end(zone.distance) if zone.distance > 0.0 and math.isfinite(zone.speed) else math.inf
     return [
         segment_limits(
             segment, SpeedCaps(drive, segment.direction), zone_start - float(begin), zone.speed, float(begin)
         )
-        if segment.length > NO_LENGTH
+        if segment.length > NO_LENGTH and not isinstance(segment, TurnSegment)
         else None
         for segment, begin in zip(path.segments, path.segment_starts[:-1], strict=True)
     ]

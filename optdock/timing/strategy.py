@@ -1,8 +1,8 @@
 """The strategy: from a path to a proven time law. Every retry is in this list.
 
 At a cusp and at the end the robot rests, so segments do not touch each other; each is planned alone. Where the wheels
-must be turned between two of them, the robot waits at rest for as long as that takes. From its start state the first
-line that fits counts (`segment_plans`, `judge_start`):
+must be turned between two of them, the robot waits at rest for as long as that takes. A turn in place is one move
+(`turn_plans`). From its start state the first line that fits counts (`segment_plans`, `judge_start`):
 
 1. At rest: the plans of the method, best first; the next one is made only when the one before was refused.
 2. It rolls backwards whatever is done: BAD_START.
@@ -29,10 +29,12 @@ import numpy as np
 from optdock.deadline import ENDLESS, Deadline, OutOfTime
 from optdock.errors import InvalidValue, TimingCancelled
 from optdock.interfaces import TimingReport, TimingResult, TimingStatus
-from optdock.path import Path, PolylineSegment
+from optdock.path import Path, PolylineSegment, TurnSegment
+from optdock.segments import TURN_RADIUS
 from optdock.timing.checks import SegmentPlan, end_slack
-from optdock.timing.motion import Motion, Phases, State
+from optdock.timing.motion import DriveBounds, Motion, Phases, State
 from optdock.timing.path_limits import KEPT, NO_LENGTH, limits_along, worst_ratio
+from optdock.timing.ruckig_moves import move
 from optdock.timing.settings import CLOCK, SAMPLING
 from optdock.timing.start_states import NO_DISTANCE, judge_start
 from optdock.trajectory import TimeLaw, Trajectory
@@ -132,12 +134,15 @@ def _timed(
     deadlines = Deadlines.of(whole, min(whole.elapsed - began[0], time.thread_time() - began[1]))
     waiting, plans = [], []
     state = State(0.0, *start)
-    for limits in segments:
-        waiting.append(segment_plans(limits, state, method, deadlines))
+    for segment, begin, limits in zip(path.segments, path.segment_starts.tolist(), segments, strict=False):
+        if isinstance(segment, TurnSegment):
+            waiting.append(turn_plans(segment, drive, state, begin))
+        else:
+            waiting.append(segment_plans(limits, state, method, deadlines))
         plans.append(best_of(waiting[-1]))
         if plans[-1].status >= TimingStatus.FAIL or not plans[-1].arrives:
             break
-        state = State() if limits is not None else state
+        state = State() if plans[-1].phases else state
         deadlines = deadlines if plans[-1].status is TimingStatus.OK else deadlines.refused
     return _proven(path, (drive, zone, start), (plans, waiting), whole)
 
@@ -273,6 +278,31 @@ def segment_plans(
         yield verdict.refusal
         return
     yield _braked_plan(limits, start, verdict, method, deadlines)
+
+
+def turn_plans(turn: TurnSegment, drive: MotionLimits, start: State, begin: float) -> Iterator[SegmentPlan]:
+    """The plan of a turn in place: one move from rest to rest, the fastest under the limits of turning.
+
+    Args:
+        turn: To be driven over its stretch of the path coordinate.
+        drive: What the drive can do.
+        start: At its beginning.
+        begin: Where that is on the whole path [m].
+    """
+    rate, acceleration, jerk = (TURN_RADIUS * limit for limit in drive.turning)
+    if not math.isfinite(rate + acceleration):
+        needed = "max_yaw_rate and max_yaw_acceleration, or max_wheel_speed and track_width"
+        reason = f"the path turns in place at s = {begin:.6g} m, and nothing limits that: it takes {needed}"
+        yield SegmentPlan(TimingStatus.FAIL, how="refused", reason=reason, s=begin)
+    elif start != State():
+        reason = f"the path turns in place at s = {begin:.6g} m, where the robot moves at {start.v:.6g} m/s"
+        yield SegmentPlan(TimingStatus.FAIL, how="refused", reason=reason, s=begin)
+    elif turn.length / rate > SAMPLING.longest_motion:
+        reason = f"a turn by {turn.turn:.6g} rad takes more than {SAMPLING.longest_motion:.0f} s"
+        yield SegmentPlan(TimingStatus.FAIL, how="refused", reason=reason, s=begin)
+    else:
+        phases = move(start, State(turn.length), DriveBounds(rate, acceleration, acceleration, jerk))
+        yield SegmentPlan(TimingStatus.OK if phases else TimingStatus.FAIL, phases or (), how="turn in place")
 
 
 def _braked_plan(

@@ -14,14 +14,18 @@ every disc of the body at every heading reads it shifted by whole nodes.
 
 from __future__ import annotations
 
+import contextlib
+import dataclasses
 import functools
+import itertools
 import math
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple, TypeAlias
 
 import numpy as np
 
 from optdock.deadline import Deadline, OutOfTime, never_late
-from optdock.geometry.pose import transform_points
+from optdock.geometry.pose import Pose2, transform_points
+from optdock.geometry.separation import separation
 from optdock.verification.impossibility import (
     CELLS,
     SLACK,
@@ -32,13 +36,13 @@ from optdock.verification.impossibility import (
 from optdock.verification.proximity import end_clearances
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Iterable, Iterator
 
     from numpy.typing import NDArray
+    from scipy.sparse import csr_matrix
 
     from optdock.geometry.arrays import BoolArray, FloatArray, IntArray
     from optdock.geometry.footprint import Footprint
-    from optdock.geometry.pose import Pose2
     from optdock.problem import DockingProblem
 
 __all__ = ["prove_impossible"]
@@ -52,6 +56,11 @@ _SMALLER = 0.6  # from one disc in a corner to the next
 _LARGEST = 6  # levels of unseen tiles above level 0
 _GATHERED = 250_000  # distances read in one go, less than a millisecond
 _OPEN = 1e-6  # the cost of a node that looks open, or lies outside: of two routes that are open the shorter
+_FEWEST_HEADINGS = 8  # of level 0
+_SHARP = 0.25  # of half a cell: how sharp the margin of the widest route is found
+_ROUNDS = 8  # of finer cells for the bottleneck: four are usual, more where a wall is as thin everywhere
+_POLISHED = 2  # times a fourth of a cell: then a place is known to a sixteenth of it
+_FINE = 0.04  # [m]: cells that know a missing width to that are not made finer
 _SEEN_FROM = 30.0  # [m]: obstacles further from start and goal widen no tile
 
 
@@ -72,13 +81,9 @@ def prove_impossible(
     if len(problem.all_obstacles) == 0:
         return None
     try:
-        search = _Search(problem, deadline)
-        while not search.is_closed():
-            if not search.refine():
-                return None
+        return _Search(problem, deadline).proof()
     except OutOfTime:
         return None
-    return search.proof(None)
 
 
 class _Body(NamedTuple):
@@ -141,11 +146,12 @@ def _depth(points: FloatArray, outline: FloatArray) -> FloatArray:
 
 
 class _Grid(NamedTuple):
-    """Cells of every level: see `ImpossibilityProof`."""
+    """Cells of every level, see `ImpossibilityProof`; level -above has one tile."""
 
     origin: FloatArray
     cell: float
     headings: int
+    above: int
 
     def half(self, level: int) -> float:
         return self.cell * 0.5**level
@@ -158,17 +164,21 @@ class _Grid(NamedTuple):
 
 
 class _Tile(NamedTuple):
-    """One tile of the quadtree.
+    """One tile of the quadtree; one that nobody has looked at has neither `blocked` nor `margin`.
 
-    `labels`: the node of every cell, -1 in blocked ones, Shape (headings, n, n); of an unseen tile (1, 1, 1).
-    `margin`: clearance above what is required at the middle of the cells, about [m], likewise; None of an unseen one.
+    `blocked`: which cells are, Shape (headings, rows, columns). `margin`: clearance above what is required, about, at
+    their middles, likewise [m].
     """
 
     level: int
     column: int
     row: int
-    labels: IntArray
-    margin: NDArray[np.float32] | None
+    blocked: BoolArray | None = None
+    margin: NDArray[np.float32] | None = None
+
+    def split(self) -> list[tuple[int, int, int]]:
+        """Level, column and row of its quarters."""
+        return [(self.level + 1, 2 * self.column + i, 2 * self.row + j) for i in (0, 1) for j in (0, 1)]
 
 
 class _Obstacles:
@@ -257,34 +267,193 @@ class _Obstacles:
         return points
 
 
+Kinds: TypeAlias = "Callable[[_Tile], tuple[BoolArray, BoolArray]]"
+_ONE = np.ones((1, 1, 1), dtype=np.bool_)
+
+
+def _by_certainty(grid: _Grid) -> Kinds:
+    """Cells that look open, and others that are not blocked; what nobody looked at may be anything."""
+
+    def kinds(tile: _Tile) -> tuple[BoolArray, BoolArray]:
+        if tile.blocked is None or tile.margin is None:
+            return ~_ONE, _ONE
+        is_open = ~tile.blocked & (tile.margin > grid.half(tile.level))
+        return is_open, ~(tile.blocked | is_open)
+
+    return kinds
+
+
+def _by_margin(low: float, high: float) -> Kinds:
+    """Cells with a margin of at least `high`, and others with at least `low`."""
+
+    def kinds(tile: _Tile) -> tuple[BoolArray, BoolArray]:
+        if tile.margin is None:
+            return _ONE, ~_ONE
+        return tile.margin >= high, (tile.margin >= low) & (tile.margin < high)
+
+    return kinds
+
+
+_OUTSIDE, _START, _GOAL = range(3)  # nodes
+
+
+class _Graph:
+    """Tiles beside each other; its nodes are connected cells of one kind in one tile.
+
+    Args:
+        grid: How cells lie.
+        ends: Poses of the centre at start and goal.
+        kinds: Which cells of a tile are open, and which narrow; the others are left out.
+    """
+
+    def __init__(self, grid: _Grid, ends: list[FloatArray], kinds: Kinds) -> None:
+        self.grid, self.ends, self.kinds = grid, ends, kinds
+        self.tiles: list[_Tile] = []  # also such as were removed
+        self.labels: list[IntArray] = []
+        self.tile_at = np.full((2 ** (grid.above + _FINEST),) * 2, -1, dtype=np.int64)
+        self.cost, self.tile_of = [_OPEN] * 3, [-1] * 3
+        self.joints: dict[tuple[int, int], IntArray] = {}
+
+    def add(self, tiles: Iterable[_Tile]) -> None:
+        """Put tiles into the plane, instead of what was there, and join them to what is beside them."""
+        first = len(self.tiles)
+        for tile in tiles:
+            self._label(tile)
+        for key in range(first, len(self.tiles)):
+            rows, columns = self._place(key)
+            self._join(key, 0, 0, columns.start - 1, rows)
+            self._join(key, 0, -1, columns.stop, rows)
+            self._join(key, 1, 0, rows.start - 1, columns)
+            self._join(key, 1, -1, rows.stop, columns)
+
+    def remove(self, keys: set[int]) -> None:
+        """Take tiles out; others must be put where they were."""
+        self.joints = {pair: joint for pair, joint in self.joints.items() if keys.isdisjoint(pair)}
+
+    def present(self) -> list[int]:
+        """The keys of the tiles that are there."""
+        return [key for key in range(len(self.tiles)) if (key, key) in self.joints]
+
+    def _label(self, tile: _Tile) -> None:
+        from scipy import ndimage
+
+        key = len(self.tiles)
+        is_open, is_narrow = self.kinds(tile)
+        labels = np.full(is_open.shape, -1)
+        both = [
+            (which, cost) for which, cost in ((is_open, _OPEN), (is_narrow, self.grid.side(tile.level))) if which.any()
+        ]
+        for which, cost in both:
+            found, count = (_ONE.astype(np.int32), 1) if which.all() else ndimage.label(which)
+            if count == 1:
+                labels[which] = len(self.cost)
+                self.cost.append(cost)
+                self.tile_of.append(key)
+                continue
+            labels[which] = found[which] + (len(self.cost) - 1)
+            self.cost += [cost] * count
+            self.tile_of += [key] * count
+        self.tiles.append(tile)
+        self.labels.append(labels)
+        self.tile_at[self._place(key)] = key
+        self.joints[key, key] = _met_within(labels, kinds=len(both))
+
+    def _join(self, key: int, axis: int, edge: int, beyond: int, along: slice) -> None:
+        """Join a tile over its lower (0) or upper (-1) side along an axis."""
+        if not 0 <= beyond < len(self.tile_at):
+            nodes = np.unique(np.take(self.labels[key], edge, axis=2 - axis))
+            nodes = nodes[nodes >= 0]
+            known = self.joints.get((key, -1), np.zeros((0, 2), dtype=np.int64))
+            self.joints[key, -1] = np.vstack((known, np.column_stack((nodes, np.full_like(nodes, _OUTSIDE)))))
+            return
+        strip = self.tile_at[along, beyond] if axis == 0 else self.tile_at[beyond, along]
+        for other in np.unique(strip).tolist():
+            pair = (min(key, other), max(key, other))
+            if other >= 0 and pair not in self.joints:
+                self.joints[pair] = self._met_over(key, other, axis, edge)
+
+    def _met_over(self, key: int, other: int, axis: int, edge: int) -> IntArray:
+        """Nodes that meet over a side of a tile, Shape (n, 2)."""
+        both = ((key, edge), (other, -1 - edge))
+        sides = tuple((*self.tiles[k][:3], self.labels[k].shape[1], self.labels[k].shape[0], side) for k, side in both)
+        first, second = (
+            self.labels[k].ravel().take(place) for (k, _), place in zip(both, _beside(sides, axis), strict=True)
+        )
+        return _pairs(first, second, len(self.cost))
+
+    def _place(self, key: int) -> tuple[slice, slice]:
+        """Rows and columns of a tile in `tile_at`."""
+        tile = self.tiles[key]
+        size = 2 ** (_FINEST - tile.level)
+        return slice(tile.row * size, (tile.row + 1) * size), slice(tile.column * size, (tile.column + 1) * size)
+
+    def _nodes_at(self, pose: FloatArray) -> list[int]:
+        """The nodes of the cells that a pose of the centre is in, or less than `SLACK` from."""
+        found: set[int] = set()
+        size, near = self.grid.side(_FINEST), (-SLACK, SLACK)
+        for dx, dy, turned in itertools.product(near, near, near):
+            x, y, yaw = pose + np.array([dx, dy, turned])
+            i, j = math.floor(x / size), math.floor(y / size)
+            if not (0 <= i < len(self.tile_at) and 0 <= j < len(self.tile_at)):
+                found.add(_OUTSIDE)
+                continue
+            key = int(self.tile_at[j, i])
+            tile, (headings, n, _) = self.tiles[key], self.labels[key].shape
+            side = self.grid.side(tile.level)
+            row, column = (math.floor((v / side - first) * n) for v, first in ((y, tile.row), (x, tile.column)))
+            layer = math.floor(yaw * headings / (2.0 * math.pi)) % headings
+            found.add(int(self.labels[key][layer, min(max(row, 0), n - 1), min(max(column, 0), n - 1)]))
+        return sorted(found - {-1})
+
+    def _matrix(self) -> csr_matrix:
+        """Of every two nodes that meet what it costs to go over to the second."""
+        from scipy import sparse
+
+        ends = [
+            np.array([(k, node) for node in self._nodes_at(end)]).reshape(-1, 2) for k, end in enumerate(self.ends, 1)
+        ]
+        joints = np.concatenate((*ends, *self.joints.values())).astype(np.int32)
+        cost = np.array(self.cost)
+        first, second = np.concatenate((joints, joints[:, ::-1])).T
+        return sparse.csr_matrix((cost[second], (first, second)), shape=(cost.size, cost.size))
+
+    def route(self) -> list[int]:
+        """The nodes of the cheapest route from goal to start; empty where there is none."""
+        from scipy.sparse import csgraph
+
+        spent, before = csgraph.dijkstra(self._matrix(), indices=np.array([_START]), return_predecessors=True)
+        if not np.isfinite(spent[0, _GOAL]):
+            return []
+        route = [_GOAL]
+        while route[-1] != _START:
+            route.append(int(before[0, route[-1]]))
+        return route
+
+    def reached(self, node: int) -> BoolArray:
+        """Which nodes are joined to a node."""
+        from scipy.sparse import csgraph
+
+        component = csgraph.connected_components(self._matrix(), directed=False)[1]
+        found: BoolArray = component == component[node]
+        return found
+
+
 class _Search:
-    """The tiles so far, and the graph of what is free in them."""
+    """The tiles so far, and the graph of what may be free in them."""
 
     def __init__(self, problem: DockingProblem, deadline: Deadline) -> None:
         self.problem, self.deadline = problem, deadline
         self.body = _body(problem.robot.footprint)
         self.start_clearance = end_clearances(problem).start
-        cell = _CELL * float(self.body.discs[:, 2].max())
-        headings = max(8, math.ceil(math.pi * _REACH * self.body.reach / cell))
-        lower, upper = self._extent(cell)
-        side = 2.0 * CELLS * cell
-        self.above = int(np.clip(math.ceil(math.log2(max(float((upper - lower).max()) / side, 1.0))), 0, _LARGEST))
-        self.grid = _Grid(0.5 * (lower + upper) - 0.5 * side * 2**self.above, cell, headings)
+        self.grid = self._grid()
         self.obstacles = _Obstacles(problem, self.grid.origin)
-        self.tiles: dict[int, _Tile] = {}
-        self.key = 0
-        self.tile_at = np.full((2 ** (self.above + _FINEST),) * 2, -1, dtype=np.int64)
-        # Node 0 is the outside, 1 the start, 2 the goal.
-        self.cost, self.tile_of = [_OPEN] * 3, [-1] * 3
-        self.joints: dict[tuple[int, int], IntArray] = {}
-        self.ends = [
-            _middle_of(pose, self.body.centre) - (*self.grid.origin, 0.0) for pose in (problem.start, problem.goal)
-        ]
-        self.route: list[int] = []
-        self._add([self._unseen(-self.above, 0, 0)])
+        self.ends = [_middle(pose, self.body.centre, self.grid.origin) for pose in (problem.start, problem.goal)]
+        self.graph = _Graph(self.grid, self.ends, _by_certainty(self.grid))
+        self.graph.add([_Tile(-self.grid.above, 0, 0)])
 
-    def _extent(self, cell: float) -> tuple[FloatArray, FloatArray]:
-        """Corners of what tiles must cover: both ends, and obstacles as far as they may matter [m]."""
+    def _grid(self) -> _Grid:
+        """Tiles that cover both ends, and obstacles as far as they may matter."""
+        cell = _CELL * float(self.body.discs[:, 2].max())
         ends = np.array([[end.x, end.y] for end in (self.problem.start, self.problem.goal)])
         near = self.body.reach + float(np.hypot(*self.body.centre)) + self.problem.clearance.required + 2.0 * cell
         lower, upper = ends.min(axis=0), ends.max(axis=0)
@@ -292,87 +461,123 @@ class _Search:
         if len(everything):
             lower = np.minimum(lower, np.maximum(everything.lower.min(axis=0), lower - _SEEN_FROM))
             upper = np.maximum(upper, np.minimum(everything.upper.max(axis=0), upper + _SEEN_FROM))
-        return lower - near, upper + near
+        side, extent = 2.0 * CELLS * cell, float((upper - lower).max()) + 2.0 * near
+        above = int(np.clip(math.ceil(math.log2(extent / side)), 0, _LARGEST))
+        headings = max(_FEWEST_HEADINGS, math.ceil(math.pi * _REACH * self.body.reach / cell))
+        return _Grid(0.5 * (lower + upper) - 0.5 * side * 2**above, cell, headings, above)
 
-    def is_closed(self) -> bool:
-        """Whether no route is left; otherwise `route` is the cheapest."""
-        from scipy import sparse
-        from scipy.sparse import csgraph
+    def proof(self) -> ImpossibilityProof | None:
+        """Split what is narrow on the cheapest route, until no route is left, or one that is open."""
+        while True:
+            self.deadline.look()
+            route = self.graph.route()
+            if not route:
+                break
+            narrow = {self.graph.tile_of[node] for node in route if self.graph.cost[node] > _OPEN}
+            if not self._split(self.graph, narrow):
+                return None
+        proof = self._around_an_end()
+        with contextlib.suppress(OutOfTime):
+            for bottleneck in self._bottlenecks():
+                proof = dataclasses.replace(proof, bottleneck=bottleneck)
+        return proof
 
-        self.deadline.look()
-        ends = [self._nodes_at(end) for end in self.ends]
-        pairs = [np.array([(k, node) for node in nodes]).reshape(-1, 2) for k, nodes in zip((1, 2), ends, strict=True)]
-        joints = np.concatenate((*pairs, *self.joints.values())).astype(np.int32)
-        cost = np.array(self.cost)
-        first, second = np.concatenate((joints, joints[:, ::-1])).T
-        graph = sparse.csr_matrix((cost[second], (first, second)), shape=(cost.size, cost.size))
-        spent, before = csgraph.dijkstra(graph, indices=np.array([1]), return_predecessors=True)
-        if not np.isfinite(spent[0, 2]):
-            return True
-        self.route = [2]
-        while self.route[-1] != 1:
-            self.route.append(int(before[0, self.route[-1]]))
-        return False
-
-    def refine(self) -> bool:
-        """Split the narrow and unseen tiles on the route; whether there were any."""
-        on_route = {self.tile_of[node]: self.cost[node] for node in self.route if self.cost[node] > _OPEN}
-        split = [key for key in on_route if self.tiles[key].level < _FINEST]
+    def _split(self, graph: _Graph, keys: set[int]) -> bool:
+        """Look at tiles, or at their quarters, as far as they can be split; whether any could."""
+        keys = {key for key in keys if graph.tiles[key].level < _FINEST}
         new: list[_Tile] = []
-        for key in split:
-            tile = self.tiles.pop(key)
-            self.joints = {pair: joint for pair, joint in self.joints.items() if key not in pair}
-            if tile.margin is None and tile.level == 0:
-                new.append(self._seen(*tile[:3]))
-                continue
-            make = self._unseen if tile.level < 0 else self._seen
-            for i, j in ((0, 0), (0, 1), (1, 0), (1, 1)):
-                new.append(make(tile.level + 1, 2 * tile.column + i, 2 * tile.row + j))
-        self._add(new)
-        return bool(split)
+        for key in sorted(keys):
+            tile = graph.tiles[key]
+            if tile.level < 0:
+                new += [_Tile(*place) for place in tile.split()]
+            else:
+                new += [self._seen(*place) for place in (tile.split() if tile.margin is not None else [tile[:3]])]
+        graph.remove(keys)
+        graph.add(new)
+        return bool(keys)
 
-    def proof(self, bottleneck: Bottleneck | None) -> ImpossibilityProof:
-        tiles: dict[bool, list[tuple[int, int, int]]] = {True: [], False: []}
-        for tile in self.tiles.values():
-            tiles[tile.margin is not None].append(tile[:3])
-        seen, unseen = (np.array(sorted(tiles[which]), dtype=np.int64).reshape(-1, 3) for which in (True, False))
+    def _around_an_end(self) -> ImpossibilityProof:
+        """The proof, once no route is left: around the goal, or around the start where the goal is in the open."""
+        graph = self.graph
+        goal = graph.reached(_GOAL)
+        end, reached = ("start", graph.reached(_START)) if goal[_OUTSIDE] else ("goal", goal)
+        tiles, whole = {}, []
+        for key in graph.present():
+            tile, labels = graph.tiles[key], graph.labels[key]
+            inside = (labels >= 0) & reached[labels]
+            if tile.margin is not None:
+                tiles[tile[:3]] = inside
+            elif inside.all():
+                whole.append(tile[:3])
+        order = sorted(tiles)
         (x, y), (cx, cy) = self.grid.origin.tolist(), self.body.centre.tolist()
         return ImpossibilityProof(
-            (x, y),
-            self.grid.cell,
-            self.grid.headings,
-            (cx, cy),
-            self.body.discs,
-            seen,
-            unseen,
-            bottleneck,
-            self.problem.fingerprint,
+            end=end,
+            origin=(x, y),
+            cell=self.grid.cell,
+            headings=self.grid.headings,
+            centre=(cx, cy),
+            discs=self.body.discs,
+            tiles=np.array(order, dtype=np.int64).reshape(-1, 3),
+            inside=tuple(tiles[place] for place in order),
+            whole=np.array(sorted(whole), dtype=np.int64).reshape(-1, 3),
+            bottleneck=None,
+            problem=self.problem.fingerprint,
         )
 
-    def _new_nodes(self, count: int, cost: float) -> None:
-        self.cost.extend([cost] * count)
-        self.tile_of.extend([-1] * count)
+    def _bottlenecks(self) -> Iterator[Bottleneck]:
+        """The narrowest place of the widest route, by margins at the middles of cells, which are made ever finer."""
+        tiles, half = self._coarse_tiles(), self.grid.cell
+        low, high = -self.problem.clearance.required - float(self.body.discs[:, 2].max()) - half, 0.0
+        for _ in range(_ROUNDS):
+            low, high = self._widest(tiles, low, high, _SHARP * half)
+            graph = self._by_margin(tiles, low, high)
+            route = graph.route()
+            narrow = [node for node in route if graph.cost[node] > _OPEN]
+            if not narrow:
+                return
+            yield self._at_node(graph, narrow[len(narrow) // 2])
+            keys = {graph.tile_of[node] for node in narrow}
+            half = max(self.grid.half(graph.tiles[key].level) for key in keys)
+            keys = {key for key in keys if 4.0 * self.grid.half(graph.tiles[key].level) > _FINE}
+            # What nobody looked at counts as wide, and hides how thick a wall is.
+            passed = {graph.tile_of[node] for node in route if node > _GOAL}
+            keys |= {key for key in passed if graph.tiles[key].margin is None}
+            if not self._split(graph, keys):
+                return
+            tiles = [graph.tiles[key] for key in graph.present()]
+            low, high = low - half, high + half
 
-    def _unseen(self, level: int, column: int, row: int) -> _Tile:
-        labels = np.full((1, 1, 1), len(self.cost))
-        self._new_nodes(1, self.grid.side(level))
-        return _Tile(level, column, row, labels, None)
+    def _widest(self, tiles: list[_Tile], low: float, high: float, sharp: float) -> tuple[float, float]:
+        """Margins that leave a route and that leave none, at most `sharp` apart [m]: first found, then bisected."""
+        step = high - low
+        while self._by_margin(tiles, high, high).route():
+            low, high = high, high + step
+        while not self._by_margin(tiles, low, low).route():
+            low, high = low - step, low
+        while high - low > sharp:
+            middle = 0.5 * (low + high)
+            low, high = (middle, high) if self._by_margin(tiles, middle, middle).route() else (low, middle)
+        return low, high
+
+    def _coarse_tiles(self) -> list[_Tile]:
+        """The tiles that were looked at first, and those that never were."""
+        present = set(self.graph.present())
+        return [
+            tile
+            for key, tile in enumerate(self.graph.tiles)
+            if (tile.level == 0 and tile.margin is not None) or (tile.margin is None and key in present)
+        ]
+
+    def _by_margin(self, tiles: list[_Tile], low: float, high: float) -> _Graph:
+        self.deadline.look()
+        graph = _Graph(self.grid, self.ends, _by_margin(low, high))
+        graph.add(tiles)
+        return graph
 
     def _seen(self, level: int, column: int, row: int) -> _Tile:
-        from scipy import ndimage
-
+        """A tile that was looked at."""
         self.deadline.look()
-        blocked, margin = self._judge(level, column, row)
-        is_open = ~blocked & (margin > self.grid.half(level))
-        labels = np.full(blocked.shape, -1)
-        for which, cost in ((is_open, _OPEN), (~(blocked | is_open), self.grid.side(level))):
-            found, count = ndimage.label(which)
-            labels[which] = found[which] + (len(self.cost) - 1)
-            self._new_nodes(count, cost)
-        return _Tile(level, column, row, labels, margin)
-
-    def _judge(self, level: int, column: int, row: int) -> tuple[BoolArray, NDArray[np.float32]]:
-        """Which cells of a tile are blocked, and about how much clearance is left at their middles [m]."""
         half, count, body = self.grid.half(level), self.grid.count(level), self.body
         turn, required_most = math.pi / count, self.problem.clearance.required
         halo = math.ceil((body.reach + required_most) / half) + 1
@@ -400,7 +605,9 @@ class _Search:
             self.deadline.look()
         required = self._required(corner, half, (c, s), turn)
         shape = (count, CELLS, CELLS)
-        return (most < required).reshape(shape), (least - required).astype(np.float32).reshape(shape)
+        return _Tile(
+            level, column, row, (most < required).reshape(shape), (least - required).astype(np.float32).reshape(shape)
+        )
 
     def _required(
         self, corner: FloatArray, half: float, turned: tuple[FloatArray, FloatArray], turn: float
@@ -414,99 +621,104 @@ class _Search:
         at = x0 + x - (c * mx - s * my), y0 + y - (s * mx + c * my)
         return least_required(self.problem, *at, reach, self.start_clearance)
 
-    def _add(self, new: list[_Tile]) -> None:
-        """Put tiles into the plane, and join them to what is beside them."""
-        keys = []
-        for tile in new:
-            self.key += 1
-            keys.append(self.key)
-            self.tiles[self.key] = tile
-            rows, columns = self._place(tile)
-            self.tile_at[rows, columns] = self.key
-            nodes = np.unique(tile.labels)
-            for node in nodes[nodes >= 0].tolist():
-                self.tile_of[node] = self.key
-            self.joints[self.key, self.key] = _met_within(tile.labels)
-        for key in keys:
-            tile = self.tiles[key]
-            rows, columns = self._place(tile)
-            for axis, sides in ((0, (columns.start - 1, columns.stop)), (1, (rows.start - 1, rows.stop))):
-                for edge, beyond in zip((0, -1), sides, strict=True):
-                    self._join(key, axis, edge, beyond, rows if axis == 0 else columns)
+    def _at_node(self, graph: _Graph, node: int) -> Bottleneck:
+        """What is known of the widest cell of a node."""
+        key = graph.tile_of[node]
+        tile = graph.tiles[key]
+        assert tile.margin is not None
+        margin = np.where(graph.labels[key] == node, tile.margin, -np.inf)
+        layer, j, i = np.unravel_index(int(margin.argmax()), margin.shape)
+        half, turn = self.grid.half(tile.level), math.pi / margin.shape[0]
+        yaw = turn * (2.0 * float(layer) + 1.0)
+        x, y = (2.0 * half * (CELLS * first + k + 0.5) for first, k in ((tile.column, float(i)), (tile.row, float(j))))
+        (x, y, yaw), most = self._best_near(np.array([x, y, yaw]), np.array([half, half, turn]))
+        (x0, y0), (mx, my), c, s = self.grid.origin, self.body.centre, math.cos(yaw), math.sin(yaw)
+        pose = Pose2(float(x0 + x - (c * mx - s * my)), float(y0 + y - (s * mx + c * my)), yaw)
+        required = least_required(self.problem, np.array(pose.x), np.array(pose.y), 0.0, self.start_clearance)
+        body = -2.0 * most
+        return Bottleneck(pose.x, pose.y, pose.yaw, body + 2.0 * float(required), body, 4.0 * half, self._between(pose))
 
-    def _join(self, key: int, axis: int, edge: int, beyond: int, along: slice) -> None:
-        """Join a tile over its lower (0) or upper (-1) side along an axis."""
-        if not 0 <= beyond < len(self.tile_at):
-            nodes = np.unique(_face(self.tiles[key], axis, edge))
-            nodes = nodes[nodes >= 0]
-            known = self.joints.get((key, -1), np.zeros((0, 2), dtype=np.int64))
-            self.joints[key, -1] = np.vstack((known, np.column_stack((nodes, 0 * nodes))))
-            return
-        strip = self.tile_at[along, beyond] if axis == 0 else self.tile_at[beyond, along]
-        for other in np.unique(strip).tolist():
-            pair = (min(key, other), max(key, other))
-            if pair not in self.joints:
-                self.joints[pair] = self._met_over(self.tiles[key], self.tiles[other], axis, edge)
+    def _best_near(self, pose: FloatArray, reach: FloatArray) -> tuple[tuple[float, float, float], float]:
+        """The pose of the centre within a cell that is farthest from obstacles, and how far its discs are there [m]."""
+        import shapely
 
-    def _met_over(self, tile: _Tile, other: _Tile, axis: int, edge: int) -> IntArray:
-        """Nodes that meet over a side of `tile`, Shape (n, 2)."""
-        both = [(tile, _face(tile, axis, edge)), (other, _face(other, axis, -1 - edge))]
-        spans = [self._place(each)[0 if axis == 0 else 1] for each, _ in both]
-        low, high = max(span.start for span in spans), min(span.stop for span in spans)
-        cells = [(span.stop - span.start) * CELLS // face.shape[1] for span, (_, face) in zip(spans, both, strict=True)]
-        at = np.arange(low * CELLS, high * CELLS, min(cells))
-        headings = max(face.shape[0] for _, face in both)
-        met = []
-        for (_, face), span, cell in zip(both, spans, cells, strict=True):
-            layers = np.arange(headings) * face.shape[0] // headings
-            met.append(face[np.ix_(layers, (at - span.start * CELLS) // cell)].ravel())
-        return _pairs(met[0], met[1], len(self.cost))
+        everything, (x, y, radius) = self.obstacles, self.body.discs.T
+        extent = 2.0 * self.body.reach
+        near = ((everything.lower <= pose[:2] + extent) & (everything.upper >= pose[:2] - extent)).all(axis=1)
+        tree = shapely.STRtree(shapely.polygons(everything.vertices[near]))
+        share = np.linspace(-1.0, 1.0, 5)
+        around = np.stack(np.meshgrid(share, share, share), axis=-1).reshape(-1, 3) * reach
+        most = -math.inf if near.any() else 0.0
+        for _ in range(_POLISHED if near.any() else 0):
+            self.deadline.look()
+            poses = pose + around
+            c, s = np.cos(poses[:, 2:]), np.sin(poses[:, 2:])
+            at = poses[:, :1] + c * x - s * y, poses[:, 1:2] + s * x + c * y
+            apart = tree.query_nearest(
+                shapely.points(*(v.ravel() for v in at)), return_distance=True, all_matches=False
+            )[1]
+            margin = (apart.reshape(at[0].shape) - radius).min(axis=1)
+            best = int(margin.argmax())
+            pose, most, around = poses[best], float(margin[best]), 0.25 * around
+        return (float(pose[0]), float(pose[1]), float(pose[2])), most
 
-    def _place(self, tile: _Tile) -> tuple[slice, slice]:
-        """Rows and columns of a tile in `tile_at`."""
-        size = 2 ** (_FINEST - tile.level)
-        return slice(tile.row * size, (tile.row + 1) * size), slice(tile.column * size, (tile.column + 1) * size)
-
-    def _nodes_at(self, pose: FloatArray) -> list[int]:
-        """The nodes of the free cells that a pose of the centre is in, or less than `SLACK` from."""
-        found: set[int] = set()
-        size = self.grid.side(_FINEST)
-        for dx in (-SLACK, SLACK):
-            for dy in (-SLACK, SLACK):
-                i, j = math.floor((pose[0] + dx) / size), math.floor((pose[1] + dy) / size)
-                if not (0 <= i < len(self.tile_at) and 0 <= j < len(self.tile_at)):
-                    found.add(0)
-                    continue
-                tile = self.tiles[int(self.tile_at[j, i])]
-                headings, n, _ = tile.labels.shape
-                side = self.grid.side(tile.level)
-                column = math.floor(((pose[0] + dx) / side - tile.column) * n)
-                row = math.floor(((pose[1] + dy) / side - tile.row) * n)
-                for turned in (-SLACK, SLACK):
-                    layer = math.floor((pose[2] + turned) * headings / (2.0 * math.pi)) % headings
-                    found.add(int(tile.labels[layer, min(max(row, 0), n - 1), min(max(column, 0), n - 1)]))
-        return sorted(found - {-1})
+    def _between(self, pose: Pose2) -> tuple[str, ...]:
+        """The obstacle nearest to the robot at a pose, and the nearest on its other side."""
+        obstacles, footprint = self.problem.all_obstacles, self.problem.robot.footprint
+        reach = footprint.circumscribed_radius + 2.0 * self.problem.clearance.required + self.grid.cell
+        at = np.array([pose.x, pose.y])
+        rows = obstacles.rows_in_box(at - reach, at + reach)
+        found = [
+            separation(body, np.tile(pose.as_array(), (rows.size, 1)), obstacles.pieces(rows))
+            for body in footprint.bodies
+        ]
+        distance, axis = (np.concatenate(parts) for parts in zip(*found, strict=True))
+        row = np.tile(rows, len(footprint.bodies))
+        first = int(distance.argmin())
+        facing = np.where(axis @ axis[first] < 0.0, distance, np.inf)
+        second = int(facing.argmin())
+        both = [first] if np.isinf(facing[second]) else [first, second]
+        return tuple(obstacles.name_of(int(row[k])) for k in both)
 
 
-def _middle_of(pose: Pose2, centre: FloatArray) -> FloatArray:
-    """Where a point of the robot is at a pose, and its heading, Shape (3,)."""
-    return np.append(transform_points(pose.as_array()[None], centre[None])[0, 0], pose.yaw)
+def _middle(pose: Pose2, centre: FloatArray, origin: FloatArray) -> FloatArray:
+    """Where a point of the robot is at a pose, seen from an origin, and the heading. Shape (3,)."""
+    return np.append(transform_points(pose.as_array()[None], centre[None])[0, 0] - origin, pose.yaw)
 
 
-def _face(tile: _Tile, axis: int, edge: int) -> IntArray:
-    """The nodes of the cells at the lower (0) or upper (-1) side of a tile along an axis, Shape (headings, n)."""
-    face: IntArray = np.take(tile.labels, edge, axis=2 - axis)
-    return face
+@functools.lru_cache(maxsize=4096)
+def _beside(sides: tuple[tuple[int, ...], ...], axis: int) -> tuple[IntArray, IntArray]:
+    """Flat indices of cells of two tiles that share a face, Shape (n,) each.
+
+    Args:
+        sides: Of each level, column, row, cells along a side, headings, and which side: 0 the lower, -1 the upper.
+        axis: Across the side, 0 for x.
+    """
+    finest = max(side[0] for side in sides)
+    size = [CELLS << (finest - side[0]) for side in sides]  # in cells of the finer one
+    low = [side[2 - axis] * n for side, n in zip(sides, size, strict=True)]
+    step = min(n // side[3] for side, n in zip(sides, size, strict=True))
+    along = np.arange(max(low), min(first + n for first, n in zip(low, size, strict=True)), step)
+    headings = max(side[4] for side in sides)
+    places = []
+    for side, n, first in zip(sides, size, low, strict=True):
+        across, layer = (along - first) * side[3] // n, np.arange(headings) * side[4] // headings
+        face = np.full_like(across, side[5] % side[3])
+        row, column = (across, face) if axis == 0 else (face, across)
+        places.append(((layer[:, None] * side[3] + row) * side[3] + column).ravel())
+    return places[0], places[1]
 
 
-def _met_within(labels: IntArray) -> IntArray:
-    """Nodes of one tile that meet, Shape (n, 2)."""
+def _met_within(labels: IntArray, kinds: int) -> IntArray:
+    """Nodes of one tile that meet, Shape (n, 2); those of one kind meet over the full turn only."""
     most = int(labels.max()) + 1
-    found = [
-        _pairs(labels[:, :, 1:], labels[:, :, :-1], most),
-        _pairs(labels[:, 1:], labels[:, :-1], most),
-        _pairs(labels, np.roll(labels, 1, axis=0), most),
-    ]
+    found = [_pairs(labels[0], labels[-1], most)]
+    if kinds > 1:
+        found += [
+            _pairs(labels[:, :, 1:], labels[:, :, :-1], most),
+            _pairs(labels[:, 1:], labels[:, :-1], most),
+            _pairs(labels[1:], labels[:-1], most),
+        ]
     return np.concatenate(found)
 
 

@@ -84,7 +84,7 @@ def _path_verdict(path: Path, problem: DockingProblem, is_late: Callable[[], boo
         nearest=problem.all_obstacles.name_of(proof.row) if proof.row >= 0 else "",
         max_curvature=max_curvature(path),
         max_curvature_rate=max_curvature_rate(path),
-        length=path.length,
+        length=path.driven,
         poses_checked=proof.poses,
         problem=problem.fingerprint,
         path=path.digest,

@@ -1,4 +1,4 @@
-"""A proof that no motion exists: cells of poses that are blocked separate the start from the goal.
+"""A proof that no motion exists: a set of poses around the goal, or the start, whose whole rim is blocked.
 
 **Theorem.** Let `check_impossibility(proof, problem)` be proven. Then no continuous motion of the robot from the start
 to the goal keeps the clearance that the problem requires: not along any path, with or without reversing or turning in
@@ -8,28 +8,33 @@ place, however curved. It is one-sided: no proof does not mean that there is a m
 robot, `centre`. A cell is blocked if some disc of the robot, at p from the centre with radius r, has an obstacle nearer
 than r + c - e at the middle of the cell: within the cell the disc's centre moves by no more than
 e = sqrt(2) h + 2 |p| sin(a / 2), c is the least clearance required of any pose in it, and so at every pose in it
-something lies nearer to the footprint than required, or inside it where no clearance is. All other cells count as free.
+something lies nearer to the footprint than required, or inside it where no clearance is.
 
-*Faces suffice.* Let a motion keep the clearance. No cell that holds any of its poses is blocked. Where it goes over
-from one cell into another it has a pose in both; all cells that hold this pose are free, and they are joined by faces,
-as cells around a point are. So start and goal lie in cells that a chain of free cells joins face to face. Where no
-chain does, there is no motion. Cells may be of different sizes: tiles of a quadtree over the plane hold 16 x 16 cells
-for every heading, each level with cells half as large. What lies in no tile counts as free, as one cell of its own.
+*The rim.* The proof names a set of cells, `inside`. Every cell that shares a face with one of them and is none of them
+is blocked; so is every cell at the inner end, the goal or the start, that is none of them; and no cell at the other end
+is one of them. Let a motion keep the clearance. No cell that holds any of its poses is blocked, so it begins in the
+set, and ends outside. Where it leaves the set it has a pose in a cell of it and in one that is none of it; of the cells
+around that pose, which are joined by faces, one in the set shares a face with one that is not: a blocked one, which
+contradicts. Cells may be of different sizes: tiles of a quadtree over the plane hold 16 x 16 cells for every heading,
+each level with cells half as large.
 
 *Certified paths.* A certificate accepts a micrometre less than required, and two micrometres of depth at a contact. A
 cell is blocked only if it is so with ten micrometres to spare (`SLACK`), which covers the rounding of arithmetic as
 well. Near the start the weakest relief counts that a certificate may grant.
 
-The proof holds its tiles and discs; whoever checks it judges every cell again, by exact distances of its own.
+Whoever checks the proof judges the rim again, by exact distances of its own.
 """
 
 from __future__ import annotations
 
+import base64
 import math
+import zlib
 from dataclasses import asdict, dataclass
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Annotated, Literal, NamedTuple, TypeAlias
 
 import numpy as np
+from pydantic import BaseModel, ConfigDict, Field
 
 from optdock.errors import InvalidFile
 from optdock.fingerprint import ProblemFingerprint
@@ -57,8 +62,9 @@ CELLS = 16  # along each side of a tile
 # [m]: five times the deepest contact that a certificate accepts, and more than the rounding of single precision over
 # ten metres, in which distances within a tile are kept.
 SLACK = 1e-5
-_LEVELS = 12  # above and below 0 that a proof may have; a file with more is none
-_MOST_TILES = 100_000
+_LEVELS = 12  # above and below 0 that tiles in a file may have
+_MOST = 10_000  # tiles in a file; a proof that is made within a second has hundreds
+_MOST_BYTES = 1 << 26  # of packed cells in a file
 
 
 @dataclass(frozen=True)
@@ -100,27 +106,31 @@ class Bottleneck:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class ImpossibilityProof:
-    """Tiles of cells that separate the start from the goal, and where the widest route is too narrow.
+    """Cells around one end of a problem, whose rim is blocked, and where the widest way out is too narrow.
 
     Args:
+        end: Which end they are around, `goal` or `start`.
         origin: Lower left corner of the tile (0, 0) of every level [m].
         cell: Half the side of a cell of level 0 [m]; of level k it is 2^-k of that.
         headings: How many cells of level 0 make a full turn; of level k 2^k times as many.
         centre: The point of the robot whose place the cells speak of, in the robot's frame [m].
         discs: Discs within the footprint, Shape (n, 3): x, y from the centre, radius [m].
-        tiles: Tiles that were looked at, Shape (m, 3): level, column, row.
-        unseen: Tiles that count as free, Shape (k, 3); levels below 0 are larger.
-        bottleneck: Where it is too narrow; None where the start or the goal itself is blocked, or time was up.
+        tiles: The tiles that hold cells of the set or of its rim, Shape (m, 3): level >= 0, column, row.
+        inside: Of each which cells are in the set, Shape (headings, rows, columns).
+        whole: Tiles of any level that are in the set as a whole, Shape (k, 3).
+        bottleneck: Where it is too narrow; None where an end itself is blocked, or time was up.
         problem: Digests of what it was proven for.
     """
 
+    end: str
     origin: tuple[float, float]
     cell: float
     headings: int
     centre: tuple[float, float]
     discs: FloatArray
     tiles: IntArray
-    unseen: IntArray
+    inside: tuple[BoolArray, ...]
+    whole: IntArray
     bottleneck: Bottleneck | None
     problem: ProblemFingerprint
 
@@ -130,19 +140,44 @@ class ImpossibilityProof:
     @property
     def message(self) -> str:
         """One sentence for people."""
-        why = self.bottleneck or "start or goal is shut in, or blocked itself"
-        return f"no motion exists between start and goal, reversing and turning in place included: {why}"
+        why = self.bottleneck or f"the {self.end} is shut in"
+        return f"no motion joins start and goal, reversing and turning in place included: {why}"
+
+    @property
+    def where(self) -> dict[str, object]:
+        """What a refusal says of it: pose, missing width and obstacle of the bottleneck, if it is known."""
+        found = self.bottleneck
+        if found is None:
+            return {}
+        pose = [found.x, found.y, found.yaw]
+        missing = {"missing_width": found.missing_width, "missing_without_clearance": found.missing_without_clearance}
+        return {"pose": pose, **missing, "obstacle": found.between[0] if found.between else ""}
+
+    def squares(self) -> list[FloatArray]:
+        """The places of the centre that some cell of the set has, as squares of corners, Shape (4, 2) each [m]."""
+        found = []
+        corners = np.array([(0.0, 0.0), (1.0, 0.0), (1.0, 1.0), (0.0, 1.0)])
+        for (level, column, row), cells in zip(self.tiles.tolist(), self.inside, strict=True):
+            side = 2.0 * self.cell / 2**level
+            for j, i in np.argwhere(cells.any(axis=0)).tolist():
+                found.append(self.origin + side * (corners + np.array([CELLS * column + i, CELLS * row + j])))
+        for level, column, row in self.whole.tolist():
+            found.append(self.origin + 2.0 * CELLS * self.cell * 2.0**-level * (corners + np.array([column, row])))
+        return found
 
     def as_dict(self) -> dict[str, object]:
-        """Plain values for a plan file."""
+        """Plain values for a plan file; the cells as bits, packed by zlib and written in base 64."""
+        bits = b"".join(np.packbits(cells).tobytes() for cells in self.inside)
         return {
+            "end": self.end,
             "origin": list(self.origin),
             "cell": self.cell,
             "headings": self.headings,
             "centre": list(self.centre),
             "discs": self.discs.tolist(),
             "tiles": self.tiles.tolist(),
-            "unseen": self.unseen.tolist(),
+            "inside": base64.b64encode(zlib.compress(bits, 9)).decode(),
+            "whole": self.whole.tolist(),
             "bottleneck": None if self.bottleneck is None else asdict(self.bottleneck),
             "problem": self.problem._asdict(),
         }
@@ -155,35 +190,69 @@ class ImpossibilityProof:
             InvalidFile: Something is missing, or of another kind.
         """
         try:
-            return cls._read(values)
-        except (KeyError, TypeError, ValueError, OverflowError) as error:
-            raise InvalidFile(f"impossibility: {type(error).__name__}: {error}") from error
+            document = _ProofDocument.model_validate(values)
+            return cls._read(document)
+        except (ValueError, TypeError, zlib.error) as error:  # pydantic's errors are ValueErrors
+            raise InvalidFile(f"impossibility: {error}") from error
 
     @classmethod
-    def _read(cls, values: Mapping[str, object]) -> ImpossibilityProof:
-        numbers = {name: np.array(values[name], dtype=np.float64) for name in ("origin", "centre", "discs")}
-        tiles, unseen = (np.array(values[name], dtype=np.int64).reshape(-1, 3) for name in ("tiles", "unseen"))
-        found = values["bottleneck"]
-        if isinstance(found, dict):
-            found = Bottleneck(**{**found, "between": tuple(found["between"])})
-        elif found is not None:
-            raise TypeError("bottleneck")
+    def _read(cls, document: _ProofDocument) -> ImpossibilityProof:
+        tiles = np.array(document.tiles, dtype=np.int64).reshape(-1, 3)
+        shapes = [(document.headings << level, CELLS, CELLS) for level in tiles[:, 0].tolist()]
+        sizes = [math.prod(shape) // 8 for shape in shapes]
+        if sum(sizes) > _MOST_BYTES:
+            raise ValueError(f"inside: holds more than {_MOST_BYTES} bytes")
+        packed = base64.b64decode(document.inside, validate=True)
+        bits = zlib.decompressobj().decompress(packed, sum(sizes) + 1)
+        if len(bits) != sum(sizes):
+            raise ValueError(f"inside: must hold {sum(sizes)} bytes, got {len(bits)}")
+        parts = np.split(np.unpackbits(np.frombuffer(bits, dtype=np.uint8)), 8 * np.cumsum(sizes)[:-1]) if sizes else []
         return cls(
-            _pair(numbers["origin"]),
-            float(np.array(values["cell"], dtype=np.float64)),
-            int(np.array(values["headings"], dtype=np.int64)),
-            _pair(numbers["centre"]),
-            numbers["discs"].reshape(-1, 3),
+            document.end,
+            document.origin,
+            document.cell,
+            document.headings,
+            document.centre,
+            np.array(document.discs, dtype=np.float64).reshape(-1, 3),
             tiles,
-            unseen,
-            found,
-            ProblemFingerprint(**values["problem"]),  # type: ignore[arg-type]
+            tuple(part.astype(np.bool_).reshape(shape) for part, shape in zip(parts, shapes, strict=True)),
+            np.array(document.whole, dtype=np.int64).reshape(-1, 3),
+            None if document.bottleneck is None else Bottleneck(**document.bottleneck.model_dump()),
+            ProblemFingerprint(**document.problem),
         )
 
 
-def _pair(values: FloatArray) -> tuple[float, float]:
-    x, y = values.tolist()
-    return float(x), float(y)
+_Number: TypeAlias = Annotated[float, Field(ge=-1e10, le=1e10)]
+_Level: TypeAlias = Annotated[int, Field(ge=-_LEVELS, le=_LEVELS)]
+_Index: TypeAlias = Annotated[int, Field(ge=-(2**30), le=2**30)]
+
+
+class _Model(BaseModel):
+    model_config = ConfigDict(frozen=True, extra="ignore", allow_inf_nan=False)
+
+
+class _BottleneckDocument(_Model):
+    x: _Number
+    y: _Number
+    yaw: _Number
+    missing_width: _Number
+    missing_without_clearance: _Number
+    accuracy: _Number
+    between: tuple[str, ...]
+
+
+class _ProofDocument(_Model):
+    end: Literal["goal", "start"]
+    origin: tuple[_Number, _Number]
+    cell: Annotated[float, Field(gt=0.0, le=1e6)]
+    headings: Annotated[int, Field(ge=3, le=10_000)]
+    centre: tuple[_Number, _Number]
+    discs: list[tuple[_Number, _Number, _Number]]
+    tiles: Annotated[list[tuple[Annotated[int, Field(ge=0, le=_LEVELS)], _Index, _Index]], Field(max_length=_MOST)]
+    inside: str
+    whole: Annotated[list[tuple[_Level, _Index, _Index]], Field(max_length=_MOST)]
+    bottleneck: _BottleneckDocument | None = None
+    problem: dict[str, str]
 
 
 def least_required(
@@ -212,7 +281,7 @@ def least_required(
 class ImpossibilityVerdict(NamedTuple):
     """Whether a proof holds, and if not why.
 
-    `proven`: it does. `reason`: why not, empty if it does. `cells`: how many were judged.
+    `proven`: it does. `reason`: why not, empty if it does. `cells`: how many are on the rim and were judged.
     """
 
     proven: bool
@@ -230,47 +299,141 @@ def check_impossibility(proof: ImpossibilityProof, problem: DockingProblem) -> I
     fault = _fault(proof, problem)
     if fault:
         return ImpossibilityVerdict(proven=False, reason=fault, cells=0)
+    rim = _Rim(proof)
+    inner, outer = (problem.goal, problem.start) if proof.end == "goal" else (problem.start, problem.goal)
+    fault = rim.fault(_middle(inner, proof), _middle(outer, proof))
     judge = _Judge(proof, problem)
-    free = [judge.free_cells(tile) for tile in proof.tiles.tolist()]
-    cells = sum(some.size for some in free)
-    graph = _Components(proof, free)
-    start, goal = (graph.of_pose(_middle(pose, proof)) for pose in (problem.start, problem.goal))
-    joined = bool(start & goal)
-    return ImpossibilityVerdict(not joined, "free cells join start and goal" if joined else "", cells)
+    count = 0
+    for tile, cells in zip(proof.tiles.tolist(), rim.blocked, strict=True):
+        if fault:
+            break
+        count += int(cells.sum())
+        if not judge.are_blocked(tile, cells):
+            fault = "a cell on the rim is not blocked"
+    return ImpossibilityVerdict(proven=not fault, reason=fault, cells=count)
 
 
 def _fault(proof: ImpossibilityProof, problem: DockingProblem) -> str:
-    """What is wrong with a proof before any cell is looked at: empty where nothing is."""
+    """What is wrong with a proof before any cell is looked at; empty where nothing is."""
     import shapely
 
-    numbers = (*proof.origin, proof.cell, *proof.centre, *proof.discs.ravel().tolist())
-    tiles = np.concatenate((proof.tiles, proof.unseen))
-    if not (np.all(np.isfinite(numbers)) and proof.cell > 0.0 and 3 <= proof.headings <= 10_000):
-        return "the grid is none"
-    if len(tiles) > _MOST_TILES or np.any(np.abs(tiles[:, 0]) > _LEVELS) or np.any(np.abs(tiles[:, 1:]) > 2**30):
-        return "the tiles are out of range"
-    if np.any(proof.tiles[:, 0] < 0):
-        return "the tiles are out of range"
-    known = set(map(tuple, tiles.tolist()))
+    shapes = [(proof.headings << level, CELLS, CELLS) for level in proof.tiles[:, 0].tolist()]
+    if [cells.shape for cells in proof.inside] != shapes:
+        return "the cells do not fit the tiles"
+    known = [tuple(tile) for tile in np.concatenate((proof.tiles, proof.whole)).tolist()]
     ancestors = {(level - up, i >> up, j >> up) for level, i, j in known for up in range(1, level + _LEVELS + 1)}
-    if len(known) < len(tiles) or known & ancestors:
+    if len(set(known)) < len(known) or set(known) & ancestors:
         return "tiles overlap"
     outline = shapely.Polygon(problem.robot.footprint.vertices)
     middles = shapely.points(proof.discs[:, :2] + proof.centre)
-    inside = np.where(shapely.covers(outline, middles), shapely.distance(outline.exterior, middles), 0.0)
-    if np.any(proof.discs[:, 2] > inside + 1e-9):
-        return "a disc is not within the footprint"
-    return ""
+    deep = np.where(shapely.covers(outline, middles), shapely.distance(outline.exterior, middles), 0.0)
+    return "" if np.all(proof.discs[:, 2] <= deep + 0.1 * SLACK) else "a disc is not within the footprint"
 
 
-def _middle(pose: Pose2, proof: ImpossibilityProof) -> tuple[float, float, float]:
-    """Where the robot's centre is at a pose."""
+def _middle(pose: Pose2, proof: ImpossibilityProof) -> FloatArray:
+    """Where the robot's centre is at a pose, in the frame of the tiles, and its heading. Shape (3,)."""
     (x, y), c, s = proof.centre, math.cos(pose.yaw), math.sin(pose.yaw)
-    return pose.x + c * x - s * y, pose.y + s * x + c * y, pose.yaw
+    at = pose.x - proof.origin[0] + (c * x - s * y), pose.y - proof.origin[1] + (s * x + c * y)
+    return np.array([*at, pose.yaw])
+
+
+class _Rim:
+    """The cells that must be blocked, of every tile, Shape (headings, rows, columns) each.
+
+    Args:
+        proof: Whose set of cells; its tiles do not overlap.
+    """
+
+    def __init__(self, proof: ImpossibilityProof) -> None:
+        self.cell = proof.cell
+        self.inside = (*proof.inside, *(np.ones((1, 1, 1), dtype=np.bool_) for _ in proof.whole))
+        tiles = np.concatenate((proof.tiles, proof.whole))
+        # Boxes in cells of the finest level: left, lower, right and upper side.
+        self.finest = int(tiles[:, 0].max(initial=0))
+        side = CELLS * 2 ** (self.finest - tiles[:, 0])
+        lower = tiles[:, 1:] * side[:, None]
+        self.boxes = np.column_stack((lower, lower + side[:, None]))
+        self.blocked = [np.zeros(cells.shape, dtype=np.bool_) for cells in self.inside]
+
+    def fault(self, inner: FloatArray, outer: FloatArray) -> str:
+        """Find the rim; what is wrong with the set, whatever is blocked: empty where nothing is.
+
+        Args:
+            inner: The pose of the centre at the end around which the set is.
+            outer: That at the other end.
+        """
+        within, is_covered = self._cells_at(inner)
+        for k, cells in within:
+            self.blocked[k][cells] |= ~self.inside[k][cells]
+        if not is_covered:
+            return "the set does not hold the end that it is around"
+        if any(self.inside[k][cells].any() for k, cells in self._cells_at(outer)[0]):
+            return "the set holds both ends"
+        for inside, rim in zip(self.inside, self.blocked, strict=True):
+            for axis in (1, 2):
+                first, second = np.swapaxes(inside, 0, axis), np.swapaxes(rim, 0, axis)
+                second[1:] |= first[:-1] & ~first[1:]
+                second[:-1] |= first[1:] & ~first[:-1]
+            for turned in (-1, 1):
+                np.logical_or(rim, np.roll(inside, turned, axis=0) & ~inside, out=rim)
+        return "" if self._is_closed_at_sides() else "the set goes on where no tile is"
+
+    def _cells_at(self, pose: FloatArray) -> tuple[list[tuple[int, tuple[IntArray, ...]]], bool]:
+        """The cells that a pose of the centre is in, or closer to than `SLACK`; and whether tiles are all around it."""
+        unit = 2.0 * self.cell / 2**self.finest
+        near = 2.0 * SLACK / unit
+        at = pose[:2] / unit
+        found = []
+        for k in np.flatnonzero(np.all((self.boxes[:, :2] <= at + near) & (self.boxes[:, 2:] >= at - near), axis=1)):
+            headings, n, _ = self.inside[k].shape
+            size = (self.boxes[k, 2] - self.boxes[k, 0]) / n
+            first, last = (np.clip((at + sign * near - self.boxes[k, :2]) // size, 0, n - 1) for sign in (-1, 1))
+            turned = np.floor((pose[2] + np.array([-SLACK, SLACK])) * headings / (2.0 * math.pi))
+            layers = np.unique(np.arange(turned[0], turned[1] + 1) % headings)
+            spans = (layers, np.arange(first[1], last[1] + 1), np.arange(first[0], last[0] + 1))
+            found.append((int(k), np.ix_(*(span.astype(np.int64) for span in spans))))
+        around = at + near * np.array([(-1, -1), (-1, 1), (1, -1), (1, 1)])
+        is_in = (self.boxes[:, None, :2] <= around) & (around <= self.boxes[:, None, 2:])
+        return found, bool(is_in.all(axis=2).any(axis=0).all())
+
+    def _is_closed_at_sides(self) -> bool:
+        """Whether tiles are wherever the set reaches the side of one; what is beyond and not in it is rim."""
+        for axis in (0, 1):
+            along_low, along_high = self.boxes[:, 1 - axis], self.boxes[:, 3 - axis]
+            overlap = np.minimum.outer(along_high, along_high) - np.maximum.outer(along_low, along_low)
+            beside = np.where((self.boxes[:, None, axis + 2] == self.boxes[None, :, axis]) & (overlap > 0), overlap, 0)
+            for first, second in np.argwhere(beside).tolist():
+                self._meet(first, second, axis)
+            for edge, covered in ((-1, beside.sum(axis=1)), (0, beside.sum(axis=0))):
+                for k in np.flatnonzero(covered < along_high - along_low):
+                    if np.take(self.inside[k], edge, axis=2 - axis).any():
+                        return False
+        return all(cells.size > 1 or not cells.any() for cells in self.blocked)
+
+    def _meet(self, first: int, second: int, axis: int) -> None:
+        """Over the upper side of the first along an axis, which is the lower side of the second."""
+        both = (first, second)
+        low, high = max(self.boxes[k, 1 - axis] for k in both), min(self.boxes[k, 3 - axis] for k in both)
+        sizes = [(self.boxes[k, 2] - self.boxes[k, 0]) // self.inside[k].shape[1] for k in both]
+        headings = [self.inside[k].shape[0] for k in both]
+        at, layer = np.arange(low, high, min(sizes)), np.arange(max(headings))
+        places = []
+        for k, edge, size, count in zip(both, (-1, 0), sizes, headings, strict=True):
+            across = (at - self.boxes[k, 1 - axis]) // size
+            face = np.array([edge % self.inside[k].shape[1]])
+            spans = (layer * count // len(layer), *((across, face) if axis == 0 else (face, across)))
+            places.append(np.ix_(*spans))
+        here, there = (self.inside[k][place] for k, place in zip(both, places, strict=True))
+        self._mark(first, places[0], there & ~here)
+        self._mark(second, places[1], here & ~there)
+
+    def _mark(self, k: int, place: tuple[IntArray, ...], must: BoolArray) -> None:
+        """Cells of a tile that must be blocked; where it has the larger ones each may be asked for several times."""
+        np.logical_or.at(self.blocked[k], place, must)
 
 
 class _Judge:
-    """Which cells of a tile are free, by exact distances of discs from obstacles."""
+    """Whether cells are blocked, by exact distances of discs from obstacles."""
 
     def __init__(self, proof: ImpossibilityProof, problem: DockingProblem) -> None:
         import shapely
@@ -279,38 +442,29 @@ class _Judge:
         # Near the origin of the tiles floats are finest.
         self.tree = shapely.STRtree(shapely.polygons(problem.all_obstacles.vertices - np.array(proof.origin)))
         self.start_clearance = end_clearances(problem).start
+        self.discs = proof.discs[np.argsort(-proof.discs[:, 2])].tolist()
 
-    def free_cells(self, tile: list[int]) -> BoolArray:
-        """Shape (headings, rows, columns) of the tile."""
+    def are_blocked(self, tile: list[int], cells: BoolArray) -> bool:
+        """Whether all of some cells of a tile are, Shape (headings, rows, columns)."""
         import shapely
 
-        proof, (level, column, row) = self.proof, tile
-        half, count = proof.cell / 2**level, proof.headings * 2**level
-        turn = math.pi / count
-        yaw, y, x = (
-            axis.ravel()
-            for axis in np.meshgrid(
-                turn * (2.0 * np.arange(count) + 1.0),
-                2.0 * half * (CELLS * row + np.arange(CELLS) + 0.5),
-                2.0 * half * (CELLS * column + np.arange(CELLS) + 0.5),
-                indexing="ij",
-            )
-        )
+        (level, column, row), (layer, j, i) = tile, np.nonzero(cells)
+        half = self.proof.cell / 2**level
+        turn = math.pi / cells.shape[0]
+        x, y = 2.0 * half * (CELLS * column + i + 0.5), 2.0 * half * (CELLS * row + j + 0.5)
+        yaw = turn * (2.0 * layer + 1.0)
         c, s = np.cos(yaw), np.sin(yaw)
         required = self._required(x, y, (c, s), half, turn)
-        free = np.arange(yaw.size)
-        for px, py, radius in proof.discs[np.argsort(-proof.discs[:, 2])].tolist():
+        left = np.ones(yaw.size, dtype=np.bool_)
+        for px, py, radius in self.discs:
             moved = math.sqrt(2.0) * half + 2.0 * math.hypot(px, py) * math.sin(turn / 2.0)
-            within = radius + required[free] - moved - SLACK
-            asked = free[within > 0.0]
-            if asked.size == 0:
-                continue
-            points = shapely.points(x[asked] + c[asked] * px - s[asked] * py, y[asked] + s[asked] * px + c[asked] * py)
-            met = self.tree.query(points, predicate="dwithin", distance=within[within > 0.0])[0]
-            free = np.setdiff1d(free, asked[met], assume_unique=False)
-        found = np.zeros(yaw.size, dtype=np.bool_)
-        found[free] = True
-        return found.reshape(count, CELLS, CELLS)
+            within = radius + required - moved - SLACK
+            asked = np.flatnonzero(left & (within > 0.0))
+            if asked.size:
+                at = (x + c * px - s * py)[asked], (y + s * px + c * py)[asked]
+                met = self.tree.query(shapely.points(*at), predicate="dwithin", distance=within[asked])[0]
+                left[asked[met]] = False
+        return not left.any()
 
     def _required(
         self, x: FloatArray, y: FloatArray, turned: tuple[FloatArray, FloatArray], half: float, turn: float
@@ -319,94 +473,3 @@ class _Judge:
         reach = math.sqrt(2.0) * half + 2.0 * math.hypot(mx, my) * math.sin(turn / 2.0)
         at = ox + x - (c * mx - s * my), oy + y - (s * mx + c * my)
         return least_required(self.problem, *at, reach, self.start_clearance)
-
-
-class _Components:
-    """Components of the free cells: within tiles, joined over headings and over the sides of tiles."""
-
-    def __init__(self, proof: ImpossibilityProof, free: list[BoolArray]) -> None:
-        from scipy import ndimage, sparse
-        from scipy.sparse import csgraph
-
-        self.proof = proof
-        self.tiles = [*proof.tiles.tolist(), *proof.unseen.tolist()]
-        cells = [*free, *(np.ones((1, 1, 1), dtype=np.bool_) for _ in proof.unseen)]
-        self.labels: list[IntArray] = []
-        count = 1  # the outside is component 0
-        for some in cells:
-            labels, more = ndimage.label(some)
-            self.labels.append(np.where(labels > 0, labels + (count - 1), -1))
-            count += more
-        # Boxes in cells of the finest level: left, lower, right and upper side.
-        self.finest = max((level for level, _, _ in self.tiles), default=0)
-        table = np.array(self.tiles, dtype=np.int64).reshape(-1, 3)
-        side = CELLS * 2 ** (self.finest - table[:, 0])
-        lower = table[:, 1:] * side[:, None]
-        self.boxes = np.column_stack((lower, lower + side[:, None]))
-        joints = [np.zeros((0, 2), dtype=np.int64), *self._over_headings(), *self._over_sides()]
-        pairs = np.concatenate(joints)
-        pairs = pairs[(pairs >= 0).all(axis=1)]
-        joined = sparse.coo_array((np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), shape=(count, count))
-        self.component = csgraph.connected_components(joined, directed=False)[1]
-
-    def of_pose(self, pose: tuple[float, float, float]) -> set[int]:
-        """The components of the free cells that a pose of the centre is in, or less than `SLACK` from."""
-        unit = 2.0 * self.proof.cell / 2**self.finest
-        at = (np.array(pose[:2]) - self.proof.origin) / unit
-        near = 2.0 * SLACK / unit
-        found: set[int] = set()
-        in_boxes = np.all((self.boxes[:, :2] <= at + near) & (self.boxes[:, 2:] >= at - near), axis=1)
-        for k in np.flatnonzero(in_boxes).tolist():
-            labels = self.labels[k]
-            headings, n, _ = labels.shape
-            cell = (self.boxes[k, 2] - self.boxes[k, 0]) / n
-            spans = [
-                np.arange(
-                    max(0, math.floor((v - near - low) / cell)), min(n - 1, math.floor((v + near - low) / cell)) + 1
-                )
-                for v, low in zip(at[::-1].tolist(), self.boxes[k, 1::-1].tolist(), strict=True)
-            ]
-            per_turn = headings / (2.0 * math.pi)
-            turned = (math.floor((pose[2] - SLACK) * per_turn), math.floor((pose[2] + SLACK) * per_turn))
-            layers = np.unique(np.arange(turned[0], turned[1] + 1) % headings)
-            found.update(labels[np.ix_(layers, *spans)].ravel().tolist())
-        around = at + near * np.array([(-1, -1), (-1, 1), (1, -1), (1, 1)])
-        inside = (self.boxes[:, None, :2] <= around) & (around <= self.boxes[:, None, 2:])
-        if not inside.all(axis=2).any(axis=0).all():
-            found.add(0)
-        return {int(self.component[label]) for label in found if label >= 0}
-
-    def _over_headings(self) -> list[IntArray]:
-        """The last heading borders on the first."""
-        return [np.column_stack((labels[-1].ravel(), labels[0].ravel())) for labels in self.labels]
-
-    def _over_sides(self) -> list[IntArray]:
-        """Over the right and upper sides to other tiles; over sides with none beyond, to the outside."""
-        joints = []
-        for axis in (0, 1):
-            low, high = self.boxes[:, axis], self.boxes[:, axis + 2]
-            along_low, along_high = self.boxes[:, 1 - axis], self.boxes[:, 3 - axis]
-            overlap = np.minimum.outer(along_high, along_high) - np.maximum.outer(along_low, along_low)
-            beside = np.where((high[:, None] == low[None]) & (overlap > 0), overlap, 0)  # second beyond the first
-            for first, second in np.argwhere(beside > 0).tolist():
-                joints.append(self._over_side(first, second, axis))
-            size = along_high - along_low
-            for edge, covered in ((-1, beside.sum(axis=1)), (0, beside.sum(axis=0))):
-                for k in np.flatnonzero(covered < size).tolist():
-                    face = np.take(self.labels[k], edge, axis=2 - axis).ravel()
-                    joints.append(np.column_stack((face, np.zeros_like(face))))
-        return joints
-
-    def _over_side(self, first: int, second: int, axis: int) -> IntArray:
-        """Labels that meet where the upper side of `first` along `axis` is the lower one of `second`."""
-        low = max(self.boxes[k, 1 - axis] for k in (first, second))
-        high = min(self.boxes[k, 3 - axis] for k in (first, second))
-        sizes = [int(self.boxes[k, 2] - self.boxes[k, 0]) // self.labels[k].shape[1] for k in (first, second)]
-        at = np.arange(low, high, min(sizes))
-        headings = max(self.labels[k].shape[0] for k in (first, second))
-        faces = []
-        for k, edge, size in ((first, -1, sizes[0]), (second, 0, sizes[1])):
-            face = np.take(self.labels[k], edge, axis=2 - axis)
-            layer = np.arange(headings) * face.shape[0] // headings
-            faces.append(face[np.ix_(layer, (at - self.boxes[k, 1 - axis]) // size)].ravel())
-        return np.unique(np.column_stack(faces), axis=0)

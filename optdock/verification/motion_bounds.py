@@ -7,7 +7,7 @@ Within a cell the body moves as `pose(u)`, u from u0 to u1. A body point b has t
 
 and both bounds are exact in the limit of small cells; [Zhang2006] bounds velocities along an axis in the same way. For
 a clothoid u is arc length: |p'| = 1, |p''| = |curvature|, yaw' = curvature, yaw'' = curvature rate. For a polyline u
-counts poses: p'' = yaw'' = 0.
+counts poses: p'' = yaw'' = 0. For a turn in place u is the path coordinate: p' = 0, yaw' = +-1 rad/m, yaw'' = 0.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from optdock.path import ClothoidSegment, PolylineSegment
+from optdock.path import ClothoidSegment, PolylineSegment, TurnSegment
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -164,6 +164,8 @@ def _segment_poses(segment: Segment, u: FloatArray) -> tuple[FloatArray, FloatAr
 def _segment_bounds(segment: Segment, cells: Cells, first: FloatArray, last: FloatArray) -> CellMotion:
     if isinstance(segment, PolylineSegment):
         return _polyline_bounds(segment, cells)
+    if isinstance(segment, TurnSegment):
+        return _turn_bounds(segment, cells)
     assert isinstance(segment, ClothoidSegment)  # a path holds nothing else
     return _clothoid_bounds(segment, cells, first, last)
 
@@ -172,6 +174,13 @@ def _polyline_bounds(segment: PolylineSegment, cells: Cells) -> CellMotion:
     step = np.diff(segment.poses, axis=0)[np.floor(cells.first + 1e-9).astype(np.int64)]
     speed, turn = np.hypot(step[:, 0], step[:, 1]), np.abs(step[:, 2])
     return CellMotion(step, step, cells.last - cells.first, speed, turn, np.zeros(len(step)), turn**2)
+
+
+def _turn_bounds(segment: TurnSegment, cells: Cells) -> CellMotion:
+    width = cells.last - cells.first
+    rate, none = segment.curvature_at(cells.first), np.zeros(width.size)
+    velocity = np.column_stack((none, none, rate))
+    return CellMotion(velocity, velocity, width, none, np.abs(rate), none, rate**2)
 
 
 def _clothoid_bounds(segment: ClothoidSegment, cells: Cells, first: FloatArray, last: FloatArray) -> CellMotion:

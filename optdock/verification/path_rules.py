@@ -8,7 +8,7 @@ import numpy as np
 
 from optdock.dock import DockDirection
 from optdock.geometry.pose import Pose2, normalize_angle
-from optdock.path import ClothoidSegment, Direction, PolylineSegment, may_be_one_frame
+from optdock.path import ClothoidSegment, Direction, PolylineSegment, TurnSegment, may_be_one_frame
 from optdock.segments import SAME_YAW
 from optdock.verification.certificate import TOLERANCE, Violation
 
@@ -34,7 +34,7 @@ STRAIGHT_TOLERANCE = 1e-4  # [m], [rad]: a polyline's final straight
 def path_violations(path: Path, problem: DockingProblem) -> tuple[Violation, ...]:
     """Every broken rule but clearance, in driving order of the rules below."""
     rules = (
-        *(_frame, _ends, _joints, _gears, _slip, _drift, _creep),
+        *(_frame, _ends, _joints, _gears, _turns, _slip, _drift, _creep),
         *(_curvature, _winding, _curvature_rate, _start_curvature, _final_straight),
     )
     return tuple(violation for rule in rules for violation in rule(path, problem))
@@ -82,7 +82,7 @@ def _first_pose(segment: Segment) -> FloatArray:
 def _gears(path: Path, problem: DockingProblem) -> Iterator[Violation]:
     last, wanted = _first_moving(path.segments[::-1]).direction, problem.dock.direction
     required = {DockDirection.FORWARD: Direction.FORWARD, DockDirection.BACKWARD: Direction.REVERSE}.get(wanted, last)
-    if last is not required:
+    if last is not required and last is not Direction.IN_PLACE:  # a path of turns alone enters nothing
         message = f"the path enters the dock in {last.name.lower()} gear, the dock asks for {wanted.value}"
         yield Violation("direction", message, path.length, 1.0)
     first = _first_moving(path.segments).direction
@@ -94,11 +94,25 @@ def _gears(path: Path, problem: DockingProblem) -> Iterator[Violation]:
 def _first_moving(segments: Sequence[Segment]) -> Segment:
     """The first gear that leads anywhere; motions that stay within the tolerance of a pose in all have no direction."""
     driven = 0.0
-    for segment in segments:
+    gears = [segment for segment in segments if not isinstance(segment, TurnSegment)]
+    for segment in gears:
         driven += segment.length
         if driven > TOLERANCE:
             return segment
-    return segments[0]
+    return gears[0] if gears else segments[0]
+
+
+def _turns(path: Path, problem: DockingProblem) -> Iterator[Violation]:
+    """Turns in place are for robots that do so, at rest; no tolerance makes one of a step of something else."""
+    for segment, start in zip(path.segments, path.segment_starts[:-1], strict=True):
+        if isinstance(segment, TurnSegment) and not problem.robot.turns_in_place:
+            message = (
+                f"the path turns in place by {segment.turn:.4g} rad at s = {start:.3f} m, the robot does not do that"
+            )
+            yield Violation("turn", message, float(start), abs(segment.turn))
+    if isinstance(path.segments[0], TurnSegment) and problem.start_speed != 0.0:
+        message = f"the robot moves at {problem.start_speed:.3g} m/s but the path begins with a turn in place"
+        yield Violation("turn", message, 0.0, abs(problem.start_speed))
 
 
 class _Steps(NamedTuple):
@@ -232,6 +246,8 @@ def _curvature_samples(segment: Segment) -> tuple[FloatArray, FloatArray]:
     """Arc lengths and curvatures among which the segment's extreme curvature is."""
     if isinstance(segment, PolylineSegment):
         return segment.knots[:-1], segment.step_curvature
+    if isinstance(segment, TurnSegment):
+        return np.zeros(0), np.zeros(0)
     assert isinstance(segment, ClothoidSegment)  # a path holds nothing else
     return segment.knots, segment.spline.curvature
 
@@ -244,13 +260,15 @@ def _rate_samples(segment: Segment) -> tuple[FloatArray, FloatArray]:
         with np.errstate(divide="ignore", invalid="ignore"):
             rate = np.where(np.diff(curvature) == 0.0, 0.0, np.diff(curvature) / between)
         return segment.knots[1:-1], np.where(np.isnan(rate), np.inf, rate)
+    if isinstance(segment, TurnSegment):
+        return np.zeros(0), np.zeros(0)
     assert isinstance(segment, ClothoidSegment)  # a path holds nothing else
     return segment.knots[:-1], segment.spline.curvature_rates
 
 
 def max_curvature(path: Path) -> float:
-    """Largest |curvature| of the path [1/m]; infinite where it turns in place."""
-    return max(float(np.max(np.abs(_curvature_samples(segment)[1]))) for segment in path.segments)
+    """Largest |curvature| that is driven [1/m]; infinite where a polyline turns in place."""
+    return max(float(np.max(np.abs(_curvature_samples(segment)[1]), initial=0.0)) for segment in path.segments)
 
 
 def max_curvature_rate(path: Path) -> float:
@@ -266,6 +284,8 @@ def _curvature(path: Path, problem: DockingProblem) -> Iterator[Violation]:
     limit = problem.robot.limits.max_curvature
     for segment, start in zip(path.segments, path.segment_starts[:-1], strict=True):
         s, curvature = _curvature_samples(segment)
+        if curvature.size == 0:
+            continue
         k = int(np.argmax(np.abs(curvature)))
         if not abs(curvature[k]) <= limit * (1.0 + _tolerance(segment)):
             at, found = float(start + s[k]), float(curvature[k])
@@ -291,6 +311,8 @@ def _start_curvature(path: Path, problem: DockingProblem) -> Iterator[Violation]
     if wanted is None:
         return
     first = path.segments[0]
+    if isinstance(first, TurnSegment):  # at rest, and no wheels are steered
+        return
     found = float(first.curvature_at(0.0)[0])
     allowed = TOLERANCE
     if isinstance(first, PolylineSegment):
@@ -306,9 +328,10 @@ def _final_straight(path: Path, problem: DockingProblem) -> Iterator[Violation]:
     wanted, last = problem.dock.final_straight, path.segments[-1]
     if wanted <= 0.0:
         return
-    if last.length < wanted - TOLERANCE:
-        message = f"the last gear is {last.length:.3f} m long, the final straight needs {wanted:.3f} m"
-        yield Violation("final_straight", message, path.length, wanted - last.length)
+    driven = 0.0 if isinstance(last, TurnSegment) else last.length
+    if driven < wanted - TOLERANCE:
+        message = f"the last gear is {driven:.3f} m long, the final straight needs {wanted:.3f} m"
+        yield Violation("final_straight", message, path.length, wanted - driven)
         return
     # A nanometre in, so that rounding of the knot where the straight begins does not count as a curve.
     begin = max(0.0, last.length - wanted) + 1e-9

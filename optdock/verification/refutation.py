@@ -17,6 +17,10 @@ instant the path, whose curvature k and its rate r are known, ties the columns: 
 that rests at a cusp between two samples, at time c, has v0 <= J (c - t0)^2 / 2, a0 <= J (c - t0), and lies at most
 J (c - t0)^3 / 6 before the cusp. Between a sample before a cusp and one behind it steered wheels have the time to turn.
 
+Where the path turns in place the samples are cut into those that drive and those that turn, and each stretch is judged
+by itself: a turn by its yaw, yaw rate w and yaw acceleration, for which the inequalities above hold as well, at a place
+that stays. What happens between the last sample of one stretch and the first of the next is left open.
+
 What is left open: if the jerk keeps its limit between the samples too, speed leaves the chord between two of them by
 at most J h^2 / 8 (and A D h / (A + D)), acceleration by J h / 2, place by J h^3 / 12. If it does not, nothing is known
 there. So a motion is refuted here, or not refuted, never certified.
@@ -36,7 +40,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from optdock.path import ClothoidSegment, PolylineSegment
+from optdock.path import ClothoidSegment, PolylineSegment, TurnSegment
 from optdock.problem import ClearanceRule
 from optdock.verification.certificate import TOLERANCE, Violation
 from optdock.verification.conservative_advancement import prove_clearance
@@ -47,14 +51,16 @@ from optdock.verification.sampled_motion import (
     Places,
     Rounding,
     SampledMotion,
+    Stretch,
     half_unit,
     places_of,
     step_lengths,
+    stretches_of,
 )
 from optdock.verification.trajectory_rules import STEP_RTOL
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping
+    from collections.abc import Callable, Iterator, Mapping, Sequence
 
     from optdock.geometry.arrays import BoolArray, FloatArray, IntArray
     from optdock.limits import MotionLimits
@@ -123,25 +129,157 @@ def check_sampled_motion(motion: SampledMotion, path: Path, problem: DockingProb
     Returns:
         The verdict; nothing is ever proven by samples alone.
     """
-    step, limits = float(np.max(np.diff(motion.t))), problem.robot.limits
+    step, rounding = float(np.max(np.diff(motion.t))), Rounding.of(motion)
     with np.errstate(over="ignore", invalid="ignore"):
-        found = _too_coarse(motion, limits) or _turn_in_place(path)
+        found = _too_coarse(motion, problem.robot.limits) or _turn_in_place(path)
         if found is not None:
             return SampledMotionVerdict((found,), motion.t.size, step)
-        rounding = Rounding.of(motion)
-        places = places_of(motion, path, limits, (rounding.speed, rounding.acceleration))
-        if isinstance(places, Violation):
-            return SampledMotionVerdict((places,), motion.t.size, step)
-        judged = _judged(motion, path, problem, places, rounding)
-        offset, off = _off_path(judged, problem)
-        violations = tuple(off)
-        if max(offset) <= OFF_PATH:
-            violations += tuple(_at_samples(judged, problem))
-            sure = judged if places.sure.all() else judged.rows(places.sure, limits)
-            violations += () if sure is judged else tuple(_through_rests(judged, problem))
-            rules = (_by_curvature, _between_samples, _at_knots, _rests, _explained_rates)
-            violations += tuple(violation for rule in rules for violation in rule(sure, problem))
+        if not path.turns:
+            return _checked_drive(motion, path, problem, rounding, (_begin, _end))
+        stretches = stretches_of(motion, path, problem.robot.limits, rounding)
+        if isinstance(stretches, Violation):
+            return SampledMotionVerdict((stretches,), motion.t.size, step)
+        verdicts = list(_checked_stretches(motion, path, stretches, problem, rounding))
+    violations = tuple(violation for verdict in verdicts for violation in verdict.violations)
+    offsets = zip(*(verdict.offset for verdict in verdicts), strict=True)
+    unproven = max((verdict.unproven for verdict in verdicts), key=len, default={})
+    apart, turned = (max(values) for values in offsets)
+    return SampledMotionVerdict(violations, motion.t.size, step, (apart, turned), unproven)
+
+
+def _checked_stretches(
+    motion: SampledMotion, path: Path, stretches: Sequence[Stretch], problem: DockingProblem, rounding: Rounding
+) -> Iterator[SampledMotionVerdict]:
+    """The verdict on every stretch of a motion that turns in place, and on its ends."""
+    yield SampledMotionVerdict(tuple(_ends_of_turns(motion, path, rounding)), motion.t.size, 0.0)
+    dock, slow = problem.dock, path.before_end(problem.dock.approach.distance)
+    for part, begin, (first, last) in stretches:
+        rows = SampledMotion(*(column[first:last] for column in motion))
+        if isinstance(part, TurnSegment):
+            yield _checked_turn(rows, part, begin, path, problem, rounding)
+        elif rows.t.size > 1:
+            zone = min(part.length, max(0.0, begin + part.length - slow))
+            here = replace(problem, dock=replace(dock, approach_distance=zone))
+            ends = (*((_begin,) if first == 0 else ()), *((_end,) if last == motion.t.size else ()))
+            yield _checked_drive(rows, part, here, rounding, ends)
+
+
+def _checked_drive(
+    motion: SampledMotion,
+    path: Path,
+    problem: DockingProblem,
+    rounding: Rounding,
+    ends: tuple[Callable[[_Judged, DockingProblem], Iterator[Violation]], ...],
+) -> SampledMotionVerdict:
+    """The verdict on samples of a path that turns nowhere in place; `ends`: what must hold at which of its ends."""
+    step, limits = float(np.max(np.diff(motion.t))), problem.robot.limits
+    places = places_of(motion, path, limits, (rounding.speed, rounding.acceleration))
+    if isinstance(places, Violation):
+        return SampledMotionVerdict((places,), motion.t.size, step)
+    judged = _judged(motion, path, problem, places, rounding)
+    offset, off = _off_path(judged, problem)
+    violations = tuple(off)
+    if max(offset) <= OFF_PATH:
+        violations += tuple(_at_samples(judged, problem))
+        sure = judged if places.sure.all() else judged.rows(places.sure, limits)
+        violations += () if sure is judged else tuple(_through_rests(judged, problem))
+        rules = (_by_curvature, _between_samples, _at_knots, *ends, _rests, _explained_rates)
+        violations += tuple(violation for rule in rules for violation in rule(sure, problem))
     return SampledMotionVerdict(violations, motion.t.size, step, offset, _unproven(judged, limits))
+
+
+def _ends_of_turns(motion: SampledMotion, path: Path, rounding: Rounding) -> Iterator[Violation]:
+    """The first sample is at the start of the path, the last at rest at its end, also where it turns there."""
+    for name, i, pose, s in (("begin", 0, path.start, 0.0), ("end", -1, path.end, path.length)):
+        away = math.hypot(motion.x[i] - pose.x, motion.y[i] - pose.y)
+        turned = abs(math.remainder(float(motion.yaw[i]) - pose.yaw, 2.0 * math.pi))
+        if not max(away, turned) <= OFF_PATH:
+            message = f"the samples {name} {away:.3g} m and {turned:.3g} rad from where the path does"
+            yield Violation("coverage", message, s, max(away, turned))
+    for name, value, allowed, unit in (
+        ("yaw rate", motion.yaw_rate[-1], rounding.yaw_rate, "rad/s"),
+        ("yaw acceleration", motion.yaw_acceleration[-1], rounding.yaw_acceleration, "rad/s^2"),
+    ):
+        if not abs(value) <= allowed + _ARITHMETIC:
+            message = f"end: {name} {value:.6g} {unit} at t = {motion.t[-1]:.3f} s, must rest"
+            yield Violation("rest", message, path.length, abs(float(value)))
+
+
+class _Turning(NamedTuple):
+    """The samples of a turn in place along it, Shape (n,) each.
+
+    `turned`: how far it has turned [rad]; `rate`, `acceleration`: of that; `begin`: where the turn is on the path [m].
+    """
+
+    motion: SampledMotion
+    turned: FloatArray
+    rate: FloatArray
+    acceleration: FloatArray
+    begin: float
+    rounding: Rounding
+
+    def worst(
+        self, kind: str, values: FloatArray, limit: FloatArray | float, rough: FloatArray | float = 0.0, lag: int = 0
+    ) -> Iterator[Violation]:
+        """As `_worst`; the values are of samples `lag` apart."""
+        t = self.motion.t[lag:]
+        at = np.column_stack((t, np.full(t.size, self.begin)))
+        return _worst_at(at, kind, values, limit, rough)
+
+
+def _checked_turn(
+    motion: SampledMotion, turn: TurnSegment, begin: float, path: Path, problem: DockingProblem, rounding: Rounding
+) -> SampledMotionVerdict:
+    """The verdict on the samples of one turn in place, which begins at `begin` [m] on the path."""
+    half, sign, whole = 0.5 * abs(turn.turn), math.copysign(1.0, turn.turn), 2.0 * np.pi
+    off = np.unwrap(np.remainder(motion.yaw - turn.pose.yaw + np.pi, whole) - np.pi)
+    turned = sign * off
+    turned += whole * np.rint((half - 0.5 * (turned[0] + turned[-1])) / whole)
+    apart = float(np.max(np.hypot(motion.x - turn.pose.x, motion.y - turn.pose.y)))
+    beyond = float(np.max(np.abs(turned - half))) - half
+    offset = (apart, max(beyond, 0.0))
+    turning = _Turning(motion, turned, sign * motion.yaw_rate, sign * motion.yaw_acceleration, begin, rounding)
+    found = [*_turning_at_samples(turning, problem), *_turning_between_samples(turning, problem)]
+    if not max(offset) <= OFF_PATH or (max(offset) > ON_PATH and not _covers(path, problem, offset)):
+        message = f"samples of the turn at s = {begin:.3f} m are up to {apart:.4g} m and {beyond:.4g} rad off it"
+        found.append(Violation("off_path", message, begin, max(offset)))
+    return SampledMotionVerdict(tuple(found), motion.t.size, float(np.max(np.diff(motion.t), initial=0.0)), offset)
+
+
+def _turning_at_samples(turning: _Turning, problem: DockingProblem) -> Iterator[Violation]:
+    """Every column within its limit; those of driving are none."""
+    motion, rounding, most = turning.motion, turning.rounding, problem.robot.limits.turning
+    yield from turning.worst("speed in a turn [m/s]", np.abs(motion.speed), 0.0, rounding.speed)
+    turns = turning.rate > rounding.yaw_rate  # a sample at rest may have what comes next
+    found, rough = np.where(turns, np.abs(motion.acceleration), 0.0), rounding.acceleration
+    yield from turning.worst("acceleration in a turn [m/s^2]", found, 0.0, rough)
+    yield from turning.worst("jerk in a turn [m/s^3]", np.where(turns, np.abs(motion.jerk), 0.0), 0.0, rounding.jerk)
+    yield from turning.worst("yaw rate against the turn [rad/s]", -turning.rate, 0.0, rounding.yaw_rate)
+    yield from turning.worst("yaw rate [rad/s]", turning.rate, most.rate, rounding.yaw_rate)
+    gain = np.abs(turning.acceleration)
+    yield from turning.worst("yaw acceleration [rad/s^2]", gain, most.acceleration, rounding.yaw_acceleration)
+
+
+def _turning_between_samples(turning: _Turning, problem: DockingProblem) -> Iterator[Violation]:
+    """As `_between_samples`, of a turn."""
+    t, rounding, most = turning.motion.t, turning.rounding, problem.robot.limits.turning
+    lag = 1
+    while lag < t.size:
+        columns = (t, turning.turned, turning.rate, turning.acceleration)
+        h, yaw, w, a = (column[lag:] - column[:-lag] for column in columns)
+        mean, steady = (0.5 * (column[lag:] + column[:-lag]) for column in columns[2:])
+        rough = 2.0 * rounding.yaw_rate + 2.0 * rounding.time * most.acceleration
+        yield from turning.worst("mean yaw acceleration [rad/s^2]", np.abs(w), most.acceleration * h, rough, lag)
+        gain = 2.0 * rounding.yaw_acceleration + 2.0 * rounding.time * most.jerk
+        yield from turning.worst("mean yaw jerk [rad/s^3]", np.abs(a), most.jerk * h, gain, lag)
+        by_jerk = 0.25 * most.jerk * h**2
+        off = np.abs(w - h * steady)
+        allowed = rough + rounding.yaw_acceleration * h
+        yield from turning.worst("yaw rate off its accelerations [rad/s]", off, by_jerk, allowed, lag)
+        bound = np.minimum(h**3 * most.jerk / 12.0, 0.25 * h**2 * most.acceleration)
+        allowed = 2.0 * rounding.yaw + rounding.yaw_rate * h + 2.0 * rounding.time * most.rate
+        yield from turning.worst("yaw off its rates [rad]", np.abs(yaw - h * mean), bound, allowed, lag)
+        lag *= 2
 
 
 def _too_coarse(motion: SampledMotion, limits: MotionLimits) -> Violation | None:
@@ -307,6 +445,14 @@ def _worst(
         rough: By how much rounding may have raised the values, likewise.
         at: Times and arc lengths of the values, Shape (m, 2); None: those of the samples.
     """
+    at = np.column_stack((judged.motion.t, judged.s)) if at is None else at
+    yield from _worst_at(at, kind, values, limit, rough)
+
+
+def _worst_at(
+    at: FloatArray, kind: str, values: FloatArray, limit: FloatArray | float, rough: FloatArray | float
+) -> Iterator[Violation]:
+    """As `_worst`."""
     if values.size == 0:
         return
     limits = np.broadcast_to(np.asarray(limit, dtype=np.float64), values.shape)
@@ -314,7 +460,7 @@ def _worst(
     beyond = np.where(np.isnan(beyond), np.inf, beyond)
     i = int(np.argmax(beyond))
     if beyond[i] > 0.0:
-        t, s = (judged.motion.t[i], judged.s[i]) if at is None else (at[i, 0], at[i, 1])
+        t, s = at[i]
         message = f"{kind}: {values[i]:.6g} at t = {t:.3f} s, limit {limits[i]:.6g}"
         yield Violation(kind.partition(" [")[0].replace(" ", "_"), message, float(s), float(beyond[i]))
 
@@ -575,15 +721,19 @@ def _at_knots(judged: _Judged, problem: DockingProblem) -> Iterator[Violation]:
             yield from _worst(judged, "steering rate at a knot [rad/s]", steered, limits.max_steering_rate, at=at)
 
 
-def _rests(judged: _Judged, problem: DockingProblem) -> Iterator[Violation]:
-    """The motion begins as the robot drives, rests at every cusp, and ends at rest at the end of the path."""
-    motion, path, rounding = judged.motion, judged.path, judged.rounding
-    if not abs(motion.speed[0] - problem.start_speed) <= rounding.speed:
+def _begin(judged: _Judged, problem: DockingProblem) -> Iterator[Violation]:
+    """The motion begins where the path does, as the robot drives."""
+    motion, begins = judged.motion, float(judged.s[0])
+    if not abs(motion.speed[0] - problem.start_speed) <= judged.rounding.speed:
         message = f"start speed: {motion.speed[0]:.6g} m/s, the robot drives {problem.start_speed:.6g} m/s"
         yield Violation("start_state", message, 0.0, abs(float(motion.speed[0] - problem.start_speed)))
-    begins, ends = float(judged.s[0]), float(judged.s[-1])
     if begins > 2.0 * judged.slack:
         yield Violation("coverage", f"begins: at s = {begins:.6g} m, the path at 0 m", begins, begins)
+
+
+def _end(judged: _Judged, problem: DockingProblem) -> Iterator[Violation]:  # noqa: ARG001 - one shape for all rules
+    """The motion ends at rest at the end of the path."""
+    motion, path, rounding, ends = judged.motion, judged.path, judged.rounding, float(judged.s[-1])
     if ends < path.length - 2.0 * judged.slack:
         message = f"travelled: {ends:.4f} m, the path is {path.length:.4f} m long"
         yield Violation("coverage", message, ends, path.length - ends)
@@ -594,7 +744,11 @@ def _rests(judged: _Judged, problem: DockingProblem) -> Iterator[Violation]:
         if not abs(value) <= allowed:
             message = f"end: {name} {value:.6g} {unit} at t = {motion.t[-1]:.3f} s, must rest"
             yield Violation("rest", message, ends, abs(float(value)))
-    for cusp in path.cusps:
+
+
+def _rests(judged: _Judged, problem: DockingProblem) -> Iterator[Violation]:
+    """The motion rests at every cusp."""
+    for cusp in judged.path.cusps:
         yield from _no_rest(judged, problem.robot.limits, cusp)
     if np.isfinite(problem.robot.limits.max_steering_rate):
         yield from _unsteered(judged, problem.robot.limits)

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
+from optdock.path import TurnSegment
 from optdock.verification.certificate import TOLERANCE, Violation
 
 if TYPE_CHECKING:
@@ -23,7 +24,19 @@ if TYPE_CHECKING:
     from optdock.limits import MotionLimits
     from optdock.path import Path
 
-__all__ = ["EXACT", "REACH", "Places", "Rounding", "SampledMotion", "Steps", "half_unit", "places_of", "step_lengths"]
+__all__ = [
+    "EXACT",
+    "REACH",
+    "Places",
+    "Rounding",
+    "SampledMotion",
+    "Steps",
+    "Stretch",
+    "half_unit",
+    "places_of",
+    "step_lengths",
+    "stretches_of",
+]
 
 EXACT = TOLERANCE  # [m], [rad], ...: numbers with more decimals than five are taken to this
 CORRECTED_TRAPEZOID = np.sqrt(3.0) / 54.0  # the error of that rule is at most this * |second derivative| * width^3
@@ -31,6 +44,8 @@ REACH = 0.02  # [m]: a sample is looked for so far around where it should be
 _MAX_BLOCKS = 2000  # times that the distance counts on anew
 _PROJECTIONS = 8
 _BESIDE = 1e-10  # [m]: such a sample needs no further projection
+_DRIVES = 2  # beside 1 and -1, which turn left and right
+_BENT = 10.0  # [1/m]: no more of a curvature counts beside a turn
 
 
 class SampledMotion(NamedTuple):
@@ -174,6 +189,71 @@ def places_of(motion: SampledMotion, path: Path, limits: MotionLimits, rest: tup
         (np.abs(motion.speed) <= still) & (np.abs(motion.acceleration) > steady) & _between_gears(motion, run, still)
     )
     return Places(s, sign, poses, ~unsure)
+
+
+class Stretch(NamedTuple):
+    """A part of a path, between turns in place or one of them; where it begins [m]; its first sample, and one after.
+
+    One sample at rest before it and one behind it belong to it. What only stands still, as a robot does that is about
+    to move, may belong to either side and is left out.
+    """
+
+    part: Path | TurnSegment
+    begin: float
+    rows: tuple[int, int]
+
+
+def stretches_of(
+    motion: SampledMotion, path: Path, limits: MotionLimits, rounding: Rounding
+) -> list[Stretch] | Violation:
+    """Which samples drive and which turn in place, in the order of the path; or why they cannot follow it.
+
+    A sample turns where its yaw rate is more than what rounding hides of its speed could make. The runs of one kind
+    (driving, turning left, turning right) must be those of the path, one after the other, but for those that fit
+    between two samples.
+
+    Args:
+        motion: The samples.
+        path: What they claim to follow.
+        limits: What the motion keeps.
+        rounding: Of the samples.
+    """
+    parts = path.parts()
+    kinds = [int(np.sign(part.turn)) if isinstance(part, TurnSegment) else _DRIVES for part in parts]
+    h = float(np.max(np.diff(motion.t)))
+    hidden = [
+        part.length <= (limits.turning.jerk if kind != _DRIVES else limits.max_jerk) * h**3 / 32.0 + EXACT
+        for part, kind in zip(parts, kinds, strict=True)
+    ]
+    bend = min(limits.max_curvature, _BENT)
+    turning = np.abs(motion.yaw_rate) > rounding.yaw_rate + bend * rounding.speed + EXACT
+    drives = np.abs(motion.speed) > rounding.speed
+    found = np.where(drives, _DRIVES, np.where(turning, np.sign(motion.yaw_rate), 0)).astype(np.int64)
+    shown = np.flatnonzero(found)
+    begins = shown[np.concatenate(([True], np.diff(found[shown]) != 0))] if shown.size else shown
+    wanted = _merged(list(range(len(parts))), kinds)
+    if len(wanted) != begins.size:
+        wanted = _merged([i for i in range(len(parts)) if not hidden[i]], kinds)
+    if found[begins].tolist() != [kinds[group[0]] for group in wanted]:
+        names = {_DRIVES: "drives", 1: "turns left", -1: "turns right"}
+        does, asked = (", ".join(names[k] for k in ks) for ks in (found[begins].tolist(), kinds))
+        message = f"direction: the motion {does or 'rests'}; the path {asked}"
+        return Violation("direction", message, 0.0, 1.0)
+    at_rest = found == 0
+    at_rest &= np.abs(motion.acceleration) <= rounding.acceleration
+    at_rest &= np.abs(motion.yaw_acceleration) <= rounding.yaw_acceleration
+    ends = shown[np.concatenate((np.diff(found[shown]) != 0, [True]))] if shown.size else shown
+    firsts, lasts = begins - at_rest[begins - 1], ends + 1 + np.append(at_rest, False)[ends + 1]
+    if shown.size:
+        firsts[0], lasts[-1] = 0, motion.t.size
+    starts = [0.0, *itertools.accumulate(part.length for part in parts)]
+    spans = zip(wanted, firsts.tolist(), lasts.tolist(), strict=True)
+    return [Stretch(parts[i], starts[i], (first, last)) for (i, *more), first, last in spans if not more]
+
+
+def _merged(numbers: Sequence[int], kinds: Sequence[int]) -> list[list[int]]:
+    """Numbers of parts, those of one kind that follow each other in one group: no sample tells them apart."""
+    return [list(group) for _, group in itertools.groupby(numbers, key=lambda i: kinds[i])]
 
 
 def _gears(path: Path) -> list[_Gear]:

@@ -18,6 +18,9 @@ and of steered wheels, at wheelbase L, the steering angle atan(u), u = L k, turn
 
 Where the curvature jumps between two segments the wheels turn at rest, and the rest must be long enough for that.
 
+A turn in place is driven over the path coordinate, so its yaw rate, acceleration and jerk are the time law's own: exact
+extremes, against limits of their own (`MotionLimits.turning`). The phases between the rests at its ends are the turn's.
+
 Cells that the bound does not clear are bisected.
 
 Time within a cell counts from the start of its phase, and arc length from the knot before it, so that neither a long
@@ -32,12 +35,14 @@ A polyline is judged twice: with the curvature that it claims between its poses,
 
 from __future__ import annotations
 
+import itertools
 from collections import deque
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from optdock.path import Direction, PolylineSegment
+from optdock.path import Direction, PolylineSegment, TurnSegment
+from optdock.segments import TURN_RADIUS
 from optdock.trajectory import constant_jerk
 from optdock.verification.certificate import TOLERANCE, Violation
 
@@ -86,11 +91,14 @@ def trajectory_violations(
         if pieces is not None:
             _subdivide(_initial_cells(law, pieces, reached.rows(slice(borders.size, None))), judge, is_late)
     peaks = tuple(_stretch_peaks(law, stretches, reached.rows(slice(borders.size)), extremes))
-    plain = {violation.kind: violation for violation in (*_speed(peaks), *_rates(law, limits))}
-    ratios = {**_plain_ratios(law, limits, peaks), **judge.ratios}
-    if waits:
-        ratios["steering_rate"] = max(ratios["steering_rate"], *(wait.ratio for wait in waits))
-    return (*structure, *plain.values(), *judge.violations()), ratios
+    driven, turns = _phases_apart(trajectory)
+    plain = {violation.kind: violation for violation in (*_speed(peaks), *_rates(law, driven, limits))}
+    ratios = {**_plain_ratios(law, driven, limits, peaks), **judge.ratios}
+    turning = tuple(peak for turn in turns for peak in _turn_peaks(law, turn, extremes, limits))
+    more = [(peak.kind, peak.ratio) for peak in turning] + [("steering_rate", wait.ratio) for wait in waits]
+    for kind, ratio in more:
+        ratios[kind] = max(ratios.get(kind, 0.0), ratio)
+    return (*structure, *plain.values(), *judge.violations(), *_turned_too_fast(turning)), ratios
 
 
 def _coverage(trajectory: Trajectory, extremes: _Extremes) -> Iterator[Violation]:
@@ -245,15 +253,17 @@ def _start(law: TimeLaw, speed: float | None, acceleration: float | None) -> Ite
 
 
 def _segment_limits(path: Path, limits: MotionLimits, zone: SpeedZone) -> FloatArray:
-    """Stretches with one speed limit: begin, end, limit. Shape (n, 3) [m, m, m/s]."""
+    """Stretches with one speed limit, turns left out: begin, end, limit. Shape (n, 3) [m, m, m/s]."""
     top = {Direction.FORWARD: limits.max_speed, Direction.REVERSE: limits.max_reverse_speed}
     rows = [
         (a, b, top[segment.direction])
         for segment, a, b in zip(path.segments, path.segment_starts[:-1], path.segment_starts[1:], strict=True)
+        if segment.direction in top
     ]
     if zone.distance > 0.0:
-        rows.append((max(0.0, path.length - zone.distance), path.length, zone.speed))
-    return np.array(rows)
+        begin = path.before_end(zone.distance)
+        rows += [(max(a, begin), b, zone.speed) for a, b in path.driven_stretches if b > begin]
+    return np.array(rows).reshape(-1, 3)
 
 
 class _Peak(NamedTuple):
@@ -283,24 +293,91 @@ def _speed(peaks: Sequence[_Peak]) -> Iterator[Violation]:
             yield Violation("speed", message, s, speed - limit)
 
 
-def _rates(law: TimeLaw, limits: MotionLimits) -> Iterator[Violation]:
-    for kind, value, limit, row in (
-        ("acceleration", law.states[:, 2], limits.max_acceleration, law.states[:, 0]),
-        ("deceleration", -law.states[:, 2], limits.max_deceleration, law.states[:, 0]),
-        ("jerk", np.abs(law.jerks), limits.max_jerk, law.states[:-1, 0]),
+class _Phases(NamedTuple):
+    """Some phases of a time law: their indices, and those of the borders that belong to them."""
+
+    inside: IntArray
+    borders: IntArray
+
+    @classmethod
+    def of(cls, inside: IntArray) -> _Phases:
+        """The phases `inside`, with the borders at both their ends."""
+        return cls(inside, np.union1d(inside, inside + 1))
+
+
+def _phases_apart(trajectory: Trajectory) -> tuple[_Phases, list[_Phases]]:
+    """The phases that drive, and those of every turn in place: between the rests at its ends, as `_rest` finds them."""
+    law, path = trajectory.time_law, trajectory.path
+    if not path.turns:
+        return _Phases(np.arange(law.durations.size), np.arange(law.times.size)), []
+    cuts = [0, *(_border_at(law, s) for s in path.cusps), law.durations.size]
+    owned = [np.arange(first, last) for first, last in itertools.pairwise(cuts)]
+    turns = [isinstance(segment, TurnSegment) for segment in path.segments]
+    driven = np.setdiff1d(np.arange(law.durations.size), np.concatenate(list(itertools.compress(owned, turns))))
+    return _Phases.of(driven), [_Phases.of(phases) for phases in itertools.compress(owned, turns)]
+
+
+class _TurnPeak(NamedTuple):
+    """The largest yaw rate, acceleration or jerk of a turn, its limit, when [s] and where [m]."""
+
+    kind: str
+    limit: float
+    value: float
+    t: float
+    s: float
+
+    @property
+    def ratio(self) -> float:
+        """Over its limit."""
+        return self.value / self.limit
+
+
+def _turn_peaks(law: TimeLaw, turn: _Phases, found: _Extremes, limits: MotionLimits) -> Iterator[_TurnPeak]:
+    """Of one turn; exact."""
+    if turn.inside.size == 0:
+        return
+    rows = np.concatenate((turn.borders, law.times.size + turn.inside))  # borders of phases, then speeds inside them
+    turning, at = limits.turning, turn.borders
+    for kind, limit, value, t, s in (
+        ("yaw_rate", turning.rate, found.v[rows], found.t[rows], found.s[rows]),
+        ("yaw_acceleration", turning.acceleration, np.abs(law.states[at, 2]), law.times[at], law.states[at, 0]),
+        ("yaw_jerk", turning.jerk, np.abs(law.jerks[turn.inside]), law.times[turn.inside], law.states[turn.inside, 0]),
     ):
         k = int(np.argmax(value))
-        if not value[k] <= limit * (1.0 + TOLERANCE):
-            message = f"{kind} {value[k]:.4g} at t = {law.times[k]:.3f} s, s = {row[k]:.3f} m exceeds {limit:.4g}"
-            yield Violation(kind, message, float(row[k]), float(value[k] - limit))
+        yield _TurnPeak(kind, limit, float(value[k]) / TURN_RADIUS, float(t[k]), float(s[k]))
 
 
-def _plain_ratios(law: TimeLaw, limits: MotionLimits, peaks: Sequence[_Peak]) -> dict[str, float]:
+def _turned_too_fast(peaks: Sequence[_TurnPeak]) -> Iterator[Violation]:
+    for kind, limit, value, t, s in peaks:
+        if not value <= limit * (1.0 + TOLERANCE):
+            name = kind.replace("_", " ")
+            message = f"{name} {value:.5g} at t = {t:.3f} s, in the turn at s = {s:.3f} m, exceeds {limit:.5g}"
+            yield Violation(kind, message, s, value - limit)
+
+
+def _rates(law: TimeLaw, driven: _Phases, limits: MotionLimits) -> Iterator[Violation]:
+    at, inside = driven.borders, driven.inside
+    for kind, value, limit, rows in (
+        ("acceleration", law.states[at, 2], limits.max_acceleration, at),
+        ("deceleration", -law.states[at, 2], limits.max_deceleration, at),
+        ("jerk", np.abs(law.jerks[inside]), limits.max_jerk, inside),
+    ):
+        if value.size == 0:
+            continue
+        i = int(np.argmax(value))
+        k, s = rows[i], law.states[rows[i], 0]
+        if not value[i] <= limit * (1.0 + TOLERANCE):
+            message = f"{kind} {value[i]:.4g} at t = {law.times[k]:.3f} s, s = {s:.3f} m exceeds {limit:.4g}"
+            yield Violation(kind, message, float(s), float(value[i] - limit))
+
+
+def _plain_ratios(law: TimeLaw, driven: _Phases, limits: MotionLimits, peaks: Sequence[_Peak]) -> dict[str, float]:
+    a, jerks = law.states[driven.borders, 2], law.jerks[driven.inside]
     return {
-        "speed": max(peak.speed / peak.limit for peak in peaks),
-        "acceleration": float(np.max(law.states[:, 2])) / limits.max_acceleration,
-        "deceleration": float(np.max(-law.states[:, 2])) / limits.max_deceleration,
-        "jerk": float(np.max(np.abs(law.jerks))) / limits.max_jerk,
+        "speed": max((peak.speed / peak.limit for peak in peaks), default=0.0),
+        "acceleration": float(np.max(a, initial=0.0)) / limits.max_acceleration,
+        "deceleration": float(np.max(-a, initial=0.0)) / limits.max_deceleration,
+        "jerk": float(np.max(np.abs(jerks), initial=0.0)) / limits.max_jerk,
     }
 
 
@@ -344,7 +421,7 @@ class _Pieces(NamedTuple):
     """Stretches of a path with a constant curvature rate, Shape (n,) each.
 
     `begin`: arc length [m]; `first`, `last`: curvature at the ends; `rate`: its slope; `step`: the curvature of the
-    polyline's step, NaN on a clothoid.
+    polyline's step, NaN on a clothoid; infinite on a turn in place, which is judged by itself.
     """
 
     begin: FloatArray
@@ -365,7 +442,9 @@ def _path_pieces(path: Path) -> _Pieces:
 def _segment_pieces(segment: Segment, start: float) -> _Pieces:
     knots, step = segment.knots, np.full(segment.knots.size - 1, np.nan)
     curvature = segment.curvature_at(knots)
-    if isinstance(segment, PolylineSegment):
+    if isinstance(segment, TurnSegment):
+        step[:] = np.inf
+    elif isinstance(segment, PolylineSegment):
         # Repeated poses have no length: the curvature between the poses beside them is what counts.
         kept = np.flatnonzero(np.diff(knots, prepend=-1.0) > 0.0)
         step = segment.step_curvature[kept[1:] - 1] / (1.0 + STEP_RTOL)
@@ -442,6 +521,9 @@ def _initial_cells(law: TimeLaw, pieces: _Pieces, knots: _Instants) -> _Cells:
     low, high = np.minimum(first, last), np.maximum(first, last)
     k = np.where(at_knot, first, np.clip(first + rate * (s - begins), low, high))
     cells = _Cells(law.times[phase] + since, width, s, v, a, law.jerks[phase], k, rate, low, high)
+    if np.isinf(pieces.step).any():
+        driven = np.flatnonzero(~np.isinf(pieces.step[piece]))
+        cells, piece = cells.rows(driven), piece[driven]
     # A polyline once more, turning as its steps do: their curvature is constant, not that between poses.
     step = pieces.step[piece]
     turning = cells._replace(k=step, r=np.zeros(step.size), low=step, high=step)

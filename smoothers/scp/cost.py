@@ -2,14 +2,18 @@
 
 J = sum over gears of [w_L L + w_k / k_ref^2 * L * K'MK + w_r / r_ref^2 / L * K'SK]
     + w_t * (total length / intervals) * sum over nodes of (n_ref . (p - p_ref))^2
+    + w_s * sum over cusps of ((k_after + k_before) / k_ref)^2
 
 with M and S the mass and stiffness of the basis: length, integral of curvature^2, integral of curvature rate^2, and the
-squared lateral distance to the input path.
+squared lateral distance to the input path; and, for wheels that must be turned while the robot rests, how far: steered
+wheels that stay as they are reverse the sign of the curvature where the gear changes.
 """
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
+from functools import cached_property
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -55,12 +59,24 @@ class CostModel:
         weights: What matters how much.
         scales: Reference curvature [1/m] and reference curvature rate [1/m^2].
         reference: The input path.
+        turning_at_cusps: Weight of turning the wheels at rest by the reference curvature [m]; 0 where they need not.
     """
 
     basis: Basis
     weights: Weights
     scales: tuple[float, float]
     reference: Reference
+    turning_at_cusps: float = 0.0
+
+    @cached_property
+    def _turned(self) -> FloatArray:
+        """What the wheels turn at every cusp, by the knot curvatures. Shape (cusps, knots)."""
+        basis = self.basis
+        rows = np.zeros((basis.num_gears - 1, basis.num_knots))
+        cusps = np.arange(basis.num_gears - 1)
+        rows[cusps, basis.last_knots[:-1]] = 1.0
+        rows[cusps, basis.first_knots[1:]] = 1.0
+        return rows * math.sqrt(self.turning_at_cusps) / self.scales[0]
 
     @property
     def factors(self) -> tuple[float, float]:
@@ -80,7 +96,9 @@ class CostModel:
         slopes = curvature * (self.basis.stiffness @ curvature) / per_knot
         lateral, total = self._lateral(rollout), float(lengths.sum())
         tracking = self.weights.tracking * total / self.basis.num_intervals * float(lateral @ lateral)
-        return float(self.weights.length * total + bend * squares.sum() + jerk * slopes.sum() + tracking)
+        turned = self._turned @ curvature
+        smooth = bend * squares.sum() + jerk * slopes.sum() + turned @ turned
+        return float(self.weights.length * total + smooth + tracking)
 
     def quadratic(self, variables: Variables, rollout: Rollout, by: Sensitivity) -> Quadratic:
         """Exact gradient; Hessian exact in the curvatures, Gauss-Newton for tracking."""
@@ -93,6 +111,8 @@ class CostModel:
         squares, slopes = (curvature * of_mass) @ basis.knot_members, (curvature * of_slope) @ basis.knot_members
         gradient[knots:] = self.weights.length + bend * squares - jerk * slopes / lengths**2
         hessian[:knots, :knots] = 2.0 * (bend * per_knot * basis.mass + (jerk / per_knot) * basis.stiffness)
+        gradient[:knots] += 2.0 * (self._turned.T @ (self._turned @ curvature))
+        hessian[:knots, :knots] += 2.0 * (self._turned.T @ self._turned)
         index = np.arange(knots, basis.size)
         hessian[index, index] = 2.0 * jerk * slopes / lengths**3
         share = self.weights.tracking / basis.num_intervals

@@ -154,7 +154,7 @@ def formulate(
     radius = 1.0 / min(_curvature_bound(limits, settings.bounds), 2.0)
     signs = np.array([float(segment.direction) for segment in path.segments])
     ends = Ends(start, _target(problem, signs[-1], traced.end_yaw), signs, settings.projection.reach * radius)
-    cost = CostModel(basis, chosen.weights, scales, _reference_of(traced, basis))
+    cost = CostModel(basis, chosen.weights, scales, _reference_of(traced, basis), _turning_at_cusps(limits, scales[0]))
     bounds, inner = _variable_bounds(basis, problem, lengths, settings.bounds)
     return NonlinearProgram(basis, ends, bounds, inner, cost, scene, traced, lengths, radius, settings)
 
@@ -258,7 +258,16 @@ def _reference_scales(limits: MotionLimits, settings: BoundSettings) -> tuple[fl
     """Curvature [1/m] and curvature rate [1/m^2] that the cost counts as one."""
     curvature = limits.max_curvature if math.isfinite(limits.max_curvature) else settings.unlimited_curvature
     rate = limits.max_curvature_rate
+    if limits.wheelbase > 0.0:  # what the wheels can follow at full speed: more than that costs time
+        rate = min(rate, limits.max_steering_rate / (limits.wheelbase * limits.max_speed))
     return curvature, rate if math.isfinite(rate) else settings.unlimited_rate * curvature
+
+
+def _turning_at_cusps(limits: MotionLimits, curvature: float) -> float:
+    """What turning the wheels at rest by `curvature` costs [m]: the time that it takes, at half the full speed."""
+    if limits.wheelbase <= 0.0:
+        return 0.0
+    return math.atan(limits.wheelbase * curvature) / limits.max_steering_rate * 0.5 * limits.max_speed
 
 
 def _variable_bounds(

@@ -15,11 +15,15 @@ from typer.testing import CliRunner
 from optdock.builtin import demo_scenario
 from optdock.cli import app
 from optdock.config import load_scenario
+from optdock.errors import NoMotionExists
 from optdock.geometry.clothoid import ClothoidSpline
 from optdock.geometry.pose import Pose2
 from optdock.io.plan_file import PlanFile, TrajectoryColumns, load_plan, save_plan
 from optdock.path import ClothoidSegment, Path
+from optdock.plotting import save_plan_picture
+from optdock.report import failed_plan_file
 from optdock.trajectory import TimeLaw, Trajectory
+from optdock.verification import prove_impossible
 
 SCENARIO = """\
 format: optdock-scenario/1
@@ -754,3 +758,42 @@ def test_a_warning_is_said_once_and_without_the_name_of_a_module():
     warnings = [line for line in result.stderr.splitlines() if "does not contain [0, 0]" in line]
     assert len(warnings) == 1
     assert warnings[0].startswith("warning: bay.yaml: robot.footprint ")
+
+
+WALLED = """  - [[2.4, -2.0], [2.6, -2.0], [2.6, 0.7], [2.4, 0.7]]
+  - [[2.4, 1.3], [2.6, 1.3], [2.6, 4.0], [2.4, 4.0]]
+  - [[2.4, 3.9], [6.0, 3.9], [6.0, 4.1], [2.4, 4.1]]
+  - [[2.4, -2.1], [6.0, -2.1], [6.0, -1.9], [2.4, -1.9]]
+  - [[5.8, -2.0], [6.0, -2.0], [6.0, 4.0], [5.8, 4.0]]
+"""
+
+
+@pytest.fixture(scope="module")
+def impossible(tmp_path_factory):
+    """A scenario whose dock is behind a door that is too narrow, and the plan file of the refusal."""
+    folder = tmp_path_factory.mktemp("impossible")
+    scenario = folder / "walled.yaml"
+    scenario.write_text(SCENARIO.replace("obstacles:\n", "obstacles:\n" + WALLED))
+    problem = load_scenario(scenario).problem
+    proof = prove_impossible(problem, time_budget=30.0)
+    refusal = NoMotionExists(proof.message, proof=proof, where=proof.where)
+    save_plan(folder / "plan.json", failed_plan_file(refusal, problem.frame))
+    save_plan_picture(folder / "plan.png", problem, refusal=refusal, title=str(refusal))
+    return folder
+
+
+def test_certify_proves_again_that_no_motion_exists(impossible):
+    result = run("certify", impossible / "plan.json", impossible / "walled.yaml")
+    assert result.exit_code == 0, result.output
+    assert re.search(r"verdict +impossible, proven", result.stdout)
+    assert "too wide for the gap" in " ".join(result.stdout.split())
+    assert (impossible / "plan.png").stat().st_size > 10_000
+
+
+def test_certify_refuses_a_proof_that_does_not_hold(impossible):
+    wider = write((impossible / "walled.yaml").read_text(), "[2.4, 1.3], [2.6, 1.3]", "[2.4, 2.1], [2.6, 2.1]")
+    result = run("certify", impossible / "plan.json", wider)
+    assert result.exit_code == 3
+    assert "does not hold" in result.stderr
+    assert re.search(r"verdict +not certified", result.stdout)
+    assert "another problem: obstacles differ" in " ".join(result.stdout.split())

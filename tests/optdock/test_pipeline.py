@@ -18,6 +18,7 @@ from optdock.errors import (
     GoalOutsideMapBounds,
     InvalidValue,
     LifecycleError,
+    NoMotionExists,
     NoValidPathCouldBeFound,
     OptdockError,
     PlannerCancelled,
@@ -103,8 +104,8 @@ def test_the_raw_path_breaks_what_the_smoothed_one_keeps():
 @pytest.mark.parametrize("frame", [Pose2(0, 0, 0), Pose2(20.0, -3.0, 2.0), Pose2(-5.0, 40.0, -1.0)])
 def test_the_frame_does_not_matter(frame):
     task = problem(start=frame @ Pose2(0.5, 0.3, 0.3), dock=dock(pose=frame @ GOAL))
-    plan = plan_dock(task, time_budget=BUDGET)
-    plain = plan_dock(problem(), time_budget=BUDGET)
+    plan = plan_dock(task, time_budget=BUDGET, planner="DockPlanner")
+    plain = plan_dock(problem(), time_budget=BUDGET, planner="DockPlanner")
     assert plan.path.length == pytest.approx(plain.path.length, rel=1e-4)
     assert plan.trajectory.duration == pytest.approx(plain.trajectory.duration, rel=1e-3)
 
@@ -210,13 +211,16 @@ def test_unknown_cells_are_called_so_and_keep_their_name_in_data():
 
 
 def test_start_too_close_to_the_dock():
-    error = failure(problem(start=Pose2(3.7, 1.0, 0.0)))
+    error = failure(problem(start=Pose2(3.7, 1.0, 0.0)), planner="DockPlanner")
     assert isinstance(error, NoValidPathCouldBeFound)
     assert error.code == 208
+    assert plan_dock(problem(start=Pose2(3.7, 1.0, 0.0)), time_budget=BUDGET).certificate.certified
 
 
 def test_a_dock_direction_that_contradicts_the_start():
-    assert isinstance(failure(problem(dock=dock(direction=DockDirection.BACKWARD))), NoValidPathCouldBeFound)
+    wrong = problem(dock=dock(direction=DockDirection.BACKWARD))
+    assert isinstance(failure(wrong, planner="DockPlanner"), NoValidPathCouldBeFound)
+    assert isinstance(failure(wrong), NoMotionExists | NoValidPathCouldBeFound)  # the station stands behind the dock
 
 
 def test_ends_off_the_map():
@@ -233,26 +237,28 @@ def test_a_costmap_alone_is_an_obstacle():
     cells[:, 60:66] = 254  # x from 2.0 to 2.3 m, right across
     walled = free.with_data(cells)
     assert plan_dock(problem(costmap=free), time_budget=BUDGET).certificate.nearest == "dock"
-    error = failure(problem(costmap=walled))
-    assert isinstance(error, FailedToSmoothPath)
-    assert error.where["obstacle"] == "map"
+    error = failure(problem(costmap=walled), planner="DockPlanner")
+    assert isinstance(error, NoMotionExists)
+    assert "no motion exists" in str(error)
 
 
 def test_a_curvature_the_robot_cannot_drive():
     stiff = Robot(ROBOT.footprint, dataclasses.replace(LIMITS, max_curvature=0.05))
-    error = failure(problem(start=Pose2(2.0, 0.0, 1.0), robot=stiff))
+    error = failure(problem(start=Pose2(2.0, 0.0, 1.0), robot=stiff), planner="DockPlanner")
     assert isinstance(error, FailedToSmoothPath)
     assert error.partial.raw_path is not None
     assert error.where["reason"]
 
 
 def test_a_blocked_way():
-    error = failure(problem(obstacles=wall(2.0, -5.0, 2.3, 6.0)))
-    assert isinstance(error, FailedToSmoothPath)
+    task = problem(obstacles=wall(2.0, -5.0, 2.3, 6.0))
+    assert isinstance(failure(task, planner="DockPlanner", time_budget=0.2), FailedToSmoothPath | NoMotionExists)
+    assert plan_dock(task, time_budget=BUDGET).certificate.certified  # around the wall
 
 
 def test_a_start_too_fast_to_stop():
-    error = failure(problem(start=Pose2(2.9, 1.0, 0.0), start_speed=2.0, start_curvature=0.0))
+    hasty = problem(start=Pose2(2.9, 1.0, 0.0), start_speed=2.0, start_curvature=0.0)
+    error = failure(hasty, planner="DockPlanner")
     assert isinstance(error, FailedToTimePath)
     assert error.where["status"] in ("START_INFEASIBLE", "CANNOT_STOP")
     assert error.partial.path is not None
@@ -307,7 +313,7 @@ class Liar(Smoother):
 
 
 def test_a_smoother_is_never_believed():
-    error = failure(problem(start=Pose2(0.5, 0.3, -0.4)), smoother=Liar())
+    error = failure(problem(start=Pose2(0.5, 0.3, -0.4)), planner="DockPlanner", smoother=Liar())
     assert isinstance(error, CertificationFailed)
     assert error.partial.certificate is not None
     assert not error.partial.certificate.certified
@@ -318,7 +324,7 @@ def test_the_smoother_time_out_is_passed_on():
         def smooth(self, path, max_time, *, problem=None, warm_start=None, cancel_checker=None):
             raise SmootherTimedOut("too slow")
 
-    error = failure(problem(), smoother=Slow())
+    error = failure(problem(), planner="DockPlanner", smoother=Slow())
     assert error.code == 502
     assert error.partial.raw_path is not None
     assert error.partial.path is None
@@ -452,10 +458,10 @@ class Patience:
 def test_cancelling_stops_every_stage():
     """Asked once more each time until the plan is made: every stage gives up with its own error, none is left out."""
     asked = Patience(10**9)
-    plan_dock(problem(), time_budget=BUDGET, cancel_checker=asked)
+    plan_dock(problem(), time_budget=BUDGET, planner="DockPlanner", cancel_checker=asked)
     total = 10**9 - asked.left
-    seen = {type(failure(problem(), cancel_checker=Patience(times))) for times in range(1, total + 1, 3)}
-    seen.add(type(failure(problem(), cancel_checker=Patience(total))))
+    counts = [*range(1, total + 1, 3), total]
+    seen = {type(failure(problem(), planner="DockPlanner", cancel_checker=Patience(times))) for times in counts}
     assert seen == {PlannerCancelled, SmootherCancelled, TimingCancelled}
     assert all(issubclass(kind, Cancelled) for kind in seen)
 
@@ -470,11 +476,12 @@ class Unproven(CasadiSmoother):
 
 def test_one_yes_cancels_though_it_is_taken_back():
     asked = Patience(10**9)
-    plan_dock(problem(), time_budget=BUDGET, cancel_checker=asked)
+    plan_dock(problem(), time_budget=BUDGET, planner="DockPlanner", cancel_checker=asked)
     total = 10**9 - asked.left
     for smoother, times in itertools.product((CasadiSmoother, Unproven), range(total)):
         answers = itertools.chain(itertools.repeat(False, times), [True], itertools.repeat(False))
-        error = failure(problem(), cancel_checker=lambda a=answers: next(a), smoother=smoother())
+        asks = {"planner": "DockPlanner", "smoother": smoother(), "cancel_checker": lambda a=answers: next(a)}
+        error = failure(problem(), **asks)
         assert isinstance(error, Cancelled)
 
 

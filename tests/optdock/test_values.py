@@ -261,9 +261,9 @@ def test_a_copied_problem_keeps_its_fingerprint():
         (lambda: SpeedZone(0.1, None), "approach_distance: must be a number"),
         (lambda: ClearanceRule(True, 0.0, 0.5), "clearance.required: must be a number"),
         (lambda: ClearanceRule("0.05"), "clearance.required: must be a number"),
-        (lambda: PolylineSegment(POSES, 5), "direction: must be one of 1, -1, got 5"),
-        (lambda: PolylineSegment(POSES, True), "direction: must be one of 1, -1, got True"),
-        (lambda: PolylineSegment(POSES, "reverse"), "direction: must be one of 1, -1"),
+        (lambda: PolylineSegment(POSES, 5), "direction: must be one of 1, -1, 0, got 5"),
+        (lambda: PolylineSegment(POSES, True), "direction: must be one of 1, -1, 0, got True"),
+        (lambda: PolylineSegment(POSES, "reverse"), "direction: must be one of 1, -1, 0"),
         (lambda: PolylineSegment([["0", "0", "0"], ["1", "0", "0"]]), "path: must be numbers"),
         (lambda: PolylineSegment([[0.0, 0.0, 0.0], [2e8, 0.0, 0.0]]), "path: coordinates must be within"),
         (lambda: PolylineSegment([[0.0, 0.0, 1e14], [1.0, 0.0, 1e14]]), "path: yaws must be within"),
@@ -306,7 +306,7 @@ class Detour(PolylineSegment):
 
 @pytest.mark.parametrize("segment", [object(), ClothoidSpline(POSE, [0.0, 1.0], [0.0, 0.0]), Detour(POSES)])
 def test_a_path_is_made_of_segments_that_can_be_judged(segment):
-    with pytest.raises(InvalidPath, match="path: segment 1 must be a ClothoidSegment or a PolylineSegment"):
+    with pytest.raises(InvalidPath, match="path: segment 1 must be a ClothoidSegment, a PolylineSegment or a"):
         Path((PolylineSegment(POSES), segment))
 
 

@@ -13,7 +13,7 @@ from optdock.limits import SpeedZone
 from optdock.path import Path
 from optdock.pipeline import DEFAULT_TIMING, TimingLike, plan_dock
 from optdock.plugins import timed_by
-from optdock.segments import ClothoidSegment, Direction, PolylineSegment
+from optdock.segments import ClothoidSegment, Direction, PolylineSegment, TurnSegment
 from optdock.verification import certify_path, certify_trajectory
 
 if TYPE_CHECKING:
@@ -119,5 +119,7 @@ def _reversed_segment(segment: Segment) -> Segment:
         spline = segment.spline
         knots = (spline.length - spline.knots)[::-1]
         return ClothoidSegment(ClothoidSpline(spline.end, knots, -spline.curvature[::-1], -spline.sign))
+    if isinstance(segment, TurnSegment):
+        return TurnSegment(segment.end, -segment.turn)
     assert isinstance(segment, PolylineSegment)  # a path holds no other kind
     return PolylineSegment(segment.poses[::-1], Direction(-segment.direction))

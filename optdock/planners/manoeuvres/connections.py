@@ -16,14 +16,16 @@ if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
     from optdock.geometry.arrays import BoolArray, FloatArray, IntArray
-    from optdock.planners.manoeuvres.free_space import FreeSpace
+    from optdock.planners.manoeuvres.free_space import Effort, FreeSpace
     from optdock.planners.manoeuvres.tree import ArcTree
     from optdock.problem import DockingProblem
 
-__all__ = ["Connections", "Nodes", "connections", "free_manoeuvres"]
+__all__ = ["Connections", "Nodes", "all_pairs", "connections", "free_manoeuvres", "promising"]
 
 _PAIRS = 128  # whose words are found in one go, about a millisecond
 _GLANCE = np.arange(1, 9) / 9.0  # shares of a word at which it is looked at before it is looked at whole
+_CLOSE_POSES_PER_WIDTH = 40.0  # of the last look at a whole way, over a length as the robot is wide
+_ROUGH_BATCH = 256  # words of which a quick look is taken in one go
 _BATCH = 24  # words glanced at in one go
 _NOTHING = 1e-6  # [m]: shorter arcs are no motion
 
@@ -63,14 +65,23 @@ class Nodes(NamedTuple):
 
 
 def connections(exits: Nodes, entries: Nodes, radius: float, space: FreeSpace, per_pair: int) -> Connections:
-    """The cheapest words of every pair of a node of the start's tree and one of the goal's; no one has looked yet."""
-    i, j = (grid.ravel() for grid in np.meshgrid(exits.rows, entries.rows, indexing="ij"))
+    """The cheapest words of every pair of a node of the start's tree and one of the goal's, both of as many rows.
+
+    Nobody has looked yet whether they are free.
+    """
     blocks = []
-    for k in range(0, i.size, _PAIRS):
+    for k in range(0, exits.rows.size, _PAIRS):
         space.poll()
         some = slice(k, k + _PAIRS)
-        blocks.append(_cheapest(Nodes(exits.tree, i[some]), Nodes(entries.tree, j[some]), radius, space.problem, per_pair))
+        leaving, arriving = Nodes(exits.tree, exits.rows[some]), Nodes(entries.tree, entries.rows[some])
+        blocks.append(_cheapest(leaving, arriving, radius, space.problem, per_pair))
     return Connections.merged(blocks)
+
+
+def all_pairs(exits: Nodes, entries: Nodes) -> tuple[Nodes, Nodes]:
+    """Every node of the one with every node of the other."""
+    i, j = (grid.ravel() for grid in np.meshgrid(exits.rows, entries.rows, indexing="ij"))
+    return Nodes(exits.tree, i), Nodes(entries.tree, j)
 
 
 def _cheapest(exits: Nodes, entries: Nodes, radius: float, problem: DockingProblem, per_pair: int) -> Connections:
@@ -107,8 +118,20 @@ def _in_allowed_gears(gears: FloatArray, problem: DockingProblem) -> BoolArray:
     return allowed
 
 
+def promising(found: Connections, exits: ArcTree, space: FreeSpace) -> Connections:
+    """Those whose words pass a quick look at a few of their poses."""
+    kept = []
+    for k in range(0, found.size, _ROUGH_BATCH):
+        space.poll()
+        some = slice(k, k + _ROUGH_BATCH)
+        words = Arcs(exits.poses[found.exits[some]], found.lengths[some], found.curvatures[some])
+        poses = words.poses_at_shares(_GLANCE)
+        kept.append(space.may_be_free(poses.reshape(-1, 3)).reshape(poses.shape[:2]).all(axis=1))
+    return found.rows(np.flatnonzero(np.concatenate(kept))) if kept else found
+
+
 def free_manoeuvres(
-    found: Connections, exits: ArcTree, entries: ArcTree, space: FreeSpace, margin: float
+    found: Connections, exits: ArcTree, entries: ArcTree, space: FreeSpace, effort: Effort
 ) -> Iterator[tuple[float, Arcs]]:
     """Those whose words are free, in ascending order of price: the price, and the whole way from start to goal."""
     for k in range(0, found.size, _BATCH):
@@ -116,11 +139,12 @@ def free_manoeuvres(
         some = slice(k, k + _BATCH)
         words = Arcs(exits.poses[found.exits[some]], found.lengths[some], found.curvatures[some])
         glanced = words.poses_at_shares(_GLANCE)
-        passed = space.is_free(glanced.reshape(-1, 3), margin).reshape(glanced.shape[:2]).all(axis=1)
+        asked = effort.margin, effort.start_relief
+        passed = space.is_free(glanced.reshape(-1, 3), *asked).reshape(glanced.shape[:2]).all(axis=1)
         for row in np.flatnonzero(passed).tolist():
             space.poll()
             word = words.rows(slice(row, row + 1))
-            if not space.is_free(word.poses_every(space.spacing), margin).all():
+            if not space.is_free(word.poses_every(space.spacing(effort)), *asked).all():
                 continue
             r = k + row
             parts = (
@@ -128,4 +152,7 @@ def free_manoeuvres(
                 (found.lengths[r], found.curvatures[r]),
                 entries.way(int(found.entries[r])),
             )
-            yield float(found.prices[r]), joined(space.problem.start.as_array(), *parts)
+            whole = joined(space.problem.start.as_array(), *parts)
+            # All of it, closely, without the margin: what a search glances over must not reach anybody.
+            if space.is_free(whole.poses_every(space.width / _CLOSE_POSES_PER_WIDTH), 0.0, effort.start_relief).all():
+                yield float(found.prices[r]), whole

@@ -25,16 +25,31 @@ if TYPE_CHECKING:
     from optdock.obstacles import ObstacleSet
     from optdock.problem import DockingProblem
 
-__all__ = ["DistanceField", "FreeSpace"]
+__all__ = ["DistanceField", "Effort", "FreeSpace"]
 
 _TILE = 32  # grid points along the side of a tile
-_TILES = 64  # along the side of the field, which is as large as fits around start and goal
-_POINTS_PER_WIDTH = 16.0  # of the robot: what lies between two grid points is decided exactly anyway
-_COARSE_POINTS_PER_WIDTH = 4.0  # of the grid on which ways around obstacles are measured
-_POSES_PER_WIDTH = 12.0  # looked at over a way as long as the robot is wide
+# Grid points along the sides of the field, which is this many robot widths long, or twice as long as start and goal are
+# apart: 16 points over the width of the robot; what lies between two of them is decided exactly anyway.
+_POINTS, _SIDE = 2048, 128.0
+_POSES_PER_WIDTH = 12, 24  # at least and at most: poses looked at over a way as long as the robot is wide
 _BLOCK = 24  # pieces whose distances to a whole tile are found in one go
 _FINE_DISCS = 4  # across the width of the footprint
 _EXACT_BLOCK = 300  # poses measured exactly in one go, about 2 ms
+
+
+class Effort(NamedTuple):
+    """How closely a search looks.
+
+    `radius`: of all arcs [m]. `margin`: kept beside the required clearance, for what a smoother changes [m].
+    `fineness`: cells of the pose grid along the width of the robot. `nodes`: where hybrid A* gives up. `start_relief`:
+    see `ClearanceRule.required_at` [m].
+    """
+
+    radius: float
+    margin: float
+    fineness: int
+    nodes: int
+    start_relief: float = 0.0
 
 
 class DistanceField:
@@ -42,21 +57,26 @@ class DistanceField:
 
     Args:
         obstacles: What is there.
-        centre: Of the square, Shape (2,) [m].
+        square: Its centre and the length of its sides, Shape (3,) [m].
         spacing: Between grid points [m].
         reach: Larger distances count as this one [m].
         poll: Called before every tile.
+
+    Attributes:
+        side: Grid points along the sides.
+        origin: The first of them, Shape (2,) [m].
     """
 
     def __init__(
-        self, obstacles: ObstacleSet, centre: FloatArray, spacing: float, reach: float, poll: Callable[[], None]
+        self, obstacles: ObstacleSet, square: FloatArray, spacing: float, reach: float, poll: Callable[[], None]
     ) -> None:
-        self.poll, self.side = poll, _TILE * _TILES
+        self._tiles = int(np.ceil(square[2] / (spacing * _TILE) - 1e-9))
+        self.poll, self.side = poll, _TILE * self._tiles
         self.spacing, self.reach = spacing, reach
-        self.origin = centre - 0.5 * spacing * (self.side - 1)
+        self.origin = square[:2] - 0.5 * spacing * (self.side - 1)
         self._obstacles = obstacles
         self._is_box = _are_boxes(obstacles)
-        self._slots = np.full(_TILES * _TILES, -1)  # where the values of a tile are; -1: nobody has looked there yet
+        self._slots = np.full(self._tiles**2, -1)  # where the values of a tile are; -1: nobody has looked there yet
         self._values = np.empty((16, _TILE, _TILE))
         self._count = 0
 
@@ -74,7 +94,7 @@ class DistanceField:
     def at(self, index: IntArray) -> FloatArray:
         """Distances of grid points, Shape (..., 2) within the grid. Shape (...) [m]."""
         i, j = index[..., 0], index[..., 1]
-        tile = (i // _TILE) * _TILES + j // _TILE
+        tile = (i // _TILE) * self._tiles + j // _TILE
         slot = self._slots[tile]
         missing = slot < 0
         if missing.any():
@@ -85,7 +105,7 @@ class DistanceField:
         return values
 
     def _fill(self, tile: int) -> None:
-        first = np.array(divmod(tile, _TILES)) * _TILE
+        first = np.array(divmod(tile, self._tiles)) * _TILE
         axes = self.origin + (first + np.arange(_TILE)[:, None]) * self.spacing
         self.poll()
         low, high = axes[0] - self.reach, axes[-1] + self.reach
@@ -179,7 +199,7 @@ class FreeSpace:
         poll: Called every few milliseconds of work; raises where the caller wants no more.
 
     Attributes:
-        spacing: Between poses that stand for a whole way [m].
+        width: The lesser extent of the footprint [m].
     """
 
     def __init__(self, problem: DockingProblem, poll: Callable[[], None]) -> None:
@@ -192,27 +212,29 @@ class FreeSpace:
         self._start_clearance, self._goal_clearance = clearances.start, clearances.goal
         radius = self.footprint.circumscribed_radius
         self._reach = radius + problem.clearance.required
-        spread = float(np.abs(self._goal - self._start).max())
-        width = min(self.footprint.width, self.footprint.length)
-        self.spacing = width / _POSES_PER_WIDTH
-        spacing = width / _POINTS_PER_WIDTH
-        spacing = max(spacing, 2.0 * spread / (_TILE * _TILES))
-        self.field = DistanceField(self.obstacles, ends[:, :2].mean(axis=0), spacing, 2.0 * self._reach, poll)
+        self.width = width = min(self.footprint.width, self.footprint.length)
+        side = max(_SIDE * width, 2.0 * float(np.abs(self._goal - self._start).max()))
+        self._square = np.array((*ends[:, :2].mean(axis=0), side))
+        self.field = DistanceField(self.obstacles, self._square, side / _POINTS, 2.0 * self._reach, poll)
         bodies = self.footprint.bodies
         self._levels = tuple(tuple(_discs(body, across) for body in bodies) for across in (1, _FINE_DISCS))
 
+    def spacing(self, effort: Effort) -> float:
+        """Between poses that stand for a whole way [m]."""
+        return self.width / min(max(effort.fineness, _POSES_PER_WIDTH[0]), _POSES_PER_WIDTH[1])
+
     def wavefront(self, source: FloatArray) -> Wavefront:
         """Lengths of ways around the obstacles from a place, Shape (2,) [m], for a disc inside the footprint."""
-        width = min(self.footprint.width, self.footprint.length)
-        spacing = max(self.field.spacing, width / _COARSE_POINTS_PER_WIDTH)
-        field = DistanceField(self.obstacles, 0.5 * (self._start + self._goal), spacing, 2.0 * width, self.poll)
+        field = DistanceField(self.obstacles, self._square, 4.0 * self.field.spacing, 2.0 * self.width, self.poll)
         return Wavefront(field, source, self.footprint.inscribed_radius)
 
-    def required(self, poses: FloatArray, margin: float) -> FloatArray:
+    def required(self, poses: FloatArray, margin: float, start_relief: float) -> FloatArray:
         """Required clearance at poses, and the margin, which tapers off towards both ends. Shape (n,) [m]."""
         from_start = np.hypot(*(poses[:, :2] - self._start).T)
         from_goal = np.hypot(*(poses[:, :2] - self._goal).T)
-        rule: FloatArray = self.problem.clearance.required_at(from_goal, from_start, self._start_clearance)
+        rule: FloatArray = self.problem.clearance.required_at(
+            from_goal, from_start, self._start_clearance, start_relief
+        )
         if margin <= 0.0:
             return rule
         at_start = max(self._start_clearance, 0.0) + 0.25 * from_start
@@ -220,11 +242,19 @@ class FreeSpace:
         kept: FloatArray = np.maximum(rule, np.minimum(rule + margin, np.minimum(at_start, at_goal)))
         return kept
 
-    def is_free(self, poses: FloatArray, margin: float = 0.0) -> BoolArray:
-        """Whether poses, Shape (n, 3), keep the required clearance and the margin. Shape (n,)."""
+    def may_be_free(self, poses: FloatArray) -> BoolArray:
+        """Whether no disc inside the footprint meets an obstacle: a quick first look. Shape (n,)."""
+        passed = np.ones(len(poses), dtype=np.bool_)
+        for discs in self._levels[0] if len(self.obstacles) else ():
+            _, upper = self.field.bounds(transform_points(poses, discs.centres))
+            passed &= (upper - discs.inside).min(axis=1) >= 0.0
+        return passed
+
+    def is_free(self, poses: FloatArray, margin: float = 0.0, start_relief: float = 0.0) -> BoolArray:
+        """Whether poses, Shape (n, 3), keep the required clearance and the margin [m]. Shape (n,)."""
         if len(self.obstacles) == 0 or len(poses) == 0:
             return np.ones(len(poses), dtype=np.bool_)
-        required = self.required(poses, margin) - TOLERANCE
+        required = self.required(poses, margin, start_relief) - TOLERANCE
         free = np.zeros(len(poses), dtype=np.bool_)
         open_rows = np.arange(len(poses))
         for level in self._levels:

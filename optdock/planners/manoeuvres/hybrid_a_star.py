@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from optdock.planners.manoeuvres.connections import Connections, Nodes, connections, free_manoeuvres
+from optdock.planners.manoeuvres.connections import Connections, Nodes, connections, free_manoeuvres, promising
 from optdock.planners.manoeuvres.tree import Moves
 
 if TYPE_CHECKING:
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
     from optdock.geometry.arrays import BoolArray, FloatArray, IntArray
     from optdock.planners.manoeuvres.arcs import Arcs
-    from optdock.planners.manoeuvres.free_space import FreeSpace
+    from optdock.planners.manoeuvres.free_space import Effort, FreeSpace
     from optdock.planners.manoeuvres.tree import ArcTree
     from optdock.planners.manoeuvres.wavefront import Wavefront
 
@@ -30,27 +30,36 @@ __all__ = ["PoseGrid", "hybrid_a_star"]
 _EXPANDED = 24  # nodes in one go
 _WORDS_PER_NODE = 4
 _SHOTS = 48  # words looked at after each expansion
-_CELLS_PER_WIDTH, _YAWS = 10.0, 60  # of the pose grid: cells along the robot's width, headings
-_STATIONS = np.array([0.25, 0.5, 1.0])  # where a node is left on an arc, in turning radii
+# Of the pose grid, which has so many headings on a turn as a cell is smaller than the robot's width, times this.
+_YAWS_PER_CELL = 6
+# Distances to obstacles, in reaches of the distance field, from which cells are so many times as large.
+_ROOM, _COARSER, _COARSEST_YAW = np.array([0.3, 0.5]), np.array([1.0, 4.0, 10.0]), 4.0
+_GREED = 2.5  # weight of what is still to drive
+_STATIONS = np.array([0.25, 0.5, 1.0, 2.0])  # where a node is left on an arc, in turning radii
 
 
 class PoseGrid:
-    """Cells of poses, each of which is entered once.
+    """Cells of poses, each of which is entered once: fine among obstacles, coarse where there is room.
 
     Args:
-        side: Of a cell [m].
-        headings: How many.
+        space: Its distance field says where there is room.
+        fineness: The smallest cells are the robot's width divided by this.
     """
 
-    def __init__(self, side: float, headings: int) -> None:
-        self._side, self._headings = side, headings
+    def __init__(self, space: FreeSpace, fineness: int) -> None:
+        self._field = space.field
+        self._fine, self._headings = space.width / fineness, _YAWS_PER_CELL * fineness
         self._seen: set[int] = set()
 
     def enter(self, poses: FloatArray) -> BoolArray:
         """Which of the poses, Shape (n, 3), are the first in their cells. Shape (n,)."""
-        x, y = np.floor(poses[:, :2] / self._side).astype(np.int64).T
-        yaw = np.rint(poses[:, 2] * (self._headings / (2.0 * np.pi))).astype(np.int64) % self._headings
-        keys = ((x * 0x100000 + y) * self._headings + yaw).tolist()
+        room, _ = self._field.bounds(poses[:, :2])
+        level = np.searchsorted(_ROOM * self._field.reach, room)
+        scale = _COARSER[level]
+        x, y = np.floor(poses[:, :2] / (self._fine * scale)[:, None]).astype(np.int64).T
+        headings = (self._headings / np.minimum(scale, _COARSEST_YAW)).astype(np.int64)
+        yaw = np.rint(poses[:, 2] * (headings / (2.0 * np.pi))).astype(np.int64) % headings
+        keys = (((x * 0x100000 + y) * self._headings + yaw) * _COARSER.size + level).tolist()
         new = np.zeros(len(poses), dtype=np.bool_)
         for i, key in enumerate(keys):
             if key not in self._seen:
@@ -59,55 +68,73 @@ class PoseGrid:
         return new
 
 
-def hybrid_a_star(  # noqa: PLR0913, PLR0917 - both ends, what is free, how sharply and how long
+def hybrid_a_star(
     exits: Nodes,
     entries: Nodes,
     space: FreeSpace,
-    radius: float,
-    margin: float,
-    most_nodes: int,
+    effort: Effort,
     wavefront: Wavefront | None,
 ) -> Iterator[tuple[float, Arcs]]:
     """Free manoeuvres as they are found: the price, and the whole way from start to goal.
 
     Args:
-        exits: Nodes of the start's tree from which shots are taken.
+        exits: The start, from which every node is shot at, and other nodes of its tree, which take turns.
         entries: Nodes of the goal's tree from which the search goes on; its tree grows.
         space: What is free.
-        radius: Of all arcs [m].
-        margin: Beside the required clearance [m].
-        most_nodes: Where the search ends.
+        effort: How sharply, how closely and for how long.
         wavefront: Lengths of the shortest ways from the start for a disc; None: not asked.
     """
-    tree, footprint, limits = entries.tree, space.footprint, space.problem.robot.limits
+    tree, limits = entries.tree, space.problem.robot.limits
+    radius = effort.radius
     speed = max(limits.max_speed, limits.max_reverse_speed)
-    grid = PoseGrid(min(footprint.width, footprint.length) / _CELLS_PER_WIDTH, _YAWS)
+    grid = PoseGrid(space, effort.fineness)
     grid.enter(tree.poses)
     moves = Moves.of((1.0, -1.0), (0.0, 1.0 / radius, -1.0 / radius))
     opened: list[tuple[float, int]] = []
     shots: list[Connections] = []
     fresh, nodes = entries.rows, 0
     while fresh.size:
-        words = connections(exits, Nodes(tree, fresh), radius, space, _WORDS_PER_NODE)
-        shots = [Connections.merged([*shots, words])]
+        words = connections(*_pairs(exits, Nodes(tree, fresh)), radius, space, _WORDS_PER_NODE)
+        worth = promising(_long_enough(words, tree, wavefront), exits.tree, space)
+        shots = [Connections.merged([*shots, worth])]
         for bound, row in zip(_bounds(tree, fresh, words, speed, wavefront).tolist(), fresh.tolist(), strict=True):
             heapq.heappush(opened, (bound, row))
         looked, shots = shots[0].rows(slice(_SHOTS)), [shots[0].rows(slice(_SHOTS, None))]
-        yield from free_manoeuvres(looked, exits.tree, tree, space, margin)
+        yield from free_manoeuvres(looked, exits.tree, tree, space, effort)
         fresh = fresh[:0]
-        while fresh.size == 0 and opened and nodes < most_nodes:
+        while fresh.size == 0 and opened and nodes < effort.nodes:
             rows = np.array([heapq.heappop(opened)[1] for _ in range(min(_EXPANDED, len(opened)))])
-            fresh = tree.grow(rows, moves, radius * _STATIONS, space, margin, grid.enter)
+            fresh = tree.grow(rows, moves, radius * _STATIONS, space, effort, grid.enter)
             nodes += fresh.size
     for rest in shots:
-        yield from free_manoeuvres(rest, exits.tree, tree, space, margin)
+        yield from free_manoeuvres(rest, exits.tree, tree, space, effort)
+
+
+def _pairs(exits: Nodes, fresh: Nodes) -> tuple[Nodes, Nodes]:
+    """The start and every node, and every node and one of the other exits."""
+    root, others = exits.rows[:1], exits.rows[1:]
+    leaving, arriving = np.repeat(root, fresh.rows.size), fresh.rows
+    if others.size:
+        leaving = np.concatenate((leaving, others[fresh.rows % others.size]))
+        arriving = np.concatenate((arriving, arriving))
+    return Nodes(exits.tree, leaving), Nodes(fresh.tree, arriving)
+
+
+def _long_enough(words: Connections, tree: ArcTree, wavefront: Wavefront | None) -> Connections:
+    """Words that are not shorter than the shortest way among the obstacles: the others collide."""
+    if wavefront is None:
+        return words
+    least = np.where(words.exits == 0, wavefront.lengths(tree.poses[words.entries, :2]), 0.0)
+    return words.rows(np.flatnonzero(np.abs(words.lengths).sum(axis=1) >= least))
 
 
 def _bounds(tree: ArcTree, rows: IntArray, words: Connections, speed: float, wavefront: Wavefront | None) -> FloatArray:
     """Estimated prices of the whole manoeuvres through nodes. Shape (n,)."""
     cheapest = np.full(len(tree), np.inf)
     np.minimum.at(cheapest, words.entries, words.prices)
-    found: FloatArray = cheapest[rows]
+    driven = tree.prices[rows]
+    left: FloatArray = cheapest[rows] - driven
     if wavefront is not None:
-        found = np.maximum(found, tree.prices[rows] + wavefront.lengths(tree.poses[rows, :2]) / speed)
+        left = np.maximum(left, wavefront.lengths(tree.poses[rows, :2]) / speed)
+    found: FloatArray = driven + _GREED * left
     return found

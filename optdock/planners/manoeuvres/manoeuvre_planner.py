@@ -14,7 +14,7 @@ from optdock.parameters import PluginParameters
 from optdock.planners.manoeuvres.stages import Stages
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
+    from collections.abc import Callable, Iterator, Mapping
 
     from optdock.geometry.pose import Pose2
     from optdock.outcomes import Guess
@@ -65,7 +65,7 @@ class ManoeuvrePlanner(GlobalPlanner):
             NoValidPathCouldBeFound: Nothing was found; that is no proof that there is nothing.
             PlannerCancelled: `cancel_checker` returned True.
         """
-        return next(self.create_plans(start, goal, cancel_checker)).path
+        return next(guess for guess in self.create_plans(start, goal, cancel_checker) if guess is not None).path
 
     def create_plans(
         self,
@@ -73,7 +73,7 @@ class ManoeuvrePlanner(GlobalPlanner):
         goal: Pose2,
         cancel_checker: Callable[[], bool] = never_cancelled,
         better_than: Callable[[], float] = lambda: math.inf,
-    ) -> Iterator[Guess]:
+    ) -> Iterator[Guess | None]:
         """Collision-free manoeuvres, stage by stage, within a stage the cheapest first.
 
         Raises:
@@ -88,16 +88,17 @@ class ManoeuvrePlanner(GlobalPlanner):
                 raise PlannerCancelled("cancelled while a manoeuvre was searched for")
 
         poll()
-        count = 0
-        for guess in Stages(problem, self.parameters.turning_radius_factor, poll, better_than).guesses():
-            count += 1
-            self.context.logger.debug("%s: %s, %r", self.context.name, guess.stage, guess.path)
+        count, stages = 0, Stages(problem, self.parameters.turning_radius_factor, poll, better_than)
+        for guess in stages.guesses():
+            if guess is not None:
+                count += 1
+                self.context.logger.debug("%s: %s, %r", self.context.name, guess.stage, guess.path)
             yield guess
-        if count == 0:
+        if count == 0 and math.isinf(better_than()):
+            runs = stages.straight_runs()
             raise NoValidPathCouldBeFound(
-                f"manoeuvre planner: no free manoeuvre found from {start.brief} to {goal.brief}; "
-                "there may still be one",
-                where={"start": start.as_array().tolist(), "goal": goal.as_array().tolist()},
+                f"manoeuvre planner: {_why_not(problem, runs)}",
+                where={"start": start.as_array().tolist(), "goal": goal.as_array().tolist(), "straight_run": runs},
             )
 
     def _problem(self, start: Pose2, goal: Pose2) -> DockingProblem:
@@ -109,3 +110,21 @@ class ManoeuvrePlanner(GlobalPlanner):
         if start == problem.start and goal == problem.goal:
             return problem
         return dataclasses.replace(problem, start=start, dock=dataclasses.replace(problem.dock, pose=goal))
+
+
+def _why_not(problem: DockingProblem, runs: Mapping[str, float]) -> str:
+    """What is known when nothing was found: whether the dock can be entered at all in the gear that it asks for."""
+    dock = problem.dock
+    wanted = [gear for gear in runs if dock.direction.value in (gear, "auto")]
+    if all(runs[gear] < dock.final_straight for gear in wanted):
+        sides = " and ".join(f"{runs[gear]:.2f} m {gear}" for gear in wanted)
+        other = [gear for gear in runs if gear not in wanted and runs[gear] >= dock.final_straight]
+        hint = f"; {other[0]} it can be entered" if other else ""
+        return (
+            f"the dock asks for {dock.direction.value} with a final straight of {dock.final_straight:.2f} m, of which "
+            f"the clearance leaves {sides}{hint}"
+        )
+    return (
+        f"no free manoeuvre found from {problem.start.brief} to {problem.goal.brief}; that is no proof, there may "
+        "still be one"
+    )

@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from optdock.path import Path
     from optdock.problem import DockingProblem
 
-__all__ = ["CUSP_PRICE", "gear_changes", "least_price", "stopping_cost"]
+__all__ = ["CUSP_PRICE", "ends_price", "gear_changes", "least_price", "stopping_cost"]
 
 # [s] beside the time that stopping takes: a change of gear wears the drive and is where controllers overshoot, so one
 # more has to save a second.
@@ -56,6 +56,17 @@ def stopping_cost(limits: MotionLimits) -> float:
     """What a change of gear adds to the time at full speed, with the price of the cusp [s]."""
     mean = 0.5 * (limits.max_speed + limits.max_reverse_speed)
     return CUSP_PRICE + 0.5 * mean / limits.max_acceleration + 0.5 * mean / limits.max_deceleration
+
+
+def ends_price(problem: DockingProblem) -> float:
+    """What setting out, stopping at the end and the dock's slow zone add to the time at full speed, at least [s]."""
+    limits, zone = problem.robot.limits, problem.dock.approach
+    top = min(limits.max_speed, limits.max_reverse_speed)
+    last = min(zone.speed, top) if zone.distance > 0.0 else top
+    slow = zone.distance * (1.0 / last - 1.0 / top)
+    launch = max(top - abs(problem.start_speed), 0.0) ** 2 / (2.0 * top * limits.max_acceleration)
+    braking = ((top - last) ** 2 / top + last) / (2.0 * limits.max_deceleration)
+    return launch + slow + braking
 
 
 def gear_changes(lengths: FloatArray) -> FloatArray:

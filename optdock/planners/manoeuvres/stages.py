@@ -4,43 +4,32 @@ from __future__ import annotations
 
 import functools
 import math
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from optdock.dock import DockDirection
 from optdock.outcomes import Guess
-from optdock.planners.manoeuvres.connections import Nodes, connections, free_manoeuvres
-from optdock.planners.manoeuvres.free_space import FreeSpace
+from optdock.planners.manoeuvres.connections import Nodes, all_pairs, connections, free_manoeuvres, promising
+from optdock.planners.manoeuvres.free_space import Effort, FreeSpace
 from optdock.planners.manoeuvres.hybrid_a_star import hybrid_a_star
-from optdock.planners.manoeuvres.price import least_price
+from optdock.planners.manoeuvres.price import ends_price, least_price
 from optdock.planners.manoeuvres.tree import ArcTree, Moves
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
-    from optdock.geometry.arrays import FloatArray, IntArray
+    from optdock.geometry.arrays import FloatArray
     from optdock.planners.manoeuvres.arcs import Arcs
     from optdock.problem import DockingProblem
 
 __all__ = ["Stages"]
 
 _RUNS = np.array([0.0, 0.25, 0.5, 1.0, 1.5, 2.0, 3.0])  # straight runs beyond the shortest one, in turning radii
-_ENTRY_TURNS = np.array([0.25, 0.5, 0.75, 1.0, 1.25, 1.57])  # [rad] of entry arcs
-_EXIT_TURNS = np.array([0.3, 0.7, 1.2])  # [rad] of exit arcs; straight ones are as long
-_ENTRY_ROWS, _EXIT_ROWS = 64, 19  # nodes that are joined at most
-_NODES = 2000
+_EXIT_TURN = 1.0  # [rad] of arcs out of the start; straight lines are as long
 _TRIES = 4  # different ways that one stage offers at most
-_WORDS_PER_PAIR = 12
-_LOOKS = 300  # words that one stage looks at most
+_WORDS_PER_PAIR = 12  # words from the start to a staging pose that are looked at
 _SAMPLING = 40.0  # poses of a path per turning radius
-
-
-class _Effort(NamedTuple):
-    """How much room a way must leave for the smoother: turning radius and margin beside the clearance [m]."""
-
-    radius: float
-    margin: float
 
 
 class Stages:
@@ -64,14 +53,22 @@ class Stages:
         # Half of the way on which the steering angle builds up lies before the arc.
         self._wind_up = 0.5 / (self.radius * rate) if math.isfinite(rate) else 0.0
         margin = 0.02 * footprint.width
-        self._efforts = tuple(_Effort(factor * self.radius, keep) for keep in (margin, 0.0) for factor in (slack, 1.0))
+        eased, sharp = slack * self.radius, self.radius
+        # The weaker rule of a start along a wall comes last, as the certificate tries the strict one first.
+        self._efforts = (
+            Effort(eased, margin, 12, 4000),
+            Effort(sharp, margin, 12, 4000),
+            Effort(eased, 0.0, 24, 4000, problem.start_run),
+            Effort(sharp, 0.0, 80, 8000, problem.start_run),
+        )
         self._known: list[FloatArray] = []
+        self._ends_price = ends_price(problem)
 
-    def guesses(self) -> Iterator[Guess]:
+    def guesses(self) -> Iterator[Guess | None]:
         """The guesses of all stages."""
-        for stage in (self._words, self._entry_arcs, self._exit_arcs):
-            yield from stage()
+        yield from self._words()
         if math.isinf(self._better_than()):
+            yield None
             yield from self._hybrid_a_star()
 
     @property
@@ -80,12 +77,22 @@ class Stages:
         wanted = self.problem.dock.direction
         return {DockDirection.FORWARD: (1.0,), DockDirection.BACKWARD: (-1.0,)}.get(wanted, (1.0, -1.0))
 
+    def straight_runs(self) -> dict[str, float]:
+        """How far the dock can be left straight on so that it could be entered in each gear, up to some lengths [m]."""
+        tree = ArcTree(self.problem.goal.as_array(), self.problem.robot.limits, -1)
+        longest = np.array([self.problem.dock.final_straight + 2.0 * self.radius])
+        root = np.zeros(1, dtype=np.int64)
+        tree.grow(root, Moves.of((-1.0, 1.0), (0.0,)), longest, self.space, self._efforts[-1])
+        return {
+            DockDirection.FORWARD.value: float(-min(tree.lengths)),
+            DockDirection.BACKWARD.value: float(max(tree.lengths)),
+        }
+
     @functools.cached_property
     def _start(self) -> Nodes:
         return Nodes(ArcTree(self.problem.start.as_array(), self.problem.robot.limits, 1), np.zeros(1, dtype=np.int64))
 
-    @functools.cache  # noqa: B019 - a search lives as long as its call
-    def _staging(self, effort: _Effort) -> Nodes:
+    def _staging(self, effort: Effort) -> Nodes:
         """Straight runs out of the dock, as far as they are free, and where the final straight may begin."""
         tree = ArcTree(self.problem.goal.as_array(), self.problem.robot.limits, -1)
         moves = Moves.of(tuple(-gear for gear in self._gears), (0.0,))
@@ -93,71 +100,53 @@ class Stages:
         stations = np.unique(straight + self._wind_up + self.radius * _RUNS)
         if straight > 0.0:
             stations = np.concatenate(([straight], stations))
-        rows = self._grown(tree, np.zeros(1, dtype=np.int64), moves, stations, effort)
+        rows = tree.grow(np.zeros(1, dtype=np.int64), moves, stations, self.space, effort)
         rows = rows[np.abs(tree.lengths[rows]) >= straight]
         return Nodes(tree, rows if straight > 0.0 else np.concatenate(([0], rows)))
 
-    @functools.cache  # noqa: B019
-    def _entries(self, effort: _Effort) -> Nodes:
-        """Arcs out of the staging poses, in the gear of the run."""
-        tree, staging = self._staging(effort)
-        found = [staging]
-        kappa = 1.0 / effort.radius
-        for gear in self._gears:
-            mine = staging[(tree.signs[staging] != gear) & (np.abs(tree.lengths[staging]) <= 2.0 * self.radius)]
-            moves = Moves.of((-gear,), (kappa, -kappa))
-            found.append(self._grown(tree, mine, moves, effort.radius * _ENTRY_TURNS, effort))
-        rows = np.concatenate(found)
-        return Nodes(tree, rows[np.argsort(tree.prices[rows], kind="stable")][:_ENTRY_ROWS])
-
-    @functools.cache  # noqa: B019
-    def _exits(self, effort: _Effort) -> Nodes:
-        """Arcs and lines out of the start."""
+    def _exits(self, effort: Effort) -> Nodes:
+        """The start, and the ends of arcs and lines out of it."""
         tree = ArcTree(self.problem.start.as_array(), self.problem.robot.limits, 1)
         speed, kappa = self.problem.start_speed, 1.0 / effort.radius
         moves = Moves.of((1.0, -1.0) if speed == 0.0 else (math.copysign(1.0, speed),), (0.0, kappa, -kappa))
         root = np.zeros(1, dtype=np.int64)
-        rows = self._grown(tree, root, moves, effort.radius * _EXIT_TURNS, effort)
-        return Nodes(tree, rows[np.argsort(tree.prices[rows], kind="stable")][:_EXIT_ROWS])
-
-    def _grown(self, tree: ArcTree, rows: IntArray, moves: Moves, stations: FloatArray, effort: _Effort) -> IntArray:
-        return tree.grow(rows, moves, stations, self.space, effort.margin)
+        rows = tree.grow(root, moves, np.array([effort.radius * _EXIT_TURN]), self.space, effort)
+        return Nodes(tree, np.concatenate((root, rows)))
 
     def _words(self) -> Iterator[Guess]:
         """Words from the start to the staging poses."""
-        for effort in self._efforts:
-            yield from self._joined("Reeds-Shepp", self._start, self._staging(effort), effort)
-
-    def _entry_arcs(self) -> Iterator[Guess]:
-        """Words from the start to the ends of entry arcs."""
-        for effort in self._efforts:
-            yield from self._joined("entry arcs", self._start, self._entries(effort), effort)
-
-    def _exit_arcs(self) -> Iterator[Guess]:
-        """Words from the ends of exit arcs to the ends of entry arcs."""
-        for effort in self._efforts:
-            yield from self._joined("exit arcs", self._exits(effort), self._entries(effort), effort)
+        for i, effort in enumerate(self._efforts):
+            if i > 0 and math.isfinite(self._better_than()):
+                return
+            staging = self._staging(effort)
+            if staging.rows.size == 0:
+                continue
+            found = connections(*all_pairs(self._start, staging), effort.radius, self.space, _WORDS_PER_PAIR)
+            worth = found.rows(np.flatnonzero(found.prices + self._ends_price < self._better_than()))
+            seen = promising(worth, self._start.tree, self.space)
+            ways = free_manoeuvres(seen, self._start.tree, staging.tree, self.space, effort)
+            yield from self._offered("Reeds-Shepp", ways)
 
     def _hybrid_a_star(self) -> Iterator[Guess]:
+        """As far afield as it takes, until there is a plan."""
         wavefront = self.space.wavefront(self.problem.start.as_array()[:2])
-        for effort in self._efforts:
-            self._staging.cache_clear()
-            ways = hybrid_a_star(
-                self._start, self._staging(effort), self.space, effort.radius, effort.margin, _NODES, wavefront
-            )
-            yield from self._offered("hybrid A*", ways)
-
-    def _joined(self, stage: str, exits: Nodes, entries: Nodes, effort: _Effort) -> Iterator[Guess]:
-        if exits.rows.size == 0 or entries.rows.size == 0:
+        if math.isinf(wavefront.lengths(self.problem.goal.as_array()[None, :2])[0]):
             return
-        found = connections(exits, entries, effort.radius, self.space, _WORDS_PER_PAIR).rows(slice(_LOOKS))
-        yield from self._offered(stage, free_manoeuvres(found, exits.tree, entries.tree, self.space, effort.margin))
+        for effort in self._efforts:
+            exits, entries = self._exits(effort), self._staging(effort)
+            if exits.rows.size < 2 or entries.rows.size == 0:
+                continue  # no arc leads away from the start, or no straight run out of the dock
+            ways = hybrid_a_star(exits, entries, self.space, effort, wavefront)
+            for guess in self._offered("hybrid A*", ways):
+                yield guess
+                if math.isfinite(self._better_than()):
+                    return
 
     def _offered(self, stage: str, found: Iterator[tuple[float, Arcs]]) -> Iterator[Guess]:
         """The first few of the ways found that are unlike those offered before and may beat the best plan."""
         offered = 0
         for price, arcs in found:
-            if price >= self._better_than():
+            if price + self._ends_price >= self._better_than():
                 continue
             path = arcs.path(self.radius / _SAMPLING, self.problem.goal.as_array(), self.problem.frame)
             if least_price(path, self.problem) >= self._better_than() or not self._is_another_way(arcs):

@@ -18,10 +18,11 @@ if TYPE_CHECKING:
 
     from optdock.geometry.arrays import BoolArray, FloatArray, IntArray
     from optdock.limits import MotionLimits
-    from optdock.planners.manoeuvres.free_space import FreeSpace
+    from optdock.planners.manoeuvres.free_space import Effort, FreeSpace
 
 __all__ = ["ArcTree", "Moves", "joined"]
 
+_BISECTIONS = 4
 _STRIDE, _ABREAST = 8, 64  # poses per arc, and arcs, that are checked in one go; blocked arcs are given up after it
 
 
@@ -44,6 +45,15 @@ class _Starts(NamedTuple):
     poses: FloatArray
     signs: FloatArray
     curvatures: FloatArray
+
+    def are_free(self, rows: IntArray, lengths: FloatArray, space: FreeSpace, effort: Effort) -> BoolArray:
+        """Whether the poses after lengths, Shape (k,) or (n, k) [m], on the arcs at `rows` are free. Shape (n, k)."""
+        space.poll()
+        poses = advance(self.poses[rows, None], self.signs[rows, None] * lengths, self.curvatures[rows, None])
+        free: BoolArray = space.is_free(poses.reshape(-1, 3), effort.margin, effort.start_relief).reshape(
+            poses.shape[:2]
+        )
+        return free
 
 
 class ArcTree:
@@ -77,7 +87,7 @@ class ArcTree:
         moves: Moves,
         stations: FloatArray,
         space: FreeSpace,
-        margin: float,
+        effort: Effort,
         is_new: Callable[[FloatArray], BoolArray] | None = None,
     ) -> IntArray:
         """Drive all moves from the nodes at `rows`; the rows of the new nodes.
@@ -87,38 +97,44 @@ class ArcTree:
             moves: What to drive.
             stations: Ascending lengths after which a node is left, and where the last pose was free [m].
             space: What is free.
-            margin: Beside the required clearance [m].
+            effort: How closely to look.
             is_new: Which of the poses found, in ascending order of price, are worth a node; None: all.
         """
         node = np.repeat(rows, moves.signs.size)
         sign, curvature = np.tile(moves.signs, rows.size), np.tile(moves.curvatures, rows.size)
-        free = self._free_lengths(_Starts(self.poses[node], sign, curvature), float(stations[-1]), space, margin)
+        free = self._free_lengths(_Starts(self.poses[node], sign, curvature), float(stations[-1]), space, effort)
         reached = np.where(stations <= free[:, None] + 1e-12, stations, 0.0)
         # Where the way ends between two stations, its end is one as well.
-        last = np.where(reached.max(axis=1) < free - 0.5 * space.spacing, free, 0.0)
+        last = np.where(reached.max(axis=1) < free - 0.1 * space.spacing(effort), free, 0.0)
         lengths = np.column_stack((reached, last))
         arc, station = np.nonzero(lengths > 0.0)
         return self._added(node[arc], sign[arc] * lengths[arc, station], curvature[arc], is_new)
 
     @staticmethod
-    def _free_lengths(starts: _Starts, longest: float, space: FreeSpace, margin: float) -> FloatArray:
+    def _free_lengths(starts: _Starts, longest: float, space: FreeSpace, effort: Effort) -> FloatArray:
         """How far each arc is free, up to `longest`. Shape (n,) [m]."""
         free = np.zeros(starts.signs.size)
-        steps = space.spacing * np.arange(1, int(np.ceil(longest / space.spacing - 1e-9)) + 1)
-        steps[-1] = longest
-        going = np.arange(free.size)
+        spacing = space.spacing(effort)
+        steps = np.append(np.arange(spacing, longest - 1e-9, spacing), longest)
+        going, blocked = np.arange(free.size), np.zeros(free.size)
         for k in range(0, steps.size, _STRIDE):
             some = steps[k : k + _STRIDE]
             still = []
             for block in range(0, going.size, _ABREAST):
-                space.poll()
                 mine = going[block : block + _ABREAST]
-                ends = advance(starts.poses[mine, None], starts.signs[mine, None] * some, starts.curvatures[mine, None])
-                good = space.is_free(ends.reshape(-1, 3), margin).reshape(mine.size, some.size)
+                good = starts.are_free(mine, some, space, effort)
                 count = np.where(good.all(axis=1), some.size, np.argmin(good, axis=1))
                 free[mine] = np.where(count > 0, some[np.maximum(count - 1, 0)], free[mine])
+                blocked[mine] = some[np.minimum(count, some.size - 1)]
                 still.append(mine[count == some.size])
             going = np.concatenate(still) if still else going
+        # Between the last free pose and the first blocked one: in a narrow place every centimetre counts.
+        ended = np.setdiff1d(np.arange(free.size), going)
+        for _ in range(_BISECTIONS if ended.size else 0):
+            middle = 0.5 * (free[ended] + blocked[ended])
+            good = starts.are_free(ended, middle[:, None], space, effort)[:, 0]
+            free[ended] = np.where(good, middle, free[ended])
+            blocked[ended] = np.where(good, blocked[ended], middle)
         return free
 
     def _added(

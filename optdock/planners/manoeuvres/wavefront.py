@@ -1,7 +1,8 @@
 """Lengths of the shortest ways around the obstacles for a disc: what hybrid A* expects of what is still to drive.
 
 A wave runs over a coarse grid from one place, alternately to the four and to the eight neighbours of its front, so that
-it grows as an octagon: the number of steps is never more than the length in cells and at most 11 % less. It goes on only as far as somebody asks.
+it grows as an octagon: the number of steps is never more than the length in cells, and at most 11 % less. It goes on
+only as far as somebody asks.
 """
 
 from __future__ import annotations
@@ -18,6 +19,7 @@ __all__ = ["Wavefront"]
 
 _FOUR = np.array([(1, 0), (-1, 0), (0, 1), (0, -1)])
 _EIGHT = np.concatenate((_FOUR, [(1, 1), (1, -1), (-1, 1), (-1, -1)]))
+_BESIDE = 0.75  # cells: half a diagonal, and rounding
 _UNREACHED = np.inf
 
 
@@ -27,7 +29,7 @@ class Wavefront:
     Args:
         field: Distances to the obstacles; its grid is the wave's.
         source: Where the wave begins, Shape (2,) [m].
-        radius: Of the disc, whose centre must keep this distance but for half a cell [m].
+        radius: Of the disc, whose centre must keep this distance but for what a grid point may lie beside a way [m].
     """
 
     def __init__(self, field: DistanceField, source: FloatArray, radius: float) -> None:
@@ -57,7 +59,7 @@ class Wavefront:
         cells = cells[np.isinf(self._steps[cells[:, 0], cells[:, 1]])]
         flat = np.unique(cells[:, 0] * self._field.side + cells[:, 1])
         cells = np.column_stack(np.divmod(flat, self._field.side))
-        free = self._field.at(cells) + 0.5 * self._field.spacing >= self._radius
+        free = self._field.at(cells) + _BESIDE * self._field.spacing >= self._radius
         cells = cells[free]
         self._steps[cells[:, 0], cells[:, 1]] = self._count
         self._front = cells

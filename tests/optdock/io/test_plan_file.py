@@ -334,7 +334,10 @@ def test_samples_within_the_tolerance_pass(tmp_path):
         (lambda d: d.update(format="optdock-plan/9"), "broken.json: format: Input should be 'optdock-plan/1'"),
         (lambda d: d["path"].pop("x"), "broken.json: path.x: Field required"),
         (lambda d: d["path"]["y"].append(0.0), "broken.json: path.y: must have as many values as path.x"),
-        (lambda d: d["path"]["direction"].__setitem__(3, 0), "broken.json: path.direction.3: Input should be 1 or -1"),
+        (
+            lambda d: d["path"]["direction"].__setitem__(3, 0),
+            "broken.json: path.direction.3: Input should be 1, -1 or 0",
+        ),
         (lambda d: d["path"]["x"].__setitem__(2, "a"), "broken.json: path.x.2: Input should be a valid number"),
         (lambda d: d["path"]["x"].__setitem__(2, "1.5"), "broken.json: path.x.2: Input should be a valid number"),
         (lambda d: d["path"]["x"].__setitem__(2, True), "broken.json: path.x.2: Input should be a valid number"),

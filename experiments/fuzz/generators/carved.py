@@ -1,0 +1,160 @@
+"""Scenes carved around a motion: all that it does not need is obstacle, and no proof that none exists may hold."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from typing import TYPE_CHECKING, TypeAlias
+
+import numpy as np
+import shapely
+
+from experiments.fuzz.generators.shapes import footprint, log_uniform
+from optdock.geometry.polygon import convex_cover
+
+if TYPE_CHECKING:
+    from experiments.fuzz.case import Case
+
+__all__ = ["carved_scene"]
+
+Rng: TypeAlias = np.random.Generator
+Floats: TypeAlias = "np.ndarray[tuple[int, ...], np.dtype[np.float64]]"
+
+_TURN = 0.02  # [rad] per step: the hull of both outlines misses the arc between by 0.00005 of the robot's reach
+_RELIEF = 0.5  # slope of the relief near the start
+
+
+def carved_scene(rng: Rng) -> Case:
+    """A random motion of any kind, with reversing, turns in place and slips, among obstacles that it just clears.
+
+    The witness is proven here: the hulls of the outlines at neighbouring poses keep what is required from all
+    obstacles, by shapely's distances. Scenes in which they do not, by rounding of the carving, are drawn again.
+    """
+    while True:
+        scene = _drawn(rng)
+        if scene is not None:
+            return scene
+
+
+def _drawn(rng: Rng) -> Case | None:
+    outline = footprint(rng).get("polygon") or _box(rng)
+    body = shapely.Polygon(outline)
+    if not body.is_valid or body.area < 1e-3:
+        return None
+    poses = _motion(rng, outline)
+    rule = _rule(rng)
+    margin = 0.0 if (exact := rng.uniform() < 0.15) else log_uniform(rng, 1e-4, 0.1)
+    at_start = float(rng.choice([0.0, 0.01, rule[0]]))
+    pieces = [shapely.Polygon(piece) for piece in convex_cover(body)]
+    hulls = _hulls(pieces, poses)
+    needed = _required(rule, poses, at_start, outline)
+    room = shapely.union_all(
+        [
+            hull.buffer((need + margin) / math.cos(math.pi / 64.0), quad_segs=16) if need + margin > 0.0 else hull
+            for hull, need in zip(hulls, needed, strict=True)
+        ]
+    )
+    slack = 0.0 if exact else 0.3 * margin
+    room = room.buffer(slack).simplify(slack) if slack else room
+    polygons = _obstacles(rng, room)
+    if not polygons:
+        return None
+    obstacles = shapely.union_all([shapely.Polygon(polygon) for polygon in polygons])
+    clearance = min(float(obstacles.distance(_at(body, poses[0]))), 10.0)
+    true = _required(rule, poses, clearance, outline)
+    if any(float(obstacles.distance(hull)) < need for hull, need in zip(hulls, true, strict=True)):
+        return None
+    return {
+        "kind": "impossibilities",
+        "footprint": {"polygon": [list(map(float, point)) for point in outline]},
+        "obstacles": polygons,
+        "start": poses[0].tolist(),
+        "goal": poses[-1].tolist(),
+        "clearance": rule,
+        "budget": float(rng.choice([0.25, 0.25, 0.25, 2.0])),
+        "moved": [0.0, 0.0] if rng.uniform() < 0.8 else rng.uniform(-1e5, 1e5, 2).tolist(),
+    }
+
+
+def _box(rng: Rng) -> list[list[float]]:
+    front, rear, half = rng.uniform(0.1, 4.0), rng.uniform(0.05, 1.0), rng.uniform(0.1, 0.9)
+    return [[front, half], [-rear, half], [-rear, -half], [front, -half]]
+
+
+def _rule(rng: Rng) -> list[float]:
+    """Required, at the dock, taper."""
+    required = float(rng.choice([0.0, 1e-6, 1e-5, 0.02, 0.05, 0.2]))
+    return [required, float(rng.choice([0.0, required])), float(rng.choice([0.0, 0.3, 1.0]))]
+
+
+def _motion(rng: Rng, outline: list[list[float]]) -> Floats:
+    """Poses of some moves with a constant velocity of the body each, Shape (n, 3)."""
+    reach = float(np.hypot(*np.array(outline).T).max())
+    poses = [np.array([0.0, 0.0, rng.uniform(-4.0, 4.0)])]
+    for _ in range(int(rng.integers(1, 6))):
+        kind = rng.choice(["straight", "arc", "turn", "slip"])
+        length = rng.uniform(0.2, 3.0) * reach * rng.choice([-1.0, 1.0]) if kind != "turn" else 0.0
+        angle = rng.uniform(-2.0, 2.0) if kind in ("arc", "turn") else 0.0
+        heading = rng.uniform(-math.pi, math.pi) if kind == "slip" else 0.0
+        count = max(1, math.ceil(abs(angle) / _TURN), math.ceil(abs(length) / (0.3 * reach)) if angle == 0.0 else 1)
+        for _ in range(count):
+            x, y, yaw = poses[-1]
+            way = yaw + heading + 0.5 * angle / count
+            step = length / count
+            poses.append(np.array([x + step * math.cos(way), y + step * math.sin(way), yaw + angle / count]))
+    return np.array(poses)
+
+
+def _at(shape: shapely.Geometry, pose: Floats) -> shapely.Geometry:
+    c, s = math.cos(pose[2]), math.sin(pose[2])
+    return shapely.transform(shape, lambda points: points @ np.array([[c, s], [-s, c]]) + pose[:2])
+
+
+def _hulls(pieces: list[shapely.Geometry], poses: Floats) -> list[shapely.Geometry]:
+    """What the body sweeps between neighbouring poses: hulls of its pieces, with the sagitta of turns around them."""
+    found = []
+    for first, second in itertools.pairwise(poses):
+        ends = [[_at(piece, pose) for pose in (first, second)] for piece in pieces]
+        hull = shapely.union_all([shapely.convex_hull(shapely.union_all(pair)) for pair in ends])
+        reach = max(shapely.hausdorff_distance(piece, shapely.Point(0.0, 0.0)) for piece in pieces)
+        sagitta = reach * (second[2] - first[2]) ** 2 / 8.0
+        found.append(hull.buffer(1.01 * sagitta, quad_segs=4) if sagitta else hull)
+    return found
+
+
+def _required(rule: list[float], poses: Floats, start_clearance: float, outline: list[list[float]]) -> Floats:
+    """The most that is required in each step; with the weaker relief, as the stronger one asks for more."""
+    required, at_dock, taper = rule
+    from_goal, from_start = (np.hypot(*(poses[:, :2] - poses[k, :2]).T) for k in (-1, 0))
+    length = 2.0 * float(np.hypot(*np.array(outline).T).max())
+    share = np.minimum(1.0, from_goal / taper) if taper > 0.0 else (from_goal > 0.0).astype(float)
+    relief = max(start_clearance, 0.0) + _RELIEF * np.maximum(from_start - length, 0.0)
+    needed = np.minimum(at_dock + (required - at_dock) * share, relief)
+    found: Floats = np.maximum(needed[:-1], needed[1:])
+    return found
+
+
+def _obstacles(rng: Rng, room: shapely.Geometry) -> list[list[list[float]]]:
+    """Convex obstacles outside of the room: all else, cells of a grid, or shapes strewn about."""
+    x0, y0, x1, y1 = room.bounds
+    more = log_uniform(rng, 0.05, 3.0)
+    world = shapely.box(x0 - more, y0 - more, x1 + more, y1 + more)
+    kind = rng.choice(["all", "cells", "strewn"])
+    if kind == "all":
+        shapes = [world.difference(room)]
+    elif kind == "cells":
+        side = max(rng.uniform(0.03, 0.3), (x1 - x0 + y1 - y0) / 80.0)
+        at_x, at_y = np.meshgrid(np.arange(x0 - more, x1 + more, side), np.arange(y0 - more, y1 + more, side))
+        cells = shapely.box(at_x, at_y, at_x + side, at_y + side).ravel()
+        shapely.prepare(room)
+        shapes = [shapely.union_all(cells[~shapely.intersects(room, cells)])]
+    else:
+        points = rng.uniform((x0 - more, y0 - more), (x1 + more, y1 + more), (12, 2))
+        sizes = [log_uniform(rng, 1e-3, 1.0) for _ in points]
+        blobs = [
+            shapely.convex_hull(shapely.MultiPoint(point + size * rng.normal(size=(5, 2))))
+            for point, size in zip(points, sizes, strict=True)
+        ]
+        shapes = [blob.difference(room) for blob in blobs]
+    parts = [part for shape in shapes for part in shapely.get_parts(shape) if part.geom_type == "Polygon"]
+    return [piece.tolist() for part in parts if part.area > 1e-8 for piece in convex_cover(part)]

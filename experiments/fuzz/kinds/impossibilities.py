@@ -1,0 +1,51 @@
+"""`prove_impossible` on scenes with a motion: there must be no proof. A proof that is made must also hold its check."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from experiments.fuzz.case import Verdict
+from experiments.fuzz.generators.carved import carved_scene
+from optdock.dock import Dock
+from optdock.errors import InvalidValue
+from optdock.geometry.footprint import Footprint
+from optdock.geometry.pose import Pose2
+from optdock.limits import MotionLimits
+from optdock.problem import ClearanceRule, DockingProblem
+from optdock.robot import Robot
+from optdock.verification import check_impossibility, prove_impossible
+
+if TYPE_CHECKING:
+    from experiments.fuzz.case import Case
+
+__all__ = ["draw", "judge", "problem_of"]
+
+_LIMITS = MotionLimits(max_curvature=2.0, max_curvature_rate=8.0)
+
+
+def draw(rng: np.random.Generator) -> Case:
+    """A scene carved around a motion."""
+    return carved_scene(rng)
+
+
+def problem_of(case: Case) -> DockingProblem:
+    """The problem of a case."""
+    x, y = case["moved"]
+    start, goal = (Pose2(pose[0] + x, pose[1] + y, pose[2]) for pose in (case["start"], case["goal"]))
+    robot = Robot(Footprint(np.array(case["footprint"]["polygon"])), _LIMITS)
+    obstacles = [np.array(polygon) + np.array(case["moved"]) for polygon in case["obstacles"]]
+    return DockingProblem(start, Dock(goal), robot, obstacles, ClearanceRule(*case["clearance"]))
+
+
+def judge(case: Case) -> Verdict:
+    """Try to prove that the motion around which the scene was carved does not exist."""
+    try:
+        problem = problem_of(case)
+    except InvalidValue as error:
+        return Verdict("input refused: InvalidValue", str(error))
+    proof = prove_impossible(problem, time_budget=case["budget"])
+    if proof is None:
+        return Verdict("not proven")
+    return Verdict("false proof", f"{proof.message}; its check: {check_impossibility(proof, problem)}")

@@ -1,0 +1,173 @@
+"""Every guess is free, drivable and ends in the dock as it asks; and there is one where others give up."""
+
+import dataclasses
+import itertools
+import math
+
+import numpy as np
+import pytest
+
+from optdock.dock import Dock, DockDirection
+from optdock.errors import InvalidValue, LifecycleError, NoValidPathCouldBeFound, PlannerCancelled
+from optdock.geometry.footprint import Footprint
+from optdock.geometry.pose import Pose2
+from optdock.interfaces import GlobalPlanner, PluginContext
+from optdock.limits import MotionLimits
+from optdock.path import Path
+from optdock.planners.manoeuvres.manoeuvre_planner import ManoeuvrePlanner
+from optdock.planners.manoeuvres.price import CUSP_PRICE, gear_changes, least_price
+from optdock.planners.manoeuvres.stages import turning_radius
+from optdock.problem import ClearanceRule, DockingProblem
+from optdock.robot import Robot
+from optdock.verification import certify_path
+
+LIMITS = MotionLimits(max_curvature=1.5, max_curvature_rate=6.0)
+ROBOT = Robot(Footprint.rectangle(0.45, 0.45, 0.6), LIMITS)
+CAR = Robot(Footprint.rectangle(3.7, 1.0, 2.0), MotionLimits(max_speed=2.0, max_reverse_speed=1.0, max_curvature=0.25))
+CHARGER = Footprint(np.array([[0.455, -0.25], [0.595, -0.25], [0.595, 0.25], [0.455, 0.25]]))
+
+
+def box(x0, y0, x1, y1):
+    return np.array([[x0, y0], [x1, y0], [x1, y1], [x0, y1]], dtype=float)
+
+
+def at_a_wall(start, **dock):
+    station = Dock(Pose2(0.0, 0.0, 0.0), CHARGER, **{"direction": "forward", "final_straight": 0.3, **dock})
+    return DockingProblem(start, station, ROBOT, [box(0.6, -6.0, 0.8, 6.0)])
+
+
+def parallel_slot(start):
+    walls = [
+        box(-15.0, 0.0, -3.0, 5.0),
+        box(3.0, 0.0, 15.0, 5.0),
+        box(-3.0, 0.0, 3.0, 2.5),
+        box(-15.0, 11.0, 15.0, 15.0),
+    ]
+    return DockingProblem(start, Dock(Pose2(-1.35, 4.0, 0.0)), CAR, walls, 0.05)
+
+
+def behind_a_rack(start):
+    return DockingProblem(start, Dock(Pose2(0.0, 0.0, 0.0)), ROBOT, [box(0.6, -3.0, 1.6, 3.0)], 0.05)
+
+
+SCENES = {
+    "before the dock": at_a_wall(Pose2(-2.0, 0.5, 0.3)),
+    "beside the dock, the wrong way": at_a_wall(Pose2(-0.4, 2.0, math.pi)),
+    "5 cm aside, close": at_a_wall(Pose2(-0.6, 0.05, 0.0)),
+    "moving": dataclasses.replace(at_a_wall(Pose2(-3.0, 0.4, 0.0)), start_speed=-0.2),
+    "backward": DockingProblem(Pose2(-2.0, 1.0, 0.0), Dock(Pose2(0.0, 0.0, 0.0), direction="backward"), ROBOT),
+    "parallel slot": parallel_slot(Pose2(-6.0, 9.5, 0.0)),
+    "around a rack": behind_a_rack(Pose2(3.0, 0.5, 0.0)),
+}
+
+
+def guesses(problem, **options):
+    planner = ManoeuvrePlanner()
+    planner.configure(PluginContext(name="manoeuvres", problem=problem))
+    return planner.create_plans(problem.start, problem.goal, **options)
+
+
+@pytest.mark.parametrize("name", SCENES)
+def test_guesses_break_no_rule_but_that_curvature_jumps_where_arcs_meet(name):
+    problem = SCENES[name]
+    found = list(itertools.islice(guesses(problem), 3))
+    assert found
+    for guess in found:
+        broken = {violation.kind for violation in certify_path(guess.path, problem).violations}
+        assert broken <= {"curvature_rate"}, guess
+        assert guess.path.start == problem.start
+        assert guess.path.end.gap_to(problem.goal) <= 1e-9
+
+
+def test_the_scenes_need_every_stage():
+    stages = {name: next(guesses(problem)).stage for name, problem in SCENES.items()}
+    assert stages["before the dock"] == "Reeds-Shepp"
+    assert stages["parallel slot"] == "hybrid A*"
+    assert stages["around a rack"] == "hybrid A*"
+
+
+def test_the_same_question_has_the_same_answers():
+    first, second = (
+        [guess.path.digest for guess in itertools.islice(guesses(SCENES["parallel slot"]), 2)] for _ in "ab"
+    )
+    assert first == second
+
+
+def test_guesses_are_different_ways():
+    paths = [guess.path for guess in itertools.islice(guesses(SCENES["before the dock"]), 6)]
+    shares = np.linspace(0.0, 1.0, 17)
+    seen = [path.poses_at(shares * path.length)[:, :2] for path in paths]
+    assert len(paths) == 6
+    assert all(np.abs(a - b).max() > 0.2 for a, b in itertools.combinations(seen, 2))
+
+
+def test_it_ends_once_no_later_guess_can_be_better():
+    problem, best = SCENES["before the dock"], [math.inf]
+    offered = []
+    for guess in guesses(problem, better_than=lambda: best[0]):
+        assert least_price(guess.path, problem) < best[0]
+        offered.append(guess)
+        best[0] = least_price(guess.path, problem) * 1.1
+    assert len(offered) < 4 < len(list(itertools.islice(guesses(problem), 6)))
+    assert list(guesses(problem, better_than=lambda: 0.0)) == []
+
+
+def test_a_closed_room_is_refused_and_the_message_claims_no_proof():
+    ring = [box(-1, -1, 1, -0.8), box(-1, 0.8, 1, 1), box(-1, -1, -0.8, 1), box(0.8, -1, 1, 1)]
+    problem = DockingProblem(Pose2(3.0, 0.0, 0.0), Dock(Pose2(0.0, 0.0, 0.0)), ROBOT, ring, ClearanceRule(0.05, 0.0))
+    with pytest.raises(NoValidPathCouldBeFound, match="there may still be one"):
+        next(guesses(problem))
+
+
+def test_a_dock_that_can_be_entered_from_one_side_only_says_so():
+    problem = at_a_wall(Pose2(-2.0, 0.5, 0.3), direction=DockDirection.BACKWARD)
+    with pytest.raises(NoValidPathCouldBeFound, match=r"backward.*0\.00 m.*forward"):
+        next(guesses(problem))
+    both = at_a_wall(Pose2(-2.0, 0.5, 0.3), direction=DockDirection.AUTO)
+    assert int(next(guesses(both)).path.segments[-1].direction) == 1
+
+
+def test_it_polls_and_stops():
+    count = itertools.count()
+    with pytest.raises(PlannerCancelled):
+        list(guesses(SCENES["around a rack"], cancel_checker=lambda: next(count) == 40))
+
+
+def test_it_needs_a_problem_and_to_be_configured():
+    with pytest.raises(InvalidValue, match="needs a problem"):
+        ManoeuvrePlanner().configure(PluginContext(footprint=ROBOT.footprint))
+    with pytest.raises(LifecycleError):
+        ManoeuvrePlanner().create_plan(Pose2(0.0, 0.0, 0.0), Pose2(1.0, 0.0, 0.0))
+
+
+def test_a_planner_of_one_path_offers_that_one():
+    class One(GlobalPlanner):
+        def create_plan(self, start, goal, cancel_checker=None):
+            return Path.from_poses([start, goal])
+
+    (guess,) = One().create_plans(Pose2(0.0, 0.0, 0.0), Pose2(1.0, 0.0, 0.0))
+    assert guess.path.length == pytest.approx(1.0)
+
+
+def test_the_least_price_of_one_gear_is_that_of_a_trapezoid():
+    problem = DockingProblem(Pose2(-3.0, 0.0, 0.0), Dock(Pose2(0.0, 0.0, 0.0)), ROBOT)
+    long = least_price(Path.from_poses([problem.start, problem.goal]), problem)
+    limits = ROBOT.limits
+    up, down, top = limits.max_acceleration, limits.max_deceleration, limits.max_speed
+    assert long == pytest.approx(3.0 / top + 0.5 * top / up + 0.5 * top / down)
+    short = least_price(Path.from_poses([Pose2(-0.1, 0.0, 0.0), problem.goal]), problem)
+    assert short == pytest.approx(math.sqrt(2.0 * 0.1 * (1.0 / up + 1.0 / down)))
+    there_and_back = Path.from_poses([Pose2(0.0, 0.0, 0.0), Pose2(3.0, 0.0, 0.0), Pose2(2.9, 0.0, 0.0)])
+    assert least_price(there_and_back, problem) > long + CUSP_PRICE
+
+
+def test_gear_changes_leave_out_what_leads_nowhere():
+    lengths = np.array([[1.0, 0.0, -1.0, 1e-9, -2.0], [0.0, -1.0, 2.0, -1.0, 0.0], [1.0, 1.0, 0.0, 0.0, 1.0]])
+    assert gear_changes(lengths).tolist() == [1.0, 2.0, 0.0]
+
+
+def test_the_turning_radius_stays_finite_where_nothing_bounds_the_curvature():
+    free = dataclasses.replace(ROBOT, limits=MotionLimits())
+    problem = dataclasses.replace(SCENES["before the dock"], robot=free)
+    assert 0.0 < turning_radius(problem) < ROBOT.footprint.circumscribed_radius
+    assert turning_radius(SCENES["before the dock"]) == pytest.approx(1.0 / 1.5)
