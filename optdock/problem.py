@@ -95,10 +95,13 @@ class ClearanceRule:
             start_relief: Distance from the start within which the robot may keep no more than that, because it stands
                 along a wall, say [m]; 0 is the strict rule.
         """
+        return np.minimum(self.near_goal(from_goal), self.near_start(from_start, start_clearance, start_relief))
+
+    def near_goal(self, from_goal: FloatArray) -> FloatArray:
+        """What is asked for at distances from the goal, wherever the start is, Shape (n,) [m]."""
         share = np.minimum(1.0, from_goal / self.taper) if self.taper > 0.0 else np.where(from_goal > 0.0, 1.0, 0.0)
-        near_goal = self.at_dock + (self.required - self.at_dock) * share
-        near_start = self.near_start(from_start, start_clearance, start_relief)
-        return np.minimum(near_goal, near_start)
+        wanted: FloatArray = self.at_dock + (self.required - self.at_dock) * share
+        return wanted
 
     @staticmethod
     def near_start(from_start: FloatArray, start_clearance: float, start_relief: float = 0.0) -> FloatArray:

@@ -72,23 +72,26 @@ class InitialGuesses:
 
     @property
     def first(self) -> Guess:
-        """The most promising one: see `_order`."""
-        return self._cold(self._order[0], self.nlp.settings.guess.patience)
+        """The most promising one."""
+        return self._cold(self._first, self.nlp.settings.guess.patience)
 
     @property
     def on_the_input(self) -> Guess | None:
         """The tracked one, where the input can be tracked and it was not the first; None where both are alike."""
-        if not self._is_trackable or self.tracked is self._order[0]:
+        if not self._is_trackable or self.tracked is self._first:
             return None
         settings = self.nlp.settings.guess
-        apart = self._apart(self.tracked, self._order[0])
+        apart = self._apart(self.tracked, self._first)
         return self._cold(self.tracked, settings.patience) if apart > settings.different_on_the_input else None
 
     @property
     def other(self) -> Guess | None:
         """The second of fit and drive, for an obstacle met on its wrong side; None where it is like the first."""
-        settings, (first, second) = self.nlp.settings.guess, self._order
-        return self._cold(second, settings.patience_other) if self._apart(first, second) > settings.different else None
+        settings, second = self.nlp.settings.guess, self._untracked
+        if self._first is second:
+            second = self.pursued if second is self.fitted else self.fitted
+        apart = self._apart(self._first, second)
+        return self._cold(second, settings.patience_other) if apart > settings.different else None
 
     @property
     def rest_of_earlier(self) -> Guess | None:
@@ -116,7 +119,7 @@ class InitialGuesses:
     @cached_property
     def tracked(self) -> Variables:
         """The drivable path whose positions are nearest to the input's."""
-        return track(self.nlp, self.pool, self._untracked[0], self.trust_region, self.is_late)
+        return track(self.nlp, self.pool, self._untracked, self.trust_region, self.is_late)
 
     @cached_property
     def trust_region(self) -> float:
@@ -126,37 +129,37 @@ class InitialGuesses:
         return settings.trust_region * math.sqrt(min(1.0, longest / float(nlp.lengths.sum())))
 
     @cached_property
-    def _untracked(self) -> tuple[Variables, Variables]:
-        """The fit and the drive, the one that stays closer to the input first."""
-        nlp, settings = self.nlp, self.nlp.settings.guess
-        driven = self._driven(self.fitted)
-        turned = abs(float(driven.poses[-1, 2] - nlp.ends.target[2]))
-        if strayed(nlp, driven) < settings.astray and turned < settings.turned_away:
-            return self.fitted, self.pursued
-        return self.pursued, self.fitted
+    def _untracked(self) -> Variables:
+        """The fit, or the drive where the fit leads away from the input."""
+        settings, driven = self.nlp.settings.guess, self._fit_driven
+        turned = abs(float(driven.poses[-1, 2] - self.nlp.ends.target[2]))
+        is_near = strayed(self.nlp, driven) < settings.astray and turned < settings.turned_away
+        return self.fitted if is_near else self.pursued
 
     @cached_property
     def _is_trackable(self) -> bool:
         """Whether it stays near the input, or at least much nearer than the others do: on long paths spans are long."""
         settings = self.nlp.settings.guess
-        tracked, other = (strayed(self.nlp, self._driven(v)) for v in (self.tracked, self._untracked[0]))
+        tracked, other = (strayed(self.nlp, self._driven(v)) for v in (self.tracked, self._untracked))
         return tracked < max(settings.trackable, settings.much_nearer * other)
 
     @cached_property
-    def _order(self) -> tuple[Variables, Variables]:
-        """With which to begin, and with which to go on: the tracked one where the others leave the input to worse."""
-        settings, (first, second) = self.nlp.settings.guess, self._untracked
-        off = strayed(self.nlp, self._driven(first)) > settings.off_the_input
-        if off and self._is_trackable and self._begins_better(self.tracked, first):
-            return self.tracked, first
-        return first, second
-
-    def _begins_better(self, one: Variables, other: Variables) -> bool:
-        """Whether a search from the first would begin with the smaller merit."""
-        loop = self.nlp.settings.loop
+    def _first(self) -> Variables:
+        """The fit or the drive; the tracked one where they lead off the input into obstacles or past the goal."""
+        nlp, first = self.nlp, self._untracked
+        if first is self.fitted and strayed(nlp, self._fit_driven) < nlp.settings.guess.off_the_input:
+            return first
+        begun, _ = evaluated(nlp, first)
+        if begun.on_goal and begun.shortfall < nlp.scene.settings.deep * nlp.scene.body.width:
+            return first
+        loop = nlp.settings.loop
         penalties = Penalties(loop.clearance_penalty, loop.goal_penalty)
-        first, second = (evaluated(self.nlp, variables)[0].merit(penalties) for variables in (one, other))
-        return first < second
+        does_better = self._is_trackable and evaluated(nlp, self.tracked)[0].merit(penalties) < begun.merit(penalties)
+        return self.tracked if does_better else first
+
+    @cached_property
+    def _fit_driven(self) -> Rollout:
+        return self._driven(self.fitted)
 
     def _driven(self, variables: Variables) -> Rollout:
         return roll_out(self.nlp.basis, variables, self.nlp.ends.start, self.nlp.ends.signs)

@@ -74,7 +74,7 @@ class GuessSettings:
 
     astray: float = 0.4  # [m]: a fit that leads further from the input is not begun with
     turned_away: float = 0.4  # [rad], likewise at the goal
-    off_the_input: float = 0.1  # [m]: a fit that leads further from the input may be worse than a tracked one
+    off_the_input: float = 0.15  # [m]: a fit that leads further from the input may be worse than a tracked one
     trackable: float = 0.4  # [m]: an input that cannot be tracked more closely is not drivable
     much_nearer: float = 0.1  # likewise, of how far the others lead away
     different: float = 0.15  # [m]: guesses closer together lead to the same result

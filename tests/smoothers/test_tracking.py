@@ -1,5 +1,6 @@
 """Tracking: the drivable path nearest to the input's positions, and programs with finer intervals."""
 
+import functools
 import math
 
 import numpy as np
@@ -93,16 +94,17 @@ def test_it_stops_at_once_when_it_is_late():
     assert strayed(nlp, driven(nlp, late)) > strayed(nlp, driven(nlp, tracked(nlp)))
 
 
-def test_the_tracked_guess_comes_first_where_something_stands_in_the_way_of_the_fit():
-    poses = driven_word(WORDS[2])
+def test_the_tracked_guess_comes_first_where_something_stands_in_the_way_of_the_others():
+    poses = driven_word(WORDS[1])
     free = InitialGuesses(program_of(poses))
-    fit = evaluated(free.nlp, free.fitted)[0].rollout.poses
-    assert free.first.variables is free.fitted
-    # Posts where corners of the fit pass and the input keeps 5 cm away.
-    corners = transform_points(fit, CAR.footprint.vertices).reshape(-1, 2)
-    posts = [ObstacleSet.from_rectangles(at[None] - 0.02, at[None] + 0.02, "post") for at in corners]
-    beside = [post for post in posts if pose_clearances(poses, CAR.footprint, post)[0].min() > 0.02]
-    guesses = InitialGuesses(program_of(poses, beside[len(beside) // 2]))
+    begun = evaluated(free.nlp, free.first.variables)[0].rollout.poses
+    assert free.first.variables is free.pursued
+    # Boxes where corners of the drive pass and the input does not.
+    corners = transform_points(begun, CAR.footprint.vertices).reshape(-1, 2)
+    boxes = [ObstacleSet.from_rectangles(at[None] - 0.15, at[None] + 0.15, "box") for at in corners]
+    beside = [box for box in boxes if pose_clearances(poses, CAR.footprint, box)[0].min() > 0.02]
+    obstacles = functools.reduce(ObstacleSet.__add__, beside)
+    guesses = InitialGuesses(program_of(poses, obstacles))
     assert guesses.first.variables is guesses.tracked
     assert guesses.on_the_input is None
 

@@ -122,8 +122,8 @@ class Scene:
         """What is required at robot positions, Shape (n, 2) [m]."""
         to_goal, to_start = positions - self.goal, positions - self.start
         from_goal, from_start = np.hypot(to_goal[:, 0], to_goal[:, 1]), np.hypot(to_start[:, 0], to_start[:, 1])
-        value = self.rule.required_at(from_goal, from_start, self.start_clearance, self.start_relief)
         relieved = self.rule.near_start(from_start, self.start_clearance, self.start_relief)
+        value = np.minimum(self.rule.near_goal(from_goal), relieved)
         eased, near = value == relieved, from_goal < self.rule.taper
         slope = (self.rule.required - self.rule.at_dock) / self.rule.taper if self.rule.taper > 0.0 else 0.0
         toward = np.where(near, slope / np.maximum(from_goal, 1e-9), 0.0)[:, None] * to_goal
