@@ -247,7 +247,7 @@ def test_an_arm_that_swings_around_a_needle_is_found(turn, share):
         assert certify_path(path, problem).certified is certified
 
 
-@settings(max_examples=40)
+@settings(max_examples=25)
 @given(
     st.floats(-7.0, 7.0).filter(lambda x: abs(x) > 1e-3), st.floats(0.0, 6.28), st.floats(0.2, 0.9), st.floats(0.0, 0.1)
 )
@@ -282,9 +282,9 @@ def test_a_dense_check_agrees_and_refuses_turns_nobody_makes():
 
 
 def test_many_tiny_turns_are_turns():
-    path = gears((1.0, 0.0, 1), *[(1e-4,)] * 50)
+    path = gears((1.0, 0.0, 1), *[(1e-4,)] * 20)
     assert certify_path(path, problem_of(path)).certified
-    assert kinds(certify_path(path, problem_of(path, turns=False))) == ["turn"] * 50
+    assert kinds(certify_path(path, problem_of(path, turns=False))) == ["turn"] * 20
     motion = timed(path)
     assert certify_trajectory(motion, LIMITS, SpeedZone()).certified
 
@@ -429,7 +429,7 @@ def test_samples_of_a_turn_are_those_of_its_phases():
     assert check_samples_of(plan.trajectory, bent, plan.problem).refuted
 
 
-@settings(max_examples=25)
+@settings(max_examples=15)
 @given(
     st.lists(
         st.one_of(
@@ -522,7 +522,7 @@ def test_a_controller_of_gears_alone_says_so():
 
 
 def test_turns_are_drawn(tmp_path):
-    plan = plan_of()
+    plan = plan_of(gears((0.3, 0.0, 1), (0.7,)))
     plan.plot(tmp_path / "plan.png")
     save_profile_picture(tmp_path / "profile.png", plan.trajectory, LIMITS, SpeedZone(0.1, 0.3))
     assert (tmp_path / "plan.png").stat().st_size > 10_000
