@@ -141,7 +141,7 @@ class Path(FrozenArrays):
         turned = sum(segment.length for segment in self.segments if isinstance(segment, TurnSegment))
         return self.length - turned
 
-    @property
+    @functools.cached_property
     def turns(self) -> bool:
         """Whether it turns in place anywhere."""
         return any(isinstance(segment, TurnSegment) for segment in self.segments)
@@ -149,6 +149,8 @@ class Path(FrozenArrays):
     @property
     def driven_stretches(self) -> tuple[tuple[float, float], ...]:
         """Where the robot drives, from `s` to `s` [m]: between turns in place, in order."""
+        if not self.turns:
+            return ((0.0, self.length),)
         ends = itertools.pairwise(self.segment_starts.tolist())
         groups = itertools.groupby(
             zip(self.segments, ends, strict=True), key=lambda one: isinstance(one[0], TurnSegment)
@@ -159,7 +161,9 @@ class Path(FrozenArrays):
     def before_end(self, distance: float) -> float:
         """Where `distance` [m] are left to drive; below 0 where the path is shorter."""
         s = self.length - distance
-        for segment, end in zip(self.segments[::-1], self.segment_starts[:0:-1].tolist(), strict=True):
+        for segment, end in (
+            zip(self.segments[::-1], self.segment_starts[:0:-1].tolist(), strict=True) if self.turns else ()
+        ):
             if isinstance(segment, TurnSegment) and end > s:
                 s -= segment.length
         return s

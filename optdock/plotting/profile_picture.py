@@ -38,7 +38,7 @@ def save_profile_picture(
     """Draw speed, acceleration, jerk, curvature, yaw rate and yaw acceleration over time, each with its limits.
 
     The limit of the speed is the lowest of all that the path sets: the drive's, the approach zone's, and what yaw
-    rate, lateral acceleration and wheel speed leave at the curvature there.
+    rate, lateral acceleration, wheel speed and steering rate leave at the curvature there.
 
     Args:
         target: Where; the suffix chooses the format.
@@ -70,6 +70,10 @@ def _panels(trajectory: Trajectory, limits: MotionLimits, zone: SpeedZone, times
     forward, turning = gear > 0, gear == 0
     up, down = limits.max_acceleration, limits.max_deceleration
     speed = _speed_bound(limits, np.abs(curvature), forward)
+    if np.isfinite(limits.max_steering_rate):
+        steered = limits.wheelbase * np.abs(trajectory.path.curvature_rate_at(samples.s))
+        cap = limits.max_steering_rate * (1.0 + (limits.wheelbase * curvature) ** 2)
+        speed = np.minimum(speed, cap / np.maximum(steered, 1e-12))
     speed = np.where(samples.s > trajectory.path.before_end(zone.distance), np.minimum(speed, zone.speed), speed)
     speed, curvature = np.where(turning, 0.0, speed), np.where(turning, 0.0, curvature)
     accelerations = np.where(forward, -down, -up), np.where(forward, up, down)

@@ -4,7 +4,8 @@
 at samples, the footprint keeps the clearance that the problem requires at that pose from every obstacle, up to
 `TOLERANCE`; where contact is allowed, nothing lies deeper than two tolerances inside anything, however the shapes are
 made of pieces. The path begins at the start and ends at the goal in the gear that the dock asks for, has no jump, its
-curvature and curvature rate stay within the robot's limits and its last stretch is straight.
+curvature and curvature rate stay within the robot's limits and its last stretch is straight. It turns in place only
+where the robot does that.
 
 *Idea of the proof.* The axis that attains the distance d of two convex shapes at one pose still separates them by a
 lower bound at every other pose. Along it no point of the footprint moves faster, or is bent more, than bounds of the
@@ -12,8 +13,9 @@ motion say. So a pose that keeps d clears a whole stretch of the path around it.
 bisected until they are, until a pose in them breaks the rule, or until they are given up, which counts as broken.
 
 **Theorem (trajectory).** Let `certify_trajectory(trajectory, limits, zone)` be certified. Then at every instant speed,
-acceleration, deceleration, jerk, yaw rate, yaw acceleration, lateral acceleration and wheel speeds keep their limits up
-to `TOLERANCE`, relative; the motion covers its path once, never backwards, and rests at every cusp and at the end.
+acceleration, deceleration, jerk, yaw rate, yaw acceleration, lateral acceleration, wheel speeds and steering rate keep
+their limits up to `TOLERANCE`, relative, and in turns in place yaw rate, acceleration and jerk keep theirs; the motion
+covers its path once, never backwards, and rests at every cusp, for as long as its wheels take to turn, and at the end.
 
 A motion that is known by samples only is never certified; `check_sampled_motion` refutes it, or does not.
 

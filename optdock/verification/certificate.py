@@ -27,9 +27,9 @@ class Violation:
     """One broken rule.
 
     Args:
-        kind: Machine-readable name of the rule: `frame`, `start`, `goal`, `joint`, `direction`, `slip`, `curvature`,
-            `curvature_rate`, `start_curvature`, `final_straight`, `clearance`, `unproven`; for trajectories the name of
-            the limit, `rest`, `coverage` or `start_state`.
+        kind: Machine-readable name of the rule: `frame`, `start`, `goal`, `joint`, `direction`, `turn`, `slip`,
+            `curvature`, `curvature_rate`, `start_curvature`, `final_straight`, `clearance`, `unproven`; for
+            trajectories the name of the limit, `yaw_jerk`, `rest`, `coverage` or `start_state`.
         message: What is wrong, where, by how much.
         s: Arc length at which it shows [m].
         amount: How far beyond the rule, in the rule's unit; > 0.
@@ -59,7 +59,7 @@ class Certificate:
         nearest: Name of the obstacle there, empty without obstacles.
         max_curvature: Largest |curvature| [1/m].
         max_curvature_rate: Largest |d curvature / ds| [1/m^2].
-        length: Arc length of the path [m].
+        length: How far the path drives [m].
         poses_checked: How many poses the proof looked at.
         problem: Digests of what it was proven against; a certificate says nothing about any other problem.
         path: Digest of the path that was judged.

@@ -45,7 +45,8 @@ def certify_path(path: Path, problem: DockingProblem, *, is_late: Callable[[], b
     Where no clearance is required contact may overlap by a micrometre, and nothing lies deeper than two micrometres
     inside anything, however the shapes are made of pieces (see `contact_tolerance`).
 
-    Wherever two segments meet, also two of one gear, the curvature may jump: the robot must rest there.
+    Wherever two segments meet, also two of one gear, the curvature may jump: the robot must rest there. A turn in place
+    is such a segment, for robots that do so; it is swept as any other.
 
     A proof is kept for as long as the path lives: paths and problems are frozen, so the same two have the same verdict.
     One that was cut short serves callers with a deadline, and only where it is certified all the same.
@@ -139,6 +140,7 @@ def certify_trajectory(
     """Prove that a trajectory keeps every motion limit, or name what is broken, when and by how much.
 
     Within a step of a polyline, whose curvature is a difference quotient, 5 % beyond a limit on turning are accepted.
+    Where steered wheels have to be turned between two segments, the motion must rest for as long as that takes.
 
     A proof is kept for as long as the time law lives, as those of paths are.
 

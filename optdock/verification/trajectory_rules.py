@@ -89,11 +89,12 @@ def trajectory_violations(
         asked = borders if pieces is None else np.concatenate((borders, pieces.begin[1:]))
         reached = _crossings(law, asked)  # one bisection for all places that are asked for
         if pieces is not None:
-            _subdivide(_initial_cells(law, pieces, reached.rows(slice(borders.size, None))), judge, is_late)
+            knots = reached.rows(slice(borders.size, None))
+            _subdivide(_initial_cells(law, pieces, knots, has_turns=path.turns), judge, is_late)
     peaks = tuple(_stretch_peaks(law, stretches, reached.rows(slice(borders.size)), extremes))
     driven, turns = _phases_apart(trajectory)
     plain = {violation.kind: violation for violation in (*_speed(peaks), *_rates(law, driven, limits))}
-    ratios = {**_plain_ratios(law, driven, limits, peaks), **judge.ratios}
+    ratios = {**_plain_ratios(driven, limits, peaks), **judge.ratios}
     turning = tuple(peak for turn in turns for peak in _turn_peaks(law, turn, extremes, limits))
     more = [(peak.kind, peak.ratio) for peak in turning] + [("steering_rate", wait.ratio) for wait in waits]
     for kind, ratio in more:
@@ -218,7 +219,7 @@ def _waits(trajectory: Trajectory, limits: MotionLimits) -> list[_Wait]:
     Cusps that one border may stand for share the phases there, so what they need is added up.
     """
     law, path = trajectory.time_law, trajectory.path
-    if not (path.cusps and np.isfinite(limits.max_steering_rate)):
+    if not (limits.max_steering_rate < np.inf and path.cusps):
         return []
     places, needed = np.array(path.cusps), limits.steering_times(path.joint_curvatures)
     still = np.max(np.abs(law.states[:, 1:]), axis=1) <= REST_TOLERANCE
@@ -294,27 +295,30 @@ def _speed(peaks: Sequence[_Peak]) -> Iterator[Violation]:
 
 
 class _Phases(NamedTuple):
-    """Some phases of a time law: their indices, and those of the borders that belong to them."""
+    """Some phases of a time law, and the borders that belong to them: which they are, and their columns."""
 
     inside: IntArray
     borders: IntArray
+    jerks: FloatArray
+    a: FloatArray
 
     @classmethod
-    def of(cls, inside: IntArray) -> _Phases:
+    def of(cls, law: TimeLaw, inside: IntArray) -> _Phases:
         """The phases `inside`, with the borders at both their ends."""
-        return cls(inside, np.union1d(inside, inside + 1))
+        borders = np.union1d(inside, inside + 1)
+        return cls(inside, borders, law.jerks[inside], law.states[borders, 2])
 
 
 def _phases_apart(trajectory: Trajectory) -> tuple[_Phases, list[_Phases]]:
     """The phases that drive, and those of every turn in place: between the rests at its ends, as `_rest` finds them."""
     law, path = trajectory.time_law, trajectory.path
     if not path.turns:
-        return _Phases(np.arange(law.durations.size), np.arange(law.times.size)), []
+        return _Phases(np.arange(law.durations.size), np.arange(law.times.size), law.jerks, law.states[:, 2]), []
     cuts = [0, *(_border_at(law, s) for s in path.cusps), law.durations.size]
     owned = [np.arange(first, last) for first, last in itertools.pairwise(cuts)]
     turns = [isinstance(segment, TurnSegment) for segment in path.segments]
     driven = np.setdiff1d(np.arange(law.durations.size), np.concatenate(list(itertools.compress(owned, turns))))
-    return _Phases.of(driven), [_Phases.of(phases) for phases in itertools.compress(owned, turns)]
+    return _Phases.of(law, driven), [_Phases.of(law, phases) for phases in itertools.compress(owned, turns)]
 
 
 class _TurnPeak(NamedTuple):
@@ -337,11 +341,11 @@ def _turn_peaks(law: TimeLaw, turn: _Phases, found: _Extremes, limits: MotionLim
     if turn.inside.size == 0:
         return
     rows = np.concatenate((turn.borders, law.times.size + turn.inside))  # borders of phases, then speeds inside them
-    turning, at = limits.turning, turn.borders
+    turning, at, inside = limits.turning, turn.borders, turn.inside
     for kind, limit, value, t, s in (
         ("yaw_rate", turning.rate, found.v[rows], found.t[rows], found.s[rows]),
-        ("yaw_acceleration", turning.acceleration, np.abs(law.states[at, 2]), law.times[at], law.states[at, 0]),
-        ("yaw_jerk", turning.jerk, np.abs(law.jerks[turn.inside]), law.times[turn.inside], law.states[turn.inside, 0]),
+        ("yaw_acceleration", turning.acceleration, np.abs(turn.a), law.times[at], law.states[at, 0]),
+        ("yaw_jerk", turning.jerk, np.abs(turn.jerks), law.times[inside], law.states[inside, 0]),
     ):
         k = int(np.argmax(value))
         yield _TurnPeak(kind, limit, float(value[k]) / TURN_RADIUS, float(t[k]), float(s[k]))
@@ -356,28 +360,26 @@ def _turned_too_fast(peaks: Sequence[_TurnPeak]) -> Iterator[Violation]:
 
 
 def _rates(law: TimeLaw, driven: _Phases, limits: MotionLimits) -> Iterator[Violation]:
-    at, inside = driven.borders, driven.inside
     for kind, value, limit, rows in (
-        ("acceleration", law.states[at, 2], limits.max_acceleration, at),
-        ("deceleration", -law.states[at, 2], limits.max_deceleration, at),
-        ("jerk", np.abs(law.jerks[inside]), limits.max_jerk, inside),
+        ("acceleration", driven.a, limits.max_acceleration, driven.borders),
+        ("deceleration", -driven.a, limits.max_deceleration, driven.borders),
+        ("jerk", np.abs(driven.jerks), limits.max_jerk, driven.inside),
     ):
         if value.size == 0:
             continue
         i = int(np.argmax(value))
-        k, s = rows[i], law.states[rows[i], 0]
         if not value[i] <= limit * (1.0 + TOLERANCE):
+            k, s = rows[i], law.states[rows[i], 0]
             message = f"{kind} {value[i]:.4g} at t = {law.times[k]:.3f} s, s = {s:.3f} m exceeds {limit:.4g}"
             yield Violation(kind, message, float(s), float(value[i] - limit))
 
 
-def _plain_ratios(law: TimeLaw, driven: _Phases, limits: MotionLimits, peaks: Sequence[_Peak]) -> dict[str, float]:
-    a, jerks = law.states[driven.borders, 2], law.jerks[driven.inside]
+def _plain_ratios(driven: _Phases, limits: MotionLimits, peaks: Sequence[_Peak]) -> dict[str, float]:
     return {
         "speed": max((peak.speed / peak.limit for peak in peaks), default=0.0),
-        "acceleration": float(np.max(a, initial=0.0)) / limits.max_acceleration,
-        "deceleration": float(np.max(-a, initial=0.0)) / limits.max_deceleration,
-        "jerk": float(np.max(np.abs(jerks), initial=0.0)) / limits.max_jerk,
+        "acceleration": float(np.max(driven.a, initial=0.0)) / limits.max_acceleration,
+        "deceleration": float(np.max(-driven.a, initial=0.0)) / limits.max_deceleration,
+        "jerk": float(np.max(np.abs(driven.jerks), initial=0.0)) / limits.max_jerk,
     }
 
 
@@ -496,7 +498,7 @@ class _Cells(NamedTuple):
             yield self.rows(slice(start, start + _BLOCK))
 
 
-def _initial_cells(law: TimeLaw, pieces: _Pieces, knots: _Instants) -> _Cells:
+def _initial_cells(law: TimeLaw, pieces: _Pieces, knots: _Instants, *, has_turns: bool) -> _Cells:
     """Cells from event to event: starts of phases, knots of the path, and a grid of `_MAX_WIDTH` within each phase."""
     phases = np.arange(law.durations.size)
     most = max(1, _MAX_GRID // phases.size)
@@ -521,7 +523,7 @@ def _initial_cells(law: TimeLaw, pieces: _Pieces, knots: _Instants) -> _Cells:
     low, high = np.minimum(first, last), np.maximum(first, last)
     k = np.where(at_knot, first, np.clip(first + rate * (s - begins), low, high))
     cells = _Cells(law.times[phase] + since, width, s, v, a, law.jerks[phase], k, rate, low, high)
-    if np.isinf(pieces.step).any():
+    if has_turns:
         driven = np.flatnonzero(~np.isinf(pieces.step[piece]))
         cells, piece = cells.rows(driven), piece[driven]
     # A polyline once more, turning as its steps do: their curvature is constant, not that between poses.
@@ -538,7 +540,7 @@ def _quantities(cells: _Cells, drive: MotionLimits) -> Mapping[str, FloatArray]:
         "yaw_acceleration": np.abs(a * k + v * v * r),
         "wheel_speed": np.abs(v) * (1.0 + 0.5 * drive.track_width * np.abs(k)),
     }
-    if np.isfinite(drive.max_steering_rate):
+    if drive.max_steering_rate < np.inf:
         found["steering_rate"] = np.abs(drive.wheelbase * r * v) / (1.0 + (drive.wheelbase * k) ** 2)
     return found
 
@@ -557,7 +559,7 @@ def _bend(first: _Cells, last: _Cells, drive: MotionLimits) -> Mapping[str, Floa
         "yaw_acceleration": 4.0 * j * v * r + 3.0 * a * a * r,
         "wheel_speed": j + 0.5 * drive.track_width * yaw_rate,
     }
-    if np.isfinite(drive.max_steering_rate):
+    if drive.max_steering_rate < np.inf:
         steepest = drive.wheelbase * r
         turned = steepest * v
         found["steering_rate"] = steepest * j + 2.0 * turned * steepest * a + 2.0 * turned**3

@@ -42,6 +42,8 @@ class TimeParameterizerContract(PluginContract[TimeParameterizer]):
             max_lateral_acceleration=0.15,
             max_wheel_speed=0.45,
             track_width=0.4,
+            wheelbase=0.5,
+            max_steering_rate=0.3,
         )
         return MotionLimits(), every
 

@@ -5,8 +5,10 @@ import pytest
 
 from optdock.geometry.clothoid import ClothoidSpline
 from optdock.geometry.pose import Pose2
-from optdock.path import ClothoidSegment, Path, PolylineSegment
+from optdock.path import ClothoidSegment, Path, PolylineSegment, TurnSegment
 from optdock.verification.motion_bounds import PathMotion
+
+ORIGIN = Pose2(0.0, 0.0, 0.0)
 
 
 def two_gears():
@@ -77,3 +79,37 @@ def test_a_path_of_one_cell_is_halved_too():
     assert finer.first.tolist() == [0.0, 0.5]
     assert finer.last.tolist() == [0.5, 1.0]
     assert np.unique(finer.segment).tolist() == [0]
+
+
+def turns():
+    first = TurnSegment(Pose2(0.3, -0.2, 0.4), 1.7)
+    return Path((first, ClothoidSegment(ClothoidSpline(first.end, [0.0, 0.6], [0.0, 0.8])), TurnSegment(ORIGIN, -3.0)))
+
+
+@pytest.mark.parametrize("make", [two_gears, turning_polyline, turns])
+def test_no_body_point_moves_or_bends_faster_than_its_bounds(make):
+    """By finite differences of the poses: velocities at both ends of every cell, and accelerations all over it."""
+    motion = PathMotion(make())
+    cells = motion.cells(0.08)
+    body = np.array([[0.5, 0.2], [-0.3, 0.4], [1.1, -0.7]])
+
+    def places(share):
+        poses = motion.nodes(cells.segment, cells.first + share * (cells.last - cells.first)).poses
+        c, s = np.cos(poses[:, 2]), np.sin(poses[:, 2])
+        turned = np.einsum("ijn,kj->nki", np.array([[c, -s], [s, c]]), body)
+        return poses[:, None, :2] + turned, poses
+
+    ends = [places(share)[1] for share in (0.0, 1.0)]
+    found = motion.bounds(cells, *ends)
+    h = 1e-3
+    for share, velocity in ((h, found.velocity_first), (1.0 - h, found.velocity_last)):
+        rate = (places(share + h)[1] - places(share - h)[1]) / (2.0 * h * found.width[:, None])
+        np.testing.assert_allclose(rate, velocity, atol=2e-3)
+    reach = np.hypot(*body.T)
+    for share in np.linspace(0.05, 0.95, 7):
+        before, here, after = (places(share + step)[0] for step in (-0.05, 0.0, 0.05))
+        acceleration = np.linalg.norm(after - 2.0 * here + before, axis=2) / (0.05 * found.width[:, None]) ** 2
+        assert np.all(acceleration <= found.bend[:, None] + reach * found.twist[:, None] + 1e-6)
+    # And hardly less, where that can be told from one end: a turn has one acceleration.
+    still = np.flatnonzero(found.speed == 0.0)
+    np.testing.assert_allclose(acceleration[still], (reach * found.twist[:, None])[still], rtol=1e-2)

@@ -137,6 +137,9 @@ def test_samples_of_wheels_that_turn_too_fast_are_refuted(period):
     path = curve([0.0, 0.5, 1.0, 1.5], [0.0, 1.4, -1.0, 0.0])
     found = messages(motion_of(path, period), path, steered_problem(path))
     assert any(message.startswith("steering rate") for message in found)
+    path = curve([0.0, 1.0], [-1.4, 1.4])  # the wheels turn fastest midway, where no knot is
+    found = messages(motion_of(path, period), path, steered_problem(path))
+    assert any(message.startswith("steering rate [rad/s]") for message in found)
     path = unsteered_gears(0.5)
     found = check_sampled_motion(motion_of(path, period), path, steered_problem(path)).violations
     assert "rest" in [violation.kind for violation in found]
