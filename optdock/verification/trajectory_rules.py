@@ -199,6 +199,14 @@ def _border_at(law: TimeLaw, s: float) -> int:
     return int(np.argmin(np.where(at, moving, np.inf) if at.any() else off))
 
 
+def _rest_at(law: TimeLaw, s: float) -> int:
+    """The phase border at rest that is nearest to `s`: a turn smaller than the tolerance has ends of its own."""
+    still = np.max(np.abs(law.states[:, 1:]), axis=1) <= REST_TOLERANCE
+    off = np.where(still, np.abs(law.states[:, 0] - s), np.inf)
+    k = int(np.argmin(off))
+    return k if off[k] <= REST_TOLERANCE else _border_at(law, s)
+
+
 class _Wait(NamedTuple):
     """A rest at one place: where [m], the time that the wheels need there and that they have [s]."""
 
@@ -314,7 +322,7 @@ def _phases_apart(trajectory: Trajectory) -> tuple[_Phases, list[_Phases]]:
     law, path = trajectory.time_law, trajectory.path
     if not path.turns:
         return _Phases(np.arange(law.durations.size), np.arange(law.times.size), law.jerks, law.states[:, 2]), []
-    cuts = [0, *(_border_at(law, s) for s in path.cusps), law.durations.size]
+    cuts = [0, *(_rest_at(law, s) for s in path.cusps), law.durations.size]
     owned = [np.arange(first, last) for first, last in itertools.pairwise(cuts)]
     turns = [isinstance(segment, TurnSegment) for segment in path.segments]
     driven = np.setdiff1d(np.arange(law.durations.size), np.concatenate(list(itertools.compress(owned, turns))))
