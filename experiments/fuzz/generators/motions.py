@@ -152,7 +152,9 @@ def _aim(rng: Rng, case: Case) -> None:
     motion = motion_of(case["path"])
     seen = judged(case, motion).ratios
     if turns:  # of turns by limits of 1
-        seen |= {name: value for name, value in judged({**case, "limits": unit}, motion).ratios.items() if "turn_" in name}
+        seen |= {
+            name: value for name, value in judged({**case, "limits": unit}, motion).ratios.items() if "turn_" in name
+        }
     sharp = set(rng.choice([*_PLAIN, *_CURVED], size=int(rng.integers(0, 3)), replace=False).tolist())
     limits: Case = {"track_width": track}
     for name in (*_PLAIN, *_CURVED):

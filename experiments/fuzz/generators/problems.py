@@ -100,7 +100,10 @@ def _bounds(rng: Rng, motion: Motion) -> Case:
     with np.errstate(all="ignore"):
         rates = np.where(motion.k1 == motion.k0, 0.0, (motion.k1 - motion.k0) / motion.h)
     driven = motion.gear != 0.0
-    seen = {"max_curvature": np.abs(np.append(motion.k0, motion.k1))[np.tile(driven, 2)], "max_curvature_rate": np.abs(rates)}
+    seen = {
+        "max_curvature": np.abs(np.append(motion.k0, motion.k1))[np.tile(driven, 2)],
+        "max_curvature_rate": np.abs(rates),
+    }
     for name, values in seen.items():
         top = float(np.max(values, initial=0.0))
         if math.isfinite(top) and top > 0.0 and rng.uniform() < 0.4:

@@ -156,8 +156,10 @@ def _zoomed(law: _Law, motion: Motion, instants: _Instants, ratios: dict[str, Fl
 
 
 def turn_limits(limits: Case) -> tuple[float, float, float]:
-    """Rate, acceleration and jerk that a turn in place may have: the rims keep the wheel speed, gain speed no faster
-    than straight on, and take as long for it."""
+    """Rate, acceleration and jerk that a turn in place may have.
+
+    The rims keep the wheel speed, gain speed no faster than straight on, and take as long for it.
+    """
     lever = 0.5 * float(limits.get("track_width", 0.0))
     gains = (float(limits.get("max_acceleration", 0.5)), float(limits.get("max_deceleration", 0.6)))
     rate = float(limits.get("max_yaw_rate", math.inf))
