@@ -185,6 +185,23 @@ def test_the_rest_at_a_cusp_may_follow_a_phase_too_short_to_move():
         assert kinds(Trajectory(two_gears(), TimeLaw(durations, jerks, start_s=shift)), OPEN) == []
 
 
+@pytest.mark.parametrize("angle", [3e-6, 1e-3, 0.02, 1.5])
+@pytest.mark.parametrize("gear", [1, -1])
+def test_wheels_have_the_time_they_need_at_a_joint_however_little(angle, gear):
+    """The curvature jumps by what the wheels turn in reverse as forward, and at a joint within one gear."""
+    bend = np.tan(0.5 * angle) / 0.7
+    first = ClothoidSpline(Pose2(0.0, 0.0, 0.0), [0.0, 1.0], [bend, bend])
+    second = ClothoidSpline(first.end, [0.0, 1.0], [-gear * bend] * 2, gear)
+    joined = Path((ClothoidSegment(first), ClothoidSegment(second)))
+    drive = dataclasses.replace(OPEN, wheelbase=0.7, max_steering_rate=0.5)
+    t, j = move(1.0)
+    for rest, found in ((angle / 0.5 * (1.0 + 1e-9), []), (angle / 0.5 * (1.0 - 1e-3), ["rest"]), (1e-9, ["rest"])):
+        waiting = TimeLaw(np.concatenate((t, [rest], t)), np.concatenate((j, [0.0], j)))
+        assert kinds(Trajectory(joined, waiting), drive) == found
+        elsewhere = TimeLaw(np.concatenate(([9.0], t, [rest], t, [9.0])), np.concatenate(([0.0], j, [0.0], j, [0.0])))
+        assert kinds(Trajectory(joined, elsewhere), drive) == found
+
+
 def straight(length):
     return Path((ClothoidSegment(ClothoidSpline(Pose2(0, 0, 0), [0.0, length], [0.0, 0.0])),))
 
@@ -347,3 +364,30 @@ def test_blocks_of_cells_change_nothing(monkeypatch):
     assert parts is not whole
     assert parts.ratios == whole.ratios
     assert [one.message for one in parts.violations] == [one.message for one in whole.violations]
+
+
+@given(st.integers(0, 2**32 - 1), st.integers(1, 31))
+def test_second_derivatives_stay_within_their_bounds(seed, which):
+    """Of every quantity that depends on curvature; where some of v, a, j, k and r are none, single terms are left."""
+    rng = np.random.default_rng(seed)
+    sizes = np.where([which >> i & 1 for i in range(5)], 10.0 ** rng.uniform(-1.0, 1.0, 5), 0.0)
+    v, a, j, k, r = (sizes * [1, *rng.choice([-1, 1], 4)]).tolist()
+    width, h = 1e-2, 1e-3
+    if v + a * width + 0.5 * j * width**2 < 0.0:
+        return
+    drive = MotionLimits(track_width=0.7, wheelbase=1.3, max_steering_rate=1.0)
+    columns = (0.0, width, 0.0, v, a, j, k, r, -np.inf, np.inf)
+    first = trajectory_rules._Cells(*(np.array([value]) for value in columns))
+    bound = trajectory_rules._bend(first, first.advanced(first.width), drive)
+    t = np.arange(0.0, width + 0.5 * h, h)
+    along = first.rows(np.zeros(t.size, dtype=int)).advanced(t)
+    signed = {
+        "yaw_rate": along.v * along.k,
+        "lateral_acceleration": along.v**2 * along.k,
+        "yaw_acceleration": along.a * along.k + along.v**2 * along.r,
+        "wheel_speed": along.v * (1.0 + 0.35 * along.k),
+        "steering_rate": 1.3 * along.r * along.v / (1.0 + (1.3 * along.k) ** 2),
+    }
+    for name, values in signed.items():
+        bent = np.max(np.abs(np.diff(values, 2))) / h**2
+        assert bent <= float(bound[name][0]) * (1.0 + 1e-9) + 1e-6, name
