@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from optdock.geometry.clothoid import ClothoidSpline
 from optdock.geometry.pose import Pose2
 from optdock.limits import MotionLimits, SpeedZone
-from optdock.path import ClothoidSegment, Path, PolylineSegment
+from optdock.path import ClothoidSegment, Path, PolylineSegment, TurnSegment
 from optdock.trajectory import TimeLaw, Trajectory
 from optdock.verification import certify_trajectory, trajectory_rules
 
@@ -200,6 +200,33 @@ def test_wheels_have_the_time_they_need_at_a_joint_however_little(angle, gear):
         assert kinds(Trajectory(joined, waiting), drive) == found
         elsewhere = TimeLaw(np.concatenate(([9.0], t, [rest], t, [9.0])), np.concatenate(([0.0], j, [0.0], j, [0.0])))
         assert kinds(Trajectory(joined, elsewhere), drive) == found
+
+
+UNEVEN = {
+    "deceleration": ([2.0, 2.0, 1.0, 1.0], [0.1, -0.1, -0.4, 0.4]),
+    "acceleration": ([1.0, 1.0, 2.0, 2.0], [0.4, -0.4, -0.1, 0.1]),
+    "peak inside a phase": ([1.0, 2.0, 1.0], [0.4, -0.4, 0.4]),
+    "jerk down": ([2.0, 0.5, 0.5, 2.0], [0.1, -0.4, -0.4, 0.1]),
+    "jerk up": ([0.5, 2.0, 2.0, 0.5], [0.4, -0.1, -0.1, 0.4]),
+}
+
+
+@pytest.mark.parametrize("name", UNEVEN)
+@pytest.mark.parametrize("sign", [1, -1])
+def test_the_largest_of_a_turn_counts_wherever_it_is(name, sign):
+    """Slowing down as speeding up, jerk of either sign, and a yaw rate that no border of the phases has."""
+    law = TimeLaw(*UNEVEN[name])
+    turn = Path((TurnSegment(Pose2(1.0, 2.0, 3.0), sign * float(law.states[-1, 0])),))
+    dense = law.at(np.linspace(0.0, law.duration, 60_001))
+    rate, acceleration, jerk = np.max(np.abs(dense[:, 1:]), axis=0)
+    # A turn's jerk is bounded by acceleration * max_jerk / max(max_acceleration, max_deceleration).
+    fits = {"max_yaw_rate": rate, "max_yaw_acceleration": acceleration, "max_jerk": jerk / acceleration * 0.6}
+    fits = {name: value * (1.0 + 1e-4) for name, value in fits.items()}
+    assert kinds(Trajectory(turn, law), MotionLimits(**fits)) == []
+    for limit, kind in (("max_yaw_rate", "yaw_rate"), ("max_jerk", "yaw_jerk")):
+        assert kinds(Trajectory(turn, law), MotionLimits(**{**fits, limit: fits[limit] * 0.999})) == [kind]
+    less = {**fits, "max_yaw_acceleration": acceleration * 0.999, "max_jerk": 9.0}
+    assert kinds(Trajectory(turn, law), MotionLimits(**less)) == ["yaw_acceleration"]
 
 
 def straight(length):
