@@ -229,6 +229,27 @@ def test_the_largest_of_a_turn_counts_wherever_it_is(name, sign):
     assert kinds(Trajectory(turn, law), MotionLimits(**less)) == ["yaw_acceleration"]
 
 
+@pytest.mark.parametrize("turns", [(), (0.7,), (-0.4, 1.2), (1e-8,)], ids=str)
+@pytest.mark.parametrize("last", [(), (3.0,)], ids=str)
+def test_the_speed_zone_counts_metres_driven_across_turns(turns, last):
+    """The last metres driven, in every gear they reach into; no turn in place is as long as its angle there."""
+    phases, segments, pose = [], [], Pose2(0.0, 0.0, 0.0)
+    for length, then in ((2.0, turns), (0.5, last)):
+        segments.append(ClothoidSegment(ClothoidSpline(pose, [0.0, length], [0.0, 0.0])))
+        phases.append(move(length, speed=0.5 if length > 1.0 else 0.2))
+        pose = segments[-1].spline.end
+        for angle in then:
+            segments.append(TurnSegment(pose, angle))
+            phases.append(move(abs(angle)))
+            pose = segments[-1].end
+    motion = Trajectory(Path(tuple(segments)), TimeLaw(*map(np.concatenate, zip(*phases, strict=True))))
+    first = TimeLaw(*phases[0]).at(np.linspace(0.0, phases[0][0].sum(), 200_001))
+    slow_from = float(first[np.flatnonzero(first[:, 1] > 0.2)[-1], 0])
+    assert kinds(motion, OPEN, SpeedZone(0.2001, 2.5 - slow_from - 1e-3)) == []
+    assert kinds(motion, OPEN, SpeedZone(0.1999, 2.5 - slow_from + 1e-3)) == ["speed"]
+    assert kinds(motion, OPEN, SpeedZone(0.2001, 2.5 - slow_from + 2e-3)) == ["speed"]
+
+
 def straight(length):
     return Path((ClothoidSegment(ClothoidSpline(Pose2(0, 0, 0), [0.0, length], [0.0, 0.0])),))
 
