@@ -43,7 +43,7 @@ from optdock.geometry.footprint import Footprint
 from optdock.geometry.pose import Pose2
 from optdock.interfaces import GlobalPlanner, Smoother, TimeParameterizer, never_cancelled
 from optdock.limits import MotionLimits
-from optdock.obstacles import in_words
+from optdock.obstacles import ObstacleSet, in_words
 from optdock.outcomes import Guess
 from optdock.path import Path
 from optdock.plan import Attempt, DockPlan, PartialPlan
@@ -54,7 +54,7 @@ from optdock.robot import Robot
 from optdock.verification import TOLERANCE, end_clearances, prove_impossible
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
+    from collections.abc import Callable, Generator, Iterator
 
 __all__ = [
     "DEFAULT_PLANNERS",
@@ -226,7 +226,7 @@ def _warm_once(
             _Portfolio(problem, plugins, (), None, never, clock.seconds, PartialPlan()).plan()
     with contextlib.suppress(Exception):
         smoother().warm_up()
-    walled = [[[-1.2, -3.0], [-1.0, -3.0], [-1.0, 3.0], [-1.2, 3.0]]]
+    walled = ObstacleSet.from_polygons([[[-1.2, -3.0], [-1.0, -3.0], [-1.0, 3.0], [-1.2, 3.0]]])
     prove_impossible(replace(problem, obstacles=walled), time_budget=0.05)
     logger.info("libraries loaded and caches filled in %.1f s, once per process", clock.elapsed)
 
@@ -334,7 +334,7 @@ class _Portfolio:
         completed = self.best.completed and not self.deadline.passed()
         return replace(self.best, completed=completed, timing_ms=timing, tried=tuple(self.tried))
 
-    def _guesses(self) -> Iterator[tuple[Guess, bool]]:
+    def _guesses(self) -> Generator[tuple[Guess, bool], None, None]:
         """Every guess, and whether it is known to be the last one; a proof that there is no way ends them.
 
         Raises:
@@ -454,7 +454,7 @@ class _Portfolio:
             proof = prove_impossible(self.problem, time_budget=allowed, cancel_checker=self.cancelled)
         if proof is not None:
             self._leave(self._furthest().left)
-            raise NoMotionExists(proof.message, proof=proof)
+            raise NoMotionExists(proof.message, proof=proof, where=proof.where)
 
     def _furthest(self) -> _Failure:
         """The failure that tells most: of the guess that came furthest, the earliest; time-outs tell least.

@@ -239,7 +239,7 @@ def test_a_costmap_alone_is_an_obstacle():
     assert plan_dock(problem(costmap=free), time_budget=BUDGET).certificate.nearest == "dock"
     error = failure(problem(costmap=walled), planner="DockPlanner")
     assert isinstance(error, NoMotionExists)
-    assert "no motion exists" in str(error)
+    assert "no motion joins start and goal" in str(error)
 
 
 def test_a_curvature_the_robot_cannot_drive():
