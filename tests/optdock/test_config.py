@@ -11,6 +11,7 @@ from optdock.errors import InvalidFile
 from optdock.geometry.pose import Pose2
 from optdock.limits import MotionLimits
 from optdock.robot import Drive
+from optdock.plugins import PluginChoice
 
 COMPLETE = """\
 format: optdock-scenario/1
