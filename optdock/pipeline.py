@@ -351,7 +351,8 @@ class _Portfolio:
                     for guess in self._guesses_of(planner, is_last=planner is last):
                         yield guess, makes_one and planner is last
             except (PlannerException, PluginError) as error:
-                if isinstance(error, Cancelled) or (isinstance(error, PluginError) and self.best is None):
+                broken = isinstance(error, PluginError) and self.best is None
+                if broken or isinstance(error, Cancelled | NoMotionExists):
                     raise
                 self._fail(_Failure(error, PartialPlan(), 0), type(planner).__name__)
             if self._is_late():
