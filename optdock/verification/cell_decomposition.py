@@ -83,10 +83,13 @@ def prove_impossible(
     deadline = Deadline(time_budget - _STEP, stop=cancel_checker)
     if len(problem.all_obstacles) == 0:
         return None
-    try:
-        return _Search(problem, deadline).proof()
-    except OutOfTime:
-        return None
+    body = _body(problem.robot.footprint)
+    with contextlib.suppress(OutOfTime):
+        for some in (body.largest_disc, body):
+            proof = _Search(problem, some, deadline).proof()
+            if proof is not None:
+                return proof
+    return None
 
 
 class _Body(NamedTuple):
@@ -95,6 +98,17 @@ class _Body(NamedTuple):
     centre: FloatArray
     discs: FloatArray
     reach: float
+
+    @property
+    def largest_disc(self) -> _Body:
+        """The largest of the discs alone, which looks the same at every heading."""
+        x, y, radius = self.discs[0].tolist()
+        return _Body(self.centre + (x, y), np.array([(0.0, 0.0, radius)]), radius)
+
+    @property
+    def turns(self) -> bool:
+        """Whether a heading matters."""
+        return bool(self.discs[:, :2].any())
 
 
 @functools.lru_cache(maxsize=16)
@@ -446,9 +460,8 @@ class _Graph:
 class _Search:
     """The tiles so far, and the graph of what may be free in them."""
 
-    def __init__(self, problem: DockingProblem, deadline: Deadline) -> None:
-        self.problem, self.deadline = problem, deadline
-        self.body = _body(problem.robot.footprint)
+    def __init__(self, problem: DockingProblem, body: _Body, deadline: Deadline) -> None:
+        self.problem, self.body, self.deadline = problem, body, deadline
         self.start_clearance = end_clearances(problem).start
         self.grid = self._grid()
         self.obstacles = _Obstacles(problem, self.grid.origin, deadline.look)
@@ -469,7 +482,8 @@ class _Search:
             upper = np.maximum(upper, np.minimum(everything.upper.max(axis=0), upper + _SEEN_FROM))
         side, extent = 2.0 * CELLS * cell, float((upper - lower).max()) + 2.0 * near
         above = int(np.clip(math.ceil(math.log2(extent / side)), 0, _LARGEST))
-        headings = max(_FEWEST_HEADINGS, math.ceil(math.pi * _REACH * self.body.reach / cell))
+        turning = max(_FEWEST_HEADINGS, math.ceil(math.pi * _REACH * self.body.reach / cell))
+        headings = turning if self.body.turns else 1
         return _Grid(0.5 * (lower + upper) - 0.5 * side * 2**above, cell, headings, above)
 
     def proof(self) -> ImpossibilityProof | None:
