@@ -344,8 +344,7 @@ class _Portfolio:
         """
         for path in self.given:
             yield Guess(path, "given"), False
-        if self.best is None:
-            self._look_for_a_proof(_EARLY_PROOF, only_disc=True)
+        self._look_for_a_proof(_EARLY_PROOF, only_disc=True)
         last = self.plugins.planners[-1]
         for planner in self.plugins.planners:
             makes_one = type(planner).create_plans is GlobalPlanner.create_plans
@@ -359,8 +358,7 @@ class _Portfolio:
                 self._fail(_Failure(error, PartialPlan(), 0), type(planner).__name__)
             if self._is_late():
                 break
-        if self.best is None and self.deadline.left > 0.0:
-            self._look_for_a_proof()
+        self._look_for_a_proof()
 
     def _guesses_of(self, planner: GlobalPlanner, *, is_last: bool) -> Iterator[Guess]:
         """The guesses of a planner, which is at work while it makes them.
@@ -386,8 +384,7 @@ class _Portfolio:
             if found is _END:
                 return
             if found is None:
-                if self.best is None:
-                    self._look_for_a_proof(_EARLY_PROOF)
+                self._look_for_a_proof(_EARLY_PROOF)
                 continue
             guess = returned(found, Guess, planner)
             path = plain(returned(guess.path, Path, planner), planner, self.problem.frame)
@@ -453,6 +450,8 @@ class _Portfolio:
         Raises:
             NoMotionExists: That is proven.
         """
+        if self.best is not None or self.deadline.left <= 0.0 or self.impossibility.ended:
+            return
         with self.watch.timed("prove"):
             allowed = share * self.deadline.left
             proof = self.impossibility.proof(allowed, self.cancelled, only_disc=only_disc)
