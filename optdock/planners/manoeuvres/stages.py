@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import functools
-import itertools
 import math
 from typing import TYPE_CHECKING
 
@@ -35,7 +34,7 @@ _EXIT_TURN = 1.0  # [rad] of arcs out of the start; straight lines are as long
 _FREE_EXITS, _MOST_EXITS = 4, 60  # of six; nodes of the start's tree after which it grows no more
 # Straight runs out of the start before a turn, in circumscribed radii: what stands beside the robot is left behind.
 _TURN_EXITS = readonly(np.array([0.5, 1.0, 1.5, 2.0, 3.0]))
-_TURN_TRIES = 2  # different ways of turns and straight lines that are offered at most, each with rounded corners too
+_TURN_TRIES = 2  # ways of turns and straight lines that are offered at most, and as many with rounded corners
 _TRIES = 4  # different ways that one stage offers at most
 _WORDS_PER_PAIR = 12  # words from the start to a staging pose that are looked at
 _SAMPLING = 40.0  # poses of a path per turning radius
@@ -85,16 +84,20 @@ class Stages:
 
     def _turn_and_drive(self, search: TurnSearch) -> Iterator[Guess]:
         """Turns in place and straight lines, and the same with rounded corners."""
+        left = {False: _TURN_TRIES, True: _TURN_TRIES}
         for effort in (self._efforts[0], self._efforts[-1]):
             if effort.margin == 0.0 and math.isfinite(self._better_than()):
                 return
             found = search(self._straight_exits(effort), self._staging(effort), self.space, effort)
-            for price, way in itertools.islice(found, _TURN_TRIES):
+            for price, way in found:
                 if price >= self._worthwhile():
                     return
-                for path in way.paths(self.radius / _SAMPLING, self.problem.goal, self.problem.frame):
-                    if least_price(path, self.problem) < self._better_than():
-                        yield Guess(path, "turn and drive")
+                path = way.path(self.radius / _SAMPLING, self.problem.goal, self.problem.frame)
+                if least_price(path, self.problem) < self._better_than() and left[way.is_rounded] > 0:
+                    left[way.is_rounded] -= 1
+                    yield Guess(path, "turn and drive")
+                if not any(left.values()):
+                    return
 
     def _straight_exits(self, effort: Effort) -> Nodes:
         """The start, and straight runs out of it."""

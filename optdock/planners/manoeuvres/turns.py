@@ -44,11 +44,21 @@ _POINTS = 40  # of a way that a line of sight may join
 
 
 class TurnsAndDrives(NamedTuple):
-    """One manoeuvre: from `start`, Shape (3,), a turn [rad] and a straight drive [m], and again. Shape (k,) each."""
+    """One manoeuvre: from `start`, Shape (3,), a turn [rad] and a straight drive [m], and again. Shape (k,) each.
+
+    `is_rounded`: corners between two drives in one gear are left to a smoother, which rounds them without a stop.
+    """
 
     start: FloatArray
     turns: FloatArray
     lengths: FloatArray
+    is_rounded: bool = False
+
+    def rounds(self) -> BoolArray:
+        """Which turns are corners that are rounded. Shape (k,)."""
+        goes_on = np.append(False, self.lengths[1:] * self.lengths[:-1] > 0.0)  # noqa: FBT003 - the first never does
+        rounded: BoolArray = goes_on & (np.abs(self.turns) < _ROUNDED) & self.is_rounded
+        return rounded
 
     def joints(self) -> tuple[FloatArray, FloatArray]:
         """Poses before every turn and after it, Shape (k, 3) each."""
@@ -61,82 +71,53 @@ class TurnsAndDrives(NamedTuple):
         """Poses between which no point within `radius` [m] of the origin moves further than `spacing`. Shape (q, 3)."""
         before, after = self.joints()
         blocks = []
-        for pose, turned, turn, length in zip(before, after, self.turns, self.lengths, strict=True):
+        swept = np.where(self.rounds(), 0.0, self.turns)
+        for pose, turned, turn, length in zip(before, after, swept, self.lengths, strict=True):
             angles = np.linspace(0.0, turn, math.ceil(abs(turn) * radius / spacing) + 1)
             blocks.append(np.column_stack((np.broadcast_to(pose[:2], (angles.size, 2)), pose[2] + angles)))
-            driven = np.linspace(0.0, length, math.ceil(abs(length) / spacing) + 1)
-            blocks.append(advance(turned, driven, np.zeros(1)))
+            blocks.append(_line(turned, length, spacing))
         return np.concatenate(blocks)
 
-    def path(self, goal: Pose2, frame: str) -> Path:
-        """The turns as segments, the drives as polylines; the last pose is exactly `goal`."""
-        before, after = self.joints()
-        segments: list[Segment] = []
-        for k, (turn, length) in enumerate(zip(self.turns.tolist(), self.lengths.tolist(), strict=True)):
-            if abs(turn) > _NOTHING:
-                segments.append(TurnSegment(_pose(before[k]), turn))
-            if abs(length) > _NOTHING:
-                ends = np.stack((after[k], advance(after[k], np.array(length), np.zeros(()))))
-                segments.append(PolylineSegment(ends, _gear(length)))
-        return Path(tuple(_ending_at(segments, goal)), frame)
-
-    def rounded(self, spacing: float, goal: Pose2, frame: str) -> Path | None:
-        """The same without the turns between two drives in one gear, for a smoother to round; None if there are none.
+    def path(self, spacing: float, goal: Pose2, frame: str) -> Path:
+        """The turns as segments, the drives as polylines.
 
         Args:
-            spacing: Of its poses [m].
-            goal: Where it leads exactly.
+            spacing: Of the poses of drives with rounded corners [m].
+            goal: Its last pose; where it leads, but for rounding errors.
             frame: Name of the coordinate frame.
         """
         before, after = self.joints()
         segments: list[Segment] = []
+        rounds = np.append(self.rounds(), False)  # noqa: FBT003 - nothing follows the last
         run: list[FloatArray] = []
-        was_rounded = False
         for k, (turn, length) in enumerate(zip(self.turns.tolist(), self.lengths.tolist(), strict=True)):
-            goes_on = bool(run) and length * self.lengths[k - 1] > 0.0 and abs(turn) < _ROUNDED
-            if run and not goes_on:
-                segments.append(PolylineSegment(np.concatenate(run), _gear(self.lengths[k - 1])))
-                run = []
-            if abs(turn) > _NOTHING and not goes_on:
-                segments.append(TurnSegment(_pose(before[k]), turn))
+            if rounds[k]:
+                run[-1][-1, 2] += 0.5 * turn  # the corner, halfway between the two headings
+            elif abs(turn) > _NOTHING:
+                segments.append(TurnSegment(Pose2.from_sequence(before[k]), turn))
             if abs(length) <= _NOTHING:
                 continue
-            was_rounded |= goes_on and abs(turn) > _NOTHING
-            driven = np.linspace(0.0, length, math.ceil(abs(length) / spacing) + 1)
-            line = advance(after[k], driven, np.zeros(1))
-            if goes_on:
-                run[-1][-1, 2] += 0.5 * turn  # the corner, halfway between the two headings
-            run.append(line[1:] if goes_on else line)
-        if run:
-            segments.append(PolylineSegment(np.concatenate(run), _gear(self.lengths[-1])))
-        return Path(tuple(_ending_at(segments, goal)), frame) if was_rounded else None
-
-    def paths(self, spacing: float, goal: Pose2, frame: str) -> Iterator[Path]:
-        """The manoeuvre, and with rounded corners where it has some; arguments as of `rounded`."""
-        yield self.path(goal, frame)
-        rounded = self.rounded(spacing, goal, frame)
-        if rounded is not None:
-            yield rounded
+            run.append(_line(after[k], length, spacing)[1 if rounds[k] else 0 :])
+            if not rounds[k + 1]:
+                gear = Direction.FORWARD if length > 0.0 else Direction.REVERSE
+                segments.append(PolylineSegment(np.concatenate(run), gear))
+                run = []
+        return Path((*segments[:-1], _ending_at(segments[-1], goal)), frame)
 
 
-def _pose(pose: FloatArray) -> Pose2:
-    return Pose2.from_sequence(pose)
+def _line(pose: FloatArray, length: float, spacing: float) -> FloatArray:
+    """Poses on a straight line. Shape (q, 3)."""
+    return advance(pose, np.linspace(0.0, length, math.ceil(abs(length) / spacing) + 1), np.zeros(1))
 
 
-def _gear(length: float) -> Direction:
-    return Direction.FORWARD if length > 0.0 else Direction.REVERSE
-
-
-def _ending_at(segments: list[Segment], goal: Pose2) -> list[Segment]:
-    """The last pose of a way, which is the goal but for rounding, is the goal."""
-    last = segments[-1]
+def _ending_at(last: Segment, goal: Pose2) -> Segment:
+    """The last segment of a way with the goal itself as its last pose."""
     if isinstance(last, TurnSegment):
-        turned = last.turn + math.remainder(goal.yaw - last.end.yaw, 2.0 * math.pi)
-        return [*segments[:-1], TurnSegment(last.pose, turned)]
+        return TurnSegment(last.pose, last.turn + math.remainder(goal.yaw - last.end.yaw, 2.0 * math.pi))
     assert isinstance(last, PolylineSegment)  # nothing else is built here
     poses = last.poses.copy()
     poses[-1] = goal.x, goal.y, poses[-1, 2] + math.remainder(goal.yaw - poses[-1, 2], 2.0 * math.pi)
-    return [*segments[:-1], PolylineSegment(poses, last.direction)]
+    return PolylineSegment(poses, last.direction)
 
 
 class _Turning(NamedTuple):
@@ -186,25 +167,29 @@ def turns_and_drives(
         asked = effort.margin, effort.start_relief
         passed = space.is_free(line.reshape(-1, 3), *asked).reshape(line.shape[:2]).all(axis=1)
         for row in np.flatnonzero(passed).tolist():
-            exit_row, entry_row = int(some.exits[row]), int(some.entries[row])
             middle = some.turns[row], some.lengths[row : row + 1]
-            whole = _whole(exits, exit_row, middle, entries, entry_row)
+            whole = _whole(exits, int(some.exits[row]), middle, entries, int(some.entries[row]))
+            whole = whole._replace(is_rounded=bool(some.rounded[row]))
             if _is_free(whole, space, effort):
                 yield float(some.prices[row]), whole
 
 
 class _Lines(NamedTuple):
-    """Lines between nodes: Shape (n,), turns before and after them (n, 2) [rad], signed lengths (n,) [m]."""
+    """Lines between nodes: Shape (n,), turns before and after them (n, 2) [rad], signed lengths (n,) [m].
+
+    `rounded`: the second turn is a corner to be rounded.
+    """
 
     prices: FloatArray
     exits: IntArray
     entries: IntArray
     turns: FloatArray
     lengths: FloatArray
+    rounded: BoolArray
 
     def rows(self, keep: IntArray | slice) -> _Lines:
-        columns = self.prices[keep], self.exits[keep], self.entries[keep], self.turns[keep], self.lengths[keep]
-        return _Lines(*columns)
+        which = self.prices[keep], self.exits[keep], self.entries[keep]
+        return _Lines(*which, self.turns[keep], self.lengths[keep], self.rounded[keep])
 
 
 def _lines(exits: Nodes, entries: Nodes, space: FreeSpace, effort: Effort) -> _Lines:
@@ -226,7 +211,8 @@ def _lines(exits: Nodes, entries: Nodes, space: FreeSpace, effort: Effort) -> _L
     # The shorter way round, or the other one.
     turns -= 2.0 * np.pi * np.where(turns >= 0.0, 1.0, -1.0) * (np.column_stack((first, second)) < 0.0)
     turns[np.abs(turns) <= _NOTHING] = 0.0
-    allowed = ways_out.allows(turns[:, 0], i) & ways_in.allows(-turns[:, 1], j)
+    allowed = ways_out.allows(turns[:, 0], i)
+    turnable = allowed & ways_in.allows(-turns[:, 1], j)
     speed = np.where(gear > 0.0, limits.max_speed, limits.max_reverse_speed)
     prices = exits.tree.prices[exits.rows[i]] + entries.tree.prices[entries.rows[j]] + length / speed
     prices += turning_times(np.abs(turns), limits.turning).sum(axis=1)
@@ -237,9 +223,22 @@ def _lines(exits: Nodes, entries: Nodes, space: FreeSpace, effort: Effort) -> _L
     stops += drives & (into != 0.0) & ((np.abs(turns[:, 1]) > 0.0) | (into * gear < 0.0))
     stops += ~drives & (out != 0.0) & (into != 0.0)
     prices += stopping_cost(limits) * stops
-    kept = np.flatnonzero(allowed)
-    kept = kept[np.argsort(prices[kept], kind="stable")]
-    return _Lines(prices[kept], exits.rows[i[kept]], entries.rows[j[kept]], turns[kept], (gear * length)[kept])
+    # A corner takes a tangent on both sides, and way to steer.
+    run = np.abs(entries.tree.lengths[entries.rows[j]]) - space.problem.dock.final_straight
+    bend = np.minimum(np.abs(turns[:, 1]), _ROUNDED)
+    tangent = effort.radius * np.tan(0.5 * bend)
+    wind_up = 0.5 / (effort.radius * limits.max_curvature_rate)
+    rounds = allowed & (into * gear > 0.0) & (turns[:, 1] != 0.0) & (np.abs(turns[:, 1]) < _ROUNDED)
+    rounds &= tangent + wind_up <= np.minimum(length, run)
+    saved = turning_times(bend, limits.turning) + stopping_cost(limits)
+    saved += (2.0 * tangent - effort.radius * bend) / speed
+    which = np.concatenate((np.flatnonzero(turnable), np.flatnonzero(rounds)))
+    is_rounded = np.arange(which.size) >= np.count_nonzero(turnable)
+    prices = prices[which] - np.where(is_rounded, saved[which], 0.0)
+    order = np.argsort(prices, kind="stable")
+    kept = which[order]
+    signed = (gear * length)[kept]
+    return _Lines(prices[order], exits.rows[i[kept]], entries.rows[j[kept]], turns[kept], signed, is_rounded[order])
 
 
 def _wrapped(angle: FloatArray) -> FloatArray:
@@ -278,8 +277,9 @@ def _price(whole: TurnsAndDrives, space: FreeSpace) -> float:
     limits = space.problem.robot.limits
     lengths = whole.lengths
     driven = np.where(lengths > 0.0, lengths / limits.max_speed, -lengths / limits.max_reverse_speed)
-    stops = max(int(np.count_nonzero(np.abs(lengths) > _NOTHING)) - 1, 0)
-    turning = turning_times(np.abs(whole.turns), limits.turning)
+    rounds = whole.rounds()
+    stops = max(int(np.count_nonzero(np.abs(lengths) > _NOTHING)) - 1, 0) - int(np.count_nonzero(rounds))
+    turning = turning_times(np.where(rounds, 0.0, np.abs(whole.turns)), limits.turning)
     return float(driven.sum() + turning.sum()) + stopping_cost(limits) * stops
 
 
@@ -305,9 +305,10 @@ def routes(exits: Nodes, entries: Nodes, space: FreeSpace, effort: Effort) -> It
         space: What is free.
         effort: How closely to look.
     """
-    footprint, kept = space.footprint, space.problem.clearance.required + effort.margin
+    kept = space.problem.clearance.required + effort.margin
     ways_out, ways_in = _spread(exits, _WAYS_OUT), _spread(entries, _WAYS_IN)
-    for radius in (footprint.circumscribed_radius + kept, 0.5 * space.width + kept):
+    driving = 0.5 * space.footprint.width + kept
+    for radius in (space.footprint.circumscribed_radius + kept, driving):
         for out in ways_out:
             source = exits.tree.poses[out]
             wave = space.wavefront(source[:2], radius)
@@ -317,10 +318,13 @@ def routes(exits: Nodes, entries: Nodes, space: FreeSpace, effort: Effort) -> It
                 way = wave.way(target[:2])
                 if way is None:
                     continue
-                corners = _corners(way, source[:2], target[:2], space, radius)
+                corners = _corners(way, source[:2], target[:2], space, driving)
                 for gear in (1.0, -1.0):
                     whole = _whole(exits, out, _along(corners, gear, source[2], target[2]), entries, into)
                     found.append((_price(whole, space), whole))
+                    rounded = whole._replace(is_rounded=True)
+                    if rounded.rounds().any():
+                        found.append((_price(rounded, space), rounded))
             for price, whole in sorted(found, key=lambda one: one[0]):
                 if _is_free(whole, space, effort):
                     yield price, whole
