@@ -8,6 +8,7 @@ around them for the disc that it needs for turning, shortened by lines of sight 
 
 from __future__ import annotations
 
+import itertools
 import math
 from typing import TYPE_CHECKING, NamedTuple, TypeAlias
 
@@ -21,7 +22,7 @@ from optdock.planners.manoeuvres.price import stopping_cost, turning_times
 from optdock.segments import Direction, PolylineSegment, TurnSegment
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
+    from collections.abc import Callable, Iterable, Iterator
 
     from optdock.geometry.arrays import BoolArray, FloatArray, IntArray
     from optdock.planners.manoeuvres.connections import Nodes
@@ -38,6 +39,7 @@ _MOST_GLANCES = 8  # batches: places where nothing else was free in half a thous
 _CLOSE_POSES_PER_WIDTH = 40.0  # of the last look at a whole way, over a length as the robot is wide
 # [rad]: a corner that turns by less can be rounded without a stop; one that turns by more leads back.
 _ROUNDED = 2.0
+_TANGENT_SHARE = 0.8  # of the tangents of an arc of the search that a rounded corner must have room for
 _WAYS_OUT, _WAYS_IN = 3, 4  # straight runs out of the start and into the dock that routes are looked for between
 _SIGHT = readonly(np.linspace(0.0, 1.0, 64))  # shares of a line of sight at which it is looked at
 _POINTS = 40  # of a way that a line of sight may join
@@ -56,7 +58,7 @@ class TurnsAndDrives(NamedTuple):
 
     def rounds(self) -> BoolArray:
         """Which turns are corners that are rounded. Shape (k,)."""
-        goes_on = np.append(False, self.lengths[1:] * self.lengths[:-1] > 0.0)  # noqa: FBT003 - the first never does
+        goes_on = np.append(False, self.lengths[1:] * self.lengths[:-1] > 0.0)
         rounded: BoolArray = goes_on & (np.abs(self.turns) < _ROUNDED) & self.is_rounded
         return rounded
 
@@ -88,7 +90,7 @@ class TurnsAndDrives(NamedTuple):
         """
         before, after = self.joints()
         segments: list[Segment] = []
-        rounds = np.append(self.rounds(), False)  # noqa: FBT003 - nothing follows the last
+        rounds = np.append(self.rounds(), False)
         run: list[FloatArray] = []
         for k, (turn, length) in enumerate(zip(self.turns.tolist(), self.lengths.tolist(), strict=True)):
             if rounds[k]:
@@ -177,7 +179,7 @@ def turns_and_drives(
 class _Lines(NamedTuple):
     """Lines between nodes: Shape (n,), turns before and after them (n, 2) [rad], signed lengths (n,) [m].
 
-    `rounded`: the second turn is a corner to be rounded.
+    `rounded`: turns between drives in one gear are corners to be rounded.
     """
 
     prices: FloatArray
@@ -196,7 +198,6 @@ def _lines(exits: Nodes, entries: Nodes, space: FreeSpace, effort: Effort) -> _L
     """Every line in both gears, every turn either way round, that turning may allow; the cheapest first."""
     limits = space.problem.robot.limits
     leaving, arriving = exits.tree.poses[exits.rows], entries.tree.poses[entries.rows]
-    ways_out, ways_in = _Turning.at(leaving, space, effort), _Turning.at(arriving, space, effort)
     i, j, gear, first, second = (
         axis.ravel()
         for axis in np.meshgrid(
@@ -205,40 +206,54 @@ def _lines(exits: Nodes, entries: Nodes, space: FreeSpace, effort: Effort) -> _L
     )
     dx, dy = (arriving[j, :2] - leaving[i, :2]).T
     length = np.hypot(dx, dy)
-    heading = np.arctan2(gear * dy, gear * dx)
-    heading = np.where(length > _NOTHING, heading, leaving[i, 2])
+    drives = length > _NOTHING
+    heading = np.where(drives, np.arctan2(gear * dy, gear * dx), leaving[i, 2])
     turns = np.column_stack((_wrapped(heading - leaving[i, 2]), _wrapped(arriving[j, 2] - heading)))
     # The shorter way round, or the other one.
     turns -= 2.0 * np.pi * np.where(turns >= 0.0, 1.0, -1.0) * (np.column_stack((first, second)) < 0.0)
     turns[np.abs(turns) <= _NOTHING] = 0.0
-    allowed = ways_out.allows(turns[:, 0], i)
-    turnable = allowed & ways_in.allows(-turns[:, 1], j)
+    rows = exits.rows[i], entries.rows[j]
     speed = np.where(gear > 0.0, limits.max_speed, limits.max_reverse_speed)
-    prices = exits.tree.prices[exits.rows[i]] + entries.tree.prices[entries.rows[j]] + length / speed
+    prices = exits.tree.prices[rows[0]] + entries.tree.prices[rows[1]] + length / speed
     prices += turning_times(np.abs(turns), limits.turning).sum(axis=1)
-    out, into = exits.tree.signs[exits.rows[i]], -entries.tree.signs[entries.rows[j]]
-    drives = length > _NOTHING
-    turned = (np.abs(turns[:, 0]) > 0.0) | (out * gear < 0.0)
-    stops = (drives & (out != 0.0) & turned).astype(np.float64)
-    stops += drives & (into != 0.0) & ((np.abs(turns[:, 1]) > 0.0) | (into * gear < 0.0))
-    stops += ~drives & (out != 0.0) & (into != 0.0)
-    prices += stopping_cost(limits) * stops
-    # A corner takes a tangent on both sides, and way to steer.
-    run = np.abs(entries.tree.lengths[entries.rows[j]]) - space.problem.dock.final_straight
-    bend = np.minimum(np.abs(turns[:, 1]), _ROUNDED)
-    tangent = effort.radius * np.tan(0.5 * bend)
-    wind_up = 0.5 / (effort.radius * limits.max_curvature_rate)
-    rounds = allowed & (into * gear > 0.0) & (turns[:, 1] != 0.0) & (np.abs(turns[:, 1]) < _ROUNDED)
-    rounds &= tangent + wind_up <= np.minimum(length, run)
-    saved = turning_times(bend, limits.turning) + stopping_cost(limits)
-    saved += (2.0 * tangent - effort.radius * bend) / speed
-    which = np.concatenate((np.flatnonzero(turnable), np.flatnonzero(rounds)))
-    is_rounded = np.arange(which.size) >= np.count_nonzero(turnable)
-    prices = prices[which] - np.where(is_rounded, saved[which], 0.0)
+    out, into = exits.tree.signs[rows[0]], -entries.tree.signs[rows[1]]
+    stops = drives & (out != 0.0) & ((turns[:, 0] != 0.0) | (out * gear < 0.0))
+    stops = stops + (drives & (into != 0.0) & ((turns[:, 1] != 0.0) | (into * gear < 0.0)))
+    prices += stopping_cost(limits) * (stops + (~drives & (out != 0.0) & (into != 0.0)))
+    can_turn = np.column_stack(
+        (
+            _Turning.at(leaving, space, effort).allows(turns[:, 0], i),
+            _Turning.at(arriving, space, effort).allows(-turns[:, 1], j),
+        )
+    )
+    turned = np.flatnonzero(can_turn.all(axis=1))
+    run = np.abs(entries.tree.lengths[rows[1]]) - space.problem.dock.final_straight
+    goes_on = np.column_stack((out * gear > 0.0, into * gear > 0.0)) & drives[:, None]
+    corners = goes_on & (turns != 0.0) & (np.abs(turns) < _ROUNDED)
+    legs = np.minimum(length[:, None], np.column_stack((np.abs(exits.tree.lengths[rows[0]]), run)))
+    saved, has_room = _saved_by_rounding(np.abs(turns), legs, speed[:, None], space, effort)
+    rounded = np.flatnonzero(corners.any(axis=1) & np.where(corners, has_room, can_turn).all(axis=1))
+    which, is_rounded = np.concatenate((turned, rounded)), np.repeat([False, True], [turned.size, rounded.size])
+    prices = prices[which] - is_rounded * np.where(corners, saved, 0.0).sum(axis=1)[which]
     order = np.argsort(prices, kind="stable")
     kept = which[order]
-    signed = (gear * length)[kept]
-    return _Lines(prices[order], exits.rows[i[kept]], entries.rows[j[kept]], turns[kept], signed, is_rounded[order])
+    found = rows[0][kept], rows[1][kept], turns[kept], (gear * length)[kept]
+    return _Lines(prices[order], *found, is_rounded[order])
+
+
+def _saved_by_rounding(
+    bend: FloatArray, legs: FloatArray, speed: FloatArray, space: FreeSpace, effort: Effort
+) -> tuple[FloatArray, BoolArray]:
+    """What corners save when they are rounded, with the price of the stop [s], and whether legs have room for that.
+
+    An arc takes as long a tangent of both legs. A smoother may move the corner, and turn more sharply than the arcs of
+    a search do.
+    """
+    limits = space.problem.robot.limits
+    tangent = effort.radius * np.tan(0.5 * np.minimum(bend, _ROUNDED))
+    saved = turning_times(bend, limits.turning) + stopping_cost(limits)
+    saved += (2.0 * tangent - effort.radius * bend) / speed
+    return saved, _TANGENT_SHARE * tangent <= legs
 
 
 def _wrapped(angle: FloatArray) -> FloatArray:
@@ -319,15 +334,19 @@ def routes(exits: Nodes, entries: Nodes, space: FreeSpace, effort: Effort) -> It
                 if way is None:
                     continue
                 corners = _corners(way, source[:2], target[:2], space, driving)
-                for gear in (1.0, -1.0):
+                for gear, is_rounded in itertools.product((1.0, -1.0), (True, False)):
                     whole = _whole(exits, out, _along(corners, gear, source[2], target[2]), entries, into)
-                    found.append((_price(whole, space), whole))
-                    rounded = whole._replace(is_rounded=True)
-                    if rounded.rounds().any():
-                        found.append((_price(rounded, space), rounded))
-            for price, whole in sorted(found, key=lambda one: one[0]):
-                if _is_free(whole, space, effort):
-                    yield price, whole
+                    found.append(whole._replace(is_rounded=is_rounded))
+            yield from _cheapest_free(found, space, effort)
+
+
+def _cheapest_free(
+    found: Iterable[TurnsAndDrives], space: FreeSpace, effort: Effort
+) -> Iterator[tuple[float, TurnsAndDrives]]:
+    priced = [(_price(whole, space), whole) for whole in found if not whole.is_rounded or whole.rounds().any()]
+    for price, whole in sorted(priced, key=lambda one: one[0]):
+        if _is_free(whole, space, effort):
+            yield price, whole
 
 
 TurnSearch: TypeAlias = "Callable[[Nodes, Nodes, FreeSpace, Effort], Iterator[tuple[float, TurnsAndDrives]]]"
