@@ -56,6 +56,7 @@ if TYPE_CHECKING:
     from optdock.trajectory import Trajectory
     from optdock.verification import (
         Certificate,
+        ImpossibilityProof,
         certify_path,
         certify_trajectory,
         check_impossibility,
@@ -98,6 +99,7 @@ _MODULES = {
     "optdock.trajectory": ("Trajectory",),
     "optdock.verification": (
         "Certificate",
+        "ImpossibilityProof",
         "certify_path",
         "certify_trajectory",
         "check_impossibility",
@@ -123,6 +125,7 @@ __all__ = [
     "FailedToTimePath",
     "Footprint",
     "GoalOccupied",
+    "ImpossibilityProof",
     "InvalidFile",
     "InvalidValue",
     "ManoeuvrePlanner",

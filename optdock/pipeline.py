@@ -430,6 +430,7 @@ class _Portfolio:
             self._fail(_Failure(error, left, stage or 0), guess.stage, guess.path, self.deadline.elapsed - began)
             return
         self.tried.append(Attempt(guess.stage, guess.path, self.deadline.elapsed - began, plan.price))
+        self.so_far.timing_ms.setdefault("first", 1e3 * self.deadline.elapsed)
         if plan.price < self._lowest_price():
             self.best = plan
 
@@ -471,15 +472,15 @@ class _Portfolio:
                 return PlannerTimedOut(f"the time budget of {self.budget:.3g} s is too short for a first guess")
             return NoValidPathCouldBeFound("no planner offers a path")
         found = self._furthest()
-        self._leave(found.left)
         late = [failure for failure in self.failures if isinstance(failure.error, TimedOut)]
         if self._is_late() and late:
             found = late[-1]
-        if len(self.failures) == 1:
+        self._leave(found.left)
+        count, kind = len(self.failures), type(found.error)
+        if self._is_late() and not late and max(count, len(self.plugins.planners)) > 1:  # more could have been tried
+            kind = SmootherTimedOut if found.stage else PlannerTimedOut
+        elif count == 1:
             return found.error
-        kind, count = type(found.error), len(self.failures)
-        if self._is_late() and not isinstance(found.error, TimedOut):
-            kind = SmootherTimedOut
         more = f"{count} attempts failed; that there is no way is not proven"
         return kind(f"{found.error} ({more})", where=found.error.where)
 

@@ -10,6 +10,7 @@ from optdock.dock import DockDirection
 from optdock.errors import InvalidFile
 from optdock.geometry.pose import Pose2
 from optdock.limits import MotionLimits
+from optdock.plugins import PluginChoice
 from optdock.robot import Drive
 
 COMPLETE = """\
