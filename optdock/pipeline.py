@@ -32,6 +32,7 @@ from optdock.errors import (
     PlannerCancelled,
     PlannerException,
     PlannerTimedOut,
+    PluginError,
     SmootherException,
     SmootherTimedOut,
     StartOccupied,
@@ -349,14 +350,15 @@ class _Portfolio:
                 with at_work(planner, self.problem, self.cancelled):
                     for guess in self._guesses_of(planner, is_last=planner is last):
                         yield guess, makes_one and planner is last
-            except PlannerException as error:
-                if isinstance(error, Cancelled):
+            except (PlannerException, PluginError) as error:
+                broken = isinstance(error, PluginError) and self.best is None
+                if broken or isinstance(error, Cancelled | NoMotionExists):
                     raise
                 self._fail(_Failure(error, PartialPlan(), 0), type(planner).__name__)
             if self._is_late():
                 break
         if self.best is None and self.deadline.left > 0.0:
-            self._look_for_a_proof(1.0)
+            self._look_for_a_proof(0.5 if self.cut_short else 1.0)
 
     def _guesses_of(self, planner: GlobalPlanner, *, is_last: bool) -> Iterator[Guess]:
         """The guesses of a planner, which is at work while it makes them.
@@ -376,7 +378,8 @@ class _Portfolio:
         def asked_to_stop() -> bool:
             return is_used_up() or self.refinement.asked_to_stop()
 
-        guesses = planner.create_plans(self.problem.start, self.problem.goal, asked_to_stop, self._worth_a_try)
+        ends = self.problem.start, self.problem.goal
+        guesses = iter(planner.create_plans(*ends, asked_to_stop, self._worth_a_try))
         while not is_used_up():
             found = self._next(guesses, planner)
             if found is _END:
@@ -449,12 +452,15 @@ class _Portfolio:
 
         Raises:
             NoMotionExists: That is proven.
+            PlannerCancelled: The caller wants an end.
         """
         with self.watch.timed("prove"):
             allowed = share * self.deadline.left
             proof = prove_impossible(self.problem, time_budget=allowed, cancel_checker=self.cancelled)
+        if self.cancelled():
+            raise PlannerCancelled("cancelled while a proof that there is no way was looked for")
         if proof is not None:
-            self._leave(self._furthest().left)
+            self._leave(self._furthest().left if self.failures else PartialPlan())
             raise NoMotionExists(proof.message, proof=proof, where=proof.where)
 
     def _furthest(self) -> _Failure:

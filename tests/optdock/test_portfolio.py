@@ -17,6 +17,7 @@ from optdock.errors import (
     NoMotionExists,
     NoValidPathCouldBeFound,
     OptdockError,
+    PluginError,
     TimedOut,
 )
 from optdock.geometry.footprint import Footprint
@@ -153,9 +154,36 @@ def test_a_planner_that_is_broken_ends_nothing_once_there_is_a_plan():
         def create_plan(self, start, goal, cancel_checker=never_cancelled):
             raise NoValidPathCouldBeFound("nothing today")
 
-    plan = plan_dock(problem(), time_budget=BUDGET, planner=(DockPlanner(), Broken()))
-    assert plan.stage == "DockPlanner"
-    assert plan.tried[-1].reason == "NoValidPathCouldBeFound: nothing today"
+    class Faulty(Broken):
+        def create_plan(self, start, goal, cancel_checker=never_cancelled):
+            raise ZeroDivisionError
+
+    for second, reason in (
+        (Broken(), "NoValidPathCouldBeFound: nothing today"),
+        (Faulty(), "PluginError: Faulty failed"),
+    ):
+        plan = plan_dock(problem(), time_budget=BUDGET, planner=(DockPlanner(), second))
+        assert plan.stage == "DockPlanner"
+        assert plan.tried[-1].reason.startswith(reason)
+    with pytest.raises(PluginError):
+        plan_dock(problem(), time_budget=BUDGET, planner=(Faulty(), DockPlanner()))
+
+
+class Thinking(Several):
+    """Pauses before its first offer."""
+
+    def create_plans(self, start, goal, cancel_checker=never_cancelled, better_than=lambda: math.inf):
+        yield None
+        yield from super().create_plans(start, goal, cancel_checker, better_than)
+
+
+def test_a_proof_may_come_before_the_first_guess():
+    blocked = problem(obstacles=RING)
+    with pytest.raises(NoMotionExists) as caught:
+        plan_dock(blocked, time_budget=BUDGET, planner=Thinking(raw(problem())))
+    assert caught.value.partial.tried == ()
+    open_ = problem()
+    assert plan_dock(open_, time_budget=BUDGET, planner=Thinking(raw(open_))).stage == "offer 0"
 
 
 @pytest.mark.parametrize("start", [(4.6, 3.5, 0.3), (6.5, 1.0, math.pi), (3.7, 1.05, 0.0)])
