@@ -15,7 +15,7 @@ dock = od.Dock(od.Pose2(4.2, 1.6, 0.0), final_straight=0.3)
 problem = od.DockingProblem(od.Pose2(1.0, 1.0, 0.3), dock, robot, obstacles=room + wall, clearance=0.05)
 
 try:
-    od.plan_dock(problem)
+    od.plan_dock(problem, time_budget=5.0)
 except od.NoMotionExists as why:
     print(f"{type(why).__name__} (code {why.code}): {why}")
     tight = why.proof.bottleneck
