@@ -52,7 +52,7 @@ from optdock.plugins import PluginChoice, plugin_from
 from optdock.problem import ClearanceRule, DockingProblem
 from optdock.refinement import Cancellation, Refinement, Stopwatch, at_work, plain, returned
 from optdock.robot import Robot
-from optdock.verification import TOLERANCE, end_clearances, prove_impossible
+from optdock.verification import TOLERANCE, ImpossibilitySearch, end_clearances, prove_impossible
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Generator, Iterator
@@ -304,6 +304,7 @@ class _Portfolio:
     deadline: Deadline = field(init=False)
     watch: Stopwatch = field(init=False)
     refinement: Refinement = field(init=False)
+    impossibility: ImpossibilitySearch = field(init=False)
     best: DockPlan | None = None
     tried: list[Attempt] = field(default_factory=list)
     failures: list[_Failure] = field(default_factory=list)
@@ -312,6 +313,7 @@ class _Portfolio:
     def __post_init__(self) -> None:
         self.deadline = Deadline(self.budget - _margin(self.budget))
         self.watch = Stopwatch(self.deadline, self.so_far.timing_ms)
+        self.impossibility = ImpossibilitySearch(self.problem)
         _, smoother, timing = self.plugins
         self.refinement = Refinement(
             self.problem, smoother, timing, self.warm_start, self.cancelled, self.budget, self.deadline, self.watch
@@ -343,6 +345,7 @@ class _Portfolio:
         """
         for path in self.given:
             yield Guess(path, "given"), False
+        self._look_for_a_proof(_EARLY_PROOF, only_disc=True)
         last = self.plugins.planners[-1]
         for planner in self.plugins.planners:
             makes_one = type(planner).create_plans is GlobalPlanner.create_plans
@@ -357,8 +360,7 @@ class _Portfolio:
                 self._fail(_Failure(error, PartialPlan(), 0), type(planner).__name__)
             if self._is_late():
                 break
-        if self.best is None and self.deadline.left > 0.0:
-            self._look_for_a_proof(0.5 if self.cut_short else 1.0)
+        self._look_for_a_proof(0.5 if self.cut_short else 1.0)
 
     def _guesses_of(self, planner: GlobalPlanner, *, is_last: bool) -> Iterator[Guess]:
         """The guesses of a planner, which is at work while it makes them.
@@ -385,8 +387,7 @@ class _Portfolio:
             if found is _END:
                 return
             if found is None:
-                if self.best is None and "prove" not in self.watch.timing_ms:
-                    self._look_for_a_proof(_EARLY_PROOF)
+                self._look_for_a_proof(_EARLY_PROOF)
                 continue
             guess = returned(found, Guess, planner)
             path = plain(returned(guess.path, Path, planner), planner, self.problem.frame)
@@ -447,20 +448,22 @@ class _Portfolio:
         self.so_far.raw_path, self.so_far.path, self.so_far.certificate = left.raw_path, left.path, left.certificate
         self.so_far.tried = tuple(self.tried)
 
-    def _look_for_a_proof(self, share: float) -> None:
-        """Spend a share of what is left on a proof that no motion exists.
+    def _look_for_a_proof(self, share: float = 1.0, *, only_disc: bool = False) -> None:
+        """Spend a share of what is left on a proof that no motion exists, or at first only on what is cheap to prove.
 
         Raises:
             NoMotionExists: That is proven.
             PlannerCancelled: The caller wants an end.
         """
+        if self.best is not None or self.deadline.left <= 0.0 or self.impossibility.ended:
+            return
         with self.watch.timed("prove"):
             allowed = share * self.deadline.left
-            proof = prove_impossible(self.problem, time_budget=allowed, cancel_checker=self.cancelled)
+            proof = self.impossibility.proof(allowed, self.cancelled, only_disc=only_disc)
         if self.cancelled():
             raise PlannerCancelled("cancelled while a proof that there is no way was looked for")
         if proof is not None:
-            self._leave(self._furthest().left if self.failures else PartialPlan())
+            self._leave(self._furthest().left if self.failures else self.so_far)
             raise NoMotionExists(proof.message, proof=proof, where=proof.where)
 
     def _furthest(self) -> _Failure:

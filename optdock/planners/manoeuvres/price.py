@@ -7,13 +7,15 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from optdock.segments import TurnSegment
+
 if TYPE_CHECKING:
     from optdock.geometry.arrays import FloatArray
-    from optdock.limits import MotionLimits
+    from optdock.limits import MotionLimits, TurnLimits
     from optdock.path import Path
     from optdock.problem import DockingProblem
 
-__all__ = ["CUSP_PRICE", "ends_cost", "gear_changes", "least_price", "stopping_cost"]
+__all__ = ["CUSP_PRICE", "ends_cost", "gear_changes", "least_price", "stopping_cost", "stops", "turning_times"]
 
 # [s] beside the time that stopping takes: a change of gear wears the drive and is where controllers overshoot, so one
 # more has to save a second.
@@ -32,6 +34,9 @@ def least_price(path: Path, problem: DockingProblem) -> float:
     entry_speed = abs(problem.start_speed)
     zone = problem.dock.approach
     for i, (segment, length) in enumerate(zip(path.segments, lengths, strict=True)):
+        if isinstance(segment, TurnSegment):
+            total += float(turning_times(np.array([abs(segment.turn)]), limits.turning)[0])
+            continue
         top = limits.max_speed if int(segment.direction) > 0 else limits.max_reverse_speed
         is_last = i == len(lengths) - 1
         slow = min(zone.distance, length) if is_last and zone.speed < top else 0.0
@@ -39,7 +44,25 @@ def least_price(path: Path, problem: DockingProblem) -> float:
         if slow > 0.0:
             total += _gear_duration(slow, zone.speed, 0.0, zone.speed, limits)
         entry_speed = 0.0
-    return total + CUSP_PRICE * (len(lengths) - 1)
+    return total + CUSP_PRICE * stops(path)
+
+
+def stops(path: Path) -> int:
+    """How often the robot stops on its way to change gear, to turn in place, or for both at once."""
+    driven = sum(not isinstance(segment, TurnSegment) for segment in path.segments)
+    return max(driven - 1, 0)
+
+
+def turning_times(turns: FloatArray, limits: TurnLimits) -> FloatArray:
+    """Shortest durations of turns in place, from rest to rest, without a bound on jerk.
+
+    Args:
+        turns: Not negative, of any shape [rad].
+        limits: Of turns; finite.
+    """
+    ramps = np.minimum(limits.rate, np.sqrt(turns * limits.acceleration))
+    times: FloatArray = ramps / limits.acceleration + turns / np.maximum(ramps, 1e-300)
+    return times
 
 
 def _gear_duration(length: float, first: float, last: float, top: float, limits: MotionLimits) -> float:

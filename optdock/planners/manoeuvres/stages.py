@@ -16,12 +16,14 @@ from optdock.planners.manoeuvres.free_space import Effort, FreeSpace
 from optdock.planners.manoeuvres.hybrid_a_star import PoseGrid, hybrid_a_star
 from optdock.planners.manoeuvres.price import ends_cost, least_price
 from optdock.planners.manoeuvres.tree import ArcTree, Moves
+from optdock.planners.manoeuvres.turns import routes, turns_and_drives
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
     from optdock.geometry.arrays import FloatArray
     from optdock.planners.manoeuvres.arcs import Arcs
+    from optdock.planners.manoeuvres.turns import TurnSearch
     from optdock.problem import DockingProblem
 
 __all__ = ["Stages"]
@@ -30,6 +32,9 @@ __all__ = ["Stages"]
 _RUNS = readonly(np.array([0.0, 0.25, 0.5, 1.0, 1.5, 2.0, 3.0]))
 _EXIT_TURN = 1.0  # [rad] of arcs out of the start; straight lines are as long
 _FREE_EXITS, _MOST_EXITS = 4, 60  # of six; nodes of the start's tree after which it grows no more
+# Straight runs out of the start before a turn, in circumscribed radii: what stands beside the robot is left behind.
+_TURN_EXITS = readonly(np.array([0.5, 1.0, 1.5, 2.0, 3.0]))
+_TURN_TRIES = 2  # ways of turns and straight lines that are offered at most, and as many with rounded corners
 _TRIES = 4  # different ways that one stage offers at most
 _WORDS_PER_PAIR = 12  # words from the start to a staging pose that are looked at
 _SAMPLING = 40.0  # poses of a path per turning radius
@@ -68,9 +73,38 @@ class Stages:
 
     def guesses(self) -> Iterator[Guess | None]:
         """The guesses of all stages, the first of them in a few milliseconds."""
+        turns = self.problem.robot.turns_in_place and self.problem.start_speed == 0.0
+        if turns:
+            yield from self._turn_and_drive(turns_and_drives)
         yield from self._words()
+        if turns and math.isinf(self._better_than()):
+            yield from self._turn_and_drive(routes)
         if math.isinf(self._better_than()):
             yield from self._hybrid_a_star()
+
+    def _turn_and_drive(self, search: TurnSearch) -> Iterator[Guess]:
+        """Turns in place and straight lines, and the same with rounded corners."""
+        left = {False: _TURN_TRIES, True: _TURN_TRIES}
+        for effort in (self._efforts[0], self._efforts[-1]):
+            if effort.margin == 0.0 and math.isfinite(self._better_than()):
+                return
+            found = search(self._straight_exits(effort), self._staging(effort), self.space, effort)
+            for price, way in found:
+                if price >= self._worthwhile():
+                    return
+                path = way.path(self.radius / _SAMPLING, self.problem.goal, self.problem.frame)
+                if least_price(path, self.problem) < self._better_than() and left[way.is_rounded] > 0:
+                    left[way.is_rounded] -= 1
+                    yield Guess(path, "turn and drive")
+                if not any(left.values()):
+                    return
+
+    def _straight_exits(self, effort: Effort) -> Nodes:
+        """The start, and straight runs out of it."""
+        tree, root = ArcTree(self.problem.start.as_array(), self.problem.robot.limits, 1), np.zeros(1, dtype=np.int64)
+        stations = self.space.footprint.circumscribed_radius * _TURN_EXITS
+        tree.grow(root, Moves.of((1.0, -1.0), (0.0,)), stations, self.space, effort)
+        return Nodes(tree, np.arange(len(tree)))
 
     @property
     def _gears(self) -> tuple[float, ...]:
