@@ -30,6 +30,7 @@ if TYPE_CHECKING:
         GoalOccupied,
         InvalidFile,
         InvalidValue,
+        NoMotionExists,
         NoValidPathCouldBeFound,
         OptdockError,
         PluginError,
@@ -47,11 +48,20 @@ if TYPE_CHECKING:
     from optdock.pipeline import plan_dock, warm_up
     from optdock.plan import DockPlan
     from optdock.planners.dock_planner import DockPlanner
+    from optdock.planners.manoeuvres.manoeuvre_planner import ManoeuvrePlanner
     from optdock.problem import ClearanceRule, DockingProblem
     from optdock.robot import Robot
+    from optdock.segments import TurnSegment
     from optdock.timing.near_optimal import NearOptimal
     from optdock.trajectory import Trajectory
-    from optdock.verification import Certificate, certify_path, certify_trajectory
+    from optdock.verification import (
+        Certificate,
+        ImpossibilityProof,
+        certify_path,
+        certify_trajectory,
+        check_impossibility,
+        prove_impossible,
+    )
     from smoothers import CasadiSmoother
 
 _MODULES = {
@@ -66,6 +76,7 @@ _MODULES = {
         "GoalOccupied",
         "InvalidFile",
         "InvalidValue",
+        "NoMotionExists",
         "NoValidPathCouldBeFound",
         "OptdockError",
         "PluginError",
@@ -84,11 +95,19 @@ _MODULES = {
     "optdock.plan": ("DockPlan",),
     "optdock.problem": ("ClearanceRule", "DockingProblem"),
     "optdock.robot": ("Robot",),
+    "optdock.segments": ("TurnSegment",),
     "optdock.trajectory": ("Trajectory",),
-    "optdock.verification": ("Certificate", "certify_path", "certify_trajectory"),
+    "optdock.verification": (
+        "Certificate",
+        "ImpossibilityProof",
+        "certify_path",
+        "certify_trajectory",
+        "check_impossibility",
+        "prove_impossible",
+    ),
 }
 _HOMES = {name: module for module, names in _MODULES.items() for name in names}
-_PLUGINS = ("AxisGoalChecker", "CasadiSmoother", "DockPlanner", "NearOptimal", "TrackingController")
+_PLUGINS = ("AxisGoalChecker", "CasadiSmoother", "DockPlanner", "ManoeuvrePlanner", "NearOptimal", "TrackingController")
 
 __all__ = [
     "AxisGoalChecker",
@@ -106,10 +125,13 @@ __all__ = [
     "FailedToTimePath",
     "Footprint",
     "GoalOccupied",
+    "ImpossibilityProof",
     "InvalidFile",
     "InvalidValue",
+    "ManoeuvrePlanner",
     "MotionLimits",
     "NearOptimal",
+    "NoMotionExists",
     "NoValidPathCouldBeFound",
     "ObstacleSet",
     "OptdockError",
@@ -123,12 +145,15 @@ __all__ = [
     "TimedOut",
     "TrackingController",
     "Trajectory",
+    "TurnSegment",
     "certify_path",
     "certify_trajectory",
+    "check_impossibility",
     "load_map",
     "load_plan",
     "load_scenario",
     "plan_dock",
+    "prove_impossible",
     "warm_up",
 ]
 __version__ = "0.1.0"

@@ -32,6 +32,7 @@ from optdock.errors import (
     PlannerCancelled,
     PlannerException,
     PlannerTimedOut,
+    PluginError,
     SmootherException,
     SmootherTimedOut,
     StartOccupied,
@@ -43,7 +44,7 @@ from optdock.geometry.footprint import Footprint
 from optdock.geometry.pose import Pose2
 from optdock.interfaces import GlobalPlanner, Smoother, TimeParameterizer, never_cancelled
 from optdock.limits import MotionLimits
-from optdock.obstacles import in_words
+from optdock.obstacles import ObstacleSet, in_words
 from optdock.outcomes import Guess
 from optdock.path import Path
 from optdock.plan import Attempt, DockPlan, PartialPlan
@@ -51,10 +52,10 @@ from optdock.plugins import PluginChoice, plugin_from
 from optdock.problem import ClearanceRule, DockingProblem
 from optdock.refinement import Cancellation, Refinement, Stopwatch, at_work, plain, returned
 from optdock.robot import Robot
-from optdock.verification import TOLERANCE, end_clearances, prove_impossible
+from optdock.verification import TOLERANCE, ImpossibilitySearch, end_clearances, prove_impossible
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
+    from collections.abc import Callable, Generator, Iterator
 
 __all__ = [
     "DEFAULT_PLANNERS",
@@ -226,7 +227,7 @@ def _warm_once(
             _Portfolio(problem, plugins, (), None, never, clock.seconds, PartialPlan()).plan()
     with contextlib.suppress(Exception):
         smoother().warm_up()
-    walled = [[[-1.2, -3.0], [-1.0, -3.0], [-1.0, 3.0], [-1.2, 3.0]]]
+    walled = ObstacleSet.from_polygons([[[-1.2, -3.0], [-1.0, -3.0], [-1.0, 3.0], [-1.2, 3.0]]])
     prove_impossible(replace(problem, obstacles=walled), time_budget=0.05)
     logger.info("libraries loaded and caches filled in %.1f s, once per process", clock.elapsed)
 
@@ -303,6 +304,7 @@ class _Portfolio:
     deadline: Deadline = field(init=False)
     watch: Stopwatch = field(init=False)
     refinement: Refinement = field(init=False)
+    impossibility: ImpossibilitySearch = field(init=False)
     best: DockPlan | None = None
     tried: list[Attempt] = field(default_factory=list)
     failures: list[_Failure] = field(default_factory=list)
@@ -311,6 +313,7 @@ class _Portfolio:
     def __post_init__(self) -> None:
         self.deadline = Deadline(self.budget - _margin(self.budget))
         self.watch = Stopwatch(self.deadline, self.so_far.timing_ms)
+        self.impossibility = ImpossibilitySearch(self.problem)
         _, smoother, timing = self.plugins
         self.refinement = Refinement(
             self.problem, smoother, timing, self.warm_start, self.cancelled, self.budget, self.deadline, self.watch
@@ -334,7 +337,7 @@ class _Portfolio:
         completed = self.best.completed and not self.deadline.passed()
         return replace(self.best, completed=completed, timing_ms=timing, tried=tuple(self.tried))
 
-    def _guesses(self) -> Iterator[tuple[Guess, bool]]:
+    def _guesses(self) -> Generator[tuple[Guess, bool], None, None]:
         """Every guess, and whether it is known to be the last one; a proof that there is no way ends them.
 
         Raises:
@@ -342,6 +345,7 @@ class _Portfolio:
         """
         for path in self.given:
             yield Guess(path, "given"), False
+        self._look_for_a_proof(_EARLY_PROOF, only_disc=True)
         last = self.plugins.planners[-1]
         for planner in self.plugins.planners:
             makes_one = type(planner).create_plans is GlobalPlanner.create_plans
@@ -349,14 +353,14 @@ class _Portfolio:
                 with at_work(planner, self.problem, self.cancelled):
                     for guess in self._guesses_of(planner, is_last=planner is last):
                         yield guess, makes_one and planner is last
-            except PlannerException as error:
-                if isinstance(error, Cancelled):
+            except (PlannerException, PluginError) as error:
+                broken = isinstance(error, PluginError) and self.best is None
+                if broken or isinstance(error, Cancelled | NoMotionExists):
                     raise
                 self._fail(_Failure(error, PartialPlan(), 0), type(planner).__name__)
             if self._is_late():
                 break
-        if self.best is None and self.deadline.left > 0.0:
-            self._look_for_a_proof(1.0)
+        self._look_for_a_proof(0.5 if self.cut_short else 1.0)
 
     def _guesses_of(self, planner: GlobalPlanner, *, is_last: bool) -> Iterator[Guess]:
         """The guesses of a planner, which is at work while it makes them.
@@ -376,14 +380,14 @@ class _Portfolio:
         def asked_to_stop() -> bool:
             return is_used_up() or self.refinement.asked_to_stop()
 
-        guesses = planner.create_plans(self.problem.start, self.problem.goal, asked_to_stop, self._worth_a_try)
+        ends = self.problem.start, self.problem.goal
+        guesses = iter(planner.create_plans(*ends, asked_to_stop, self._worth_a_try))
         while not is_used_up():
             found = self._next(guesses, planner)
             if found is _END:
                 return
             if found is None:
-                if self.best is None and "prove" not in self.watch.timing_ms:
-                    self._look_for_a_proof(_EARLY_PROOF)
+                self._look_for_a_proof(_EARLY_PROOF)
                 continue
             guess = returned(found, Guess, planner)
             path = plain(returned(guess.path, Path, planner), planner, self.problem.frame)
@@ -430,6 +434,7 @@ class _Portfolio:
             self._fail(_Failure(error, left, stage or 0), guess.stage, guess.path, self.deadline.elapsed - began)
             return
         self.tried.append(Attempt(guess.stage, guess.path, self.deadline.elapsed - began, plan.price))
+        self.so_far.timing_ms.setdefault("first", 1e3 * self.deadline.elapsed)
         if plan.price < self._lowest_price():
             self.best = plan
 
@@ -443,18 +448,23 @@ class _Portfolio:
         self.so_far.raw_path, self.so_far.path, self.so_far.certificate = left.raw_path, left.path, left.certificate
         self.so_far.tried = tuple(self.tried)
 
-    def _look_for_a_proof(self, share: float) -> None:
-        """Spend a share of what is left on a proof that no motion exists.
+    def _look_for_a_proof(self, share: float = 1.0, *, only_disc: bool = False) -> None:
+        """Spend a share of what is left on a proof that no motion exists, or at first only on what is cheap to prove.
 
         Raises:
             NoMotionExists: That is proven.
+            PlannerCancelled: The caller wants an end.
         """
+        if self.best is not None or self.deadline.left <= 0.0 or self.impossibility.ended:
+            return
         with self.watch.timed("prove"):
             allowed = share * self.deadline.left
-            proof = prove_impossible(self.problem, time_budget=allowed, cancel_checker=self.cancelled)
+            proof = self.impossibility.proof(allowed, self.cancelled, only_disc=only_disc)
+        if self.cancelled():
+            raise PlannerCancelled("cancelled while a proof that there is no way was looked for")
         if proof is not None:
-            self._leave(self._furthest().left)
-            raise NoMotionExists(proof.message, proof=proof)
+            self._leave(self._furthest().left if self.failures else self.so_far)
+            raise NoMotionExists(proof.message, proof=proof, where=proof.where)
 
     def _furthest(self) -> _Failure:
         """The failure that tells most: of the guess that came furthest, the earliest; time-outs tell least.
@@ -471,15 +481,15 @@ class _Portfolio:
                 return PlannerTimedOut(f"the time budget of {self.budget:.3g} s is too short for a first guess")
             return NoValidPathCouldBeFound("no planner offers a path")
         found = self._furthest()
-        self._leave(found.left)
         late = [failure for failure in self.failures if isinstance(failure.error, TimedOut)]
         if self._is_late() and late:
             found = late[-1]
-        if len(self.failures) == 1:
+        self._leave(found.left)
+        count, kind = len(self.failures), type(found.error)
+        if self._is_late() and not late and max(count, len(self.plugins.planners)) > 1:  # more could have been tried
+            kind = SmootherTimedOut if found.stage else PlannerTimedOut
+        elif count == 1:
             return found.error
-        kind, count = type(found.error), len(self.failures)
-        if self._is_late() and not isinstance(found.error, TimedOut):
-            kind = SmootherTimedOut
         more = f"{count} attempts failed; that there is no way is not proven"
         return kind(f"{found.error} ({more})", where=found.error.where)
 

@@ -51,8 +51,14 @@ class Attempt(NamedTuple):
     price: float = math.inf
     reason: str = ""
 
+    def as_dict(self) -> dict[str, object]:
+        """Plain values for a plan file."""
+        shape = {} if self.guess is None else {"length": self.guess.driven, "cusps": len(self.guess.cusps)}
+        found = {"reason": self.reason} if self.reason else {"price": self.price}
+        return {"stage": self.stage, **shape, "seconds": self.seconds, **found}
+
     def __str__(self) -> str:
-        shape = "" if self.guess is None else f" {self.guess.length:.2f} m, {len(self.guess.cusps)} cusps"
+        shape = "" if self.guess is None else f" {self.guess.driven:.2f} m, {len(self.guess.cusps)} cusps"
         found = self.reason or f"certified, price {self.price:.2f} s"
         return f"{self.stage}{shape}, {1e3 * self.seconds:.1f} ms: {found}"
 
@@ -69,7 +75,8 @@ class DockPlan:
         certificate: The proof of the path.
         trajectory_certificate: The proof of the motion limits.
         completed: False when the deadline stopped the smoothing early; the result is certified all the same.
-        timing_ms: Wall-clock milliseconds per stage: plan, smooth, certify, time, total.
+        timing_ms: Wall-clock milliseconds per stage, over all guesses: plan, smooth, certify, time, prove; the first
+            certified plan was there after `first`, all was done after `total`.
         smoothing_report: What the smoother says about its work.
         timing_report: What the time parameterizer says about its work.
         tried: Every guess that was tried, in this order, and what became of it; this plan is the one of the lowest
@@ -131,6 +138,7 @@ class DockPlan:
             time_law=self.trajectory.time_law,
             certificate={**self.certificate.as_dict(), "trajectory": self.trajectory_certificate.as_dict()},
             timing_ms=self.timing_ms,
+            tried=tuple(attempt.as_dict() for attempt in self.tried),
         )
 
     def save(self, target: str | FilePath, *, spacing: float = DEFAULT_SPACING, period: float = DEFAULT_PERIOD) -> None:

@@ -60,6 +60,7 @@ def failed_plan_file(error: OptdockError, frame: str) -> PlanFile:
         path=so_far.path if so_far.certificate is not None else None,
         certificate=so_far.certificate.as_dict() if so_far.certificate is not None else None,
         timing_ms=so_far.timing_ms,
+        tried=tuple(attempt.as_dict() for attempt in so_far.tried),
         error=PlanError.from_exception(error),
         impossibility=proof if isinstance(proof, ImpossibilityProof) else None,
     )
@@ -73,10 +74,18 @@ def plan_rows(plan: DockPlan) -> list[Row]:
     return [
         Row("status", status),
         Row("gears", gears),
+        *([Row("found by", _tried(plan))] if plan.tried else []),
         Row("duration", f"{plan.trajectory.duration:.3f} s"),
         *certificate_rows(plan.certificate),
         Row("time [ms]", times),
     ]
+
+
+def _tried(plan: DockPlan) -> str:
+    """Which guess became the plan, and how many there were."""
+    guesses = [attempt for attempt in plan.tried if attempt.guess is not None]
+    made = sum(not attempt.reason for attempt in guesses)
+    return f"{plan.stage}, {made} of {len(guesses)} guesses became plans" if len(guesses) > 1 else plan.stage
 
 
 def certificate_rows(certificate: Certificate) -> list[Row]:

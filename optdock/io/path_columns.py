@@ -222,10 +222,13 @@ def _check_directions(columns: PathColumns, poses: FloatArray, name: str) -> Non
     step, middle = np.diff(poses[:, :2], axis=0), 0.5 * (poses[1:, 2] + poses[:-1, 2])
     ahead = step[:, 0] * np.cos(middle) + step[:, 1] * np.sin(middle)
     given = np.array(columns.direction)
-    against = (np.hypot(step[:, 0], step[:, 1]) > _STILL) & (ahead * given[:-1] < 0.0) & (ahead * given[1:] < 0.0)
-    if against.any():
-        i = int(np.flatnonzero(against)[0])
-        raise InvalidFile(f"{name}.direction: {given[i]} at sample {i}, but the robot moves the other way there")
+    moves = np.hypot(step[:, 0], step[:, 1]) > _STILL
+    against = moves & (ahead * given[:-1] < 0.0) & (ahead * given[1:] < 0.0)
+    in_place = moves & (given[:-1] == 0) & (given[1:] == 0)
+    if np.any(wrong := against | in_place):
+        i = int(np.flatnonzero(wrong)[0])
+        does = "moves there" if in_place[i] else "moves the other way there"
+        raise InvalidFile(f"{name}.direction: {given[i]} at sample {i}, but the robot {does}")
 
 
 def _check_agreement(columns: PathColumns, poses: FloatArray, path: Path, name: str) -> None:

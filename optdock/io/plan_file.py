@@ -87,6 +87,7 @@ class PlanFile:
         certificate: The proof in numbers, as `Certificate.as_dict` gives it.
         timing_ms: Milliseconds per stage.
         error: Why there is no certified plan.
+        tried: Every guess that was tried, and what became of it, as `Attempt.as_dict` gives it.
         impossibility: The proof that there can be none.
 
     Raises:
@@ -104,6 +105,7 @@ class PlanFile:
     timing_ms: Mapping[str, float] = field(default_factory=dict)
     error: PlanError | None = None
     impossibility: ImpossibilityProof | None = None
+    tried: Sequence[Mapping[str, object]] = ()
 
     def __post_init__(self) -> None:
         for name in ("raw_path", "path"):
@@ -138,6 +140,8 @@ class PlanFile:
             body["error"] = finite_or_null(self.error._asdict())
         if self.impossibility is not None:
             body["impossibility"] = self.impossibility.as_dict()
+        if self.tried:
+            body["tried"] = finite_or_null(self.tried)
         return strict_json({**head, **body, "timing_ms": finite_or_null(self.timing_ms)})
 
 
@@ -241,6 +245,7 @@ class _PlanDocument(_Model):
     timing_ms: dict[str, float | None] = {}
     error: _ErrorDocument | None = None
     impossibility: dict[str, JsonValue] | None = None
+    tried: list[dict[str, JsonValue]] = []
 
 
 def load_plan(source: str | FilePath) -> PlanFile:
@@ -271,6 +276,7 @@ def load_plan(source: str | FilePath) -> PlanFile:
         timing_ms={key: value for key, value in document.timing_ms.items() if value is not None},
         error=None if document.error is None else PlanError(*document.error.model_dump().values()),
         impossibility=proof,
+        tried=tuple(document.tried),
     )
 
 

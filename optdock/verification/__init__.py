@@ -38,7 +38,7 @@ chapters, in the order in which a proof uses them:
     time_of_impact          the same advance at a constant body velocity: how long a command is safe
 """
 
-from optdock.verification.cell_decomposition import prove_impossible
+from optdock.verification.cell_decomposition import ImpossibilitySearch, prove_impossible
 from optdock.verification.certificate import SHARPNESS, TOLERANCE, Certificate, TrajectoryCertificate, Violation
 from optdock.verification.certify import certify_motion, certify_path, certify_trajectory
 from optdock.verification.impossibility import (
@@ -63,6 +63,7 @@ __all__ = [
     "Certificate",
     "EndClearances",
     "ImpossibilityProof",
+    "ImpossibilitySearch",
     "ImpossibilityVerdict",
     "SampledMotion",
     "SampledMotionVerdict",

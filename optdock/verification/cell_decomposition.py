@@ -46,7 +46,7 @@ if TYPE_CHECKING:
     from optdock.geometry.footprint import Footprint
     from optdock.problem import DockingProblem
 
-__all__ = ["prove_impossible"]
+__all__ = ["ImpossibilitySearch", "prove_impossible"]
 
 _FINEST = 4  # level of the finest tiles
 _REACH = 0.7  # of a cell's turn: points at this share of the body's reach move as far by it as by half a cell's side
@@ -57,13 +57,18 @@ _SMALLER = 0.6  # from one disc in a corner to the next
 _LARGEST = 6  # levels of unseen tiles above level 0
 _GATHERED = 250_000  # distances read in one go, less than a millisecond
 _OPEN = 1e-6  # the cost of a node that looks open, or lies outside: of two routes that are open the shorter
+_NODES, _AROUND = 129, 6.0  # of the lattice for a first look; [largest discs] around start and goal
 _STEP = 0.004  # [s]: the longest steps between two looks at the clock take about so long, on a quiet machine
 _FEWEST_HEADINGS = 8  # of level 0
 _SHARP = 0.25  # of half a cell: how sharp the margin of the widest route is found
 _ROUNDS = 8  # of finer cells for the bottleneck: four are usual, more where a wall is as thin everywhere
+_ROUNDS_OF_DISC = 10  # likewise, for a disc
 _PLACES = 5  # on the widest route that are compared by exact distances
 _POLISHED = 2  # times a fourth of a cell: then a place is known to a sixteenth of it
+_POLISHED_AT = (33, 9, 5)  # places along each axis, where one, two or three of them are open
 _FINE = 0.08  # [m]: four halves of a cell; the place within finer ones is found by exact distances
+_CLOSE = 0.01  # [m]: half a cell; so much and a little more a narrow place of a disc may be off
+_ROOM = 1e3  # [m] of clearance that nobody has
 _SEEN_FROM = 30.0  # [m]: obstacles further from start and goal widen no tile
 
 
@@ -80,12 +85,53 @@ def prove_impossible(
     Returns:
         The proof; or None: there may be a motion, or the time was too short. `check_impossibility` judges it.
     """
-    deadline = Deadline(time_budget - _STEP, stop=cancel_checker)
-    if len(problem.all_obstacles) == 0:
-        return None
-    try:
-        return _Search(problem, deadline).proof()
-    except OutOfTime:
+    return ImpossibilitySearch(problem).proof(time_budget, cancel_checker)
+
+
+class ImpossibilitySearch:
+    """A search for a proof that can go on where it was interrupted.
+
+    At first it looks at the largest disc within the robot alone. Whatever that cannot pass the robot cannot pass at any
+    heading, and without headings there are a hundred times fewer cells.
+
+    Args:
+        problem: From where, to where, with what, among what.
+    """
+
+    def __init__(self, problem: DockingProblem) -> None:
+        self.problem, body = problem, _body(problem.robot.footprint)
+        self._left = [body, body.largest_disc] if len(problem.all_obstacles) else []  # the next one last
+        self._search: _Search | None = None
+
+    @property
+    def ended(self) -> bool:
+        """Whether there is no use in going on."""
+        return not self._left
+
+    def proof(
+        self, time_budget: float, cancel_checker: Callable[[], bool] = never_late, *, only_disc: bool = False
+    ) -> ImpossibilityProof | None:
+        """Go on.
+
+        Args:
+            time_budget: Wall-clock seconds; the call returns at most some milliseconds later.
+            cancel_checker: Asked as often; True interrupts it.
+            only_disc: Stop where the largest disc alone proves nothing.
+
+        Returns:
+            The proof, with the bottleneck as far as there was time for it; or None, where there is none, or none yet.
+        """
+        deadline = Deadline(time_budget - _STEP, stop=cancel_checker)
+        with contextlib.suppress(OutOfTime):
+            while len(self._left) > int(only_disc):
+                if self._search is None:
+                    self._search = _Search(self.problem, self._left[-1], deadline)
+                if len(self._left) == 1 or not self._search.looks_open(deadline):
+                    proof = self._search.proof(deadline)
+                    if proof is not None:
+                        return proof
+                self._search = None
+                self._left.pop()
         return None
 
 
@@ -95,6 +141,17 @@ class _Body(NamedTuple):
     centre: FloatArray
     discs: FloatArray
     reach: float
+
+    @property
+    def largest_disc(self) -> _Body:
+        """The largest of the discs alone, which looks the same at every heading."""
+        x, y, radius = self.discs[0].tolist()
+        return _Body(self.centre + np.array([x, y]), np.array([(0.0, 0.0, radius)]), radius)
+
+    @property
+    def turns(self) -> bool:
+        """Whether a heading matters."""
+        return bool(self.discs[:, :2].any())
 
 
 @functools.lru_cache(maxsize=16)
@@ -192,11 +249,6 @@ class _Obstacles:
         self.normals, self.vertices = everything.normals, everything.vertices - origin
         self.offsets = (self.normals * self.vertices).sum(axis=2)
         self.lower, self.upper = everything.lower - origin, everything.upper - origin
-        corner = (self.vertices == self.lower[:, None]) | (self.vertices == self.upper[:, None])
-        x, y = self.vertices[..., 0], self.vertices[..., 1]
-        area = 0.5 * np.abs((x * np.roll(y, -1, axis=1) - np.roll(x, -1, axis=1) * y).sum(axis=1))
-        full = np.prod(self.upper - self.lower, axis=1)
-        self.is_box = corner.all(axis=(1, 2)) & (area > 0.75 * full)
         starts, ends = self.vertices.reshape(-1, 2), np.roll(self.vertices, -1, axis=1).reshape(-1, 2)
         kept = (starts != ends).any(axis=1)
         self.starts, self.along = starts[kept], (ends - starts)[kept]
@@ -235,22 +287,25 @@ class _Obstacles:
         return single
 
     def _inside(self, corner: FloatArray, step: float, count: int) -> BoolArray:
-        """Which nodes lie in an obstacle."""
-        first = np.ceil(np.clip((self.lower - corner) / step, 0, count)).astype(np.int64)
-        stop = np.floor(np.clip((self.upper - corner) / step, -1, count - 1)).astype(np.int64) + 1
-        met = (stop > first).all(axis=1)
-        boxes = np.flatnonzero(met & self.is_box)
-        change = np.zeros((count + 1, count + 1), dtype=np.int32)
-        for y, x, sign in ((first, first, 1), (first, stop, -1), (stop, first, -1), (stop, stop, 1)):
-            np.add.at(change, (y[boxes, 1], x[boxes, 0]), sign)
-        inside: BoolArray = change.cumsum(axis=0).cumsum(axis=1)[:-1, :-1] > 0
-        for k in np.flatnonzero(met & ~self.is_box).tolist():
-            (i0, j0), (i1, j1) = first[k], stop[k]
-            x, y = corner[0] + step * np.arange(i0, i1), corner[1] + step * np.arange(j0, j1)
-            part = np.ones((j1 - j0, i1 - i0), dtype=np.bool_)
-            for (nx, ny), offset in zip(self.normals[k], self.offsets[k], strict=True):
-                part &= ny * y[:, None] + nx * x <= offset
-            inside[j0:j1, i0:i1] |= part
+        """Which nodes lie in an obstacle: of every piece and row from which node to which."""
+        low, high = (self.lower - corner) / step, (self.upper - corner) / step
+        met = np.flatnonzero(((high >= 0.0) & (low <= count - 1)).all(axis=1))
+        first = np.ceil(np.clip(low[met, 1], 0, count - 1)).astype(np.int64)
+        number = np.maximum(np.floor(np.clip(high[met, 1], 0, count - 1)).astype(np.int64) + 1 - first, 0)
+        piece = np.repeat(np.arange(met.size), number)
+        row = np.arange(piece.size) - np.repeat(np.cumsum(number) - number, number) + first[piece]
+        (nx, ny), offset = np.moveaxis(self.normals[met], 2, 0), self.offsets[met] - self.normals[met] @ corner
+        # A normal along y bounds no x: it lets a whole row through, or nothing of it.
+        room, inf = offset[piece] - ny[piece] * (step * row)[:, None], np.inf
+        steep, is_along = step * nx[piece], nx[piece] == 0.0
+        bound = np.divide(room, steep, out=np.where(room < 0.0, -inf, inf), where=~is_along)
+        until = np.where((steep > 0.0) | is_along, bound, inf).min(axis=1, initial=inf)
+        since = np.where(steep < 0.0, bound, -inf).max(axis=1, initial=-inf)
+        begin = np.ceil(np.clip(since, 0, count)).astype(np.int64)
+        stop = np.maximum(np.floor(np.clip(until, -1, count - 1)).astype(np.int64) + 1, begin)
+        change = np.bincount(row * (count + 1) + begin, minlength=count * (count + 1))
+        change -= np.bincount(row * (count + 1) + stop, minlength=count * (count + 1))
+        inside: BoolArray = change.reshape(count, count + 1).cumsum(axis=1)[:, :-1] > 0
         return inside
 
     def _samples(self, corner: FloatArray, extent: float, spacing: float) -> FloatArray:
@@ -274,6 +329,7 @@ class _Obstacles:
 
 Kinds: TypeAlias = "Callable[[_Tile], tuple[BoolArray, BoolArray]]"
 _ONE = readonly(np.ones((1, 1, 1), dtype=np.bool_))
+_NONE = readonly(np.zeros((0, 2), dtype=np.int64))
 
 
 def _by_certainty(grid: _Grid) -> Kinds:
@@ -349,7 +405,7 @@ class _Graph:
             (which, cost) for which, cost in ((is_open, _OPEN), (is_narrow, self.grid.side(tile.level))) if which.any()
         ]
         for which, cost in both:
-            found, count = (_ONE.astype(np.int32), 1) if which.all() else ndimage.label(which)
+            found, count = (which, 1) if which.all() else ndimage.label(which)
             if count == 1:
                 labels[which] = len(self.cost)
                 self.cost.append(cost)
@@ -361,14 +417,14 @@ class _Graph:
         self.tiles.append(tile)
         self.labels.append(labels)
         self.tile_at[self._place(key)] = key
-        self.joints[key, key] = _met_within(labels, kinds=len(both))
+        self.joints[key, key] = _met_within(labels, kinds=len(both)) if labels.size > 1 else _NONE
 
     def _join(self, key: int, axis: int, edge: int, beyond: int, along: slice) -> None:
         """Join a tile over its lower (0) or upper (-1) side along an axis."""
         if not 0 <= beyond < len(self.tile_at):
             nodes = np.unique(np.take(self.labels[key], edge, axis=2 - axis))
             nodes = nodes[nodes >= 0]
-            known = self.joints.get((key, -1), np.zeros((0, 2), dtype=np.int64))
+            known = self.joints.get((key, -1), _NONE)
             self.joints[key, -1] = np.vstack((known, np.column_stack((nodes, np.full_like(nodes, _OUTSIDE)))))
             return
         strip = self.tile_at[along, beyond] if axis == 0 else self.tile_at[beyond, along]
@@ -379,6 +435,9 @@ class _Graph:
 
     def _met_over(self, key: int, other: int, axis: int, edge: int) -> IntArray:
         """Nodes that meet over a side of a tile, Shape (n, 2)."""
+        if self.labels[key].size == self.labels[other].size == 1:
+            met = np.array([(int(self.labels[key][0, 0, 0]), int(self.labels[other][0, 0, 0]))])
+            return met if met.min() >= 0 else _NONE
         both = ((key, edge), (other, -1 - edge))
         sides = tuple((*self.tiles[k][:3], self.labels[k].shape[1], self.labels[k].shape[0], side) for k, side in both)
         first, second = (
@@ -410,15 +469,18 @@ class _Graph:
             found.add(int(self.labels[key][layer, min(max(row, 0), n - 1), min(max(column, 0), n - 1)]))
         return sorted(found - {-1})
 
+    def _all_joints(self) -> NDArray[np.int32]:
+        """Every two nodes that meet, Shape (n, 2)."""
+        ends = [
+            np.array([(k, node) for node in self._nodes_at(end)]).reshape(-1, 2) for k, end in enumerate(self.ends, 1)
+        ]
+        return np.concatenate((*ends, *self.joints.values())).astype(np.int32)
+
     def _matrix(self) -> csr_matrix:
         """Of every two nodes that meet what it costs to go over to the second."""
         from scipy import sparse
 
-        ends = [
-            np.array([(k, node) for node in self._nodes_at(end)]).reshape(-1, 2) for k, end in enumerate(self.ends, 1)
-        ]
-        joints = np.concatenate((*ends, *self.joints.values())).astype(np.int32)
-        cost = np.array(self.cost)
+        joints, cost = self._all_joints(), np.array(self.cost)
         first, second = np.concatenate((joints, joints[:, ::-1])).T
         return sparse.csr_matrix((cost[second], (first, second)), shape=(cost.size, cost.size))
 
@@ -443,15 +505,51 @@ class _Graph:
         return found
 
 
+class _Places(_Graph):
+    """Every place of a cell is a node of its own, whatever the heading: it costs what a disc misses there at least.
+
+    Costs are negative where it fits. What nobody has looked at costs less than anything.
+    """
+
+    def _label(self, tile: _Tile) -> None:
+        key, first = len(self.tiles), len(self.cost)
+        if tile.margin is None:
+            labels, cost = np.full((1, 1, 1), first), [-_ROOM]
+        else:
+            best = tile.margin.max(axis=0) + (math.sqrt(2.0) + math.sqrt(0.5)) * self.grid.half(tile.level)
+            labels, cost = np.arange(first, first + best.size).reshape(1, *best.shape), (-best).ravel().tolist()
+        self.cost += cost
+        self.tile_of += [key] * len(cost)
+        self.tiles.append(tile)
+        self.labels.append(labels)
+        self.tile_at[self._place(key)] = key
+        self.joints[key, key] = _met_within(labels, kinds=2)
+
+    def route(self) -> list[int]:
+        """The nodes of the route whose dearest node is cheapest: the one through a minimum spanning tree ([Hu1961])."""
+        from scipy import sparse
+        from scipy.sparse import csgraph
+
+        cost = np.maximum(np.array(self.cost), -_ROOM)
+        cost[: _GOAL + 1] = -_ROOM
+        first, second = self._all_joints().T
+        dear = np.maximum(cost[first], cost[second]) + 2.0 * _ROOM  # zero would be no joint
+        tree = csgraph.minimum_spanning_tree(sparse.csr_matrix((dear, (first, second)), shape=(cost.size, cost.size)))
+        before = csgraph.breadth_first_order(tree, _START, directed=False)[1]
+        route = [_GOAL]
+        while route[-1] != _START:
+            route.append(int(before[route[-1]]))
+        return route
+
+
 class _Search:
     """The tiles so far, and the graph of what may be free in them."""
 
-    def __init__(self, problem: DockingProblem, deadline: Deadline) -> None:
-        self.problem, self.deadline = problem, deadline
-        self.body = _body(problem.robot.footprint)
+    def __init__(self, problem: DockingProblem, body: _Body, deadline: Deadline) -> None:
+        self.problem, self.body, self.deadline = problem, body, deadline
         self.start_clearance = end_clearances(problem).start
         self.grid = self._grid()
-        self.obstacles = _Obstacles(problem, self.grid.origin, deadline.look)
+        self.obstacles = _Obstacles(problem, self.grid.origin, self._look)
         self.ends = [_middle(pose, self.body.centre, self.grid.origin) for pose in (problem.start, problem.goal)]
         self.known: dict[tuple[int, int, int], _Tile] = {}
         self.graph = _Graph(self.grid, self.ends, _by_certainty(self.grid))
@@ -469,11 +567,39 @@ class _Search:
             upper = np.maximum(upper, np.minimum(everything.upper.max(axis=0), upper + _SEEN_FROM))
         side, extent = 2.0 * CELLS * cell, float((upper - lower).max()) + 2.0 * near
         above = int(np.clip(math.ceil(math.log2(extent / side)), 0, _LARGEST))
-        headings = max(_FEWEST_HEADINGS, math.ceil(math.pi * _REACH * self.body.reach / cell))
+        turning = max(_FEWEST_HEADINGS, math.ceil(math.pi * _REACH * self.body.reach / cell))
+        headings = turning if self.body.turns else 1
         return _Grid(0.5 * (lower + upper) - 0.5 * side * 2**above, cell, headings, above)
 
-    def proof(self) -> ImpossibilityProof | None:
-        """Split what is narrow on the cheapest route, until no route is left, or one that is open."""
+    def _look(self) -> None:
+        self.deadline.look()
+
+    def looks_open(self, deadline: Deadline) -> bool:
+        """Whether nodes of one coarse lattice around start and goal join them for a disc: a first look, no proof."""
+        from scipy import ndimage
+
+        self.deadline = deadline
+        _, _, radius = self.body.discs[0].tolist()
+        ends, border = np.array(self.ends)[:, :2], radius + self.problem.clearance.required
+        side = float(np.ptp(ends, axis=0).max()) + 2.0 * (border + _AROUND * radius)
+        corner, step = 0.5 * (ends.min(axis=0) + ends.max(axis=0) - side), side / (_NODES - 1)
+        x, y = np.meshgrid(*(self.grid.origin + corner + step * np.arange(_NODES)[:, None]).T)
+        required = least_required(self.problem, x, y, float(np.hypot(*self.body.centre)), self.start_clearance)
+        is_free = self.obstacles.distances(corner, step, _NODES) - radius >= required
+        # Of what lies outside nobody has looked.
+        kept = slice(math.ceil(border / step), -math.ceil(border / step))
+        labels = np.zeros(is_free.shape, dtype=np.int32)
+        ndimage.label(is_free[kept, kept], output=labels[kept, kept])
+        found = [set(labels[j - 1 : j + 2, i - 1 : i + 2].flat) for i, j in np.rint((ends - corner) / step).astype(int)]
+        return bool(set.intersection(*found) - {0})
+
+    def proof(self, deadline: Deadline) -> ImpossibilityProof | None:
+        """Split what is narrow on the cheapest route, until no route is left, or one that is open.
+
+        Raises:
+            OutOfTime: The deadline came first; a later call goes on with what is known.
+        """
+        self.deadline = deadline
         while True:
             self.deadline.look()
             route = self.graph.route()
@@ -484,7 +610,7 @@ class _Search:
                 return None
         proof = self._around_an_end()
         with contextlib.suppress(OutOfTime):
-            for bottleneck in self._bottlenecks():
+            for bottleneck in self._bottlenecks() if self.body.turns else self._bottlenecks_of_disc():
                 proof = dataclasses.replace(proof, bottleneck=bottleneck)
         return proof
 
@@ -530,6 +656,40 @@ class _Search:
             bottleneck=None,
             problem=self.problem.fingerprint,
         )
+
+    def _bottlenecks_of_disc(self) -> Iterator[Bottleneck]:
+        """The narrowest place of the widest route of a disc, in cells that are made finer until it is known.
+
+        Cells promise what their widest place may have, so that every other gap is narrower than what is found.
+        """
+        graph, found = _Places(self.grid, self.ends, _by_certainty(self.grid)), None
+        graph.add([self.graph.tiles[key] for key in self.graph.present()])
+        with contextlib.suppress(OutOfTime):
+            for _ in range(_ROUNDS_OF_DISC):
+                self.deadline.look()
+                route = graph.route()
+                found = max(route, key=lambda node: graph.cost[node])
+                dearest = graph.cost[found]
+                if dearest <= -_ROOM:
+                    return
+                half = self.grid.half(graph.tiles[graph.tile_of[found]].level)
+                keys = {graph.tile_of[node] for node in route if graph.cost[node] >= dearest - _SHARP * half}
+                if not self._split(graph, {key for key in keys if self.grid.half(graph.tiles[key].level) > _CLOSE}):
+                    break
+        if found is not None:
+            yield self._at_place(graph, found)
+
+    def _at_place(self, graph: _Graph, node: int) -> Bottleneck:
+        """What is known of a place of the disc, at the heading at which the body has most room."""
+        tile, place = graph.tiles[graph.tile_of[node]], node - int(graph.labels[graph.tile_of[node]].min())
+        half, (row, column) = self.grid.half(tile.level), divmod(place, CELLS)
+        middle = 2.0 * half * (CELLS * np.array([tile.column, tile.row]) + (column + 0.5, row + 0.5))
+        (x, y, _), most = self._best_near(np.append(middle, 0.0), np.array([half, half, 0.0]), self.body)
+        body = _body(self.problem.robot.footprint)
+        shift = self.body.centre - body.centre
+        whole = _Body(body.centre, body.discs - (*shift, 0.0), body.reach)
+        (_, _, yaw), _ = self._best_near(np.array([x, y, 0.5 * math.pi]), np.array([0.0, 0.0, 0.5 * math.pi]), whole)
+        return self._bottleneck((x, y, yaw), most, half)
 
     def _bottlenecks(self) -> Iterator[Bottleneck]:
         """The narrowest place of the widest route, by margins at the middles of cells, which are made ever finer."""
@@ -642,26 +802,37 @@ class _Search:
         half, turn = self.grid.half(tile.level), math.pi / margin.shape[0]
         yaw = turn * (2.0 * float(layer) + 1.0)
         x, y = (2.0 * half * (CELLS * first + k + 0.5) for first, k in ((tile.column, float(i)), (tile.row, float(j))))
-        (x, y, yaw), most = self._best_near(np.array([x, y, yaw]), np.array([half, half, turn]))
-        (x0, y0), (mx, my), c, s = self.grid.origin, self.body.centre, math.cos(yaw), math.sin(yaw)
+        at, most = self._best_near(np.array([x, y, yaw]), np.array([half, half, turn]), self.body)
+        return self._bottleneck(at, most, half)
+
+    def _bottleneck(self, at: tuple[float, float, float], most: float, half: float) -> Bottleneck:
+        """What is missing at a pose of the centre at which the discs have so much room."""
+        (x, y, yaw), (x0, y0), (mx, my) = at, self.grid.origin, self.body.centre
+        c, s = math.cos(yaw), math.sin(yaw)
         pose = Pose2(float(x0 + x - (c * mx - s * my)), float(y0 + y - (s * mx + c * my)), yaw)
         required = least_required(self.problem, np.array(pose.x), np.array(pose.y), 0.0, self.start_clearance)
         body = -2.0 * most
         return Bottleneck(pose.x, pose.y, pose.yaw, body + 2.0 * float(required), body, 4.0 * half, self._between(pose))
 
-    def _best_near(self, pose: FloatArray, reach: FloatArray) -> tuple[tuple[float, float, float], float]:
-        """The pose of the centre within a cell that is farthest from obstacles, and how far its discs are there [m]."""
+    def _best_near(self, pose: FloatArray, reach: FloatArray, body: _Body) -> tuple[tuple[float, float, float], float]:
+        """The pose near one of a body's centre that is farthest from obstacles, and how far its discs are there [m].
+
+        Args:
+            pose: Shape (3,).
+            reach: How far around it to look, in x, y and yaw, Shape (3,).
+            body: Its discs.
+        """
         import shapely
 
-        everything, (x, y, radius) = self.obstacles, self.body.discs.T
-        extent = 2.0 * self.body.reach
+        everything, (x, y, radius) = self.obstacles, body.discs.T
+        extent = 2.0 * body.reach
         near = ((everything.lower <= pose[:2] + extent) & (everything.upper >= pose[:2] - extent)).all(axis=1)
         tree = shapely.STRtree(shapely.polygons(everything.vertices[near]))
-        share = np.linspace(-1.0, 1.0, 5)
-        around = np.stack(np.meshgrid(share, share, share), axis=-1).reshape(-1, 3) * reach
+        count = _POLISHED_AT[np.count_nonzero(reach) - 1]
+        shares = [np.linspace(-extent, extent, count) if extent else np.zeros(1) for extent in reach.tolist()]
+        around = np.stack(np.meshgrid(*shares), axis=-1).reshape(-1, 3)
         most = -math.inf if near.any() else 0.0
         for _ in range(_POLISHED if near.any() else 0):
-            self.deadline.look()
             poses = pose + around
             c, s = np.cos(poses[:, 2:]), np.sin(poses[:, 2:])
             at = poses[:, :1] + c * x - s * y, poses[:, 1:2] + s * x + c * y

@@ -245,7 +245,7 @@ class _ProofDocument(_Model):
     end: Literal["goal", "start"]
     origin: tuple[_Number, _Number]
     cell: Annotated[float, Field(gt=0.0, le=1e6)]
-    headings: Annotated[int, Field(ge=3, le=10_000)]
+    headings: Annotated[int, Field(ge=1, le=10_000)]
     centre: tuple[_Number, _Number]
     discs: list[tuple[_Number, _Number, _Number]]
     tiles: Annotated[list[tuple[Annotated[int, Field(ge=0, le=_LEVELS)], _Index, _Index]], Field(max_length=_MOST)]

@@ -140,7 +140,7 @@ def test_plan_writes_a_certified_plan_and_says_so(planned):
     assert max(np.diff(document["path"]["s"])) <= 0.05 + 1e-12
     assert max(np.diff(document["trajectory"]["t"])) <= 0.1 + 1e-12
     assert document["trajectory"]["speed"][-1] == pytest.approx(0.0, abs=1e-9)
-    assert set(document["timing_ms"]) == {"plan", "smooth", "certify", "time", "total"}
+    assert set(document["timing_ms"]) == {"prove", "plan", "smooth", "certify", "time", "first", "total"}
     assert stdout.splitlines()[0].split() == ["status", "certified"]
 
 
@@ -385,7 +385,20 @@ FAILURES = {
         "GoalOccupied: the footprint at the goal overlaps dock by 0.0500 m\n",
         206,
     ),
-    "start too close": ("pose: [1.0, 0.2, 0.4]", "pose: [3.9, 1.0, 0.0]", "NoValidPathCouldBeFound: ", 208),
+    "no way out": (
+        "[[1.0, 1.4], [2.0, 1.4], [2.0, 2.4], [1.0, 2.4]]",
+        # A wall all around the start but for a slit.
+        "[[-0.7, 0], [-0.7, -1.7], [2.7, -1.7], [2.7, 2.1], [-0.7, 2.1], [-0.7, 0.01], [-0.5, 0.01], [-0.5, 1.9],"
+        " [2.5, 1.9], [2.5, -1.5], [-0.5, -1.5], [-0.5, 0]]",
+        "NoMotionExists: no motion joins start and goal",
+        208,
+    ),
+    "start too close": (
+        "start: {pose: [1.0, 0.2, 0.4]}",
+        "start: {pose: [3.9, 1.0, 0.0]}\nplanner: {plugin: DockPlanner}",
+        "NoValidPathCouldBeFound: ",
+        208,
+    ),
 }
 
 
@@ -405,7 +418,8 @@ def test_a_hopeless_problem_ends_with_status_3_a_line_and_a_file(name):
 
 
 def test_a_path_that_cannot_be_smoothed_leaves_its_raw_path_and_a_picture(tmp_path):
-    wall = write(SCENARIO, "[[1.0, 1.4], [2.0, 1.4], [2.0, 2.4], [1.0, 2.4]]", "[[2, -9], [2.1, -9], [2.1, 9], [2, 9]]")
+    text = SCENARIO + "planner: {plugin: DockPlanner}\n"
+    wall = write(text, "[[1.0, 1.4], [2.0, 1.4], [2.0, 2.4], [1.0, 2.4]]", "[[2, -9], [2.1, -9], [2.1, 9], [2, 9]]")
     result = run("plan", wall, "--out", "out.json", "--plot", "out.png")
     assert (result.exit_code, result.stdout) == (3, "")
     assert result.stderr.startswith("FailedToSmoothPath: clearance: ")
@@ -448,7 +462,7 @@ def test_a_profile_and_an_animation_are_drawn_when_asked_for(tmp_path):
 def test_no_time_at_all_is_a_named_failure_with_what_exists():
     result = run("plan", write(), "--out", "out.json", "--time-budget", "1e-6")
     assert result.exit_code == 3
-    assert result.stderr == "PlannerTimedOut: the planner used up the time budget of 1e-06 s\n"
+    assert result.stderr == "PlannerTimedOut: the time budget of 1e-06 s is too short for a first guess\n"
     assert load_plan("out.json").status == "PlannerTimedOut"
 
 

@@ -10,6 +10,7 @@ from optdock.dock import DockDirection
 from optdock.errors import InvalidFile
 from optdock.geometry.pose import Pose2
 from optdock.limits import MotionLimits
+from optdock.plugins import PluginChoice
 from optdock.robot import Drive
 
 COMPLETE = """\
@@ -89,12 +90,12 @@ def test_every_key_reaches_its_value(tmp_path):
 
 def test_defaults_hold_where_the_file_is_silent(tmp_path):
     loaded = scenario(tmp_path, MINIMAL)
-    assert loaded.time_budget == 0.1
+    assert loaded.time_budget == 1.0
     assert loaded.problem.frame == "map"
     assert loaded.problem.robot.footprint.inscribed_radius == pytest.approx(0.3)
     assert loaded.problem.dock.direction is DockDirection.AUTO
-    names = [choice.name for choice in (loaded.planner, loaded.smoother, loaded.goal_checker)]
-    assert names == ["DockPlanner", "CasadiSmoother", "DockGoalChecker"]
+    names = [choice.name for choice in (*loaded.planner, loaded.smoother, loaded.goal_checker)]
+    assert names == ["DockPlanner", "ManoeuvrePlanner", "CasadiSmoother", "DockGoalChecker"]
 
 
 @pytest.mark.parametrize(
@@ -378,3 +379,10 @@ def test_a_scenario_knows_which_limits_its_file_does_not_give(tmp_path):
     given = scenario(tmp_path, with_change("radius: 0.3", "radius: 0.3, limits: {max_speed: 0.5}", MINIMAL))
     assert "max_speed" not in given.default_limits  # given, though it is the default's value
     assert {"max_deceleration", "max_jerk", "max_curvature"} <= given.default_limits
+
+
+def test_a_planner_that_is_named_is_the_only_one(tmp_path):
+    named = scenario(tmp_path, MINIMAL + "planner: {plugin: ManoeuvrePlanner, turning_radius_factor: 2.0}\n")
+    assert named.planner == (PluginChoice("ManoeuvrePlanner", {"turning_radius_factor": 2.0}),)
+    told = scenario(tmp_path, MINIMAL + "planner: {alpha: 0.5}\n")
+    assert told.planner == (PluginChoice("DockPlanner", {"alpha": 0.5}), PluginChoice("ManoeuvrePlanner"))

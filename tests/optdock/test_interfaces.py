@@ -196,7 +196,8 @@ ERRORS = [
 # and progress checker, TIMEOUT 108 to the client of an action, FAILED_TO_DETECT_DOCK 904 and FAILED_TO_CHARGE 906 to
 # sensors: there is none of these here. 903, 905, 907 and 999 are results of Undock.
 WITHOUT_COUNTERPART = {101, 102, 104, 105, 107, 108, 201, 202, 309, 501, 904, 906}
-# What Nav2 has no exception for; certification answers with the code of a smoothed path in collision.
+# What Nav2 has no exception for; certification answers with the code of a smoothed path in collision, a proof that
+# there is no way with that of a planner that found none.
 OWN = {
     "BehaviorException": 0,
     "Cancelled": 0,
@@ -206,6 +207,7 @@ OWN = {
     "InvalidValue": 0,
     "LifecycleError": 0,
     "MissingExtra": 0,
+    "NoMotionExists": 208,
     "OptdockError": 0,
     "PluginError": 0,
     "SmootherCancelled": 0,

@@ -8,7 +8,7 @@ import pytest
 
 from optdock.costmap.costmap import Costmap
 from optdock.dock import Dock
-from optdock.errors import FailedToSmoothPath, InvalidValue, StartOccupied
+from optdock.errors import InvalidValue, NoMotionExists, StartOccupied
 from optdock.geometry.footprint import Footprint
 from optdock.geometry.pose import Pose2
 from optdock.limits import MotionLimits
@@ -191,7 +191,7 @@ def test_unknown_cells_are_obstacles_unless_told_otherwise():
 def test_the_grid_and_the_obstacles_beside_it_both_count():
     across = [[(1.5, 0.2), (1.6, 0.2), (1.6, 1.9), (1.5, 1.9)]]
     assert plan_dock(from_grid(GRID), time_budget=20.0).certificate.certified
-    with pytest.raises(FailedToSmoothPath):
+    with pytest.raises(NoMotionExists):
         plan_dock(from_grid(GRID, obstacles=across), time_budget=20.0)
 
 

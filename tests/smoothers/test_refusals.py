@@ -5,7 +5,7 @@ import dataclasses
 import numpy as np
 import pytest
 
-from optdock import pipeline
+from optdock import refinement
 from optdock.errors import FailedToSmoothPath, InvalidPath, InvalidValue, SmootherTimedOut
 from optdock.geometry.pose import Pose2
 from optdock.path import Path
@@ -105,15 +105,16 @@ def test_a_time_out_names_the_whole_budget_and_what_is_kept_back():
         SmootherTimedOut,
         match=r"within .* s, the smoother's share of 50000 ms; 30 ms are kept back for timing and proof",
     ) as caught:
-        plan_dock(instance("open_s", 0).problem, time_budget=50.0, smoother=Late())
+        plan_dock(instance("open_s", 0).problem, time_budget=50.0, planner="DockPlanner", smoother=Late())
     assert caught.value.where == {"iterations": 3}
 
 
 def test_a_budget_of_which_too_little_is_left_says_how_much(monkeypatch):
-    monkeypatch.setattr(pipeline, "_reserve", lambda budget: 2.0 * budget)
+    monkeypatch.setattr(refinement, "_RESERVED_LEAST", 60.0)
+    monkeypatch.setattr(refinement, "_RESERVED_MOST", 60.0)
     told = r"no time is left for smoothing: \d+ ms are left of 30000 ms; 60000 ms are kept back for timing and proof"
     with pytest.raises(SmootherTimedOut, match=told):
-        plan_dock(instance("open_s", 0).problem, time_budget=30.0)
+        plan_dock(instance("open_s", 0).problem, time_budget=30.0, planner="DockPlanner")
 
 
 SMOOTHERS = (CasadiSmoother, SimpleSmoother, SavitzkyGolaySmoother)

@@ -335,7 +335,7 @@ def test_samples_within_the_tolerance_pass(tmp_path):
         (lambda d: d["path"].pop("x"), "broken.json: path.x: Field required"),
         (lambda d: d["path"]["y"].append(0.0), "broken.json: path.y: must have as many values as path.x"),
         (
-            lambda d: d["path"]["direction"].__setitem__(3, 0),
+            lambda d: d["path"]["direction"].__setitem__(3, 2),
             "broken.json: path.direction.3: Input should be 1, -1 or 0",
         ),
         (lambda d: d["path"]["x"].__setitem__(2, "a"), "broken.json: path.x.2: Input should be a valid number"),
@@ -348,6 +348,10 @@ def test_samples_within_the_tolerance_pass(tmp_path):
         (
             lambda d: d["path"].update(direction=[1] * len(d["path"]["x"]), segments=None),
             "path.direction: 1 at sample 51, but the robot moves the other way there",
+        ),
+        (
+            lambda d: d["path"].update(direction=[0] * len(d["path"]["x"]), segments=None),
+            "path.direction: 0 at sample 0, but the robot moves there",
         ),
         (lambda d: d["trajectory"]["t"].__setitem__(1, 0.0), "trajectory.t: needs at least 2 samples"),
         (lambda d: d["trajectory"]["speed"].pop(), "trajectory.speed: must have as many values as trajectory.t"),

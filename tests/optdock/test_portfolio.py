@@ -1,0 +1,252 @@
+"""The portfolio of `plan_dock`: which guesses are tried, which plan is chosen, and how a search ends."""
+
+import dataclasses
+import itertools
+import json
+import math
+
+import numpy as np
+import pytest
+
+from optdock.dock import Dock, DockDirection
+from optdock.errors import (
+    Cancelled,
+    FailedToSmoothPath,
+    InvalidPath,
+    InvalidValue,
+    NoMotionExists,
+    NoValidPathCouldBeFound,
+    OptdockError,
+    PluginError,
+    TimedOut,
+)
+from optdock.geometry.footprint import Footprint
+from optdock.geometry.pose import Pose2
+from optdock.interfaces import GlobalPlanner, never_cancelled
+from optdock.limits import MotionLimits
+from optdock.outcomes import Guess
+from optdock.path import Path
+from optdock.pipeline import plan_dock
+from optdock.plan import DockPlan
+from optdock.planners.dock_planner import DockPlanner
+from optdock.planners.manoeuvres.price import CUSP_PRICE
+from optdock.problem import DockingProblem
+from optdock.robot import Robot
+from optdock.testing.dense_check import dense_check
+from optdock.verification import certify_motion, certify_path, check_impossibility
+
+BUDGET = 20.0  # [s]: these tests are about verdicts, not about time
+LIMITS = MotionLimits(max_yaw_rate=1.0, max_yaw_acceleration=2.0, max_curvature=1.5, max_curvature_rate=6.0)
+ROBOT = Robot(Footprint.rectangle(0.45, 0.45, 0.6), LIMITS)
+STATION = Footprint(np.array([[0.455, -0.3], [0.6, -0.3], [0.6, 0.3], [0.455, 0.3]]))
+GOAL = Pose2(4.0, 1.0, 0.0)
+DOCK = Dock(GOAL, STATION, DockDirection.FORWARD, 0.3, 0.1, 0.3)
+
+
+def problem(start=(0.5, 0.3, 0.3), **changes):
+    return DockingProblem(**{"start": Pose2(*start), "dock": DOCK, "robot": ROBOT, **changes})
+
+
+class Several(GlobalPlanner):
+    """Offers what it is given, and pauses between two offers."""
+
+    def __init__(self, *paths):
+        super().__init__()
+        self.paths, self.asked = paths, []
+
+    def create_plan(self, start, goal, cancel_checker=never_cancelled):
+        return self.paths[0]
+
+    def create_plans(self, start, goal, cancel_checker=never_cancelled, better_than=lambda: math.inf):
+        for i, path in enumerate(self.paths):
+            self.asked.append(better_than())
+            yield Guess(path, f"offer {i}")
+            yield None
+
+
+def raw(task, planner="DockPlanner"):
+    return plan_dock(task, time_budget=BUDGET, planner=planner).raw_path
+
+
+@pytest.mark.parametrize(
+    "start",
+    [(4.6, 3.5, 0.3), (6.5, 1.0, math.pi), (3.0, -1.5, 2.0), (3.7, 1.05, 0.0), (2.0, 1.0, math.pi)],
+    ids=["beside", "behind the station", "across", "too near", "turned away"],
+)
+def test_every_side_of_the_dock_is_a_start(start):
+    task = problem(start)
+    plan = plan_dock(task, time_budget=BUDGET)
+    assert certify_path(plan.path, task).certified
+    assert certify_motion(plan.trajectory, task).certified
+    assert dense_check(plan.path, task).ok
+    assert plan.path.segments[-1].direction == 1
+    chosen = [attempt for attempt in plan.tried if attempt.guess is plan.raw_path]
+    assert [attempt.price for attempt in chosen] == [plan.price]
+    assert plan.stage == chosen[0].stage
+
+
+def test_the_plan_of_the_lowest_price_is_chosen_whatever_its_place():
+    task = problem((1.0, 1.0, 0.0))
+    near, far = raw(task), Path.from_poses([task.start, Pose2(1.5, 1.8, 0.6), Pose2(3.0, 1.5, -0.5), GOAL])
+    for order in itertools.permutations((near, far)):
+        plan = plan_dock(task, time_budget=BUDGET, planner=Several(*order))
+        prices = [attempt.price for attempt in plan.tried]
+        assert len(prices) == 2
+        assert plan.price == min(prices) < max(prices)
+        assert plan.raw_path is order[prices.index(min(prices))]
+
+
+def test_the_price_is_the_duration_and_what_cusps_cost():
+    plan = plan_dock(problem((2.0, 1.0, math.pi)), time_budget=BUDGET)
+    cusps = len(plan.path.cusps)
+    assert cusps >= 1
+    assert plan.price == pytest.approx(plan.trajectory.duration + CUSP_PRICE * cusps)
+
+
+def test_planners_are_told_what_is_worth_a_try():
+    task = problem()
+    planner = Several(raw(task), raw(task))
+    plan = plan_dock(task, time_budget=BUDGET, planner=planner)
+    assert math.isinf(planner.asked[0])
+    assert 0.8 * plan.price < planner.asked[1] < plan.price
+
+
+def test_what_the_caller_offers_is_tried_first():
+    task = problem((3.7, 1.05, 0.0))
+    found = plan_dock(task, time_budget=BUDGET)
+    again = plan_dock(task, time_budget=BUDGET, guesses=[found.raw_path], planner="DockPlanner")
+    assert (again.stage, again.price) == ("given", pytest.approx(found.price, rel=1e-3))
+    with pytest.raises(NoValidPathCouldBeFound):
+        plan_dock(task, time_budget=BUDGET, planner="DockPlanner")
+
+
+def test_an_offer_that_leads_elsewhere_is_refused_and_does_no_harm():
+    elsewhere = Path.from_poses([Pose2(0.5, 9.0, 0.0), Pose2(4.0, 9.0, 0.0)])
+    plan = plan_dock(problem(), time_budget=BUDGET, guesses=[elsewhere])
+    assert "it leads elsewhere" in plan.tried[0].reason
+    assert plan.stage != "given"
+    with pytest.raises(FailedToSmoothPath, match="it leads elsewhere"):
+        plan_dock(problem(start=(3.7, 1.05, 0.0)), time_budget=BUDGET, guesses=[elsewhere], planner="DockPlanner")
+
+
+@pytest.mark.parametrize(
+    ("guesses", "error", "message"),
+    [
+        (3, InvalidValue, "guesses: must be a list of paths, got int"),
+        ("path", InvalidValue, "guesses: must be a list of paths, got str"),
+        ([None], InvalidValue, r"guesses\[0\]: must be a Path, got NoneType"),
+        ([Path.from_poses([(0, 0, 0), (1, 0, 0)], "odom")], InvalidPath, "stands in frame 'odom', not in 'map'"),
+    ],
+)
+def test_what_is_no_offer_is_refused_by_name(guesses, error, message):
+    with pytest.raises(error, match=message):
+        plan_dock(problem(), guesses=guesses)
+
+
+def test_one_planner_or_none_but_never_no_planner():
+    with pytest.raises(InvalidValue, match="planner: must be one planner or several, got none"):
+        plan_dock(problem(), planner=[])
+    assert {attempt.stage for attempt in plan_dock(problem(), planner="DockPlanner").tried} == {"DockPlanner"}
+
+
+def test_a_planner_that_is_broken_ends_nothing_once_there_is_a_plan():
+    class Broken(GlobalPlanner):
+        def create_plan(self, start, goal, cancel_checker=never_cancelled):
+            raise NoValidPathCouldBeFound("nothing today")
+
+    class Faulty(Broken):
+        def create_plan(self, start, goal, cancel_checker=never_cancelled):
+            raise ZeroDivisionError
+
+    for second, reason in (
+        (Broken(), "NoValidPathCouldBeFound: nothing today"),
+        (Faulty(), "PluginError: Faulty failed"),
+    ):
+        plan = plan_dock(problem(), time_budget=BUDGET, planner=(DockPlanner(), second))
+        assert plan.stage == "DockPlanner"
+        assert plan.tried[-1].reason.startswith(reason)
+    with pytest.raises(PluginError):
+        plan_dock(problem(), time_budget=BUDGET, planner=(Faulty(), DockPlanner()))
+
+
+class Thinking(Several):
+    """Pauses before its first offer."""
+
+    def create_plans(self, start, goal, cancel_checker=never_cancelled, better_than=lambda: math.inf):
+        yield None
+        yield from super().create_plans(start, goal, cancel_checker, better_than)
+
+
+def test_a_proof_may_come_before_the_first_guess():
+    blocked = problem(obstacles=RING)
+    with pytest.raises(NoMotionExists) as caught:
+        plan_dock(blocked, time_budget=BUDGET, planner=Thinking(raw(problem())))
+    assert caught.value.partial.tried == ()
+    open_ = problem()
+    assert plan_dock(open_, time_budget=BUDGET, planner=Thinking(raw(open_))).stage == "offer 0"
+
+
+@pytest.mark.parametrize("start", [(4.6, 3.5, 0.3), (6.5, 1.0, math.pi), (3.7, 1.05, 0.0)])
+def test_it_takes_more_than_the_two_segment_path(start):
+    with pytest.raises(OptdockError):
+        plan_dock(problem(start), time_budget=0.5, planner="DockPlanner")
+
+
+RING = [
+    [[2.4, -1.0], [2.6, -1.0], [2.6, 3.0], [2.4, 3.0]],
+    [[2.4, 2.8], [6.0, 2.8], [6.0, 3.0], [2.4, 3.0]],
+    [[2.4, -1.0], [6.0, -1.0], [6.0, -0.8], [2.4, -0.8]],
+    [[5.8, -1.0], [6.0, -1.0], [6.0, 3.0], [5.8, 3.0]],
+]
+
+
+def test_a_dock_behind_walls_is_proven_out_of_reach():
+    task = problem(obstacles=RING)
+    with pytest.raises(NoMotionExists, match="no motion joins start and goal") as caught:
+        plan_dock(task, time_budget=BUDGET)
+    assert check_impossibility(caught.value.proof, task).proven
+    assert caught.value.partial.tried
+    opened = [*RING[:2], RING[3], [[2.4, -1.0], [4.0, -1.0], [4.0, -0.8], [2.4, -0.8]]]
+    assert plan_dock(problem(obstacles=opened), time_budget=BUDGET).certificate.certified
+
+
+def test_what_is_neither_found_nor_proven_claims_no_proof():
+    stiff = Robot(ROBOT.footprint, dataclasses.replace(LIMITS, max_curvature=0.02))
+    narrow = [
+        [[-2.0, 2.0], [5.0, 2.0], [5.0, 2.2], [-2.0, 2.2]],
+        [[-2.0, -1.2], [5.0, -1.2], [5.0, -1.0], [-2.0, -1.0]],
+    ]
+    with pytest.raises(OptdockError) as caught:
+        plan_dock(problem((1.0, 0.4, 1.2), robot=stiff, obstacles=narrow), time_budget=0.5)
+    assert not isinstance(caught.value, NoMotionExists)
+    assert "not proven" in str(caught.value) or "no proof" in str(caught.value) or isinstance(caught.value, TimedOut)
+    assert len(caught.value.partial.tried) >= 2
+
+
+@pytest.mark.parametrize("budget", [1e-4, 1e-3, 2e-3])
+def test_a_budget_too_short_for_a_search_is_a_time_out(budget):
+    with pytest.raises(TimedOut):
+        plan_dock(problem((6.5, 1.0, math.pi)), time_budget=budget)
+
+
+def test_the_same_problem_has_the_same_plan():
+    task = problem((4.6, 3.5, 0.3))
+    first, second = (plan_dock(task, time_budget=BUDGET) for _ in range(2))
+    assert first.path.digest == second.path.digest
+    assert [a.stage for a in first.tried] == [a.stage for a in second.tried]
+
+
+def test_a_call_can_be_cancelled_while_it_searches():
+    answers = itertools.count()
+    with pytest.raises(Cancelled):
+        plan_dock(problem((4.6, 3.5, 0.3)), time_budget=BUDGET, cancel_checker=lambda: next(answers) > 40)
+
+
+def test_a_plan_file_tells_what_was_tried(tmp_path):
+    task = problem((2.0, 1.0, math.pi))
+    plan = plan_dock(task, time_budget=BUDGET)
+    plan.save(tmp_path / "plan.json")
+    rows = json.loads((tmp_path / "plan.json").read_text())["tried"]
+    assert [row["stage"] for row in rows] == [attempt.stage for attempt in plan.tried]
+    assert all(("price" in row) != ("reason" in row) for row in rows)
+    assert DockPlan.load(tmp_path / "plan.json", task).path.digest == plan.path.digest
