@@ -19,14 +19,14 @@ from optdock.geometry.arrays import readonly
 from optdock.geometry.pose import Pose2
 from optdock.path import Path
 from optdock.planners.manoeuvres.arcs import advance
+from optdock.planners.manoeuvres.connections import Nodes
 from optdock.planners.manoeuvres.price import stopping_cost, turning_times
 from optdock.segments import Direction, PolylineSegment, TurnSegment
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Iterator, Sequence
+    from collections.abc import Callable, Iterator, Sequence
 
     from optdock.geometry.arrays import BoolArray, FloatArray, IntArray
-    from optdock.planners.manoeuvres.connections import Nodes
     from optdock.planners.manoeuvres.free_space import Effort, FreeSpace
     from optdock.segments import Segment
 
@@ -44,6 +44,7 @@ _PARALLEL = 0.05  # [rad]: axes that meet at less meet too far away
 _WIDEST = 4  # places on the axis of an end, of those with more room than beside them
 _TANGENT_SHARE = 0.8  # of the tangents of an arc of the search that a rounded corner must have room for
 _WAYS_OUT, _WAYS_IN = 3, 4  # straight runs out of the start and into the dock that routes are looked for between
+_KINDS = (False, True)  # of manoeuvres: with every corner turned in place, with some rounded
 _TRIES = 2  # ways of turns and straight lines that are offered at most, and as many with rounded corners
 _SIGHT = readonly(np.linspace(0.0, 1.0, 64))  # shares of a line of sight at which it is looked at
 _POINTS = 40  # of a way that a line of sight may join
@@ -363,41 +364,39 @@ def routes(
     kept = space.problem.clearance.required + effort.margin
     ways_out, ways_in = _spread(exits, _WAYS_OUT), _spread(entries, _WAYS_IN)
     driving = 0.5 * space.footprint.width + kept
-    for radius in (space.footprint.circumscribed_radius + kept, driving):
-        for out in ways_out:
-            source = exits.tree.poses[out]
-            wave = space.wavefront(source[:2], radius)
-            found = []
-            for into in ways_in:
-                target = entries.tree.poses[into]
-                way = wave.way(target[:2])
-                if way is None:
-                    continue
-                corners = _corners(way, source[:2], target[:2], space, driving)
-                for gear, is_rounded in itertools.product((1.0, -1.0), (True, False)):
-                    whole = _whole(exits, out, _along(corners, gear, source[2], target[2]), entries, into)
-                    found.append(whole._replace(is_rounded=is_rounded))
-            yield from itertools.takewhile(lambda one: one[0] < worthwhile(), _certain_first(found, space, effort))
+    for radius, out in itertools.product((space.footprint.circumscribed_radius + kept, driving), ways_out):
+        found = list(_around(exits, out, Nodes(entries.tree, np.array(ways_in)), space, (radius, driving)))
+        # A long way is smoothed in a tenth of a second, or in vain: what needs no smoothing comes first.
+        offered = [_cheapest_free([one for one in found if one.is_rounded is kind], space, effort) for kind in _KINDS]
+        yield from (one for one in offered if one is not None and one[0] < worthwhile())
+        if any(one is not None for one in offered):
+            return
 
 
-def _certain_first(
-    found: Sequence[TurnsAndDrives], space: FreeSpace, effort: Effort
-) -> Iterator[tuple[float, TurnsAndDrives]]:
-    """Those that are free, by price; the cheapest that needs no smoothing before all that are rounded.
-
-    A long way is smoothed in a tenth of a second, or in vain.
-    """
-    kinds = [_cheapest_free([one for one in found if one.is_rounded is kind], space, effort) for kind in (False, True)]
-    return (one for pair in itertools.zip_longest(*kinds) for one in pair if one is not None)
+def _around(
+    exits: Nodes, out: int, entries: Nodes, space: FreeSpace, radii: tuple[float, float]
+) -> Iterator[TurnsAndDrives]:
+    """Ways from one node to others along shortest ways of a disc, cut short for a narrower one, in both gears."""
+    source, (turning, driving) = exits.tree.poses[out], radii
+    wave = space.wavefront(source[:2], turning)
+    for into in entries.rows.tolist():
+        target = entries.tree.poses[into]
+        way = wave.way(target[:2])
+        if way is None:
+            continue
+        corners = _corners(way, source[:2], target[:2], space, driving)
+        for gear, is_rounded in itertools.product((1.0, -1.0), _KINDS):
+            whole = _whole(exits, out, _along(corners, gear, source[2], target[2]), entries, into)
+            yield whole._replace(is_rounded=is_rounded)
 
 
 def _cheapest_free(
-    found: Iterable[TurnsAndDrives], space: FreeSpace, effort: Effort
-) -> Iterator[tuple[float, TurnsAndDrives]]:
+    found: Sequence[TurnsAndDrives], space: FreeSpace, effort: Effort
+) -> tuple[float, TurnsAndDrives] | None:
+    """The cheapest that is free, and its price."""
     priced = [(_price(whole, space), whole) for whole in found if not whole.is_rounded or whole.rounds().any()]
-    for price, whole in sorted(priced, key=lambda one: one[0]):
-        if _is_free(whole, space, effort):
-            yield price, whole
+    ordered = sorted(priced, key=lambda one: one[0])
+    return next((one for one in ordered if _is_free(one[1], space, effort)), None)
 
 
 TurnSearch: TypeAlias = (
