@@ -37,8 +37,8 @@ __all__ = ["Bounds", "Ends", "Formulation", "NonlinearProgram", "TracedInput", "
 
 # Least share that the curvature rate counts: splines want to stay smooth where the robot stands, too.
 _EASED_MOST = 0.0025
-# [1/m]: robots of at least this largest curvature keep to their input as the weight of tracking says, a lateral distance
-# being measured in metres; for others it is measured in turning radii.
+# [1/m]: robots of at least this largest curvature keep to their input as the weight of tracking says, lateral distances
+# being measured in metres; for others they are measured in turning radii.
 _TRACKED = 1.5
 
 

@@ -173,7 +173,7 @@ class Stages:
             pairs = all_pairs(self._start, staging)
             found = connections(*pairs, effort.radius, self.space, _WORDS_PER_PAIR)
             found = promising(found.rows(found.prices < self._worthwhile()), self._start.tree, self.space)
-            ways = free_manoeuvres(found, self._start.tree, staging.tree, self.space, effort)
+            ways = free_manoeuvres(found, self._start.tree, staging.tree, self.space, effort, self._worthwhile)
             yield from self._offered("Reeds-Shepp", ways)
 
     def _hybrid_a_star(self) -> Iterator[Guess | None]:
@@ -186,19 +186,16 @@ class Stages:
             exits, entries = self._exits(effort), self._staging(effort)
             if exits.rows.size < 2 or entries.rows.size == 0:
                 continue  # no arc leads away from the start, or no straight run out of the dock
-            ways = hybrid_a_star(exits, entries, self.space, effort, wavefront)
-            for guess in self._offered("hybrid A*", ways):
-                yield guess
-                if math.isfinite(self._better_than()):
-                    return
+            ways = hybrid_a_star(exits, entries, self.space, effort, wavefront, self._worthwhile)
+            yield from self._offered("hybrid A*", ways)
+            if math.isfinite(self._better_than()):
+                return
             yield None
 
     def _offered(self, stage: str, found: Iterator[tuple[float, Arcs]]) -> Iterator[Guess]:
         """The first few of the ways found that are unlike those offered before and may beat the best plan."""
         offered = 0
-        for price, arcs in found:
-            if price >= self._worthwhile():
-                return
+        for _, arcs in found:
             path = arcs.path(self.radius / _SAMPLING, self.problem.goal.as_array(), self.problem.frame)
             if least_price(path, self.problem) >= self._better_than() or not self._is_another_way(arcs):
                 continue
