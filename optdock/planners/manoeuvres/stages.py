@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+import heapq
 import itertools
 import math
 from typing import TYPE_CHECKING
@@ -20,7 +21,7 @@ from optdock.planners.manoeuvres.tree import ArcTree, Moves
 from optdock.planners.manoeuvres.turns import routes, turning_places, turns_and_drives
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
+    from collections.abc import Callable, Iterator, Sequence
 
     from optdock.geometry.arrays import FloatArray
     from optdock.planners.manoeuvres.arcs import Arcs
@@ -76,13 +77,19 @@ class Stages:
     def guesses(self) -> Iterator[Guess | None]:
         """The guesses of all stages, the first of them in a few milliseconds."""
         turns = self.problem.robot.turns_in_place and self.problem.start_speed == 0.0
-        if turns:
-            yield from self._turn_and_drive(turns_and_drives)
-        yield from self._words()
+        words = self._words(self._efforts[:1])
+        yield from self._cheaper_first(self._turn_and_drive(turns_and_drives), words) if turns else words
+        yield from self._words(self._efforts[1:])
         if turns and math.isinf(self._better_than()):
             yield from self._turn_and_drive(routes)
         if math.isinf(self._better_than()):
             yield from self._hybrid_a_star()
+
+    def _cheaper_first(self, *stages: Iterator[Guess]) -> Iterator[Guess]:
+        """The guesses of several stages, merged by price."""
+        for guess in heapq.merge(*stages, key=lambda one: least_price(one.path, self.problem)):
+            if least_price(guess.path, self.problem) < self._better_than():
+                yield guess
 
     def _turn_and_drive(self, search: TurnSearch) -> Iterator[Guess]:
         """Turns in place and straight lines, and the same with rounded corners."""
@@ -162,9 +169,9 @@ class Stages:
         # Where nothing new is left to grow from, nothing leads out.
         return Nodes(tree, np.concatenate((root, rows)) if fresh.size else root)
 
-    def _words(self) -> Iterator[Guess]:
+    def _words(self, efforts: Sequence[Effort]) -> Iterator[Guess]:
         """Words from the start to the staging poses."""
-        for effort in self._efforts:
+        for effort in efforts:
             if effort.margin == 0.0 and math.isfinite(self._better_than()):
                 return  # there is a plan with room to spare, and what has less is hardly better
             staging = self._staging(effort)

@@ -41,9 +41,9 @@ def without(problem):
 
 
 def turning_guesses(problem):
-    """What is offered before the first word."""
+    """What is offered among the first, beside words."""
     found = Stages(problem, 1.25, lambda: None, lambda: math.inf).guesses()
-    return list(itertools.takewhile(lambda one: one is not None and one.stage == "turn and drive", found))
+    return [one for one in itertools.islice(found, 6) if one is not None and one.stage == "turn and drive"]
 
 
 LORRY = dataclasses.replace(ROBOT, limits=dataclasses.replace(LIMITS, max_curvature=0.4))
