@@ -83,7 +83,7 @@ def stopping_cost(limits: MotionLimits) -> float:
 
 
 def ends_cost(problem: DockingProblem) -> float:
-    """What setting off, the slow stretch before the dock and stopping there add to the time at full speed, at least [s].
+    """What setting off, the dock's slow stretch and stopping there add to the time at full speed, at least [s].
 
     Exact for accelerations without a bound on jerk where the gears are known and there is room to reach full speed.
     """
