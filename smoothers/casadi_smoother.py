@@ -29,7 +29,7 @@ from smoothers.scp.qp_step import pool_of_this_thread, prepare_programs
 from smoothers.scp.refusals import refuse_certificate
 from smoothers.scp.settings import DEFAULT_SETTINGS, Settings
 from smoothers.scp.strategy import Call, Solver
-from smoothers.scp.turns import TurningSolver
+from smoothers.scp.turns import TurningSolver, with_turns
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -139,6 +139,8 @@ class CasadiSmoother(Smoother):
         built = pool.build_time
         wanted = self._wanted(path, problem)
         path = path.with_frame(wanted.frame)
+        if wanted.robot.turns_in_place and wanted.start_speed == 0.0:
+            path = with_turns(path)
         chosen = TurningSolver if path.turns else Solver
         solver = chosen(pool, deadline, cancel_checker, self.settings)
         best = solver.follow_strategy(self.call_for(path, wanted, warm_start))

@@ -7,6 +7,7 @@ piece; one certificate of the whole path decides in the end.
 
 from __future__ import annotations
 
+import itertools
 import math
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, NamedTuple, cast
@@ -18,7 +19,7 @@ from optdock.errors import FailedToSmoothPath, SmootherTimedOut
 from optdock.geometry.clothoid import ClothoidSpline
 from optdock.geometry.pose import Pose2, normalize_angle
 from optdock.interfaces import SmoothingStatus
-from optdock.path import ClothoidSegment, Path, TurnSegment
+from optdock.path import ClothoidSegment, Path, PolylineSegment, TurnSegment
 from optdock.plan import PartialPlan
 from optdock.problem import DockingProblem
 from optdock.segments import SAME_YAW
@@ -34,9 +35,10 @@ if TYPE_CHECKING:
     from smoothers.scp.qp_step import ProgramPool
     from smoothers.scp.settings import AnytimeSettings, Settings
 
-__all__ = ["TurningSolver"]
+__all__ = ["TurningSolver", "with_turns"]
 
 _STRAIGHT_SAMPLES = 33
+_MEANT = 0.5  # [rad]: who turns by more than that without moving does not sample a curve coarsely
 # Share of what is left of the time that is kept back for the certificate of the whole: that of the pieces took about a
 # fifth of theirs.
 _CERTIFICATE_SHARE = 0.2
@@ -165,6 +167,38 @@ class TurningSolver:
         if is_final:
             raise refuse_certificate(certificate, path).error()
         return None
+
+
+def with_turns(path: Path) -> Path:
+    """The path with turns in place as segments of their own, where its polylines turn by much without moving.
+
+    Plans of grid and lattice planners hold such steps. At the end of a path they stay as they are: there the goal's
+    heading was written over that of the last step.
+    """
+    segments: list[Segment] = []
+    for segment in path.segments:
+        segments.extend(_split(segment) if isinstance(segment, PolylineSegment) else [segment])
+    is_meant = len(segments) > len(path.segments) and not isinstance(segments[-1], TurnSegment)
+    return Path(tuple(segments), path.frame) if is_meant else path
+
+
+def _split(segment: PolylineSegment) -> list[Segment]:
+    """The drives and turns of a polyline."""
+    poses, is_still = segment.poses, np.diff(segment.knots) <= 0.0
+    parts: list[Segment] = []
+    begin = at = 0
+    for still, steps in itertools.groupby(is_still.tolist()):
+        end = at + len(list(steps))
+        turn = float(poses[end, 2] - poses[at, 2])
+        if still and abs(turn) >= _MEANT:
+            if at > begin:
+                parts.append(PolylineSegment(poses[begin : at + 1], segment.direction))
+            parts.append(TurnSegment(Pose2.from_sequence(poses[at]), turn))
+            begin = end
+        at = end
+    if at > begin:
+        parts.append(PolylineSegment(poses[begin : at + 1], segment.direction))
+    return parts
 
 
 def _piece_problem(problem: DockingProblem, parts: Sequence[Path | TurnSegment], i: int, pose: Pose2) -> DockingProblem:

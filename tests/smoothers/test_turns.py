@@ -191,3 +191,39 @@ def test_an_earlier_result_with_the_same_turns_begins_every_piece():
     again = smoothed(BENT, problem, warm_start=cold.path)
     assert again.report.iterations <= cold.report.iterations
     assert certify_path(again.path, problem).certified
+
+
+def lattice_plan():
+    """A plan that turns in place in steps of a sixteenth of a turn, as lattice planners make them."""
+    step = math.pi / 8.0
+    ahead = [[x, 0.0, 0.0] for x in np.linspace(0.0, 1.2, 13)]
+    around = [[1.2, 0.0, k * step] for k in range(1, 9)]
+    back = [[x, 0.0, math.pi] for x in np.linspace(1.1, -0.3, 15)]
+    return Path.from_poses(np.array([*ahead, *around, *back]))
+
+
+def test_a_plan_that_turns_in_place_is_taken_at_its_word_where_the_robot_may():
+    raw = lattice_plan()
+    assert not raw.turns
+    problem = problem_of(raw)
+    path = smoothed(raw, problem).path
+    assert [type(segment) for segment in path.segments] == [ClothoidSegment, TurnSegment, ClothoidSegment]
+    assert path.segments[1].turn == pytest.approx(math.pi)
+    assert certify_path(path, problem).certified
+    other = problem_of(raw, robot=dataclasses.replace(ROBOT, turns_in_place=False))
+    assert not smoothed(raw, other).path.turns
+
+
+@pytest.mark.parametrize("turn", [0.2, -0.4])
+def test_small_turns_within_a_polyline_are_part_of_a_curve(turn):
+    raw = Path.from_poses(
+        np.array(
+            [
+                [0.0, 0.0, 0.0],
+                [1.0, 0.0, 0.0],
+                [1.0, 0.0, turn],
+                *([1.0 + s * math.cos(turn), s * math.sin(turn), turn] for s in np.linspace(0.1, 1.5, 15)),
+            ]
+        )
+    )
+    assert not smoothed(raw, problem_of(raw)).path.turns

@@ -8,6 +8,7 @@ blocked; what lies between is measured exactly. The field is computed in tiles, 
 
 from __future__ import annotations
 
+import functools
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -230,10 +231,12 @@ class FreeSpace:
             source: The place.
             radius: Of the disc that drives them [m]; None: of the one inside the footprint.
         """
-        radius = self.footprint.inscribed_radius if radius is None else radius
-        reach = max(2.0 * self.width, 1.5 * radius)
-        field = DistanceField(self.obstacles, self._square, 4.0 * self.field.spacing, reach, self.poll)
-        return Wavefront(field, source, radius)
+        return Wavefront(self._coarse, source, self.footprint.inscribed_radius if radius is None else radius)
+
+    @functools.cached_property
+    def _coarse(self) -> DistanceField:
+        reach = max(2.0 * self.width, 1.25 * self._reach)
+        return DistanceField(self.obstacles, self._square, 4.0 * self.field.spacing, reach, self.poll)
 
     def required(self, poses: FloatArray, margin: float, start_relief: float) -> FloatArray:
         """Required clearance at poses, and the margin, which tapers off towards both ends. Shape (n,) [m]."""

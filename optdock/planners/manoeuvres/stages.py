@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import functools
+import heapq
+import itertools
 import math
 from typing import TYPE_CHECKING
 
@@ -18,10 +20,10 @@ from optdock.planners.manoeuvres.hybrid_a_star import PoseGrid, hybrid_a_star
 from optdock.planners.manoeuvres.price import ends_cost, gear_changes, least_price, stopping_cost
 from optdock.planners.manoeuvres.reeds_shepp import reeds_shepp_words
 from optdock.planners.manoeuvres.tree import ArcTree, Moves
-from optdock.planners.manoeuvres.turns import routes, turns_and_drives
+from optdock.planners.manoeuvres.turns import routes, turning_places, turns_and_drives
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
+    from collections.abc import Callable, Iterator, Sequence
 
     from optdock.geometry.arrays import FloatArray
     from optdock.planners.manoeuvres.arcs import Arcs
@@ -36,7 +38,8 @@ _EXIT_TURN = 1.0  # [rad] of arcs out of the start; straight lines are as long
 _FREE_EXITS, _MOST_EXITS = 4, 60  # of six; nodes of the start's tree after which it grows no more
 # Straight runs out of the start before a turn, in circumscribed radii: what stands beside the robot is left behind.
 _TURN_EXITS = readonly(np.array([0.5, 1.0, 1.5, 2.0, 3.0]))
-_TURN_TRIES = 2  # ways of turns and straight lines that are offered at most, and as many with rounded corners
+_NO_MORE = readonly(np.zeros(0))
+_TURN_TRIES = 4  # ways of turns and straight lines that are offered at most
 _TRIES = 4  # different ways that one stage offers at most
 _WORDS_PER_PAIR = 12  # words from the start to a staging pose that are looked at
 _SAMPLING = 40.0  # poses of a path per turning radius
@@ -77,13 +80,19 @@ class Stages:
         turns = self.problem.robot.turns_in_place and self.problem.start_speed == 0.0
         if not turns and self._cheapest_word() >= self._worthwhile():
             return  # what there is cannot be beaten, were there no obstacle at all
-        if turns:
-            yield from self._turn_and_drive(turns_and_drives)
-        yield from self._words()
+        words = self._words(self._efforts[:1])
+        yield from self._cheaper_first(self._turn_and_drive(turns_and_drives), words) if turns else words
+        yield from self._words(self._efforts[1:])
         if turns and math.isinf(self._better_than()):
             yield from self._turn_and_drive(routes)
         if math.isinf(self._better_than()):
             yield from self._hybrid_a_star()
+
+    def _cheaper_first(self, *stages: Iterator[Guess]) -> Iterator[Guess]:
+        """The guesses of several stages, merged by price."""
+        for guess in heapq.merge(*stages, key=lambda one: least_price(one.path, self.problem)):
+            if least_price(guess.path, self.problem) < self._better_than():
+                yield guess
 
     @functools.cached_property
     def space(self) -> FreeSpace:
@@ -105,25 +114,24 @@ class Stages:
 
     def _turn_and_drive(self, search: TurnSearch) -> Iterator[Guess]:
         """Turns in place and straight lines, and the same with rounded corners."""
-        left = {False: _TURN_TRIES, True: _TURN_TRIES}
+        known: set[str] = set()
         for effort in (self._efforts[0], self._efforts[-1]):
             if effort.margin == 0.0 and math.isfinite(self._better_than()):
                 return
-            found = search(self._straight_exits(effort), self._staging(effort), self.space, effort)
-            for price, way in found:
-                if price >= self._worthwhile():
-                    return
+            start, goal = self.problem.start.as_array(), self.problem.goal.as_array()
+            exits = self._straight_exits(effort, turning_places(start, goal, self.space))
+            entries = self._staging(effort, turning_places(goal, start, self.space))
+            found = search(exits, entries, self.space, effort, self._worthwhile)
+            for _, way in itertools.islice(found, _TURN_TRIES):
                 path = way.path(self.radius / _SAMPLING, self.problem.goal, self.problem.frame)
-                if least_price(path, self.problem) < self._better_than() and left[way.is_rounded] > 0:
-                    left[way.is_rounded] -= 1
+                if path.digest not in known and least_price(path, self.problem) < self._better_than():
+                    known.add(path.digest)
                     yield Guess(path, "turn and drive")
-                if not any(left.values()):
-                    return
 
-    def _straight_exits(self, effort: Effort) -> Nodes:
-        """The start, and straight runs out of it."""
+    def _straight_exits(self, effort: Effort, more: FloatArray) -> Nodes:
+        """The start, and straight runs out of it; `more` as of `_staging`."""
         tree, root = ArcTree(self.problem.start.as_array(), self.problem.robot.limits, 1), np.zeros(1, dtype=np.int64)
-        stations = self.space.footprint.circumscribed_radius * _TURN_EXITS
+        stations = np.unique(np.concatenate((self.space.footprint.circumscribed_radius * _TURN_EXITS, more)))
         tree.grow(root, Moves.of((1.0, -1.0), (0.0,)), stations, self.space, effort)
         return Nodes(tree, np.arange(len(tree)))
 
@@ -148,12 +156,17 @@ class Stages:
     def _start(self) -> Nodes:
         return Nodes(ArcTree(self.problem.start.as_array(), self.problem.robot.limits, 1), np.zeros(1, dtype=np.int64))
 
-    def _staging(self, effort: Effort) -> Nodes:
-        """Straight runs out of the dock, as far as they are free, and where the final straight may begin."""
+    def _staging(self, effort: Effort, more: FloatArray = _NO_MORE) -> Nodes:
+        """Straight runs out of the dock, as far as they are free, and where the final straight may begin.
+
+        Args:
+            effort: How closely to look.
+            more: Lengths at which runs may end too [m].
+        """
         tree = ArcTree(self.problem.goal.as_array(), self.problem.robot.limits, -1)
         moves = Moves.of(tuple(-gear for gear in self._gears), (0.0,))
         straight = self.problem.dock.final_straight
-        stations = np.unique(straight + self._wind_up + self.radius * _RUNS)
+        stations = np.unique(np.concatenate((straight + self._wind_up + self.radius * _RUNS, more[more > straight])))
         if straight > 0.0:
             stations = np.concatenate(([straight], stations))
         rows = tree.grow(np.zeros(1, dtype=np.int64), moves, stations, self.space, effort)
@@ -177,9 +190,9 @@ class Stages:
         # Where nothing new is left to grow from, nothing leads out.
         return Nodes(tree, np.concatenate((root, rows)) if fresh.size else root)
 
-    def _words(self) -> Iterator[Guess]:
+    def _words(self, efforts: Sequence[Effort]) -> Iterator[Guess]:
         """Words from the start to the staging poses."""
-        for effort in self._efforts:
+        for effort in efforts:
             if effort.margin == 0.0 and math.isfinite(self._better_than()):
                 return  # there is a plan with room to spare, and what has less is hardly better
             staging = self._staging(effort)

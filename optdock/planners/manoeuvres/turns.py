@@ -1,9 +1,10 @@
 """Turn and drive: manoeuvres of robots that turn in place, out of turns and straight lines.
 
-The shortest motions of a differential drive among obstacles that do not hinder its turning are such sequences
-([LaValle2006] ch. 15.3.3). Straight runs leave the start and enter the dock; between the ends of two of them the robot
-turns, drives straight on and turns again. Where obstacles stand in the way of that line it follows a shortest way
-around them for the disc that it needs for turning, shortened by lines of sight [Thorpe1984].
+The fastest motions of a differential drive whose wheels are bounded in speed alone are such sequences on open floor
+[Balkcom2002]. Straight runs leave the start and enter the dock; between the ends of two of them the robot turns, drives
+straight on and turns again. Where obstacles stand in the way of that line it follows a shortest way around them for the
+disc that it needs for turning, cut short wherever it can drive straight on. Corners with room enough are left to a
+smoother, which rounds them without a stop.
 """
 
 from __future__ import annotations
@@ -18,18 +19,18 @@ from optdock.geometry.arrays import readonly
 from optdock.geometry.pose import Pose2
 from optdock.path import Path
 from optdock.planners.manoeuvres.arcs import advance
+from optdock.planners.manoeuvres.connections import Nodes
 from optdock.planners.manoeuvres.price import stopping_cost, turning_times
 from optdock.segments import Direction, PolylineSegment, TurnSegment
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Iterator
+    from collections.abc import Callable, Iterator, Sequence
 
     from optdock.geometry.arrays import BoolArray, FloatArray, IntArray
-    from optdock.planners.manoeuvres.connections import Nodes
     from optdock.planners.manoeuvres.free_space import Effort, FreeSpace
     from optdock.segments import Segment
 
-__all__ = ["TurnSearch", "TurnsAndDrives", "routes", "turns_and_drives"]
+__all__ = ["TurnSearch", "TurnsAndDrives", "routes", "turning_places", "turns_and_drives"]
 
 _NOTHING = 1e-9  # [m], [rad]: less is neither driven nor turned
 _HEADINGS = 24  # around a place, at which it is looked at whether the robot can turn there: every 15 degrees
@@ -39,8 +40,12 @@ _MOST_GLANCES = 8  # batches: places where nothing else was free in half a thous
 _CLOSE_POSES_PER_WIDTH = 40.0  # of the last look at a whole way, over a length as the robot is wide
 # [rad]: a corner that turns by less can be rounded without a stop; one that turns by more leads back.
 _ROUNDED = 2.0
+_PARALLEL = 0.05  # [rad]: axes that meet at less meet too far away
+_WIDEST = 4  # places on the axis of an end, of those with more room than beside them
 _TANGENT_SHARE = 0.8  # of the tangents of an arc of the search that a rounded corner must have room for
 _WAYS_OUT, _WAYS_IN = 3, 4  # straight runs out of the start and into the dock that routes are looked for between
+_KINDS = (False, True)  # of manoeuvres: with every corner turned in place, with some rounded
+_TRIES = 2  # ways of turns and straight lines that are offered at most, and as many with rounded corners
 _SIGHT = readonly(np.linspace(0.0, 1.0, 64))  # shares of a line of sight at which it is looked at
 _POINTS = 40  # of a way that a line of sight may join
 
@@ -148,8 +153,32 @@ class _Turning(NamedTuple):
         return allowed
 
 
+def turning_places(pose: FloatArray, other: FloatArray, space: FreeSpace) -> FloatArray:
+    """How far from a pose straight on, in either gear, lie the places that are good for a turn. Shape (n,) [m].
+
+    Where its axis meets that of the other end, the foot of the other end on it, and where there is most room.
+    """
+    ahead, across = (
+        np.array([math.cos(pose[2]), math.sin(pose[2])]),
+        np.array([-math.sin(other[2]), math.cos(other[2])]),
+    )
+    between = other[:2] - pose[:2]
+    longest = float(np.hypot(*between)) + 2.0 * space.footprint.circumscribed_radius
+    found = [float(between @ ahead)]
+    if abs(float(ahead @ across)) > _PARALLEL:
+        found.append(float(between @ across) / float(ahead @ across))
+    s = np.arange(-longest, longest, space.field.spacing)
+    room, _ = space.field.bounds(pose[:2] + s[:, None] * ahead)
+    peak = (room[1:-1] > room[:-2]) & (room[1:-1] >= room[2:]) & (room[1:-1] < 0.9 * space.field.reach)
+    peaks = np.flatnonzero(peak) + 1
+    widest = peaks[np.argsort(-room[peaks], kind="stable")[:_WIDEST]]
+    lengths = np.abs(np.concatenate((found, s[widest])))
+    places: FloatArray = lengths[(lengths > _NOTHING) & (lengths < longest)]
+    return places
+
+
 def turns_and_drives(
-    exits: Nodes, entries: Nodes, space: FreeSpace, effort: Effort
+    exits: Nodes, entries: Nodes, space: FreeSpace, effort: Effort, worthwhile: Callable[[], float]
 ) -> Iterator[tuple[float, TurnsAndDrives]]:
     """Manoeuvres that are free, the cheapest first: a straight run, a turn, a line, a turn, a straight run.
 
@@ -158,22 +187,31 @@ def turns_and_drives(
         entries: Where straight runs into the dock begin.
         space: What is free.
         effort: How closely to look.
+        worthwhile: The price from which on nothing is of use [s].
     """
     found = _lines(exits, entries, space, effort)
+    left = {False: _TRIES, True: _TRIES}
     for k in range(0, min(found.prices.size, _BATCH * _MOST_GLANCES), _BATCH):
         space.poll()
         some = found.rows(slice(k, k + _BATCH))
+        some = some.rows(np.flatnonzero(np.where(some.rounded, left[True], left[False]) > 0))
         leaving = exits.tree.poses[some.exits]
         leaving[:, 2] += some.turns[:, 0]
         line = advance(leaving[:, None], some.lengths[:, None] * _GLANCE, np.zeros(1))
         asked = effort.margin, effort.start_relief
         passed = space.is_free(line.reshape(-1, 3), *asked).reshape(line.shape[:2]).all(axis=1)
         for row in np.flatnonzero(passed).tolist():
+            price, is_rounded = float(some.prices[row]), bool(some.rounded[row])
+            if price >= worthwhile():
+                return
+            if left[is_rounded] == 0:
+                continue
             middle = some.turns[row], some.lengths[row : row + 1]
             whole = _whole(exits, int(some.exits[row]), middle, entries, int(some.entries[row]))
-            whole = whole._replace(is_rounded=bool(some.rounded[row]))
+            whole = whole._replace(is_rounded=is_rounded)
             if _is_free(whole, space, effort):
-                yield float(some.prices[row]), whole
+                left[is_rounded] -= 1
+                yield price, whole
 
 
 class _Lines(NamedTuple):
@@ -308,7 +346,9 @@ def _is_free(whole: TurnsAndDrives, space: FreeSpace, effort: Effort) -> bool:
     return bool(space.is_free(close, 0.0, effort.start_relief).all())
 
 
-def routes(exits: Nodes, entries: Nodes, space: FreeSpace, effort: Effort) -> Iterator[tuple[float, TurnsAndDrives]]:
+def routes(
+    exits: Nodes, entries: Nodes, space: FreeSpace, effort: Effort, worthwhile: Callable[[], float]
+) -> Iterator[tuple[float, TurnsAndDrives]]:
     """Manoeuvres around obstacles, turning in place at the corners of the way.
 
     The way is that of the disc in which the robot turns; then that of one that it only drives through, so that turns
@@ -319,37 +359,49 @@ def routes(exits: Nodes, entries: Nodes, space: FreeSpace, effort: Effort) -> It
         entries: As of `turns_and_drives`.
         space: What is free.
         effort: How closely to look.
+        worthwhile: As of `turns_and_drives`.
     """
     kept = space.problem.clearance.required + effort.margin
     ways_out, ways_in = _spread(exits, _WAYS_OUT), _spread(entries, _WAYS_IN)
     driving = 0.5 * space.footprint.width + kept
-    for radius in (space.footprint.circumscribed_radius + kept, driving):
-        for out in ways_out:
-            source = exits.tree.poses[out]
-            wave = space.wavefront(source[:2], radius)
-            found = []
-            for into in ways_in:
-                target = entries.tree.poses[into]
-                way = wave.way(target[:2])
-                if way is None:
-                    continue
-                corners = _corners(way, source[:2], target[:2], space, driving)
-                for gear, is_rounded in itertools.product((1.0, -1.0), (True, False)):
-                    whole = _whole(exits, out, _along(corners, gear, source[2], target[2]), entries, into)
-                    found.append(whole._replace(is_rounded=is_rounded))
-            yield from _cheapest_free(found, space, effort)
+    for radius, out in itertools.product((space.footprint.circumscribed_radius + kept, driving), ways_out):
+        found = list(_around(exits, out, Nodes(entries.tree, np.array(ways_in)), space, (radius, driving)))
+        # A long way is smoothed in a tenth of a second, or in vain: what needs no smoothing comes first.
+        offered = [_cheapest_free([one for one in found if one.is_rounded is kind], space, effort) for kind in _KINDS]
+        yield from (one for one in offered if one is not None and one[0] < worthwhile())
+        if any(one is not None for one in offered):
+            return
+
+
+def _around(
+    exits: Nodes, out: int, entries: Nodes, space: FreeSpace, radii: tuple[float, float]
+) -> Iterator[TurnsAndDrives]:
+    """Ways from one node to others along shortest ways of a disc, cut short for a narrower one, in both gears."""
+    source, (turning, driving) = exits.tree.poses[out], radii
+    wave = space.wavefront(source[:2], turning)
+    for into in entries.rows.tolist():
+        target = entries.tree.poses[into]
+        way = wave.way(target[:2])
+        if way is None:
+            continue
+        corners = _corners(way, source[:2], target[:2], space, driving)
+        for gear, is_rounded in itertools.product((1.0, -1.0), _KINDS):
+            whole = _whole(exits, out, _along(corners, gear, source[2], target[2]), entries, into)
+            yield whole._replace(is_rounded=is_rounded)
 
 
 def _cheapest_free(
-    found: Iterable[TurnsAndDrives], space: FreeSpace, effort: Effort
-) -> Iterator[tuple[float, TurnsAndDrives]]:
+    found: Sequence[TurnsAndDrives], space: FreeSpace, effort: Effort
+) -> tuple[float, TurnsAndDrives] | None:
+    """The cheapest that is free, and its price."""
     priced = [(_price(whole, space), whole) for whole in found if not whole.is_rounded or whole.rounds().any()]
-    for price, whole in sorted(priced, key=lambda one: one[0]):
-        if _is_free(whole, space, effort):
-            yield price, whole
+    ordered = sorted(priced, key=lambda one: one[0])
+    return next((one for one in ordered if _is_free(one[1], space, effort)), None)
 
 
-TurnSearch: TypeAlias = "Callable[[Nodes, Nodes, FreeSpace, Effort], Iterator[tuple[float, TurnsAndDrives]]]"
+TurnSearch: TypeAlias = (
+    "Callable[[Nodes, Nodes, FreeSpace, Effort, Callable[[], float]], Iterator[tuple[float, TurnsAndDrives]]]"
+)
 """`turns_and_drives` or `routes`."""
 
 
