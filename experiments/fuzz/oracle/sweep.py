@@ -92,7 +92,8 @@ class _Search:
         reach = world.reach
         self.travel = motion.way + reach * motion.turn  # of any outline point within each piece
         bend = np.where(motion.exact, motion.h * motion.turn, 0.0)  # |p''| for a share from 0 to 1
-        rate = np.where(motion.exact, motion.h * np.abs(motion.k1 - motion.k0), 0.0)
+        with np.errstate(invalid="ignore"):  # a polyline that turns in place has infinite curvature
+            rate = np.where(motion.exact, motion.h * np.abs(motion.k1 - motion.k0), 0.0)
         self.accel = bend + reach * (rate + motion.turn**2)
 
     def run(self, rounds: int) -> Sweep:

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from optdock.dock import DockDirection
 from optdock.segments import TurnSegment
 
 if TYPE_CHECKING:
@@ -82,11 +83,22 @@ def stopping_cost(limits: MotionLimits) -> float:
 
 
 def ends_cost(problem: DockingProblem) -> float:
-    """What setting off, the slow stretch before the dock and stopping there add to the time at full speed [s]."""
-    limits, zone = problem.robot.limits, problem.dock.approach
-    mean = 0.5 * (limits.max_speed + limits.max_reverse_speed)
-    slow = zone.distance * max(1.0 / zone.speed - 1.0 / mean, 0.0)
-    return 0.5 * mean / limits.max_acceleration + 0.5 * min(mean, zone.speed) / limits.max_deceleration + slow
+    """What setting off, the dock's slow stretch and stopping there add to the time at full speed, at least [s].
+
+    Exact for accelerations without a bound on jerk where the gears are known and there is room to reach full speed.
+    """
+    limits, dock = problem.robot.limits, problem.dock
+    speeds = {DockDirection.FORWARD: limits.max_speed, DockDirection.BACKWARD: limits.max_reverse_speed}
+    ending = [speeds[dock.direction]] if dock.direction in speeds else list(speeds.values())
+    setting_off = min((top - min(abs(problem.start_speed), top)) ** 2 / top for top in speeds.values())
+    return setting_off / (2.0 * limits.max_acceleration) + min(_ending(top, problem) for top in ending)
+
+
+def _ending(top: float, problem: DockingProblem) -> float:
+    """What the slow stretch before the dock and stopping add to the time at the speed `top` [s]."""
+    zone, down = problem.dock.approach, problem.robot.limits.max_deceleration
+    last = min(zone.speed, top) if zone.distance > 0.0 else top
+    return zone.distance * (1.0 / last - 1.0 / top) + ((top - last) ** 2 / top + last) / (2.0 * down)
 
 
 def gear_changes(lengths: FloatArray) -> FloatArray:

@@ -10,11 +10,13 @@ import numpy as np
 
 from optdock.dock import DockDirection
 from optdock.geometry.arrays import readonly
+from optdock.geometry.pose import Pose2
 from optdock.outcomes import Guess
 from optdock.planners.manoeuvres.connections import Nodes, all_pairs, connections, free_manoeuvres, promising
 from optdock.planners.manoeuvres.free_space import Effort, FreeSpace
 from optdock.planners.manoeuvres.hybrid_a_star import PoseGrid, hybrid_a_star
-from optdock.planners.manoeuvres.price import ends_cost, least_price
+from optdock.planners.manoeuvres.price import ends_cost, gear_changes, least_price, stopping_cost
+from optdock.planners.manoeuvres.reeds_shepp import reeds_shepp_words
 from optdock.planners.manoeuvres.tree import ArcTree, Moves
 from optdock.planners.manoeuvres.turns import routes, turns_and_drives
 
@@ -53,8 +55,7 @@ class Stages:
     def __init__(
         self, problem: DockingProblem, slack: float, poll: Callable[[], None], better_than: Callable[[], float]
     ) -> None:
-        self.problem, self._better_than = problem, better_than
-        self.space = FreeSpace(problem, poll)
+        self.problem, self._poll, self._better_than = problem, poll, better_than
         limits, footprint = problem.robot.limits, problem.robot.footprint
         self.radius = turning_radius(problem)
         rate = limits.max_curvature_rate
@@ -74,6 +75,8 @@ class Stages:
     def guesses(self) -> Iterator[Guess | None]:
         """The guesses of all stages, the first of them in a few milliseconds."""
         turns = self.problem.robot.turns_in_place and self.problem.start_speed == 0.0
+        if not turns and self._cheapest_word() >= self._worthwhile():
+            return  # what there is cannot be beaten, were there no obstacle at all
         if turns:
             yield from self._turn_and_drive(turns_and_drives)
         yield from self._words()
@@ -81,6 +84,24 @@ class Stages:
             yield from self._turn_and_drive(routes)
         if math.isinf(self._better_than()):
             yield from self._hybrid_a_star()
+
+    @functools.cached_property
+    def space(self) -> FreeSpace:
+        """Where the robot may be."""
+        return FreeSpace(self.problem, self._poll)
+
+    def _cheapest_word(self) -> float:
+        """Estimated price of the cheapest word to the final straight, whatever stands in its way [s]."""
+        problem, limits = self.problem, self.problem.robot.limits
+        straight = problem.dock.final_straight
+        ends = np.stack([(problem.goal @ Pose2(-gear * straight, 0.0, 0.0)).as_array() for gear in self._gears])
+        words = reeds_shepp_words(np.tile(problem.start.as_array(), (len(ends), 1)), ends, self.radius).lengths
+        words = np.where(np.isnan(words).any(axis=2, keepdims=True), np.inf, words)
+        driven = np.where(words > 0.0, words / limits.max_speed, -words / limits.max_reverse_speed).sum(axis=2)
+        along = straight / np.array(
+            [limits.max_speed if gear > 0.0 else limits.max_reverse_speed for gear in self._gears]
+        )
+        return float((driven + stopping_cost(limits) * gear_changes(words) + along).min())
 
     def _turn_and_drive(self, search: TurnSearch) -> Iterator[Guess]:
         """Turns in place and straight lines, and the same with rounded corners."""

@@ -135,7 +135,7 @@ class _Turning(NamedTuple):
         step = 2.0 * math.pi / _HEADINGS
         around = np.repeat(poses[:, None], _HEADINGS, axis=1)
         around[:, :, 2] += step * np.arange(1, _HEADINGS + 1)
-        free = space.is_free(around.reshape(-1, 3), effort.margin, effort.start_relief).reshape(len(poses), -1)
+        free = space.is_free(around.reshape(-1, 3), effort.margin, effort.start_relief).reshape(len(poses), _HEADINGS)
         far = []
         for side in (free, free[:, -2::-1]):  # the last heading is the first one again
             count = np.where(side.all(axis=1), _HEADINGS, np.argmin(side, axis=1))

@@ -105,6 +105,10 @@ def test_no_body_point_moves_or_bends_faster_than_its_bounds(make):
     for share, velocity in ((h, found.velocity_first), (1.0 - h, found.velocity_last)):
         rate = (places(share + h)[1] - places(share - h)[1]) / (2.0 * h * found.width[:, None])
         np.testing.assert_allclose(rate, velocity, atol=2e-3)
+    for share in np.linspace(0.0, 1.0 - h, 7):  # the broad phase rests on these two
+        x, y, yaw = (places(share + h)[1] - places(share)[1]).T / (h * found.width)
+        assert np.all(np.hypot(x, y) <= found.speed + 1e-6)
+        assert np.all(np.abs(yaw) <= found.turn + 1e-6)
     reach = np.hypot(*body.T)
     for share in np.linspace(0.05, 0.95, 7):
         before, here, after = (places(share + step)[0] for step in (-0.05, 0.0, 0.05))

@@ -15,7 +15,7 @@ from optdock.interfaces import TimeParameterizer
 from optdock.io.plan_file import TrajectoryColumns
 from optdock.limits import MotionLimits, SpeedZone
 from optdock.obstacles import ObstacleSet
-from optdock.path import ClothoidSegment, Path
+from optdock.path import ClothoidSegment, Path, TurnSegment
 from optdock.pipeline import plan_dock
 from optdock.plugins import create_plugin
 from optdock.problem import ClearanceRule, DockingProblem
@@ -569,3 +569,92 @@ def test_plans_of_the_whole_pipeline_are_not_refuted():
             motion = TrajectoryColumns.from_trajectory(plan.trajectory, period)
             for columns in (motion, rounded(motion, 6)):
                 assert messages(columns, plan.path, problem) == []
+
+
+UNEVEN_TURNS = {
+    "up": ([1.0, 1.0, 2.0, 2.0], [0.4, -0.4, -0.1, 0.1]),
+    "down": ([2.0, 2.0, 1.0, 1.0], [0.1, -0.1, -0.4, 0.4]),
+    "jerk down": ([2.0, 0.5, 0.5, 2.0], [0.1, -0.4, -0.4, 0.1]),
+    "jerk up": ([0.5, 2.0, 2.0, 0.5], [0.4, -0.1, -0.1, 0.4]),
+}
+
+
+def turned(name, sign):
+    """Samples of an uneven turn in place, the problem, and the largest rate, acceleration and jerk."""
+    law = TimeLaw(*UNEVEN_TURNS[name])
+    path = Path((TurnSegment(ORIGIN, sign * float(law.states[-1, 0])),))
+    most = np.max(np.abs(law.at(np.linspace(0.0, law.duration, 60_001))[:, 1:]), axis=0)
+
+    def problem(rate=1.0, acceleration=1.0, jerk=1.0):
+        rate, acceleration, jerk = most * (rate, acceleration, jerk) * (1.0 + 1e-4)
+        limits = MotionLimits(max_yaw_rate=rate, max_yaw_acceleration=acceleration, max_jerk=0.6 * jerk / acceleration)
+        robot = Robot(Footprint.rectangle(0.4, 0.4, 0.6), limits, turns_in_place=True)
+        return DockingProblem(path.start, Dock(path.end), robot)
+
+    return TrajectoryColumns.from_trajectory(Trajectory(path, law), 0.02), path, problem
+
+
+@pytest.mark.parametrize("name", UNEVEN_TURNS)
+@pytest.mark.parametrize("sign", [1, -1])
+def test_a_turn_beyond_a_limit_is_refuted_whichever_way_it_gains(name, sign):
+    motion, path, problem = turned(name, sign)
+    assert not check_sampled_motion(motion, path, problem()).refuted
+    assert check_sampled_motion(motion, path, problem(rate=0.97)).refuted
+    assert check_sampled_motion(motion, path, problem(acceleration=0.97)).refuted
+    kinds = {violation.kind for violation in check_sampled_motion(motion, path, problem(jerk=0.9)).violations}
+    assert "mean_yaw_jerk" in kinds
+
+
+@pytest.mark.parametrize("name", ["up", "down"])
+@pytest.mark.parametrize("sign", [1, -1])
+def test_rates_and_yaws_of_a_turn_tell_on_columns_that_lie(name, sign):
+    """However far the jerk may go: an acceleration is the mean of its rates, a yaw the sum of them."""
+    motion, path, problem = turned(name, sign)
+    modest = motion._replace(yaw_acceleration=0.9 * motion.yaw_acceleration)
+    found = check_sampled_motion(modest, path, problem(acceleration=0.92, jerk=900.0)).violations
+    assert "mean_yaw_acceleration" in {violation.kind for violation in found}
+    weak = motion._replace(yaw_acceleration=0.8 * motion.yaw_acceleration)
+    warped = motion._replace(yaw=motion.yaw + 0.01 * np.sin(np.pi * motion.t / motion.t[-1]) ** 2)
+    for lying, kind in ((weak, "yaw_rate_off_its_accelerations"), (warped, "yaw_off_its_rates")):
+        assert {violation.kind for violation in check_sampled_motion(lying, path, problem()).violations} == {kind}
+
+
+@pytest.mark.parametrize(("distance", "refuted"), [(0.05, False), (0.4, True), (0.7, True)])
+def test_the_slow_zone_of_samples_reaches_across_a_turn(distance, refuted):
+    """The last drive ends slowly, the one before the turn does not: it is in the zone only where metres say so."""
+    first = ClothoidSpline(ORIGIN, np.array([0.0, 1.5]), np.zeros(2))
+    turn = TurnSegment(first.end, 1.0)
+    last = ClothoidSpline(turn.end, np.array([0.0, 0.5]), np.zeros(2))
+    path = Path((ClothoidSegment(first), turn, ClothoidSegment(last)))
+    limits = MotionLimits(max_yaw_rate=1.0, max_yaw_acceleration=1.0)
+    timer = create_plugin(TimeParameterizer, "NearOptimal")
+    for slow_until, judged_by in ((distance, distance), (0.5, distance)):
+        motion = timer.parameterize(path, limits, SpeedZone(0.1, slow_until)).trajectory
+        robot = Robot(Footprint.rectangle(0.4, 0.4, 0.6), limits, turns_in_place=True)
+        dock = Dock(path.end, approach_speed=0.1, approach_distance=judged_by)
+        columns = TrajectoryColumns.from_trajectory(motion, 0.02)
+        found = check_sampled_motion(columns, path, DockingProblem(path.start, dock, robot))
+        assert found.refuted is (judged_by > slow_until)
+    fast = timer.parameterize(path, limits, SpeedZone(0.1, 0.05)).trajectory
+    found = check_sampled_motion(
+        TrajectoryColumns.from_trajectory(fast, 0.02), path, DockingProblem(path.start, dock, robot)
+    )
+    assert found.refuted is refuted
+
+
+@pytest.mark.parametrize(("share", "refuted"), [(1.0, False), (0.8, True), (0.3, True)])
+def test_samples_tell_that_the_wheels_had_no_time_to_turn(share, refuted):
+    bend = 1.2
+    path = two_gears(bend)
+    mirrored = ClothoidSpline(path.segments[0].spline.end, np.array([0.0, 1.0]), np.array([bend, 0.0]), -1)
+    path = Path((path.segments[0], ClothoidSegment(mirrored)))
+    limits = MotionLimits(wheelbase=0.8, max_steering_rate=1.0)
+    law = create_plugin(TimeParameterizer, "NearOptimal").parameterize(path, limits, SpeedZone()).trajectory.time_law
+    waits = (law.jerks == 0.0) & np.all(np.abs(law.states[:-1, 1:]) < 1e-9, axis=1)
+    assert law.durations[waits].sum() == pytest.approx(2.0 * np.arctan(0.8 * bend))
+    hasty = Trajectory(path, TimeLaw(law.durations * np.where(waits, share, 1.0), law.jerks))
+    robot = Robot(Footprint.rectangle(0.4, 0.4, 0.6), limits, Drive.ACKERMANN)
+    found = check_sampled_motion(
+        TrajectoryColumns.from_trajectory(hasty, 0.02), path, DockingProblem(path.start, Dock(path.end), robot)
+    )
+    assert {violation.kind for violation in found.violations} == ({"rest"} if refuted else set())

@@ -14,6 +14,8 @@ from optdock.geometry.pose import Pose2
 from optdock.interfaces import GlobalPlanner, PluginContext
 from optdock.limits import MotionLimits
 from optdock.path import Path
+from optdock.planners.manoeuvres import turns
+from optdock.planners.manoeuvres.free_space import Effort, FreeSpace
 from optdock.planners.manoeuvres.manoeuvre_planner import ManoeuvrePlanner
 from optdock.planners.manoeuvres.price import CUSP_PRICE, gear_changes, least_price
 from optdock.planners.manoeuvres.stages import turning_radius
@@ -172,3 +174,11 @@ def test_the_turning_radius_stays_finite_where_nothing_bounds_the_curvature():
     problem = dataclasses.replace(SCENES["before the dock"], robot=free)
     assert 0.0 < turning_radius(problem) < ROBOT.footprint.circumscribed_radius
     assert turning_radius(SCENES["before the dock"]) == pytest.approx(1.0 / 1.5)
+
+
+def test_where_no_line_leads_the_robot_turns_nowhere():
+    """No place to turn at is no error: it ended the search of robots that turn in place."""
+    space = FreeSpace(at_a_wall(Pose2(-2.0, 0.5, 0.3)), lambda: None)
+    found = turns._Turning.at(np.zeros((0, 3)), space, Effort(1.0, 0.0, 4, 100))
+    assert found.left.shape == found.right.shape == (0,)
+    assert found.allows(np.zeros(0), np.zeros(0, dtype=np.int64)).shape == (0,)
