@@ -80,8 +80,8 @@ def hybrid_a_star(
 ) -> Iterator[tuple[float, Arcs]]:
     """Free manoeuvres as they are found: the price, and the whole way from start to goal.
 
-    The first way found is seldom the best one: once there is a plan the tree grows one last time, and what it holds is
-    shot at while that may pay.
+    The first way found is seldom the best one: once there is a plan the tree grows no more, but it is shot at while
+    that may pay.
 
     Args:
         exits: The start, from which every node is shot at, and other nodes of its tree, which take turns.
@@ -100,9 +100,7 @@ def hybrid_a_star(
     opened: list[tuple[float, int]] = []
     shots: list[Connections] = []
     fresh, nodes = entries.rows, 0
-    is_enough = False
-    while fresh.size and not is_enough:
-        is_enough = math.isfinite(worthwhile())
+    while fresh.size and math.isinf(worthwhile()):
         words = connections(*_pairs(exits, Nodes(tree, fresh)), radius, space, _WORDS_PER_NODE)
         worth = promising(_long_enough(words, tree, wavefront), exits.tree, space)
         shots = [Connections.merged([*shots, worth])]
