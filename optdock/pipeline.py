@@ -345,7 +345,6 @@ class _Portfolio:
         """
         for path in self.given:
             yield Guess(path, "given"), False
-        self._look_for_a_proof(_EARLY_PROOF, only_disc=True)
         last = self.plugins.planners[-1]
         for planner in self.plugins.planners:
             makes_one = type(planner).create_plans is GlobalPlanner.create_plans
@@ -360,6 +359,7 @@ class _Portfolio:
                 self._fail(_Failure(error, PartialPlan(), 0), type(planner).__name__)
             if self._is_late():
                 break
+            self._look_for_a_proof(_EARLY_PROOF, only_disc=True)
         self._look_for_a_proof(0.5 if self.cut_short else 1.0)
 
     def _guesses_of(self, planner: GlobalPlanner, *, is_last: bool) -> Iterator[Guess]:

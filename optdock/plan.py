@@ -19,7 +19,7 @@ from optdock.io.plan_file import (
 )
 from optdock.obstacles import in_words
 from optdock.outcomes import SmoothingReport, TimingReport
-from optdock.planners.manoeuvres.price import CUSP_PRICE
+from optdock.planners.manoeuvres.price import CUSP_PRICE, stops
 from optdock.problem import DockingProblem
 from optdock.trajectory import Trajectory
 from optdock.verification import certify_motion, certify_path
@@ -109,8 +109,8 @@ class DockPlan:
 
     @property
     def price(self) -> float:
-        """What plans are chosen by: the duration of the motion and `CUSP_PRICE` for every cusp [s]."""
-        return self.trajectory.duration + CUSP_PRICE * len(self.path.cusps)
+        """What plans are chosen by: the duration of the motion and `CUSP_PRICE` for every stop on its way [s]."""
+        return self.trajectory.duration + CUSP_PRICE * stops(self.path)
 
     @property
     def stage(self) -> str:

@@ -200,6 +200,19 @@ class PolylineSegment(FrozenArrays):
             ratio: FloatArray = np.where(turn == 0.0, 0.0, turn / arc)
         return ratio
 
+    @property
+    def step_swing(self) -> FloatArray:
+        """How much the curvature moves over every step, to its mean there and on to the next, Shape (n - 1,) [1/m^2].
+
+        Half of the changes at both ends of the step, over its length. Where curvature rises or falls throughout this is
+        the slope of `curvature_at`; where it swings to and fro from step to step, the means at the poses hide it.
+        """
+        swing, moving = np.zeros(self.knots.size - 1), np.diff(self.knots) > 0.0
+        changes = np.abs(np.diff(self.step_curvature[moving], prepend=np.nan, append=np.nan))
+        changes[[0, -1]] = 0.0  # at its ends a segment has the curvature of its first and of its last step
+        swing[moving] = 0.5 * (changes[:-1] + changes[1:]) / np.diff(self.knots)[moving]
+        return swing
+
     def poses_at(self, s: ArrayLike) -> FloatArray:
         """Linear between the given poses. Shape (n, 3)."""
         points = np.atleast_1d(np.asarray(s, dtype=np.float64))

@@ -29,6 +29,7 @@ from smoothers.scp.qp_step import pool_of_this_thread, prepare_programs
 from smoothers.scp.refusals import refuse_certificate
 from smoothers.scp.settings import DEFAULT_SETTINGS, Settings
 from smoothers.scp.strategy import Call, Solver
+from smoothers.scp.turns import TurningSolver
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -77,8 +78,8 @@ class CasadiSmoother(Smoother):
     """Minimizes length, curvature, curvature rate and distance to the input under the problem's hard bounds.
 
     The result is a clothoid spline per gear (curvature piecewise linear in arc length), certified by
-    `optdock.verification` before it is returned. Gears keep their order; cusps may move. Every thread has solvers of
-    its own.
+    `optdock.verification` before it is returned. Gears keep their order; cusps may move, turns in place stay where they
+    are. Every thread has solvers of its own.
     """
 
     Parameters: ClassVar[type[PluginParameters]] = CasadiSmootherParameters
@@ -115,7 +116,7 @@ class CasadiSmoother(Smoother):
             InvalidValue: `max_time` is not finite, or negative; there is no problem and no footprint; `problem` or
                 `warm_start` is of another class.
             FailedToSmoothPath: `where["reason"]` names the bound in the way: `start_in_collision`, `start_curvature`,
-                `direction`, `approach_blocked`, `goal_unreachable`, `clearance`; `s` [m], `pose`, `amount` and
+                `direction`, `turn`, `approach_blocked`, `goal_unreachable`, `clearance`; `s` [m], `pose`, `amount` and
                 `obstacle` say where and by how much, with `clearance` what is measured there and what is `required`.
                 The best path that a search found, which breaks that bound, is the `path` of `partial`.
             SmootherTimedOut: No certified path within `max_time`.
@@ -138,7 +139,8 @@ class CasadiSmoother(Smoother):
         built = pool.build_time
         wanted = self._wanted(path, problem)
         path = path.with_frame(wanted.frame)
-        solver = Solver(pool, deadline, cancel_checker, self.settings)
+        chosen = TurningSolver if path.turns else Solver
+        solver = chosen(pool, deadline, cancel_checker, self.settings)
         best = solver.follow_strategy(self.call_for(path, wanted, warm_start))
         if problem is None and self.context.problem is None and not covers(path, best.path):
             self._confirm(best.path)
@@ -206,7 +208,7 @@ def _check_way(path: Path, problem: DockingProblem) -> None:
     Raises:
         InvalidPath: It passes the start, or ends beside the goal, too far away.
     """
-    allowed = max(_ELSEWHERE, _ELSEWHERE_SHARE * path.length)
+    allowed = max(_ELSEWHERE, _ELSEWHERE_SHARE * path.driven)
     off = path.end.distance_to(problem.goal)
     what = f"ends {off:.2f} m from the goal"
     if off <= allowed and path.start.distance_to(problem.start) > allowed:

@@ -127,10 +127,64 @@ def draw_speed(axes: Axes, plan: od.DockPlan) -> None:
     axes.legend(**_LEGEND)
 
 
+def draw_behind(axes: Axes, plan: od.DockPlan) -> None:  # noqa: ARG001 - has a problem of its own
+    """From behind the dock: the guess of the search, and the certified path with its cusp."""
+    racks = [[(2.0, 2.2), (7.0, 2.2), (7.0, 2.6), (2.0, 2.6)], [(0.6, -1.2), (1.0, -1.2), (1.0, 2.6), (0.6, 2.6)]]
+    dock = od.Dock(od.Pose2(4.0, 1.0, 0.0), od.Footprint(_STATION), "forward", final_straight=0.3)
+    clearance = od.ClearanceRule(0.05, at_dock=0.0)
+    given = od.DockingProblem(od.Pose2(6.0, 0.9, 0.2), dock, _ROBOT, racks, clearance=clearance)
+    found = od.plan_dock(given, time_budget=5.0)
+    for shape in (*racks, transform_points(given.goal.as_array()[None, :], np.array(_STATION))[0]):
+        axes.fill(*np.asarray(shape).T, color="#888888", linewidth=0)
+    for path, style, label in ((found.raw_path, "raw", f"guess: {found.stage}"), (found.path, "robot", "certified")):
+        poses = path.poses_at(np.linspace(0.0, path.length, 300))
+        axes.plot(poses[:, 0], poses[:, 1], color=COLOURS[style], label=label)
+    axes.fill(*_swept(poses).exterior.xy, facecolor=(COLOURS["robot"], 0.16), edgecolor=COLOURS["robot"], linewidth=0.8)
+    cusps = found.path.poses_at(np.array(found.path.cusps))
+    axes.plot(cusps[:, 0], cusps[:, 1], "o", markersize=4, color=COLOURS["hot"], label="cusp", linestyle="none")
+    axes.plot(*given.start.as_array()[:2], "o", markersize=4, color=COLOURS["start"])
+    axes.set(aspect="equal", xlabel="x [m]", ylabel="y [m]")
+    axes.legend(**_LEGEND)
+
+
+def draw_no_way(axes: Axes, plan: od.DockPlan) -> None:  # noqa: ARG001 - there is none
+    """A gap that is too narrow: where the robot can be on the goal's side, and the bottleneck."""
+    walls = [(-0.2, -0.2, 5.4, 0.0), (-0.2, 3.2, 5.4, 3.4), (-0.2, 0.0, 0.0, 3.2), (5.2, 0.0, 5.4, 3.2)]
+    boxes = [*walls, (2.5, 0.0, 2.7, 1.3), (2.5, 1.95, 2.7, 3.2)]
+    obstacles = [[(a, b), (c, b), (c, d), (a, d)] for a, b, c, d in boxes]
+    dock = od.Dock(od.Pose2(4.2, 1.6, 0.0), final_straight=0.3)
+    given = od.DockingProblem(od.Pose2(1.0, 1.0, 0.3), dock, _ROBOT, obstacles, clearance=0.05)
+    proof = od.prove_impossible(given, time_budget=10.0)
+    if proof is None or proof.bottleneck is None:
+        raise ValueError("no proof in time")
+    tight = proof.bottleneck
+    for shape in obstacles:
+        axes.fill(*np.asarray(shape).T, color="#888888", linewidth=0)
+    cells = shapely.union_all([shapely.Polygon(square) for square in proof.squares()]).simplify(0.01)
+    for part in getattr(cells, "geoms", [cells]):
+        axes.fill(*part.exterior.xy, color=COLOURS["robot"], alpha=0.25, linewidth=0)
+    axes.fill([], [], color=COLOURS["robot"], alpha=0.25, label=f"cells around the {proof.end}")
+    for pose, colour, label in (
+        (given.start, COLOURS["start"], "start"),
+        (given.goal, COLOURS["goal"], "goal"),
+        (
+            od.Pose2(tight.x, tight.y, tight.yaw),
+            COLOURS["hot"],
+            f"bottleneck, {100 * tight.missing_width:.0f} cm missing",
+        ),
+    ):
+        outline = transform_points(pose.as_array()[None, :], _ROBOT.footprint.vertices)[0]
+        axes.fill(*outline.T, facecolor="none", edgecolor=colour, linewidth=1.4, label=label)
+    axes.set(aspect="equal", xlabel="x [m]", ylabel="y [m]")
+    axes.legend(**{**_LEGEND, "ncols": 2})
+
+
 FIGURES: dict[str, tuple[Callable[[Axes, od.DockPlan], None], float]] = {
     "taper": (draw_taper, 2.5),
     "swept": (draw_swept, 3.4),
     "speed": (draw_speed, 2.8),
+    "behind": (draw_behind, 3.6),
+    "no-way": (draw_no_way, 4.2),
 }
 """What is drawn, and how high it is [inch]."""
 

@@ -34,6 +34,8 @@ EQUATION_PAGES = {
     "G": "index",
     "M": "costmap",
     "P": "planner",
+    "R": "search",
+    "N": "impossibility",
     "S": "smoother",
     "C": "certificate",
     "T": "timing",

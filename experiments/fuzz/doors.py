@@ -15,9 +15,9 @@ from optdock.geometry.footprint import Footprint
 from optdock.geometry.pose import Pose2
 from optdock.limits import MotionLimits, SpeedZone
 from optdock.obstacles import ObstacleSet
-from optdock.path import ClothoidSegment, Direction, Path, PolylineSegment
+from optdock.path import ClothoidSegment, Direction, Path, PolylineSegment, TurnSegment
 from optdock.problem import ClearanceRule, DockingProblem
-from optdock.robot import Robot
+from optdock.robot import Drive, Robot
 from optdock.trajectory import TimeLaw
 
 if TYPE_CHECKING:
@@ -31,7 +31,9 @@ def path_of(gears: list[Case]) -> Path:
     return Path(tuple(_segment(gear) for gear in gears))
 
 
-def _segment(gear: Case) -> ClothoidSegment | PolylineSegment:
+def _segment(gear: Case) -> ClothoidSegment | PolylineSegment | TurnSegment:
+    if gear["type"] == "turn":
+        return TurnSegment(Pose2(*gear["start"]), gear["turn"])
     if gear["type"] == "polyline":
         return PolylineSegment(np.array(gear["poses"], dtype=float), Direction(gear["gear"]))
     spline = ClothoidSpline(
@@ -51,6 +53,8 @@ def path_spec(path: Path) -> list[Case]:
 def _gear_spec(segment: object) -> Case:
     if isinstance(segment, PolylineSegment):
         return {"type": "polyline", "poses": segment.poses.tolist(), "gear": int(segment.direction)}
+    if isinstance(segment, TurnSegment):
+        return {"type": "turn", "start": segment.pose.as_array().tolist(), "turn": segment.turn, "gear": 0}
     assert isinstance(segment, ClothoidSegment)
     spline = segment.spline
     return {
@@ -97,7 +101,12 @@ def problem_of(case: Case) -> DockingProblem:
             approach_speed=zone_of(case).speed,
             approach_distance=zone_of(case).distance,
         ),
-        robot=Robot(footprint, MotionLimits(**case["limits"])),
+        robot=Robot(
+            footprint,
+            MotionLimits(**case["limits"]),
+            case.get("drive", Drive.DIFFERENTIAL),
+            turns_in_place=case.get("turns_in_place", False),
+        ),
         obstacles=obstacles,
         clearance=ClearanceRule(*case["clearance"]),
         start_speed=case["start_speed"],
@@ -129,6 +138,8 @@ def problem_spec(problem: DockingProblem) -> Case:
         "start_curvature": problem.start_curvature,
         "clearance": [problem.clearance.required, problem.clearance.at_dock, problem.clearance.taper],
         "limits": {spec.name: getattr(limits, spec.name) for spec in fields(limits)},
+        "drive": problem.robot.drive.value,
+        "turns_in_place": problem.robot.turns_in_place,
         "zone": [approach.speed if np.isfinite(approach.speed) else None, approach.distance],
     }
 

@@ -309,14 +309,30 @@ def segment_limits(
     return PathLimits(
         s=readonly(s),
         curvature=readonly(segment.curvature_at(s)),
-        rate_left=readonly(segment.curvature_rate_at(s[:-1])),
-        rate_right=readonly(segment.curvature_rate_at(s[1:] - _LEFT_OF_NODE * cells)),
+        rate_left=readonly(_rates(segment, s[:-1], s[:-1] + 0.5 * cells)),
+        rate_right=readonly(_rates(segment, s[1:] - _LEFT_OF_NODE * cells, s[:-1] + 0.5 * cells)),
         caps=caps,
         zone_start=zone_start,
         zone_speed=zone_speed,
         excess=_step_excess(segment, s) if isinstance(segment, PolylineSegment) else None,
         begin=begin,
     )
+
+
+def _rates(segment: Segment, s: FloatArray, middles: FloatArray) -> FloatArray:
+    """Curvature rates at `s`, each in the cell around one of the `middles`, Shape (n,) [1/m^2].
+
+    A polyline's curvature may swing from step to step faster than its means at the poses tell; `certify_trajectory`
+    judges that as well.
+    """
+    rates = segment.curvature_rate_at(s)
+    if not isinstance(segment, PolylineSegment):
+        return rates
+    swing = segment.step_swing[
+        np.clip(np.searchsorted(segment.knots, middles, side="right") - 1, 0, len(segment.poses) - 2)
+    ]
+    faster: FloatArray = np.copysign(np.maximum(np.abs(rates), swing), rates)
+    return faster
 
 
 def _step_excess(segment: PolylineSegment, s: FloatArray) -> FloatArray:

@@ -30,7 +30,8 @@ where two fall on the same instant. So every piece of the path has a cell, howev
 none, what it asks of the drive is still looked at, and a jump of curvature within less than the resolution of time
 counts with the rate at which it jumps.
 
-A polyline is judged twice: with the curvature that it claims between its poses, and with that of its steps.
+A polyline is judged three times: with the curvature that it claims between its poses, with that of its steps, and with
+the rate at which that swings from step to step, where the means at the poses hide it.
 """
 
 from __future__ import annotations
@@ -199,6 +200,14 @@ def _border_at(law: TimeLaw, s: float) -> int:
     return int(np.argmin(np.where(at, moving, np.inf) if at.any() else off))
 
 
+def _rest_at(law: TimeLaw, s: float) -> int:
+    """The phase border at rest that is nearest to `s`: a turn smaller than the tolerance has ends of its own."""
+    still = np.max(np.abs(law.states[:, 1:]), axis=1) <= REST_TOLERANCE
+    off = np.where(still, np.abs(law.states[:, 0] - s), np.inf)
+    k = int(np.argmin(off))
+    return k if off[k] <= REST_TOLERANCE else _border_at(law, s)
+
+
 class _Wait(NamedTuple):
     """A rest at one place: where [m], the time that the wheels need there and that they have [s]."""
 
@@ -314,7 +323,7 @@ def _phases_apart(trajectory: Trajectory) -> tuple[_Phases, list[_Phases]]:
     law, path = trajectory.time_law, trajectory.path
     if not path.turns:
         return _Phases(np.arange(law.durations.size), np.arange(law.times.size), law.jerks, law.states[:, 2]), []
-    cuts = [0, *(_border_at(law, s) for s in path.cusps), law.durations.size]
+    cuts = [0, *(_rest_at(law, s) for s in path.cusps), law.durations.size]
     owned = [np.arange(first, last) for first, last in itertools.pairwise(cuts)]
     turns = [isinstance(segment, TurnSegment) for segment in path.segments]
     driven = np.setdiff1d(np.arange(law.durations.size), np.concatenate(list(itertools.compress(owned, turns))))
@@ -423,7 +432,8 @@ class _Pieces(NamedTuple):
     """Stretches of a path with a constant curvature rate, Shape (n,) each.
 
     `begin`: arc length [m]; `first`, `last`: curvature at the ends; `rate`: its slope; `step`: the curvature of the
-    polyline's step, NaN on a clothoid; infinite on a turn in place, which is judged by itself.
+    polyline's step, NaN on a clothoid; infinite on a turn in place, which is judged by itself; `swing`: how fast the
+    curvature of a polyline swings over the step, 0 on others.
     """
 
     begin: FloatArray
@@ -431,6 +441,7 @@ class _Pieces(NamedTuple):
     last: FloatArray
     rate: FloatArray
     step: FloatArray
+    swing: FloatArray
 
 
 def _path_pieces(path: Path) -> _Pieces:
@@ -442,18 +453,20 @@ def _path_pieces(path: Path) -> _Pieces:
 
 
 def _segment_pieces(segment: Segment, start: float) -> _Pieces:
-    knots, step = segment.knots, np.full(segment.knots.size - 1, np.nan)
+    knots, step, swing = segment.knots, np.full(segment.knots.size - 1, np.nan), np.zeros(segment.knots.size - 1)
     curvature = segment.curvature_at(knots)
     if isinstance(segment, TurnSegment):
         step[:] = np.inf
     elif isinstance(segment, PolylineSegment):
         # Repeated poses have no length: the curvature between the poses beside them is what counts.
         kept = np.flatnonzero(np.diff(knots, prepend=-1.0) > 0.0)
-        step = segment.step_curvature[kept[1:] - 1] / (1.0 + STEP_RTOL)
+        step, swing = (
+            column[kept[1:] - 1] / (1.0 + STEP_RTOL) for column in (segment.step_curvature, segment.step_swing)
+        )
         knots, curvature = knots[kept], curvature[kept]
     with np.errstate(over="ignore"):
         rate = np.clip(np.diff(curvature) / np.diff(knots), -_STEEPEST, _STEEPEST)
-    return _Pieces(start + knots[:-1], curvature[:-1], curvature[1:], rate, step)
+    return _Pieces(start + knots[:-1], curvature[:-1], curvature[1:], rate, step, swing)
 
 
 class _Cells(NamedTuple):
@@ -529,7 +542,9 @@ def _initial_cells(law: TimeLaw, pieces: _Pieces, knots: _Instants, *, has_turns
     # A polyline once more, turning as its steps do: their curvature is constant, not that between poses.
     step = pieces.step[piece]
     turning = cells._replace(k=step, r=np.zeros(step.size), low=step, high=step)
-    return cells.and_also(turning.rows(np.flatnonzero(np.isfinite(step))))
+    swinging = cells._replace(r=np.copysign(pieces.swing[piece], cells.r))
+    hidden = np.flatnonzero(np.abs(swinging.r) > np.abs(cells.r))
+    return cells.and_also(turning.rows(np.flatnonzero(np.isfinite(step)))).and_also(swinging.rows(hidden))
 
 
 def _quantities(cells: _Cells, drive: MotionLimits) -> Mapping[str, FloatArray]:

@@ -6,7 +6,9 @@ J = sum over gears of [w_L L + w_k / k_ref^2 * L * K'MK + w_r / r_ref^2 / L * K'
 
 with M and S the mass and stiffness of the basis: length, integral of curvature^2, integral of curvature rate^2, and the
 squared lateral distance to the input path; and, for wheels that must be turned while the robot rests, how far: steered
-wheels that stay as they are reverse the sign of the curvature where the gear changes.
+wheels that stay as they are reverse the sign of the curvature where the gear changes. What wheels turn in motion costs
+time only as far as they cannot follow at the speed that the robot has there: near the ends of its gears, where it is
+slow, the stiffness of steered robots counts less (`easing`).
 """
 
 from __future__ import annotations
@@ -60,6 +62,7 @@ class CostModel:
         scales: Reference curvature [1/m] and reference curvature rate [1/m^2].
         reference: The input path.
         turning_at_cusps: Weight of turning the wheels at rest by the reference curvature [m]; 0 where they need not.
+        easing: What the curvature rate counts in each span, Shape (number of spans,), at most 1; None: 1 everywhere.
     """
 
     basis: Basis
@@ -67,6 +70,18 @@ class CostModel:
     scales: tuple[float, float]
     reference: Reference
     turning_at_cusps: float = 0.0
+    easing: FloatArray | None = None
+
+    @cached_property
+    def _stiffness(self) -> FloatArray:
+        """Integrals of products of the slopes of hats over u, each span counted as much as it is to count."""
+        basis = self.basis
+        if self.easing is None:
+            return basis.stiffness
+        spans = np.array([count for count, _ in basis.shape])[basis.span_gear]
+        slopes = np.sqrt(self.easing / spans)[:, None] * basis.span_slopes
+        product: FloatArray = slopes.T @ slopes
+        return product
 
     @cached_property
     def _turned(self) -> FloatArray:
@@ -93,7 +108,7 @@ class CostModel:
         bend, jerk = self.factors
         per_knot = lengths[self.basis.knot_gear]
         squares = per_knot * curvature * (self.basis.mass @ curvature)
-        slopes = curvature * (self.basis.stiffness @ curvature) / per_knot
+        slopes = curvature * (self._stiffness @ curvature) / per_knot
         lateral, total = self._lateral(rollout), float(lengths.sum())
         tracking = self.weights.tracking * total / self.basis.num_intervals * float(lateral @ lateral)
         turned = self._turned @ curvature
@@ -105,12 +120,12 @@ class CostModel:
         basis, (curvature, lengths) = self.basis, variables
         bend, jerk = self.factors
         per_knot, knots = lengths[basis.knot_gear], basis.num_knots
-        of_mass, of_slope = basis.mass @ curvature, basis.stiffness @ curvature
+        of_mass, of_slope = basis.mass @ curvature, self._stiffness @ curvature
         gradient, hessian = np.empty(basis.size), np.zeros((basis.size, basis.size))
         gradient[:knots] = 2.0 * (bend * per_knot * of_mass + jerk / per_knot * of_slope)
         squares, slopes = (curvature * of_mass) @ basis.knot_members, (curvature * of_slope) @ basis.knot_members
         gradient[knots:] = self.weights.length + bend * squares - jerk * slopes / lengths**2
-        hessian[:knots, :knots] = 2.0 * (bend * per_knot * basis.mass + (jerk / per_knot) * basis.stiffness)
+        hessian[:knots, :knots] = 2.0 * (bend * per_knot * basis.mass + (jerk / per_knot) * self._stiffness)
         gradient[:knots] += 2.0 * (self._turned.T @ (self._turned @ curvature))
         hessian[:knots, :knots] += 2.0 * (self._turned.T @ self._turned)
         index = np.arange(knots, basis.size)

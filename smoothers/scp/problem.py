@@ -35,6 +35,12 @@ if TYPE_CHECKING:
 
 __all__ = ["Bounds", "Ends", "Formulation", "NonlinearProgram", "TracedInput", "formulate", "free_lengths"]
 
+# Least share that the curvature rate counts: splines want to stay smooth where the robot stands, too.
+_EASED_MOST = 0.0025
+# [1/m]: robots of at least this largest curvature keep to their input as the weight of tracking says, lateral distances
+# being measured in metres; for others they are measured in turning radii.
+_TRACKED = 1.5
+
 
 @dataclass(frozen=True, eq=False)
 class Ends:
@@ -154,7 +160,14 @@ def formulate(
     radius = 1.0 / min(_curvature_bound(limits, settings.bounds), 2.0)
     signs = np.array([float(segment.direction) for segment in path.segments])
     ends = Ends(start, _target(problem, signs[-1], traced.end_yaw), signs, settings.projection.reach * radius)
-    cost = CostModel(basis, chosen.weights, scales, _reference_of(traced, basis), _turning_at_cusps(limits, scales[0]))
+    cost = CostModel(
+        basis,
+        _scaled(chosen.weights, scales[0]),
+        scales,
+        _reference_of(traced, basis),
+        _turning_at_cusps(limits, scales[0]),
+        _easing(limits, basis, lengths),
+    )
     bounds, inner = _variable_bounds(basis, problem, lengths, settings.bounds)
     return NonlinearProgram(basis, ends, bounds, inner, cost, scene, traced, lengths, radius, settings)
 
@@ -264,10 +277,34 @@ def _reference_scales(limits: MotionLimits, settings: BoundSettings) -> tuple[fl
 
 
 def _turning_at_cusps(limits: MotionLimits, curvature: float) -> float:
-    """What turning the wheels at rest by `curvature` costs [m]: the time that it takes, at half the full speed."""
+    """What turning the wheels at rest by `curvature` costs [m]: the time that it takes, at full speed."""
     if limits.wheelbase <= 0.0:
         return 0.0
-    return math.atan(limits.wheelbase * curvature) / limits.max_steering_rate * 0.5 * limits.max_speed
+    return math.atan(limits.wheelbase * curvature) / limits.max_steering_rate * limits.max_speed
+
+
+def _easing(limits: MotionLimits, basis: Basis, lengths: FloatArray) -> FloatArray | None:
+    """What turning the wheels in motion counts in each span: the square of the speed there, in full speeds.
+
+    A robot that sets off, or stops, is slow, and its wheels can follow sharper changes of curvature. The speeds are
+    those of the fastest motion along gears of these lengths that the accelerations allow.
+    """
+    if limits.wheelbase <= 0.0:
+        return None
+    spans = np.array([count for count, _ in basis.shape])
+    driven = np.concatenate([(np.arange(count) + 0.5) / count for count in spans]) * lengths[basis.span_gear]
+    left = lengths[basis.span_gear] - driven
+    squared = 2.0 * np.minimum(limits.max_acceleration * driven, limits.max_deceleration * left) / limits.max_speed**2
+    easing: FloatArray = np.clip(squared, _EASED_MOST, 1.0)
+    return easing
+
+
+def _scaled(weights: Weights, curvature: float) -> Weights:
+    """The weights for a robot of this largest curvature [1/m]: the wider it turns the farther it may leave its input.
+
+    Reeds-Shepp words of cars are metres beside what is fast among the same obstacles.
+    """
+    return weights._replace(tracking=weights.tracking * min(1.0, (curvature / _TRACKED) ** 2))
 
 
 def _variable_bounds(

@@ -11,7 +11,7 @@ import numpy as np
 from optdock.dock import DockDirection
 from optdock.errors import FailedToSmoothPath
 from optdock.obstacles import in_words
-from optdock.path import Direction
+from optdock.path import Direction, Path, TurnSegment
 from optdock.plan import PartialPlan
 from optdock.verification import end_clearances, pose_clearances
 from smoothers.scp.goal_projection import driven_path, exact_path
@@ -20,13 +20,12 @@ if TYPE_CHECKING:
     from collections.abc import Mapping
 
     from optdock.geometry.arrays import FloatArray
-    from optdock.path import Path
     from optdock.problem import DockingProblem
     from optdock.verification import Certificate
     from smoothers.scp.loop import Iterate
     from smoothers.scp.problem import NonlinearProgram
 
-__all__ = ["Refusal", "refuse_approach", "refuse_certificate", "refuse_search", "refuse_start"]
+__all__ = ["Refusal", "refuse_approach", "refuse_certificate", "refuse_search", "refuse_start", "refuse_turns"]
 
 _TOLERANCE = 1e-6  # [m], as the certificate's
 _STRAIGHT_SAMPLES = 13
@@ -119,7 +118,45 @@ def refuse_approach(path: Path, problem: DockingProblem, start_clearance: float)
     return Refusal("approach_blocked", s, float(short[k]), name, message, poses[k])
 
 
-def refuse_search(nlp: NonlinearProgram, closest: Iterate, problem: DockingProblem) -> Refusal:
+def refuse_turns(path: Path, problem: DockingProblem) -> Refusal | None:
+    """What makes any path with these turns in place impossible, as long as they stay where they are; or None.
+
+    A robot that does not turn in place; one that moves where the path begins with a turn; a final straight where it
+    ends with one; obstacles that a turn meets.
+    """
+    first, last = path.segments[0], path.segments[-1]
+    for segment, s in zip(path.segments, path.segment_starts[:-1].tolist(), strict=True):
+        if not isinstance(segment, TurnSegment):
+            continue
+        message = f"the raw path turns in place by {segment.turn:.4g} rad at s = {s:.3f} m, "
+        if not problem.robot.turns_in_place:
+            message += "the robot does not do that (turns_in_place)"
+        elif segment is first and problem.start_speed != 0.0:
+            message += f"the robot moves at {problem.start_speed:.3g} m/s there"
+        elif segment is last and problem.dock.final_straight > 0.0:
+            message += f"the dock asks for a final straight of {problem.dock.final_straight:.3g} m"
+        else:
+            continue
+        return Refusal("turn", s, abs(segment.turn), "", message, segment.pose.as_array())
+    return _blocked_turn(path, problem)
+
+
+def _blocked_turn(path: Path, problem: DockingProblem) -> Refusal | None:
+    """The first turn that meets an obstacle, of those that are known: ends of the path may be none of the problem's."""
+    begins = path.start.gap_to(problem.start) <= _TOLERANCE
+    ends = path.end.gap_to(problem.goal) <= _TOLERANCE
+    last = len(path.segments) - 1
+    for i, (segment, s) in enumerate(zip(path.segments, path.segment_starts[:-1].tolist(), strict=True)):
+        if isinstance(segment, TurnSegment) and (begins or i > 0) and (ends or i < last):
+            found = _too_close(Path((segment,), path.frame), problem, 0.0, problem.start_run)
+            if found.amount > _TOLERANCE:
+                return found._replace(s=s + found.s, path=None)
+    return None
+
+
+def refuse_search(
+    nlp: NonlinearProgram, closest: Iterate, problem: DockingProblem, whole: DockingProblem | None = None
+) -> Refusal:
     """Which bound the search could not satisfy: the goal (through curvature and rate) or clearance.
 
     It says nothing about other inputs: no search proves that there is no way. The path of the refusal is that of
@@ -129,11 +166,12 @@ def refuse_search(nlp: NonlinearProgram, closest: Iterate, problem: DockingProbl
         nlp: What was searched for.
         closest: How close it came.
         problem: What must hold.
+        whole: The problem whose rule of clearance counts, where `problem` is a piece of it; None: it is none.
     """
     if not closest.on_goal or closest.clearance.margin.size == 0:
         return _unreachable(nlp, closest, problem)
     path = exact_path(nlp, closest.variables, problem.dock.final_straight).with_frame(problem.frame)
-    return _too_close(path, problem, closest.shortfall, nlp.scene.start_relief)
+    return _too_close(path, problem if whole is None else whole, closest.shortfall, nlp.scene.start_relief)
 
 
 def refuse_certificate(certificate: Certificate, path: Path) -> Refusal:

@@ -54,6 +54,10 @@ __all__ = [
 ]
 
 
+# Kinds of violations that say something about the ends of a path alone.
+_OF_THE_ENDS = ("start", "goal", "direction", "start_curvature", "final_straight")
+
+
 class Call(NamedTuple):
     """What is asked for.
 
@@ -64,6 +68,8 @@ class Call(NamedTuple):
         formulation: Weights and resolution.
         max_iterations: Of every search.
         first_only: Stop at the first certified path.
+        within: Where the call is about a piece of a path: the problem of the whole, whose rule of clearance counts near
+            its own start and goal, not near the ends of the piece.
     """
 
     path: Path
@@ -72,6 +78,20 @@ class Call(NamedTuple):
     formulation: Formulation
     max_iterations: int = 60
     first_only: bool = False
+    within: DockingProblem | None = None
+
+    @property
+    def whole(self) -> DockingProblem:
+        """The problem whose rule of clearance counts."""
+        return self.problem if self.within is None else self.within
+
+    def certified(self, path: Path, is_late: Callable[[], bool]) -> Certificate:
+        """The certificate of a path; of a piece, but for the ends that are not its own: those of the whole decide."""
+        certificate = certify_path(path, self.whole, is_late=is_late)
+        if self.within is None:
+            return certificate
+        broken = tuple(violation for violation in certificate.violations if violation.kind not in _OF_THE_ENDS)
+        return replace(certificate, violations=broken)
 
 
 class Given(NamedTuple):
@@ -301,16 +321,16 @@ class Solver:
         """
         self._look_at_the_clock()
         path, problem, resolution = call.path, call.problem, self.settings.resolution
-        start_clearance, nearest, *_ = end_clearances(problem)
+        start_clearance, nearest, *_ = end_clearances(call.whole)
         refusal = refuse_start(path, problem, start_clearance, nearest)
-        if refusal is None:
-            refusal = refuse_approach(path, problem, start_clearance)
+        if refusal is None and problem.goal == call.whole.goal:
+            refusal = refuse_approach(path, call.whole, start_clearance)
         if refusal is not None:
             raise refusal.error()
         self._look_at_the_clock()
         shares = np.linspace(0.0, 1.0, resolution.input_samples)
         positions = np.concatenate([segment.poses_at(shares * segment.length)[:, :2] for segment in path.segments])
-        scene = scene_around(problem, positions, start_clearance, self.settings.collision)
+        scene = scene_around(call.whole, positions, start_clearance, self.settings.collision)
         self._look_at_the_clock()
         many = len(scene.obstacles) > resolution.many_obstacles
         return self._formulated(call, scene, resolution.coarser_among_many if many else 1.0)
@@ -347,7 +367,7 @@ class Solver:
         if outcome.refused is not None and closest.feasible:
             path, certificate = outcome.refused
             return refuse_certificate(certificate, path).error()
-        return refuse_search(self._nlp, closest, self.call.problem).error()
+        return refuse_search(self._nlp, closest, self.call.problem, self.call.whole).error()
 
     def _offer(self, path: Path, status: SmoothingStatus) -> None:
         """A result from elsewhere, if it is certified."""
@@ -452,7 +472,7 @@ class Solver:
 
     def _judged(self, path: Path, began: float) -> Certificate:
         """The certificate of a path; what passed since `began` [s] counts as its time."""
-        certificate = certify_path(path, self.call.problem, is_late=self._is_late)
+        certificate = self.call.certified(path, self._is_late)
         self._certificate = self.deadline.elapsed - began
         self.outcome.certify_time += self._certificate
         return certificate

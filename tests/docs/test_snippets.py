@@ -55,6 +55,8 @@ SHOWS = (
     "certified: ",
     "docked after",
     "FailedToSmoothPath",
+    "found by: ",
+    "the proof holds: True",
 )
 
 

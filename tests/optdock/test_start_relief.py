@@ -55,6 +55,19 @@ def test_along_a_wall_the_robot_may_keep_what_it_has_over_its_own_length_and_no_
         assert report.start_relief == pytest.approx(certificate.start_relief)
 
 
+@pytest.mark.parametrize("ahead", [0.45, 0.85, 0.05])
+@pytest.mark.parametrize("beyond", [-1e-4, 1e-4])
+def test_the_run_is_the_length_of_the_robot_to_the_last_tenth_of_a_millimetre(ahead, beyond):
+    """Wherever its origin is; the last tenth beyond it asks for twice what the certificate forgives, and more."""
+    robot = Robot(Footprint.rectangle(ahead, 0.9 - ahead, 0.6), ROBOT.limits)
+    path, problem = along_the_wall(0.9 + beyond, 0.01)
+    wider = DockingProblem(problem.start, problem.dock, robot, problem.obstacles, ClearanceRule(REQUIRED, 0.01, 0.0))
+    certificate = certify_path(path, wider)
+    assert wider.start_run == pytest.approx(0.9)
+    assert certificate.certified is (beyond < 0.0)
+    assert certificate.start_relief == (wider.start_run if beyond < 0.0 else 0.0)
+
+
 def test_a_plan_file_says_which_rule_holds():
     certificate = certify_path(*along_the_wall(0.8, 0.01))
     assert certificate.as_dict()["start_relief"] == pytest.approx(0.9)

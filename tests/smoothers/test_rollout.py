@@ -1,5 +1,7 @@
 """Roll-out, cost and goal projection against clothoid splines, finite differences and the symbolic model."""
 
+import dataclasses
+
 import casadi
 import numpy as np
 import pytest
@@ -112,6 +114,34 @@ def test_the_cost_and_its_gradient_are_the_symbolic_ones(cases, seed):
     found = cost.quadratic(variables, rollout, sensitivity(basis, variables, rollout))
     assert cost.value(variables, rollout) == pytest.approx(float(value), rel=1e-12)
     assert found.gradient == pytest.approx(np.array(gradient).ravel(), abs=1e-9)
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+def test_the_gradient_of_steered_robots_is_that_of_differences(cases, seed):
+    basis, variables, start, signs = cases.random_path(seed)
+    rng = np.random.default_rng(seed)
+    easing = rng.uniform(0.01, 1.0, basis.span_slopes.shape[0])
+    cost = dataclasses.replace(random_cost(basis, rng), turning_at_cusps=1.7, easing=easing)
+    rollout = roll_out(basis, variables, start, signs)
+    found = cost.quadratic(variables, rollout, sensitivity(basis, variables, rollout)).gradient
+
+    def value(flat):
+        moved = split(basis, flat)
+        return cost.value(moved, roll_out(basis, moved, start, signs))
+
+    assert found == pytest.approx(differences(value, np.concatenate(variables)), rel=1e-5, abs=1e-5)
+
+
+def test_an_easing_of_one_changes_nothing_and_less_costs_less(cases):
+    basis, variables, start, signs = cases.random_path(2)
+    cost, rollout = random_cost(basis, np.random.default_rng(2)), roll_out(basis, variables, start, signs)
+    spans = basis.span_slopes.shape[0]
+    plain, same, less = (
+        dataclasses.replace(cost, easing=easing).value(variables, rollout)
+        for easing in (None, np.ones(spans), np.full(spans, 0.5))
+    )
+    assert same == pytest.approx(plain, rel=1e-12)
+    assert less < plain
 
 
 @pytest.mark.parametrize("seed", SEEDS)

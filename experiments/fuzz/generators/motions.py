@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
 
-from experiments.fuzz.generators.routes import clothoid_route, route
+from experiments.fuzz.generators.routes import clothoid_route, route, with_turns
 from experiments.fuzz.generators.shapes import log_uniform
 from experiments.fuzz.oracle.motion import motion_of
 from experiments.fuzz.oracle.timing import judged
@@ -20,6 +21,7 @@ if TYPE_CHECKING:
 __all__ = ["motion_problem"]
 
 Rng: TypeAlias = np.random.Generator
+_TURNS, _STEERED = 0.25, 0.3  # shares of motions that turn in place, and of steered wheels
 _HUGE = 1e9  # stands for no limit where a finite one is required
 _CURVED = ("yaw_rate", "lateral_acceleration", "yaw_acceleration", "wheel_speed")
 _PLAIN = ("speed", "acceleration", "deceleration", "jerk")
@@ -28,8 +30,11 @@ _PLAIN = ("speed", "acceleration", "deceleration", "jerk")
 def motion_problem(rng: Rng) -> Case:
     """A path, a law over it, and limits at the border of what the motion does."""
     gears = clothoid_route(rng) if rng.uniform() < 0.85 else route(rng)
+    style = rng.uniform()
+    if style < _TURNS and all(gear["type"] != "turn" for gear in gears):
+        gears = with_turns(rng, gears)
     motion = motion_of(gears)
-    law = _law(rng, [one.length for one in motion.segments])
+    law = _law(rng, [one.length for one in motion.segments], rests=style > 1.0 - _STEERED)
     for change in _CHANGES:
         if rng.uniform() < 0.15:
             change(rng, law)
@@ -43,10 +48,12 @@ def motion_problem(rng: Rng) -> Case:
         "start_speed": speed,
     }
     _aim(rng, case)
+    if style > 1.0 - _STEERED:
+        _steer(rng, case)
     return case
 
 
-def _law(rng: Rng, lengths: list[float]) -> Case:
+def _law(rng: Rng, lengths: list[float], *, rests: bool = False) -> Case:
     """Every gear from rest to rest; now and then the first begins at speed."""
     durations: list[float] = []
     jerks: list[float] = []
@@ -58,6 +65,8 @@ def _law(rng: Rng, lengths: list[float]) -> Case:
         phases, top = _double_s(length, *(log_uniform(rng, 0.05, high) for high in (2.0, 2.0, 20.0)))
         if i == 0 and begins_moving:
             phases, start_speed = _from_speed(phases, top, length)
+        if rests and i:
+            phases = [(log_uniform(rng, 1e-3, 5.0), 0.0)] * int(rng.integers(1, 3)) + phases
         durations += [h for h, _ in phases]
         jerks += [j for _, j in phases]
     if not durations:
@@ -136,11 +145,16 @@ _CHANGES: tuple[Callable[[Rng, Case], None], ...] = (_split, _split, _wait, _str
 
 def _aim(rng: Rng, case: Case) -> None:
     """Limits with 2 % to spare, but for one or two at the border, and a slow zone likewise."""
-    track = rng.uniform(0.1, 1.0)
+    turns = any(one["type"] == "turn" for one in case["path"])
+    track = 0.0 if turns and rng.uniform() < 0.6 else rng.uniform(0.1, 1.0)
     unit = dict.fromkeys((f"max_{name}" for name in (*_PLAIN, *_CURVED)), 1.0)
     case["limits"] = {**unit, "max_reverse_speed": 1.0, "track_width": track}
     motion = motion_of(case["path"])
     seen = judged(case, motion).ratios
+    if turns:  # of turns by limits of 1
+        seen |= {
+            name: value for name, value in judged({**case, "limits": unit}, motion).ratios.items() if "turn_" in name
+        }
     sharp = set(rng.choice([*_PLAIN, *_CURVED], size=int(rng.integers(0, 3)), replace=False).tolist())
     limits: Case = {"track_width": track}
     for name in (*_PLAIN, *_CURVED):
@@ -151,6 +165,8 @@ def _aim(rng: Rng, case: Case) -> None:
             limits[f"max_{name}"] = top * (_border(rng) if name in sharp else rng.uniform(1.02, 2.0))
     limits["max_reverse_speed"] = limits["max_speed"]
     case["limits"] = limits
+    if turns:
+        _aim_turns(rng, case, seen)
     if rng.uniform() < 0.4:
         _add_zone(rng, case)
 
@@ -171,3 +187,36 @@ def _add_zone(rng: Rng, case: Case) -> None:
     top = judged(free, motion).ratios["speed"]
     if math.isfinite(top) and top > 1e-9:
         case["zone"] = [top * (_border(rng) if rng.uniform() < 0.5 else 1.02), distance]
+
+
+def _aim_turns(rng: Rng, case: Case, seen: dict[str, float]) -> None:
+    """Limits of turning at the border of what the turns do, or with a little to spare."""
+    limits = case["limits"]
+    gain = max(limits["max_acceleration"], limits["max_deceleration"]) / limits["max_jerk"]
+    rate, acceleration, jerk = (seen.get(name, 0.0) for name in ("turn_rate", "turn_acceleration", "turn_jerk"))
+    wanted = {"max_yaw_rate": rate, "max_yaw_acceleration": max(acceleration, jerk * gain)}
+    for name, value in wanted.items():
+        if value > 1e-9:
+            border = value * (_border(rng) if rng.uniform() < 0.4 else 1.02)
+            limits[name] = border if rng.uniform() < 0.5 else max(border, limits.get(name, 0.0))
+    if limits["track_width"] > 0.0:
+        limits["max_wheel_speed"] = max(limits.get("max_wheel_speed", 0.0), 0.5 * limits["track_width"] * rate) * (
+            _border(rng) if rng.uniform() < 0.4 else 1.02
+        )
+
+
+def _steer(rng: Rng, case: Case) -> None:
+    """Steered wheels whose rate is at the border of what the motion and its rests need."""
+    limits = case["limits"]
+    limits["wheelbase"] = log_uniform(rng, 0.05, 4.0)
+    motion, law = motion_of(case["path"]), case["law"]
+    rates = [judged({**case, "limits": {**limits, "max_steering_rate": 1.0}}, motion).ratios["steering_rate"]]
+    rests = [h for h, j in zip(law["durations"], law["jerks"], strict=True) if j == 0.0]
+    for before, after in itertools.pairwise(motion.segments):
+        ends = (before.gear * motion.k1[before.stop - 1], after.gear * motion.k0[after.first])
+        angle = abs(math.atan(limits["wheelbase"] * ends[0]) - math.atan(limits["wheelbase"] * ends[1]))
+        rates += [angle / h for h in rests if h > 1e-6]
+    rates = [rate for rate in rates if 1e-9 < rate < _HUGE]
+    if rates:
+        limits["max_steering_rate"] = max(rates) if rng.uniform() < 0.5 else float(rng.choice(rates))
+        limits["max_steering_rate"] *= _border(rng) if rng.uniform() < 0.5 else 1.02

@@ -12,7 +12,7 @@ from experiments.fuzz.generators.routes import route
 from experiments.fuzz.generators.shapes import footprint, log_uniform, obstacle, rectangle, shallow_wall, turned
 from experiments.fuzz.generators.traps import trap
 from experiments.fuzz.oracle.motion import motion_of
-from experiments.fuzz.oracle.sweep import sweep
+from experiments.fuzz.oracle.sweep import start_run, sweep
 from experiments.fuzz.oracle.world import World
 
 if TYPE_CHECKING:
@@ -63,13 +63,21 @@ def _frame(rng: Rng, gears: list[Case], motion: Motion) -> Case:
         "clearance": _rule(rng),
         "limits": _bounds(rng, motion),
         "zone": [None, 0.0],
+        **_turning(rng, motion),
     }
+
+
+def _turning(rng: Rng, motion: Motion) -> Case:
+    """Whether the robot turns in place: nearly always where its path does."""
+    turns = any(one.in_place for one in motion.segments)
+    return {"turns_in_place": bool(rng.uniform() < 0.97)} if turns else {}
 
 
 def _entry(rng: Rng, motion: Motion) -> Case:
     """The gear that the dock asks for, and its final straight."""
     last = motion.segments[-1]
-    fitting = "forward" if last.gear > 0 else "backward"
+    gears = [one.gear for one in motion.segments if not one.in_place]
+    fitting = "forward" if (gears or [1])[-1] > 0 else "backward"
     word = str(rng.choice([fitting, "auto", "forward"], p=[0.4, 0.55, 0.05]))
     straight = 0.0
     if last.exact and np.all(last.curvature[-2:] == 0.0) and rng.uniform() < 0.5:
@@ -87,11 +95,17 @@ def _rule(rng: Rng) -> list[float]:
 def _bounds(rng: Rng, motion: Motion) -> Case:
     """Curvature limits at, above and (seldom) below what the path does."""
     limits: Case = {}
+    if any(one.in_place for one in motion.segments):
+        limits = {"max_yaw_rate": 1.0, "max_yaw_acceleration": 1.0}
     with np.errstate(all="ignore"):
         rates = np.where(motion.k1 == motion.k0, 0.0, (motion.k1 - motion.k0) / motion.h)
-    seen = {"max_curvature": np.abs(np.append(motion.k0, motion.k1)), "max_curvature_rate": np.abs(rates)}
+    driven = motion.gear != 0.0
+    seen = {
+        "max_curvature": np.abs(np.append(motion.k0, motion.k1))[np.tile(driven, 2)],
+        "max_curvature_rate": np.abs(rates),
+    }
     for name, values in seen.items():
-        top = float(np.max(values))
+        top = float(np.max(values, initial=0.0))
         if math.isfinite(top) and top > 0.0 and rng.uniform() < 0.4:
             limits[name] = top * float(
                 rng.choice([1.0, 1.0 + 1e-9, 1.5, 1.0 - 3.5e-6, 0.9], p=[0.4, 0.15, 0.25, 0.15, 0.05])
@@ -238,7 +252,8 @@ def _aim(rng: Rng, case: Case, motion: Motion) -> None:
     if world.is_empty or rng.uniform() < 0.12:
         return
     wanted = _wanted_margin(rng)
-    found = sweep(case, motion, world)
+    relief = start_run(case) if rng.uniform() < 0.3 else 0.0
+    found = sweep(case, motion, world, relief=relief)
     clearance = float(found.clearance.min())
     if clearance > wanted + 1e-4 and rng.uniform() < 0.6:
         _require(case, found, wanted)

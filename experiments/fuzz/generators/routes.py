@@ -16,17 +16,50 @@ if TYPE_CHECKING:
 
     from experiments.fuzz.case import Case
 
-__all__ = ["clothoid_route", "route"]
+__all__ = ["clothoid_route", "route", "with_turns"]
 
 Rng: TypeAlias = np.random.Generator
+_TURNS = 0.3  # share of paths that turn in place
 
 
 def route(rng: Rng) -> list[Case]:
     """The gears of a path: clothoids, or polylines made from them."""
     gears = clothoid_route(rng)
-    if rng.uniform() < 0.65:
-        return gears
-    return _polylines(rng, gears)
+    if rng.uniform() >= 0.65:
+        gears = _polylines(rng, gears)
+    return with_turns(rng, gears) if rng.uniform() < _TURNS else gears
+
+
+def with_turns(rng: Rng, gears: list[Case]) -> list[Case]:
+    """The same gears with turns in place before, between and behind them: what follows turns with them."""
+    made: list[Case] = []
+    for gear in gears:
+        if rng.uniform() < 0.5:
+            _turn_at(rng, made, motion_of([gear]).start if not made else motion_of(made[-1:]).end)
+        made.append(_moved(gear, motion_of(made[-1:]).end) if made else gear)
+    while rng.uniform() < 0.4 or all(one["type"] != "turn" for one in made):
+        _turn_at(rng, made, motion_of(made[-1:]).end)
+    return made
+
+
+def _turn_at(rng: Rng, made: list[Case], pose: np.ndarray) -> None:
+    style = rng.uniform()
+    size = log_uniform(rng, 1e-9, 0.1) if style < 0.15 else rng.uniform(0.05, 3.3)
+    size = log_uniform(rng, 3.0, 60.0) if style > 0.95 else size
+    turn = float(rng.choice([-1, 1]) * size)
+    made.append({"type": "turn", "start": [float(value) for value in pose], "turn": turn, "gear": 0})
+
+
+def _moved(gear: Case, to: np.ndarray) -> Case:
+    """A gear moved so that it begins at a pose."""
+    x, y, yaw = motion_of([gear]).start
+    c, s = math.cos(to[2] - yaw), math.sin(to[2] - yaw)
+    if gear["type"] == "clothoid":
+        return {**gear, "start": [float(value) for value in to]}
+    poses = np.array(gear["poses"])
+    dx, dy = poses[:, 0] - x, poses[:, 1] - y
+    moved = np.column_stack((to[0] + c * dx - s * dy, to[1] + s * dx + c * dy, poses[:, 2] + to[2] - yaw))
+    return {**gear, "poses": moved.tolist()}
 
 
 def clothoid_route(rng: Rng) -> list[Case]:

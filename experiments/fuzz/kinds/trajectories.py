@@ -23,6 +23,13 @@ if TYPE_CHECKING:
 __all__ = ["draw", "judge", "refuted"]
 
 _PLAIN = frozenset({"speed", "acceleration", "deceleration", "jerk", "rest", "start_state"})
+_OF_PHASES = frozenset({"acceleration", "deceleration", "jerk", "yaw_acceleration", "yaw_jerk"})
+_ALIASES = {
+    "rest": ("rest", "steering_rest"),
+    "yaw_rate": ("yaw_rate", "turn_rate"),
+    "yaw_acceleration": ("yaw_acceleration", "turn_acceleration"),
+    "yaw_jerk": ("turn_jerk",),
+}
 _LONG = 1e6  # [s]: after a longer wait times are too coarse to blame a refusal
 _CLAIM = 3e-6  # relative: a proven ratio may be below the true one by rounding and tolerance
 
@@ -53,10 +60,10 @@ def refuted(case: Case, certificate: TrajectoryCertificate) -> Verdict | None:
         worst = found.broken[0]
         ratio = found.ratios.get(worst, found.structure.get(worst, 0.0))
         return Verdict("false certificate", f"{worst}: {ratio:.9g} times what is allowed")
-    if not motion.exact.all():
+    if not all(one.exact or one.in_place for one in motion.segments):
         return None
     for name, ratio in found.ratios.items():
-        claimed = certificate.ratios.get(name, 1.0)
+        claimed = certificate.ratios.get(name.replace("turn_", "yaw_"), 1.0)
         if claimed < ratio * (1.0 - _CLAIM) - 1e-12:
             return Verdict("overclaimed bound", f"{name}: ratio {claimed:.9g} claimed, an instant has {ratio:.9g}")
     return None
@@ -68,8 +75,12 @@ def _wrongly_refused(case: Case, certificate: TrajectoryCertificate) -> Verdict 
         return None
     motion = motion_of(case["path"])
     found = judged(case, motion)
+    exact = all(one.exact or one.in_place for one in motion.segments)
+    drives_only = not any(one.in_place for one in motion.segments)
     for violation in certificate.violations:
-        judgeable = violation.kind in _PLAIN or motion.exact.all()
-        if judgeable and found.is_clear(violation.kind):
+        judgeable = violation.kind in _PLAIN or exact
+        if not drives_only and violation.kind in _OF_PHASES:
+            continue  # what phases of a nanometre at a cusp belong to is not ours to judge
+        if judgeable and all(found.is_clear(kind) for kind in _ALIASES.get(violation.kind, (violation.kind,))):
             return Verdict("false refusal", f"{violation.kind}: {violation.message}")
     return None

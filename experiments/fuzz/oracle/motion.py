@@ -32,7 +32,7 @@ _SAME_POSITION = 1e-9  # [m]: the documented length below which a step carries n
 
 @dataclass(frozen=True)
 class Segment:
-    """One gear: which rows of the motion's pieces it owns, its gear, its knots and what they say."""
+    """One gear or turn in place: which rows of the motion's pieces it owns, its gear, its knots and what they say."""
 
     exact: bool
     gear: int
@@ -41,8 +41,18 @@ class Segment:
     start_s: float
     length: float
     knots: Floats
-    curvature: Floats  # exact: at the knots; polyline: of the steps
-    poses: Floats  # exact: the start pose; polyline: all poses, unwrapped
+    curvature: Floats  # exact: at the knots; polyline: of the steps; none of a turn
+    poses: Floats  # exact: the start pose; polyline: all poses, unwrapped; of a turn where it begins and ends
+
+    @property
+    def in_place(self) -> bool:
+        """Whether it turns where it stands."""
+        return self.gear == 0
+
+    @property
+    def sampled(self) -> bool:
+        """Whether it is a polyline."""
+        return not (self.exact or self.in_place)
 
 
 @dataclass(frozen=True)
@@ -50,7 +60,8 @@ class Motion:
     """Pieces of a path, all columns Shape (n,) or (n, 3).
 
     `pose`: at the start of the piece. `step`: polyline: change of the pose. `exact`: whether it is a clothoid. `h`: arc
-    length. `k0`, `k1`: curvature at both ends, along the travel. `gear`: 1 or -1. `s`: arc length at its start.
+    length, of a turn in place its angle. `k0`, `k1`: curvature at both ends, along the travel. `gear`: 1, -1, or 0 in a
+    turn. `s`: path coordinate at its start.
     """
 
     pose: Floats
@@ -65,8 +76,14 @@ class Motion:
 
     @property
     def length(self) -> float:
-        """Arc length of all gears [m]."""
+        """Where the path coordinate ends [m]: arc length of all gears, and 1 m for every radian of a turn in place."""
         return float(self.s[-1] + self.h[-1])
+
+    def driven_before(self, piece: Ints, share: Floats) -> Floats:
+        """How far the robot has driven up to these places, Shape (n,) [m]."""
+        driven = np.where(self.gear == 0.0, 0.0, self.h)
+        before: Floats = np.cumsum(driven)[piece] - driven[piece] * (1.0 - share)
+        return before
 
     @property
     def turn(self) -> Floats:
@@ -141,7 +158,7 @@ def motion_of(path: list[Case]) -> Motion:
     """The motion of a case's path: a list of gears."""
     rows, segments, s, first = [], [], 0.0, 0
     for gear in path:
-        made, knots, curvature, poses = _clothoid(gear) if gear["type"] == "clothoid" else _polyline(gear)
+        made, knots, curvature, poses = _KINDS[gear["type"]](gear)
         length = float(np.sum(made.h))
         stop = first + made.h.size
         exact = gear["type"] == "clothoid"
@@ -196,3 +213,17 @@ def _polyline(gear: Case) -> tuple[_Rows, Floats, Floats, Floats]:
         curvature = np.where(step[:, 2] == 0.0, 0.0, step[:, 2] / arc)
     knots = np.concatenate(([0.0], np.cumsum(arc)))
     return _Rows(poses[:-1], step, arc, curvature, curvature), knots, curvature, poses
+
+
+def _turn(gear: Case) -> tuple[_Rows, Floats, Floats, Floats]:
+    x, y, yaw = gear["start"]
+    whole = float(gear["turn"])
+    count = max(1, math.ceil(abs(whole) / _TURN_PER_PIECE))
+    yaws = yaw + whole * np.arange(count + 1) / count
+    poses = np.column_stack((np.full(count + 1, x), np.full(count + 1, y), yaws))
+    h, k = np.full(count, abs(whole) / count), np.full(count, math.copysign(1.0, whole))
+    rows = _Rows(poses[:-1], np.diff(poses, axis=0), h, k, k)
+    return rows, np.array([0.0, abs(whole)]), np.zeros(0), poses[[0, -1]]
+
+
+_KINDS = {"clothoid": _clothoid, "polyline": _polyline, "turn": _turn}

@@ -56,7 +56,7 @@ def gap(first: Floats, second: Floats) -> float:
 
 def findings(case: Case, motion: Motion) -> list[Finding]:
     """Every rule but clearance. Where the ratio is a limit's, 1 is the limit with its tolerance."""
-    rules = (_ends, _joints, _gears, _slip, _sums, _winding, _curvature, _start_curvature, _straight)
+    rules = (_ends, _joints, _gears, _turns, _slip, _sums, _winding, _curvature, _start_curvature, _straight)
     with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
         return [finding for rule in rules for finding in rule(case, motion)]
 
@@ -75,10 +75,22 @@ def _joints(_: Case, motion: Motion) -> Iterator[Finding]:
 
 
 def _gears(case: Case, motion: Motion) -> Iterator[Finding]:
-    moving = [one for one in motion.segments if one.length > _MOVING] or list(motion.segments)
+    gears = [one for one in motion.segments if not one.in_place]
+    moving = [one for one in gears if one.length > _MOVING] or gears
+    if not moving:
+        return  # a path of turns alone enters nothing
     wanted = {"forward": 1, "backward": -1}.get(case["dock"]["direction"], moving[-1].gear)
     yield Finding("direction", 0.0 if wanted == moving[-1].gear else math.inf, motion.length)
     yield Finding("direction", math.inf if case["start_speed"] * moving[0].gear < 0.0 else 0.0, 0.0)
+
+
+def _turns(case: Case, motion: Motion) -> Iterator[Finding]:
+    """Turns in place are for robots that do so, and for none that moves."""
+    for segment in motion.segments:
+        if segment.in_place and not case.get("turns_in_place", False):
+            yield Finding("turn", math.inf, segment.start_s)
+    if motion.segments[0].in_place and case["start_speed"] != 0.0:
+        yield Finding("turn", math.inf, 0.0)
 
 
 class _Steps(NamedTuple):
@@ -108,7 +120,7 @@ def _wrapped(angle: Floats) -> Floats:
 def _slip(_: Case, motion: Motion) -> Iterator[Finding]:
     """Every step along its heading, and short enough to tell its arc."""
     for segment in motion.segments:
-        if segment.exact:
+        if not segment.sampled:
             continue
         steps = _steps(segment)
         yield Finding("slip", float(np.max(np.abs(steps.slip), initial=0.0)) / _SLIP, segment.start_s)
@@ -118,7 +130,7 @@ def _slip(_: Case, motion: Motion) -> Iterator[Finding]:
 
 def _sums(_: Case, motion: Motion) -> Iterator[Finding]:
     """What single steps may do must not add up: slipping sideways, and steps too short to have a direction."""
-    polylines = [segment for segment in motion.segments if not segment.exact]
+    polylines = [segment for segment in motion.segments if segment.sampled]
     if not polylines:
         return
     sideways, sampling, longest, still = [np.zeros(1)], 0.0, 0.0, 0.0
@@ -142,7 +154,7 @@ def _winding(case: Case, motion: Motion) -> Iterator[Finding]:
     """The direction of motion of a polyline turns no faster than the heading may, but for rounding."""
     limit = case["limits"].get("max_curvature", math.inf)
     for segment in motion.segments if math.isfinite(limit) else ():
-        if segment.exact or segment.knots.size < 3:
+        if not segment.sampled or segment.knots.size < 3:
             continue
         steps = _steps(segment)
         turn = np.abs(_wrapped(np.diff(steps.direction)))
@@ -154,7 +166,7 @@ def _winding(case: Case, motion: Motion) -> Iterator[Finding]:
 
 def _curvature(case: Case, motion: Motion) -> Iterator[Finding]:
     limits = case["limits"]
-    for segment in motion.segments:
+    for segment in (one for one in motion.segments if not one.in_place):
         slack = _EXACT if segment.exact else _SAMPLED
         yield _limit("curvature", segment.curvature, limits.get("max_curvature", math.inf), slack, segment)
         rate = _rates(segment)
@@ -189,7 +201,7 @@ def _start_curvature(case: Case, motion: Motion) -> Iterator[Finding]:
     first = motion.segments[0]
     if wanted is not None and first.exact:
         yield Finding("start_curvature", abs(float(first.curvature[0]) - wanted) / 1e-6, 0.0)
-    elif wanted is not None:
+    elif wanted is not None and first.sampled:
         yield Finding("start_curvature", 1.0, 0.0)  # what a step's mean says about its start is not ours to judge
 
 
@@ -197,8 +209,9 @@ def _straight(case: Case, motion: Motion) -> Iterator[Finding]:
     wanted, last = float(case["dock"]["final_straight"]), motion.segments[-1]
     if wanted <= 0.0:
         return
-    if last.length < wanted - 0.5e-6:
-        yield Finding("final_straight", (wanted - last.length) / _POSE, motion.length)
+    driven = 0.0 if last.in_place else last.length
+    if driven < wanted - 0.5e-6:
+        yield Finding("final_straight", (wanted - driven) / _POSE, motion.length)
         return
     begin = last.start_s + last.length - wanted
     piece = np.repeat(np.arange(last.first, last.stop), 5)

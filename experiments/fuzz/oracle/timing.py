@@ -7,6 +7,7 @@ constant jerk is written out here once more, so that no error of `optdock.trajec
 
 from __future__ import annotations
 
+import itertools
 import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, NamedTuple
@@ -19,7 +20,7 @@ if TYPE_CHECKING:
     from experiments.fuzz.case import Case
     from experiments.fuzz.oracle.motion import Floats, Ints, Motion
 
-__all__ = ["Judgement", "judged"]
+__all__ = ["Judgement", "judged", "turn_limits"]
 
 _PER_PHASE = 24  # samples
 _BISECTIONS = 60
@@ -28,6 +29,7 @@ _ZOOMS = 3  # rounds around the largest values
 _SPREAD = np.linspace(-1.0, 1.0, 21)
 _EXCESS = 1e-6  # relative: what the certificate accepts beyond a limit
 _SAMPLED = 0.05  # likewise of turning limits on the steps of a polyline
+_NOWHERE = 1e-9  # [m] of the path coordinate: a phase that moves less belongs to either side of a cusp
 _ROUNDED = 4.0  # units in the last place, of sums of some ten terms
 
 
@@ -153,23 +155,69 @@ def _zoomed(law: _Law, motion: Motion, instants: _Instants, ratios: dict[str, Fl
     return _on_path(law, motion, phase, np.clip(dt, 0.0, law.width[phase]))
 
 
+def turn_limits(limits: Case) -> tuple[float, float, float]:
+    """Rate, acceleration and jerk that a turn in place may have.
+
+    The rims keep the wheel speed, gain speed no faster than straight on, and take as long for it.
+    """
+    lever = 0.5 * float(limits.get("track_width", 0.0))
+    gains = (float(limits.get("max_acceleration", 0.5)), float(limits.get("max_deceleration", 0.6)))
+    rate = float(limits.get("max_yaw_rate", math.inf))
+    acceleration = float(limits.get("max_yaw_acceleration", math.inf))
+    if lever > 0.0:
+        rate = min(rate, float(limits.get("max_wheel_speed", math.inf)) / lever)
+        acceleration = min(acceleration, min(gains) / lever)
+    return rate, acceleration, acceleration * float(limits.get("max_jerk", 2.0)) / max(gains)
+
+
 def _ratios(case: Case, motion: Motion, law: _Law, instants: _Instants) -> dict[str, Floats]:
-    """Every limited quantity over its limit, Shape (n,) each."""
+    """Every limited quantity over its limit, Shape (n,) each; what drives is judged apart from what turns in place."""
+    driving = _driving_ratios(case, motion, law, instants)
+    if not np.any(motion.gear == 0.0):
+        return driving
+    phase, dt = instants.phase, instants.dt
+    s, v, a = law.at(phase, dt)
+    v, a = _without_rounding(law, phase, s, v, a)
+    values = np.abs(v), np.abs(a), np.abs(law.jerk[phase])
+    turning = dict(zip(("turn_rate", "turn_acceleration", "turn_jerk"), values, strict=True))
+    # A phase turns where its middle does; one that leads nowhere counts as whichever forgives more.
+    middle = law.at(np.arange(law.width.size), 0.5 * law.width)[0]
+    piece = np.clip(np.searchsorted(motion.s, middle, side="right") - 1, 0, motion.s.size - 1)
+    turns, tiny = motion.gear[piece] == 0.0, _tiny_turns(motion)
+    short = (np.abs(np.diff(law.s)) <= _NOWHERE) | (turns & tiny[piece])
+    is_turn, is_drive = (turns | short)[phase], (~turns | short)[phase]
+    here = (motion.gear == 0.0)[instants.piece]
+    found = {name: np.where(is_turn | here, 0.0, ratio) for name, ratio in driving.items()}
+    limits = zip(turning.items(), turn_limits(case["limits"]), strict=True)
+    return found | {name: np.where(is_drive | ~here, 0.0, value / limit) for (name, value), limit in limits}
+
+
+def _tiny_turns(motion: Motion) -> npt.NDArray[np.bool_]:
+    """Pieces of turns so small that both their ends may be one rest, Shape (n,)."""
+    sizes = [one.length if one.in_place else math.inf for one in motion.segments]
+    tiny: npt.NDArray[np.bool_] = np.repeat(sizes, [one.stop - one.first for one in motion.segments]) <= 2.0 * _REST
+    return tiny
+
+
+def _driving_ratios(case: Case, motion: Motion, law: _Law, instants: _Instants) -> dict[str, Floats]:
+    """As `_ratios`, of what drives."""
     limits, (phase, dt, piece, share) = case["limits"], instants
     s, v, a = law.at(phase, dt)
     v, a = _without_rounding(law, phase, s, v, a)
     k0, k1, h = motion.k0[piece], motion.k1[piece], motion.h[piece]
     k, r = k0 + (k1 - k0) * share, np.where(k1 == k0, 0.0, (k1 - k0) / h)
     speed, track = np.abs(v), float(limits.get("track_width", 0.0))
+    wheelbase = float(limits.get("wheelbase", 0.0))
     slack = np.where(motion.exact[piece], 1.0, 1.0 + _SAMPLED + 0.01)
     curved = {
         "yaw_rate": np.abs(v * k),
         "lateral_acceleration": v * v * np.abs(k),
         "yaw_acceleration": np.abs(a * k + v * v * r),
         "wheel_speed": speed * (1.0 + 0.5 * track * np.abs(k)),
+        "steering_rate": wheelbase * np.abs(r) * speed / (1.0 + (wheelbase * k) ** 2),
     }
     found = {
-        "speed": speed / _top_speed(case, motion, s, piece),
+        "speed": speed / _top_speed(case, motion, piece, share),
         "acceleration": a / limits.get("max_acceleration", 0.5),
         "deceleration": -a / limits.get("max_deceleration", 0.6),
         "jerk": np.abs(law.jerk[phase]) / limits.get("max_jerk", 2.0),
@@ -193,12 +241,14 @@ def _without_rounding(law: _Law, phase: Ints, s: Floats, v: Floats, a: Floats) -
     return np.copysign(speed, v), np.copysign(np.maximum(np.abs(a) - jerk * time, 0.0), a)
 
 
-def _top_speed(case: Case, motion: Motion, s: Floats, piece: Ints) -> Floats:
+def _top_speed(case: Case, motion: Motion, piece: Ints, share: Floats) -> Floats:
     """Speed limit of the gear, and of the zone at the end where it is lower. Shape (n,) [m/s]."""
     limits, (zone_speed, zone_length) = case["limits"], case["zone"]
     top: Floats = np.where(motion.gear[piece] > 0, limits.get("max_speed", 0.5), limits.get("max_reverse_speed", 0.3))
     # A nanometre inside, where nobody disputes on which side of the border an instant is.
-    inside = (s > motion.length - zone_length + 1e-9) & (zone_length > 0.0)
+    driven = motion.driven_before(piece, share)
+    whole = float(np.sum(motion.h[motion.gear != 0.0]))
+    inside = (driven > whole - zone_length + 1e-9) & (zone_length > 0.0)
     return np.where(inside, np.minimum(top, zone_speed if zone_speed is not None else math.inf), top)
 
 
@@ -212,6 +262,7 @@ def _structure(case: Case, motion: Motion, law: _Law) -> dict[str, float]:
     start = case.get("start_speed")
     return {
         "coverage": max(ends, back, math.inf if np.any(still > 1e-8) else 0.0),
+        "steering_rest": max(_steered(case, motion, law), default=0.0),
         "rest": max(_unrest(law, motion.length, -1), *(_unrest(law, one.start_s) for one in motion.segments[1:]), 0.0)
         / _REST,
         "start_state": 0.0 if start is None else abs(float(law.v[0]) - start) / _REST,
@@ -222,3 +273,23 @@ def _unrest(law: _Law, s: float, first: int = 0) -> float:
     """How far from rest the phase border is, from `first` on, that is nearest to resting at `s`."""
     state: npt.NDArray[np.float64] = np.column_stack((law.s - s, law.v, law.a))[first:]
     return float(np.min(np.max(np.abs(state), axis=1)))
+
+
+def _steered(case: Case, motion: Motion, law: _Law) -> list[float]:
+    """At every cusp, what the wheels need beyond the rest there, over twice what rounding forgives of it."""
+    rate, wheelbase = case["limits"].get("max_steering_rate", math.inf), case["limits"].get("wheelbase", 0.0)
+    if math.isinf(rate):
+        return []
+    dt = law.width / 2.0
+    fastest = np.maximum(np.abs(law.at(np.arange(dt.size), dt)[1]), np.maximum(np.abs(law.v[:-1]), np.abs(law.v[1:])))
+    found = []
+    for before, after in itertools.pairwise(motion.segments):
+        angles = [
+            math.atan(wheelbase * one.gear * float(k))
+            for one, k in ((before, motion.k1[before.stop - 1]), (after, motion.k0[after.first]))
+        ]
+        needed = abs(angles[1] - angles[0]) / rate
+        near = (np.abs(law.s[:-1] - after.start_s) <= 2.0 * _REST) & (np.abs(law.s[1:] - after.start_s) <= 2.0 * _REST)
+        given = float(np.sum(law.width[near & (fastest <= 2.0 * _REST)]))
+        found.append(0.0 if needed <= _REST else (needed - given) / (_REST * needed))
+    return found

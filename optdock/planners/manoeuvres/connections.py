@@ -14,7 +14,7 @@ from optdock.planners.manoeuvres.reeds_shepp import TURNS, reeds_shepp_words
 from optdock.planners.manoeuvres.tree import joined
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
+    from collections.abc import Callable, Iterator, Sequence
 
     from optdock.geometry.arrays import BoolArray, FloatArray, IntArray
     from optdock.planners.manoeuvres.free_space import Effort, FreeSpace
@@ -132,11 +132,21 @@ def promising(found: Connections, exits: ArcTree, space: FreeSpace) -> Connectio
 
 
 def free_manoeuvres(
-    found: Connections, exits: ArcTree, entries: ArcTree, space: FreeSpace, effort: Effort
+    found: Connections,
+    exits: ArcTree,
+    entries: ArcTree,
+    space: FreeSpace,
+    effort: Effort,
+    worthwhile: Callable[[], float],
 ) -> Iterator[tuple[float, Arcs]]:
-    """Those whose words are free, in ascending order of price: the price, and the whole way from start to goal."""
+    """Those whose words are free, in ascending order of price: the price, and the whole way from start to goal.
+
+    They end where prices reach `worthwhile`, which may fall meanwhile.
+    """
     for k in range(0, found.size, _BATCH):
         space.poll()
+        if found.prices[k] >= worthwhile():
+            return
         some = slice(k, k + _BATCH)
         words = Arcs(exits.poses[found.exits[some]], found.lengths[some], found.curvatures[some])
         glanced = words.poses_at_shares(_GLANCE)
@@ -144,6 +154,8 @@ def free_manoeuvres(
         passed = space.is_free(glanced.reshape(-1, 3), *asked).reshape(glanced.shape[:2]).all(axis=1)
         for row in np.flatnonzero(passed).tolist():
             space.poll()
+            if found.prices[k + row] >= worthwhile():
+                return
             word = words.rows(slice(row, row + 1))
             if not space.is_free(word.poses_every(space.spacing(effort)), *asked).all():
                 continue

@@ -223,10 +223,17 @@ class FreeSpace:
         """Between poses that stand for a whole way [m]."""
         return self.width / min(max(effort.fineness, _POSES_PER_WIDTH[0]), _POSES_PER_WIDTH[1])
 
-    def wavefront(self, source: FloatArray) -> Wavefront:
-        """Lengths of ways around the obstacles from a place, Shape (2,) [m], for a disc inside the footprint."""
-        field = DistanceField(self.obstacles, self._square, 4.0 * self.field.spacing, 2.0 * self.width, self.poll)
-        return Wavefront(field, source, self.footprint.inscribed_radius)
+    def wavefront(self, source: FloatArray, radius: float | None = None) -> Wavefront:
+        """Lengths of ways around the obstacles from a place, Shape (2,) [m].
+
+        Args:
+            source: The place.
+            radius: Of the disc that drives them [m]; None: of the one inside the footprint.
+        """
+        radius = self.footprint.inscribed_radius if radius is None else radius
+        reach = max(2.0 * self.width, 1.5 * radius)
+        field = DistanceField(self.obstacles, self._square, 4.0 * self.field.spacing, reach, self.poll)
+        return Wavefront(field, source, radius)
 
     def required(self, poses: FloatArray, margin: float, start_relief: float) -> FloatArray:
         """Required clearance at poses, and the margin, which tapers off towards both ends. Shape (n,) [m]."""

@@ -9,6 +9,7 @@ what is still to drive is the cheaper of all words, and the length of the shorte
 from __future__ import annotations
 
 import heapq
+import math
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -18,7 +19,7 @@ from optdock.planners.manoeuvres.connections import Connections, Nodes, connecti
 from optdock.planners.manoeuvres.tree import Moves
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Callable, Iterator
 
     from optdock.geometry.arrays import BoolArray, FloatArray, IntArray
     from optdock.planners.manoeuvres.arcs import Arcs
@@ -75,8 +76,12 @@ def hybrid_a_star(
     space: FreeSpace,
     effort: Effort,
     wavefront: Wavefront | None,
+    worthwhile: Callable[[], float],
 ) -> Iterator[tuple[float, Arcs]]:
     """Free manoeuvres as they are found: the price, and the whole way from start to goal.
+
+    The first way found is seldom the best one: once there is a plan the tree grows one last time, and what it holds is
+    shot at while that may pay.
 
     Args:
         exits: The start, from which every node is shot at, and other nodes of its tree, which take turns.
@@ -84,6 +89,7 @@ def hybrid_a_star(
         space: What is free.
         effort: How sharply, how closely and for how long.
         wavefront: Lengths of the shortest ways from the start for a disc; None: not asked.
+        worthwhile: The price from which on a way is of no use; infinite while there is no plan.
     """
     tree, limits = entries.tree, space.problem.robot.limits
     radius = effort.radius
@@ -94,21 +100,23 @@ def hybrid_a_star(
     opened: list[tuple[float, int]] = []
     shots: list[Connections] = []
     fresh, nodes = entries.rows, 0
-    while fresh.size:
+    is_enough = False
+    while fresh.size and not is_enough:
+        is_enough = math.isfinite(worthwhile())
         words = connections(*_pairs(exits, Nodes(tree, fresh)), radius, space, _WORDS_PER_NODE)
         worth = promising(_long_enough(words, tree, wavefront), exits.tree, space)
         shots = [Connections.merged([*shots, worth])]
         for bound, row in zip(_bounds(tree, fresh, words, speed, wavefront).tolist(), fresh.tolist(), strict=True):
             heapq.heappush(opened, (bound, row))
         looked, shots = shots[0].rows(slice(_SHOTS)), [shots[0].rows(slice(_SHOTS, None))]
-        yield from free_manoeuvres(looked, exits.tree, tree, space, effort)
+        yield from free_manoeuvres(looked, exits.tree, tree, space, effort, worthwhile)
         fresh = fresh[:0]
         while fresh.size == 0 and opened and nodes < effort.nodes:
             rows = np.array([heapq.heappop(opened)[1] for _ in range(min(_EXPANDED, len(opened)))])
             fresh = tree.grow(rows, moves, radius * _STATIONS, space, effort, grid.enter)
             nodes += fresh.size
     for rest in shots:
-        yield from free_manoeuvres(rest, exits.tree, tree, space, effort)
+        yield from free_manoeuvres(rest, exits.tree, tree, space, effort, worthwhile)
 
 
 def _pairs(exits: Nodes, fresh: Nodes) -> tuple[Nodes, Nodes]:

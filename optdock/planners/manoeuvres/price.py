@@ -7,13 +7,16 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from optdock.dock import DockDirection
+from optdock.segments import TurnSegment
+
 if TYPE_CHECKING:
     from optdock.geometry.arrays import FloatArray
-    from optdock.limits import MotionLimits
+    from optdock.limits import MotionLimits, TurnLimits
     from optdock.path import Path
     from optdock.problem import DockingProblem
 
-__all__ = ["CUSP_PRICE", "ends_cost", "gear_changes", "least_price", "stopping_cost"]
+__all__ = ["CUSP_PRICE", "ends_cost", "gear_changes", "least_price", "stopping_cost", "stops", "turning_times"]
 
 # [s] beside the time that stopping takes: a change of gear wears the drive and is where controllers overshoot, so one
 # more has to save a second.
@@ -32,6 +35,9 @@ def least_price(path: Path, problem: DockingProblem) -> float:
     entry_speed = abs(problem.start_speed)
     zone = problem.dock.approach
     for i, (segment, length) in enumerate(zip(path.segments, lengths, strict=True)):
+        if isinstance(segment, TurnSegment):
+            total += float(turning_times(np.array([abs(segment.turn)]), limits.turning)[0])
+            continue
         top = limits.max_speed if int(segment.direction) > 0 else limits.max_reverse_speed
         is_last = i == len(lengths) - 1
         slow = min(zone.distance, length) if is_last and zone.speed < top else 0.0
@@ -39,7 +45,25 @@ def least_price(path: Path, problem: DockingProblem) -> float:
         if slow > 0.0:
             total += _gear_duration(slow, zone.speed, 0.0, zone.speed, limits)
         entry_speed = 0.0
-    return total + CUSP_PRICE * (len(lengths) - 1)
+    return total + CUSP_PRICE * stops(path)
+
+
+def stops(path: Path) -> int:
+    """How often the robot stops on its way to change gear, to turn in place, or for both at once."""
+    driven = sum(not isinstance(segment, TurnSegment) for segment in path.segments)
+    return max(driven - 1, 0)
+
+
+def turning_times(turns: FloatArray, limits: TurnLimits) -> FloatArray:
+    """Shortest durations of turns in place, from rest to rest, without a bound on jerk.
+
+    Args:
+        turns: Not negative, of any shape [rad].
+        limits: Of turns; finite.
+    """
+    ramps = np.minimum(limits.rate, np.sqrt(turns * limits.acceleration))
+    times: FloatArray = ramps / limits.acceleration + turns / np.maximum(ramps, 1e-300)
+    return times
 
 
 def _gear_duration(length: float, first: float, last: float, top: float, limits: MotionLimits) -> float:
@@ -59,11 +83,22 @@ def stopping_cost(limits: MotionLimits) -> float:
 
 
 def ends_cost(problem: DockingProblem) -> float:
-    """What setting off, the slow stretch before the dock and stopping there add to the time at full speed [s]."""
-    limits, zone = problem.robot.limits, problem.dock.approach
-    mean = 0.5 * (limits.max_speed + limits.max_reverse_speed)
-    slow = zone.distance * max(1.0 / zone.speed - 1.0 / mean, 0.0)
-    return 0.5 * mean / limits.max_acceleration + 0.5 * min(mean, zone.speed) / limits.max_deceleration + slow
+    """What setting off, the dock's slow stretch and stopping there add to the time at full speed, at least [s].
+
+    Exact for accelerations without a bound on jerk where the gears are known and there is room to reach full speed.
+    """
+    limits, dock = problem.robot.limits, problem.dock
+    speeds = {DockDirection.FORWARD: limits.max_speed, DockDirection.BACKWARD: limits.max_reverse_speed}
+    ending = [speeds[dock.direction]] if dock.direction in speeds else list(speeds.values())
+    setting_off = min((top - min(abs(problem.start_speed), top)) ** 2 / top for top in speeds.values())
+    return setting_off / (2.0 * limits.max_acceleration) + min(_ending(top, problem) for top in ending)
+
+
+def _ending(top: float, problem: DockingProblem) -> float:
+    """What the slow stretch before the dock and stopping add to the time at the speed `top` [s]."""
+    zone, down = problem.dock.approach, problem.robot.limits.max_deceleration
+    last = min(zone.speed, top) if zone.distance > 0.0 else top
+    return zone.distance * (1.0 / last - 1.0 / top) + ((top - last) ** 2 / top + last) / (2.0 * down)
 
 
 def gear_changes(lengths: FloatArray) -> FloatArray:

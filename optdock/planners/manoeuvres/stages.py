@@ -10,18 +10,22 @@ import numpy as np
 
 from optdock.dock import DockDirection
 from optdock.geometry.arrays import readonly
+from optdock.geometry.pose import Pose2
 from optdock.outcomes import Guess
 from optdock.planners.manoeuvres.connections import Nodes, all_pairs, connections, free_manoeuvres, promising
 from optdock.planners.manoeuvres.free_space import Effort, FreeSpace
 from optdock.planners.manoeuvres.hybrid_a_star import PoseGrid, hybrid_a_star
-from optdock.planners.manoeuvres.price import ends_cost, least_price
+from optdock.planners.manoeuvres.price import ends_cost, gear_changes, least_price, stopping_cost
+from optdock.planners.manoeuvres.reeds_shepp import reeds_shepp_words
 from optdock.planners.manoeuvres.tree import ArcTree, Moves
+from optdock.planners.manoeuvres.turns import routes, turns_and_drives
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
     from optdock.geometry.arrays import FloatArray
     from optdock.planners.manoeuvres.arcs import Arcs
+    from optdock.planners.manoeuvres.turns import TurnSearch
     from optdock.problem import DockingProblem
 
 __all__ = ["Stages"]
@@ -30,6 +34,9 @@ __all__ = ["Stages"]
 _RUNS = readonly(np.array([0.0, 0.25, 0.5, 1.0, 1.5, 2.0, 3.0]))
 _EXIT_TURN = 1.0  # [rad] of arcs out of the start; straight lines are as long
 _FREE_EXITS, _MOST_EXITS = 4, 60  # of six; nodes of the start's tree after which it grows no more
+# Straight runs out of the start before a turn, in circumscribed radii: what stands beside the robot is left behind.
+_TURN_EXITS = readonly(np.array([0.5, 1.0, 1.5, 2.0, 3.0]))
+_TURN_TRIES = 2  # ways of turns and straight lines that are offered at most, and as many with rounded corners
 _TRIES = 4  # different ways that one stage offers at most
 _WORDS_PER_PAIR = 12  # words from the start to a staging pose that are looked at
 _SAMPLING = 40.0  # poses of a path per turning radius
@@ -48,8 +55,7 @@ class Stages:
     def __init__(
         self, problem: DockingProblem, slack: float, poll: Callable[[], None], better_than: Callable[[], float]
     ) -> None:
-        self.problem, self._better_than = problem, better_than
-        self.space = FreeSpace(problem, poll)
+        self.problem, self._poll, self._better_than = problem, poll, better_than
         limits, footprint = problem.robot.limits, problem.robot.footprint
         self.radius = turning_radius(problem)
         rate = limits.max_curvature_rate
@@ -68,9 +74,58 @@ class Stages:
 
     def guesses(self) -> Iterator[Guess | None]:
         """The guesses of all stages, the first of them in a few milliseconds."""
+        turns = self.problem.robot.turns_in_place and self.problem.start_speed == 0.0
+        if not turns and self._cheapest_word() >= self._worthwhile():
+            return  # what there is cannot be beaten, were there no obstacle at all
+        if turns:
+            yield from self._turn_and_drive(turns_and_drives)
         yield from self._words()
+        if turns and math.isinf(self._better_than()):
+            yield from self._turn_and_drive(routes)
         if math.isinf(self._better_than()):
             yield from self._hybrid_a_star()
+
+    @functools.cached_property
+    def space(self) -> FreeSpace:
+        """Where the robot may be."""
+        return FreeSpace(self.problem, self._poll)
+
+    def _cheapest_word(self) -> float:
+        """Estimated price of the cheapest word to the final straight, whatever stands in its way [s]."""
+        problem, limits = self.problem, self.problem.robot.limits
+        straight = problem.dock.final_straight
+        ends = np.stack([(problem.goal @ Pose2(-gear * straight, 0.0, 0.0)).as_array() for gear in self._gears])
+        words = reeds_shepp_words(np.tile(problem.start.as_array(), (len(ends), 1)), ends, self.radius).lengths
+        words = np.where(np.isnan(words).any(axis=2, keepdims=True), np.inf, words)
+        driven = np.where(words > 0.0, words / limits.max_speed, -words / limits.max_reverse_speed).sum(axis=2)
+        along = straight / np.array(
+            [limits.max_speed if gear > 0.0 else limits.max_reverse_speed for gear in self._gears]
+        )
+        return float((driven + stopping_cost(limits) * gear_changes(words) + along).min())
+
+    def _turn_and_drive(self, search: TurnSearch) -> Iterator[Guess]:
+        """Turns in place and straight lines, and the same with rounded corners."""
+        left = {False: _TURN_TRIES, True: _TURN_TRIES}
+        for effort in (self._efforts[0], self._efforts[-1]):
+            if effort.margin == 0.0 and math.isfinite(self._better_than()):
+                return
+            found = search(self._straight_exits(effort), self._staging(effort), self.space, effort)
+            for price, way in found:
+                if price >= self._worthwhile():
+                    return
+                path = way.path(self.radius / _SAMPLING, self.problem.goal, self.problem.frame)
+                if least_price(path, self.problem) < self._better_than() and left[way.is_rounded] > 0:
+                    left[way.is_rounded] -= 1
+                    yield Guess(path, "turn and drive")
+                if not any(left.values()):
+                    return
+
+    def _straight_exits(self, effort: Effort) -> Nodes:
+        """The start, and straight runs out of it."""
+        tree, root = ArcTree(self.problem.start.as_array(), self.problem.robot.limits, 1), np.zeros(1, dtype=np.int64)
+        stations = self.space.footprint.circumscribed_radius * _TURN_EXITS
+        tree.grow(root, Moves.of((1.0, -1.0), (0.0,)), stations, self.space, effort)
+        return Nodes(tree, np.arange(len(tree)))
 
     @property
     def _gears(self) -> tuple[float, ...]:
@@ -133,7 +188,7 @@ class Stages:
             pairs = all_pairs(self._start, staging)
             found = connections(*pairs, effort.radius, self.space, _WORDS_PER_PAIR)
             found = promising(found.rows(found.prices < self._worthwhile()), self._start.tree, self.space)
-            ways = free_manoeuvres(found, self._start.tree, staging.tree, self.space, effort)
+            ways = free_manoeuvres(found, self._start.tree, staging.tree, self.space, effort, self._worthwhile)
             yield from self._offered("Reeds-Shepp", ways)
 
     def _hybrid_a_star(self) -> Iterator[Guess | None]:
@@ -146,19 +201,16 @@ class Stages:
             exits, entries = self._exits(effort), self._staging(effort)
             if exits.rows.size < 2 or entries.rows.size == 0:
                 continue  # no arc leads away from the start, or no straight run out of the dock
-            ways = hybrid_a_star(exits, entries, self.space, effort, wavefront)
-            for guess in self._offered("hybrid A*", ways):
-                yield guess
-                if math.isfinite(self._better_than()):
-                    return
+            ways = hybrid_a_star(exits, entries, self.space, effort, wavefront, self._worthwhile)
+            yield from self._offered("hybrid A*", ways)
+            if math.isfinite(self._better_than()):
+                return
             yield None
 
     def _offered(self, stage: str, found: Iterator[tuple[float, Arcs]]) -> Iterator[Guess]:
         """The first few of the ways found that are unlike those offered before and may beat the best plan."""
         offered = 0
-        for price, arcs in found:
-            if price >= self._worthwhile():
-                return
+        for _, arcs in found:
             path = arcs.path(self.radius / _SAMPLING, self.problem.goal.as_array(), self.problem.frame)
             if least_price(path, self.problem) >= self._better_than() or not self._is_another_way(arcs):
                 continue

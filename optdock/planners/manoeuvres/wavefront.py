@@ -52,6 +52,20 @@ class Wavefront:
         reached: FloatArray = np.maximum(self._steps[rows, columns] - 1.0, 0.0) * field.spacing
         return reached
 
+    def way(self, point: FloatArray) -> FloatArray | None:
+        """Grid points of a shortest way to a point, Shape (2,); None where there is none. Shape (n, 2) [m]."""
+        if np.isinf(self.lengths(point[None])[0]):
+            return None
+        field = self._field
+        cell = np.clip(np.rint((point - field.origin) / field.spacing), 0, field.side - 1).astype(np.int64)
+        cells = [cell]
+        while self._steps[tuple(cell)] > 0.0:
+            around = np.clip(cell + _EIGHT, 0, field.side - 1)
+            cell = around[np.argmin(self._steps[tuple(around.T)])]
+            cells.append(cell)
+        way: FloatArray = field.origin + field.spacing * np.array(cells[::-1])
+        return way
+
     def _advance(self) -> None:
         around = _FOUR if self._count % 2 else _EIGHT
         self._count += 1

@@ -13,7 +13,7 @@ from optdock.geometry.clothoid import ClothoidSpline
 from optdock.geometry.footprint import Footprint
 from optdock.geometry.pose import Pose2
 from optdock.limits import MotionLimits
-from optdock.path import ClothoidSegment, Direction, Path, PolylineSegment
+from optdock.path import ClothoidSegment, Direction, Path, PolylineSegment, TurnSegment
 from optdock.problem import DockingProblem
 from optdock.robot import Robot
 from optdock.verification import certify_path
@@ -304,3 +304,14 @@ def test_honest_samples_keep_the_rules_of_sums(seed, spacing, rounding):
     found = certify_path(path, problem(path, limits, final_straight=0.0)).violations
     # A coarse step across a kink may still slip or bulge by itself.
     assert [v.message for v in found if "in all" in v.message or "direction of motion" in v.message] == []
+
+
+@pytest.mark.parametrize("speed", [0.2, -0.2, 1e-9, -1e-9, 0.0])
+def test_no_robot_in_motion_begins_with_a_turn_in_place(speed):
+    turn = TurnSegment(Pose2(0.0, 0.0, 0.0), 0.5)
+    driven = ClothoidSpline(turn.end, [0.0, 1.0], [0.0, 0.0], -1 if speed < 0.0 else 1)
+    path = Path((turn, ClothoidSegment(driven)))
+    drive = dataclasses.replace(LIMITS, max_yaw_rate=1.0, max_yaw_acceleration=1.0)
+    robot = Robot(Footprint.from_radius(0.3), drive, turns_in_place=True)
+    wanted = DockingProblem(path.start, Dock(path.end), robot, start_speed=speed)
+    assert kinds(path, wanted) == (["turn"] if speed else [])

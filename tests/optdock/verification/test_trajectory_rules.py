@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from optdock.geometry.clothoid import ClothoidSpline
 from optdock.geometry.pose import Pose2
 from optdock.limits import MotionLimits, SpeedZone
-from optdock.path import ClothoidSegment, Path, PolylineSegment
+from optdock.path import ClothoidSegment, Path, PolylineSegment, TurnSegment
 from optdock.trajectory import TimeLaw, Trajectory
 from optdock.verification import certify_trajectory, trajectory_rules
 
@@ -185,6 +185,71 @@ def test_the_rest_at_a_cusp_may_follow_a_phase_too_short_to_move():
         assert kinds(Trajectory(two_gears(), TimeLaw(durations, jerks, start_s=shift)), OPEN) == []
 
 
+@pytest.mark.parametrize("angle", [3e-6, 1e-3, 0.02, 1.5])
+@pytest.mark.parametrize("gear", [1, -1])
+def test_wheels_have_the_time_they_need_at_a_joint_however_little(angle, gear):
+    """The curvature jumps by what the wheels turn in reverse as forward, and at a joint within one gear."""
+    bend = np.tan(0.5 * angle) / 0.7
+    first = ClothoidSpline(Pose2(0.0, 0.0, 0.0), [0.0, 1.0], [bend, bend])
+    second = ClothoidSpline(first.end, [0.0, 1.0], [-gear * bend] * 2, gear)
+    joined = Path((ClothoidSegment(first), ClothoidSegment(second)))
+    drive = dataclasses.replace(OPEN, wheelbase=0.7, max_steering_rate=0.5)
+    t, j = move(1.0)
+    for rest, found in ((angle / 0.5 * (1.0 + 1e-9), []), (angle / 0.5 * (1.0 - 1e-3), ["rest"]), (1e-9, ["rest"])):
+        waiting = TimeLaw(np.concatenate((t, [rest], t)), np.concatenate((j, [0.0], j)))
+        assert kinds(Trajectory(joined, waiting), drive) == found
+        elsewhere = TimeLaw(np.concatenate(([9.0], t, [rest], t, [9.0])), np.concatenate(([0.0], j, [0.0], j, [0.0])))
+        assert kinds(Trajectory(joined, elsewhere), drive) == found
+
+
+UNEVEN = {
+    "deceleration": ([2.0, 2.0, 1.0, 1.0], [0.1, -0.1, -0.4, 0.4]),
+    "acceleration": ([1.0, 1.0, 2.0, 2.0], [0.4, -0.4, -0.1, 0.1]),
+    "peak inside a phase": ([1.0, 2.0, 1.0], [0.4, -0.4, 0.4]),
+    "jerk down": ([2.0, 0.5, 0.5, 2.0], [0.1, -0.4, -0.4, 0.1]),
+    "jerk up": ([0.5, 2.0, 2.0, 0.5], [0.4, -0.1, -0.1, 0.4]),
+}
+
+
+@pytest.mark.parametrize("name", UNEVEN)
+@pytest.mark.parametrize("sign", [1, -1])
+def test_the_largest_of_a_turn_counts_wherever_it_is(name, sign):
+    """Slowing down as speeding up, jerk of either sign, and a yaw rate that no border of the phases has."""
+    law = TimeLaw(*UNEVEN[name])
+    turn = Path((TurnSegment(Pose2(1.0, 2.0, 3.0), sign * float(law.states[-1, 0])),))
+    dense = law.at(np.linspace(0.0, law.duration, 60_001))
+    rate, acceleration, jerk = np.max(np.abs(dense[:, 1:]), axis=0)
+    # A turn's jerk is bounded by acceleration * max_jerk / max(max_acceleration, max_deceleration).
+    fits = {"max_yaw_rate": rate, "max_yaw_acceleration": acceleration, "max_jerk": jerk / acceleration * 0.6}
+    fits = {name: value * (1.0 + 1e-4) for name, value in fits.items()}
+    assert kinds(Trajectory(turn, law), MotionLimits(**fits)) == []
+    for limit, kind in (("max_yaw_rate", "yaw_rate"), ("max_jerk", "yaw_jerk")):
+        assert kinds(Trajectory(turn, law), MotionLimits(**{**fits, limit: fits[limit] * 0.999})) == [kind]
+    less = {**fits, "max_yaw_acceleration": acceleration * 0.999, "max_jerk": 9.0}
+    assert kinds(Trajectory(turn, law), MotionLimits(**less)) == ["yaw_acceleration"]
+
+
+@pytest.mark.parametrize("turns", [(), (0.7,), (-0.4, 1.2), (1e-8,)], ids=str)
+@pytest.mark.parametrize("last", [(), (3.0,)], ids=str)
+def test_the_speed_zone_counts_metres_driven_across_turns(turns, last):
+    """The last metres driven, in every gear they reach into; no turn in place is as long as its angle there."""
+    phases, segments, pose = [], [], Pose2(0.0, 0.0, 0.0)
+    for length, then in ((2.0, turns), (0.5, last)):
+        segments.append(ClothoidSegment(ClothoidSpline(pose, [0.0, length], [0.0, 0.0])))
+        phases.append(move(length, speed=0.5 if length > 1.0 else 0.2))
+        pose = segments[-1].spline.end
+        for angle in then:
+            segments.append(TurnSegment(pose, angle))
+            phases.append(move(abs(angle)))
+            pose = segments[-1].end
+    motion = Trajectory(Path(tuple(segments)), TimeLaw(*map(np.concatenate, zip(*phases, strict=True))))
+    first = TimeLaw(*phases[0]).at(np.linspace(0.0, phases[0][0].sum(), 200_001))
+    slow_from = float(first[np.flatnonzero(first[:, 1] > 0.2)[-1], 0])
+    assert kinds(motion, OPEN, SpeedZone(0.2001, 2.5 - slow_from - 1e-3)) == []
+    assert kinds(motion, OPEN, SpeedZone(0.1999, 2.5 - slow_from + 1e-3)) == ["speed"]
+    assert kinds(motion, OPEN, SpeedZone(0.2001, 2.5 - slow_from + 2e-3)) == ["speed"]
+
+
 def straight(length):
     return Path((ClothoidSegment(ClothoidSpline(Pose2(0, 0, 0), [0.0, length], [0.0, 0.0])),))
 
@@ -242,6 +307,23 @@ def test_a_zigzag_of_headings_turns_as_fast_as_its_steps():
     motion = Trajectory(zigzag, TimeLaw(*move(zigzag.length, speed=0.5)))
     for limit, expected in ((0.9, ["yaw_rate"]), (1.01, [])):
         assert kinds(motion, dataclasses.replace(OPEN, max_yaw_rate=limit)) == expected
+
+
+@pytest.mark.parametrize("kind", ["yaw_acceleration", "steering_rate"])
+@pytest.mark.parametrize("curvature", [0.004, 0.1, 0.3])
+def test_a_curvature_that_swings_from_step_to_step_is_no_straight_line(curvature, kind):
+    """Its means at the poses are none, or nearly: they told of a tenth of 1 rad/s^2 where the poses need twelve."""
+    n, h = 200, 0.01
+    swing = 2.0 * curvature / h
+    needed = {"yaw_acceleration": 0.5**2 * swing, "steering_rate": 0.4 * 0.5 * swing}[kind]
+    bends = curvature * np.sin(np.pi * np.arange(n) / (n - 1)) ** 2 * (-1.0) ** np.arange(n)
+    yaw = np.concatenate(([0.0], np.cumsum(bends * h)))
+    middle = 0.5 * (yaw[1:] + yaw[:-1])
+    x, y = (np.concatenate(([0.0], np.cumsum(h * along(middle)))) for along in (np.cos, np.sin))
+    swinging = Path((PolylineSegment(np.column_stack((x, y, yaw))),))
+    motion = Trajectory(swinging, TimeLaw(*move(swinging.length)))
+    for share, broken in ((0.9, [kind]), (1.0, [])):
+        assert kinds(motion, MotionLimits(**{f"max_{kind}": share * needed}, wheelbase=0.4)) == broken
 
 
 def test_sampling_a_curve_does_not_raise_its_yaw_rate_beyond_the_tolerance_of_samples():
@@ -330,3 +412,30 @@ def test_blocks_of_cells_change_nothing(monkeypatch):
     assert parts is not whole
     assert parts.ratios == whole.ratios
     assert [one.message for one in parts.violations] == [one.message for one in whole.violations]
+
+
+@given(st.integers(0, 2**32 - 1), st.integers(1, 31))
+def test_second_derivatives_stay_within_their_bounds(seed, which):
+    """Of every quantity that depends on curvature; where some of v, a, j, k and r are none, single terms are left."""
+    rng = np.random.default_rng(seed)
+    sizes = np.where([which >> i & 1 for i in range(5)], 10.0 ** rng.uniform(-1.0, 1.0, 5), 0.0)
+    v, a, j, k, r = (sizes * [1, *rng.choice([-1, 1], 4)]).tolist()
+    width, h = 1e-2, 1e-3
+    if v + a * width + 0.5 * j * width**2 < 0.0:
+        return
+    drive = MotionLimits(track_width=0.7, wheelbase=1.3, max_steering_rate=1.0)
+    columns = (0.0, width, 0.0, v, a, j, k, r, -np.inf, np.inf)
+    first = trajectory_rules._Cells(*(np.array([value]) for value in columns))
+    bound = trajectory_rules._bend(first, first.advanced(first.width), drive)
+    t = np.arange(0.0, width + 0.5 * h, h)
+    along = first.rows(np.zeros(t.size, dtype=int)).advanced(t)
+    signed = {
+        "yaw_rate": along.v * along.k,
+        "lateral_acceleration": along.v**2 * along.k,
+        "yaw_acceleration": along.a * along.k + along.v**2 * along.r,
+        "wheel_speed": along.v * (1.0 + 0.35 * along.k),
+        "steering_rate": 1.3 * along.r * along.v / (1.0 + (1.3 * along.k) ** 2),
+    }
+    for name, values in signed.items():
+        bent = np.max(np.abs(np.diff(values, 2))) / h**2
+        assert bent <= float(bound[name][0]) * (1.0 + 1e-9) + 1e-6, name

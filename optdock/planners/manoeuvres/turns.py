@@ -1,0 +1,387 @@
+"""Turn and drive: manoeuvres of robots that turn in place, out of turns and straight lines.
+
+The shortest motions of a differential drive among obstacles that do not hinder its turning are such sequences
+([LaValle2006] ch. 15.3.3). Straight runs leave the start and enter the dock; between the ends of two of them the robot
+turns, drives straight on and turns again. Where obstacles stand in the way of that line it follows a shortest way
+around them for the disc that it needs for turning, shortened by lines of sight [Thorpe1984].
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from typing import TYPE_CHECKING, NamedTuple, TypeAlias
+
+import numpy as np
+
+from optdock.geometry.arrays import readonly
+from optdock.geometry.pose import Pose2
+from optdock.path import Path
+from optdock.planners.manoeuvres.arcs import advance
+from optdock.planners.manoeuvres.price import stopping_cost, turning_times
+from optdock.segments import Direction, PolylineSegment, TurnSegment
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterable, Iterator
+
+    from optdock.geometry.arrays import BoolArray, FloatArray, IntArray
+    from optdock.planners.manoeuvres.connections import Nodes
+    from optdock.planners.manoeuvres.free_space import Effort, FreeSpace
+    from optdock.segments import Segment
+
+__all__ = ["TurnSearch", "TurnsAndDrives", "routes", "turns_and_drives"]
+
+_NOTHING = 1e-9  # [m], [rad]: less is neither driven nor turned
+_HEADINGS = 24  # around a place, at which it is looked at whether the robot can turn there: every 15 degrees
+_GLANCE = readonly(np.arange(1, 8) / 7.0)  # shares of a line at which it is looked at before it is looked at whole
+_BATCH = 64  # lines glanced at in one go
+_MOST_GLANCES = 8  # batches: places where nothing else was free in half a thousand lines have no free one
+_CLOSE_POSES_PER_WIDTH = 40.0  # of the last look at a whole way, over a length as the robot is wide
+# [rad]: a corner that turns by less can be rounded without a stop; one that turns by more leads back.
+_ROUNDED = 2.0
+_TANGENT_SHARE = 0.8  # of the tangents of an arc of the search that a rounded corner must have room for
+_WAYS_OUT, _WAYS_IN = 3, 4  # straight runs out of the start and into the dock that routes are looked for between
+_SIGHT = readonly(np.linspace(0.0, 1.0, 64))  # shares of a line of sight at which it is looked at
+_POINTS = 40  # of a way that a line of sight may join
+
+
+class TurnsAndDrives(NamedTuple):
+    """One manoeuvre: from `start`, Shape (3,), a turn [rad] and a straight drive [m], and again. Shape (k,) each.
+
+    `is_rounded`: corners between two drives in one gear are left to a smoother, which rounds them without a stop.
+    """
+
+    start: FloatArray
+    turns: FloatArray
+    lengths: FloatArray
+    is_rounded: bool = False
+
+    def rounds(self) -> BoolArray:
+        """Which turns are corners that are rounded. Shape (k,)."""
+        goes_on = np.append(False, self.lengths[1:] * self.lengths[:-1] > 0.0)
+        rounded: BoolArray = goes_on & (np.abs(self.turns) < _ROUNDED) & self.is_rounded
+        return rounded
+
+    def joints(self) -> tuple[FloatArray, FloatArray]:
+        """Poses before every turn and after it, Shape (k, 3) each."""
+        yaw = self.start[2] + np.cumsum(self.turns)
+        x, y = (self.start[i] + np.cumsum(self.lengths * f(yaw)) for i, f in ((0, np.cos), (1, np.sin)))
+        before = np.column_stack((np.append(self.start[0], x[:-1]), np.append(self.start[1], y[:-1]), yaw - self.turns))
+        return before, np.column_stack((before[:, :2], yaw))
+
+    def poses_every(self, spacing: float, radius: float) -> FloatArray:
+        """Poses between which no point within `radius` [m] of the origin moves further than `spacing`. Shape (q, 3)."""
+        before, after = self.joints()
+        blocks = []
+        swept = np.where(self.rounds(), 0.0, self.turns)
+        for pose, turned, turn, length in zip(before, after, swept, self.lengths, strict=True):
+            angles = np.linspace(0.0, turn, math.ceil(abs(turn) * radius / spacing) + 1)
+            blocks.append(np.column_stack((np.broadcast_to(pose[:2], (angles.size, 2)), pose[2] + angles)))
+            blocks.append(_line(turned, length, spacing))
+        return np.concatenate(blocks)
+
+    def path(self, spacing: float, goal: Pose2, frame: str) -> Path:
+        """The turns as segments, the drives as polylines.
+
+        Args:
+            spacing: Of the poses of drives with rounded corners [m].
+            goal: Its last pose; where it leads, but for rounding errors.
+            frame: Name of the coordinate frame.
+        """
+        before, after = self.joints()
+        segments: list[Segment] = []
+        rounds = np.append(self.rounds(), False)
+        run: list[FloatArray] = []
+        for k, (turn, length) in enumerate(zip(self.turns.tolist(), self.lengths.tolist(), strict=True)):
+            if rounds[k]:
+                run[-1][-1, 2] += 0.5 * turn  # the corner, halfway between the two headings
+            elif abs(turn) > _NOTHING:
+                segments.append(TurnSegment(Pose2.from_sequence(before[k]), turn))
+            if abs(length) <= _NOTHING:
+                continue
+            run.append(_line(after[k], length, spacing)[1 if rounds[k] else 0 :])
+            if not rounds[k + 1]:
+                gear = Direction.FORWARD if length > 0.0 else Direction.REVERSE
+                segments.append(PolylineSegment(np.concatenate(run), gear))
+                run = []
+        return Path((*segments[:-1], _ending_at(segments[-1], goal)), frame)
+
+
+def _line(pose: FloatArray, length: float, spacing: float) -> FloatArray:
+    """Poses on a straight line. Shape (q, 3)."""
+    return advance(pose, np.linspace(0.0, length, math.ceil(abs(length) / spacing) + 1), np.zeros(1))
+
+
+def _ending_at(last: Segment, goal: Pose2) -> Segment:
+    """The last segment of a way with the goal itself as its last pose."""
+    if isinstance(last, TurnSegment):
+        return TurnSegment(last.pose, last.turn + math.remainder(goal.yaw - last.end.yaw, 2.0 * math.pi))
+    assert isinstance(last, PolylineSegment)  # nothing else is built here
+    poses = last.poses.copy()
+    poses[-1] = goal.x, goal.y, poses[-1, 2] + math.remainder(goal.yaw - poses[-1, 2], 2.0 * math.pi)
+    return PolylineSegment(poses, last.direction)
+
+
+class _Turning(NamedTuple):
+    """How far the robot can turn at places, left and right of a heading that is free, Shape (n,) [rad]."""
+
+    left: FloatArray
+    right: FloatArray
+
+    @classmethod
+    def at(cls, poses: FloatArray, space: FreeSpace, effort: Effort) -> _Turning:
+        """By a quick look at some headings; what is not free between two of them shows later."""
+        space.poll()
+        step = 2.0 * math.pi / _HEADINGS
+        around = np.repeat(poses[:, None], _HEADINGS, axis=1)
+        around[:, :, 2] += step * np.arange(1, _HEADINGS + 1)
+        free = space.is_free(around.reshape(-1, 3), effort.margin, effort.start_relief).reshape(len(poses), -1)
+        far = []
+        for side in (free, free[:, -2::-1]):  # the last heading is the first one again
+            count = np.where(side.all(axis=1), _HEADINGS, np.argmin(side, axis=1))
+            far.append((count + 1.0) * step)
+        return cls(*far)
+
+    def allows(self, turns: FloatArray, rows: IntArray) -> BoolArray:
+        """Whether turns from the headings of the places at `rows` may be free."""
+        allowed: BoolArray = (turns <= self.left[rows]) & (-turns <= self.right[rows])
+        return allowed
+
+
+def turns_and_drives(
+    exits: Nodes, entries: Nodes, space: FreeSpace, effort: Effort
+) -> Iterator[tuple[float, TurnsAndDrives]]:
+    """Manoeuvres that are free, the cheapest first: a straight run, a turn, a line, a turn, a straight run.
+
+    Args:
+        exits: Ends of straight runs out of the start, which is one of them.
+        entries: Where straight runs into the dock begin.
+        space: What is free.
+        effort: How closely to look.
+    """
+    found = _lines(exits, entries, space, effort)
+    for k in range(0, min(found.prices.size, _BATCH * _MOST_GLANCES), _BATCH):
+        space.poll()
+        some = found.rows(slice(k, k + _BATCH))
+        leaving = exits.tree.poses[some.exits]
+        leaving[:, 2] += some.turns[:, 0]
+        line = advance(leaving[:, None], some.lengths[:, None] * _GLANCE, np.zeros(1))
+        asked = effort.margin, effort.start_relief
+        passed = space.is_free(line.reshape(-1, 3), *asked).reshape(line.shape[:2]).all(axis=1)
+        for row in np.flatnonzero(passed).tolist():
+            middle = some.turns[row], some.lengths[row : row + 1]
+            whole = _whole(exits, int(some.exits[row]), middle, entries, int(some.entries[row]))
+            whole = whole._replace(is_rounded=bool(some.rounded[row]))
+            if _is_free(whole, space, effort):
+                yield float(some.prices[row]), whole
+
+
+class _Lines(NamedTuple):
+    """Lines between nodes: Shape (n,), turns before and after them (n, 2) [rad], signed lengths (n,) [m].
+
+    `rounded`: turns between drives in one gear are corners to be rounded.
+    """
+
+    prices: FloatArray
+    exits: IntArray
+    entries: IntArray
+    turns: FloatArray
+    lengths: FloatArray
+    rounded: BoolArray
+
+    def rows(self, keep: IntArray | slice) -> _Lines:
+        which = self.prices[keep], self.exits[keep], self.entries[keep]
+        return _Lines(*which, self.turns[keep], self.lengths[keep], self.rounded[keep])
+
+
+def _lines(exits: Nodes, entries: Nodes, space: FreeSpace, effort: Effort) -> _Lines:
+    """Every line in both gears, every turn either way round, that turning may allow; the cheapest first."""
+    limits = space.problem.robot.limits
+    leaving, arriving = exits.tree.poses[exits.rows], entries.tree.poses[entries.rows]
+    i, j, gear, first, second = (
+        axis.ravel()
+        for axis in np.meshgrid(
+            np.arange(len(leaving)), np.arange(len(arriving)), *([np.array([1.0, -1.0])] * 3), indexing="ij"
+        )
+    )
+    dx, dy = (arriving[j, :2] - leaving[i, :2]).T
+    length = np.hypot(dx, dy)
+    drives = length > _NOTHING
+    heading = np.where(drives, np.arctan2(gear * dy, gear * dx), leaving[i, 2])
+    turns = np.column_stack((_wrapped(heading - leaving[i, 2]), _wrapped(arriving[j, 2] - heading)))
+    # The shorter way round, or the other one.
+    turns -= 2.0 * np.pi * np.where(turns >= 0.0, 1.0, -1.0) * (np.column_stack((first, second)) < 0.0)
+    turns[np.abs(turns) <= _NOTHING] = 0.0
+    rows = exits.rows[i], entries.rows[j]
+    speed = np.where(gear > 0.0, limits.max_speed, limits.max_reverse_speed)
+    prices = exits.tree.prices[rows[0]] + entries.tree.prices[rows[1]] + length / speed
+    prices += turning_times(np.abs(turns), limits.turning).sum(axis=1)
+    out, into = exits.tree.signs[rows[0]], -entries.tree.signs[rows[1]]
+    stops = drives & (out != 0.0) & ((turns[:, 0] != 0.0) | (out * gear < 0.0))
+    stops = stops + (drives & (into != 0.0) & ((turns[:, 1] != 0.0) | (into * gear < 0.0)))
+    prices += stopping_cost(limits) * (stops + (~drives & (out != 0.0) & (into != 0.0)))
+    can_turn = np.column_stack(
+        (
+            _Turning.at(leaving, space, effort).allows(turns[:, 0], i),
+            _Turning.at(arriving, space, effort).allows(-turns[:, 1], j),
+        )
+    )
+    turned = np.flatnonzero(can_turn.all(axis=1))
+    run = np.abs(entries.tree.lengths[rows[1]]) - space.problem.dock.final_straight
+    goes_on = np.column_stack((out * gear > 0.0, into * gear > 0.0)) & drives[:, None]
+    corners = goes_on & (turns != 0.0) & (np.abs(turns) < _ROUNDED)
+    legs = np.minimum(length[:, None], np.column_stack((np.abs(exits.tree.lengths[rows[0]]), run)))
+    saved, has_room = _saved_by_rounding(np.abs(turns), legs, speed[:, None], space, effort)
+    rounded = np.flatnonzero(corners.any(axis=1) & np.where(corners, has_room, can_turn).all(axis=1))
+    which, is_rounded = np.concatenate((turned, rounded)), np.repeat([False, True], [turned.size, rounded.size])
+    prices = prices[which] - is_rounded * np.where(corners, saved, 0.0).sum(axis=1)[which]
+    order = np.argsort(prices, kind="stable")
+    kept = which[order]
+    found = rows[0][kept], rows[1][kept], turns[kept], (gear * length)[kept]
+    return _Lines(prices[order], *found, is_rounded[order])
+
+
+def _saved_by_rounding(
+    bend: FloatArray, legs: FloatArray, speed: FloatArray, space: FreeSpace, effort: Effort
+) -> tuple[FloatArray, BoolArray]:
+    """What corners save when they are rounded, with the price of the stop [s], and whether legs have room for that.
+
+    An arc takes as long a tangent of both legs. A smoother may move the corner, and turn more sharply than the arcs of
+    a search do.
+    """
+    limits = space.problem.robot.limits
+    tangent = effort.radius * np.tan(0.5 * np.minimum(bend, _ROUNDED))
+    saved = turning_times(bend, limits.turning) + stopping_cost(limits)
+    saved += (2.0 * tangent - effort.radius * bend) / speed
+    return saved, _TANGENT_SHARE * tangent <= legs
+
+
+def _wrapped(angle: FloatArray) -> FloatArray:
+    folded: FloatArray = np.remainder(angle + np.pi, 2.0 * np.pi) - np.pi
+    return folded
+
+
+def _whole(
+    exits: Nodes, exit_row: int, middle: tuple[FloatArray, FloatArray], entries: Nodes, entry_row: int
+) -> TurnsAndDrives:
+    """A run out of the start, turns and drives, of which the last has no drive, and a run into the dock."""
+    out, into = exits.tree.way(exit_row)[0], entries.tree.way(entry_row)[0]
+    nothing = np.zeros(1)
+    turns = np.concatenate((np.zeros(out.size), middle[0], np.zeros(into.size)))
+    lengths = np.concatenate((out, middle[1], nothing, into))
+    return TurnsAndDrives(exits.tree.poses[0], *_simplified(turns.tolist(), lengths.tolist()))
+
+
+def _simplified(turns: list[float], lengths: list[float]) -> tuple[FloatArray, FloatArray]:
+    """Turns with no drive between them are one, and so are drives in one gear with no turn between them."""
+    pairs: list[list[float]] = [[0.0, 0.0]]
+    for turn, length in zip(turns, lengths, strict=True):
+        last = pairs[-1]
+        if abs(last[1]) <= _NOTHING:
+            last[0], last[1] = last[0] + turn, length
+        elif abs(turn) <= _NOTHING and last[1] * length >= 0.0:
+            last[1] += length
+        else:
+            pairs.append([turn, length])
+    table = np.array(pairs)
+    return table[:, 0], table[:, 1]
+
+
+def _price(whole: TurnsAndDrives, space: FreeSpace) -> float:
+    """As the words' prices: at full speed, with what every stop adds [s]."""
+    limits = space.problem.robot.limits
+    lengths = whole.lengths
+    driven = np.where(lengths > 0.0, lengths / limits.max_speed, -lengths / limits.max_reverse_speed)
+    rounds = whole.rounds()
+    stops = max(int(np.count_nonzero(np.abs(lengths) > _NOTHING)) - 1, 0) - int(np.count_nonzero(rounds))
+    turning = turning_times(np.where(rounds, 0.0, np.abs(whole.turns)), limits.turning)
+    return float(driven.sum() + turning.sum()) + stopping_cost(limits) * stops
+
+
+def _is_free(whole: TurnsAndDrives, space: FreeSpace, effort: Effort) -> bool:
+    """A look at all of it, with the margin; and a close one without, because a smoother keeps it as it is."""
+    space.poll()
+    reach = space.footprint.circumscribed_radius
+    if not space.is_free(whole.poses_every(space.spacing(effort), reach), effort.margin, effort.start_relief).all():
+        return False
+    close = whole.poses_every(space.width / _CLOSE_POSES_PER_WIDTH, reach)
+    return bool(space.is_free(close, 0.0, effort.start_relief).all())
+
+
+def routes(exits: Nodes, entries: Nodes, space: FreeSpace, effort: Effort) -> Iterator[tuple[float, TurnsAndDrives]]:
+    """Manoeuvres around obstacles, turning in place at the corners of the way.
+
+    The way is that of the disc in which the robot turns; then that of one that it only drives through, so that turns
+    must find their room.
+
+    Args:
+        exits: As of `turns_and_drives`.
+        entries: As of `turns_and_drives`.
+        space: What is free.
+        effort: How closely to look.
+    """
+    kept = space.problem.clearance.required + effort.margin
+    ways_out, ways_in = _spread(exits, _WAYS_OUT), _spread(entries, _WAYS_IN)
+    driving = 0.5 * space.footprint.width + kept
+    for radius in (space.footprint.circumscribed_radius + kept, driving):
+        for out in ways_out:
+            source = exits.tree.poses[out]
+            wave = space.wavefront(source[:2], radius)
+            found = []
+            for into in ways_in:
+                target = entries.tree.poses[into]
+                way = wave.way(target[:2])
+                if way is None:
+                    continue
+                corners = _corners(way, source[:2], target[:2], space, driving)
+                for gear, is_rounded in itertools.product((1.0, -1.0), (True, False)):
+                    whole = _whole(exits, out, _along(corners, gear, source[2], target[2]), entries, into)
+                    found.append(whole._replace(is_rounded=is_rounded))
+            yield from _cheapest_free(found, space, effort)
+
+
+def _cheapest_free(
+    found: Iterable[TurnsAndDrives], space: FreeSpace, effort: Effort
+) -> Iterator[tuple[float, TurnsAndDrives]]:
+    priced = [(_price(whole, space), whole) for whole in found if not whole.is_rounded or whole.rounds().any()]
+    for price, whole in sorted(priced, key=lambda one: one[0]):
+        if _is_free(whole, space, effort):
+            yield price, whole
+
+
+TurnSearch: TypeAlias = "Callable[[Nodes, Nodes, FreeSpace, Effort], Iterator[tuple[float, TurnsAndDrives]]]"
+"""`turns_and_drives` or `routes`."""
+
+
+def _spread(nodes: Nodes, count: int) -> list[int]:
+    """Some of the nodes, from the cheapest to the dearest."""
+    order = np.argsort(nodes.tree.prices[nodes.rows], kind="stable")
+    picked = order[np.unique(np.linspace(0.0, max(order.size - 1, 0), min(count, order.size)).astype(np.int64))]
+    return [int(row) for row in nodes.rows[picked]]
+
+
+def _along(corners: FloatArray, gear: float, first: float, last: float) -> tuple[FloatArray, FloatArray]:
+    """Turns and lengths along a polyline of corners in one gear, between two headings."""
+    step = np.diff(corners, axis=0)
+    heading = np.arctan2(gear * step[:, 1], gear * step[:, 0])
+    turns = _wrapped(np.diff(np.concatenate(([first], heading, [last]))))
+    return turns, gear * np.hypot(step[:, 0], step[:, 1])
+
+
+def _corners(way: FloatArray, source: FloatArray, target: FloatArray, space: FreeSpace, radius: float) -> FloatArray:
+    """The corners of a way that are left when it is cut short wherever a disc can pass. Shape (k, 2)."""
+    some = way[np.unique(np.linspace(0, len(way) - 1, _POINTS).astype(np.int64))]
+    points = np.concatenate((source[None], some[1:-1], target[None]))
+    corners, at, last = [points[0]], 0, len(points) - 1
+    while at < last:
+        space.poll()
+        ahead = points[at + 1 :]
+        line = points[at] + _SIGHT[:, None, None] * (ahead - points[at])
+        lower, _ = space.field.bounds(line)
+        # Near its ends the way is that of the robot, not of the disc: whether it is free shows later.
+        near = [np.hypot(*np.moveaxis(line - end, -1, 0)) < radius for end in (source, target)]
+        is_seen = ((lower >= radius) | near[0] | near[1]).all(axis=0)
+        is_seen[0] = True
+        at += 1 + int(np.flatnonzero(is_seen)[-1])
+        corners.append(points[at])
+    return np.array(corners)

@@ -1,0 +1,218 @@
+"""Paths that turn in place: cut at the turns into pieces between rests, each smoothed by itself.
+
+The position of a turn and its headings are joints that stay as they are, so a piece has fixed poses at both ends, and
+free curvature where a turn is. What must hold near the start and near the goal of the whole problem holds for every
+piece; one certificate of the whole path decides in the end.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, NamedTuple, cast
+
+import numpy as np
+
+from optdock.dock import Dock, DockDirection
+from optdock.errors import FailedToSmoothPath, SmootherTimedOut
+from optdock.geometry.clothoid import ClothoidSpline
+from optdock.geometry.pose import Pose2, normalize_angle
+from optdock.interfaces import SmoothingStatus
+from optdock.path import ClothoidSegment, Path, TurnSegment
+from optdock.plan import PartialPlan
+from optdock.problem import DockingProblem
+from optdock.segments import SAME_YAW
+from optdock.verification import certify_path
+from smoothers.scp.refusals import refuse_certificate, refuse_turns
+from smoothers.scp.strategy import Call, Incumbent, Outcome, Solver
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
+
+    from optdock.deadline import Deadline
+    from optdock.path import Segment
+    from smoothers.scp.qp_step import ProgramPool
+    from smoothers.scp.settings import AnytimeSettings, Settings
+
+__all__ = ["TurningSolver"]
+
+_STRAIGHT_SAMPLES = 33
+# Share of what is left of the time that is kept back for the certificate of the whole: that of the pieces took about a
+# fifth of theirs.
+_CERTIFICATE_SHARE = 0.2
+
+
+class _Joined(NamedTuple):
+    """Pieces and turns so far; `kept`: whether a straight piece was taken as it is."""
+
+    segments: list[Segment]
+    cost: float
+    kept: bool
+
+
+@dataclass
+class TurningSolver:
+    """Smooths what lies between the turns of a path.
+
+    Args:
+        pool: Convex programs.
+        deadline: Seconds left.
+        cancelled: Polled every iteration.
+        settings: Constants of the method.
+    """
+
+    pool: ProgramPool
+    deadline: Deadline
+    cancelled: Callable[[], bool]
+    settings: Settings
+    outcome: Outcome = field(default_factory=Outcome)
+
+    def follow_strategy(self, call: Call) -> Incumbent:
+        """A certified path; straight pieces are kept as they are where the whole can be certified with them.
+
+        Args:
+            call: What is asked for; its path turns in place.
+
+        Raises:
+            FailedToSmoothPath: Which bound is in the way.
+            SmootherTimedOut: No certified path in time.
+            SmootherCancelled: The caller does not want it any more.
+        """
+        refusal = refuse_turns(call.path, call.problem)
+        if refusal is not None:
+            raise refusal.error()
+        found = self._joined(call, keeps_straight=True)
+        best = self._certified(found, call, is_final=not found.kept)
+        if best is None:
+            best = self._certified(self._joined(call, keeps_straight=False), call, is_final=True)
+            assert best is not None  # the last attempt raises
+        return best
+
+    def _joined(self, call: Call, *, keeps_straight: bool) -> _Joined:
+        """Every piece between the end of the turn before it and its own end, one after the other."""
+        problem, parts = call.problem, call.path.parts()
+        earlier = _parts_like(call.earlier, parts)
+        anytime = self.settings.anytime
+        searched = [_straight(part, part.start, part.end, anytime) is None for part in parts if isinstance(part, Path)]
+        to_search = sum(searched) if keeps_straight else len(searched)
+        self.outcome.converged = True
+        found, pose = _Joined([], 0.0, kept=False), problem.start
+        for i, part in enumerate(parts):
+            if isinstance(part, TurnSegment):
+                turn = part.turn + normalize_angle(part.pose.yaw - pose.yaw)
+                if i == len(parts) - 1:
+                    turn += normalize_angle(problem.goal.yaw - (pose.yaw + turn))
+                if abs(turn) > SAME_YAW:
+                    turned = TurnSegment(pose, turn)
+                    found.segments.append(turned)
+                    pose = turned.end
+                continue
+            piece = _piece_problem(problem, parts, i, pose)
+            line = _straight(part, pose, piece.goal, anytime) if keeps_straight else None
+            if line is not None and piece.start_curvature in (None, 0.0):
+                found.segments.append(line)
+                found = found._replace(cost=found.cost + call.formulation.weights.length * line.length, kept=True)
+            else:
+                asked = call._replace(path=part, problem=piece, earlier=earlier[i], within=problem)
+                best = self._smoothed(asked, found.segments, max(to_search, 1))
+                found.segments.extend(best.path.segments)
+                found = found._replace(cost=found.cost + best.cost)
+                to_search -= 1
+            pose = Pose2.from_sequence(found.segments[-1].poses_at(found.segments[-1].length)[0])
+        return found
+
+    def _smoothed(self, call: Call, before: Sequence[Segment], to_search: int) -> Incumbent:
+        """One piece, in its share of the time."""
+        left = (1.0 - _CERTIFICATE_SHARE) * self.deadline.left / to_search
+        solver = Solver(
+            self.pool, self.deadline.shortened(at_most=self.deadline.elapsed + left), self.cancelled, self.settings
+        )
+        began = sum(segment.length for segment in before)
+        try:
+            best = solver.follow_strategy(call)
+        except FailedToSmoothPath as error:
+            where = {**error.where, "s": began + float(cast("float", error.where["s"]))}
+            place = f"of the piece between turns in place that begins at s = {began:.3f} m"
+            refused = FailedToSmoothPath(f"{error} ({place})", where=where)
+            tried = PartialPlan.left_by(error).path
+            if tried is not None:
+                refused.partial = PartialPlan(path=Path((*before, *tried.segments), tried.frame))
+            raise refused from error
+        finally:
+            made, total = solver.outcome, self.outcome
+            total.iterations += made.iterations
+            total.certify_time += made.certify_time
+            total.setup_time = total.setup_time or made.setup_time
+            total.converged = total.converged and made.converged
+        return best
+
+    def _certified(self, found: _Joined, call: Call, *, is_final: bool) -> Incumbent | None:
+        """The whole, where it is certified; otherwise what is in the way is raised, or None where more can be tried."""
+        began, problem = self.deadline.elapsed, call.problem
+        if not found.segments:  # the robot stands where it should: there is nothing to smooth
+            raise FailedToSmoothPath("goal_unreachable: nothing is left of the turns of the raw path", where={})
+        path = Path(tuple(found.segments), problem.frame)
+        latest = self.settings.anytime.latest
+        certificate = certify_path(path, problem, is_late=lambda: self.deadline.left < -latest)
+        self.outcome.certify_time += self.deadline.elapsed - began
+        if certificate.certified:
+            self.outcome.first_certified = self.deadline.elapsed
+            kept = SmoothingStatus.INPUT_KEPT if self.outcome.iterations == 0 else None
+            return Incumbent(path, certificate, found.cost, kept)
+        if self.deadline.passed():
+            message = f"no certified path within {1e3 * self.deadline.seconds:.1f} ms"
+            raise SmootherTimedOut(message, where={"iterations": self.outcome.iterations})
+        if is_final:
+            raise refuse_certificate(certificate, path).error()
+        return None
+
+
+def _piece_problem(problem: DockingProblem, parts: Sequence[Path | TurnSegment], i: int, pose: Pose2) -> DockingProblem:
+    """What must hold of the piece at `i`, which begins at `pose`: what is asked of an end only if it has that end."""
+    part, later = parts[i], parts[i + 1 :]
+    dock = problem.dock
+    direction = DockDirection.AUTO if any(isinstance(other, Path) for other in later) else dock.direction
+    if not later:
+        target, straight = problem.goal, dock.final_straight
+    elif len(later) == 1:  # it ends with a turn at the goal
+        target, straight = Pose2(problem.goal.x, problem.goal.y, part.end.yaw), 0.0
+    else:
+        target, straight = part.end, 0.0
+    return DockingProblem(
+        pose,
+        Dock(target, direction=direction, final_straight=straight),
+        problem.robot,
+        problem.all_obstacles,
+        problem.clearance,
+        start_speed=problem.start_speed if i == 0 else 0.0,
+        start_curvature=problem.start_curvature if i == 0 else None,
+        frame=problem.frame,
+    )
+
+
+def _straight(part: Path, start: Pose2, end: Pose2, settings: AnytimeSettings) -> ClothoidSegment | None:
+    """The straight line between two poses, where the piece is one and the second is on the axis of the first."""
+    if len(part.segments) > 1:
+        return None
+    sign = int(part.segments[0].direction)
+    seen = end.in_frame_of(start)
+    length = sign * seen.x
+    if length <= 0.0 or max(abs(seen.y), abs(seen.yaw)) > settings.on_axis:
+        return None
+    poses = part.poses_at(np.linspace(0.0, part.length, _STRAIGHT_SAMPLES))
+    c, s = math.cos(start.yaw), math.sin(start.yaw)
+    beside = np.abs(c * (poses[:, 1] - start.y) - s * (poses[:, 0] - start.x))
+    if float(beside.max()) > settings.same_pose:
+        return None
+    return ClothoidSegment(ClothoidSpline(start, np.array([0.0, length]), np.zeros(2), sign))
+
+
+def _parts_like(earlier: Path | None, parts: Sequence[Path | TurnSegment]) -> Sequence[Path | None]:
+    """The pieces of an earlier result, where it turns as often at the same places in its order."""
+    nothing: tuple[Path | None, ...] = (None,) * len(parts)
+    if earlier is None:
+        return nothing
+    found = earlier.parts()
+    if [type(part) for part in found] != [type(part) for part in parts]:
+        return nothing
+    return [part if isinstance(part, Path) else None for part in found]
