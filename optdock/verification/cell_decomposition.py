@@ -677,14 +677,21 @@ class _Search:
                 if not self._split(graph, {key for key in keys if self.grid.half(graph.tiles[key].level) > _CLOSE}):
                     break
         if found is not None:
-            yield self._at_place(graph, found)
+            bottleneck = self._at_place(graph, found)
+            if bottleneck is not None:
+                yield bottleneck
 
-    def _at_place(self, graph: _Graph, node: int) -> Bottleneck:
-        """What is known of a place of the disc, at the heading at which the body has most room."""
+    def _at_place(self, graph: _Graph, node: int) -> Bottleneck | None:
+        """What is known of a place of the disc, at the heading at which the body has most room.
+
+        None where it is in an obstacle, or as near to one as that the cell reaches beyond: then there is no gap at all.
+        """
         tile, place = graph.tiles[graph.tile_of[node]], node - int(graph.labels[graph.tile_of[node]].min())
         half, (row, column) = self.grid.half(tile.level), divmod(place, CELLS)
         middle = 2.0 * half * (CELLS * np.array([tile.column, tile.row]) + (column + 0.5, row + 0.5))
         (x, y, _), most = self._best_near(np.append(middle, 0.0), np.array([half, half, 0.0]), self.body)
+        if most + float(self.body.discs[0, 2]) <= 2.0 * half:
+            return None
         body = _body(self.problem.robot.footprint)
         shift = self.body.centre - body.centre
         whole = _Body(body.centre, body.discs - (*shift, 0.0), body.reach)

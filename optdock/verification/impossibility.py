@@ -62,9 +62,11 @@ CELLS = 16  # along each side of a tile
 # [m]: five times the deepest contact that a certificate accepts, and more than the rounding of single precision over
 # ten metres, in which distances within a tile are kept.
 SLACK = 1e-5
+_FARTHEST = 2**30  # column or row
 _LEVELS = 12  # above and below 0 that tiles in a file may have
-_MOST = 10_000  # tiles in a file; a proof that is made within a second has hundreds
-_MOST_BYTES = 1 << 26  # of packed cells in a file
+# A proof that is made within a second has hundreds of tiles, some dozen discs, and packed cells of 1 MB.
+_MOST_TILES, _MOST_DISCS, _MOST_HEADINGS = 10_000, 500, 10_000
+_MOST_CELLS = 1 << 26
 
 
 @dataclass(frozen=True)
@@ -91,8 +93,8 @@ class Bottleneck:
 
     @property
     def body_fits(self) -> bool:
-        """Whether the body fits, and the required clearance does not."""
-        return self.missing_without_clearance <= 0.0
+        """Whether the body fits, but for a millimetre, and the required clearance does not."""
+        return self.missing_without_clearance <= 0.001 < self.missing_width
 
     def __str__(self) -> str:
         what = "the robot with its clearance" if self.body_fits else "the robot"
@@ -200,8 +202,8 @@ class ImpossibilityProof:
         tiles = np.array(document.tiles, dtype=np.int64).reshape(-1, 3)
         shapes = [(document.headings << level, CELLS, CELLS) for level in tiles[:, 0].tolist()]
         sizes = [math.prod(shape) // 8 for shape in shapes]
-        if sum(sizes) > _MOST_BYTES:
-            raise ValueError(f"inside: holds more than {_MOST_BYTES} bytes")
+        if 8 * sum(sizes) > _MOST_CELLS:
+            raise ValueError(f"inside: holds more than {_MOST_CELLS} cells")
         packed = base64.b64decode(document.inside, validate=True)
         bits = zlib.decompressobj().decompress(packed, sum(sizes) + 1)
         if len(bits) != sum(sizes):
@@ -224,7 +226,7 @@ class ImpossibilityProof:
 
 _Number: TypeAlias = Annotated[float, Field(ge=-1e10, le=1e10)]
 _Level: TypeAlias = Annotated[int, Field(ge=-_LEVELS, le=_LEVELS)]
-_Index: TypeAlias = Annotated[int, Field(ge=-(2**30), le=2**30)]
+_Index: TypeAlias = Annotated[int, Field(ge=-_FARTHEST, le=_FARTHEST)]
 
 
 class _Model(BaseModel):
@@ -245,12 +247,14 @@ class _ProofDocument(_Model):
     end: Literal["goal", "start"]
     origin: tuple[_Number, _Number]
     cell: Annotated[float, Field(gt=0.0, le=1e6)]
-    headings: Annotated[int, Field(ge=1, le=10_000)]
+    headings: Annotated[int, Field(ge=1, le=_MOST_HEADINGS)]
     centre: tuple[_Number, _Number]
-    discs: list[tuple[_Number, _Number, _Number]]
-    tiles: Annotated[list[tuple[Annotated[int, Field(ge=0, le=_LEVELS)], _Index, _Index]], Field(max_length=_MOST)]
+    discs: Annotated[list[tuple[_Number, _Number, _Number]], Field(max_length=_MOST_DISCS)]
+    tiles: Annotated[
+        list[tuple[Annotated[int, Field(ge=0, le=_LEVELS)], _Index, _Index]], Field(max_length=_MOST_TILES)
+    ]
     inside: str
-    whole: Annotated[list[tuple[_Level, _Index, _Index]], Field(max_length=_MOST)]
+    whole: Annotated[list[tuple[_Level, _Index, _Index]], Field(max_length=_MOST_TILES)]
     bottleneck: _BottleneckDocument | None = None
     problem: dict[str, str]
 
@@ -304,7 +308,7 @@ def check_impossibility(proof: ImpossibilityProof, problem: DockingProblem) -> I
     fault = rim.fault(_middle(inner, proof), _middle(outer, proof))
     judge = _Judge(proof, problem)
     count = 0
-    for tile, cells in zip(proof.tiles.tolist(), rim.blocked, strict=True):
+    for tile, cells in zip(proof.tiles.tolist(), rim.blocked, strict=False):  # no cell of a whole tile is on the rim
         if fault:
             break
         count += int(cells.sum())
@@ -317,8 +321,22 @@ def _fault(proof: ImpossibilityProof, problem: DockingProblem) -> str:
     """What is wrong with a proof before any cell is looked at; empty where nothing is."""
     import shapely
 
-    shapes = [(proof.headings << level, CELLS, CELLS) for level in proof.tiles[:, 0].tolist()]
-    if [cells.shape for cells in proof.inside] != shapes:
+    every = np.concatenate((proof.tiles, proof.whole))
+    counts = len(every), len(proof.discs), sum(cells.size for cells in proof.inside)
+    if any(count > most for count, most in zip(counts, (2 * _MOST_TILES, _MOST_DISCS, _MOST_CELLS), strict=True)):
+        return "it is larger than any proof"
+    levels, far = proof.tiles[:, 0].tolist(), every[np.abs(every).max(axis=1, initial=0) > _FARTHEST]
+    is_grid = (
+        (proof.end in ("goal", "start") and math.isfinite(proof.cell) and proof.cell > 0.0 and far.size == 0)
+        and (isinstance(proof.headings, int) and 1 <= proof.headings <= _MOST_HEADINGS)
+        and (all(0 <= level <= _LEVELS for level in levels) and bool(np.all(np.abs(every[:, 0]) <= _LEVELS)))
+        and (proof.tiles.dtype.kind == proof.whole.dtype.kind == "i")
+        and bool(np.isfinite([*proof.origin, *proof.centre]).all() and np.isfinite(proof.discs).all())
+    )
+    if not is_grid:
+        return "the tiles are none"
+    shapes = [(proof.headings << level, CELLS, CELLS) for level in levels]
+    if [cells.shape for cells in proof.inside] != shapes or any(cells.dtype != np.bool_ for cells in proof.inside):
         return "the cells do not fit the tiles"
     known = [tuple(tile) for tile in np.concatenate((proof.tiles, proof.whole)).tolist()]
     ancestors = {(level - up, i >> up, j >> up) for level, i, j in known for up in range(1, level + _LEVELS + 1)}
@@ -399,13 +417,18 @@ class _Rim:
     def _is_closed_at_sides(self) -> bool:
         """Whether tiles are wherever the set reaches the side of one; what is beyond and not in it is rim."""
         for axis in (0, 1):
-            along_low, along_high = self.boxes[:, 1 - axis], self.boxes[:, 3 - axis]
-            overlap = np.minimum.outer(along_high, along_high) - np.maximum.outer(along_low, along_low)
-            beside = np.where((self.boxes[:, None, axis + 2] == self.boxes[None, :, axis]) & (overlap > 0), overlap, 0)
-            for first, second in np.argwhere(beside).tolist():
-                self._meet(first, second, axis)
-            for edge, covered in ((-1, beside.sum(axis=1)), (0, beside.sum(axis=0))):
-                for k in np.flatnonzero(covered < along_high - along_low):
+            lower, upper = self.boxes[:, axis], self.boxes[:, axis + 2]
+            low, high = self.boxes[:, 1 - axis], self.boxes[:, 3 - axis]
+            covered_below, covered_above = np.zeros_like(low), np.zeros_like(low)
+            for first in range(len(self.boxes)):
+                overlap = np.minimum(high[first], high) - np.maximum(low[first], low)
+                above = np.flatnonzero((lower == upper[first]) & (overlap > 0))
+                covered_above[first] = overlap[above].sum()
+                covered_below[above] += overlap[above]
+                for second in above.tolist():
+                    self._meet(first, second, axis)
+            for edge, covered in ((-1, covered_above), (0, covered_below)):
+                for k in np.flatnonzero(covered < high - low):
                     if np.take(self.inside[k], edge, axis=2 - axis).any():
                         return False
         return all(cells.size > 1 or not cells.any() for cells in self.blocked)

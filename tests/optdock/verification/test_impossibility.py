@@ -17,7 +17,13 @@ from optdock.limits import MotionLimits
 from optdock.problem import ClearanceRule, DockingProblem
 from optdock.robot import Robot
 from optdock.testing.families import FEASIBLE_FAMILIES, instance
-from optdock.verification import ImpossibilityProof, check_impossibility, impossibility, prove_impossible
+from optdock.verification import (
+    ImpossibilityProof,
+    ImpossibilitySearch,
+    check_impossibility,
+    impossibility,
+    prove_impossible,
+)
 from optdock.verification.certificate import TOLERANCE
 
 LIMITS = MotionLimits(max_curvature=2.0, max_curvature_rate=8.0)
@@ -204,7 +210,42 @@ def test_the_search_stops_when_it_is_told_to():
     assert prove_impossible(gap(0.65), time_budget=0.0) is None
 
 
+def test_what_no_disc_passes_is_proven_without_headings_and_the_rest_with_them():
+    search = ImpossibilitySearch(gap(0.5))
+    proof = search.proof(ENOUGH, only_disc=True)
+    assert proof.headings == len(proof.discs) == 1
+    assert proof.bottleneck.missing_width == pytest.approx(0.2, abs=0.01)
+    # the bay is wide enough for the disc; that it is too short for the robot the disc cannot tell
+    bay = problem((0.0, 2.5, 0.0), (0.0, 0.35, 0.0), [
+        box(-2.6, -0.2, 2.6, 0.0), box(-2.6, 0.0, -0.45, 1.6), box(0.45, 0.0, 2.6, 1.6),
+        box(-2.8, 3.6, 2.8, 3.8), box(-2.8, -0.2, -2.6, 3.8), box(2.6, -0.2, 2.8, 3.8),
+    ])  # fmt: skip
+    assert ImpossibilitySearch(bay).proof(ENOUGH, only_disc=True) is None
+    assert proven(bay).headings > 1
+
+
+def test_a_search_goes_on_where_it_was_interrupted():
+    asked, answers = gap(0.66), iter(range(10**6))
+    search = ImpossibilitySearch(asked)
+    proof, calls = None, 0
+    while proof is None and calls < 50:
+        calls += 1
+        until = next(answers) + 60
+        proof = search.proof(ENOUGH, lambda until=until: next(answers) > until)
+    assert calls > 1
+    assert len(proof.tiles) == len(proven(asked).tiles)
+    assert not search.ended
+    open_one = ImpossibilitySearch(gap(0.9))
+    assert open_one.proof(ENOUGH) is None
+    assert open_one.ended
+
+
 # the checker
+
+
+def test_a_proof_with_whole_tiles_is_checked_too():
+    outline = np.array([[0.5, -0.5], [0.5, 0.5], [0.3, 0.5], [0.3, -0.3], [-0.5, -0.3], [-0.5, -0.5]])
+    assert len(proven(gap(0.15, 0.0, thick=0.05, body=Footprint(outline))).whole) > 0
 
 
 def test_the_checker_knows_nothing_of_the_search():
@@ -252,6 +293,19 @@ def without_a_tile(proof):
             "not within the footprint",
         ),
         (lambda proof: dataclasses.replace(proof, cell=0.5 * proof.cell), ""),
+        (lambda proof: dataclasses.replace(proof, cell=-proof.cell), "tiles are none"),
+        (lambda proof: dataclasses.replace(proof, cell=math.nan), "tiles are none"),
+        (lambda proof: dataclasses.replace(proof, origin=(math.nan, 0.0)), "tiles are none"),
+        (lambda proof: dataclasses.replace(proof, centre=(math.nan, 0.0)), "tiles are none"),
+        (lambda proof: dataclasses.replace(proof, discs=np.full((1, 3), math.nan)), "tiles are none"),
+        (lambda proof: dataclasses.replace(proof, discs=proof.discs[:0]), "not blocked"),
+        (lambda proof: dataclasses.replace(proof, discs=np.zeros((10**6, 3))), "larger than any"),
+        (lambda proof: dataclasses.replace(proof, headings=0), "tiles are none"),
+        (lambda proof: dataclasses.replace(proof, tiles=proof.tiles - [1, 0, 0]), "tiles are none"),
+        (lambda proof: dataclasses.replace(proof, tiles=proof.tiles.astype(float)), "tiles are none"),
+        (lambda proof: dataclasses.replace(proof, whole=np.zeros((10**6, 3), dtype=int)), "larger than any"),
+        (lambda proof: dataclasses.replace(proof, whole=np.array([[-12, 0, 0]])), "overlap"),
+        (lambda proof: dataclasses.replace(proof, inside=tuple(cells * 2 for cells in proof.inside)), "do not fit"),
         (lambda proof: dataclasses.replace(proof, headings=2 * proof.headings), "do not fit"),
         (lambda proof: dataclasses.replace(proof, tiles=proof.tiles[[0, *range(len(proof.tiles) - 1)]]), ""),
         (lambda proof: dataclasses.replace(proof, inside=tuple(cells | True for cells in proof.inside)), "both ends"),
@@ -278,6 +332,8 @@ def test_a_proof_for_a_narrower_gap_proves_nothing_of_a_wider_one(narrow):
         {"inside": ""},
         {"headings": 0},
         {"headings": 10**9},
+        {"tiles": [[12, 0, 0]] * 9_999},
+        {"discs": [[0.0, 0.0, 0.1]] * 9_999},
         {"cell": -1.0},
         {"cell": float("nan")},
         {"tiles": [[99, 0, 0]]},
