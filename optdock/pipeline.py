@@ -82,7 +82,7 @@ DEFAULT_SMOOTHER, DEFAULT_TIMING = "CasadiSmoother", "NearOptimal"
 _SMOOTHING_SHARE, _SMOOTHING_LEAST = 0.4, 0.06
 # A guess that overlaps obstacles at more than this share of its poses is put off until nothing else is left to be
 # tried: of 13 such guesses of the dock planner none could be smoothed, of 71 others 44.
-_OVERLAPPING, _LOOKS = 0.67, 24
+_PUT_OFF, _LOOKS = 0.67, 24
 # Shares of what is left that a proof of impossibility may take: when a planner pauses before it searches far afield,
 # and what the last planner must leave for it.
 _EARLY_PROOF, _LAST_PROOF = 0.1, 0.4
@@ -429,7 +429,12 @@ class _Portfolio:
     def _try(self, guess: Guess, *, is_last: bool) -> None:
         """Make a plan of a guess; it becomes the best one, or a failure."""
         unhurried = is_last or self.best is not None
-        if not unhurried and self._overlaps(guess.path):
+        overlapping = 0.0 if unhurried else self._overlapping(guess.path)
+        if overlapping > 0.0:
+            self._look_for_a_proof(_DISC_PROOF, only_disc=True)
+        if overlapping > _PUT_OFF:
+            reason = f"put off: {100.0 * overlapping:.0f} % of its poses lie in obstacles"
+            self.tried.append(Attempt(guess.stage, guess.path, reason=reason))
             self.cut_short.append(guess)
             return
         most = math.inf if unhurried else max(_SMOOTHING_SHARE * self.deadline.left, _SMOOTHING_LEAST)
@@ -450,11 +455,11 @@ class _Portfolio:
         if plan.price < self._lowest_price():
             self.best = plan
 
-    def _overlaps(self, path: Path) -> bool:
-        """Whether most of a guess lies in obstacles."""
+    def _overlapping(self, path: Path) -> float:
+        """Share of the poses of a guess that lie in obstacles."""
         poses = path.poses_at(np.linspace(0.0, path.length, _LOOKS))
         clearances, _ = pose_clearances(poses, self.problem.robot.footprint, self.problem.all_obstacles, within=0.1)
-        return float(np.mean(clearances < 0.0)) > _OVERLAPPING
+        return float(np.mean(clearances < 0.0))
 
     def _fail(self, failure: _Failure, stage: str, path: Path | None = None, seconds: float = 0.0) -> None:
         reason = f"{type(failure.error).__name__}: {failure.error}"

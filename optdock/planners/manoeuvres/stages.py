@@ -192,10 +192,12 @@ class Stages:
 
     def _words(self, efforts: Sequence[Effort]) -> Iterator[Guess]:
         """Words from the start to the staging poses."""
+        known: dict[tuple[float, float], Nodes] = {}
         for effort in efforts:
             if effort.margin == 0.0 and math.isfinite(self._better_than()):
                 return  # there is a plan with room to spare, and what has less is hardly better
-            staging = self._staging(effort)
+            room = effort.margin, effort.start_relief
+            staging = known[room] = known.get(room) or self._staging(effort)
             if staging.rows.size == 0:
                 continue
             pairs = all_pairs(self._start, staging)
