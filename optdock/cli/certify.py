@@ -179,6 +179,9 @@ def _false_claims(plan: PlanFile, certificate: Certificate) -> Iterator[str]:
     clearance = claimed.get("min_clearance")
     if is_number(clearance) and clearance > certificate.min_clearance + SHARPNESS + TOLERANCE:
         yield f"certificate.min_clearance is {clearance:.6g} m, proven are {certificate.min_clearance:.6g} m"
+    relief = claimed.get("start_relief", 0.0)
+    if certificate.certified and is_number(relief) and relief < certificate.start_relief - TOLERANCE:
+        yield f"certificate.start_relief is {relief:.6g} m, the proof grants {certificate.start_relief:.6g} m"
     for name, least, unit in (
         ("max_curvature", certificate.max_curvature, "1/m"),
         ("max_curvature_rate", certificate.max_curvature_rate, "1/m^2"),

@@ -14,6 +14,7 @@ from typer.testing import CliRunner
 
 from optdock.builtin import demo_scenario
 from optdock.cli import app
+from optdock.cli.certify import _false_claims
 from optdock.config import load_scenario
 from optdock.errors import NoMotionExists
 from optdock.geometry.clothoid import ClothoidSpline
@@ -23,7 +24,7 @@ from optdock.path import ClothoidSegment, Path
 from optdock.plotting import save_plan_picture
 from optdock.report import failed_plan_file
 from optdock.trajectory import TimeLaw, Trajectory
-from optdock.verification import prove_impossible
+from optdock.verification import certify_path, prove_impossible
 
 SCENARIO = """\
 format: optdock-scenario/1
@@ -73,6 +74,7 @@ def test_help_loads_no_heavy_library():
     code = """
 import sys
 from optdock.cli import app
+from optdock.cli.certify import _false_claims
 try:
     app(["--help"])
 except SystemExit as stop:
@@ -268,6 +270,15 @@ def test_a_false_claim_is_named(planned, key, value, claim):
     assert result.exit_code == 0
     assert result.stderr.startswith(f"false claim: {claim}")
     assert re.search(r"^false claim +" + re.escape(claim), result.stdout, re.MULTILINE)
+
+
+def test_a_relief_at_the_start_that_a_file_hides_is_a_false_claim(planned):
+    folder, _ = planned
+    plan = load_plan(folder / "plan.json")
+    certificate = certify_path(plan.path, load_scenario(folder / "bay.yaml").problem)
+    assert list(_false_claims(plan, certificate)) == []
+    granted = dataclasses.replace(certificate, start_relief=0.9)
+    assert list(_false_claims(plan, granted)) == ["certificate.start_relief is 0 m, the proof grants 0.9 m"]
 
 
 def test_a_path_that_only_says_it_is_certified_is_named(planned):
