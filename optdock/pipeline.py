@@ -85,7 +85,7 @@ _SMOOTHING_SHARE, _SMOOTHING_LEAST = 0.4, 0.06
 _PUT_OFF, _LOOKS = 0.67, 24
 # Shares of what is left that a proof of impossibility may take: when a planner pauses before it searches far afield,
 # and what the last planner must leave for it.
-_EARLY_PROOF, _LAST_PROOF = 0.1, 0.4
+_EARLY_PROOF, _LAST_PROOF = 0.1, 0.2
 # Likewise for the robot's largest disc alone, after a planner in vain: it mostly ends by itself within 3 ms where there
 # is a way, and the gap that it finds too narrow is measured in 30 ms more.
 _DISC_PROOF = 0.25
@@ -494,8 +494,9 @@ class _Portfolio:
 
         Where no planner had a guess the last one, which searched, tells more than the first.
         """
-        ordered = self.failures if any(failure.stage for failure in self.failures) else self.failures[::-1]
-        return max(ordered, key=lambda failure: (failure.stage, not isinstance(failure.error, TimedOut)))
+        if not any(failure.stage for failure in self.failures):
+            return self.failures[-1]
+        return max(self.failures, key=lambda failure: (failure.stage, not isinstance(failure.error, TimedOut)))
 
     def _refusal(self) -> OptdockError:
         """What is raised when nothing was found and nothing proven."""
