@@ -78,7 +78,8 @@ DEFAULT_TIME_BUDGET = 1.0  # [s]: what a hard place may take; most calls need a 
 DEFAULT_PLANNERS = ("DockPlanner", "ManoeuvrePlanner")  # the cheap one first, then the one that searches
 DEFAULT_SMOOTHER, DEFAULT_TIMING = "CasadiSmoother", "NearOptimal"
 # While nothing is certified and more guesses may follow, smoothing one of them may take this share of what is left, or
-# so long [s] where that is more: the hard ones that succeed at all are done by then.
+# so long [s] where that is more: the hard ones that succeed at all are done by then. One that lies in obstacles anywhere
+# gets half of it.
 _SMOOTHING_SHARE, _SMOOTHING_LEAST = 0.4, 0.06
 # A guess that overlaps obstacles at more than this share of its poses is put off until nothing else is left to be
 # tried: of 13 such guesses of the dock planner none could be smoothed, of 71 others 44.
@@ -437,7 +438,8 @@ class _Portfolio:
             self.tried.append(Attempt(guess.stage, guess.path, reason=reason))
             self.cut_short.append(guess)
             return
-        most = math.inf if unhurried else max(_SMOOTHING_SHARE * self.deadline.left, _SMOOTHING_LEAST)
+        share = _SMOOTHING_SHARE * (0.5 if overlapping > 0.0 else 1.0)
+        most = math.inf if unhurried else max(share * self.deadline.left, _SMOOTHING_LEAST)
         left, began = PartialPlan(timing_ms=self.so_far.timing_ms), self.deadline.elapsed
         try:
             plan = self.refinement.refined(guess.path, left, most, is_given=guess.stage == "given")
