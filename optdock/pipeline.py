@@ -78,8 +78,8 @@ DEFAULT_TIME_BUDGET = 1.0  # [s]: what a hard place may take; most calls need a 
 DEFAULT_PLANNERS = ("DockPlanner", "ManoeuvrePlanner")  # the cheap one first, then the one that searches
 DEFAULT_SMOOTHER, DEFAULT_TIMING = "CasadiSmoother", "NearOptimal"
 # While nothing is certified and more guesses may follow, smoothing one of them may take this share of what is left, or
-# so long [s] where that is more: the hard ones that succeed at all are done by then. One that lies in obstacles anywhere
-# gets half of it.
+# so long [s] where that is more: the hard ones that succeed at all are done by then. One that lies in obstacles
+# anywhere gets half of it.
 _SMOOTHING_SHARE, _SMOOTHING_LEAST = 0.4, 0.06
 # A guess that overlaps obstacles at more than this share of its poses is put off until nothing else is left to be
 # tried: of 13 such guesses of the dock planner none could be smoothed, of 71 others 44.
