@@ -23,7 +23,7 @@ from optdock.planners.manoeuvres.tree import ArcTree, Moves
 from optdock.planners.manoeuvres.turns import routes, turning_places, turns_and_drives
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Sequence
+    from collections.abc import Callable, Iterator
 
     from optdock.geometry.arrays import FloatArray
     from optdock.planners.manoeuvres.arcs import Arcs
@@ -80,9 +80,9 @@ class Stages:
         turns = self.problem.robot.turns_in_place and self.problem.start_speed == 0.0
         if not turns and self._cheapest_word() >= self._worthwhile():
             return  # what there is cannot be beaten, were there no obstacle at all
-        words = self._words(self._efforts[:1])
+        words = self._words(self._efforts[0])
         yield from self._cheaper_first(self._turn_and_drive(turns_and_drives), words) if turns else words
-        yield from self._words(self._efforts[1:])
+        yield from self._words(self._efforts[1])  # hybrid A* shoots those without a margin
         if turns and math.isinf(self._better_than()):
             yield from self._turn_and_drive(routes)
         if math.isinf(self._better_than()):
@@ -190,21 +190,20 @@ class Stages:
         # Where nothing new is left to grow from, nothing leads out.
         return Nodes(tree, np.concatenate((root, rows)) if fresh.size else root)
 
-    def _words(self, efforts: Sequence[Effort]) -> Iterator[Guess]:
-        """Words from the start to the staging poses."""
-        known: dict[tuple[float, float], Nodes] = {}
-        for effort in efforts:
-            if effort.margin == 0.0 and math.isfinite(self._better_than()):
-                return  # there is a plan with room to spare, and what has less is hardly better
-            room = effort.margin, effort.start_relief
-            staging = known[room] = known.get(room) or self._staging(effort)
-            if staging.rows.size == 0:
-                continue
-            pairs = all_pairs(self._start, staging)
-            found = connections(*pairs, effort.radius, self.space, _WORDS_PER_PAIR)
-            found = promising(found.rows(found.prices < self._worthwhile()), self._start.tree, self.space)
-            ways = free_manoeuvres(found, self._start.tree, staging.tree, self.space, effort, self._worthwhile)
-            yield from self._offered("Reeds-Shepp", ways)
+    @functools.cached_property
+    def _staging_with_margin(self) -> Nodes:
+        """Staging poses for words, of whatever radius."""
+        return self._staging(self._efforts[0])
+
+    def _words(self, effort: Effort) -> Iterator[Guess]:
+        """Words from the start to the staging poses, with a margin."""
+        staging = self._staging_with_margin
+        if staging.rows.size == 0:
+            return
+        found = connections(*all_pairs(self._start, staging), effort.radius, self.space, _WORDS_PER_PAIR)
+        found = promising(found.rows(found.prices < self._worthwhile()), self._start.tree, self.space)
+        ways = free_manoeuvres(found, self._start.tree, staging.tree, self.space, effort, self._worthwhile)
+        yield from self._offered("Reeds-Shepp", ways)
 
     def _hybrid_a_star(self) -> Iterator[Guess | None]:
         """As far afield as it takes, until there is a plan; with a pause where an effort was in vain."""
