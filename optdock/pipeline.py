@@ -314,7 +314,6 @@ class _Portfolio:
     deadline: Deadline = field(init=False)
     watch: Stopwatch = field(init=False)
     refinement: Refinement = field(init=False)
-    impossibility: ImpossibilitySearch = field(init=False)
     best: DockPlan | None = None
     tried: list[Attempt] = field(default_factory=list)
     failures: list[_Failure] = field(default_factory=list)
@@ -323,11 +322,15 @@ class _Portfolio:
     def __post_init__(self) -> None:
         self.deadline = Deadline(self.budget - _margin(self.budget))
         self.watch = Stopwatch(self.deadline, self.so_far.timing_ms)
-        self.impossibility = ImpossibilitySearch(self.problem)
         _, smoother, timing = self.plugins
         self.refinement = Refinement(
             self.problem, smoother, timing, self.warm_start, self.cancelled, self.budget, self.deadline, self.watch
         )
+
+    @functools.cached_property
+    def impossibility(self) -> ImpossibilitySearch:
+        """The search for a proof, which goes on where it was interrupted."""
+        return ImpossibilitySearch(self.problem)
 
     def plan(self) -> DockPlan:
         """The best plan; `so_far` holds what exists of the guess that came furthest when there is none."""
@@ -480,9 +483,11 @@ class _Portfolio:
             NoMotionExists: That is proven.
             PlannerCancelled: The caller wants an end.
         """
-        if self.best is not None or self.deadline.left <= 0.0 or self.impossibility.ended:
+        if self.best is not None or self.deadline.left <= 0.0:
             return
         with self.watch.timed("prove"):
+            if self.impossibility.ended:
+                return
             allowed = share * self.deadline.left
             proof = self.impossibility.proof(allowed, self.cancelled, only_disc=only_disc)
         if self.cancelled():

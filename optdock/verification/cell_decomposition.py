@@ -154,6 +154,9 @@ class _Body(NamedTuple):
         return bool(self.discs[:, :2].any())
 
 
+_SAMPLES, _FEWEST_SAMPLES = 160, 4  # of the outline that discs must cover, and of every edge
+
+
 @functools.lru_cache(maxsize=16)
 def _body(footprint: Footprint) -> _Body:
     """Few discs that fill a footprint but for `_FIT`: each covers as much of the outline, to that, as is left."""
@@ -177,7 +180,8 @@ def _body(footprint: Footprint) -> _Body:
     radius = np.concatenate((radius, _depth(corners, outline)))
     points, radius = points[radius > 0.0], radius[radius > 0.0]
     ends = np.roll(outline, -1, axis=0)
-    share = np.linspace(0.0, 1.0, 40, endpoint=False)[:, None, None]
+    per_edge = max(_FEWEST_SAMPLES, -(-_SAMPLES // len(outline)))
+    share = np.linspace(0.0, 1.0, per_edge, endpoint=False)[:, None, None]
     samples = (outline + share * (ends - outline)).reshape(-1, 2)
     gap = np.hypot(*(samples[:, None] - points).transpose(2, 0, 1)) - radius
     covers = gap <= _FIT * largest
