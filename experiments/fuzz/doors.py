@@ -82,6 +82,16 @@ def law_of(spec: Case) -> TimeLaw:
     )
 
 
+def law_spec(law: TimeLaw) -> Case:
+    """A time law as `law_of` takes it."""
+    return {
+        "durations": law.durations.tolist(),
+        "jerks": law.jerks.tolist(),
+        "start_speed": float(law.start_speed),
+        "start_acceleration": float(law.start_acceleration),
+    }
+
+
 def problem_of(case: Case) -> DockingProblem:
     """The docking problem of a case; `grid_alone` hands the grid over as a costmap only."""
     shape, dock, grid = case["footprint"], case["dock"], case.get("grid")

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 import shapely
 
-from experiments.fuzz.doors import path_spec, problem_spec
+from experiments.fuzz.doors import law_spec, path_spec, problem_spec
 from experiments.fuzz.oracle.motion import motion_of
 from experiments.fuzz.oracle.rules import findings
 from experiments.fuzz.oracle.sweep import required_at, start_run
@@ -126,12 +126,7 @@ def _time_faults(plan: DockPlan, gears: list[Spec], spec: Spec, motion: Motion) 
     law = plan.trajectory.time_law
     timed = {
         "path": gears,
-        "law": {
-            "durations": law.durations.tolist(),
-            "jerks": law.jerks.tolist(),
-            "start_speed": float(law.start_speed),
-            "start_acceleration": float(law.start_acceleration),
-        },
+        "law": law_spec(law),
         "limits": spec["limits"],
         "zone": spec["zone"],
         "start_speed": abs(spec["start_speed"]),

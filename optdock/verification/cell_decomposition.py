@@ -99,8 +99,11 @@ class ImpossibilitySearch:
     """
 
     def __init__(self, problem: DockingProblem) -> None:
-        self.problem, body = problem, _body(problem.robot.footprint)
-        self._left = [body, body.largest_disc] if len(problem.all_obstacles) else []  # the next one last
+        self.problem = problem
+        self._left: list[_Body] = []  # the next one last
+        if len(problem.all_obstacles):
+            body = _body(problem.robot.footprint)
+            self._left = [body, body.largest_disc]
         self._search: _Search | None = None
 
     @property

@@ -30,6 +30,7 @@ if TYPE_CHECKING:
 
     from optdock.deadline import Deadline
     from optdock.errors import SmootherException
+    from optdock.geometry.pose import Pose2
     from optdock.problem import DockingProblem
     from optdock.verification import Certificate
     from smoothers.scp.collision.scene import Scene
@@ -51,6 +52,7 @@ __all__ = [
     "earlier_answer",
     "input_answer",
     "is_clothoid_answer",
+    "straight_line",
 ]
 
 
@@ -155,17 +157,23 @@ def direct_line(call: Call, settings: AnytimeSettings) -> Path | None:
 
     From the staging pose nothing is left to optimize but the final straight, which the search takes for granted.
     """
-    path, problem = call.path, call.problem
+    problem = call.problem
+    line = straight_line(call.path, problem.start, problem.goal, settings)
+    if line is None or line.length >= problem.dock.final_straight + settings.staging:
+        return None
+    return Path((line,), problem.frame)
+
+
+def straight_line(path: Path, start: Pose2, end: Pose2, settings: AnytimeSettings) -> ClothoidSegment | None:
+    """The straight line between two poses in the only gear of a path; None where it has more, or they share no axis."""
     if len(path.segments) > 1:
         return None
     sign = int(path.segments[0].direction)
-    seen = problem.goal.in_frame_of(problem.start)
+    seen = end.in_frame_of(start)
     length = sign * seen.x
-    off_axis = max(abs(seen.y), abs(seen.yaw)) > settings.on_axis
-    if off_axis or not 0.0 < length < problem.dock.final_straight + settings.staging:
+    if length <= 0.0 or max(abs(seen.y), abs(seen.yaw)) > settings.on_axis:
         return None
-    line = ClothoidSpline(problem.start, np.array([0.0, length]), np.zeros(2), sign)
-    return Path((ClothoidSegment(line),), problem.frame)
+    return ClothoidSegment(ClothoidSpline(start, np.array([0.0, length]), np.zeros(2), sign))
 
 
 def input_answer(call: Call, settings: AnytimeSettings) -> Path | None:

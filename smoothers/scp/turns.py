@@ -16,7 +16,6 @@ import numpy as np
 
 from optdock.dock import Dock, DockDirection
 from optdock.errors import FailedToSmoothPath, SmootherTimedOut
-from optdock.geometry.clothoid import ClothoidSpline
 from optdock.geometry.pose import Pose2, normalize_angle
 from optdock.interfaces import SmoothingStatus
 from optdock.path import ClothoidSegment, Path, PolylineSegment, TurnSegment
@@ -25,7 +24,7 @@ from optdock.problem import DockingProblem
 from optdock.segments import SAME_YAW
 from optdock.verification import certify_path
 from smoothers.scp.refusals import refuse_certificate, refuse_turns
-from smoothers.scp.strategy import Call, Incumbent, Outcome, Solver
+from smoothers.scp.strategy import Call, Incumbent, Outcome, Solver, straight_line
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -226,19 +225,13 @@ def _piece_problem(problem: DockingProblem, parts: Sequence[Path | TurnSegment],
 
 def _straight(part: Path, start: Pose2, end: Pose2, settings: AnytimeSettings) -> ClothoidSegment | None:
     """The straight line between two poses, where the piece is one and the second is on the axis of the first."""
-    if len(part.segments) > 1:
-        return None
-    sign = int(part.segments[0].direction)
-    seen = end.in_frame_of(start)
-    length = sign * seen.x
-    if length <= 0.0 or max(abs(seen.y), abs(seen.yaw)) > settings.on_axis:
+    line = straight_line(part, start, end, settings)
+    if line is None:
         return None
     poses = part.poses_at(np.linspace(0.0, part.length, _STRAIGHT_SAMPLES))
     c, s = math.cos(start.yaw), math.sin(start.yaw)
     beside = np.abs(c * (poses[:, 1] - start.y) - s * (poses[:, 0] - start.x))
-    if float(beside.max()) > settings.same_pose:
-        return None
-    return ClothoidSegment(ClothoidSpline(start, np.array([0.0, length]), np.zeros(2), sign))
+    return line if float(beside.max()) <= settings.same_pose else None
 
 
 def _parts_like(earlier: Path | None, parts: Sequence[Path | TurnSegment]) -> Sequence[Path | None]:

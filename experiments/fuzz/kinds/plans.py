@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from experiments.fuzz.case import Verdict
-from experiments.fuzz.doors import path_spec, problem_of, problem_spec
+from experiments.fuzz.doors import law_spec, path_spec, problem_of, problem_spec
 from experiments.fuzz.generators.docking import docking_problem
 from experiments.fuzz.kinds import paths, trajectories
 from experiments.fuzz.oracle.motion import motion_of
@@ -87,12 +87,7 @@ def _refuted(case: Case, plan: DockPlan) -> Verdict | None:
     timed: Case = {
         "kind": "trajectories",
         "path": gears,
-        "law": {
-            "durations": law.durations.tolist(),
-            "jerks": law.jerks.tolist(),
-            "start_speed": float(law.start_speed),
-            "start_acceleration": float(law.start_acceleration),
-        },
+        "law": law_spec(law),
         "limits": case["limits"],
         "zone": case["zone"],
         "start_speed": abs(case["start_speed"]),

@@ -7,7 +7,7 @@ import time
 from typing import TYPE_CHECKING
 
 from experiments.fuzz.case import Verdict
-from experiments.fuzz.doors import path_of, zone_of
+from experiments.fuzz.doors import law_spec, path_of, zone_of
 from experiments.fuzz.generators.routes import clothoid_route
 from experiments.fuzz.generators.shapes import log_uniform
 from experiments.fuzz.kinds import trajectories
@@ -76,14 +76,7 @@ def _looked_at(case: Case, limits: MotionLimits, trajectory: Trajectory) -> Verd
     proof = certify_trajectory(trajectory, limits, zone_of(case), start_speed=case["start_speed"])
     if not proof.certified:
         return Verdict("CertificationFailed", f"{case['plugin']} {proof.violations[0].kind}: {proof.reason}")
-    law = trajectory.time_law
-    spec = {
-        "durations": law.durations.tolist(),
-        "jerks": law.jerks.tolist(),
-        "start_speed": law.start_speed,
-        "start_acceleration": law.start_acceleration,
-    }
-    timed = {**case, "kind": "trajectories", "law": spec}
+    timed = {**case, "kind": "trajectories", "law": law_spec(trajectory.time_law)}
     refuted = trajectories.refuted(timed, proof)
     if refuted is None and not math.isfinite(trajectory.duration):
         return Verdict("false certificate", "duration: not finite")

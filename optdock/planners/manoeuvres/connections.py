@@ -9,7 +9,7 @@ import numpy as np
 from optdock.dock import DockDirection
 from optdock.geometry.arrays import readonly
 from optdock.planners.manoeuvres.arcs import Arcs
-from optdock.planners.manoeuvres.price import gear_changes, stopping_cost
+from optdock.planners.manoeuvres.price import driving_times, gear_changes, stopping_cost
 from optdock.planners.manoeuvres.reeds_shepp import TURNS, reeds_shepp_words
 from optdock.planners.manoeuvres.tree import joined
 
@@ -91,7 +91,7 @@ def _cheapest(exits: Nodes, entries: Nodes, radius: float, problem: DockingProbl
     (leaving, i), (arriving, j) = exits, entries
     words = reeds_shepp_words(leaving.poses[i], arriving.poses[j], radius).lengths
     with np.errstate(invalid="ignore"):
-        driven = np.where(words > 0.0, words / limits.max_speed, -words / limits.max_reverse_speed).sum(axis=2)
+        driven = driving_times(words, limits).sum(axis=2)
     driven = np.where(np.isnan(driven), np.inf, driven)
     few = np.argpartition(driven, per_pair, axis=0)[:per_pair]
     pair = np.broadcast_to(np.arange(i.size), few.shape)[np.isfinite(driven[few, np.arange(i.size)])]
@@ -138,8 +138,8 @@ def free_manoeuvres(
     space: FreeSpace,
     effort: Effort,
     worthwhile: Callable[[], float],
-) -> Iterator[tuple[float, Arcs]]:
-    """Those whose words are free, in ascending order of price: the price, and the whole way from start to goal.
+) -> Iterator[Arcs]:
+    """The whole ways from start to goal of those whose words are free, in ascending order of price.
 
     They end where prices reach `worthwhile`, which may fall meanwhile.
     """
@@ -168,4 +168,4 @@ def free_manoeuvres(
             whole = joined(space.problem.start.as_array(), *parts)
             # All of it, closely, without the margin: what a search glances over must not reach anybody.
             if space.is_free(whole.poses_every(space.width / _CLOSE_POSES_PER_WIDTH), 0.0, effort.start_relief).all():
-                yield float(found.prices[r]), whole
+                yield whole

@@ -75,10 +75,10 @@ def hybrid_a_star(
     entries: Nodes,
     space: FreeSpace,
     effort: Effort,
-    wavefront: Wavefront | None,
+    wavefront: Wavefront,
     worthwhile: Callable[[], float],
-) -> Iterator[tuple[float, Arcs]]:
-    """Free manoeuvres as they are found: the price, and the whole way from start to goal.
+) -> Iterator[Arcs]:
+    """Free manoeuvres as they are found, whole from start to goal.
 
     The first way found is seldom the best one: once there is a plan the tree grows no more, but it is shot at while
     that may pay.
@@ -88,7 +88,7 @@ def hybrid_a_star(
         entries: Nodes of the goal's tree from which the search goes on; its tree grows.
         space: What is free.
         effort: How sharply, how closely and for how long.
-        wavefront: Lengths of the shortest ways from the start for a disc; None: not asked.
+        wavefront: Lengths of the shortest ways from the start for a disc.
         worthwhile: The price from which on a way is of no use; infinite while there is no plan.
     """
     tree, limits = entries.tree, space.problem.robot.limits
@@ -127,21 +127,17 @@ def _pairs(exits: Nodes, fresh: Nodes) -> tuple[Nodes, Nodes]:
     return Nodes(exits.tree, leaving), Nodes(fresh.tree, arriving)
 
 
-def _long_enough(words: Connections, tree: ArcTree, wavefront: Wavefront | None) -> Connections:
+def _long_enough(words: Connections, tree: ArcTree, wavefront: Wavefront) -> Connections:
     """Words that are not shorter than the shortest way among the obstacles: the others collide."""
-    if wavefront is None:
-        return words
     least = np.where(words.exits == 0, wavefront.lengths(tree.poses[words.entries, :2]), 0.0)
     return words.rows(np.flatnonzero(np.abs(words.lengths).sum(axis=1) >= least))
 
 
-def _bounds(tree: ArcTree, rows: IntArray, words: Connections, speed: float, wavefront: Wavefront | None) -> FloatArray:
+def _bounds(tree: ArcTree, rows: IntArray, words: Connections, speed: float, wavefront: Wavefront) -> FloatArray:
     """Estimated prices of the whole manoeuvres through nodes. Shape (n,)."""
     cheapest = np.full(len(tree), np.inf)
     np.minimum.at(cheapest, words.entries, words.prices)
     driven = tree.prices[rows]
-    left: FloatArray = cheapest[rows] - driven
-    if wavefront is not None:
-        left = np.maximum(left, wavefront.lengths(tree.poses[rows, :2]) / speed)
+    left = np.maximum(cheapest[rows] - driven, wavefront.lengths(tree.poses[rows, :2]) / speed)
     found: FloatArray = driven + _GREED * left
     return found

@@ -16,7 +16,16 @@ if TYPE_CHECKING:
     from optdock.path import Path
     from optdock.problem import DockingProblem
 
-__all__ = ["CUSP_PRICE", "ends_cost", "gear_changes", "least_price", "stopping_cost", "stops", "turning_times"]
+__all__ = [
+    "CUSP_PRICE",
+    "driving_times",
+    "ends_cost",
+    "gear_changes",
+    "least_price",
+    "stopping_cost",
+    "stops",
+    "turning_times",
+]
 
 # [s] beside the time that stopping takes: a change of gear wears the drive and is where controllers overshoot, so one
 # more has to save a second.
@@ -52,6 +61,12 @@ def stops(path: Path) -> int:
     """How often the robot stops on its way to change gear, to turn in place, or for both at once."""
     driven = sum(not isinstance(segment, TurnSegment) for segment in path.segments)
     return max(driven - 1, 0)
+
+
+def driving_times(lengths: FloatArray, limits: MotionLimits) -> FloatArray:
+    """Times at full speed of signed lengths, negative in reverse, of any shape [s]."""
+    times: FloatArray = np.where(lengths > 0.0, lengths / limits.max_speed, -lengths / limits.max_reverse_speed)
+    return times
 
 
 def turning_times(turns: FloatArray, limits: TurnLimits) -> FloatArray:

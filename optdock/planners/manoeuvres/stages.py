@@ -17,7 +17,7 @@ from optdock.outcomes import Guess
 from optdock.planners.manoeuvres.connections import Nodes, all_pairs, connections, free_manoeuvres, promising
 from optdock.planners.manoeuvres.free_space import Effort, FreeSpace
 from optdock.planners.manoeuvres.hybrid_a_star import PoseGrid, hybrid_a_star
-from optdock.planners.manoeuvres.price import ends_cost, gear_changes, least_price, stopping_cost
+from optdock.planners.manoeuvres.price import driving_times, ends_cost, gear_changes, least_price, stopping_cost
 from optdock.planners.manoeuvres.reeds_shepp import reeds_shepp_words
 from optdock.planners.manoeuvres.tree import ArcTree, Moves
 from optdock.planners.manoeuvres.turns import routes, turning_places, turns_and_drives
@@ -106,10 +106,8 @@ class Stages:
         ends = np.stack([(problem.goal @ Pose2(-gear * straight, 0.0, 0.0)).as_array() for gear in self._gears])
         words = reeds_shepp_words(np.tile(problem.start.as_array(), (len(ends), 1)), ends, self.radius).lengths
         words = np.where(np.isnan(words).any(axis=2, keepdims=True), np.inf, words)
-        driven = np.where(words > 0.0, words / limits.max_speed, -words / limits.max_reverse_speed).sum(axis=2)
-        along = straight / np.array(
-            [limits.max_speed if gear > 0.0 else limits.max_reverse_speed for gear in self._gears]
-        )
+        along = driving_times(straight * np.array(self._gears), limits)
+        driven = driving_times(words, limits).sum(axis=2)
         return float((driven + stopping_cost(limits) * gear_changes(words) + along).min())
 
     def _turn_and_drive(self, search: TurnSearch) -> Iterator[Guess]:
@@ -122,7 +120,7 @@ class Stages:
             exits = self._straight_exits(effort, turning_places(start, goal, self.space))
             entries = self._staging(effort, turning_places(goal, start, self.space))
             found = search(exits, entries, self.space, effort, self._worthwhile)
-            for _, way in itertools.islice(found, _TURN_TRIES):
+            for way in itertools.islice(found, _TURN_TRIES):
                 path = way.path(self.radius / _SAMPLING, self.problem.goal, self.problem.frame)
                 if path.digest not in known and least_price(path, self.problem) < self._better_than():
                     known.add(path.digest)
@@ -221,10 +219,10 @@ class Stages:
                 return
             yield None
 
-    def _offered(self, stage: str, found: Iterator[tuple[float, Arcs]]) -> Iterator[Guess]:
+    def _offered(self, stage: str, found: Iterator[Arcs]) -> Iterator[Guess]:
         """The first few of the ways found that are unlike those offered before and may beat the best plan."""
         offered = 0
-        for _, arcs in found:
+        for arcs in found:
             path = arcs.path(self.radius / _SAMPLING, self.problem.goal.as_array(), self.problem.frame)
             if least_price(path, self.problem) >= self._better_than() or not self._is_another_way(arcs):
                 continue

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from optdock.planners.manoeuvres.arcs import Arcs, advance
-from optdock.planners.manoeuvres.price import stopping_cost
+from optdock.planners.manoeuvres.price import driving_times, stopping_cost
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -144,9 +144,9 @@ class ArcTree:
         curvature: FloatArray,
         is_new: Callable[[FloatArray], BoolArray] | None,
     ) -> IntArray:
-        speed = np.where(self.gear * length > 0.0, self._limits.max_speed, self._limits.max_reverse_speed)
         sign = np.sign(length)
-        price = self.prices[parent] + np.abs(length) / speed + self._stop * (self.signs[parent] * sign < 0.0)
+        driven = driving_times(self.gear * length, self._limits)
+        price = self.prices[parent] + driven + self._stop * (self.signs[parent] * sign < 0.0)
         poses = advance(self.poses[parent], length, curvature)
         order = np.argsort(price, kind="stable")
         kept = order if is_new is None else order[is_new(poses[order])]

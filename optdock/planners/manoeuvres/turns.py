@@ -20,7 +20,7 @@ from optdock.geometry.pose import Pose2
 from optdock.path import Path
 from optdock.planners.manoeuvres.arcs import advance
 from optdock.planners.manoeuvres.connections import Nodes
-from optdock.planners.manoeuvres.price import stopping_cost, turning_times
+from optdock.planners.manoeuvres.price import driving_times, stopping_cost, turning_times
 from optdock.segments import Direction, PolylineSegment, TurnSegment
 
 if TYPE_CHECKING:
@@ -179,7 +179,7 @@ def turning_places(pose: FloatArray, other: FloatArray, space: FreeSpace) -> Flo
 
 def turns_and_drives(
     exits: Nodes, entries: Nodes, space: FreeSpace, effort: Effort, worthwhile: Callable[[], float]
-) -> Iterator[tuple[float, TurnsAndDrives]]:
+) -> Iterator[TurnsAndDrives]:
     """Manoeuvres that are free, the cheapest first: a straight run, a turn, a line, a turn, a straight run.
 
     Args:
@@ -211,7 +211,7 @@ def turns_and_drives(
             whole = whole._replace(is_rounded=is_rounded)
             if _is_free(whole, space, effort):
                 left[is_rounded] -= 1
-                yield price, whole
+                yield whole
 
 
 class _Lines(NamedTuple):
@@ -251,8 +251,7 @@ def _lines(exits: Nodes, entries: Nodes, space: FreeSpace, effort: Effort) -> _L
     turns -= 2.0 * np.pi * np.where(turns >= 0.0, 1.0, -1.0) * (np.column_stack((first, second)) < 0.0)
     turns[np.abs(turns) <= _NOTHING] = 0.0
     rows = exits.rows[i], entries.rows[j]
-    speed = np.where(gear > 0.0, limits.max_speed, limits.max_reverse_speed)
-    prices = exits.tree.prices[rows[0]] + entries.tree.prices[rows[1]] + length / speed
+    prices = exits.tree.prices[rows[0]] + entries.tree.prices[rows[1]] + driving_times(gear * length, limits)
     prices += turning_times(np.abs(turns), limits.turning).sum(axis=1)
     out, into = exits.tree.signs[rows[0]], -entries.tree.signs[rows[1]]
     stops = drives & (out != 0.0) & ((turns[:, 0] != 0.0) | (out * gear < 0.0))
@@ -269,6 +268,7 @@ def _lines(exits: Nodes, entries: Nodes, space: FreeSpace, effort: Effort) -> _L
     goes_on = np.column_stack((out * gear > 0.0, into * gear > 0.0)) & drives[:, None]
     corners = goes_on & (turns != 0.0) & (np.abs(turns) < _ROUNDED)
     legs = np.minimum(length[:, None], np.column_stack((np.abs(exits.tree.lengths[rows[0]]), run)))
+    speed = np.where(gear > 0.0, limits.max_speed, limits.max_reverse_speed)
     saved, has_room = _saved_by_rounding(np.abs(turns), legs, speed[:, None], space, effort)
     rounded = np.flatnonzero(corners.any(axis=1) & np.where(corners, has_room, can_turn).all(axis=1))
     which, is_rounded = np.concatenate((turned, rounded)), np.repeat([False, True], [turned.size, rounded.size])
@@ -329,11 +329,10 @@ def _price(whole: TurnsAndDrives, space: FreeSpace) -> float:
     """As the words' prices: at full speed, with what every stop adds [s]."""
     limits = space.problem.robot.limits
     lengths = whole.lengths
-    driven = np.where(lengths > 0.0, lengths / limits.max_speed, -lengths / limits.max_reverse_speed)
     rounds = whole.rounds()
     stops = max(int(np.count_nonzero(np.abs(lengths) > _NOTHING)) - 1, 0) - int(np.count_nonzero(rounds))
     turning = turning_times(np.where(rounds, 0.0, np.abs(whole.turns)), limits.turning)
-    return float(driven.sum() + turning.sum()) + stopping_cost(limits) * stops
+    return float(driving_times(lengths, limits).sum() + turning.sum()) + stopping_cost(limits) * stops
 
 
 def _is_free(whole: TurnsAndDrives, space: FreeSpace, effort: Effort) -> bool:
@@ -348,7 +347,7 @@ def _is_free(whole: TurnsAndDrives, space: FreeSpace, effort: Effort) -> bool:
 
 def routes(
     exits: Nodes, entries: Nodes, space: FreeSpace, effort: Effort, worthwhile: Callable[[], float]
-) -> Iterator[tuple[float, TurnsAndDrives]]:
+) -> Iterator[TurnsAndDrives]:
     """Manoeuvres around obstacles, turning in place at the corners of the way.
 
     The way is that of the disc in which the robot turns; then that of one that it only drives through, so that turns
@@ -368,7 +367,7 @@ def routes(
         found = list(_around(exits, out, Nodes(entries.tree, np.array(ways_in)), space, (radius, driving)))
         # A long way is smoothed in a tenth of a second, or in vain: what needs no smoothing comes first.
         offered = [_cheapest_free([one for one in found if one.is_rounded is kind], space, effort) for kind in _KINDS]
-        yield from (one for one in offered if one is not None and one[0] < worthwhile())
+        yield from (one[1] for one in offered if one is not None and one[0] < worthwhile())
         if any(one is not None for one in offered):
             return
 
@@ -399,9 +398,7 @@ def _cheapest_free(
     return next((one for one in ordered if _is_free(one[1], space, effort)), None)
 
 
-TurnSearch: TypeAlias = (
-    "Callable[[Nodes, Nodes, FreeSpace, Effort, Callable[[], float]], Iterator[tuple[float, TurnsAndDrives]]]"
-)
+TurnSearch: TypeAlias = "Callable[[Nodes, Nodes, FreeSpace, Effort, Callable[[], float]], Iterator[TurnsAndDrives]]"
 """`turns_and_drives` or `routes`."""
 
 
