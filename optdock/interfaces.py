@@ -204,21 +204,29 @@ class Controller(Plugin):
     """Turns a path or a trajectory into velocity commands."""
 
     @abstractmethod
-    def set_path(self, path: Path | Trajectory) -> None:
+    def set_path(self, path: Path | Trajectory, *, start_stamp: float | None = None) -> None:
         """Follow this from now on.
+
+        Args:
+            path: What to follow.
+            start_stamp: When a trajectory begins, on the clock of the stamps [s]: a new plan takes over in motion just
+                then. None: with the next command, from where the robot is.
 
         Raises:
             ControllerInvalidPath: It cannot be followed.
         """
 
     @abstractmethod
-    def compute_velocity_commands(self, pose: Pose2, velocity: Twist2, goal_checker: GoalChecker | None) -> Twist2:
+    def compute_velocity_commands(
+        self, pose: Pose2, velocity: Twist2, goal_checker: GoalChecker | None, *, stamp: float | None = None
+    ) -> Twist2:
         """The command of this control cycle.
 
         Args:
             pose: Measured pose in the path's frame.
             velocity: Measured body velocity.
             goal_checker: May be asked for its tolerances; None when there is none.
+            stamp: When the pose was measured, on any monotonic clock [s]; None: now, on the context's clock.
 
         Raises:
             NoValidControl: No command is admissible in this cycle.

@@ -112,7 +112,7 @@ class TrackingController(Controller):
         self._delay = DelayEstimate(self.parameters.period)
         self._anchored = self._cancelled = False
 
-    def set_path(self, path: Path | Trajectory) -> None:
+    def set_path(self, path: Path | Trajectory, *, start_stamp: float | None = None) -> None:  # noqa: ARG002 - no clock yet
         """Follow a trajectory, or a path after timing it, from the next call on.
 
         A path is timed from the speed of the last command, so that a new path in motion is taken up without a stop.
@@ -128,13 +128,21 @@ class TrackingController(Controller):
         self._anchored = self._cancelled = False
         self._limits = self._limits_for(self._reference)
 
-    def compute_velocity_commands(self, pose: Pose2, velocity: Twist2, goal_checker: GoalChecker | None) -> Twist2:
+    def compute_velocity_commands(
+        self,
+        pose: Pose2,
+        velocity: Twist2,
+        goal_checker: GoalChecker | None,
+        *,
+        stamp: float | None = None,  # noqa: ARG002 - no clock yet
+    ) -> Twist2:
         """The command for the coming period; see the class.
 
         Args:
             pose: Measured pose.
             velocity: Measured body velocity: where the first command starts from, and what the drive made of the last.
             goal_checker: Its position tolerance may widen `finish_tolerance`.
+            stamp: When the pose was measured [s].
 
         Raises:
             ControllerInvalidPath: There is no path.

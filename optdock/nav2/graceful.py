@@ -115,7 +115,7 @@ class GracefulController(Controller):
         self._turned = self._arrived = self._cancelled = False
         self._last = Twist2()
 
-    def set_path(self, path: Path | Trajectory) -> None:
+    def set_path(self, path: Path | Trajectory, *, start_stamp: float | None = None) -> None:  # noqa: ARG002 - no clock yet
         """Follow a path; the time law of a trajectory is ignored.
 
         Raises:
@@ -138,7 +138,14 @@ class GracefulController(Controller):
         self._arrived = self._cancelled = False
         self._turned = not self.parameters.initial_rotation
 
-    def compute_velocity_commands(self, pose: Pose2, velocity: Twist2, goal_checker: GoalChecker | None) -> Twist2:  # noqa: ARG002 - part of the interface
+    def compute_velocity_commands(
+        self,
+        pose: Pose2,
+        velocity: Twist2,  # noqa: ARG002 - part of the interface
+        goal_checker: GoalChecker | None,
+        *,
+        stamp: float | None = None,  # noqa: ARG002 - no clock yet
+    ) -> Twist2:
         """The command of this cycle.
 
         Raises:
