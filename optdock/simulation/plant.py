@@ -244,7 +244,8 @@ class PlantState(NamedTuple):
         twist: True body velocity.
         encoders: Body velocity that encoders (and the steering's sensor) tell; wheel errors and slip are not in it.
         time: Since the robot was set down [s].
-        drive: What the actuators do now: speed [m/s] and yaw rate [rad/s], or steering angle [rad] of a car.
+        drive: What the actuators do now, a stuck wheel apart: speed [m/s] and yaw rate [rad/s], or steering angle [rad]
+            of a car.
         target: What they were told to do.
         pending: Targets under way, each with the time at which it arrives.
         noise: Of the slip, standardized.
@@ -337,22 +338,17 @@ class DifferentialDrive:
             for _ in range(count):
                 v_mean, v = first_order(v, wanted[0], a.linear_lag, span)
                 w_mean, w = first_order(w, wanted[1], a.angular_lag, span)
-                if self.wheels is not None and self.wheels.stuck:
-                    v_mean, w_mean = self.wheels.held(v_mean, w_mean, time)
-                    v, w = self.wheels.held(v, w, time)
-                pose = arc_end(*pose, self._ground(v_mean, w_mean, noise), span)
+                pose = arc_end(*pose, self._ground(self._held(v_mean, w_mean, time), noise), span)
                 time += span
-        twist = Twist2(*self._ground(v, w, noise))
         end = state.time + duration
-        return PlantState(Pose2(*pose), twist, self._encoders((v, w)), end, (v, w), target, pending, noise, drawn)
+        turned = self._held(v, w, end)
+        twist = Twist2(*self._ground(turned, noise))
+        return PlantState(Pose2(*pose), twist, self._encoders(turned), end, (v, w), target, pending, noise, drawn)
 
     def stopped(self, state: PlantState, pose: Pose2, *, stalled: bool) -> PlantState:
-        """The state after something hard held the robot at `pose`: without speed; `stalled`: its wheels stand too."""
-        twist = Twist2(0.0, state.twist.angular)
-        if not stalled:
-            return state._replace(pose=pose, twist=twist)
-        drive = (0.0, state.drive[1])
-        return state._replace(pose=pose, twist=twist, encoders=self._encoders(drive), drive=drive)
+        """The state after something hard held the robot at `pose`; `stalled`: its wheels stand still too."""
+        drive = (0.0, 0.0) if stalled else state.drive
+        return state._replace(pose=pose, twist=Twist2(), encoders=self._encoders(drive), drive=drive)
 
     def _target(self, command: Twist2) -> _Target:
         a = self.actuation
@@ -369,8 +365,11 @@ class DifferentialDrive:
             return 1
         return pieces_of(seconds, a.longest_substep)
 
-    def _ground(self, linear: float, angular: float, noise: tuple[float, float, float]) -> tuple[float, float, float]:
-        return (linear, angular, 0.0) if self.slip is None else self.slip.ground(linear, angular, noise)
+    def _held(self, linear: float, angular: float, time: float) -> _Target:
+        return (linear, angular) if self.wheels is None else self.wheels.held(linear, angular, time)
+
+    def _ground(self, turned: _Target, noise: tuple[float, float, float]) -> tuple[float, float, float]:
+        return (*turned, 0.0) if self.slip is None else self.slip.ground(*turned, noise)
 
     def _encoders(self, drive: _Target) -> Twist2:
         return Twist2(*drive) if self.wheels is None else self.wheels.encoders(*drive)

@@ -231,7 +231,7 @@ class SimulatedRobot:
         )
 
     def _stop(self, before: Pose2, station: Station) -> None:
-        """Hold the robot where it has driven against the stop; it may still turn there."""
+        """Hold the robot where it has driven against the stop."""
         there = self.error
         beyond = station.past(there)
         if beyond <= 0.0 or abs(there.y) > station.half_width:
@@ -241,7 +241,8 @@ class SimulatedRobot:
         if ahead >= -_TOUCHING:
             share = max(ahead, 0.0) / (max(ahead, 0.0) + beyond)
             held = self.dock_pose @ Pose2(station.stop.x, here.y + share * (there.y - here.y), 0.0)
-            held = Pose2(held.x, held.y, self.state.pose.yaw)
+            yaw = before.yaw + share * (self.state.pose.yaw - before.yaw)
+            held = Pose2(held.x, held.y, yaw)
             self.state = self.plant.stopped(self.state, held, stalled=station.stalls)
 
     def _measure(self, duration: float) -> Measurements:
