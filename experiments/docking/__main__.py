@@ -1,0 +1,121 @@
+"""The docking study: the same dockings by every method, in every world, at every rate; tables, distributions, a film.
+
+    python -m experiments.docking                                # 1,000 dockings each, two processes: half an hour
+    python -m experiments.docking --count 50 --world detected --method "replanning"
+    python -m experiments.docking --faults                       # the table of faults
+
+Writes results/docking/: runs.csv, table.md, cdf.png and, of the worst run of the replanning method, a film.
+"""
+
+from __future__ import annotations
+
+import argparse
+import csv
+import os
+import sys
+from concurrent.futures import ProcessPoolExecutor
+from multiprocessing import get_context
+from pathlib import Path
+from typing import TYPE_CHECKING, NamedTuple
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from experiments.docking.outcome import Outcome
+
+OUT = Path("results") / "docking"
+THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
+PLAN = {
+    "perfect": ((20.0, 50.0, 100.0), ("graceful law", "raw + tracker", "smoothed + tracker", "replanning", "MPC")),
+    "noisy": ((20.0, 50.0, 100.0), ("graceful law", "raw + tracker", "smoothed + tracker", "replanning", "MPC")),
+    "detected": ((50.0,), ("graceful law", "raw + tracker", "smoothed + tracker", "replanning", "MPC")),
+}
+"""Rates and methods of every world."""
+
+
+class Task(NamedTuple):
+    """One docking to be driven, by names, so that any process can."""
+
+    method: str
+    world: str
+    spread: str
+    rate: float
+    number: int
+    seed: int
+
+
+def driven(task: Task) -> Outcome:
+    """The outcome of a task."""
+    from experiments.docking.methods import METHODS
+    from experiments.docking.worlds import SPREADS, WORLDS, case_of
+
+    world, spread = WORLDS[task.world], SPREADS[task.spread]
+    return METHODS[task.method](case_of(task.number, spread, world, task.seed), world, spread.name, task.rate)
+
+
+def tasks(options: argparse.Namespace) -> list[Task]:
+    """Everything that was asked for."""
+    found = []
+    for world, (rates, methods) in PLAN.items():
+        if options.world and world not in options.world:
+            continue
+        for method in methods:
+            if options.method and method not in options.method:
+                continue
+            for rate in options.rate or rates:
+                numbers = range(options.count)
+                found += [Task(method, world, options.spread, rate, number, options.seed) for number in numbers]
+    return found
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Drive, write, print."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--count", type=int, default=1000, help="dockings of each kind (default: %(default)s)")
+    parser.add_argument("--world", action="append", choices=sorted(PLAN), help="only this one; may be repeated")
+    parser.add_argument("--method", action="append", help="only this one; may be repeated")
+    parser.add_argument("--rate", action="append", type=float, help="only this one [Hz]; may be repeated")
+    parser.add_argument("--spread", default="nav2", choices=("nav2", "wider"), help="starts (default: %(default)s)")
+    parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--jobs", type=int, default=2, help="processes (default: %(default)s)")
+    parser.add_argument("--faults", action="store_true", help="the table of faults instead")
+    parser.add_argument("--out", type=Path, default=OUT)
+    options = parser.parse_args(arguments)
+    for name in THREADS:  # before NumPy is loaded, here and in the processes
+        os.environ.setdefault(name, "1")
+    options.out.mkdir(parents=True, exist_ok=True)
+    if options.faults:
+        from experiments.docking.faults import fault_table
+
+        text, is_sound = fault_table(options.jobs)
+        (options.out / "faults.md").write_text(text + "\n", encoding="utf-8")
+        sys.stdout.write(text + "\n")
+        return 0 if is_sound else 1
+    return study(options)
+
+
+def study(options: argparse.Namespace) -> int:
+    """All tasks; 1 where a certificate was wrong within the tube."""
+    todo = tasks(options)
+    found: list[Outcome] = []
+    with ProcessPoolExecutor(options.jobs, get_context("spawn")) as pool:
+        for outcome in pool.map(driven, todo, chunksize=8):
+            found.append(outcome)
+            if len(found) % 100 == 0:
+                sys.stderr.write(f"\r{len(found)} of {len(todo)}")
+    sys.stderr.write("\n")
+    from experiments.docking import tables
+
+    with (options.out / "runs.csv").open("w", newline="", encoding="utf-8") as file:
+        writer = csv.writer(file)
+        writer.writerow(type(found[0])._fields)
+        writer.writerows(found)
+    text = tables.table_of(found)
+    (options.out / "table.md").write_text(text + "\n", encoding="utf-8")
+    sys.stdout.write(text + "\n")
+    tables.draw_distributions(options.out / "cdf.png", found)
+    return 1 if any(outcome.short > tables.FORGIVEN for outcome in found) else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

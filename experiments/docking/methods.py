@@ -1,0 +1,133 @@
+"""The ways of docking that are compared; each drives a case in a world and tells what happened."""
+
+from __future__ import annotations
+
+import math
+import time
+from functools import partial
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from experiments.docking.outcome import Followed, Outcome, outcome_of
+from optdock.dock import DockDirection
+from optdock.errors import ControllerException, OptdockError
+from optdock.estimation import PoseFilter
+from optdock.geometry.pose import Pose2, Twist2, normalize_angle
+from optdock.interfaces import Controller, GoalChecker
+from optdock.lifecycle import PluginContext
+from optdock.nav2.graceful_law import GracefulLaw
+from optdock.path import Direction
+from optdock.pipeline import plan_dock
+from optdock.plugins import create_plugin, timed_by
+from optdock.simulation import RemainingPath
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from experiments.docking.worlds import Case, World
+    from optdock.measurements import Measurements
+    from optdock.trajectory import Trajectory
+
+__all__ = ["METHODS"]
+
+LAW = GracefulLaw(3.0, 2.0, 0.4, 2.0, 0.25, 2.5, 0.1, 0.25, 0.75)  # the docking server's defaults
+PROJECTION = 0.25  # [m]: how far behind the dock Nav2 aims
+FILTER = 0.1  # Nav2's filter_coef of detected poses
+STALL, PATIENCE = 0.005, 1.0  # [m/s], [s]: contact by stall
+TIMEOUT = 60.0  # [s]
+CHECKER = {"along_tolerance": 0.01}
+
+
+class _Cycles:
+    """CPU seconds of every control cycle."""
+
+    def __init__(self) -> None:
+        self.spent: list[float] = []
+
+    def timed(self, work: Callable[[], Twist2]) -> Twist2:
+        began = time.thread_time()
+        try:
+            return work()
+        finally:
+            self.spent.append(time.thread_time() - began)
+
+    @property
+    def busy(self) -> float:
+        return float(np.percentile(self.spent, 99)) if self.spent else 0.0
+
+
+def by_law(case: Case, world: World, spread: str, rate: float) -> Outcome:
+    """Nav2's docking law towards the dock as it detects it, until contact or stall: it has no other end on its own."""
+    robot = case.world(world)
+    now, goal, cycles = robot.measurements, case.problem.goal, _Cycles()
+    gear = Direction.FORWARD if case.direction is DockDirection.FORWARD else Direction.REVERSE
+    standing = 0.0
+    while robot.time < TIMEOUT and not now.contact and standing < PATIENCE:
+        assert now.pose is not None
+        for seen in now.detections:
+            goal = _filtered(goal, now.pose @ seen.pose)
+        target = goal @ Pose2(int(gear) * PROJECTION, 0.0, 0.0)
+        pose = now.pose
+        now = robot.advance(cycles.timed(lambda: LAW.command(target, pose, gear)), 1.0 / rate)
+        standing = standing + 1.0 / rate if abs(now.twist.linear) < STALL and robot.time > PATIENCE else 0.0
+    ending = "" if now.contact else "stalled beside the contact" if standing >= PATIENCE else "timeout"
+    names = ("graceful law", world.name, spread, rate)
+    return outcome_of(case, robot.record(), [], names=names, ending=ending, counts=(0, 0, 0), busy=cycles.busy)
+
+
+def _filtered(before: Pose2, seen: Pose2) -> Pose2:
+    """Nav2's first-order filter."""
+    return Pose2(
+        before.x + FILTER * (seen.x - before.x),
+        before.y + FILTER * (seen.y - before.y),
+        before.yaw + FILTER * normalize_angle(seen.yaw - before.yaw),
+    )
+
+
+def by_plan(case: Case, world: World, spread: str, rate: float, *, smoothed: bool) -> Outcome:
+    """One plan to the dock as stored, tracked to its end; its path raw or smoothed and certified."""
+    names = (f"{'smoothed' if smoothed else 'raw'} + tracker", world.name, spread, rate)
+    plan = plan_dock(case.problem)
+    trajectory: Trajectory = (
+        plan.trajectory if smoothed else timed_by("Windowed", plan.raw_path.with_frame(case.problem.frame), case.problem)
+    )
+    controller = create_plugin(Controller, "TrackingController")
+    checker = create_plugin(GoalChecker, "DockGoalChecker", CHECKER)
+    for plugin in (controller, checker):
+        plugin.configure(PluginContext(plugin.name, problem=case.problem))
+    controller.set_path(trajectory)
+    robot, cycles, ending = case.world(world), _Cycles(), "timeout"
+    filtered = PoseFilter(max(world.pose.position_sigma, 1e-4), max(world.pose.yaw_sigma, 1e-4))
+    remaining, now = RemainingPath(trajectory.path), robot.measurements
+    while robot.time < trajectory.duration + TIMEOUT:
+        pose, twist = filtered.update(now.stamp, now.pose, now.twist), now.twist
+        if checker.is_goal_reached(pose, case.problem.goal, twist, remaining.from_pose(pose)):
+            ending = ""
+            break
+        if now.contact and smoothed is not None and abs(twist.linear) < STALL and robot.time > 1.0:
+            ending = ""
+            break
+        try:
+            command = cycles.timed(partial(_commanded, controller, checker, pose, now))
+        except ControllerException as error:
+            ending = f"{type(error).__name__}: {error}"
+            break
+        now = robot.advance(command, 1.0 / rate)
+    followed = [Followed(0.0, plan)] if smoothed else []
+    robot.advance(Twist2(), 1.0 / rate)
+    return outcome_of(
+        case, robot.record(), followed, names=names, ending=ending, counts=(0, 0, 0), busy=cycles.busy
+    )
+
+
+def _commanded(controller: Controller, checker: GoalChecker, pose: Pose2, now: Measurements) -> Twist2:
+    return controller.compute_velocity_commands(pose, now.twist, checker, stamp=now.stamp)
+
+
+def failed(case: Case, names: tuple[str, str, str, float], error: OptdockError) -> Outcome:
+    """A case for which there was no plan."""
+    seen = case.problem.start.in_frame_of(case.true_dock)
+    ending = f"{type(error).__name__}: {error}"
+    found = (0.0, 0, 0, 0.0, 0.0, "", math.inf, -math.inf, 0.0, 0, 0, 0.0)
+    return Outcome(*names, case.seed, case.direction.value, ending, False, seen.x, seen.y, seen.yaw, *found)

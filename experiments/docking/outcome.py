@@ -1,0 +1,184 @@
+"""What is measured of a docking: where it ended, how, and whether limits and certificates held."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+from optdock.geometry.pose import pose_errors
+from optdock.tube import Tube
+from optdock.verification import pose_clearances
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from experiments.docking.worlds import Case
+    from optdock.geometry.arrays import FloatArray
+    from optdock.plan import DockPlan
+    from optdock.simulation import Record
+
+__all__ = ["ACCEPTED", "Followed", "Outcome", "outcome_of"]
+
+ACCEPTED = 0.010, 0.010, math.radians(1.5)  # along, cross [m], yaw [rad] of the true dock: what counts as success
+_MOVING = 0.02  # [m/s]: curvature commanded below this speed is noise
+_ROUNDING = 1e-6  # relative, of limits
+
+
+class Followed(NamedTuple):
+    """A certified plan, and from when on it was followed [s]; None: from then on none was."""
+
+    since: float
+    plan: DockPlan | None
+
+
+class Outcome(NamedTuple):
+    """One docking.
+
+    Attributes:
+        method: How.
+        world: In which world.
+        spread: From which starts.
+        rate: Control cycles per second [Hz].
+        seed: Of the case.
+        direction: Gear into the dock.
+        ending: In words; empty where the method says it docked.
+        docked: Whether it says so.
+        along: The robot seen from the true dock at the end [m].
+        cross: Likewise to the left [m].
+        yaw: Likewise [rad].
+        duration: [s].
+        replans: Plans taken over in motion.
+        retries: Approaches after the first one.
+        curvature: Largest commanded above 0.02 m/s [1/m].
+        over: Largest ratio of a commanded quantity to its limit, and which.
+        limit: See `over`.
+        clearance: Smallest distance to what is not the station [m].
+        short: By how much a pose within the tube was closer than proven, at most [m]; not above 0: never.
+        displacement: Largest way of a point of the footprint off the path that was followed [m].
+        left: How often the true robot left the tube.
+        told: How often whoever steers said so.
+        busy: Most CPU seconds of one control cycle without planning, 99th percentile [s].
+    """
+
+    method: str
+    world: str
+    spread: str
+    rate: float
+    seed: int
+    direction: str
+    ending: str
+    docked: bool
+    along: float
+    cross: float
+    yaw: float
+    duration: float
+    replans: int
+    retries: int
+    curvature: float
+    over: float
+    limit: str
+    clearance: float
+    short: float
+    displacement: float
+    left: int
+    told: int
+    busy: float
+
+    @property
+    def succeeded(self) -> bool:
+        """Docked, by what is true."""
+        seen = abs(self.along), abs(self.cross), abs(self.yaw)
+        return self.docked and all(value <= most for value, most in zip(seen, ACCEPTED, strict=True))
+
+
+def outcome_of(  # noqa: PLR0913 - what a run leaves behind
+    case: Case,
+    record: Record,
+    followed: Sequence[Followed],
+    *,
+    names: tuple[str, str, str, float],
+    ending: str,
+    counts: tuple[int, int, int],
+    busy: float,
+) -> Outcome:
+    """The outcome of a run.
+
+    Args:
+        case: What was driven.
+        record: What happened.
+        followed: The plans, in order.
+        names: Method, world, spread, and rate.
+        ending: In words; empty where the method says that it docked.
+        counts: Replans, retries, leavings of the tube that were told.
+        busy: CPU of a control cycle [s].
+    """
+    error = pose_errors(record.poses[-1:], case.true_dock.as_array()[None])[0]
+    moving = np.abs(record.commands[:, 0]) > _MOVING
+    curvature = np.abs(record.commands[moving, 1] / record.commands[moving, 0])
+    over, limit = _worst_ratio(record, case)
+    clearances, _ = pose_clearances(record.poses, case.problem.robot.footprint, case.problem.obstacles, within=1.0)
+    short, displacement, left = _tube(case, record, followed, clearances)
+    replans, retries, told = counts
+    return Outcome(
+        *names,
+        case.seed,
+        case.direction.value,
+        ending,
+        not ending,
+        *error.tolist(),
+        float(record.times[-1]),
+        replans,
+        retries,
+        float(np.max(curvature, initial=0.0)),
+        over,
+        limit,
+        float(clearances.min()),
+        short,
+        displacement,
+        left,
+        told,
+        busy,
+    )
+
+
+def _worst_ratio(record: Record, case: Case) -> tuple[float, str]:
+    """The largest ratio of a commanded quantity to its limit, by differences of the commands."""
+    limits, (v, w), h = case.problem.robot.limits, record.commands[:-1].T, np.diff(record.times[:-1])  # given ones only
+    a, turned = np.diff(v) / h, np.diff(w) / h
+    speeding = np.where(np.abs(v[1:]) > np.abs(v[:-1]), limits.max_acceleration, limits.max_deceleration)
+    jerk = np.diff(np.concatenate(([0.0], a))) / h
+    ratios = {
+        "speed": np.abs(v) / np.where(v >= 0.0, limits.max_speed, limits.max_reverse_speed),
+        "yaw rate": np.abs(w) / limits.max_yaw_rate,
+        "acceleration": np.abs(a) / speeding,
+        "yaw acceleration": np.abs(turned) / limits.max_yaw_acceleration,
+        "jerk": np.abs(jerk) / limits.max_jerk,
+    }
+    worst = max(ratios, key=lambda name: float(np.max(ratios[name], initial=0.0)))
+    return float(np.max(ratios[worst], initial=0.0)), worst
+
+
+def _tube(
+    case: Case, record: Record, followed: Sequence[Followed], clearances: FloatArray
+) -> tuple[float, float, int]:
+    """By how much the certificate was wrong within the tube, the largest displacement, and how often it was left."""
+    short, displacement, left = -math.inf, 0.0, 0
+    ends = [*(one.since for one in followed[1:]), math.inf]
+    for (since, plan), until in zip(followed, ends, strict=False):
+        rows = np.flatnonzero((record.times >= since) & (record.times < until))
+        if plan is None or rows.size == 0:
+            continue
+        problem = plan.problem
+        tube = Tube(plan.path, problem, plan.certificate.start_relief)
+        found = tube.deviations(record.poses[rows])
+        inside = found.excess <= 0.0
+        at = plan.path.poses_at(found.s)
+        from_goal, from_start = (np.hypot(*(at[:, :2] - [end.x, end.y]).T) for end in (problem.goal, problem.start))
+        start = float(pose_clearances(problem.start.as_array()[None], problem.robot.footprint, problem.all_obstacles)[0][0])
+        asked = problem.clearance.required_at(from_goal, from_start, start, plan.certificate.start_relief)
+        short = max(short, float(np.max((asked - clearances[rows])[inside], initial=-math.inf)))
+        displacement = max(displacement, float(found.displacement.max()))
+        left += int(np.count_nonzero(np.diff(np.concatenate(([True], inside)).astype(int)) < 0))
+    return short, displacement, left
