@@ -138,6 +138,7 @@ class DeadReckoning:
         return before.pose.moved(mean, stamp - before.stamp)
 
 
+_LEAST_SIGMA = 2e-4, 2e-4  # [m], [rad]: no detector is better, and none may make the covariance singular
 _AHEAD = 1e-3  # [s]: rounding of stamps
 
 
@@ -178,7 +179,8 @@ class DockFilter(PoseEstimate):
 
     def see(self, detection: Detection, robot: Pose2) -> str:
         """Take in a detection made at `robot`, by odometry; `accepted`, `rejected` or `moved`."""
-        noise = np.diag([detection.position_sigma**2, detection.position_sigma**2, detection.yaw_sigma**2])
+        place, turn = max(detection.position_sigma, _LEAST_SIGMA[0]), max(detection.yaw_sigma, _LEAST_SIGMA[1])
+        noise = np.diag([place**2, place**2, turn**2])
         verdict = self.correct(robot @ detection.pose, noise)
         if verdict != "rejected":
             self.last_stamp = detection.stamp
