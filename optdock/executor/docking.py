@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Literal, TypeAlias
 
 from optdock.errors import InvalidValue
 from optdock.executor.command_limits import CommandLimiter
+from optdock.executor.log import LoggedPlanning, LogWriter, Task, plugin_choice
 from optdock.executor.outcomes import Ending, Event, Feedback, FeedbackState, State, Step
 from optdock.executor.perception import Perception
 from optdock.executor.planning import InlinePlanning
@@ -21,7 +22,6 @@ from optdock.plugins import PluginChoice, plugin_from
 from optdock.problem import DockingProblem
 
 if TYPE_CHECKING:
-    from optdock.executor.log import LogWriter
     from optdock.executor.planning import Planning
 
 __all__ = ["DockingExecutor"]
@@ -81,7 +81,10 @@ class DockingExecutor:
         self._events: list[Event] = []
         self._perception = Perception(problem.goal, self.settings, self._report)
         self._limiter = CommandLimiter(problem.robot)
-        self._planning = planning if planning is not None else InlinePlanning()
+        self._planning: Planning = planning if planning is not None else InlinePlanning()
+        if log is not None:
+            log.begin(Task(problem, self.settings, task, plugin_choice(driver), plugin_choice(checker)))
+            self._planning = LoggedPlanning(self._planning, log, problem.frame)
         self._procedure = Procedure(
             problem, self.settings, self._perception, driver, checker, self._planning, self._report
         )
@@ -91,8 +94,6 @@ class DockingExecutor:
         self._last_stamp = -math.inf
         self._offset = 0.0
         self._ending: Ending | None = None
-        if log is not None:
-            log.begin(self, driver, checker)
 
     @property
     def ending(self) -> Ending | None:
