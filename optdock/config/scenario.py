@@ -145,6 +145,7 @@ def _problem(document: ScenarioDocument, costmap: Costmap | None, located: Docum
             clearance=document.clearance.value(),
             start_speed=document.start.speed,
             start_curvature=document.start.known_curvature,
+            start_acceleration=document.start.acceleration,
             costmap=costmap,
             frame=document.frame,
         )
