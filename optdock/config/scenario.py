@@ -157,6 +157,7 @@ def problem_of(document: ScenarioDocument, costmap: Costmap | None) -> DockingPr
         clearance=document.clearance.value(),
         start_speed=document.start.speed,
         start_curvature=document.start.known_curvature,
+        start_acceleration=document.start.acceleration,
         costmap=costmap,
         frame=document.frame,
     )

@@ -157,6 +157,7 @@ def _dock(dock: Dock) -> dict[str, object]:
 def _start(problem: DockingProblem) -> dict[str, object]:
     said: dict[str, object] = {"pose": _pose(problem.start)}
     said |= {"speed": problem.start_speed} if problem.start_speed != 0.0 else {}
+    said |= {"acceleration": problem.start_acceleration} if problem.start_acceleration != 0.0 else {}
     return said | ({"curvature": problem.start_curvature} if problem.start_curvature is not None else {})
 
 

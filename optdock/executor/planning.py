@@ -8,20 +8,21 @@ from __future__ import annotations
 
 import math
 from concurrent.futures import Future, ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import Enum
 from typing import TYPE_CHECKING, NamedTuple, Protocol
 
 from optdock.errors import InvalidValue, OptdockError
 from optdock.geometry.checked import finite_number
 from optdock.pipeline import plan_dock
+from optdock.replanning import DriveState, ReplanOutcome, replan, still_holds
+from optdock.trajectory import Trajectory
 
 if TYPE_CHECKING:
     from optdock.costmap.costmap import Costmap
     from optdock.geometry.pose import Pose2
     from optdock.plan import DockPlan
     from optdock.problem import DockingProblem
-    from optdock.trajectory import Trajectory
 
 __all__ = ["InlinePlanning", "Job", "Motion", "Outcome", "PlanResult", "Planning", "ThreadPlanning", "Verdict"]
 
@@ -62,6 +63,7 @@ class Job(NamedTuple):
         time: Of the reference on the running motion's own clock [s].
         rate: How fast that runs [1].
         pose: Of the robot, measured.
+        lead: How far ahead of that time the new motion takes over [s].
     """
 
     number: int
@@ -72,6 +74,7 @@ class Job(NamedTuple):
     time: float = 0.0
     rate: float = 1.0
     pose: Pose2 | None = None
+    lead: float = 0.05
 
 
 class PlanResult(NamedTuple):
@@ -138,12 +141,38 @@ def _from_rest(job: Job) -> PlanResult:
 
 
 def _replanned(job: Job) -> PlanResult:
-    return PlanResult(job.number, Outcome.KEPT, reason="replanning in motion is not there yet")
+    """The running plan, moved as a whole to where the robot truly is, goes over into one that ends at the dock.
+
+    So the new path begins where the robot will be, to the millimetre, and the feedback has nothing left to correct.
+    """
+    assert job.running is not None
+    plan = job.running.plan
+    if plan is None:
+        return PlanResult(job.number, Outcome.KEPT, reason="what is being driven is no plan")
+    if job.pose is not None:
+        reference = plan.trajectory.at(job.time).pose
+        plan = _moved(plan, job.pose @ reference.inverse())
+    found = replan(plan, job.problem, DriveState(job.time, job.rate), job.budget, lead=job.lead)
+    if found.outcome is ReplanOutcome.KEPT:
+        return PlanResult(job.number, Outcome.KEPT, reason=found.reason)
+    problem = job.problem if found.plan is None else found.plan.problem
+    motion = Motion(found.trajectory, problem, found.plan)
+    outcome = Outcome.NEW if found.outcome is ReplanOutcome.NEW else Outcome.STOP
+    return PlanResult(job.number, outcome, motion, found.starts_at, found.reason)
+
+
+def _moved(plan: DockPlan, by: Pose2) -> DockPlan:
+    path = plan.path.moved(by)
+    trajectory = Trajectory(path, plan.trajectory.time_law)
+    return replace(plan, path=path, trajectory=trajectory)
 
 
 def holds(motion: Motion, costmap: Costmap, from_time: float) -> Verdict:
     """As `Planning.still_holds`."""
-    return Verdict(holds=True)
+    if motion.plan is None:
+        return Verdict(holds=True)
+    found = still_holds(motion.plan, costmap, from_time)
+    return Verdict(found.holds, found.reason, math.inf if found.at_time is None else found.at_time)
 
 
 class InlinePlanning:

@@ -9,7 +9,9 @@ from __future__ import annotations
 import dataclasses
 import logging
 import math
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
 
 from optdock.dock import Dock, DockDirection
 from optdock.errors import ControllerException, OptdockError
@@ -49,6 +51,9 @@ _NEAR_DOCK = 0.3  # [m]: from here on the goal checker is asked
 _MOST_BLOCKS = 5  # stops on one approach, until it counts as failed
 _PROGRESS = 0.05  # [s] on the trajectory's own clock that count as progress
 _STALE_STOP = 0.3  # [s]: a motion that is proven wrong from later on than this may go on while another is planned
+
+
+_AT_A_STAND: dict[str, Any] = {"start_speed": 0.0, "start_acceleration": 0.0, "start_curvature": None}
 
 
 class Wish(NamedTuple):
@@ -129,7 +134,6 @@ class Procedure:
         self._kind = EndingKind.UNKNOWN
         self._signal_seen = False
         self._stalled_since: float | None = None
-        self._world_of: tuple[Costmap | None, ObstacleSet] | None = None
         self._driven: Motion | None = None
 
     # The whole.
@@ -233,8 +237,7 @@ class Procedure:
         blocks, blocked_since = 0, self._now
         while True:
             yield from self._locate()
-            target = self._problem(self._perception.robot, self._dock_as_seen())
-            result = yield from self._planned(target, self._settings.time_budget)
+            result = yield from self._planned(self._to_dock(), self._settings.time_budget)
             if result.motion is None:
                 yield from self._wait_for_obstacle(result, blocked_since)
                 continue
@@ -341,16 +344,17 @@ class Procedure:
         direction = -self._gear
         origin, begun = self._perception.robot, self._now
         limit = 2.0 * self._settings.back_out_distance / _BACK_OUT_SPEED + _REST_PATIENCE
-        while self._clearance < _CLEAR_OF_CONTACT:
-            self.state = State.BACKING_OUT
+        footprint = self._base.robot.footprint
+        while True:
             robot, driven = self._perception.robot, origin.distance_to(self._perception.robot)
+            near = self._near(robot, footprint.circumscribed_radius + _CLEAR_OF_CONTACT)
+            if pose_clearance(robot, footprint, near).clearance >= _CLEAR_OF_CONTACT:
+                break
+            self.state = State.BACKING_OUT
             if driven >= self._settings.back_out_distance or self._now - begun > limit:
                 break
             twist = Twist2(direction * _BACK_OUT_SPEED)
-            sweep = free_motion(
-                self._base.robot.footprint, self._obstacles_with_dock, robot, twist, _BACK_OUT_LOOK
-            )
-            if sweep.free < _BACK_OUT_LOOK:
+            if free_motion(footprint, near, robot, twist, _BACK_OUT_LOOK).free < _BACK_OUT_LOOK:
                 self._report("backing out is blocked", f"after {driven:.3f} m")
                 break
             yield from self._cycle(Wish(twist))
@@ -364,15 +368,7 @@ class Procedure:
             staging = self._staging()
             if self._gap(staging) <= 1.0:
                 return
-            target = dataclasses.replace(
-                self._base,
-                start=self._perception.robot,
-                start_speed=0.0,
-                start_curvature=None,
-                dock=Dock(staging),
-                obstacles=self._obstacles_with_dock,
-            )
-            result = yield from self._planned(target, self._settings.time_budget)
+            result = yield from self._planned(self._to(staging), self._settings.time_budget)
             if result.motion is None:
                 if self._now - since > self._settings.obstacle_patience:
                     raise _Failed(failure, f"no way to the staging pose: {result.reason}")
@@ -462,36 +458,45 @@ class Procedure:
         return max(math.hypot(gap.x, gap.y) / _ARRIVED[0], abs(gap.yaw) / _ARRIVED[1])
 
     @property
-    def _obstacles(self) -> ObstacleSet:
-        """What is known of the surroundings beside the station, the newest costmap included."""
-        costmap = self._perception.costmap
-        if self._world_of is None or self._world_of[0] is not costmap:
-            found = self._base.obstacles
-            if costmap is not None:
-                unknown = self._base.unknown_is_obstacle
-                found = found + obstacles_from_costmap(costmap, unknown_is_obstacle=unknown, border=False)
-            self._world_of = costmap, found
-        return self._world_of[1]
+    def _costmap(self) -> Costmap | None:
+        """The newest picture of the surroundings."""
+        return self._perception.costmap or self._base.costmap
 
     @property
-    def _obstacles_with_dock(self) -> ObstacleSet:
+    def _station(self) -> ObstacleSet:
+        """The station where the dock is seen."""
         station = self._base.dock.footprint
-        if station is None:
-            return self._obstacles
-        return self._obstacles + ObstacleSet.from_footprint(station, self._perception.dock, "dock")
+        return ObstacleSet.empty() if station is None else ObstacleSet.from_footprint(station, self._perception.dock)
 
-    @property
-    def _clearance(self) -> float:
-        found = pose_clearance(self._perception.robot, self._base.robot.footprint, self._obstacles_with_dock)
-        return float(found[0]) if isinstance(found, tuple) else float(found)
-
-    def _dock_as_seen(self) -> Dock:
-        return dataclasses.replace(self._base.dock, pose=self._perception.dock)
-
-    def _problem(self, start: Pose2, dock: Dock) -> DockingProblem:
+    def _to_dock(self) -> DockingProblem:
+        """From where the robot is to where the dock is seen."""
         return dataclasses.replace(
-            self._base, start=start, start_speed=0.0, start_curvature=None, dock=dock, obstacles=self._obstacles
+            self._base,
+            start=self._perception.robot,
+            dock=dataclasses.replace(self._base.dock, pose=self._perception.dock),
+            costmap=self._costmap,
+            **_AT_A_STAND,
         )
+
+    def _to(self, place: Pose2) -> DockingProblem:
+        """From where the robot is to a place before the dock, among everything and the station."""
+        return dataclasses.replace(
+            self._base,
+            start=self._perception.robot,
+            dock=Dock(place),
+            obstacles=self._base.obstacles + self._station,
+            costmap=self._costmap,
+            **_AT_A_STAND,
+        )
+
+    def _near(self, robot: Pose2, reach: float) -> ObstacleSet:
+        """Whatever stands within reach of a pose, the station included."""
+        centre = np.array([robot.x, robot.y])
+        found = self._base.obstacles.in_box(centre - reach, centre + reach) + self._station
+        costmap = self._costmap
+        if costmap is None:
+            return found
+        return found + obstacles_from_costmap(costmap, region=(centre - reach, centre + reach))
 
     def _job(self, problem: DockingProblem, budget: float) -> Job:
         self._jobs += 1
