@@ -19,7 +19,7 @@ from optdock.executor.approach import left_at_dock, reachable_offset, staging_di
 from optdock.executor.outcomes import EndingKind, State
 from optdock.executor.planning import Job, Motion, Outcome, PlanResult
 from optdock.geometry.pose import Pose2, Twist2
-from optdock.lifecycle import PluginContext
+from optdock.lifecycle import LifecycleState, PluginContext
 from optdock.obstacles import ObstacleSet
 from optdock.costmap.cell_obstacles import obstacles_from_costmap
 from optdock.verification import pose_clearance
@@ -47,9 +47,12 @@ _CLEAR_OF_CONTACT = 0.005  # [m]: a way back is planned from there; nearer, nois
 _BACK_OUT_SPEED = 0.05  # [m/s]
 _BACK_OUT_LOOK = 0.5  # [s] ahead, of straight motions that no plan covers
 _ARRIVED = 0.05, 0.05  # [m], [rad] from the staging pose: Nav2's undock_linear_tolerance and undock_angular_tolerance
-_NEAR_DOCK = 0.3  # [m]: from here on the goal checker is asked
+
 _MOST_BLOCKS = 5  # stops on one approach, until it counts as failed
 _PROGRESS = 0.05  # [s] on the trajectory's own clock that count as progress
+_INSTANT = 1e-9  # [s]
+_LEAD = 0.06  # [s] beyond the budget: a period at 20 Hz until the result is asked for, and some
+_LATE = 0.05  # [s]: a reference that jumps by so much at the speeds near a dock jumps by millimetres
 _STALE_STOP = 0.3  # [s]: a motion that is proven wrong from later on than this may go on while another is planned
 
 
@@ -348,7 +351,7 @@ class Procedure:
         while True:
             robot, driven = self._perception.robot, origin.distance_to(self._perception.robot)
             near = self._near(robot, footprint.circumscribed_radius + _CLEAR_OF_CONTACT)
-            if pose_clearance(robot, footprint, near).clearance >= _CLEAR_OF_CONTACT:
+            if pose_clearance(robot, footprint, near)[0] >= _CLEAR_OF_CONTACT:
                 break
             self.state = State.BACKING_OUT
             if driven >= self._settings.back_out_distance or self._now - begun > limit:
@@ -466,7 +469,9 @@ class Procedure:
     def _station(self) -> ObstacleSet:
         """The station where the dock is seen."""
         station = self._base.dock.footprint
-        return ObstacleSet.empty() if station is None else ObstacleSet.from_footprint(station, self._perception.dock)
+        return ObstacleSet.empty() if station is None else ObstacleSet.from_footprint(
+            station, self._perception.dock, "dock"
+        )
 
     def _to_dock(self) -> DockingProblem:
         """From where the robot is to where the dock is seen."""
@@ -556,11 +561,17 @@ class _Drive:
 
     def __init__(self, owner: Procedure, motion: Motion, *, is_approach: bool) -> None:
         self.owner, self.motion, self.is_approach = owner, motion, is_approach
-        self.goal = motion.problem.goal
+        self._goal = motion.problem.goal
+        self._next_goal: tuple[float, Pose2] | None = None  # from when on [s]
+        self._job: Job | None = None
+        self._is_urgent = self._is_stop = False
+        self._costmap = owner._perception.costmap
+        self._submitted_at = -math.inf
         self._finished_since: float | None = None
         self._progress = (-math.inf, owner._now)
         self._until = owner._now + motion.trajectory.duration + self._allowance
-        self._follow(motion, None)
+        self._configure(motion)
+        owner._controller.set_path(motion.trajectory)
 
     @property
     def _allowance(self) -> float:
@@ -570,9 +581,11 @@ class _Drive:
         return settings.max_undocking_time if state is State.UNDOCKING else settings.dock_approach_timeout
 
     def is_over(self) -> bool:
-        """Whether the end is reached, or can be reached no more."""
+        """Whether the end is reached; what makes it unreachable is raised."""
         owner = self.owner
         owner._require_no_interruption()
+        if self._next_goal is not None and owner._now >= self._next_goal[0] - _INSTANT:
+            self._goal, self._next_goal = self._next_goal[1], None
         if self.is_approach:
             self._check_contact()
             if owner._settings.use_detections and owner._detection_is_old:
@@ -580,6 +593,7 @@ class _Drive:
                 raise _Interrupted("detection missing", reason)
         if owner._now > self._until:
             raise _AttemptFailed(EndingKind.FAILED_TO_CONTROL, f"timeout while {owner.state.value}: {owner._where}")
+        self._look_around()
         return self._is_finished()
 
     def wish(self) -> Wish:
@@ -589,35 +603,34 @@ class _Drive:
         assert measurements is not None
         try:
             target = owner._controller.compute_velocity_commands(
-                self.pose, measurements.twist, owner._goal_checker, stamp=owner._now
+                self._pose, measurements.twist, owner._goal_checker, stamp=owner._now
             )
         except ControllerException as error:
             raise _Interrupted("no valid control", f"{type(error).__name__}: {error}") from error
-        return Wish(target, self._slope)
+        wish = Wish(target, self._slope)
+        self._replan()
+        return wish
 
     @property
-    def pose(self) -> Pose2:
+    def _pose(self) -> Pose2:
         """The robot as the controller is told: where it stands relative to the dock, of which the plan may be older."""
-        if not self.is_approach:
-            return self.owner._perception.robot
-        return self.goal @ self.owner._perception.robot_from_dock
+        perception = self.owner._perception
+        return self._goal @ perception.robot_from_dock if self.is_approach else perception.robot
 
-    def _follow(self, motion: Motion, start_stamp: float | None) -> None:
-        owner, controller = self.owner, self.owner._controller
-        if controller.state.value == "inactive":
+    def _configure(self, motion: Motion) -> None:
+        controller = self.owner._controller
+        if controller.state is LifecycleState.INACTIVE:
             controller.cleanup()
-        local = owner._perception.costmap
-        controller.configure(PluginContext(name=controller.name, problem=motion.problem, local_costmap=local))
-        controller.set_path(motion.trajectory, start_stamp=start_stamp)
-        self.motion = motion
+        costmap = self.owner._perception.costmap
+        controller.configure(PluginContext(name=controller.name, problem=motion.problem, local_costmap=costmap))
 
     @property
     def _reference(self) -> tuple[float, float]:
-        """Time on the trajectory's own clock, and its rate."""
+        """Time of the reference on the trajectory's own clock [s], and its rate; of a controller that does not say, 0.
+
+        """
         progress = getattr(self.owner._controller, "progress", None)
-        if progress is None:
-            return 0.0, 1.0
-        return float(progress.time), float(progress.rate)
+        return (0.0, 1.0) if progress is None else (float(progress.time), float(progress.rate))
 
     @property
     def _slope(self) -> float:
@@ -632,10 +645,9 @@ class _Drive:
         kind = owner._contact()
         if kind is not None:
             raise _Docked(kind)
-        if owner._distance > _NEAR_DOCK or owner._settings.contact == "touch":
+        if self._finished_since is None or owner._settings.contact == "touch":
             return
-        relative = owner._perception.robot_from_dock
-        goal = Pose2(0.0, 0.0, 0.0)
+        relative, goal = owner._perception.robot_from_dock, Pose2(0.0, 0.0, 0.0)
         path = [Pose2(-0.1 * owner._gear, 0.0, 0.0), goal]
         if owner._goal_checker.is_goal_reached(relative, goal, owner._twist, path):
             raise _Docked(EndingKind.DOCKED_BY_DISTANCE)
@@ -643,14 +655,108 @@ class _Drive:
     def _is_finished(self) -> bool:
         owner, settings = self.owner, self.owner._settings
         now, (time, _) = owner._now, self._reference
-        if time >= self.motion.trajectory.duration - 1e-9:
+        if time >= self.motion.trajectory.duration - _INSTANT:
+            if self._is_stop:
+                raise _Interrupted("stopped", "nothing that is certified leads on from here")
             self._finished_since = self._finished_since if self._finished_since is not None else now
             if not self.is_approach:
                 return True
             return now - self._finished_since > settings.settling_time
+        self._finished_since = None
         best, since = self._progress
         if time > best + _PROGRESS:
             self._progress = time, now
         elif now - since > settings.progress_time:
             raise _Interrupted("no progress", f"the motion stands at {time:.2f} s of its time since {now - since:.1f} s")
         return False
+
+    def _look_around(self) -> None:
+        """A new picture of the surroundings: does the rest of the motion still hold?"""
+        owner = self.owner
+        costmap = owner._perception.costmap
+        if costmap is None or costmap is self._costmap:
+            return
+        self._costmap = costmap
+        self._configure(self.motion)
+        time, _ = self._reference
+        verdict = owner._planning.still_holds(self.motion, costmap, max(0.0, time))
+        if verdict.holds:
+            return
+        owner._report("motion does not hold any more", verdict.reason)
+        if verdict.at_time - time < owner._braking_time + _STALE_STOP:
+            raise _Interrupted("obstacle ahead", verdict.reason)
+        self._is_urgent, self._job = True, None
+
+    def _replan(self) -> None:
+        """Hand in a job where one is worth it, and take over what the last one gave."""
+        owner = self.owner
+        if self._job is not None:
+            result = owner._planning.poll(owner._now)
+            if result is not None and result.number == self._job.number:
+                self._job = None
+                self._take(result)
+            return
+        if self._is_stop or self._next_goal is not None or not owner._settings.replanning:
+            return
+        time, rate = self._reference
+        if not self._is_urgent:
+            if not self.is_approach or owner._now - self._submitted_at < owner._settings.replan_pause:
+                return
+            if not self._is_worth_it(time):
+                return
+        problem = owner._to_dock() if self.is_approach else dataclasses.replace(self.motion.problem, costmap=self._costmap)
+        self._submitted_at = owner._now
+        budget = owner._settings.replan_budget
+        self._job = owner._job(problem, budget)._replace(
+            running=self.motion, time=time, rate=rate, pose=owner._perception.robot, lead=budget + _LEAD
+        )
+        owner._planning.submit(self._job)
+
+    def _is_worth_it(self, time: float) -> bool:
+        """Whether feedback would leave more of the present error at the dock than is worth a plan.
+
+        Raises:
+            _AttemptFailed: More than the dock accepts would be left whatever is planned.
+        """
+        owner, trajectory = self.owner, self.motion.trajectory
+        perception, settings = owner._perception, owner._settings
+        if not perception.sees_dock or not 0.0 <= time < trajectory.duration:
+            return False
+        now = trajectory.at(time)
+        left = trajectory.path.length - now.s
+        error = self._pose.in_frame_of(now.pose)
+        limits, dock = owner._base.robot.limits, owner._base.dock
+        sigma = perception.dock_sigma
+        cusps = trajectory.path.cusps
+        if not cusps or now.s >= cusps[-1]:
+            missed = abs(error.y) - reachable_offset(left, limits)
+            if missed > dock.tolerances.cross and missed > 3.0 * sigma[0]:
+                reason = f"{abs(error.y):.3f} m beside the path cannot be corrected over the {left:.3f} m that are left"
+                raise _AttemptFailed(EndingKind.FAILED_TO_CONTROL, reason)
+        if abs(error.y) > reachable_offset(left - dock.final_straight, limits):
+            return False
+        off = left_at_dock(error.y, left) > settings.worth_position and abs(error.y) > sigma[0]
+        turned = left_at_dock(error.yaw, left) > settings.worth_yaw and abs(error.yaw) > sigma[1]
+        return off or turned
+
+    def _take(self, result: PlanResult) -> None:
+        owner = self.owner
+        owner._say(result)
+        was_urgent, self._is_urgent = self._is_urgent, False
+        if result.motion is None or (result.outcome is Outcome.STOP and not was_urgent):
+            if was_urgent and result.outcome is Outcome.FAILED:
+                raise _Interrupted("no way on", result.reason)
+            return
+        time, rate = self._reference
+        ahead = result.starts_at - time
+        if ahead < -_LATE:
+            owner._report("plan came too late", f"{-ahead:.3f} s after it was to take over")
+            self._is_urgent = was_urgent
+            return
+        start = owner._now + (ahead / rate if rate > 0.0 else 0.0)
+        self._is_stop = result.outcome is Outcome.STOP
+        self._configure(result.motion)
+        owner._controller.set_path(result.motion.trajectory, start_stamp=start)
+        self.motion = result.motion
+        self._next_goal = start, result.motion.problem.goal
+        self._progress = (-math.inf, owner._now)
