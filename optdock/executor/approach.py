@@ -9,7 +9,7 @@ if TYPE_CHECKING:
     from optdock.problem import DockingProblem
     from optdock.limits import MotionLimits
 
-__all__ = ["left_at_dock", "reachable_offset", "staging_distance"]
+__all__ = ["can_be_planned_away", "left_at_dock", "reachable_offset", "staging_distance"]
 
 _DECAY = 0.25  # [m]: the distance over which the feedback of the controllers halves an error and more
 _LEAST_STAGING = 0.7  # [m], Nav2's staging_x_offset
@@ -28,6 +28,26 @@ def reachable_offset(distance: float, limits: MotionLimits) -> float:
     arcs = 0.25 * limits.max_curvature * free**2
     ramps = limits.max_curvature_rate * free**3 / 32.0
     return min(arcs, ramps)
+
+
+def can_be_planned_away(offset: float, turn: float, distance: float, gear: float, limits: MotionLimits) -> bool:
+    """Whether a path of half the largest curvature and curvature rate takes an error back over a distance.
+
+    Half, because the path begins with the curvature that the robot has.
+
+    Args:
+        offset: To the left of the path [m].
+        turn: Of the heading, to the left [rad].
+        distance: Left to drive before the final straight [m].
+        gear: 1 forward, -1 in reverse.
+        limits: Of the robot.
+    """
+    if distance <= 0.0:
+        return False
+    # One arc to the side takes a turn back, and moves the robot by half of what it would have drifted.
+    beside = abs(offset + 0.5 * gear * math.sin(turn) * distance)
+    turned = min(limits.max_curvature * distance, 0.25 * limits.max_curvature_rate * distance**2)
+    return beside <= 0.5 * reachable_offset(distance, limits) and abs(turn) <= 0.5 * turned
 
 
 def left_at_dock(error: float, distance: float) -> float:

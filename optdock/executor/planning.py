@@ -179,21 +179,25 @@ class InlinePlanning:
     """Does a job when it is handed in, and shows the result later: what planning takes is simulated, not measured.
 
     Args:
-        latency: After how long a result is there [s].
+        latency: After how long a result is there, by the stamps [s].
+        patience: Budgets are so many times as long by the wall clock, so that results do not depend on what else the
+            machine does [1].
 
     Raises:
-        InvalidValue: It is negative or not finite.
+        InvalidValue: The latency is negative, the patience not > 0, or one of them is not finite.
     """
 
-    def __init__(self, latency: float = 0.02) -> None:
+    def __init__(self, latency: float = 0.02, patience: float = 5.0) -> None:
         if not finite_number(latency, "planning.latency") >= 0.0:
             raise InvalidValue(f"planning.latency: must be >= 0 s, got {latency}")
-        self._latency = latency
+        if not finite_number(patience, "planning.patience") > 0.0:
+            raise InvalidValue(f"planning.patience: must be > 0, got {patience}")
+        self._latency, self._patience = latency, patience
         self._ready: tuple[float, PlanResult] | None = None
 
     def submit(self, job: Job) -> None:
         """Do it now."""
-        self._ready = job.stamp + self._latency, planned(job)
+        self._ready = job.stamp + self._latency, planned(job._replace(budget=self._patience * job.budget))
 
     def poll(self, stamp: float) -> PlanResult | None:
         """The result, once the latency has passed."""

@@ -15,7 +15,7 @@ import numpy as np
 
 from optdock.dock import Dock, DockDirection
 from optdock.errors import ControllerException, OptdockError
-from optdock.executor.approach import left_at_dock, reachable_offset, staging_distance
+from optdock.executor.approach import can_be_planned_away, left_at_dock, reachable_offset, staging_distance
 from optdock.executor.outcomes import EndingKind, State
 from optdock.executor.planning import Job, Motion, Outcome, PlanResult
 from optdock.geometry.pose import Pose2, Twist2
@@ -51,6 +51,7 @@ _ARRIVED = 0.05, 0.05  # [m], [rad] from the staging pose: Nav2's undock_linear_
 _MOST_BLOCKS = 5  # stops on one approach, until it counts as failed
 _PROGRESS = 0.05  # [s] on the trajectory's own clock that count as progress
 _INSTANT = 1e-9  # [s]
+_SETTLED = 0.004, 0.02  # [m/s], [rad/s] commanded at the end of the path: 2 mm by the usual gain, noise of the pose
 _LEAD = 0.06  # [s] beyond the budget: a period at 20 Hz until the result is asked for, and some
 _LATE = 0.05  # [s]: a reference that jumps by so much at the speeds near a dock jumps by millimetres
 _STALE_STOP = 0.3  # [s]: a motion that is proven wrong from later on than this may go on while another is planned
@@ -634,11 +635,13 @@ class _Drive:
 
     @property
     def _slope(self) -> float:
+        """Acceleration of the reference along the heading [m/s^2]."""
         time, rate = self._reference
         trajectory = self.motion.trajectory
         if not 0.0 <= time < trajectory.duration:
             return 0.0
-        return rate * rate * float(trajectory.sample_at(time).acceleration[0])
+        s, _, acceleration, _ = trajectory.time_law.at(time)[0]
+        return rate * rate * float(trajectory.path.direction_at(s)[0]) * float(acceleration)
 
     def _check_contact(self) -> None:
         owner = self.owner
@@ -647,6 +650,9 @@ class _Drive:
             raise _Docked(kind)
         if self._finished_since is None or owner._settings.contact == "touch":
             return
+        if abs(owner.commanded.linear) > _SETTLED[0] or abs(owner.commanded.angular) > _SETTLED[1]:
+            if owner._now - self._finished_since < 0.5 * owner._settings.settling_time:
+                return  # what is left is still being corrected
         relative, goal = owner._perception.robot_from_dock, Pose2(0.0, 0.0, 0.0)
         path = [Pose2(-0.1 * owner._gear, 0.0, 0.0), goal]
         if owner._goal_checker.is_goal_reached(relative, goal, owner._twist, path):
@@ -733,7 +739,7 @@ class _Drive:
             if missed > dock.tolerances.cross and missed > 3.0 * sigma[0]:
                 reason = f"{abs(error.y):.3f} m beside the path cannot be corrected over the {left:.3f} m that are left"
                 raise _AttemptFailed(EndingKind.FAILED_TO_CONTROL, reason)
-        if abs(error.y) > reachable_offset(left - dock.final_straight, limits):
+        if not can_be_planned_away(error.y, error.yaw, left - dock.final_straight, owner._gear, limits):
             return False
         off = left_at_dock(error.y, left) > settings.worth_position and abs(error.y) > sigma[0]
         turned = left_at_dock(error.yaw, left) > settings.worth_yaw and abs(error.yaw) > sigma[1]
