@@ -2,7 +2,8 @@
 
 Speed follows its target as fast as acceleration and jerk allow and without passing it [Kroeger2010]: with the error e
 and an acceleration a relative to the target, a may be as large as it can still be taken back by the largest jerk before
-e is gone, a^2 / (2 J) <= e. A target that keeps the limits itself, with its acceleration known, is followed exactly.
+e is gone, a^2 / (2 J) <= e. The target's own acceleration is taken from its last values, so that a target that keeps
+the limits itself is followed closely.
 """
 
 from __future__ import annotations
@@ -36,6 +37,7 @@ class CommandLimiter:
     def __init__(self, robot: Robot) -> None:
         self._limits, self._drive = robot.limits, robot.drive
         self.last, self.acceleration = Twist2(), 0.0
+        self._target, self._slope = 0.0, 0.0
 
     @property
     def at_rest(self) -> bool:
@@ -45,19 +47,20 @@ class CommandLimiter:
     def restart(self, moving: Twist2) -> None:
         """Begin from a robot that moves already."""
         self.last, self.acceleration = moving, 0.0
+        self._target, self._slope = moving.linear, 0.0
 
-    def towards(self, target: Twist2, slope: float, period: float) -> Twist2:
+    def towards(self, target: Twist2, period: float) -> Twist2:
         """The next command.
 
         Args:
             target: Wanted.
-            slope: Acceleration of the target along the heading, where it is known; else 0 [m/s^2].
             period: Since the last command [s]; 0 repeats it.
         """
         if period <= 0.0:
             return self.last
         wanted = admissible(target, self._limits, self._drive)
-        speed = self._speed(wanted.linear, slope, period)
+        self._follow(wanted.linear, period)
+        speed = self._speed(wanted.linear, self._slope, period)
         turn = wanted.angular
         if abs(wanted.linear) > _CREEP and speed * wanted.linear > 0.0:
             turn *= speed / wanted.linear
@@ -68,9 +71,17 @@ class CommandLimiter:
         if period <= 0.0:
             return self.last
         v, w = self.last.linear, self.last.angular
+        self._target = self._slope = 0.0
         speed = self._speed(0.0, 0.0, period)
         turn = w * speed / v if abs(v) > _CREEP else 0.0
         return self._sent(speed, turn, period)
+
+    def _follow(self, target: float, period: float) -> None:
+        """Learn how fast the target changes; what it jumps by is no acceleration."""
+        limits = self._limits
+        steepest = max(limits.max_acceleration, limits.max_deceleration)
+        self._slope = min(max((target - self._target) / period, -steepest), steepest)
+        self._target = target
 
     def _speed(self, target: float, slope: float, period: float) -> float:
         limits, v, a = self._limits, self.last.linear, self.acceleration

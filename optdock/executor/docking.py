@@ -172,9 +172,7 @@ class DockingExecutor:
             self._report(kind.value, reason)
             self._planning.close()
             return limiter.brake(period)
-        if wish.target is None:
-            return limiter.brake(period)
-        return limiter.towards(wish.target, wish.slope, period)
+        return limiter.brake(period) if wish is None else limiter.towards(wish, period)
 
     def _feedback(self, state: State) -> Feedback:
         perception = self._perception

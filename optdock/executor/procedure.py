@@ -1,6 +1,6 @@
 """How a robot docks and undocks, from top to bottom: each `yield` is one control cycle.
 
-What a cycle asks of the drive is a `Wish`; what ends an attempt or the whole task early is raised and caught where it
+What ends an attempt or the whole task early is raised and caught where it
 can be answered. Every wait has a name and a limit, and so has every motion: nothing stands still without a reason.
 """
 
@@ -9,7 +9,7 @@ from __future__ import annotations
 import dataclasses
 import logging
 import math
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
 
@@ -27,7 +27,6 @@ from optdock.verification.time_of_impact import free_motion
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Generator
-    from typing import TypeAlias
 
     from optdock.costmap.costmap import Costmap
     from optdock.executor.perception import Perception
@@ -60,17 +59,10 @@ _STALE_STOP = 0.3  # [s]: a motion that is proven wrong from later on than this 
 _AT_A_STAND: dict[str, Any] = {"start_speed": 0.0, "start_acceleration": 0.0, "start_curvature": None}
 
 
-class Wish(NamedTuple):
-    """What is asked of the drive: a twist and the acceleration with which it changes [m/s^2]; None: stop."""
-
-    target: Twist2 | None = None
-    slope: float = 0.0
-
-
-if TYPE_CHECKING:
-    Cycles: TypeAlias = Generator[Wish, None, None]
-
-_STOP = Wish()
+Wish: TypeAlias = "Twist2 | None"
+"""What a cycle asks of the drive: a body velocity; None: stop."""
+Cycles: TypeAlias = "Generator[Wish, None, None]"
+_STOP = None
 
 
 class _Cancelled(Exception):  # noqa: N818 - no error
@@ -331,7 +323,7 @@ class Procedure:
             beyond = gear * self._perception.robot_from_dock.x
             if beyond > self._settings.contact_overrun or self._now > until:
                 raise _AttemptFailed(EndingKind.FAILED_TO_CONTROL, f"no contact: {self._where}")
-            yield from self._cycle(Wish(Twist2(gear * self._settings.contact_speed)))
+            yield from self._cycle(Twist2(gear * self._settings.contact_speed))
 
     def _wait_for_charge(self) -> Cycles:
         self.state = State.WAITING_FOR_CHARGE
@@ -361,7 +353,7 @@ class Procedure:
             if free_motion(footprint, near, robot, twist, _BACK_OUT_LOOK).free < _BACK_OUT_LOOK:
                 self._report("backing out is blocked", f"after {driven:.3f} m")
                 break
-            yield from self._cycle(Wish(twist))
+            yield from self._cycle(twist)
         yield from self._stop()
 
     def _drive_to_staging(self, state: State, failure: EndingKind) -> Cycles:
@@ -608,9 +600,8 @@ class _Drive:
             )
         except ControllerException as error:
             raise _Interrupted("no valid control", f"{type(error).__name__}: {error}") from error
-        wish = Wish(target, self._slope)
         self._replan()
-        return wish
+        return target
 
     @property
     def _pose(self) -> Pose2:
@@ -632,16 +623,6 @@ class _Drive:
         """
         progress = getattr(self.owner._controller, "progress", None)
         return (0.0, 1.0) if progress is None else (float(progress.time), float(progress.rate))
-
-    @property
-    def _slope(self) -> float:
-        """Acceleration of the reference along the heading [m/s^2]."""
-        time, rate = self._reference
-        trajectory = self.motion.trajectory
-        if not 0.0 <= time < trajectory.duration:
-            return 0.0
-        s, _, acceleration, _ = trajectory.time_law.at(time)[0]
-        return rate * rate * float(trajectory.path.direction_at(s)[0]) * float(acceleration)
 
     def _check_contact(self) -> None:
         owner = self.owner
