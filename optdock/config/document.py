@@ -368,6 +368,9 @@ class StartDocument(_Part):
         finite=True,
         absent="free at rest, 0 in motion",
     )
+    acceleration: Annotated[Number, Field(allow_inf_nan=False)] = _key(
+        "derivative of the signed speed [m/s^2]", 0.0, finite=True, absent="none"
+    )
 
     @property
     def known_curvature(self) -> float | None:

@@ -175,18 +175,21 @@ def certify_trajectory(
 def certify_motion(
     trajectory: Trajectory, problem: DockingProblem, *, is_late: Callable[[], bool] = never_late
 ) -> TrajectoryCertificate:
-    """Prove that a trajectory keeps the motion limits of `problem` and begins as the robot does, without acceleration.
+    """Prove that a trajectory keeps the motion limits of `problem` and begins as the robot does.
 
     Args:
         trajectory: The motion to judge.
-        problem: Its robot's limits, its dock's slow stretch and its start speed count.
+        problem: Its robot's limits, its dock's slow stretch, its start speed and its start acceleration count.
         is_late: As of `certify_trajectory`.
 
     Returns:
         The certificate, as of `certify_trajectory`.
     """
-    limits, zone, speed = problem.robot.limits, problem.dock.approach, abs(problem.start_speed)
-    return certify_trajectory(trajectory, limits, zone, start_speed=speed, start_acceleration=0.0, is_late=is_late)
+    limits, zone = problem.robot.limits, problem.dock.approach
+    speed, acceleration = problem.start_state(int(trajectory.path.segments[0].direction))
+    return certify_trajectory(
+        trajectory, limits, zone, start_speed=speed, start_acceleration=acceleration, is_late=is_late
+    )
 
 
 class _Itself(weakref.ref[Subject]):

@@ -1,0 +1,184 @@
+"""`DockingExecutor`: measurements in, a command out, at any rate, until the task has ended under a name."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING, Literal, TypeAlias
+
+from optdock.errors import InvalidValue
+from optdock.executor.command_limits import CommandLimiter
+from optdock.executor.log import LoggedPlanning, LogWriter, Task, plugin_choice
+from optdock.executor.outcomes import Ending, Event, Feedback, FeedbackState, State, Step
+from optdock.executor.perception import Perception
+from optdock.executor.planning import InlinePlanning
+from optdock.executor.procedure import Procedure
+from optdock.executor.settings import ExecutorSettings
+from optdock.geometry.checked import finite_number, instance
+from optdock.geometry.pose import Twist2
+from optdock.interfaces import Controller, GoalChecker
+from optdock.lifecycle import PluginContext
+from optdock.measurements import Measurements
+from optdock.plugins import PluginChoice, plugin_from
+from optdock.problem import DockingProblem
+
+if TYPE_CHECKING:
+    from optdock.executor.planning import Planning
+
+__all__ = ["DockingExecutor"]
+
+ControllerLike: TypeAlias = "str | PluginChoice | Controller"
+GoalCheckerLike: TypeAlias = "str | PluginChoice | GoalChecker"
+
+_FEEDBACK = {
+    State.STAGING: FeedbackState.NAV_TO_STAGING_POSE,
+    State.PERCEIVING: FeedbackState.INITIAL_PERCEPTION,
+    State.APPROACHING: FeedbackState.CONTROLLING,
+    State.PRESSING: FeedbackState.CONTROLLING,
+    State.WAITING_FOR_DETECTION: FeedbackState.INITIAL_PERCEPTION,
+    State.WAITING_FOR_CHARGE: FeedbackState.WAIT_FOR_CHARGE,
+    State.BACKING_OUT: FeedbackState.RETRY,
+    State.RETURNING: FeedbackState.RETRY,
+}
+
+
+class DockingExecutor:
+    """Docks a robot, or undocks it, cycle by cycle, without a clock or a thread of its own.
+
+    Args:
+        problem: Robot, dock as stored, obstacles, clearance; its start plays no part.
+        settings: How; None: the defaults.
+        task: Which of the two.
+        controller: Drives; a name, a name with parameters, or a plugin that is not configured.
+        goal_checker: Says when the robot is docked; likewise.
+        planning: Plans beside the control loop; None: at once, the results 20 ms later by the stamps.
+        log: Takes everything down; None: nobody does.
+
+    Raises:
+        InvalidValue: A part is of another class, the task is none of the two, or a parameter of a plugin is wrong.
+        PluginError: A plugin is unknown.
+    """
+
+    def __init__(  # noqa: PLR0913 - what may be chosen
+        self,
+        problem: DockingProblem,
+        settings: ExecutorSettings | None = None,
+        *,
+        task: Literal["dock", "undock"] = "dock",
+        controller: ControllerLike = "TrackingController",
+        goal_checker: GoalCheckerLike = "DockGoalChecker",
+        planning: Planning | None = None,
+        log: LogWriter | None = None,
+    ) -> None:
+        instance(DockingProblem, problem, "problem")
+        self.settings = settings if settings is not None else ExecutorSettings()
+        instance(ExecutorSettings, self.settings, "settings")
+        if task not in ("dock", "undock"):
+            raise InvalidValue(f"task: must be 'dock' or 'undock', got {task!r}")
+        self.problem, self.task = problem, task
+        driver = plugin_from(Controller, controller, "controller")
+        checker = plugin_from(GoalChecker, goal_checker, "goal_checker")
+        checker.configure(PluginContext(name=checker.name, problem=problem))
+        self._events: list[Event] = []
+        self._perception = Perception(problem.goal, self.settings, self._report)
+        self._limiter = CommandLimiter(problem.robot)
+        self._planning: Planning = planning if planning is not None else InlinePlanning()
+        if log is not None:
+            log.begin(Task(problem, self.settings, task, plugin_choice(driver), plugin_choice(checker)))
+            self._planning = LoggedPlanning(self._planning, log, problem.frame)
+        self._procedure = Procedure(
+            problem, self.settings, self._perception, driver, checker, self._planning, self._report
+        )
+        self._cycles = self._procedure.run(undock=task == "undock")
+        self._log = log
+        self._began: float | None = None
+        self._last_stamp = -math.inf
+        self._offset = 0.0
+        self._ending: Ending | None = None
+
+    @property
+    def ending(self) -> Ending | None:
+        """How the task ended; None while it goes on."""
+        return self._ending
+
+    def cancel(self) -> None:
+        """End the task: a stop within the limits, and the ending `cancelled`."""
+        if not self._procedure.cancelled:
+            self._procedure.cancelled = True
+            if self._log is not None:
+                self._log.cancel()
+
+    def step(self, measurements: Measurements) -> Step:
+        """One control cycle.
+
+        Args:
+            measurements: What has been measured since the last one; their stamp may come at any rate from 10 to 200 Hz.
+
+        Raises:
+            InvalidValue: They are of another class, or the stamp is no finite number.
+        """
+        instance(Measurements, measurements, "measurements")
+        finite_number(measurements.stamp, "measurements.stamp")
+        self._events.clear()
+        if self._began is None:
+            self._limiter.restart(measurements.twist)
+        period = self._tick(measurements.stamp)
+        self._perception.update(measurements, measurements.stamp + self._offset, self._offset)
+        command = self._command(period)
+        state = State.ENDED if self._ending is not None else self._procedure.state
+        step = Step(command, state, self._feedback(state), self._ending, tuple(self._events))
+        if self._log is not None:
+            self._log.cycle(measurements, step)
+        return step
+
+    def _report(self, name: str, detail: str = "") -> None:
+        self._events.append(Event(self._perception.stamp if self._began is not None else 0.0, name, detail))
+
+    def _tick(self, stamp: float) -> float:
+        """The time since the last cycle; the clock of the procedure never goes back, and makes no leaps [s]."""
+        before, self._last_stamp = self._last_stamp, stamp
+        self._procedure.interruption = ("", "")
+        if self._began is None:
+            self._began = stamp
+            return 0.0
+        period = stamp - before
+        if period < 0.0:
+            self._offset -= period
+            self._interrupt("clock went back", f"by {-period:.3f} s; it goes on from where it was")
+            return 0.0
+        if period > self.settings.longest_tick:
+            leap = period - self.settings.longest_tick
+            self._offset -= leap
+            self._interrupt("no cycle for long", f"{period:.3f} s passed since the last one")
+            return self.settings.longest_tick
+        if period > self.settings.late_tick:
+            self._report("late cycle", f"{period:.3f} s passed since the last one")
+        return period
+
+    def _interrupt(self, name: str, reason: str) -> None:
+        self._report(name, reason)
+        self._procedure.interruption = (name, reason)
+
+    def _command(self, period: float) -> Twist2:
+        limiter, procedure = self._limiter, self._procedure
+        if self._ending is not None:
+            return limiter.brake(period)
+        procedure.standing = limiter.at_rest
+        procedure.commanded = limiter.last
+        try:
+            wish = next(self._cycles)
+        except StopIteration as over:
+            kind, reason = over.value
+            self._ending = Ending(kind, reason, procedure.num_retries, self._perception.stamp)
+            self._report(kind.value, reason)
+            self._planning.close()
+            return limiter.brake(period)
+        return limiter.brake(period) if wish is None else limiter.towards(wish, period)
+
+    def _feedback(self, state: State) -> Feedback:
+        perception = self._perception
+        distance = math.inf
+        if perception.started:
+            relative = perception.robot_from_dock
+            distance = math.hypot(relative.x, relative.y)
+        passed = perception.stamp - (self._began or 0.0) - 0.0
+        return Feedback(_FEEDBACK.get(state, FeedbackState.NONE), self._procedure.num_retries, distance, passed)

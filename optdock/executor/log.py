@@ -1,0 +1,440 @@
+"""Docking logs, format `optdock-log/1`: one JSON value per line, written as it happens.
+
+The first line says what was asked for: the problem in the words of a scenario file, its costmap, the settings, the
+plugins. Then, for every cycle, what planning delivered in it, and what was measured, commanded and said. Numbers read
+back as they were, to the last bit. A crash leaves at most the last line cut off.
+"""
+
+from __future__ import annotations
+
+import base64
+import dataclasses
+import json
+import zlib
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, NamedTuple, TextIO
+
+import numpy as np
+from pydantic import ValidationError
+
+from optdock.config.document import ScenarioDocument
+from optdock.config.scenario import problem_of
+from optdock.config.writing import problem_document
+from optdock.costmap.costmap import Costmap
+from optdock.dock import DockTolerances
+from optdock.errors import InvalidFile, InvalidValue, OptdockError
+from optdock.executor.outcomes import Ending, EndingKind, Event, State
+from optdock.executor.planning import Motion, Outcome, PlanResult, Verdict
+from optdock.executor.settings import ExecutorSettings
+from optdock.geometry.pose import Pose2, Twist2
+from optdock.io.plan_file import PlanFile, TrajectoryColumns, parse_plan
+from optdock.measurements import Detection, Measurements
+from optdock.plugins import PluginChoice
+from optdock.trajectory import Trajectory
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Mapping
+    from types import TracebackType
+
+    from optdock.executor.outcomes import Step
+    from optdock.executor.planning import Job, Planning
+    from optdock.lifecycle import Plugin
+    from optdock.problem import DockingProblem
+
+__all__ = ["LOG_FORMAT", "Cycle", "DockingLog", "LogWriter", "LoggedPlanning", "Planned", "Task", "read_log"]
+
+LOG_FORMAT = "optdock-log/1"
+_SPACING, _PERIOD = 0.2, 0.5  # [m], [s] of the samples of a plan: the exact curves and phases stand beside them
+
+
+class Task(NamedTuple):
+    """What was asked for, as the first line of a log says it."""
+
+    problem: DockingProblem
+    settings: ExecutorSettings
+    task: str
+    controller: PluginChoice
+    goal_checker: PluginChoice
+
+
+class Planned(NamedTuple):
+    """What planning delivered, as far as a replay needs it.
+
+    Attributes:
+        result: Of a job; its motion's problem is filled in by whoever handed the job in.
+        trajectory: Of the motion; None where there is none.
+        start: Of the motion's problem: x, y, yaw, speed, acceleration and curvature, this one None where it is free.
+        verdict: The answer to a question, instead of a result.
+    """
+
+    result: PlanResult | None = None
+    trajectory: Trajectory | None = None
+    start: tuple[float | None, ...] = ()
+    verdict: Verdict | None = None
+
+
+class Cycle(NamedTuple):
+    """One control cycle.
+
+    Attributes:
+        line: Where it stands in the file.
+        planned: What planning delivered in it, in this order.
+        cancelled: Whether the task was cancelled before it.
+        measurements: What went in.
+        command: What came out.
+        state: What the executor was doing.
+        ending: How the task ended; None while it went on.
+        events: What happened.
+    """
+
+    line: int
+    planned: tuple[Planned, ...]
+    cancelled: bool
+    measurements: Measurements
+    command: Twist2
+    state: State
+    ending: Ending | None
+    events: tuple[Event, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class DockingLog:
+    """A log that has been read.
+
+    Args:
+        source: The file.
+        task: What was asked for.
+        cycles: What happened.
+        cut_off: Whether the last line was left out because it is not whole.
+    """
+
+    source: str
+    task: Task
+    cycles: tuple[Cycle, ...]
+    cut_off: bool
+
+
+class LogWriter:
+    """Writes a log, line by line; use it as a context, or close it.
+
+    Args:
+        target: The file; one that exists is replaced.
+        flush: Hand every cycle to the operating system at once, so that a crash of the program loses none.
+
+    Raises:
+        InvalidFile: The file cannot be written.
+
+    Attributes:
+        failure: Why nothing is written any more; empty while all is well. A full disk must not stop a robot.
+    """
+
+    def __init__(self, target: str | Path, *, flush: bool = True) -> None:
+        self._target, self._flush = Path(target), flush
+        self.failure = ""
+        self._file: TextIO | None = None
+        try:
+            self._target.parent.mkdir(parents=True, exist_ok=True)
+            self._file = self._target.open("w", encoding="utf-8")
+        except OSError as error:
+            raise InvalidFile(f"{target}: cannot be written: {error.strerror or error}") from error
+
+    def __enter__(self) -> LogWriter:
+        """The log itself."""
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        """Close it."""
+        self.close()
+
+    def begin(self, task: Task) -> None:
+        """The first line."""
+        problem = task.problem
+        self._write(
+            {
+                "format": LOG_FORMAT,
+                "task": task.task,
+                "problem": problem_document(problem),
+                "tolerances": dataclasses.asdict(problem.dock.tolerances),
+                "unknown_is_obstacle": problem.unknown_is_obstacle,
+                "costmap": _costmap_values(problem.costmap),
+                "fingerprint": problem.fingerprint._asdict(),
+                "settings": task.settings.model_dump(),
+                "controller": [task.controller.name, dict(task.controller.parameters)],
+                "goal_checker": [task.goal_checker.name, dict(task.goal_checker.parameters)],
+            }
+        )
+
+    def cancel(self) -> None:
+        """The task is cancelled before the next cycle."""
+        self._write({"cancel": True})
+
+    def planned(self, result: PlanResult, frame: str) -> None:
+        """What planning delivers in the cycle that is written next."""
+        value: dict[str, object] = {
+            "number": result.number,
+            "outcome": result.outcome.value,
+            "starts_at": result.starts_at,
+            "reason": result.reason,
+            "code": result.code,
+        }
+        if result.motion is not None:
+            value |= {"start": _start_values(result.motion.problem), "plan": _plan_values(result.motion, frame)}
+        self._write({"planned": value})
+
+    def verdict(self, verdict: Verdict) -> None:
+        """What planning answers in the cycle that is written next."""
+        self._write({"verdict": list(verdict)})
+
+    def cycle(self, measurements: Measurements, step: Step) -> None:
+        """One control cycle."""
+        m, ending = measurements, step.ending
+        value: dict[str, object] = {
+            "stamp": m.stamp,
+            "pose": None if m.pose is None else [m.pose.x, m.pose.y, m.pose.yaw],
+            "twist": [m.twist.linear, m.twist.angular, m.twist.lateral],
+            "command": [step.command.linear, step.command.angular],
+            "state": step.state.value,
+        }
+        if m.detections:
+            value["detections"] = [
+                [d.stamp, d.pose.x, d.pose.y, d.pose.yaw, d.position_sigma, d.yaw_sigma] for d in m.detections
+            ]
+        if m.contact is not None:
+            value["contact"] = m.contact
+        if m.costmap is not None:
+            value["costmap"] = _costmap_values(m.costmap)
+        if step.events:
+            value["events"] = [list(event) for event in step.events]
+        if ending is not None:
+            value["ending"] = [ending.kind.value, ending.reason, ending.num_retries, ending.stamp]
+        self._write(value)
+        if self._flush and self._file is not None:
+            self._file.flush()
+
+    def close(self) -> None:
+        """Nothing more will be written."""
+        if self._file is not None:
+            self._file.close()
+            self._file = None
+
+    def _write(self, value: Mapping[str, object]) -> None:
+        if self._file is None:
+            return
+        try:
+            self._file.write(json.dumps(value) + "\n")
+        except OSError as error:
+            self.failure = f"{self._target}: cannot be written: {error.strerror or error}"
+            self._file = None
+
+
+class LoggedPlanning:
+    """Planning whose results are written down as they are delivered.
+
+    Args:
+        planning: Does the work.
+        log: Where.
+        frame: Name of the coordinate frame.
+    """
+
+    def __init__(self, planning: Planning, log: LogWriter, frame: str) -> None:
+        self._planning, self._log, self._frame = planning, log, frame
+
+    def submit(self, job: Job) -> None:
+        """As the planning."""
+        self._planning.submit(job)
+
+    def poll(self, stamp: float) -> PlanResult | None:
+        """As the planning."""
+        result = self._planning.poll(stamp)
+        if result is not None:
+            self._log.planned(result, self._frame)
+        return result
+
+    def still_holds(self, motion: Motion, costmap: Costmap, from_time: float) -> Verdict:
+        """As the planning."""
+        verdict = self._planning.still_holds(motion, costmap, from_time)
+        self._log.verdict(verdict)
+        return verdict
+
+    def close(self) -> None:
+        """As the planning."""
+        self._planning.close()
+
+
+def plugin_choice(plugin: Plugin) -> PluginChoice:
+    """A plugin by name and parameters."""
+    return PluginChoice(type(plugin).__name__, plugin.parameters.model_dump())
+
+
+def _costmap_values(costmap: Costmap | None) -> dict[str, object] | None:
+    if costmap is None:
+        return None
+    cells = base64.b64encode(zlib.compress(costmap.data.tobytes())).decode("ascii")
+    return {
+        "rows": costmap.rows,
+        "columns": costmap.columns,
+        "resolution": costmap.resolution,
+        "origin": list(costmap.origin),
+        "cells": cells,
+    }
+
+
+def _start_values(problem: DockingProblem) -> list[float | None]:
+    start = problem.start
+    acceleration = getattr(problem, "start_acceleration", 0.0)
+    return [start.x, start.y, start.yaw, problem.start_speed, acceleration, problem.start_curvature]
+
+
+def _plan_values(motion: Motion, frame: str) -> object:
+    trajectory = motion.trajectory
+    found = PlanFile(
+        status="planned",
+        frame=frame,
+        path=trajectory.path,
+        trajectory=TrajectoryColumns.from_trajectory(trajectory, _PERIOD),
+        time_law=trajectory.time_law,
+    )
+    return json.loads(found.as_json(spacing=_SPACING))
+
+
+def read_log(source: str | Path) -> DockingLog:
+    """Read a log.
+
+    A last line that is cut off, as a crash leaves it, is left out.
+
+    Raises:
+        InvalidFile: The file cannot be read, is no log, or is damaged; the message names file and line.
+    """
+    source = Path(source)
+    try:
+        text = source.read_text(encoding="utf-8")
+    except OSError as error:
+        raise InvalidFile(f"{source}: cannot be read: {error.strerror or error}") from error
+    except ValueError as error:
+        raise InvalidFile(f"{source}: is no log: {error}") from error
+    lines = text.split("\n")
+    cut_off = bool(lines.pop())  # what comes after the last end of line
+    if not lines:
+        raise InvalidFile(f"{source}:1: is no log: it has not a single whole line")
+    first = _json(source, 1, lines[0])
+    if first.get("format") != LOG_FORMAT:
+        raise InvalidFile(f"{source}:1: is no log: format must be {LOG_FORMAT!r}, got {first.get('format')!r}")
+    task = _read(source, 1, _task, first)
+    return DockingLog(str(source), task, tuple(_cycles(source, lines, task)), cut_off)
+
+
+def _json(source: Path, line: int, text: str) -> Mapping[str, object]:
+    try:
+        value = json.loads(text)
+    except (ValueError, RecursionError) as error:
+        raise InvalidFile(f"{source}:{line}: is damaged: {error}") from error
+    if not isinstance(value, dict):
+        raise InvalidFile(f"{source}:{line}: is damaged: must be a mapping, got {type(value).__name__}")
+    return value
+
+
+def _read(source, line, build, *values):  # type: ignore[no-untyped-def]
+    """What `build` makes of the values of a line; whatever is wrong with them is said with file and line."""
+    try:
+        return build(*values)
+    except ValidationError as error:
+        first = error.errors(include_url=False)[0]
+        place = ".".join(str(part) for part in first["loc"])
+        raise InvalidFile(f"{source}:{line}: is damaged: {place}: {first['msg']}") from error
+    except OptdockError as error:
+        raise InvalidFile(f"{source}:{line}: is damaged: {error}") from error
+    except (KeyError, TypeError, ValueError, IndexError, zlib.error) as error:
+        raise InvalidFile(f"{source}:{line}: is damaged: {type(error).__name__}: {error}") from error
+
+
+def _cycles(source: Path, lines: list[str], task: Task) -> Iterator[Cycle]:
+    planned: list[Planned] = []
+    cancelled = False
+    for number, text in enumerate(lines[1:], start=2):
+        value = _json(source, number, text)
+        if "cancel" in value:
+            cancelled = True
+        elif "verdict" in value:
+            planned.append(_read(source, number, _verdict, value["verdict"]))
+        elif "planned" in value:
+            planned.append(_read(source, number, _planned, value["planned"], f"{source}:{number}"))
+        else:
+            yield _read(source, number, _cycle, number, tuple(planned), cancelled, value)
+            planned.clear()
+            cancelled = False
+
+
+def _task(value: Mapping[str, object]) -> Task:
+    document = ScenarioDocument.model_validate(value["problem"])
+    problem = problem_of(document, _costmap(value["costmap"]))
+    tolerances = DockTolerances(**value["tolerances"])
+    problem = dataclasses.replace(
+        problem,
+        dock=dataclasses.replace(problem.dock, tolerances=tolerances),
+        unknown_is_obstacle=value["unknown_is_obstacle"],
+    )
+    changed = [
+        name for name, digest in value["fingerprint"].items() if getattr(problem.fingerprint, name, digest) != digest
+    ]
+    if changed:
+        raise InvalidValue(f"problem: another one than when the log was written: {', '.join(changed)} differ")
+    return Task(
+        problem,
+        ExecutorSettings(**value["settings"]),
+        value["task"],
+        PluginChoice(*value["controller"]),
+        PluginChoice(*value["goal_checker"]),
+    )
+
+
+def _costmap(value: Mapping[str, object] | None) -> Costmap | None:
+    if value is None:
+        return None
+    cells = np.frombuffer(zlib.decompress(base64.b64decode(value["cells"])), dtype=np.uint8)
+    return Costmap(cells.reshape(value["rows"], value["columns"]), value["resolution"], tuple(value["origin"]))
+
+
+def _verdict(value: list[object]) -> Planned:
+    return Planned(verdict=Verdict(*value))
+
+
+def _planned(value: Mapping[str, object], source: str) -> Planned:
+    result = PlanResult(
+        value["number"],
+        Outcome(value["outcome"]),
+        None,
+        value["starts_at"],
+        value["reason"],
+        value["code"],
+    )
+    if "plan" not in value:
+        return Planned(result)
+    found = parse_plan(json.dumps(value["plan"]), source)
+    if found.path is None or found.time_law is None:
+        raise InvalidValue("plan: holds no path or no phases")
+    return Planned(result, Trajectory(found.path, found.time_law), tuple(value["start"]))
+
+
+def _cycle(line: int, planned: tuple[Planned, ...], cancelled: bool, value: Mapping[str, object]) -> Cycle:
+    pose, ending = value["pose"], value.get("ending")
+    measurements = Measurements(
+        value["stamp"],
+        None if pose is None else Pose2.from_sequence(pose),
+        Twist2(*value["twist"]),
+        tuple(Detection(d[0], Pose2(d[1], d[2], d[3]), d[4], d[5]) for d in value.get("detections", ())),
+        value.get("contact"),
+        _costmap(value.get("costmap")),
+    )
+    return Cycle(
+        line,
+        planned,
+        cancelled,
+        measurements,
+        Twist2(*value["command"]),
+        State(value["state"]),
+        None if ending is None else Ending(EndingKind(ending[0]), *ending[1:]),
+        tuple(Event(*event) for event in value.get("events", ())),
+    )
