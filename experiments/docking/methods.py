@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import time
+from collections.abc import Callable
 from functools import partial
 from typing import TYPE_CHECKING
 
@@ -13,19 +14,20 @@ from experiments.docking.outcome import Followed, Outcome, outcome_of
 from optdock.dock import DockDirection
 from optdock.errors import ControllerException, OptdockError
 from optdock.estimation import PoseFilter
+from optdock.executor import DockingExecutor, ExecutorSettings
+from optdock.executor.planning import InlinePlanning
 from optdock.geometry.pose import Pose2, Twist2, normalize_angle
 from optdock.interfaces import Controller, GoalChecker
 from optdock.lifecycle import PluginContext
 from optdock.nav2.graceful_law import GracefulLaw
 from optdock.path import Direction
 from optdock.pipeline import plan_dock
-from optdock.plugins import create_plugin, timed_by
+from optdock.plugins import PluginChoice, create_plugin, timed_by
 from optdock.simulation import RemainingPath
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
-
     from experiments.docking.worlds import Case, World
+    from optdock.executor.planning import Job, PlanResult
     from optdock.measurements import Measurements
     from optdock.trajectory import Trajectory
 
@@ -90,7 +92,9 @@ def by_plan(case: Case, world: World, spread: str, rate: float, *, smoothed: boo
     names = (f"{'smoothed' if smoothed else 'raw'} + tracker", world.name, spread, rate)
     plan = plan_dock(case.problem)
     trajectory: Trajectory = (
-        plan.trajectory if smoothed else timed_by("Windowed", plan.raw_path.with_frame(case.problem.frame), case.problem)
+        plan.trajectory
+        if smoothed
+        else timed_by("Windowed", plan.raw_path.with_frame(case.problem.frame), case.problem)
     )
     controller = create_plugin(Controller, "TrackingController")
     checker = create_plugin(GoalChecker, "DockGoalChecker", CHECKER)
@@ -116,13 +120,80 @@ def by_plan(case: Case, world: World, spread: str, rate: float, *, smoothed: boo
         now = robot.advance(command, 1.0 / rate)
     followed = [Followed(0.0, plan)] if smoothed else []
     robot.advance(Twist2(), 1.0 / rate)
-    return outcome_of(
-        case, robot.record(), followed, names=names, ending=ending, counts=(0, 0, 0), busy=cycles.busy
-    )
+    return outcome_of(case, robot.record(), followed, names=names, ending=ending, counts=(0, 0, 0), busy=cycles.busy)
 
 
 def _commanded(controller: Controller, checker: GoalChecker, pose: Pose2, now: Measurements) -> Twist2:
     return controller.compute_velocity_commands(pose, now.twist, checker, stamp=now.stamp)
+
+
+class WatchedPlanning(InlinePlanning):
+    """Notes which certified plan is followed from when on."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.followed: list[Followed] = []
+        self.replans = 0
+        self.spent: list[float] = []
+        self._job: Job | None = None
+
+    def submit(self, job: Job) -> None:
+        """As the others; the CPU that it takes is no part of the control cycle."""
+        self._job, began = job, time.thread_time()
+        super().submit(job)
+        self.spent.append(time.thread_time() - began)
+
+    def poll(self, stamp: float) -> PlanResult | None:
+        """As the others."""
+        result = super().poll(stamp)
+        if result is not None and result.motion is not None and self._job is not None:
+            in_motion = self._job.running is not None
+            self.replans += in_motion
+            since = self._job.stamp + self._job.lead if in_motion else stamp
+            self.followed.append(Followed(since, result.motion.plan))
+        return result
+
+
+def by_executor(
+    case: Case,
+    world: World,
+    spread: str,
+    rate: float,
+    *,
+    controller: str = "TrackingController",
+    name: str = "replanning",
+) -> Outcome:
+    """The executor: detections, replanning in motion, contact, retries."""
+    names = (name, world.name, spread, rate)
+    robot, cycles, planning = case.world(world), _Cycles(), WatchedPlanning()
+    settings = ExecutorSettings(
+        use_detections=world.dock is not None,
+        position_sigma=max(world.pose.position_sigma, 1e-4),
+        yaw_sigma=max(world.pose.yaw_sigma, 1e-4),
+    )
+    executor = DockingExecutor(
+        case.problem,
+        settings,
+        controller=controller,
+        goal_checker=PluginChoice("DockGoalChecker", CHECKER),
+        planning=planning,
+    )
+    now, told = robot.measurements, 0
+    while robot.time < 5.0 * TIMEOUT:
+        planned_before, began = sum(planning.spent), time.thread_time()
+        step = executor.step(now)
+        cycles.spent.append(time.thread_time() - began - sum(planning.spent) + planned_before)
+        told += sum(event.name == "tube left" for event in step.events)
+        if step.ending is not None and step.command == Twist2():
+            break
+        now = robot.advance(step.command, 1.0 / rate)
+    ended = executor.ending
+    ending = "never ended" if ended is None else "" if ended.kind.succeeded else f"{ended.kind.value}: {ended.reason}"
+    counts = planning.replans, 0 if ended is None else ended.num_retries, told
+    robot.advance(Twist2(), 1.0 / rate)
+    return outcome_of(
+        case, robot.record(), planning.followed, names=names, ending=ending, counts=counts, busy=cycles.busy
+    )
 
 
 def failed(case: Case, names: tuple[str, str, str, float], error: OptdockError) -> Outcome:
@@ -131,3 +202,12 @@ def failed(case: Case, names: tuple[str, str, str, float], error: OptdockError) 
     ending = f"{type(error).__name__}: {error}"
     found = (0.0, 0, 0, 0.0, 0.0, "", math.inf, -math.inf, 0.0, 0, 0, 0.0)
     return Outcome(*names, case.seed, case.direction.value, ending, False, seen.x, seen.y, seen.yaw, *found)
+
+
+METHODS: dict[str, Callable[[Case, World, str, float], Outcome]] = {
+    "graceful law": by_law,
+    "raw + tracker": partial(by_plan, smoothed=False),
+    "smoothed + tracker": partial(by_plan, smoothed=True),
+    "replanning": by_executor,
+    "MPC": partial(by_executor, controller="MpcController", name="MPC"),
+}

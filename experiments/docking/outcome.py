@@ -160,9 +160,7 @@ def _worst_ratio(record: Record, case: Case) -> tuple[float, str]:
     return float(np.max(ratios[worst], initial=0.0)), worst
 
 
-def _tube(
-    case: Case, record: Record, followed: Sequence[Followed], clearances: FloatArray
-) -> tuple[float, float, int]:
+def _tube(case: Case, record: Record, followed: Sequence[Followed], clearances: FloatArray) -> tuple[float, float, int]:
     """By how much the certificate was wrong within the tube, the largest displacement, and how often it was left."""
     short, displacement, left = -math.inf, 0.0, 0
     ends = [*(one.since for one in followed[1:]), math.inf]
@@ -176,7 +174,9 @@ def _tube(
         inside = found.excess <= 0.0
         at = plan.path.poses_at(found.s)
         from_goal, from_start = (np.hypot(*(at[:, :2] - [end.x, end.y]).T) for end in (problem.goal, problem.start))
-        start = float(pose_clearances(problem.start.as_array()[None], problem.robot.footprint, problem.all_obstacles)[0][0])
+        start = float(
+            pose_clearances(problem.start.as_array()[None], problem.robot.footprint, problem.all_obstacles)[0][0]
+        )
         asked = problem.clearance.required_at(from_goal, from_start, start, plan.certificate.start_relief)
         short = max(short, float(np.max((asked - clearances[rows])[inside], initial=-math.inf)))
         displacement = max(displacement, float(found.displacement.max()))

@@ -82,8 +82,12 @@ def draw_distributions(target: Path, outcomes: Sequence[Outcome]) -> None:
             axis = axes[row, column]
             for method in dict.fromkeys(one.method for one in here):
                 errors = np.sort([value(one) for one in here if one.method == method])
-                axis.step(np.maximum(errors, 1e-3), np.arange(1, errors.size + 1) / errors.size, where="post", label=method)
-            axis.set(xscale="log", xlabel=label, ylabel="share of dockings", ylim=(0.0, 1.0), title=world if row == 0 else "")
+                axis.step(
+                    np.maximum(errors, 1e-3), np.arange(1, errors.size + 1) / errors.size, where="post", label=method
+                )
+            axis.set(
+                xscale="log", xlabel=label, ylabel="share of dockings", ylim=(0.0, 1.0), title=world if row == 0 else ""
+            )
             axis.grid(visible=True, alpha=0.3)
     axes[0, 0].legend(loc="lower right", fontsize="small")
     figure.savefig(target, dpi=110)

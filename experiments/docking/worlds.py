@@ -148,9 +148,7 @@ def case_of(number: int, spread: Spread, world: World, seed: int = 1) -> Case:
 
 def _posts(random: np.random.Generator, goal: Pose2, gear: float) -> ObstacleSet:
     """A bay's two side walls, and posts around, all clear of the straight approach and of every start."""
-    found = [
-        [[0.45, side * 0.55], [0.0, side * 0.55], [0.0, side * 0.6], [0.45, side * 0.6]] for side in (1.0, -1.0)
-    ]
+    found = [[[0.45, side * 0.55], [0.0, side * 0.55], [0.0, side * 0.6], [0.45, side * 0.6]] for side in (1.0, -1.0)]
     while len(found) < POSTS + 2:
         x, y = random.uniform(-2.6, 0.5), random.uniform(-1.6, 1.6)
         if abs(y) < 0.75 + 0.15 * abs(x):  # a robot turned by up to 0.5 rad, off by 0.5 m at 1.7 m

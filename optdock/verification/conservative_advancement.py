@@ -287,13 +287,7 @@ class _Subdivision:
         """The obstacles near the swept area, or all of them where none is near; and their rows in the problem."""
         everything = self.world.obstacles
         at = nodes.poses[:, :2]  # a cell strays from its chord by less than its length
-<<<<<<< HEAD
-        reach = (
-            self.problem.robot.footprint.circumscribed_radius + self.step + crop + self.problem.path_clearance.required
-        )
-=======
         reach = self.world.footprint.circumscribed_radius + self.step + crop + self.world.most
->>>>>>> executor
         rows = everything.rows_in_box(at.min(axis=0) - reach, at.max(axis=0) + reach)
         if rows.size == 0 or rows.size > _WORTHWHILE * len(everything):
             return everything, np.arange(len(everything))

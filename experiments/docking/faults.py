@@ -1,0 +1,359 @@
+"""The table of faults: what goes wrong on the way, and how the executor ends."""
+
+from __future__ import annotations
+
+import collections
+import math
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import dataclass, field
+from multiprocessing import get_context
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+from experiments.docking.methods import CHECKER, WatchedPlanning
+from experiments.docking.outcome import outcome_of
+from experiments.docking.worlds import SPREADS, WORLDS, Case, World, case_of
+from optdock.costmap.costmap import Costmap
+from optdock.costmap.costs import LETHAL
+from optdock.executor import DockingExecutor, ExecutorSettings, State
+from optdock.geometry.pose import Pose2, Twist2, transform_points
+from optdock.obstacles import ObstacleSet
+from optdock.plugins import PluginChoice
+from optdock.report import table
+from optdock.simulation import (
+    DifferentialDrive,
+    Sensors,
+    SimulatedRobot,
+    Station,
+    StuckWheel,
+    Wheel,
+    Wheels,
+    executed_clearance,
+)
+from optdock.tube import Tube
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from experiments.docking.outcome import Outcome
+    from optdock.executor import Step
+    from optdock.geometry.arrays import FloatArray
+    from optdock.measurements import Measurements
+
+__all__ = ["FAULTS", "Told", "fault_table"]
+
+COUNT, RATE, TIMEOUT = 20, 50.0, 240.0  # runs of each; [Hz]; [s]
+TRACK = 0.4  # [m]
+FRONT = 0.3  # [m]: of the robot in either gear
+DRIVING = (State.STAGING, State.APPROACHING, State.RETURNING, State.BACKING_OUT, State.PRESSING, State.UNDOCKING)
+STILL = 1e-3  # [m/s], [rad/s]
+LONGEST_STILL = 5.0  # [s]: to stand longer than this in a state that drives is standing without a name
+OVERLAP = -0.004  # [m] with the station, which is touched: corners of a robot that is turned by a degree
+
+
+class Told(NamedTuple):
+    """How a run with a fault ended.
+
+    Attributes:
+        outcome: As in the study.
+        standing: Longest time without motion in a state that drives [s].
+        station: Smallest clearance to the station [m].
+        at_rest: Whether the robot stands at the end.
+        struck: Whether the fault came at all.
+    """
+
+    outcome: Outcome
+    standing: float
+    station: float
+    at_rest: bool
+    struck: bool
+
+
+@dataclass
+class Run:
+    """One run, as a fault sees it before every cycle."""
+
+    case: Case
+    robot: SimulatedRobot
+    executor: DockingExecutor
+    planning: WatchedPlanning
+    step: Step | None = None
+    period: float = 1.0 / RATE
+    clock: float = 0.0  # [s] added to every stamp
+    struck: bool = False
+    blind: bool = False
+    box: FloatArray = field(default_factory=lambda: np.zeros((0, 2)))
+    memory: dict[str, float] = field(default_factory=dict)
+
+    @property
+    def to_go(self) -> float:
+        """Distance from the true dock [m]."""
+        return math.hypot(self.robot.error.x, self.robot.error.y)
+
+    def once(self, *, when: bool) -> bool:
+        """True the first time that `when` is."""
+        if self.struck or not when:
+            return False
+        self.struck = True
+        return True
+
+    def nearer_than(self, distance: float) -> bool:
+        """Whether the approach has come so near, the first time."""
+        approaching = self.step is not None and self.step.state is State.APPROACHING
+        return self.once(when=approaching and self.to_go < distance)
+
+
+def nothing(run: Run) -> None:
+    """No fault, for comparison."""
+    run.struck = True
+
+
+def lost(run: Run) -> None:
+    """Nothing is detected for 2 s."""
+    if run.nearer_than(0.5) and run.robot.dock_sensor is not None:
+        run.robot.dock_sensor.lose(run.robot.time + 2.0)
+
+
+def outlier(run: Run) -> None:
+    """One detection 30 cm aside."""
+    if run.nearer_than(0.5) and run.robot.dock_sensor is not None:
+        run.robot.dock_sensor.displace_next(Pose2(0.0, 0.3, 0.1))
+
+
+def jump(distance: float, off: float) -> Callable[[Run], None]:
+    """Localization jumps sideways."""
+
+    def fault(run: Run) -> None:
+        if run.nearer_than(distance):
+            yaw = run.robot.state.pose.yaw
+            run.robot.pose_sensor.jump(Pose2(-off * math.sin(yaw), off * math.cos(yaw), 0.0))
+
+    return fault
+
+
+def late(run: Run) -> None:
+    """Every second a cycle comes 100 ms late."""
+    run.struck = True
+    run.period = 0.1 + 1.0 / RATE if math.floor(run.robot.time) > run.memory.get("late", 0.0) else 1.0 / RATE
+    run.memory["late"] = float(math.floor(run.robot.time))
+
+
+def clock_back(run: Run) -> None:
+    """The clock goes back by half a second."""
+    if run.nearer_than(0.4):
+        run.clock -= 0.5
+
+
+def obstacle(stays: float) -> Callable[[Run], None]:
+    """A box stands on the path, 0.5 m ahead of the robot's front; it is seen at once, and goes after a while."""
+
+    def fault(run: Run) -> None:
+        if run.step is not None and run.step.state is State.APPROACHING and not run.struck:
+            plan = run.planning.followed[-1].plan
+            assert plan is not None
+            s = Tube(plan.path, plan.problem).deviations(run.robot.state.pose.as_array()[None]).s[0]
+            ahead = Pose2.from_sequence(plan.path.poses_at(s + FRONT + 0.5)[0])
+            if run.once(when=s > 0.05 and s + FRONT + 0.5 <= plan.path.length):
+                box = transform_points(
+                    ahead.as_array()[None], np.array([[0.0, -0.1], [0.1, -0.1], [0.1, 0.1], [0.0, 0.1]])
+                )[0]
+                run.box, run.memory["box since"] = box, run.robot.time
+                run.memory["until"] = run.robot.time + stays
+                run.robot.put(run.case.obstacles() + ObstacleSet.from_polygons([box]), _grid(run.case, box))
+        elif run.struck and "gone" not in run.memory and run.robot.time >= run.memory["until"]:
+            run.memory["gone"] = 1.0
+            run.robot.put(run.case.obstacles(), _grid(run.case, None))
+
+    return fault
+
+
+def _grid(case: Case, box: np.ndarray | None) -> Costmap:
+    """What a local costmap shows: 2 cm cells, 3 m around the dock, only the box in it."""
+    side, cell = 300, 0.02
+    origin = case.true_dock.x - 0.5 * side * cell, case.true_dock.y - 0.5 * side * cell
+    data = np.zeros((side, side), dtype=np.uint8)
+    if box is not None:
+        steps = np.linspace(0.0, 1.0, 30)
+        inside = [box[0] + u * (box[1] - box[0]) + v * (box[3] - box[0]) for u in steps for v in steps]
+        columns, rows = np.floor((np.array(inside) - origin) / cell).astype(int).T
+        data[rows, columns] = LETHAL
+    return Costmap(data, cell, origin)
+
+
+def pose_lost(run: Run) -> None:
+    """Localization has no pose any more."""
+    if run.nearer_than(0.6):
+        run.blind = True
+
+
+def seen_no_more(run: Run) -> None:
+    """The dock is not seen any more."""
+    if run.nearer_than(0.6) and run.robot.dock_sensor is not None:
+        run.robot.dock_sensor.lose(math.inf)
+
+
+def cancel_in(state: State, provoked: Callable[[Run], None] | None = None) -> Callable[[Run], None]:
+    """Cancelled in the first cycle of a state, which a fault may bring about."""
+
+    def fault(run: Run) -> None:
+        if provoked is not None:
+            provoked(run)
+        if run.step is not None and run.step.state is state and "cancelled" not in run.memory:
+            run.memory["cancelled"] = run.robot.time
+            run.executor.cancel()
+
+    return fault
+
+
+FAULTS: dict[str, Callable[[Run], None]] = {
+    "none": nothing,
+    "detection lost for 2 s": lost,
+    "outlier of 30 cm": outlier,
+    "obstacle at 0.5 m, goes after 3 s": obstacle(3.0),
+    "obstacle at 0.5 m, stays": obstacle(math.inf),
+    "stuck wheel": nothing,
+    "cycles late by 100 ms": late,
+    "pose jumps by 3 cm, 0.6 m before the dock": jump(0.6, 0.03),
+    "pose jumps by 5 cm, 0.6 m before the dock": jump(0.6, 0.05),
+    "pose jumps by 3 cm, 0.27 m before the dock": jump(0.27, 0.03),
+    "pose jumps by 5 cm, 0.27 m before the dock": jump(0.27, 0.05),
+    "clock goes back by 0.5 s": clock_back,
+    "pose lost": pose_lost,
+    "dock not seen any more": seen_no_more,
+}
+PROVOKED: dict[State, Callable[[Run], None]] = {
+    State.WAITING_FOR_DETECTION: seen_no_more,
+    State.WAITING_FOR_OBSTACLE: obstacle(math.inf),
+    State.WAITING_FOR_POSE: pose_lost,
+    State.BACKING_OUT: obstacle(math.inf),
+    State.RETURNING: obstacle(math.inf),
+}
+CANCELLED = {f"cancel while {state.value}": state for state in State if state not in (State.READY, State.ENDED)}
+FAULTS |= {name: cancel_in(state, PROVOKED.get(state)) for name, state in CANCELLED.items()}
+
+
+def run_fault(name: str, number: int, world_name: str) -> Told:
+    """One docking with a fault."""
+    world, state = WORLDS[world_name], CANCELLED.get(name)
+    case = case_of(number, SPREADS["wider"], world, seed=2)
+    planning = WatchedPlanning()
+    settings = ExecutorSettings(
+        use_detections=world.dock is not None,
+        position_sigma=world.pose.position_sigma,
+        yaw_sigma=world.pose.yaw_sigma,
+        wait_for_charge=state is State.WAITING_FOR_CHARGE,
+        contact="touch" if state is State.PRESSING else "distance",
+    )
+    executor = DockingExecutor(
+        case.problem,
+        settings,
+        task="undock" if state is State.UNDOCKING else "dock",
+        goal_checker=PluginChoice("DockGoalChecker", CHECKER),
+        planning=planning,
+    )
+    run = Run(case, _robot(case, world, name), executor, planning)
+    standing = longest = 0.0
+    while run.robot.time < TIMEOUT:
+        FAULTS[name](run)
+        run.step = executor.step(_measured(run))
+        command = run.step.command
+        is_still = max(abs(command.linear), abs(command.angular)) < STILL and run.step.state in DRIVING
+        standing = standing + run.period if is_still else 0.0
+        longest = max(longest, standing)
+        if run.step.ending is not None and command == Twist2():
+            break
+        run.robot.advance(command, run.period)
+    for _ in range(25):
+        run.robot.advance(Twist2(), run.period)
+    return _told(run, name, longest)
+
+
+def _measured(run: Run) -> Measurements:
+    """What the executor is told, with the faults of clock and localization."""
+    now = run.robot.measurements
+    seen = tuple(one._replace(stamp=one.stamp + run.clock) for one in now.detections)
+    return now._replace(stamp=now.stamp + run.clock, detections=seen, pose=None if run.blind else now.pose)
+
+
+def _told(run: Run, name: str, longest: float) -> Told:
+    ended, record, case = run.executor.ending, run.robot.record(), run.case
+    said = "never ended" if ended is None else ended.kind.value
+    counts = run.planning.replans, 0 if ended is None else ended.num_retries, 0
+    followed = [] if run.clock else run.planning.followed
+    names = ("replanning", "detected", name, RATE)
+    outcome = outcome_of(case, record, followed, names=names, ending=said, counts=counts, busy=0.0)
+    footprint = case.problem.robot.footprint
+    assert case.problem.dock.footprint is not None
+    station = ObstacleSet.from_footprint(case.problem.dock.footprint, case.true_dock, "dock")
+    closest = outcome.clearance
+    if "box since" in run.memory:
+        there = (record.times >= run.memory["box since"]) & (record.times < run.memory["until"])
+        box = ObstacleSet.from_polygons([run.box])
+        closest = min(closest, executed_clearance(footprint, record.poses[there], box))
+    twist = run.robot.state.twist
+    return Told(
+        outcome._replace(clearance=closest),
+        longest,
+        executed_clearance(footprint, record.poses, station),
+        abs(twist.linear) < STILL and abs(twist.angular) < STILL,
+        run.struck or "cancelled" in run.memory,
+    )
+
+
+def _robot(case: Case, world: World, name: str) -> SimulatedRobot:
+    """The robot; docked where it is to undock, with a wheel that sticks for 4 s, or at a station without a switch."""
+    start = case.true_dock if name == f"cancel while {State.UNDOCKING.value}" else case.problem.start
+    stuck = (StuckWheel(Wheel.LEFT, 2.0, 6.0),) if name == "stuck wheel" else ()
+    plant = DifferentialDrive(case.problem.robot, world.actuation, wheels=Wheels(TRACK, stuck=stuck))
+    station = None if State.WAITING_FOR_CHARGE.value in name else Station(direction=case.direction)
+    sensors = Sensors(pose=world.pose, dock=world.dock)
+    return SimulatedRobot(plant, start, case.true_dock, sensors, case.obstacles(), station=station, seed=case.seed)
+
+
+def fault_table(jobs: int, count: int = COUNT) -> tuple[str, bool]:
+    """The table, and whether all is well: no collision, nothing stood still without a name, every robot at rest."""
+    todo = [(name, number, "detected") for name in FAULTS for number in range(count)]
+    with ProcessPoolExecutor(jobs, get_context("spawn")) as pool:
+        found = list(pool.map(run_fault, *zip(*todo, strict=True), chunksize=4))
+    by_name: dict[str, list[Told]] = {}
+    for (name, _, _), told in zip(todo, found, strict=True):
+        by_name.setdefault(name, []).append(told)
+    head = [
+        "fault",
+        "came",
+        "ends",
+        "within 10 mm, 1.5 deg",
+        "retries",
+        "closest mm",
+        "into station mm",
+        "still s",
+        "over limit",
+        "at rest",
+    ]
+    is_sound = all(
+        told.outcome.clearance >= 0.0
+        and told.station >= OVERLAP
+        and told.standing <= LONGEST_STILL
+        and told.at_rest
+        and told.outcome.ending != "never ended"
+        for told in found
+    )
+    return table([head, *(_row(name, runs) for name, runs in by_name.items())]), is_sound
+
+
+def _row(name: str, runs: list[Told]) -> list[str]:
+    endings = collections.Counter(told.outcome.ending for told in runs)
+    exact = sum(told.outcome._replace(docked=True).succeeded for told in runs)
+    return [
+        name,
+        f"{sum(told.struck for told in runs)}/{len(runs)}",
+        ", ".join(f"{count} {ending}" for ending, count in endings.most_common()),
+        f"{exact}",
+        f"{max(told.outcome.retries for told in runs)}",
+        f"{1e3 * min(told.outcome.clearance for told in runs):.0f}",
+        f"{-1e3 * min(0.0, *(told.station for told in runs)):.1f}",
+        f"{max(told.standing for told in runs):.1f}",
+        f"{max(told.outcome.over for told in runs):.3f}",
+        "all" if all(told.at_rest for told in runs) else f"{sum(not told.at_rest for told in runs)} not",
+    ]
