@@ -16,7 +16,9 @@ import sys
 from concurrent.futures import ProcessPoolExecutor
 from multiprocessing import get_context
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING
+
+from experiments.docking.run import PLAN, driven, tasks
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -25,47 +27,6 @@ if TYPE_CHECKING:
 
 OUT = Path("results") / "docking"
 THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
-PLAN = {
-    "perfect": ((20.0, 50.0, 100.0), ("graceful law", "raw + tracker", "smoothed + tracker", "replanning", "MPC")),
-    "noisy": ((20.0, 50.0, 100.0), ("graceful law", "raw + tracker", "smoothed + tracker", "replanning", "MPC")),
-    "detected": ((50.0,), ("graceful law", "raw + tracker", "smoothed + tracker", "replanning", "MPC")),
-}
-"""Rates and methods of every world."""
-
-
-class Task(NamedTuple):
-    """One docking to be driven, by names, so that any process can."""
-
-    method: str
-    world: str
-    spread: str
-    rate: float
-    number: int
-    seed: int
-
-
-def driven(task: Task) -> Outcome:
-    """The outcome of a task."""
-    from experiments.docking.methods import METHODS
-    from experiments.docking.worlds import SPREADS, WORLDS, case_of
-
-    world, spread = WORLDS[task.world], SPREADS[task.spread]
-    return METHODS[task.method](case_of(task.number, spread, world, task.seed), world, spread.name, task.rate)
-
-
-def tasks(options: argparse.Namespace) -> list[Task]:
-    """Everything that was asked for."""
-    found = []
-    for world, (rates, methods) in PLAN.items():
-        if options.world and world not in options.world:
-            continue
-        for method in methods:
-            if options.method and method not in options.method:
-                continue
-            for rate in options.rate or rates:
-                numbers = range(options.count)
-                found += [Task(method, world, options.spread, rate, number, options.seed) for number in numbers]
-    return found
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

@@ -45,6 +45,7 @@ __all__ = ["FAULTS", "Told", "fault_table"]
 
 COUNT, RATE, TIMEOUT = 20, 50.0, 240.0  # runs of each; [Hz]; [s]
 TRACK = 0.4  # [m]
+BOX = np.array([[0.0, -0.1], [0.1, -0.1], [0.1, 0.1], [0.0, 0.1]])  # [m], put on the path
 FRONT = 0.3  # [m]: of the robot in either gear
 DRIVING = (State.STAGING, State.APPROACHING, State.RETURNING, State.BACKING_OUT, State.PRESSING, State.UNDOCKING)
 STILL = 1e-3  # [m/s], [rad/s]
@@ -155,9 +156,7 @@ def obstacle(stays: float) -> Callable[[Run], None]:
             s = Tube(plan.path, plan.problem).deviations(run.robot.state.pose.as_array()[None]).s[0]
             ahead = Pose2.from_sequence(plan.path.poses_at(s + FRONT + 0.5)[0])
             if run.once(when=s > 0.05 and s + FRONT + 0.5 <= plan.path.length):
-                box = transform_points(
-                    ahead.as_array()[None], np.array([[0.0, -0.1], [0.1, -0.1], [0.1, 0.1], [0.0, 0.1]])
-                )[0]
+                box = transform_points(ahead.as_array()[None], BOX)[0]
                 run.box, run.memory["box since"] = box, run.robot.time
                 run.memory["until"] = run.robot.time + stays
                 run.robot.put(run.case.obstacles() + ObstacleSet.from_polygons([box]), _grid(run.case, box))
@@ -320,17 +319,9 @@ def fault_table(jobs: int, count: int = COUNT) -> tuple[str, bool]:
     for (name, _, _), told in zip(todo, found, strict=True):
         by_name.setdefault(name, []).append(told)
     head = [
-        "fault",
-        "came",
-        "ends",
-        "within 10 mm, 1.5 deg",
-        "retries",
-        "closest mm",
-        "into station mm",
-        "still s",
-        "over limit",
-        "at rest",
-    ]
+        "fault", "came", "ends", "within 10 mm, 1.5 deg", "retries", "closest mm", "into station mm", "still s",
+        "over limit", "at rest",
+    ]  # fmt: skip
     is_sound = all(
         told.outcome.clearance >= 0.0
         and told.station >= OVERLAP

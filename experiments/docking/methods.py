@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import time
 from collections.abc import Callable
 from functools import partial
@@ -12,7 +11,7 @@ import numpy as np
 
 from experiments.docking.outcome import Followed, Outcome, outcome_of
 from optdock.dock import DockDirection
-from optdock.errors import ControllerException, OptdockError
+from optdock.errors import ControllerException
 from optdock.estimation import PoseFilter
 from optdock.executor import DockingExecutor, ExecutorSettings
 from optdock.executor.planning import InlinePlanning
@@ -70,8 +69,7 @@ def by_law(case: Case, world: World, spread: str, rate: float) -> Outcome:
         for seen in now.detections:
             goal = _filtered(goal, now.pose @ seen.pose)
         target = goal @ Pose2(int(gear) * PROJECTION, 0.0, 0.0)
-        pose = now.pose
-        now = robot.advance(cycles.timed(lambda: LAW.command(target, pose, gear)), 1.0 / rate)
+        now = robot.advance(cycles.timed(partial(LAW.command, target, now.pose, gear)), 1.0 / rate)
         standing = standing + 1.0 / rate if abs(now.twist.linear) < STALL and robot.time > PATIENCE else 0.0
     ending = "" if now.contact else "stalled beside the contact" if standing >= PATIENCE else "timeout"
     names = ("graceful law", world.name, spread, rate)
@@ -194,14 +192,6 @@ def by_executor(
     return outcome_of(
         case, robot.record(), planning.followed, names=names, ending=ending, counts=counts, busy=cycles.busy
     )
-
-
-def failed(case: Case, names: tuple[str, str, str, float], error: OptdockError) -> Outcome:
-    """A case for which there was no plan."""
-    seen = case.problem.start.in_frame_of(case.true_dock)
-    ending = f"{type(error).__name__}: {error}"
-    found = (0.0, 0, 0, 0.0, 0.0, "", math.inf, -math.inf, 0.0, 0, 0, 0.0)
-    return Outcome(*names, case.seed, case.direction.value, ending, False, seen.x, seen.y, seen.yaw, *found)
 
 
 METHODS: dict[str, Callable[[Case, World, str, float], Outcome]] = {

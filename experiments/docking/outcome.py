@@ -9,7 +9,7 @@ import numpy as np
 
 from optdock.geometry.pose import pose_errors
 from optdock.tube import Tube
-from optdock.verification import pose_clearances
+from optdock.verification import end_clearances, pose_clearances
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -119,7 +119,7 @@ def outcome_of(  # noqa: PLR0913 - what a run leaves behind
     curvature = np.abs(record.commands[moving, 1] / record.commands[moving, 0])
     over, limit = _worst_ratio(record, case)
     clearances, _ = pose_clearances(record.poses, case.problem.robot.footprint, case.problem.obstacles, within=1.0)
-    short, displacement, left = _tube(case, record, followed, clearances)
+    short, displacement, left = _tube(record, followed, clearances)
     replans, retries, told = counts
     return Outcome(
         *names,
@@ -160,7 +160,7 @@ def _worst_ratio(record: Record, case: Case) -> tuple[float, str]:
     return float(np.max(ratios[worst], initial=0.0)), worst
 
 
-def _tube(case: Case, record: Record, followed: Sequence[Followed], clearances: FloatArray) -> tuple[float, float, int]:
+def _tube(record: Record, followed: Sequence[Followed], clearances: FloatArray) -> tuple[float, float, int]:
     """By how much the certificate was wrong within the tube, the largest displacement, and how often it was left."""
     short, displacement, left = -math.inf, 0.0, 0
     ends = [*(one.since for one in followed[1:]), math.inf]
@@ -174,9 +174,7 @@ def _tube(case: Case, record: Record, followed: Sequence[Followed], clearances: 
         inside = found.excess <= 0.0
         at = plan.path.poses_at(found.s)
         from_goal, from_start = (np.hypot(*(at[:, :2] - [end.x, end.y]).T) for end in (problem.goal, problem.start))
-        start = float(
-            pose_clearances(problem.start.as_array()[None], problem.robot.footprint, problem.all_obstacles)[0][0]
-        )
+        start = end_clearances(problem).start
         asked = problem.clearance.required_at(from_goal, from_start, start, plan.certificate.start_relief)
         short = max(short, float(np.max((asked - clearances[rows])[inside], initial=-math.inf)))
         displacement = max(displacement, float(found.displacement.max()))
