@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, Literal, TypeAlias
+from typing import TYPE_CHECKING, Literal, NamedTuple, TypeAlias
 
 from optdock.errors import InvalidValue
 from optdock.executor.command_limits import CommandLimiter
@@ -39,6 +39,16 @@ _FEEDBACK = {
     State.BACKING_OUT: FeedbackState.RETRY,
     State.RETURNING: FeedbackState.RETRY,
 }
+
+
+_FIRST_PERIOD = 0.005  # [s], until two cycles have shown another one: of 200 Hz, so that no command changes too fast
+
+
+class _Tick(NamedTuple):
+    """Since the last cycle: the time that passed, and the time over which commands may change [s]."""
+
+    passed: float
+    of_commands: float
 
 
 class DockingExecutor:
@@ -93,6 +103,7 @@ class DockingExecutor:
         self._began: float | None = None
         self._last_stamp = -math.inf
         self._offset = 0.0
+        self._usual_period = _FIRST_PERIOD
         self._ending: Ending | None = None
 
     @property
@@ -121,11 +132,12 @@ class DockingExecutor:
         self._events.clear()
         if self._began is None:
             self._limiter.restart(measurements.twist)
-        period = self._tick(measurements.stamp)
+        tick = self._tick(measurements.stamp)
         self._perception.update(measurements, measurements.stamp + self._offset, self._offset)
-        command = self._command(period)
+        command = self._command(tick.of_commands)
         state = State.ENDED if self._ending is not None else self._procedure.state
-        step = Step(command, state, self._feedback(state), self._ending, tuple(self._events))
+        deviation = self._procedure.deviation if self._ending is None else None
+        step = Step(command, state, self._feedback(state), self._ending, tuple(self._events), deviation)
         if self._log is not None:
             self._log.cycle(measurements, step)
         return step
@@ -133,26 +145,27 @@ class DockingExecutor:
     def _report(self, name: str, detail: str = "") -> None:
         self._events.append(Event(self._perception.stamp if self._began is not None else 0.0, name, detail))
 
-    def _tick(self, stamp: float) -> float:
-        """The time since the last cycle; the clock of the procedure never goes back, and makes no leaps [s]."""
+    def _tick(self, stamp: float) -> _Tick:
+        """The time since the last cycle, on a clock that never goes back and makes no leaps."""
         before, self._last_stamp = self._last_stamp, stamp
         self._procedure.interruption = ("", "")
         if self._began is None:
             self._began = stamp
-            return 0.0
-        period = stamp - before
+            return _Tick(0.0, 0.0)
+        period, usual, longest = stamp - before, self._usual_period, self.settings.longest_tick
         if period < 0.0:
-            self._offset -= period
+            self._offset += usual - period
             self._interrupt("clock went back", f"by {-period:.3f} s; it goes on from where it was")
-            return 0.0
-        if period > self.settings.longest_tick:
-            leap = period - self.settings.longest_tick
-            self._offset -= leap
+            return _Tick(usual, usual)
+        if period > longest:
+            self._offset += longest - period
             self._interrupt("no cycle for long", f"{period:.3f} s passed since the last one")
-            return self.settings.longest_tick
+            return _Tick(longest, usual)  # whatever has passed, the drive has not been told anything else
         if period > self.settings.late_tick:
             self._report("late cycle", f"{period:.3f} s passed since the last one")
-        return period
+        elif period > 0.0:
+            self._usual_period = period
+        return _Tick(period, period)
 
     def _interrupt(self, name: str, reason: str) -> None:
         self._report(name, reason)
@@ -180,5 +193,5 @@ class DockingExecutor:
         if perception.started:
             relative = perception.robot_from_dock
             distance = math.hypot(relative.x, relative.y)
-        passed = perception.stamp - (self._began or 0.0) - 0.0
+        passed = perception.stamp - (self._began or 0.0)
         return Feedback(_FEEDBACK.get(state, FeedbackState.NONE), self._procedure.num_retries, distance, passed)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from enum import Enum, IntEnum
 from typing import NamedTuple
 
-from optdock.geometry.pose import Twist2
+from optdock.geometry.pose import Pose2, Twist2
 
 __all__ = ["Ending", "EndingKind", "Event", "Feedback", "FeedbackState", "State", "Step"]
 
@@ -136,6 +136,8 @@ class Step(NamedTuple):
         feedback: The same in Nav2's words.
         ending: None while the task goes on.
         events: What happened in this cycle.
+        deviation: The robot as seen from the path that it drives: across [m] and turned [rad]; None where it drives
+            none.
     """
 
     command: Twist2
@@ -143,3 +145,4 @@ class Step(NamedTuple):
     feedback: Feedback
     ending: Ending | None
     events: tuple[Event, ...] = ()
+    deviation: Pose2 | None = None

@@ -15,7 +15,7 @@ import numpy as np
 
 from optdock.dock import Dock, DockDirection
 from optdock.errors import ControllerException, OptdockError
-from optdock.executor.approach import can_be_planned_away, left_at_dock, reachable_offset, staging_distance
+from optdock.executor.approach import can_be_planned_away, left_at_dock, staging_distance
 from optdock.executor.outcomes import EndingKind, State
 from optdock.executor.planning import Job, Motion, Outcome, PlanResult
 from optdock.geometry.pose import Pose2, Twist2
@@ -51,6 +51,7 @@ _MOST_BLOCKS = 5  # stops on one approach, until it counts as failed
 _PROGRESS = 0.05  # [s] on the trajectory's own clock that count as progress
 _INSTANT = 1e-9  # [s]
 _SETTLED = 0.004, 0.02  # [m/s], [rad/s] commanded at the end of the path: 2 mm by the usual gain, noise of the pose
+_LAST_REPLAN = 0.15  # [m] before the dock: nearer, no robot can be moved sideways by more than a millimetre
 _LEAD = 0.06  # [s] beyond the budget: a period at 20 Hz until the result is asked for, and some
 _LATE = 0.05  # [s]: a reference that jumps by so much at the speeds near a dock jumps by millimetres
 _STALE_STOP = 0.3  # [s]: a motion that is proven wrong from later on than this may go on while another is planned
@@ -107,6 +108,8 @@ class Procedure:
         cancelled: Set it to end the task.
         interruption: Name and reason of what stops a motion from outside, such as a clock that jumped; empty: nothing.
         standing: Whether the commands have come to rest; set before every cycle.
+        commanded: The last command; set before every cycle.
+        deviation: The robot as seen from the path that it drives; None where it drives none.
     """
 
     def __init__(  # noqa: PLR0913, PLR0917 - the parts that an executor joins
@@ -125,12 +128,12 @@ class Procedure:
         self.state, self.num_retries = State.READY, 0
         self.cancelled, self.standing = False, True
         self.interruption = ("", "")
+        self.commanded = Twist2()
+        self.deviation: Pose2 | None = None
         self._ending = False
         self._jobs = 0
-        self._kind = EndingKind.UNKNOWN
         self._signal_seen = False
         self._stalled_since: float | None = None
-        self._driven: Motion | None = None
 
     # The whole.
 
@@ -192,7 +195,7 @@ class Procedure:
     def _stop(self) -> Cycles:
         """Brake, until commands and odometry say that the robot stands."""
         before, since = self.state, self._now
-        self._driven = None
+        self.deviation = None
         moving = not self.standing or not self._odometry_at_rest
         if moving:
             self.state = State.STOPPING
@@ -534,8 +537,6 @@ class Procedure:
             return None
         return EndingKind.DOCKED_BY_STALL if self._settings.contact == "touch" else None
 
-    commanded = Twist2()
-
     def _is_stalled(self) -> bool:
         wanted = abs(self.commanded.linear) > 2.0 * self._settings.stall_speed
         return wanted and abs(self._twist.linear) < self._settings.stall_speed
@@ -557,7 +558,7 @@ class _Drive:
         self._goal = motion.problem.goal
         self._next_goal: tuple[float, Pose2] | None = None  # from when on [s]
         self._job: Job | None = None
-        self._is_urgent = self._is_stop = False
+        self._is_urgent = self._is_stop = self._is_outside = False
         self._costmap = owner._perception.costmap
         self._submitted_at = -math.inf
         self._finished_since: float | None = None
@@ -587,6 +588,7 @@ class _Drive:
         if owner._now > self._until:
             raise _AttemptFailed(EndingKind.FAILED_TO_CONTROL, f"timeout while {owner.state.value}: {owner._where}")
         self._look_around()
+        self._watch_tube()
         return self._is_finished()
 
     def wish(self) -> Wish:
@@ -674,6 +676,33 @@ class _Drive:
             raise _Interrupted("obstacle ahead", verdict.reason)
         self._is_urgent, self._job = True, None
 
+    def _watch_tube(self) -> None:
+        """How far the robot is off its path; outside of what was proven, another path is asked for, or the robot stops.
+
+        """
+        owner, path = self.owner, self.motion.trajectory.path
+        time, _ = self._reference
+        if time < 0.0:
+            return
+        s = float(self.motion.trajectory.time_law.at(time)[0, 0])
+        lag = owner._perception.robot.in_frame_of(path.pose_at(s)).x * float(path.direction_at(s)[0])
+        place = path.pose_at(min(max(s + lag, 0.0), path.length))
+        off = owner._perception.robot.in_frame_of(place)
+        owner.deviation = off
+        robot, rule = owner._base.robot, owner._base.clearance
+        width = robot.tracking.width(robot.footprint)
+        if width <= 0.0:
+            return
+        from_goal = place.distance_to(self.motion.problem.goal)
+        share = min(1.0, from_goal / rule.taper) if rule.taper > 0.0 else 1.0
+        swing = 2.0 * robot.footprint.circumscribed_radius * math.sin(0.5 * abs(off.yaw))
+        outside = math.hypot(off.x, off.y) + swing > width * share
+        if outside != self._is_outside:
+            self._is_outside = outside
+            name = "tube left" if outside else "tube entered"
+            owner._report(name, f"{off.y:.4f} m and {off.yaw:.4f} rad off, proven for {width * share:.4f} m")
+            self._is_urgent = self._is_urgent or (outside and from_goal > _LAST_REPLAN)
+
     def _replan(self) -> None:
         """Hand in a job where one is worth it, and take over what the last one gave."""
         owner = self.owner
@@ -712,18 +741,20 @@ class _Drive:
         now = trajectory.at(time)
         left = trajectory.path.length - now.s
         error = self._pose.in_frame_of(now.pose)
-        limits, dock = owner._base.robot.limits, owner._base.dock
-        sigma = perception.dock_sigma
-        cusps = trajectory.path.cusps
-        if not cusps or now.s >= cusps[-1]:
-            missed = abs(error.y) - reachable_offset(left, limits)
-            if missed > dock.tolerances.cross and missed > 3.0 * sigma[0]:
-                reason = f"{abs(error.y):.3f} m beside the path cannot be corrected over the {left:.3f} m that are left"
-                raise _AttemptFailed(EndingKind.FAILED_TO_CONTROL, reason)
+        limits, dock, sigma = owner._base.robot.limits, owner._base.dock, perception.dock_sigma
+        left_over = left_at_dock(error.y, left), left_at_dock(error.yaw, left)
         if not can_be_planned_away(error.y, error.yaw, left - dock.final_straight, owner._gear, limits):
+            cusps, accepted = trajectory.path.cusps, dock.tolerances
+            off = left_over[0] > max(accepted.cross, 3.0 * sigma[0])
+            turned = left_over[1] > max(accepted.yaw, 3.0 * sigma[1])
+            if (off or turned) and (not cusps or now.s >= cusps[-1]):
+                raise _AttemptFailed(
+                    EndingKind.FAILED_TO_CONTROL,
+                    f"{error.y:.3f} m and {error.yaw:.3f} rad off the path cannot be corrected over {left:.3f} m",
+                )
             return False
-        off = left_at_dock(error.y, left) > settings.worth_position and abs(error.y) > sigma[0]
-        turned = left_at_dock(error.yaw, left) > settings.worth_yaw and abs(error.yaw) > sigma[1]
+        off = left_over[0] > settings.worth_position and abs(error.y) > sigma[0]
+        turned = left_over[1] > settings.worth_yaw and abs(error.yaw) > sigma[1]
         return off or turned
 
     def _take(self, result: PlanResult) -> None:
