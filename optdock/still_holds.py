@@ -126,7 +126,7 @@ class _Change:
         rest = self.plan.path.piece(begin)
         count = max(2, int(np.ceil(rest.length / _SPACING)) + 1)
         places = rest.poses_at(np.linspace(0.0, rest.length, count))[:, :2]
-        reach = later.robot.footprint.circumscribed_radius + later.clearance.required + _SPACING
+        reach = later.robot.footprint.circumscribed_radius + later.path_clearance.required + _SPACING
         is_ruled_anew = bool(set(self.changed) & _RULES)
         near = _near(later.all_obstacles, places, reach) if is_ruled_anew else self._new(places, reach)
         if len(near) == 0:
