@@ -97,9 +97,7 @@ class CommandLimiter:
         wanted = slope + math.copysign(min(abs(gap) / period, reach), gap)
         # Up to the speed limit the rise must end in time, also where it takes no whole number of periods.
         spare = (limits.max_speed if v + a * period >= 0.0 else limits.max_reverse_speed) - abs(v)
-        rise = limits.max_jerk * (
-            math.sqrt(max(0.0, 2.0 * spare / limits.max_jerk)) - 0.5 * period
-        )
+        rise = limits.max_jerk * (math.sqrt(max(0.0, 2.0 * spare / limits.max_jerk)) - 0.5 * period)
         if v >= 0.0:
             highest = min(highest, max(0.0, rise))
         else:

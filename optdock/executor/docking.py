@@ -14,7 +14,7 @@ from optdock.executor.planning import InlinePlanning
 from optdock.executor.procedure import Procedure
 from optdock.executor.settings import ExecutorSettings
 from optdock.geometry.checked import finite_number, instance
-from optdock.geometry.pose import Twist2
+from optdock.geometry.pose import Pose2, Twist2
 from optdock.interfaces import Controller, GoalChecker
 from optdock.lifecycle import PluginContext
 from optdock.measurements import Measurements
@@ -110,6 +110,16 @@ class DockingExecutor:
     def ending(self) -> Ending | None:
         """How the task ended; None while it goes on."""
         return self._ending
+
+    @property
+    def robot(self) -> Pose2 | None:
+        """Where the robot is believed to be; None before the first measured pose."""
+        return self._perception.robot if self._perception.started else None
+
+    @property
+    def dock(self) -> Pose2:
+        """Where the docked pose is believed to be, in the fixed frame."""
+        return self._perception.dock
 
     def cancel(self) -> None:
         """End the task: a stop within the limits, and the ending `cancelled`."""

@@ -38,11 +38,23 @@ if TYPE_CHECKING:
     from types import TracebackType
 
     from optdock.executor.outcomes import Step
+    from optdock.geometry.arrays import FloatArray
     from optdock.executor.planning import Job, Planning
     from optdock.lifecycle import Plugin
     from optdock.problem import DockingProblem
 
-__all__ = ["LOG_FORMAT", "Cycle", "DockingLog", "LogWriter", "LoggedPlanning", "Planned", "Task", "read_log"]
+__all__ = [
+    "LOG_FORMAT",
+    "Cycle",
+    "DockingLog",
+    "LogWriter",
+    "LoggedPlanning",
+    "Planned",
+    "Start",
+    "Task",
+    "plugin_choice",
+    "read_log",
+]
 
 LOG_FORMAT = "optdock-log/1"
 _SPACING, _PERIOD = 0.2, 0.5  # [m], [s] of the samples of a plan: the exact curves and phases stand beside them
@@ -58,19 +70,28 @@ class Task(NamedTuple):
     goal_checker: PluginChoice
 
 
+class Start(NamedTuple):
+    """Where a planned motion begins: pose, speed and acceleration along the heading, and curvature, None where free."""
+
+    pose: Pose2
+    speed: float
+    acceleration: float
+    curvature: float | None
+
+
 class Planned(NamedTuple):
     """What planning delivered, as far as a replay needs it.
 
     Attributes:
         result: Of a job; its motion's problem is filled in by whoever handed the job in.
         trajectory: Of the motion; None where there is none.
-        start: Of the motion's problem: x, y, yaw, speed, acceleration and curvature, this one None where it is free.
+        start: Of the motion's problem.
         verdict: The answer to a question, instead of a result.
     """
 
     result: PlanResult | None = None
     trajectory: Trajectory | None = None
-    start: tuple[float | None, ...] = ()
+    start: Start | None = None
     verdict: Verdict | None = None
 
 
@@ -113,6 +134,19 @@ class DockingLog:
     task: Task
     cycles: tuple[Cycle, ...]
     cut_off: bool
+
+    @property
+    def measured(self) -> FloatArray:
+        """Poses as measured, Shape (n, 3)."""
+        poses = [cycle.measurements.pose for cycle in self.cycles]
+        return np.array([(pose.x, pose.y, pose.yaw) for pose in poses if pose is not None]).reshape(-1, 3)
+
+    @property
+    def commands(self) -> FloatArray:
+        """Time since the first cycle, linear and angular, Shape (n, 3) [s, m/s, rad/s]."""
+        began = self.cycles[0].measurements.stamp if self.cycles else 0.0
+        rows = [(c.measurements.stamp - began, c.command.linear, c.command.angular) for c in self.cycles]
+        return np.array(rows).reshape(-1, 3)
 
 
 class LogWriter:
@@ -284,8 +318,7 @@ def _costmap_values(costmap: Costmap | None) -> dict[str, object] | None:
 
 def _start_values(problem: DockingProblem) -> list[float | None]:
     start = problem.start
-    acceleration = getattr(problem, "start_acceleration", 0.0)
-    return [start.x, start.y, start.yaw, problem.start_speed, acceleration, problem.start_curvature]
+    return [start.x, start.y, start.yaw, problem.start_speed, problem.start_acceleration, problem.start_curvature]
 
 
 def _plan_values(motion: Motion, frame: str) -> object:
@@ -323,7 +356,10 @@ def read_log(source: str | Path) -> DockingLog:
     if first.get("format") != LOG_FORMAT:
         raise InvalidFile(f"{source}:1: is no log: format must be {LOG_FORMAT!r}, got {first.get('format')!r}")
     task = _read(source, 1, _task, first)
-    return DockingLog(str(source), task, tuple(_cycles(source, lines, task)), cut_off)
+    cycles = tuple(_cycles(source, lines))
+    if not cycles:
+        raise InvalidFile(f"{source}: holds no whole cycle")
+    return DockingLog(str(source), task, cycles, cut_off)
 
 
 def _json(source: Path, line: int, text: str) -> Mapping[str, object]:
@@ -350,7 +386,7 @@ def _read(source, line, build, *values):  # type: ignore[no-untyped-def]
         raise InvalidFile(f"{source}:{line}: is damaged: {type(error).__name__}: {error}") from error
 
 
-def _cycles(source: Path, lines: list[str], task: Task) -> Iterator[Cycle]:
+def _cycles(source: Path, lines: list[str]) -> Iterator[Cycle]:
     planned: list[Planned] = []
     cancelled = False
     for number, text in enumerate(lines[1:], start=2):
@@ -415,7 +451,10 @@ def _planned(value: Mapping[str, object], source: str) -> Planned:
     found = parse_plan(json.dumps(value["plan"]), source)
     if found.path is None or found.time_law is None:
         raise InvalidValue("plan: holds no path or no phases")
-    return Planned(result, Trajectory(found.path, found.time_law), tuple(value["start"]))
+    x, y, yaw, speed, acceleration, curvature = value["start"]
+    return Planned(
+        result, Trajectory(found.path, found.time_law), Start(Pose2(x, y, yaw), speed, acceleration, curvature)
+    )
 
 
 def _cycle(line: int, planned: tuple[Planned, ...], cancelled: bool, value: Mapping[str, object]) -> Cycle:

@@ -247,7 +247,7 @@ class Procedure:
                 yield from self._stop()
                 return docked.kind
             except _Interrupted as stopped:
-                self._report(stopped.name, stopped.reason)
+                self._say_why(stopped)
                 yield from self._stop()
                 if blocks == 0 or self._now - blocked_since > 2.0 * self._settings.obstacle_patience:
                     blocked_since = self._now
@@ -381,7 +381,7 @@ class Procedure:
                 yield from self._stop()
                 return
             except _Interrupted as stopped:
-                self._report(stopped.name, stopped.reason)
+                self._say_why(stopped)
                 yield from self._stop()
                 blocks += 1
                 since = self._now
@@ -426,9 +426,7 @@ class Procedure:
     @property
     def _where(self) -> str:
         relative = self._perception.robot_from_dock
-        return (
-            f"{relative.x:.4f} m along, {relative.y:.4f} m across and {relative.yaw:.4f} rad from the docked pose"
-        )
+        return f"{relative.x:.4f} m along, {relative.y:.4f} m across and {relative.yaw:.4f} rad from the docked pose"
 
     @property
     def _detection_is_old(self) -> bool:
@@ -465,8 +463,10 @@ class Procedure:
     def _station(self) -> ObstacleSet:
         """The station where the dock is seen."""
         station = self._base.dock.footprint
-        return ObstacleSet.empty() if station is None else ObstacleSet.from_footprint(
-            station, self._perception.dock, "dock"
+        return (
+            ObstacleSet.empty()
+            if station is None
+            else ObstacleSet.from_footprint(station, self._perception.dock, "dock")
         )
 
     def _to_dock(self) -> DockingProblem:
@@ -511,6 +511,10 @@ class Procedure:
             self._report(
                 f"plan {result.outcome.value}", f"{trajectory.path.driven:.3f} m in {trajectory.duration:.2f} s"
             )
+
+    def _say_why(self, stopped: _Interrupted) -> None:
+        if stopped.name != self.interruption[0]:  # that has been said already
+            self._report(stopped.name, stopped.reason)
 
     def _require_no_interruption(self) -> None:
         name, reason = self.interruption
@@ -620,9 +624,7 @@ class _Drive:
 
     @property
     def _reference(self) -> tuple[float, float]:
-        """Time of the reference on the trajectory's own clock [s], and its rate; of a controller that does not say, 0.
-
-        """
+        """Time of the reference on the trajectory's own clock [s], and its rate; of a controller that does not say, 0."""
         progress = getattr(self.owner._controller, "progress", None)
         return (0.0, 1.0) if progress is None else (float(progress.time), float(progress.rate))
 
@@ -656,7 +658,9 @@ class _Drive:
         if time > best + _PROGRESS:
             self._progress = time, now
         elif now - since > settings.progress_time:
-            raise _Interrupted("no progress", f"the motion stands at {time:.2f} s of its time since {now - since:.1f} s")
+            raise _Interrupted(
+                "no progress", f"the motion stands at {time:.2f} s of its time since {now - since:.1f} s"
+            )
         return False
 
     def _look_around(self) -> None:
@@ -677,9 +681,7 @@ class _Drive:
         self._is_urgent, self._job = True, None
 
     def _watch_tube(self) -> None:
-        """How far the robot is off its path; outside of what was proven, another path is asked for, or the robot stops.
-
-        """
+        """How far the robot is off its path; outside of what was proven, another path is asked for, or the robot stops."""
         owner, path = self.owner, self.motion.trajectory.path
         time, _ = self._reference
         if time < 0.0:
@@ -720,7 +722,9 @@ class _Drive:
                 return
             if not self._is_worth_it(time):
                 return
-        problem = owner._to_dock() if self.is_approach else dataclasses.replace(self.motion.problem, costmap=self._costmap)
+        problem = (
+            owner._to_dock() if self.is_approach else dataclasses.replace(self.motion.problem, costmap=self._costmap)
+        )
         self._submitted_at = owner._now
         budget = owner._settings.replan_budget
         self._job = owner._job(problem, budget)._replace(
