@@ -75,7 +75,7 @@ class Perception:
 
     @property
     def robot_from_dock(self) -> Pose2:
-        """The robot seen from the docked pose: along, cross, yaw. Localization has no part in it once the dock is seen."""
+        """The robot seen from the docked pose; localization has no part in it once the dock is seen."""
         if self._dock is not None and self._reckoning is not None and self.sees_dock:
             return self._reckoning.pose.in_frame_of(self._dock.mean)
         return self.robot.in_frame_of(self._stored)

@@ -13,15 +13,15 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
 
+from optdock.costmap.cell_obstacles import obstacles_from_costmap
 from optdock.dock import Dock, DockDirection
-from optdock.errors import ControllerException, OptdockError
+from optdock.errors import ControllerException
 from optdock.executor.approach import can_be_planned_away, left_at_dock, staging_distance
 from optdock.executor.outcomes import EndingKind, State
 from optdock.executor.planning import Job, Motion, Outcome, PlanResult
 from optdock.geometry.pose import Pose2, Twist2
 from optdock.lifecycle import LifecycleState, PluginContext
 from optdock.obstacles import ObstacleSet
-from optdock.costmap.cell_obstacles import obstacles_from_costmap
 from optdock.verification import pose_clearance
 from optdock.verification.time_of_impact import free_motion
 
@@ -66,11 +66,11 @@ Cycles: TypeAlias = "Generator[Wish, None, None]"
 _STOP = None
 
 
-class _Cancelled(Exception):  # noqa: N818 - no error
+class _Cancelled(Exception):
     """Somebody wants an end."""
 
 
-class _Failed(Exception):  # noqa: N818 - no error of the program
+class _Failed(Exception):
     """The task has failed."""
 
     def __init__(self, kind: EndingKind, reason: str) -> None:
@@ -82,7 +82,7 @@ class _AttemptFailed(_Failed):
     """This approach has failed; another one may do."""
 
 
-class _Interrupted(Exception):  # noqa: N818 - no error of the program
+class _Interrupted(Exception):
     """The motion cannot go on; another one from here may."""
 
     def __init__(self, name: str, reason: str) -> None:
@@ -360,7 +360,7 @@ class Procedure:
         yield from self._stop()
 
     def _drive_to_staging(self, state: State, failure: EndingKind) -> Cycles:
-        """Along a certified path to the staging pose; what stops the robot there is planned around, or ends the task."""
+        """Along a certified path to the staging pose; what stops the robot is planned around, or ends the task."""
         blocks, since = 0, self._now
         while True:
             yield from self._locate()
@@ -546,7 +546,7 @@ class Procedure:
         return wanted and abs(self._twist.linear) < self._settings.stall_speed
 
 
-class _Docked(Exception):  # noqa: N818 - no error
+class _Docked(Exception):
     """The robot is in its dock."""
 
     def __init__(self, kind: EndingKind) -> None:
@@ -624,7 +624,7 @@ class _Drive:
 
     @property
     def _reference(self) -> tuple[float, float]:
-        """Time of the reference on the trajectory's own clock [s], and its rate; of a controller that does not say, 0."""
+        """Time of the reference on the trajectory's own clock [s], and its rate; 0 of a controller without one."""
         progress = getattr(self.owner._controller, "progress", None)
         return (0.0, 1.0) if progress is None else (float(progress.time), float(progress.rate))
 
@@ -635,9 +635,9 @@ class _Drive:
             raise _Docked(kind)
         if self._finished_since is None or owner._settings.contact == "touch":
             return
-        if abs(owner.commanded.linear) > _SETTLED[0] or abs(owner.commanded.angular) > _SETTLED[1]:
-            if owner._now - self._finished_since < 0.5 * owner._settings.settling_time:
-                return  # what is left is still being corrected
+        moves = abs(owner.commanded.linear) > _SETTLED[0] or abs(owner.commanded.angular) > _SETTLED[1]
+        if moves and owner._now - self._finished_since < 0.5 * owner._settings.settling_time:
+            return  # what is left is still being corrected
         relative, goal = owner._perception.robot_from_dock, Pose2(0.0, 0.0, 0.0)
         path = [Pose2(-0.1 * owner._gear, 0.0, 0.0), goal]
         if owner._goal_checker.is_goal_reached(relative, goal, owner._twist, path):
@@ -681,7 +681,7 @@ class _Drive:
         self._is_urgent, self._job = True, None
 
     def _watch_tube(self) -> None:
-        """How far the robot is off its path; outside of what was proven, another path is asked for, or the robot stops."""
+        """How far the robot is off its path; outside of what is proven it needs another one, or a stop."""
         owner, path = self.owner, self.motion.trajectory.path
         time, _ = self._reference
         if time < 0.0:

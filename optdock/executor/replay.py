@@ -1,4 +1,4 @@
-"""A log driven again: the same measurements and the same results of planning must give the same commands, bit for bit."""
+"""A log driven again: equal measurements and equal results of planning must give equal commands, bit for bit."""
 
 from __future__ import annotations
 
@@ -111,7 +111,7 @@ def replay(log: DockingLog) -> Replay:
     executor = DockingExecutor(
         task.problem,
         task.settings,
-        task="undock" if task.task == "undock" else "dock",
+        task=task.task,
         controller=task.controller,
         goal_checker=task.goal_checker,
         planning=planning,
