@@ -5,8 +5,8 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING, Literal, NamedTuple, TypeAlias
 
+from optdock.controllers.command_limits import CommandLimiter
 from optdock.errors import InvalidValue
-from optdock.executor.command_limits import CommandLimiter
 from optdock.executor.log import LoggedPlanning, LogWriter, Task, plugin_choice
 from optdock.executor.outcomes import Ending, Event, Feedback, FeedbackState, State, Step
 from optdock.executor.perception import Perception
@@ -41,6 +41,8 @@ _FEEDBACK = {
 }
 
 
+_STILL = 1e-6  # [m/s], [rad/s]: what is left of a stop by rounding
+_TURNING = 0.005  # [m/s]: a robot that is to turn and not to drive turns in place
 _FIRST_PERIOD = 0.005  # [s], until two cycles have shown another one: of 200 Hz, so that no command changes too fast
 
 
@@ -90,7 +92,7 @@ class DockingExecutor:
         checker.configure(PluginContext(name=checker.name, problem=problem))
         self._events: list[Event] = []
         self._perception = Perception(problem.goal, self.settings, self._report)
-        self._limiter = CommandLimiter(problem.robot)
+        self._limiter = CommandLimiter()
         self._planning: Planning = planning if planning is not None else InlinePlanning()
         if log is not None:
             log.begin(Task(problem, self.settings, task, plugin_choice(driver), plugin_choice(checker)))
@@ -182,20 +184,29 @@ class DockingExecutor:
         self._procedure.interruption = (name, reason)
 
     def _command(self, period: float) -> Twist2:
-        limiter, procedure = self._limiter, self._procedure
-        if self._ending is not None:
-            return limiter.brake(period)
-        procedure.standing = limiter.at_rest
-        procedure.commanded = limiter.last
-        try:
-            wish = next(self._cycles)
-        except StopIteration as over:
-            kind, reason = over.value
-            self._ending = Ending(kind, reason, procedure.num_retries, self._perception.stamp)
-            self._report(kind.value, reason)
-            self._planning.close()
-            return limiter.brake(period)
-        return limiter.brake(period) if wish is None else limiter.towards(wish, period)
+        procedure, wish = self._procedure, None
+        if self._ending is None:
+            procedure.commanded = self._limiter.command
+            try:
+                wish = next(self._cycles)
+            except StopIteration as over:
+                kind, reason = over.value
+                self._ending = Ending(kind, reason, procedure.num_retries, self._perception.stamp)
+                self._report(kind.value, reason)
+                self._planning.close()
+        return self._limited(wish, period)
+
+    def _limited(self, wish: Twist2 | None, period: float) -> Twist2:
+        """What is wished for, or a stop along the present curve, as far as the limits allow; whoever asks for it."""
+        limiter, robot = self._limiter, self.problem.robot
+        if period <= 0.0 or (wish is None and limiter.command == Twist2()):
+            return limiter.command
+        target = wish if wish is not None else Twist2()
+        turns = wish is not None and abs(wish.linear) < _TURNING and wish.angular != 0.0
+        command = limiter.follow(target, target, period, robot.limits, robot.drive, in_place=turns)
+        if wish is None and abs(command.linear) < _STILL and abs(command.angular) < _STILL:
+            limiter.stop()
+        return limiter.command
 
     def _feedback(self, state: State) -> Feedback:
         perception = self._perception

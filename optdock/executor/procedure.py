@@ -107,7 +107,6 @@ class Procedure:
         num_retries: Approaches after the first one.
         cancelled: Set it to end the task.
         interruption: Name and reason of what stops a motion from outside, such as a clock that jumped; empty: nothing.
-        standing: Whether the commands have come to rest; set before every cycle.
         commanded: The last command; set before every cycle.
         deviation: The robot as seen from the path that it drives; None where it drives none.
     """
@@ -126,7 +125,7 @@ class Procedure:
         self._controller, self._goal_checker, self._planning = controller, goal_checker, planning
         self._report = report
         self.state, self.num_retries = State.READY, 0
-        self.cancelled, self.standing = False, True
+        self.cancelled = False
         self.interruption = ("", "")
         self.commanded = Twist2()
         self.deviation: Pose2 | None = None
@@ -196,11 +195,11 @@ class Procedure:
         """Brake, until commands and odometry say that the robot stands."""
         before, since = self.state, self._now
         self.deviation = None
-        moving = not self.standing or not self._odometry_at_rest
+        moving = not self._standing or not self._odometry_at_rest
         if moving:
             self.state = State.STOPPING
-        while not self.standing or not self._odometry_at_rest:
-            if self.standing and self._now - since > _REST_PATIENCE + self._braking_time:
+        while not self._standing or not self._odometry_at_rest:
+            if self._standing and self._now - since > _REST_PATIENCE + self._braking_time:
                 self._report("odometry does not come to rest", f"{self._twist.linear:.3f} m/s commanded 0")
                 break
             yield from self._cycle(_STOP)
@@ -389,6 +388,11 @@ class Procedure:
                     raise _Failed(failure, f"{stopped.name}: {stopped.reason}") from None
 
     # What they are made of.
+
+    @property
+    def _standing(self) -> bool:
+        """Whether the commands have come to rest."""
+        return self.commanded == Twist2()
 
     @property
     def _now(self) -> float:
