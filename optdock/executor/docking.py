@@ -114,6 +114,11 @@ class DockingExecutor:
         return self._ending
 
     @property
+    def state(self) -> State:
+        """What is being done."""
+        return State.ENDED if self._ending is not None else self._procedure.state
+
+    @property
     def robot(self) -> Pose2 | None:
         """Where the robot is believed to be; None before the first measured pose."""
         return self._perception.robot if self._perception.started else None
@@ -147,7 +152,7 @@ class DockingExecutor:
         tick = self._tick(measurements.stamp)
         self._perception.update(measurements, measurements.stamp + self._offset, self._offset)
         command = self._command(tick.of_commands)
-        state = State.ENDED if self._ending is not None else self._procedure.state
+        state = self.state
         deviation = self._procedure.deviation if self._ending is None else None
         step = Step(command, state, self._feedback(state), self._ending, tuple(self._events), deviation)
         if self._log is not None:

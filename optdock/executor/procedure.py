@@ -57,6 +57,7 @@ _LATE = 0.05  # [s]: a reference that jumps by so much at the speeds near a dock
 _STALE_STOP = 0.3  # [s]: a motion that is proven wrong from later on than this may go on while another is planned
 
 
+_LATE_ENDINGS = {State.STAGING: EndingKind.FAILED_TO_STAGE, State.UNDOCKING: EndingKind.TIMEOUT}
 _AT_A_STAND: dict[str, Any] = {"start_speed": 0.0, "start_acceleration": 0.0, "start_curvature": None}
 
 
@@ -129,7 +130,7 @@ class Procedure:
         self.interruption = ("", "")
         self.commanded = Twist2()
         self.deviation: Pose2 | None = None
-        self._ending = False
+        self._ending, self._began = False, 0.0
         self._jobs = 0
         self._signal_seen = False
         self._stalled_since: float | None = None
@@ -138,6 +139,7 @@ class Procedure:
 
     def run(self, *, undock: bool) -> Generator[Wish, None, tuple[EndingKind, str]]:
         """The task; its value is how it ended, the robot being at rest."""
+        self._began = self._now
         try:
             kind, reason = yield from self._undock() if undock else self._dock()
         except _Cancelled:
@@ -188,8 +190,12 @@ class Procedure:
     def _cycle(self, wish: Wish) -> Cycles:
         """One control cycle."""
         yield wish
-        if self.cancelled and not self._ending:
+        if self._ending:
+            return
+        if self.cancelled:
             raise _Cancelled
+        if self._settings.timeout is not None and self._now - self._began > self._settings.timeout:
+            raise _Failed(EndingKind.TIMEOUT, f"{self._now - self._began:.1f} s passed while {self.state.value}")
 
     def _stop(self) -> Cycles:
         """Brake, until commands and odometry say that the robot stands."""
@@ -425,7 +431,7 @@ class Procedure:
     @property
     def _reach_of_contact(self) -> float:
         """As far from the estimated dock contact may be made: what the estimate may be wrong comes on top [m]."""
-        return self._settings.contact_range + 3.0 * self._perception.dock_sigma[0]
+        return self._settings.contact_range + 3.0 * self._perception.sigma[0]
 
     @property
     def _where(self) -> str:
@@ -594,7 +600,10 @@ class _Drive:
                 reason = f"the dock has not been seen for {owner._perception.detection_age:.1f} s"
                 raise _Interrupted("detection missing", reason)
         if owner._now > self._until:
-            raise _AttemptFailed(EndingKind.FAILED_TO_CONTROL, f"timeout while {owner.state.value}: {owner._where}")
+            reason = f"timeout while {owner.state.value}: {owner._where}"
+            if self.is_approach:
+                raise _AttemptFailed(EndingKind.FAILED_TO_CONTROL, reason)
+            raise _Failed(_LATE_ENDINGS.get(owner.state, EndingKind.FAILED_TO_CONTROL), reason)
         self._look_around()
         self._watch_tube()
         return self._is_finished()
@@ -744,12 +753,14 @@ class _Drive:
         """
         owner, trajectory = self.owner, self.motion.trajectory
         perception, settings = owner._perception, owner._settings
-        if not perception.sees_dock or not 0.0 <= time < trajectory.duration:
+        if settings.use_detections and not perception.sees_dock:
+            return False
+        if not 0.0 <= time < trajectory.duration:
             return False
         now = trajectory.at(time)
         left = trajectory.path.length - now.s
         error = self._pose.in_frame_of(now.pose)
-        limits, dock, sigma = owner._base.robot.limits, owner._base.dock, perception.dock_sigma
+        limits, dock, sigma = owner._base.robot.limits, owner._base.dock, perception.sigma
         left_over = left_at_dock(error.y, left), left_at_dock(error.yaw, left)
         if not can_be_planned_away(error.y, error.yaw, left - dock.final_straight, owner._gear, limits):
             cusps, accepted = trajectory.path.cusps, dock.tolerances
