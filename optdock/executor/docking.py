@@ -43,6 +43,7 @@ _FEEDBACK = {
 
 _STILL = 1e-6  # [m/s], [rad/s]: what is left of a stop by rounding
 _TURNING = 0.005  # [m/s]: a robot that is to turn and not to drive turns in place
+_LATE = 1.5  # times as long as the period before
 _FIRST_PERIOD = 0.005  # [s], until two cycles have shown another one: of 200 Hz, so that no command changes too fast
 
 
@@ -105,7 +106,7 @@ class DockingExecutor:
         self._began: float | None = None
         self._last_stamp = -math.inf
         self._offset = 0.0
-        self._usual_period = _FIRST_PERIOD
+        self._usual_period, self._cycle_count = _FIRST_PERIOD, -1
         self._ending: Ending | None = None
 
     @property
@@ -166,6 +167,7 @@ class DockingExecutor:
         """The time since the last cycle, on a clock that never goes back and makes no leaps."""
         before, self._last_stamp = self._last_stamp, stamp
         self._procedure.interruption = ("", "")
+        self._cycle_count += 1
         if self._began is None:
             self._began = stamp
             return _Tick(0.0, 0.0)
@@ -178,10 +180,11 @@ class DockingExecutor:
             self._offset += longest - period
             self._interrupt("no cycle for long", f"{period:.3f} s passed since the last one")
             return _Tick(longest, usual)  # whatever has passed, the drive has not been told anything else
-        if period > self.settings.late_tick:
-            self._report("late cycle", f"{period:.3f} s passed since the last one")
-        elif period > 0.0:
+        if self._cycle_count == 1:
             self._usual_period = period
+        elif period > max(self.settings.late_tick, _LATE * usual):
+            self._report("late cycle", f"{period:.3f} s passed since the last one")
+        self._usual_period = min(period, _LATE * self._usual_period)  # a single late one is no new rate
         return _Tick(period, period)
 
     def _interrupt(self, name: str, reason: str) -> None:

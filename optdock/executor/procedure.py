@@ -39,7 +39,7 @@ __all__ = ["Procedure", "Wish"]
 
 logger = logging.getLogger(__name__)
 
-_AT_REST = 0.01, 0.03  # [m/s], [rad/s] by odometry: a robot that stands, its encoders not quite
+_AT_REST = 0.01, 0.02  # [m/s], [rad/s] by odometry: a robot that stands, its encoders not quite
 _REST_PATIENCE = 2.0  # [s]: an odometry that never says so must not hold the task up
 _PLANNING_PATIENCE = 5.0  # [s] beyond its budget: a thread that shares its core is late, not dead
 _CLEAR_OF_CONTACT = 0.005  # [m]: a way back is planned from there; nearer, noise could make an overlap of it
