@@ -27,12 +27,15 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from optdock.deadline import Deadline, garbage_collection_paused
-from optdock.deformation import deformed
+from optdock.deformation import Push, deformed
 from optdock.errors import Cancelled, InvalidValue, LifecycleError, OptdockError, PluginError, SmootherTimedOut
 from optdock.geometry.checked import finite_number, instance, number
 from optdock.geometry.clothoid import ClothoidSpline
-from optdock.geometry.pose import Pose2, normalize_angle
+from optdock.geometry.pose import Pose2, normalize_angle, transform_points
+from optdock.geometry.separation import separation
 from optdock.interfaces import Smoother, TimeParameterizer, never_cancelled
+from optdock.limits import SpeedZone
+from optdock.obstacles import in_words
 from optdock.path import Path
 from optdock.pipeline import DEFAULT_PLANNERS, DEFAULT_SMOOTHER, DEFAULT_TIMING, plan_dock, warm_up
 from optdock.plan import Attempt, DockPlan, PartialPlan
@@ -45,15 +48,15 @@ from optdock.still_holds import StillHolds, still_holds
 from optdock.timing.motion import DriveBounds, State
 from optdock.timing.start_states import full_stop
 from optdock.trajectory import TimeLaw, Trajectory
-from optdock.verification import certify_path, certify_trajectory
-from optdock.verification.certificate import TOLERANCE
+from optdock.verification import TOLERANCE, certify_path, certify_trajectory, pose_clearance
+from optdock.verification.conservative_advancement import Begun, prove_clearance
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Iterator
 
     from optdock.dock import DockTolerances
     from optdock.pipeline import PlannerLike, SmootherLike, TimingLike
-    from optdock.verification import Certificate, TrajectoryCertificate
+    from optdock.verification import Certificate, TrajectoryCertificate, Violation
 
 __all__ = [
     "DEFAULT_REPLANNING_BUDGET",
@@ -71,6 +74,10 @@ DEFAULT_REPLANNING_BUDGET = 0.02  # [s]: one period of a controller at 50 Hz
 _FALLBACK_SHARE, _FALLBACK_MOST = 0.3, 0.006  # of the budget, [s]: kept back for the old plan's proof, and the stop's
 _AT_REST = 1e-6  # [m/s], [m/s^2]: as the certificate's rests
 _REST_SOON = 0.1  # [s]: a robot that rests so soon after the joint is joined there: no gear is that short
+_PUSHES = 4  # off obstacles: each takes two milliseconds, and what needs more is for the smoother
+_FLAT = 1e-6  # [m]: corners of an edge that lies along an obstacle
+_ROOM = 0.002  # [m]: a path that is pushed keeps more than what is required, for it is curved between its contacts
+_SPACING = 0.05  # [m] between the places by which what is near is found
 _NO_WAY = 1e-6  # [m]: of less than that nothing is left to drive
 # Shares of the deceleration that a stop tries: in a bend the yaw acceleration may leave no more.
 _BRAKING = (1.0, 0.8, 0.6, 0.4, 0.25)
@@ -241,6 +248,7 @@ class _Replanning:
     timing_ms: dict[str, float] = field(default_factory=dict)
     tried: list[Attempt] = field(default_factory=list)
     failure: OptdockError | None = None
+    refused: Certificate | None = None  # of the last deformed path, where it was
 
     def __post_init__(self) -> None:
         self.deadline = Deadline(self.budget)
@@ -333,13 +341,22 @@ class _Replanning:
         return self._not_clear(way, now.pose)
 
     def _not_clear(self, way: Path, start: Pose2) -> str:
-        """What of the clearance of a stretch that is driven anyway is not proven in the new world; empty: it is."""
-        problem = dataclasses.replace(
-            self.world, start=start, start_speed=0.0, start_curvature=None, start_acceleration=0.0
-        )
-        certificate = certify_path(way, problem)
-        broken = [one for one in certificate.violations if one.kind in ("clearance", "unproven")]
-        return broken[0].message if broken else ""
+        """What of the clearance of a stretch that is driven anyway is not proven in the new world; empty: all is."""
+        world, footprint = self.world, self.world.robot.footprint
+        count = max(2, math.ceil(way.length / _SPACING) + 1)
+        places = way.poses_at(np.linspace(0.0, way.length, count))[:, :2]
+        near = world.all_obstacles.near(places, footprint.circumscribed_radius + world.clearance.required + _SPACING)
+        begun = Begun(start, pose_clearance(start, footprint, near)[0])
+        proof = prove_clearance(way, world, obstacles=near, begun=begun)
+        if not proof.holds and begun.clearance < world.clearance.required:
+            proof = prove_clearance(way, world, start_relief=world.start_run, obstacles=near, begun=begun)
+        if proof.holds:
+            return ""
+        if not len(proof.violations):
+            return "the clearance of the way is not proven"
+        s, clearance, required, row = proof.violations[np.argmin(proof.violations[:, 0]), :4].tolist()
+        what = in_words(near.name_of(int(row)))
+        return f"{clearance:.4f} m from {what} after {s:.3f} m, required {required:.4f} m"
 
     def _new_plan(
         self,
@@ -360,14 +377,19 @@ class _Replanning:
         chosen = plugin_from(Smoother, smoother, "smoother"), plugin_from(TimeParameterizer, timing, "timing")
         work = Refinement(problem, *chosen, joint.rest, self.cancelled, self.budget, deadline, watch)
         if joint.rest is not None:
-            with watch.timed("deform"):
-                guess = self._deformed(joint, problem)
-            if guess is not None:
-                plan = self._attempt("deformed", guess, lambda left: work.proven(guess, guess, left))
-                if plan is not None:
-                    return plan
-            rest = guess or joint.rest
-            plan = self._attempt("rest", rest, lambda left: work.refined(rest, left, math.inf))
+            guess = None
+            for path in self._deformed(joint, joint.rest, problem, watch):
+                guess = path
+                with watch.timed("certify"):
+                    certificate = certify_path(path, problem, is_late=work.asked_to_stop)
+                if certificate.certified:
+                    plan = self._attempt("deformed", path, lambda left, path=path: work.proven(path, path, left))
+                    if plan is not None:
+                        return plan
+                    break
+                self.refused = certificate
+            raw = guess or joint.rest
+            plan = self._attempt("smoothed", raw, lambda left: work.refined(raw, left, math.inf))
             if plan is not None:
                 return plan
         left = deadline.left
@@ -414,17 +436,30 @@ class _Replanning:
             start_acceleration=joint.acceleration,
         )
 
-    def _deformed(self, joint: _Joint, problem: DockingProblem) -> Path | None:
-        if joint.rest is None:
-            return None
-        return deformed(
-            joint.rest,
-            joint.pose,
-            problem.goal,
-            problem.robot.limits,
-            final_straight=problem.dock.final_straight,
-            steers=problem.start_curvature is not None,
-        )
+    def _deformed(self, joint: _Joint, rest: Path, problem: DockingProblem, watch: Stopwatch) -> Iterator[Path]:
+        """The rest of the running path on its new way; where that was `refused`, pushed off what it is too close to."""
+        pushes: list[Push] = []
+        while True:
+            with watch.timed("deform"):
+                path = deformed(
+                    rest,
+                    joint.pose,
+                    problem.goal,
+                    problem.robot.limits,
+                    final_straight=problem.dock.final_straight,
+                    steers=problem.start_curvature is not None,
+                    speed=abs(joint.speed),
+                    pushes=pushes,
+                )
+            if path is None:
+                return
+            self.refused = None
+            yield path
+            rest = path
+            broken = self.refused.violations if self.refused is not None else ()
+            if len(pushes) == _PUSHES or not broken or any(one.kind != "clearance" for one in broken):
+                return
+            pushes.append(_push_off(broken[0], path, problem))
 
     def _kept(self, why: str) -> Replanned | None:
         """The old plan, where it is still good; None where it is not."""
@@ -481,7 +516,7 @@ class _Replanning:
         state = State(0.0, abs(joint.speed), joint.acceleration * (joint.gear or 1))
         if joint.rest is None or joint.rests:
             still = Trajectory(_standing(joint.pose, self.plan.frame), TimeLaw(np.array([_STILL]), np.zeros(1)))
-            return still, certify_trajectory(still, limits, self.world.dock.approach)
+            return still, certify_trajectory(still, limits, SpeedZone())
         first = None
         for share in _BRAKING:
             if joint.gear == 0:
@@ -497,7 +532,7 @@ class _Replanning:
             if length > segment.length - _NO_WAY:  # it comes to rest at the cusp by itself
                 length = segment.length
             trajectory = Trajectory(joint.rest.piece(0.0, length), law)
-            motion = certify_trajectory(trajectory, limits, self.world.dock.approach)
+            motion = certify_trajectory(trajectory, limits, SpeedZone())
             first = first or (trajectory, motion)
             if motion.certified:
                 return trajectory, motion
@@ -511,6 +546,35 @@ _STILL = 0.1  # [s]: how long the motion of a robot lasts that stands
 def _standing(pose: Pose2, frame: str) -> Path:
     """A path for a robot that stays: a tenth of what the certificate takes for nothing."""
     return Path((ClothoidSegment(ClothoidSpline(pose, np.array([0.0, 0.1 * TOLERANCE]), np.zeros(2))),), frame)
+
+
+def _push_off(violation: Violation, path: Path, problem: DockingProblem) -> Push:
+    """What moves the robot off an obstacle that it comes too close to."""
+    pose = np.asarray(violation.where["pose"], dtype=np.float64)
+    reach = problem.robot.footprint.circumscribed_radius + problem.clearance.required
+    near = problem.all_obstacles.near(pose[None, :2], reach)
+    rows = np.arange(len(near))
+    poses = np.tile(pose, (rows.size, 1))
+    body, found = min(
+        ((body, separation(body, poses, near.pieces(rows))) for body in problem.robot.footprint.bodies),
+        key=lambda one: float(one[1].distance.min()),
+    )
+    row = int(np.argmin(found.distance))
+    normal = found.axis[row]
+    corners = transform_points(pose[None], body.vertices)[0]
+    heights = corners @ normal
+    nearest = np.flatnonzero(heights <= heights.min() + _FLAT)
+    point = body.vertices[nearest[0]]
+    if nearest.size > 1:  # along an edge: beside the corner that comes nearest to it
+        first, last = body.vertices[nearest[0]], body.vertices[nearest[-1]]
+        corner = near.vertices[row][np.argmax(near.vertices[row] @ normal)]
+        along = last - first
+        reached = (corner - corners[nearest[0]]) @ (corners[nearest[-1]] - corners[nearest[0]])
+        point = first + along * min(max(reached / float(along @ along), 0.0), 1.0)
+    height = float((near.vertices[row] @ normal).max()) + float(violation.where["required"]) + _ROOM
+    gear = int(np.clip(np.searchsorted(path.segment_starts, violation.s, side="right") - 1, 0, len(path.segments) - 1))
+    share = (violation.s - float(path.segment_starts[gear])) / path.segments[gear].length
+    return Push(gear, min(max(share, 0.0), 1.0), (float(point[0]), float(point[1])), normal, height)
 
 
 def _beyond(found: Pose2, wanted: Pose2, accepted: DockTolerances) -> str:
