@@ -211,7 +211,7 @@ def _short_of(push: Push, segments: tuple[Segment, ...]) -> float:
 
 
 def _rates_at_speed(gear: _Gear, limits: MotionLimits, speed: float) -> FloatArray:
-    """Largest curvature rate over every piece of the first gear for a robot that brakes from `speed`, Shape (n - 1,)."""
+    """Largest curvature rate over every piece of a gear for a robot that brakes from `speed`, Shape (n - 1,)."""
     left = speed * speed - 2.0 * limits.max_deceleration * gear.knots[:-1]
     speeds = np.sqrt(np.maximum(left, (_SLOW * speed) ** 2))
     turning = _USED_BY_BENDS * limits.max_yaw_acceleration / speeds**2

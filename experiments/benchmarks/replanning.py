@@ -1,5 +1,6 @@
-"""Replanning in motion: whole calls of `replan` among 20 obstacles against `plan_dock` from the same joint, and of
-`still_holds` in worlds that changed.
+"""Replanning in motion: whole calls of `replan` among 20 obstacles, and of `still_holds` in worlds that changed.
+
+`plan_dock` from the same joint stands beside.
 
     python -m experiments.benchmarks replanning
 """
