@@ -46,11 +46,12 @@ __all__ = ["FAULTS", "Told", "fault_table"]
 COUNT, RATE, TIMEOUT = 20, 50.0, 240.0  # runs of each; [Hz]; [s]
 TRACK = 0.4  # [m]
 BOX = np.array([[0.0, -0.1], [0.1, -0.1], [0.1, 0.1], [0.0, 0.1]])  # [m], put on the path
+STAGING = 1.4  # [m]: far enough from the dock for an obstacle 0.5 m ahead
 FRONT = 0.3  # [m]: of the robot in either gear
 DRIVING = (State.STAGING, State.APPROACHING, State.RETURNING, State.BACKING_OUT, State.PRESSING, State.UNDOCKING)
 STILL = 1e-3  # [m/s], [rad/s]
 LONGEST_STILL = 5.0  # [s]: to stand longer than this in a state that drives is standing without a name
-OVERLAP = -0.004  # [m] with the station, which is touched: corners of a robot that is turned by a degree
+OVERLAP = -0.0075  # [m] with the station, which is touched: the front corners of a robot turned by 1.5 degrees
 
 
 class Told(NamedTuple):
@@ -225,9 +226,9 @@ PROVOKED: dict[State, Callable[[Run], None]] = {
     State.WAITING_FOR_DETECTION: seen_no_more,
     State.WAITING_FOR_OBSTACLE: obstacle(math.inf),
     State.WAITING_FOR_POSE: pose_lost,
-    State.BACKING_OUT: obstacle(math.inf),
     State.RETURNING: obstacle(math.inf),
 }
+UNCHARGED = (State.WAITING_FOR_CHARGE, State.BACKING_OUT)  # reached where no signal comes
 CANCELLED = {f"cancel while {state.value}": state for state in State if state not in (State.READY, State.ENDED)}
 FAULTS |= {name: cancel_in(state, PROVOKED.get(state)) for name, state in CANCELLED.items()}
 
@@ -241,8 +242,9 @@ def run_fault(name: str, number: int, world_name: str) -> Told:
         use_detections=world.dock is not None,
         position_sigma=world.pose.position_sigma,
         yaw_sigma=world.pose.yaw_sigma,
-        wait_for_charge=state is State.WAITING_FOR_CHARGE,
+        wait_for_charge=state in UNCHARGED,
         contact="touch" if state is State.PRESSING else "distance",
+        staging_distance=STAGING,
     )
     executor = DockingExecutor(
         case.problem,
@@ -305,7 +307,8 @@ def _robot(case: Case, world: World, name: str) -> SimulatedRobot:
     start = case.true_dock if name == f"cancel while {State.UNDOCKING.value}" else case.problem.start
     stuck = (StuckWheel(Wheel.LEFT, 2.0, 6.0),) if name == "stuck wheel" else ()
     plant = DifferentialDrive(case.problem.robot, world.actuation, wheels=Wheels(TRACK, stuck=stuck))
-    station = None if State.WAITING_FOR_CHARGE.value in name else Station(direction=case.direction)
+    deeper = 0.02 if State.PRESSING.value in name else 0.0  # than planned: it has to be felt
+    station = None if CANCELLED.get(name) in UNCHARGED else Station(direction=case.direction, depth=deeper)
     sensors = Sensors(pose=world.pose, dock=world.dock)
     return SimulatedRobot(plant, start, case.true_dock, sensors, case.obstacles(), station=station, seed=case.seed)
 
