@@ -31,7 +31,6 @@ from optdock.executor.settings import ExecutorSettings
 from optdock.geometry.pose import Pose2, Twist2
 from optdock.io.plan_file import PlanFile, TrajectoryColumns, parse_plan
 from optdock.measurements import Detection, Measurements
-from optdock.parameters import parse_parameters
 from optdock.plugins import PluginChoice
 from optdock.trajectory import Trajectory
 
@@ -442,7 +441,7 @@ class _TaskLine(_Line):
             raise InvalidValue(f"problem: another one than when the log was written: {', '.join(others)} differ")
         return Task(
             problem,
-            parse_parameters(ExecutorSettings, self.settings, "settings"),
+            ExecutorSettings(**self.settings),
             self.task,
             PluginChoice(*self.controller),
             PluginChoice(*self.goal_checker),
