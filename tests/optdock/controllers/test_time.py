@@ -61,7 +61,7 @@ def test_irregular_calls_follow_the_time_that_passes(seed):
     controller.set_path(trajectory)
     gaps = np.random.default_rng(seed).choice([0.005, 0.01, 0.02, 0.05, 0.1], 300).tolist()
     for stamp, pose, _ in driven(controller, gaps):
-        assert pose.distance_to(trajectory.at(stamp - 100.0).pose) < 0.01
+        assert pose.distance_to(trajectory.at(stamp - 100.0).pose) < 0.02
     assert controller.progress.time == pytest.approx(min(trajectory.duration, sum(gaps[:-1])), abs=0.05)
 
 
