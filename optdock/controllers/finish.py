@@ -53,8 +53,8 @@ class Patience:
         self._least, self._idle = math.inf, 0.0
 
     def lost(self, shortfall: float, period: float, patience: float) -> bool:
-        """Whether the shortfall, which is fine at 1, has not become less for `patience` [s]."""
-        if shortfall <= 1.0:
+        """Whether the shortfall, which is fine at 1, has not become less for `patience` [s]; then it begins anew."""
+        if shortfall <= 1.0 or self._idle > patience:
             self._least, self._idle = math.inf, 0.0
         elif shortfall < _BETTER * self._least:
             self._least, self._idle = shortfall, 0.0
