@@ -53,6 +53,8 @@ _PROGRESS = 0.05  # [s] on the trajectory's own clock that count as progress
 _INSTANT = 1e-9  # [s]
 _SETTLED = 0.004, 0.02  # [m/s], [rad/s] commanded at the end of the path: 2 mm by the usual gain, noise of the pose
 _LAST_REPLAN = 0.15  # [m] before the dock: nearer, no robot can be moved sideways by more than a millimetre
+_LOOK = 0.1  # [s] between two looks at what is left to be corrected
+_AFTER_REFUSAL = 3.0  # times the usual pause: what could not be planned now cannot be planned a moment later
 _LEAP = 0.25  # [m] from its reference, farther off another stretch of the path may be nearer
 _LEAD = 0.06  # [s] beyond the budget: a period at 20 Hz until the result is asked for, and some
 _LATE = 0.05  # [s]: a reference that jumps by so much at the speeds near a dock jumps by millimetres
@@ -576,12 +578,24 @@ class _Drive:
         self._job: Job | None = None
         self._is_urgent = self._is_stop = False
         self._costmap = owner._perception.costmap
-        self._submitted_at = -math.inf
+        self._looked_at, self._where = -math.inf, ""
+        self._submitted_at, self._pause = -math.inf, owner._settings.replan_pause
         self._finished_since: float | None = None
         self._until = owner._now + motion.trajectory.duration + self._allowance
-        self._configure(motion)
-        owner._controller.set_path(motion.trajectory)
+        self._give(motion, None)
         self._become(motion)
+
+    def _give(self, motion: Motion, start_stamp: float | None) -> None:
+        """Hand a motion to the controller.
+
+        Raises:
+            _AttemptFailed: It cannot follow such a one.
+        """
+        self._configure(motion)
+        try:
+            self.owner._controller.set_path(motion.trajectory, start_stamp=start_stamp)
+        except ControllerException as error:
+            raise _AttemptFailed(EndingKind.FAILED_TO_CONTROL, f"{type(error).__name__}: {error}") from error
 
     def _become(self, motion: Motion) -> None:
         """What is driven from now on."""
@@ -748,10 +762,12 @@ class _Drive:
             return
         time, rate = self._reference
         if not self._is_urgent:
-            if not self.is_approach or owner._now - self._submitted_at < owner._settings.replan_pause:
+            if not self.is_approach or owner._now - self._looked_at < _LOOK - _INSTANT:
                 return
-            if not self._is_worth_it(time):
+            self._looked_at = owner._now
+            if not self._is_worth_it(time) or owner._now - self._submitted_at < self._pause:
                 return
+            owner._report("plan asked for", self._where)
         problem = (
             owner._to_dock() if self.is_approach else dataclasses.replace(self.motion.problem, costmap=self._costmap)
         )
@@ -791,13 +807,16 @@ class _Drive:
             return False
         off = left_over[0] > settings.worth_position and abs(error.y) > sigma[0]
         turned = left_over[1] > settings.worth_yaw and abs(error.yaw) > sigma[1]
+        self._where = f"{error.y:.4f} m and {error.yaw:.4f} rad off, {left:.3f} m before the end"
         return off or turned
 
     def _take(self, result: PlanResult) -> None:
         owner = self.owner
         owner._say(result)
         was_urgent, self._is_urgent = self._is_urgent, False
+        self._pause = owner._settings.replan_pause
         if result.motion is None or (result.outcome is Outcome.STOP and not was_urgent):
+            self._pause *= _AFTER_REFUSAL
             if was_urgent and result.outcome is Outcome.FAILED:
                 raise _Interrupted("no way on", result.reason)
             return
@@ -809,7 +828,6 @@ class _Drive:
             return
         start = owner._now + (ahead / rate if rate > 0.0 else 0.0)
         self._is_stop = result.outcome is Outcome.STOP
-        self._configure(result.motion)
-        owner._controller.set_path(result.motion.trajectory, start_stamp=start)
+        self._give(result.motion, start)
         self._next_goal = start, result.motion.problem.goal
         self._become(result.motion)
