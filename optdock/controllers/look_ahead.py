@@ -23,7 +23,6 @@ if TYPE_CHECKING:
     from optdock.geometry.footprint import Footprint
     from optdock.geometry.pose import Pose2, Twist2
     from optdock.lifecycle import PluginContext
-    from optdock.limits import MotionLimits
 
 __all__ = ["LookAhead", "Obstruction", "collision_ahead", "stopping_time", "stopping_way"]
 
@@ -39,11 +38,15 @@ class Obstruction(NamedTuple):
     depth: float
 
 
-def stopping_time(command: Twist2, limits: MotionLimits) -> float:
-    """How long braking takes along the arc of a command [s]: speed and yaw rate fall together."""
-    turning = limits.turning.acceleration
-    turn = abs(command.angular) / turning if math.isfinite(turning) else 0.0
-    return max(abs(command.linear) / limits.max_deceleration, turn)
+def stopping_time(command: Twist2, deceleration: float, yaw_deceleration: float = math.inf) -> float:
+    """How long braking takes along the arc of a command [s]: speed and yaw rate fall together.
+
+    Args:
+        command: The velocity to brake from.
+        deceleration: Of the speed [m/s^2].
+        yaw_deceleration: Of the yaw rate [rad/s^2]; unlimited where nobody knows.
+    """
+    return max(abs(command.linear) / deceleration, abs(command.angular) / yaw_deceleration)
 
 
 def stopping_way(pose: Pose2, footprint: Footprint, phases: tuple[tuple[Twist2, float], ...]) -> FloatArray:

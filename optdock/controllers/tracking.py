@@ -227,7 +227,9 @@ class TrackingController(Controller):
         if footprint is None:
             return
         p, period = self.parameters, self._clock.period
-        braking = 0.5 * stopping_time(command, self._limits)  # which covers half of what the command would
+        limits = self._limits
+        # Braking covers half of what the command would in that time.
+        braking = 0.5 * stopping_time(command, limits.max_deceleration, limits.turning.acceleration)
         driven = ((before, self._known_delay), (command, period))
         straight_on = stopping_way(pose, footprint, (*driven, (command, braking)))
         found = self._look_ahead.obstruction(self.context, straight_on, p.collision_tolerance)
