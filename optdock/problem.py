@@ -125,8 +125,8 @@ class DockingProblem(FrozenArrays):
         robot: What drives.
         obstacles: What it must not touch: an `ObstacleSet`, or simple polygons, convex or not, Shape (n, 2) [m] each;
             the i-th is called `obstacles[i]`.
-        clearance: How far it must stay away: a `ClearanceRule`, or one number [m] that holds everywhere, also at the
-            dock.
+        clearance: How far it must stay away, wherever in its tracking tube it is: a `ClearanceRule`, or one number [m]
+            that holds everywhere, also at the dock.
         start_speed: Speed at the start, signed, negative in reverse [m/s].
         start_curvature: Curvature at the start along the travel [1/m]; None leaves it free.
         start_acceleration: Derivative of the signed speed at the start [m/s^2]: below 0 it slows down in forward gear,
@@ -300,6 +300,12 @@ class DockingProblem(FrozenArrays):
         sign = math.copysign(1.0, self.start_speed) if self.start_speed != 0.0 else float(gear or 1)
         return abs(self.start_speed), sign * self.start_acceleration
 
+    @functools.cached_property
+    def path_clearance(self) -> ClearanceRule:
+        """What the path itself must keep, so that every pose within the robot's tracking tube keeps `clearance`."""
+        wider = self.clearance.required + self.robot.tracking.width(self.robot.footprint)
+        return dataclasses.replace(self.clearance, required=wider)
+
     @property
     def goal(self) -> Pose2:
         """The pose of the robot when docked."""
@@ -327,7 +333,7 @@ class DockingProblem(FrozenArrays):
     @functools.cached_property
     def fingerprint(self) -> ProblemFingerprint:
         """Digests of what a certificate for this problem is proven against."""
-        dock, rule = self.dock, self.clearance
+        dock, rule = self.dock, self.path_clearance
         station = digest("none") if dock.footprint is None else digest(dock.footprint.vertices)
         steered = "free" if self.start_curvature is None else str(float(self.start_curvature))
         zone, accepted = dock.approach, dock.tolerances

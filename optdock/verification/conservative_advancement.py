@@ -130,7 +130,7 @@ def prove_clearance(
     obstacles = problem.all_obstacles if obstacles is None else obstacles
     if len(obstacles) == 0:
         nothing = np.zeros((0, 7))
-        return ClearanceProof(np.inf, 0.0, problem.clearance.required, -1, np.inf, nothing, nothing[:, :2], 0)
+        return ClearanceProof(np.inf, 0.0, problem.path_clearance.required, -1, np.inf, nothing, nothing[:, :2], 0)
     ends = np.stack((problem.start.as_array(), path.end.as_array()))
     clearances, _ = pose_clearances(ends, footprint, obstacles)
     if begun is None:
@@ -138,16 +138,16 @@ def prove_clearance(
     else:
         attained = float(clearances[1])
     motion = PathMotion(path)
-    clearance = problem.clearance.required_at
-    rule = functools.partial(clearance, start_clearance=begun.clearance, start_relief=start_relief)
-    world = _World(problem.robot.footprint, obstacles, problem.goal, begun.start, rule, problem.clearance.required)
+    kept = problem.path_clearance
+    rule = functools.partial(kept.required_at, start_clearance=begun.clearance, start_relief=start_relief)
+    world = _World(problem.robot.footprint, obstacles, problem.goal, begun.start, rule, kept.required)
     subdivision = _Subdivision(motion, world, attained, _CROP, is_late)
     near = subdivision.run()
     if near.proven <= _CROP or len(subdivision.near) == len(obstacles):
         return near
     # What was left out is at least `_CROP` away: it cannot break the rule, but it may hold the minimum.
     if is_late():
-        margin = min(near.margin, _CROP - problem.clearance.required)
+        margin = min(near.margin, _CROP - problem.path_clearance.required)
         return near._replace(proven=min(near.proven, _CROP), margin=margin)
     return _Subdivision(motion, world, attained, np.inf, is_late).run()
 
