@@ -141,11 +141,14 @@ def smooth_slope(missing: float, target_slope: float, slope: float, jerk: float,
 
 
 def _fastest(gap: float, jerk: float, period: float) -> float:
-    """The largest slope that can still fall to nothing, by `jerk` times `period` in every period, within `gap`.
+    """The largest slope that can still fall to nothing within `gap`, by at most `jerk` times `period` every period.
 
-    The sum of such slopes in closed form: slope^2 / (2 jerk) + slope period / 2 = gap.
+    In units of that step: slopes n + f, n - 1 + f, ..., f cover (n + 1) (n / 2 + f) units of jerk * period^2.
     """
-    return jerk * (math.sqrt(0.25 * period**2 + 2.0 * gap / jerk) - 0.5 * period)
+    step = jerk * period
+    units = gap / (step * period)
+    n = math.floor(0.5 * (math.sqrt(1.0 + 8.0 * units) - 1.0))
+    return step * (0.5 * n + units / (n + 1))
 
 
 def rate_limited(previous: Twist2, wanted: Twist2, limits: MotionLimits, period: float) -> Twist2:

@@ -26,6 +26,7 @@ _AT_REST = 1e-6  # [m/s]: a standing reference may change its rate at once
 _STEADY = 1e-3  # [1/s]: a rate that changes no faster stands
 _JERK_SHARE = 1.0
 _AT_START = 0.05  # [m]: a robot nearer to the start than this begins there
+_WAY_STEP = 0.03  # [m]
 _SAMPLES = 400  # for the nearest point
 
 
@@ -179,6 +180,33 @@ class Reference:
                 left=shown.path.length - float(then.s[0]),
             ),
         )
+
+    def way(self, distance: float, now: Pose2, pose: Pose2) -> FloatArray | None:
+        """Poses of a robot that drives `distance` further along the path; None where the path ends before [m].
+
+        It keeps the place beside the reference, which is at `now`, that it has at `pose`. Shape (n, 3).
+        """
+        count = 2 + math.ceil(distance / _WAY_STEP)
+        ahead = self._place(self.trajectory, self.time) + np.linspace(0.0, distance, count)
+        path, ends = self.trajectory.path, self.trajectory.path.length
+        if self._joints:
+            ends = self._place(self.trajectory, self._joints[0].time)
+        poses = path.poses_at(np.minimum(ahead, ends))
+        beyond = ahead > ends
+        if beyond[-1]:
+            newer = self._joints[0].trajectory.path if self._joints else None
+            if newer is None or ahead[-1] - ends > newer.length:
+                return None
+            poses[beyond] = newer.poses_at(ahead[beyond] - ends)
+        x, y, yaw = poses.T
+        offset = now.inverse() @ pose
+        c, s = np.cos(yaw), np.sin(yaw)
+        return np.column_stack((x + c * offset.x - s * offset.y, y + s * offset.x + c * offset.y, yaw + offset.yaw))
+
+    @staticmethod
+    def _place(trajectory: Trajectory, time: float) -> float:
+        """Distance along a trajectory at a time of its clock [m]."""
+        return float(trajectory.time_law.at(time)[0, 0])
 
     def join(self, pose: Pose2, linear: float, delay: float) -> None:
         """Begin at the trajectory's start, or at the nearest point of its first gear when the robot is not there.

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from typing import Literal
 
-from pydantic import Field
+from pydantic import Field, ValidationError
 
-from optdock.parameters import PluginParameters
+from optdock.parameters import PluginParameters, invalid_parameters
 
 __all__ = ["ExecutorSettings"]
 
@@ -17,6 +17,12 @@ class ExecutorSettings(PluginParameters):
     Raises:
         InvalidValue: A parameter is unknown, of the wrong type or out of range.
     """
+
+    def __init__(self, **values: object) -> None:
+        try:
+            super().__init__(**values)
+        except ValidationError as error:
+            raise invalid_parameters(error, type(self), type(self).__name__) from error
 
     # What counts as docked.
     contact: Literal["distance", "touch"] = Field(
@@ -89,6 +95,6 @@ class ExecutorSettings(PluginParameters):
     replanning: bool = Field(default=True, description="plan again in motion for a dock that is elsewhere")
     replan_pause: float = Field(default=0.2, ge=0.0, description="least time between two plans in motion [s]")
     worth_position: float = Field(
-        default=0.001, gt=0.0, description="error left at the dock that is worth a plan in motion [m]"
+        default=0.002, gt=0.0, description="error left at the dock that is worth a plan in motion [m]"
     )
-    worth_yaw: float = Field(default=0.0035, gt=0.0, description="as above, of the heading [rad]")
+    worth_yaw: float = Field(default=0.009, gt=0.0, description="as above, of the heading [rad]")
