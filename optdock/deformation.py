@@ -24,7 +24,8 @@ import numpy as np
 
 from optdock.geometry.arrays import readonly
 from optdock.geometry.clothoid import ClothoidSpline
-from optdock.geometry.pose import Pose2, normalize_angle
+from optdock.geometry.pose import Pose2, normalize_angle, transform_points
+from optdock.geometry.separation import separation
 from optdock.path import Path
 from optdock.segments import ClothoidSegment, TurnSegment
 
@@ -32,12 +33,14 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from optdock.geometry.arrays import FloatArray
+    from optdock.geometry.separation import ConvexBody, ConvexPieces
     from optdock.limits import MotionLimits
     from optdock.segments import Segment
 
 __all__ = ["Push", "deformed"]
 
 _CLOSED = 2e-7  # [m], [rad]: a fifth of what the certificate accepts
+_FLAT = 1e-6  # [m]: corners of an edge that lies along an obstacle
 _PUSHED = 1e-4  # [m]: pushes leave more room than that
 _STEPS = 8  # of Gauss-Newton; a gap of decimetres takes four
 _LEAST_PIECES = 12  # of a gear: fewer leave no shape to bend it into
@@ -93,21 +96,32 @@ class _Gear(NamedTuple):
 
 
 class Push(NamedTuple):
-    """A point of the robot that must be moved off an obstacle.
+    """An obstacle that the robot must keep a distance from at a place of the path.
 
     Attributes:
         gear: Index of the segment on which the robot is then.
         share: How far it is along it, 0 to 1.
-        point: Of the robot, seen from it [m].
-        normal: Away from the obstacle, Shape (2,).
-        height: At least so far along the normal the point must be [m].
+        body: The convex piece of the robot that comes too close.
+        piece: The convex obstacle, alone.
+        distance: That they must keep [m].
     """
 
     gear: int
     share: float
-    point: tuple[float, float]
+    body: ConvexBody
+    piece: ConvexPieces
+    distance: float
+
+
+class _Contact(NamedTuple):
+    """Where robot and obstacle are nearest: a point of the robot, the axis away from the obstacle, and what is short.
+
+    `place`: in the world, Shape (2,) [m]. `normal`: Shape (2,). `short`: [m], below 0 where there is more than enough.
+    """
+
+    place: FloatArray
     normal: FloatArray
-    height: float
+    short: float
 
 
 def deformed(  # noqa: PLR0913 - what is near to what, under which bounds
@@ -146,10 +160,11 @@ def deformed(  # noqa: PLR0913 - what is near to what, under which bounds
             return None
         end = segments[-1].poses_at(segments[-1].length)[0]
         gap = np.array([goal.x - end[0], goal.y - end[1], normalize_angle(goal.yaw - float(end[2]))])
-        short = max((_short_of(push, segments) for push in pushes), default=0.0)
+        contacts = [_contact(push, segments) for push in pushes]
+        short = max((contact.short for contact in contacts), default=0.0)
         if float(np.abs(gap).max()) <= _CLOSED and short <= _PUSHED and program.keeps_bounds(gears):
             return Path(segments, path.frame)
-        change = program.least_change(gears, segments, gap, pushes)
+        change = program.least_change(gears, segments, gap, list(zip(pushes, contacts, strict=True)))
         if change is None:
             return None
         gears = [gear.changed(part) for gear, part in zip(gears, change, strict=True)]
@@ -197,17 +212,21 @@ def _driven(gears: list[_Gear], start: Pose2) -> tuple[Segment, ...] | None:
     return tuple(segments)
 
 
-def _place_of(push: Push, segments: tuple[Segment, ...]) -> FloatArray:
-    """Where the point of a push is now, Shape (2,) [m]."""
+def _contact(push: Push, segments: tuple[Segment, ...]) -> _Contact:
+    """The contact of a push as the path is now."""
     segment = segments[push.gear]
-    pose = Pose2.from_sequence(segment.poses_at(push.share * segment.length)[0])
-    at = pose @ Pose2(*push.point, 0.0)
-    return np.array([at.x, at.y])
-
-
-def _short_of(push: Push, segments: tuple[Segment, ...]) -> float:
-    """How much of a push is still to do [m]."""
-    return push.height - float(push.normal @ _place_of(push, segments))
+    pose = segment.poses_at(push.share * segment.length)
+    found = separation(push.body, pose, push.piece)
+    normal = found.axis[0]
+    corners = transform_points(pose, push.body.vertices)[0]
+    heights = corners @ normal
+    nearest = np.flatnonzero(heights <= heights.min() + _FLAT)
+    place = corners[nearest[0]]
+    if nearest.size > 1:  # along an edge: beside the corner that comes nearest to it
+        outline = np.column_stack((push.piece.x[:, 0], push.piece.y[:, 0]))
+        corner, edge = outline[np.argmax(outline @ normal)], corners[nearest[-1]] - place
+        place = place + edge * min(max(float((corner - place) @ edge) / float(edge @ edge), 0.0), 1.0)
+    return _Contact(place, normal, push.distance - float(found.distance[0]))
 
 
 def _rates_at_speed(gear: _Gear, limits: MotionLimits, speed: float) -> FloatArray:
@@ -280,7 +299,7 @@ class _Program:
         return curvature, np.concatenate(rates) if rates else np.zeros(0), rows
 
     def least_change(
-        self, gears: list[_Gear], segments: tuple[Segment, ...], gap: FloatArray, pushes: Sequence[Push]
+        self, gears: list[_Gear], segments: tuple[Segment, ...], gap: FloatArray, pushes: list[tuple[Push, _Contact]]
     ) -> list[FloatArray] | None:
         """The cheapest change that closes a gap, pushes and keeps the bounds, by gears; None: nothing does all that."""
         numbers = np.concatenate([np.append(g.curvature, 0.0) if g.sign else np.zeros(1) for g in gears])
@@ -298,12 +317,12 @@ class _Program:
         bends = np.zeros((curvature.size, self.size))
         bends[np.arange(curvature.size), places.astype(np.int64)] = 1.0
         moves = [
-            push.normal @ self._moves(gears, segments, _place_of(push, segments), (push.gear, push.share))[:2]
-            for push in pushes
+            contact.normal @ self._moves(gears, segments, contact.place, (push.gear, push.share))[:2]
+            for push, contact in pushes
         ]
         # Every bound as row @ change <= room; a push is one the other way round.
         rows = np.concatenate((bends, -bends, rate_rows, -rate_rows, -np.array(moves).reshape(-1, self.size)))
-        short = np.array([_short_of(push, segments) for push in pushes])
+        short = np.array([contact.short for _, contact in pushes])
         room = (self.most - curvature, self.most + curvature, self.most_rates - rates, self.most_rates + rates, -short)
         change = self._within(must, np.array(wanted), rows, np.concatenate(room))
         lengths = self.starts[1:][[gear.sign != 0 for gear in gears]] - 1
