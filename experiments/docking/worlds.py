@@ -112,7 +112,7 @@ class Case(NamedTuple):
         return self.problem.obstacles + station
 
     def world(self, kind: World, *, has_switch: bool = True) -> SimulatedRobot:
-        """The robot at its start, at rest; at a station that stops it and tells contact, or at one that does neither."""
+        """The robot at its start, at rest; a station without a switch does not stop it either."""
         detector = kind.dock
         return SimulatedRobot(
             DifferentialDrive(self.problem.robot, kind.actuation),
