@@ -208,10 +208,9 @@ def driven(scenario: Scenario, plan: DockPlan, seed: int, world: World = _USUAL)
     for plugin in (controller, checker, *beside):
         plugin.configure(PluginContext(type(plugin).__name__, problem=problem))
     period = float(controller.parameters.model_dump().get("period", 0.02))
-    step = period / Actuation().substeps
     settings = SimulationSettings(
         period=period,
-        actuation=Actuation(world.lag, world.lag, step * round(world.latency / step)),
+        actuation=Actuation(world.lag, world.lag, world.latency),
         position_noise=world.position_noise,
         yaw_noise=world.yaw_noise,
         seed=seed,

@@ -25,6 +25,7 @@ __all__ = [
     "MOST_TURNED",
     "Pose2",
     "Twist2",
+    "arc_end",
     "check_range",
     "normalize_angle",
     "transform_points",
@@ -61,6 +62,19 @@ def normalize_angle(angle: float) -> float:
 def unwrap_yaw(yaw: FloatArray) -> FloatArray:
     """Yaws made continuous: consecutive values differ by at most pi. Shape (n,) [rad]."""
     return np.asarray(np.unwrap(yaw), dtype=np.float64)
+
+
+def arc_end(
+    x: float, y: float, yaw: float, twist: tuple[float, float, float], duration: float
+) -> tuple[float, float, float]:
+    """Where `duration` [s] at a constant body velocity (linear, angular, lateral) leads; `Pose2.moved` on bare floats."""
+    linear, angular, lateral = twist
+    turn = angular * duration
+    half = 0.5 * turn
+    shrink = duration * (math.sin(half) / half if abs(half) > 1e-9 else 1.0)
+    chord, side, heading = shrink * linear, shrink * lateral, yaw + half
+    c, s = math.cos(heading), math.sin(heading)
+    return x + chord * c - side * s, y + chord * s + side * c, yaw + turn
 
 
 @dataclass(frozen=True, slots=True)
@@ -124,12 +138,7 @@ class Pose2:
         >>> round(end.x, 12), round(end.y, 12)
         (1.0, 1.0)
         """
-        turn = twist.angular * duration
-        half = 0.5 * turn
-        shrink = duration * (math.sin(half) / half if abs(half) > 1e-9 else 1.0)
-        chord, side, heading = shrink * twist.linear, shrink * twist.lateral, self.yaw + half
-        c, s = math.cos(heading), math.sin(heading)
-        return Pose2(self.x + chord * c - side * s, self.y + chord * s + side * c, self.yaw + turn)
+        return Pose2(*arc_end(self.x, self.y, self.yaw, (twist.linear, twist.angular, twist.lateral), duration))
 
     def as_array(self) -> FloatArray:
         """Shape (3,): x, y, yaw."""

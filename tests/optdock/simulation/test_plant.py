@@ -26,10 +26,12 @@ def drive(plant, commands, pose=ORIGIN):
     return state
 
 
-@given(st.floats(-2.0, 2.0), st.floats(-3.0, 3.0), st.integers(1, 7))
-def test_a_constant_command_drives_the_exact_arc(v, w, substeps):
-    plant = DifferentialDrive(ROBOT, Actuation(substeps=substeps))
-    end = drive(plant, [Twist2(v, w)] * 40).pose
+@given(st.floats(-2.0, 2.0), st.floats(-3.0, 3.0), st.lists(st.floats(0.001, 0.2), min_size=1, max_size=12))
+def test_a_constant_command_drives_the_exact_arc_at_any_periods(v, w, durations):
+    plant, state = DifferentialDrive(ROBOT), DifferentialDrive(ROBOT).at_rest(ORIGIN)
+    for duration in durations:
+        state = plant.step(state, Twist2(v, w), duration * 0.8 / sum(durations))
+    end = state.pose
     assert end.yaw == pytest.approx(0.8 * w, abs=1e-12)
     if abs(w) > 1e-3:
         assert (end.x, end.y) == pytest.approx((v / w * math.sin(0.8 * w), v / w * (1 - math.cos(0.8 * w))), abs=1e-9)
@@ -43,9 +45,9 @@ def test_an_arc_is_continuous_where_it_becomes_straight(v, w):
     assert bent.distance_to(straight) < 2e-6
 
 
-@given(st.floats(0.01, 1.0), st.integers(1, 6))
-def test_lag_follows_the_exponential_and_its_integral(lag, substeps):
-    plant = DifferentialDrive(ROBOT, Actuation(linear_lag=lag, angular_lag=0.3, substeps=substeps))
+@given(st.floats(0.01, 1.0), st.floats(0.001, 0.1))
+def test_lag_follows_the_exponential_and_its_integral(lag, substep):
+    plant = DifferentialDrive(ROBOT, Actuation(linear_lag=lag, angular_lag=0.3, longest_substep=substep))
     end = drive(plant, [Twist2(0.5, 0.0)] * 30)
     decay = math.exp(-0.6 / lag)
     assert end.twist.linear == pytest.approx(0.5 * (1.0 - decay), abs=1e-12)
@@ -59,7 +61,7 @@ def test_angular_lag_is_its_own():
 
 def test_finer_substeps_converge_on_a_turn_with_lag():
     def end(substeps):
-        actuation = Actuation(linear_lag=0.1, angular_lag=0.2, substeps=substeps)
+        actuation = Actuation(linear_lag=0.1, angular_lag=0.2, longest_substep=0.02 / substeps)
         return drive(DifferentialDrive(ROBOT, actuation), [Twist2(0.5, 1.5)] * 50).pose
 
     exact = end(256)
@@ -72,7 +74,7 @@ def test_finer_substeps_converge_on_a_turn_with_lag():
 def test_latency_shifts_the_motion_in_time(latency):
     commands = [Twist2(0.1 * k, 0.05 * k) for k in range(10)]
     late = DifferentialDrive(ROBOT, Actuation(latency=latency))
-    prompt = DifferentialDrive(ROBOT, Actuation(substeps=1), period=0.005)
+    prompt = DifferentialDrive(ROBOT, Actuation(), period=0.005)
     delayed = [Twist2()] * round(latency / 0.005) + [c for c in commands for _ in range(4)]
     expected = drive(prompt, delayed[:40]).pose
     assert drive(late, commands).pose.as_array() == pytest.approx(expected.as_array(), abs=1e-12)
@@ -113,9 +115,9 @@ def test_an_ackermann_drive_cannot_turn_in_place():
         (lambda: Actuation(linear_lag=-0.1), "linear_lag"),
         (lambda: Actuation(latency=math.inf), "latency"),
         (lambda: Actuation(latency=1e6), "latency: must be <= 10.0 s, got 1000000.0"),
-        (lambda: Actuation(substeps=0), "substeps"),
+        (lambda: Actuation(longest_substep=0), "longest_substep"),
         (lambda: DifferentialDrive(ROBOT, period=0.0), "period"),
-        (lambda: DifferentialDrive(ROBOT, Actuation(latency=0.007)), "multiple of the sub-step 0.005 s, got 0.007"),
+        (lambda: DifferentialDrive(ROBOT).step(None, Twist2(), 0.0), "plant.duration: must be finite and > 0 s"),
     ],
 )
 def test_bad_values_are_refused(build, message):
