@@ -67,7 +67,7 @@ def unwrap_yaw(yaw: FloatArray) -> FloatArray:
 def arc_end(
     x: float, y: float, yaw: float, twist: tuple[float, float, float], duration: float
 ) -> tuple[float, float, float]:
-    """Where `duration` [s] at a constant body velocity (linear, angular, lateral) leads; `Pose2.moved` on bare floats."""
+    """`Pose2.moved` on bare floats; the body velocity is (linear, angular, lateral)."""
     linear, angular, lateral = twist
     turn = angular * duration
     half = 0.5 * turn
@@ -128,8 +128,9 @@ class Pose2:
 
     def in_frame_of(self, reference: Pose2) -> Pose2:
         """This pose seen from `reference`, yaw in (-pi, pi]: x is along, y is cross, yaw is the heading error."""
-        relative = reference.inverse() @ self
-        return Pose2(relative.x, relative.y, normalize_angle(relative.yaw))
+        x, y = self.x - reference.x, self.y - reference.y
+        c, s = math.cos(reference.yaw), math.sin(reference.yaw)
+        return Pose2(c * x + s * y, c * y - s * x, normalize_angle(self.yaw - reference.yaw))
 
     def moved(self, twist: Twist2, duration: float) -> Pose2:
         """The pose after `duration` [s] at a constant body velocity: an exact arc, straight lines included.

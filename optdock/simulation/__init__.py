@@ -3,16 +3,27 @@
 from optdock.simulation.closed_loop import RemainingPath, SimulationSettings, run_closed_loop
 from optdock.simulation.plant import Actuation, DifferentialDrive, Plant, PlantState, Slip, StuckWheel, Wheel, Wheels
 from optdock.simulation.run import Run, executed_clearance, pose_errors
+from optdock.simulation.sensors import Displaced, DockSensor, Odometry, PoseSensor, Span
+from optdock.simulation.world import Record, Sensors, SimulatedRobot, Station
 
 __all__ = [
     "Actuation",
     "DifferentialDrive",
+    "Displaced",
+    "DockSensor",
+    "Odometry",
     "Plant",
     "PlantState",
+    "PoseSensor",
+    "Record",
     "RemainingPath",
     "Run",
+    "Sensors",
+    "SimulatedRobot",
     "SimulationSettings",
     "Slip",
+    "Span",
+    "Station",
     "StuckWheel",
     "Wheel",
     "Wheels",

@@ -1,8 +1,8 @@
 """The plant: a differential drive that follows velocity commands late, sluggishly and on wheels that are not perfect.
 
 Between the arrivals of commands the target is constant, and the lag's answer to it is exact; so a step may be as long
-or as short as a server makes it. On the way: limits of the robot, dead band and gains, latency, wheels (gain, dead band,
-saturation), lag, a stuck wheel, slip.
+or as short as a server makes it. On the way: limits of the robot, dead band and gains, latency, wheels (gain, dead
+band, saturation), lag, a stuck wheel, slip.
 """
 
 from __future__ import annotations
@@ -443,7 +443,7 @@ def check_duration(value: float, name: str) -> None:
     Raises:
         InvalidValue: Not finite and > 0.
     """
-    if not 0.0 < finite_number(value, name):
+    if not finite_number(value, name) > 0.0:
         raise InvalidValue(f"{name}: must be finite and > 0 s, got {value}")
 
 

@@ -1,0 +1,137 @@
+"""A simulated robot: what it tells and what it records agree, contact stops it, and noise is repeatable."""
+
+import math
+
+import numpy as np
+import pytest
+
+from optdock.errors import InvalidValue
+from optdock.geometry.footprint import Footprint
+from optdock.geometry.pose import Pose2, Twist2
+from optdock.limits import MotionLimits
+from optdock.obstacles import ObstacleSet
+from optdock.robot import Robot
+from optdock.simulation import (
+    Actuation,
+    DifferentialDrive,
+    DockSensor,
+    Odometry,
+    PoseSensor,
+    Sensors,
+    SimulatedRobot,
+    Station,
+)
+
+ROBOT = Robot(Footprint.rectangle(0.4, 0.3, 0.5), MotionLimits())
+PLANT = DifferentialDrive(ROBOT, Actuation(linear_lag=0.1, latency=0.06))
+NOISY = Sensors(PoseSensor(0.005, 0.009), Odometry(linear_sigma=0.01), DockSensor(position_sigma=0.003))
+BENT = Twist2(0.2, 0.1)
+ORIGIN, AHEAD = Pose2(0.0, 0.0, 0.0), Pose2(-0.5, 0.02, 0.05)
+PERIODS = [0.02, 0.05, 0.01, 0.12, 0.033] * 8
+
+
+def driven(sensors=None, command=BENT, start=AHEAD, periods=PERIODS, **world):
+    robot = SimulatedRobot(world.pop("plant", PLANT), start, world.pop("dock", ORIGIN), sensors, **world)
+    told = [robot.measurements, *(robot.advance(command, period) for period in periods)]
+    return robot, told
+
+
+def test_a_perfect_one_tells_the_truth_and_records_what_it_told():
+    robot, told = driven()
+    record = robot.record()
+    assert record.times == pytest.approx(np.cumsum([0.0, *PERIODS]))
+    assert [one.stamp for one in told] == record.times.tolist()
+    assert np.array_equal(record.measured, record.poses)
+    assert np.array_equal([one.pose.as_array() for one in told], record.poses)
+    assert np.array_equal(record.odometry, record.twists[:, :2])
+    assert np.all(record.commands[:-1] == [0.2, 0.1])
+    assert told[-1].detections == ()
+    assert told[-1].contact is None
+
+
+def test_equal_seeds_give_equal_runs_and_others_do_not():
+    first, again, other = (driven(NOISY, seed=seed)[1] for seed in (3, 3, 4))
+    assert first == again
+    assert first != other
+
+
+@pytest.mark.parametrize("left_out", ["pose", "odometry", "dock"])
+def test_switching_a_sensor_off_changes_nothing_in_the_others(left_out):
+    _, whole = driven(NOISY, seed=7)
+    _, found = driven(Sensors(**{name: getattr(NOISY, name) for name in NOISY.__dict__ if name != left_out}), seed=7)
+    keys = {"pose": "pose", "odometry": "twist", "dock": "detections"}
+    for name, key in keys.items():
+        same = [getattr(one, key) for one in whole] == [getattr(one, key) for one in found]
+        assert same is (name != left_out)
+
+
+def test_the_true_dock_is_what_the_detector_sees_even_when_it_moves():
+    robot, _ = driven(Sensors(dock=DockSensor(rate=100.0)), dock=Pose2(0.05, 0.02, 0.03))
+    robot.dock_pose = Pose2(0.1, 0.0, 0.0)
+    robot.advance(Twist2(), round(robot.time + 0.02, 2) - robot.time)
+    told = robot.measurements
+    assert (told.pose @ told.detections[-1].pose).gap_to(robot.dock_pose) < 1e-9
+    assert np.all(robot.record().docks[-2:] == [[0.05, 0.02, 0.03], [0.1, 0.0, 0.0]])
+
+
+class TestStation:
+    @pytest.mark.parametrize(("direction", "sign"), [("forward", 1.0), ("backward", -1.0)])
+    def test_a_robot_is_held_at_the_stop_and_the_switch_says_so(self, direction, sign):
+        start = Pose2(-sign * 0.3, 0.01, 0.02)
+        dock = Pose2(3.0, 2.0, 1.0)
+        station = Station(direction, depth=0.005)
+        robot, told = driven(None, Twist2(sign * 0.2), dock @ start, [0.02] * 150, dock=dock, station=station)
+        along = np.array([Pose2(*row).in_frame_of(dock).x for row in robot.record().poses])
+        assert np.max(sign * along) == pytest.approx(0.005, abs=1e-9)
+        assert [one.contact for one in told] == (sign * along > 0.002 - 1e-9).tolist()
+        assert told[-1].contact is True
+        assert told[-1].twist.linear == 0.0
+        assert robot.state.twist.linear == 0.0
+
+    def test_wheels_that_slip_go_on_in_the_odometry(self):
+        robot, told = driven(None, Twist2(0.2), periods=[0.02] * 200, station=Station(stalls=False))
+        assert told[-1].twist.linear == pytest.approx(0.2)
+        assert robot.state.twist.linear == 0.0
+
+    def test_it_can_be_left_again(self):
+        robot, _ = driven(None, Twist2(0.2), Pose2(-0.3, 0.0, 0.0), [0.02] * 200, station=Station())
+        assert robot.measurements.contact is True
+        for _ in range(50):
+            robot.advance(Twist2(-0.2), 0.02)
+        assert robot.error.x < -0.1
+        assert robot.measurements.contact is False
+
+    def test_beside_it_nothing_stops(self):
+        robot, told = driven(None, Twist2(0.2), Pose2(-0.3, 0.2, 0.0), [0.02] * 150, station=Station())
+        assert robot.error.x > 0.1
+        assert not any(one.contact for one in told)
+
+    def test_without_the_right_heading_the_switch_stays_open(self):
+        robot, told = driven(None, Twist2(0.2), Pose2(-0.3, 0.0, 0.15), [0.02] * 150, station=Station())
+        assert robot.error.x == pytest.approx(0.0, abs=1e-9)
+        assert told[-1].contact is False
+
+
+def test_clearance_counts_an_obstacle_only_from_when_it_was_put_there():
+    wall = ObstacleSet.from_polygons([[[0.6, -1.0], [0.7, -1.0], [0.7, 1.0], [0.6, 1.0]]])
+    behind = ObstacleSet.from_polygons([[[-0.9, -1.0], [-0.7, -1.0], [-0.7, 1.0], [-0.9, 1.0]]])
+    robot, _ = driven(None, Twist2(0.2), Pose2(-0.5, 0.0, 0.0), [0.02] * 100, obstacles=wall)
+    assert robot.clearance() == pytest.approx(0.6 - robot.state.pose.x - 0.4, abs=1e-12)
+    robot.put(behind)
+    robot.advance(Twist2(), 0.02)
+    assert robot.clearance() == pytest.approx(robot.state.pose.x - 0.3 + 0.7, abs=0.005)  # not -0.1, as at the start
+    assert SimulatedRobot(PLANT, ORIGIN, ORIGIN).clearance() == math.inf
+
+
+@pytest.mark.parametrize(
+    ("build", "message"),
+    [
+        (lambda: Station("auto"), "station.direction: must be forward or backward, got auto"),
+        (lambda: Station(depth=-1.0), "station.depth"),
+        (lambda: SimulatedRobot(PLANT, ORIGIN, ORIGIN, seed=-1), "world.seed: must be a whole number >= 0, got -1"),
+        (lambda: SimulatedRobot(PLANT, ORIGIN, ORIGIN).advance(Twist2(), 0.0), "plant.duration"),
+    ],
+)
+def test_bad_values_are_refused(build, message):
+    with pytest.raises(InvalidValue, match=message):
+        build()
