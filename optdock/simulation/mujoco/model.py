@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 from xml.etree import ElementTree
 
 import numpy as np
+import shapely
 
 from optdock.errors import InvalidValue
 from optdock.geometry.checked import number
@@ -21,17 +22,21 @@ from optdock.robot import Drive
 
 if TYPE_CHECKING:
     from optdock.dock import Dock
-    from optdock.geometry.footprint import Footprint
     from optdock.geometry.arrays import FloatArray
+    from optdock.geometry.footprint import Footprint
     from optdock.robot import Robot
 
 __all__ = ["Chassis", "docking_model"]
 
 _RIGHT_ANGLE = 1e-9  # cosine below which two edges stand square: a rectangle is a box, whose contacts are exact
 _CASTER = 0.03  # [m], radius
-# [s] in which the motors bring the wheels to their speed. Short, because the loop has no integral part: the casters'
-# resistance makes it run slow by 0.4 mm/s, against 4 mm/s at 20 ms. A drive that is slower has an `Actuation`.
-_SERVO_TIME = 0.002
+_CASTER_SHARE = 0.3  # of the weight; the tyres carry the rest and hold on to the floor with it
+_SAG = 0.005  # [m] that the casters' springs yield under it: stiff enough that the robot hardly nods
+_GRAVITY = 9.81  # [m/s^2], as in the model file
+_SERVO_TIME = 0.01  # [s] in which the motors bring the wheels to their speed; a slower drive has an `Actuation`
+# Inertia of motor and gear as the wheel feels it, over that of half the robot: usual for geared motors. A wheel much
+# lighter than its servo is stiff would slip in every acceleration, as MuJoCo finds contact forces without the servo.
+_ROTOR_SHARE = 0.1
 _LEAST_RESTITUTION = 0.14  # just over exp(-2)
 _STALL = 3.0  # times the force of the largest acceleration: a drive's usual reserve
 
@@ -96,7 +101,7 @@ class Chassis:
         return self.track_width or robot.limits.track_width or 0.8 * robot.footprint.width
 
     def mass_of(self, robot: Robot) -> float:
-        """Mass of the body of `robot` [kg]; its wheels and casters come to 1.2 kg."""
+        """Mass of the body of `robot` [kg]; its wheels and casters come to 1.4 kg."""
         return self.mass or self.area_density * float(signed_area(robot.footprint.vertices))
 
     def torque_of(self, robot: Robot) -> float:
@@ -122,6 +127,7 @@ def docking_model(robot: Robot, dock: Dock, chassis: Chassis | None = None) -> s
     template = files(__package__) / "models" / "differential_drive.xml"
     model = _Model(template.read_text(encoding="utf-8"))
     _write_wheels(model, robot, chassis)
+    _write_casters(model, robot, chassis)
     low, high = chassis.bumper
     mass = chassis.mass_of(robot)
     density = mass / (float(signed_area(robot.footprint.vertices)) * (high - low))
@@ -140,21 +146,42 @@ def docking_model(robot: Robot, dock: Dock, chassis: Chassis | None = None) -> s
 
 
 def _write_wheels(model: _Model, robot: Robot, chassis: Chassis) -> None:
-    """Tyres, casters and motors."""
+    """Tyres and motors."""
     radius, half_track = chassis.wheel_radius, 0.5 * chassis.track_of(robot)
     torque = chassis.torque_of(robot)
-    gain = 0.5 * chassis.mass_of(robot) * radius**2 / _SERVO_TIME
+    inertia = 0.5 * chassis.mass_of(robot) * radius**2  # of half the robot, as a wheel feels it
+    gain = inertia / _SERVO_TIME
     for side, y in (("left", half_track), ("right", -half_track)):
         model.set("body", f"{side} wheel", pos=_words(0.0, y, radius))
         model.set(
             "geom", f"{side} tyre", size=_words(radius, 0.02, radius), friction=_words(chassis.tyre_friction, 0, 0)
         )
         model.set("velocity", f"{side} wheel", kv=_words(gain), forcerange=_words(-torque, torque))
+
+
+def _write_casters(model: _Model, robot: Robot, chassis: Chassis) -> None:
+    """At both ends, on springs that are loaded so that the robot stands level."""
     ends = robot.footprint.vertices[:, 0]
-    for end, x in (("front", float(ends.max()) - _CASTER), ("rear", float(ends.min()) + _CASTER)):
-        if abs(x) < _CASTER:
-            raise InvalidValue(f"mujoco: the robot's outline leaves no room for a caster at its {end}")
-        model.set("geom", f"{end} caster", pos=_words(x, 0.0, _CASTER), friction=_words(chassis.caster_friction, 0, 0))
+    front, rear = float(ends.max()) - _CASTER, float(ends.min()) + _CASTER
+    if front < _CASTER or rear > -_CASTER:
+        raise InvalidValue(
+            "mujoco: the robot's outline must reach 6 cm before and behind its axle, where casters stand"
+        )
+    weight = _GRAVITY * chassis.mass_of(robot)
+    ahead = float(shapely.Polygon(robot.footprint.vertices).centroid.x)
+    loads = {"front": weight * (ahead - _CASTER_SHARE * rear) / (front - rear)}
+    loads["rear"] = _CASTER_SHARE * weight - loads["front"]
+    stiffness = 0.5 * _CASTER_SHARE * weight / _SAG
+    damping = math.sqrt(0.5 * stiffness * chassis.mass_of(robot))  # half of the critical one
+    for end, x in (("front", front), ("rear", rear)):
+        model.set("body", f"{end} caster", pos=_words(x, 0.0, _CASTER))
+        spring = {
+            "stiffness": _words(stiffness),
+            "damping": _words(damping),
+            "springref": _words(-loads[end] / stiffness),
+        }
+        model.set("joint", f"{end} caster", **spring)
+        model.set("geom", f"{end} caster", friction=_words(chassis.caster_friction, 0, 0))
 
 
 def _damping_ratio(restitution: float) -> float:

@@ -101,6 +101,9 @@ class MujocoDrive:
         self._kind = mujoco.mjtState.mjSTATE_INTEGRATION
         self._size = mujoco.mj_stateSize(self.model, self._kind)
         self._station = self.model.body("station").id
+        joints = [self.model.joint(f"{side} wheel") for side in ("left", "right")]
+        self._angles = [int(joint.qposadr[0]) for joint in joints]
+        self._rates = [int(joint.dofadr[0]) for joint in joints]
         self._settled: FloatArray | None = None
 
     def at_rest(self, pose: Pose2) -> PlantState:
@@ -121,7 +124,7 @@ class MujocoDrive:
         )
         data.qvel[:2] = math.cos(pose.yaw) * twist.linear, math.sin(pose.yaw) * twist.linear
         data.qvel[5] = twist.angular
-        data.qvel[6:8] = data.ctrl[:] = self._wheel_speeds(twist.linear, twist.angular)
+        data.qvel[self._rates] = data.ctrl[:] = self._wheel_speeds(twist.linear, twist.angular)
         drive = (twist.linear, twist.angular)
         physics = MujocoPhysics(_NOTHING, _NOTHING, self._snapshot())
         return PlantState(pose, twist, twist, 0.0, drive, drive, contact=False, physics=physics)
@@ -139,7 +142,7 @@ class MujocoDrive:
         self._enter(state)
         sent = self.actuation.target(admissible(command, self.robot.limits, self.robot.drive))
         pieces, target, pending = arrivals(state, self.actuation.latency, sent, duration)
-        before, time, drive = data.qpos[7:9].copy(), state.time, state.drive
+        before, time, drive = data.qpos[self._angles], state.time, state.drive
         forces: list[FloatArray] = []
         slips: list[tuple[float, float]] = []
         for seconds, wanted in pieces:
@@ -152,7 +155,7 @@ class MujocoDrive:
                 self._mujoco.mj_rnePostConstraint(self.model, data)
                 forces.append(data.cfrc_ext[self._station, 3:5].copy())
                 slips.append(self._slip())
-        turned = (data.qpos[7:9] - before) * self.chassis.wheel_radius / duration
+        turned = (data.qpos[self._angles] - before) * self.chassis.wheel_radius / duration
         force = self._on_robot(forces)
         physics = MujocoPhysics(force, readonly(np.array(slips).reshape(-1, 2)), self._snapshot())
         return PlantState(
@@ -207,7 +210,7 @@ class MujocoDrive:
         for _ in range(_SETTLING):
             self._mujoco.mj_step(self.model, data)
         settled = np.array(data.qpos)
-        settled[7:9] = 0.0
+        settled[self._angles] = 0.0
         return settled
 
     def _snapshot(self) -> FloatArray:
@@ -240,7 +243,8 @@ class MujocoDrive:
 
     def _slip(self) -> tuple[float, float]:
         """Speed of the left and the right rim over the floor [m/s]."""
-        vx, vy, _, _, _, yaw_rate, left, right = self.data.qvel[:8].tolist()
+        vx, vy, _, _, _, yaw_rate = self.data.qvel[:6].tolist()
+        left, right = self.data.qvel[self._rates].tolist()
         c, s = self._heading()
         ahead, side, radius = c * vx + s * vy, 0.5 * self.track_width * yaw_rate, self.chassis.wheel_radius
         return radius * left - (ahead - side), radius * right - (ahead + side)
