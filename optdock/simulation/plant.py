@@ -67,6 +67,12 @@ class Actuation:
         if self.longest_substep == 0.0:
             raise InvalidValue("actuation.longest_substep: must be > 0 s, got 0.0")
 
+    def target(self, command: Twist2) -> tuple[float, float]:
+        """Speed and yaw rate that the drive makes of a command in the end, dead band and gains looked at."""
+        linear = self.linear_gain * command.linear if abs(command.linear) >= self.linear_dead_band else 0.0
+        angular = self.angular_gain * command.angular if abs(command.angular) >= self.angular_dead_band else 0.0
+        return linear, angular
+
 
 class Wheel(str, Enum):
     """One of the two driven wheels."""
@@ -250,6 +256,8 @@ class PlantState(NamedTuple):
         pending: Targets under way, each with the time at which it arrives.
         noise: Of the slip, standardized.
         drawn: Random numbers used up.
+        contact: Whether robot and station touch; None where the plant knows of no station.
+        physics: What a plant that has more inside goes on from, such as `MujocoPhysics`.
     """
 
     pose: Pose2
@@ -261,6 +269,8 @@ class PlantState(NamedTuple):
     pending: tuple[tuple[float, _Target], ...] = ()
     noise: tuple[float, float, float] = (0.0, 0.0, 0.0)
     drawn: int = 0
+    contact: bool | None = None
+    physics: object | None = None
 
 
 class Plant(Protocol):
@@ -351,11 +361,8 @@ class DifferentialDrive:
         return state._replace(pose=pose, twist=Twist2(), encoders=self._encoders(drive), drive=drive)
 
     def _target(self, command: Twist2) -> _Target:
-        a = self.actuation
-        cut = admissible(command, self.robot.limits, self.robot.drive)
-        linear = a.linear_gain * cut.linear if abs(cut.linear) >= a.linear_dead_band else 0.0
-        angular = a.angular_gain * cut.angular if abs(cut.angular) >= a.angular_dead_band else 0.0
-        return (linear, angular) if self.wheels is None else self.wheels.target(linear, angular)
+        target = self.actuation.target(admissible(command, self.robot.limits, self.robot.drive))
+        return target if self.wheels is None else self.wheels.target(*target)
 
     def _substeps(self, seconds: float, drive: _Target, wanted: _Target) -> int:
         """One where the velocity is constant: no lag, or nothing to follow."""
