@@ -1,5 +1,6 @@
 """A closed loop in simulation: plant, noise, latency, run."""
 
+from optdock.simulation.bicycle import Bicycle, Steering, SteeringAtRest
 from optdock.simulation.closed_loop import RemainingPath, SimulationSettings, run_closed_loop
 from optdock.simulation.plant import Actuation, DifferentialDrive, Plant, PlantState, Slip, StuckWheel, Wheel, Wheels
 from optdock.simulation.run import Run, executed_clearance, pose_errors
@@ -8,6 +9,7 @@ from optdock.simulation.world import Record, Sensors, SimulatedRobot, Station
 
 __all__ = [
     "Actuation",
+    "Bicycle",
     "DifferentialDrive",
     "Displaced",
     "DockSensor",
@@ -24,6 +26,8 @@ __all__ = [
     "Slip",
     "Span",
     "Station",
+    "Steering",
+    "SteeringAtRest",
     "StuckWheel",
     "Wheel",
     "Wheels",
