@@ -243,7 +243,9 @@ def draw(found: dict[tuple[str, str, str], list[Docking | None]], target: Path) 
         for axis, (label, value) in zip(axes[names.index(station)], columns.items(), strict=True):
             values = np.sort([value(ending) for ending in endings if ending is not None])
             share = np.arange(1, len(values) + 1) / len(endings)
-            axis.step(values, share, where="post", color=colours[method], linestyle=lines[world], label=f"{method}, {world}")
+            axis.step(
+                values, share, where="post", color=colours[method], linestyle=lines[world], label=f"{method}, {world}"
+            )
             axis.set_xlabel(label)
             axis.set_ylabel(f"{station}: share of runs")
             axis.set_ylim(0.0, 1.02)

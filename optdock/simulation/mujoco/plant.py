@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
 __all__ = ["MujocoDrive", "MujocoPhysics", "load_mujoco"]
 
-_TOUCH = 1.0  # [N]: a switch that closes at the weight of 100 g
+_TOUCH = 1.0  # [N]: a switch that closes at the weight of 100 g, be it for a millisecond
 _SETTLING = 1000  # steps of the physics in which a robot that was put on the floor sinks into its tyres, 1 s
 
 
@@ -166,7 +166,7 @@ class MujocoDrive:
             drive=drive,
             target=target,
             pending=pending,
-            contact=bool(len(force)) and math.hypot(*force[-1].tolist()) > _TOUCH,
+            contact=bool(np.any(np.hypot(force[:, 0], force[:, 1]) > _TOUCH)),
             physics=physics,
         )
 
