@@ -31,6 +31,7 @@ from optdock.measurements import Measurements
 from optdock.nav2.graceful_law import GracefulLaw
 from optdock.pipeline import plan_dock
 from optdock.plan import DockPlan
+from optdock.plotting import save_mujoco_animation
 from optdock.plotting.canvas import COLOURS, new_figure, save_figure
 from optdock.plugins import create_plugin
 from optdock.problem import DockingProblem

@@ -13,7 +13,6 @@ from typing import TYPE_CHECKING
 from xml.etree import ElementTree
 
 import numpy as np
-import shapely
 
 from optdock.errors import InvalidValue
 from optdock.geometry.checked import number
@@ -161,6 +160,8 @@ def _write_wheels(model: _Model, robot: Robot, chassis: Chassis) -> None:
 
 def _write_casters(model: _Model, robot: Robot, chassis: Chassis) -> None:
     """At both ends, on springs that are loaded so that the robot stands level."""
+    import shapely
+
     ends = robot.footprint.vertices[:, 0]
     front, rear = float(ends.max()) - _CASTER, float(ends.min()) + _CASTER
     if front < _CASTER or rear > -_CASTER:

@@ -1,4 +1,4 @@
-"""A drive into the dock, drawn by MuJoCo, as an animated GIF."""
+"""A drive into the dock in MuJoCo's physics, drawn by MuJoCo, as an animated GIF; needs the extra `sim`."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ import numpy as np
 
 from optdock.errors import InvalidValue, MissingExtra
 from optdock.io.atomic_file import replacing
-from optdock.simulation.mujoco.plant import load_mujoco
+from optdock.simulation.mujoco.plant import MujocoPhysics, load_mujoco
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from optdock.simulation.mujoco.plant import MujocoDrive
     from optdock.simulation.plant import PlantState
 
-__all__ = ["save_docking_animation"]
+__all__ = ["save_mujoco_animation"]
 
 _FRAME_TIME = 0.1  # [s]
 _MOST_FRAMES = 150
@@ -38,7 +38,7 @@ _TRACE_WIDTH, _TRACE_HEIGHT = 0.006, 0.003  # [m]
 _COLOURS = 64
 
 
-def save_docking_animation(target: str | Path, drive: MujocoDrive, states: Sequence[PlantState]) -> None:
+def save_mujoco_animation(target: str | Path, drive: MujocoDrive, states: Sequence[PlantState]) -> None:
     """Draw a drive into the dock from above its right side, ten frames a second, faster where it is long.
 
     The projection is parallel: one metre has one length in the whole picture along the dock's axis, and one across.
@@ -49,10 +49,13 @@ def save_docking_animation(target: str | Path, drive: MujocoDrive, states: Seque
         states: Of the drive, the oldest first.
 
     Raises:
-        MissingExtra: MuJoCo is not installed, or nothing on this machine can draw: neither a display nor EGL nor OSMesa.
+        MissingExtra: MuJoCo is not installed, or nothing on this machine can draw.
         InvalidValue: There are less than two states, or they are of another plant.
         InvalidFile: The file cannot be written.
     """
+    from PIL import Image as Images
+    from PIL import ImageDraw
+
     if len(states) < 2:
         raise InvalidValue(f"mujoco: an animation needs at least two states, got {len(states)}")
     times = np.array([state.time for state in states])
@@ -65,7 +68,10 @@ def save_docking_animation(target: str | Path, drive: MujocoDrive, states: Seque
             drive.show(states[last])
             trace = np.array([(state.pose.x, state.pose.y) for state in states[: last + 1]])
             picture = camera.picture(trace)
-            frames.append(picture.quantize(_COLOURS) if not frames else picture.quantize(palette=frames[0], dither=0))
+            ImageDraw.Draw(picture).text((12, 8), _words(states[: last + 1]), fill=(0, 0, 0), font_size=18)
+            frames.append(picture)
+    palette = frames[-1].quantize(_COLOURS)
+    frames = [picture.quantize(palette=palette, dither=Images.Dither.NONE) for picture in frames]
     step = int(1e3 * (times[-1] - times[0]) / count)
     with replacing(target) as temporary:
         frames[0].save(
@@ -77,6 +83,13 @@ def save_docking_animation(target: str | Path, drive: MujocoDrive, states: Seque
             loop=0,
             disposal=1,
         )
+
+
+def _words(states: Sequence[PlantState]) -> str:
+    """Time, and the largest force of the station so far."""
+    forces = [state.physics.force for state in states if isinstance(state.physics, MujocoPhysics)]
+    largest = max(float(np.max(np.hypot(force[:, 0], force[:, 1]), initial=0.0)) for force in forces)
+    return f"{states[-1].time:.1f} s   largest contact force {largest:.0f} N"
 
 
 class _Camera:
@@ -112,8 +125,6 @@ class _Camera:
 
     def picture(self, trace: FloatArray) -> Image:
         """The plant as its data are now, and where its axle has been, Shape (n, 2) [m]."""
-        from PIL import Image as Images
-
         mujoco, scene = self._mujoco, self._scene
         everything = mujoco.mjtCatBit.mjCAT_ALL
         mujoco.mjv_updateScene(
@@ -134,6 +145,8 @@ class _Camera:
             scene.ngeom += 1
         area = mujoco.MjrRect(0, 0, self._width, self._height)
         mujoco.mjr_render(area, scene, self._context)
+        from PIL import Image as Images
+
         pixels = np.empty((self._height, self._width, 3), dtype=np.uint8)
         mujoco.mjr_readPixels(pixels, None, area, self._context)
         return Images.fromarray(pixels[::-1].copy())
@@ -145,10 +158,18 @@ def _canvas(width: int, height: int) -> Any:  # noqa: ANN401 - one of three clas
     kinds = (
         (asked,) if asked in ("egl", "osmesa", "glfw") else ("egl", "osmesa") if sys.platform == "linux" else ("glfw",)
     )
-    failed = []
+    reasons = []
     for kind in kinds:
-        try:
-            return import_module(f"mujoco.{kind}").GLContext(width, height)
-        except Exception as error:  # noqa: BLE001 - drivers and PyOpenGL raise what they like
-            failed.append(f"{kind}: {type(error).__name__}: {error}")
-    raise MissingExtra(f"MuJoCo cannot draw here, install EGL or OSMesa (libegl1, libosmesa6): {'; '.join(failed)}")
+        canvas, reason = _opened(kind, width, height)
+        if canvas is not None:
+            return canvas
+        reasons.append(reason)
+    raise MissingExtra(f"MuJoCo cannot draw here, install EGL or OSMesa (libegl1, libosmesa6): {'; '.join(reasons)}")
+
+
+def _opened(kind: str, width: int, height: int) -> tuple[Any, str]:
+    """A context of this kind, or None and why not; drivers and PyOpenGL raise what they like."""
+    try:
+        return import_module(f"mujoco.{kind}").GLContext(width, height), ""
+    except Exception as error:
+        return None, f"{kind}: {type(error).__name__}: {error}"
