@@ -1,11 +1,11 @@
 """Experiment 5: how hard and how straight robots meet their stations, in a physics simulation; needs the extra `sim`.
 
-The same random starts around the staging pose (a disc of 0.25 m around 0.85 m before the dock, headings within 0.25 rad)
-are driven into a flat contact plate and into a V with wings, until contact: by the graceful law as Nav2's docking
+The same random starts around the staging pose (a disc of 0.25 m around 0.85 m before the dock, headings within 0.25
+rad) are driven into a flat contact plate and into a V with wings, until contact: by the graceful law as Nav2's docking
 server runs it (target 0.25 m behind the dock, Nav2's default parameters), by the planner's raw path and the
 TrackingController, and by the certified plan and the TrackingController. Whoever touches presses on at 2 cm/s for
-0.3 s, so that the contacts seat, and stops; whoever has arrived without touching creeps straight on at 3 cm/s.
-Writes results/05_contact_forces/.
+1 s, so that the contacts seat, and stops; whoever has arrived without touching creeps straight on at 3 cm/s.
+Docked is who then rests in touch within 10 mm across and 1.5 degrees. Writes results/05_contact_forces/.
 
     python experiments/05_contact_forces.py [--starts N]
 """
@@ -14,14 +14,15 @@ from __future__ import annotations
 
 import argparse
 import math
+from collections import Counter
 from collections.abc import Callable
-from pathlib import Path
+from pathlib import Path as FilePath
 from typing import NamedTuple
 
 import numpy as np
 
 from optdock.dock import Dock, DockDirection
-from optdock.errors import ControllerException, MissingExtra, OptdockError
+from optdock.errors import ControllerException, MissingExtra
 from optdock.geometry.footprint import Footprint
 from optdock.geometry.pose import Pose2, Twist2
 from optdock.interfaces import Controller, GoalChecker
@@ -29,6 +30,7 @@ from optdock.io.atomic_file import write_text
 from optdock.limits import MotionLimits
 from optdock.measurements import Measurements
 from optdock.nav2.graceful_law import GracefulLaw
+from optdock.path import Path
 from optdock.pipeline import plan_dock
 from optdock.plan import DockPlan
 from optdock.plotting import save_mujoco_animation
@@ -39,16 +41,17 @@ from optdock.report import table
 from optdock.robot import Robot
 from optdock.simulation import Actuation, PlantState, PoseSensor, RemainingPath, Sensors, SimulatedRobot
 from optdock.simulation.mujoco import MujocoDrive, VShape, flat_station
+from optdock.trajectory import Trajectory
 
-OUT = Path("results") / Path(__file__).stem
+OUT = FilePath("results") / FilePath(__file__).stem
 GOAL = Pose2(0.0, 0.0, 0.0)
 STAGING, SPREAD, TURN = 0.85, 0.25, 0.25  # [m], [m], [rad]
 LAW = GracefulLaw(3.0, 2.0, 0.4, 2.0, 0.25, 2.5, 0.1, 0.25, 0.75)  # the docking server's defaults
 PROJECTION = 0.25  # [m]
 PERIOD, TIMEOUT = 0.02, 60.0  # [s]
-CREEP, PRESS, PRESSING = 0.03, 0.02, 0.3  # [m/s], [m/s], [s]
+CREEP, PRESS, PRESSING = 0.03, 0.02, 1.0  # [m/s], [m/s], [s]
 SETTLING = 0.5  # [s] after the stop; who moves then is not at rest
-TRAVEL, CROSS, YAW = 0.003, 0.01, math.radians(1.5)  # [m] of spring contacts, [m], [rad]: success
+TRAVEL, CROSS, YAW = 0.003, 0.01, math.radians(1.5)  # [m] by which spring contacts give way, [m], [rad]
 AT_REST = 0.002  # [m/s]
 LIMITS = MotionLimits(
     max_speed=0.25, max_reverse_speed=0.25, max_acceleration=0.5, max_deceleration=0.5, max_yaw_rate=0.75,
@@ -63,9 +66,10 @@ class World(NamedTuple):
     sensors: Sensors
 
 
+NOISY = "lag, latency, noise"
 WORLDS = {
     "perfect": World(Actuation(), Sensors()),
-    "lag, latency, noise": World(
+    NOISY: World(
         Actuation(linear_lag=0.1, angular_lag=0.1, latency=0.06), Sensors(PoseSensor(0.002, math.radians(0.1)))
     ),
 }
@@ -95,145 +99,149 @@ def starts(count: int) -> list[Pose2]:
 
 
 class Docking(NamedTuple):
-    """How one docking ended: the robot seen from the dock, forces [N], impulse across [N s], time [s], and its states."""
+    """How one docking ended.
 
-    error: Pose2
-    rested: bool
-    touched: bool
-    peak: float
-    peak_across: float
-    impulse_across: float
-    duration: float
+    Attributes:
+        states: Of the plant, one for every control period.
+        impulse: Of the force across the dock's axis, in either direction [N s].
+        peak: Largest contact force [N].
+        duration: Until the first contact, or the end without one [s].
+        fault: Why it did not end at the dock; empty where it did.
+    """
+
     states: tuple[PlantState, ...]
+    impulse: float
+    peak: float
+    duration: float
+    fault: str
 
     @property
-    def docked(self) -> bool:
-        """In touch, straight, at rest."""
-        placed = abs(self.error.x) <= TRAVEL and abs(self.error.y) <= CROSS and abs(self.error.yaw) <= YAW
-        return self.touched and self.rested and placed
+    def pose(self) -> Pose2:
+        """Of the robot in the end, seen from the dock."""
+        return self.states[-1].pose.in_frame_of(GOAL)
 
 
-Steering = Callable[[Measurements], "Twist2 | None"]  # None: arrived, creep on
+Steering = Callable[[Measurements], "Twist2 | None"]  # None: it is over, stand still
 
 
 def by_law(_plan: DockPlan) -> Steering:
     """The docking server's law towards the projected dock."""
     target = GOAL @ Pose2(PROJECTION, 0.0, 0.0)
-    return lambda measured: LAW.command(target, measured.pose or GOAL)
+    return until_contact(lambda measured: LAW.command(target, measured.pose or GOAL))
 
 
 def by_raw_path(plan: DockPlan) -> Steering:
-    """What the planner made, tracked."""
-    return _tracked(plan, smoothed=False)
+    """What the planner made, tracked; however far the robot's heading is off at its corners."""
+    return until_contact(tracked(plan.raw_path, {"max_yaw_error": math.pi}))
 
 
 def by_smoothed_path(plan: DockPlan) -> Steering:
     """The certified plan, tracked."""
-    return _tracked(plan, smoothed=True)
+    return until_contact(tracked(plan.trajectory, {}))
 
 
-def _tracked(plan: DockPlan, *, smoothed: bool) -> Steering:
-    controller = create_plugin(Controller, "TrackingController")
+def tracked(motion: Path | Trajectory, parameters: dict[str, object]) -> Steering:
+    """The TrackingController, until it has arrived; then it creeps straight on."""
+    controller = create_plugin(Controller, "TrackingController", parameters)
     checker = create_plugin(GoalChecker, "DockGoalChecker", {"along_tolerance": TRAVEL})
     controller.reset()
     checker.reset()
-    controller.set_path(plan.trajectory if smoothed else plan.raw_path)
-    remaining = RemainingPath(plan.path if smoothed else plan.raw_path)
+    controller.set_path(motion)
+    remaining = RemainingPath(motion.path if isinstance(motion, Trajectory) else motion)
     arrived = False
 
-    def steer(measured: Measurements) -> Twist2 | None:
+    def steer(measured: Measurements) -> Twist2:
         nonlocal arrived
         pose = measured.pose or GOAL
-        path = remaining.from_pose(pose)
-        arrived = arrived or checker.is_goal_reached(pose, GOAL, measured.twist, path)
+        arrived = arrived or checker.is_goal_reached(pose, GOAL, measured.twist, remaining.from_pose(pose))
         if arrived:
-            return None
+            return Twist2(CREEP, 0.0)
         return controller.compute_velocity_commands(pose, measured.twist, checker, stamp=measured.stamp)
 
     return steer
+
+
+def until_contact(steer: Steering) -> Steering:
+    """The same, but who touches presses on for a moment, and then it is over."""
+    touched_at = math.inf
+
+    def pressing(measured: Measurements) -> Twist2 | None:
+        nonlocal touched_at
+        if measured.contact:
+            touched_at = min(touched_at, measured.stamp)
+        if measured.stamp < touched_at:
+            return steer(measured)
+        return Twist2(PRESS, 0.0) if measured.stamp < touched_at + PRESSING else None
+
+    return pressing
 
 
 METHODS = {"graceful law": by_law, "raw path": by_raw_path, "smoothed path": by_smoothed_path}
 
 
 def dock(drive: MujocoDrive, start: Pose2, world: World, steer: Steering, seed: int) -> Docking:
-    """Drive until contact, press, stop, rest."""
+    """Drive until it is over and the robot has had time to come to rest."""
     robot = SimulatedRobot(drive, start, GOAL, world.sensors, seed=seed)
-    states = [robot.state]
-    touched_at: float | None = None
-    measured = robot.measurements
-    while robot.time < TIMEOUT and (touched_at is None or robot.time < touched_at + PRESSING + SETTLING):
-        if touched_at is None and measured.contact:
-            touched_at = robot.time
-        if touched_at is None:
-            command = steer(measured) or Twist2(CREEP, 0.0)
-        else:
-            command = Twist2(PRESS if robot.time < touched_at + PRESSING else 0.0, 0.0)
-        measured = robot.advance(command, PERIOD)
+    states, reason, over_at = [robot.state], "", math.inf
+    while robot.time < min(TIMEOUT, over_at + SETTLING):
+        try:
+            command = steer(robot.measurements) if over_at == math.inf else None
+        except ControllerException as error:
+            command, reason = None, type(error).__name__
+        if command is None:
+            over_at = min(over_at, robot.time)
+        robot.advance(command or Twist2(), PERIOD)
         states.append(robot.state)
-        if touched_at is None and robot.error.x > TRAVEL:
-            break  # past the station
     forces = np.concatenate([state.physics.force for state in states])
     return Docking(
-        error=robot.error,
-        rested=math.hypot(robot.state.twist.linear, robot.state.twist.lateral) <= AT_REST,
-        touched=touched_at is not None,
-        peak=float(np.max(np.hypot(forces[:, 0], forces[:, 1]), initial=0.0)),
-        peak_across=float(np.max(np.abs(forces[:, 1]), initial=0.0)),
-        impulse_across=float(np.sum(np.abs(forces[:, 1]))) * drive.timestep,
-        duration=touched_at or robot.time,
         states=tuple(states),
+        impulse=float(np.sum(np.abs(forces[:, 1]))) * drive.timestep,
+        peak=float(np.max(np.hypot(forces[:, 0], forces[:, 1]))),
+        duration=next((state.time for state in states if state.contact), robot.time),
+        fault=reason or fault_of(robot),
     )
 
 
-def row(station: str, world: str, method: str, endings: list[Docking | None]) -> list[str]:
+def fault_of(robot: SimulatedRobot) -> str:
+    """Why the robot does not stand at its dock; empty where it does."""
+    error, twist = robot.error, robot.state.twist
+    faults = {
+        "moves": math.hypot(twist.linear, twist.lateral) > AT_REST,
+        "turned": abs(error.yaw) > YAW,
+        "aside": abs(error.y) > CROSS,
+        "out of touch": abs(error.x) > TRAVEL,
+    }
+    return next((name for name, is_so in faults.items() if is_so), "")
+
+
+def row(station: str, world: str, method: str, endings: list[Docking]) -> list[str]:
     """One line of the table."""
-    done = [ending for ending in endings if ending is not None]
 
     def spread(values: list[float], digits: int) -> str:
         found = (*np.percentile(values, [50, 95]), max(values))
         return " / ".join(f"{value:.{digits}f}" for value in found)
 
+    faults = Counter(ending.fault for ending in endings if ending.fault)
     return [
         station,
         world,
         method,
-        f"{sum(ending.docked for ending in done)}/{len(endings)}",
-        spread([1e3 * abs(ending.error.y) for ending in done], 1),
-        spread([math.degrees(abs(ending.error.yaw)) for ending in done], 2),
-        spread([ending.peak for ending in done], 0),
-        spread([ending.peak_across for ending in done], 0),
-        spread([ending.impulse_across for ending in done], 2),
-        spread([ending.duration for ending in done], 1),
+        f"{sum(not ending.fault for ending in endings)}/{len(endings)}",
+        spread([1e3 * abs(ending.pose.y) for ending in endings], 1),
+        spread([math.degrees(abs(ending.pose.yaw)) for ending in endings], 2),
+        spread([ending.peak for ending in endings], 0),
+        spread([ending.impulse for ending in endings], 1),
+        spread([ending.duration for ending in endings], 1),
+        ", ".join(f"{count} {fault}" for fault, count in faults.most_common()) or "-",
     ]
 
 
-def driven(drive: MujocoDrive, plans: list[DockPlan | None], world: World, method: str) -> list[Docking | None]:
-    """Every start once; None where there is no plan, or the controller gave up."""
-    endings: list[Docking | None] = []
-    for seed, plan in enumerate(plans):
-        try:
-            ending = plan and dock(drive, plan.problem.start, world, METHODS[method](plan), seed)
-        except ControllerException:
-            ending = None
-        endings.append(ending)
-    return endings
-
-
-def planned(robot: Robot, station: Dock, start: Pose2) -> DockPlan | None:
-    """A certified plan; None where there is none."""
-    try:
-        return plan_dock(DockingProblem(start, station, robot), time_budget=1.0)
-    except OptdockError:
-        return None
-
-
-def draw(found: dict[tuple[str, str, str], list[Docking | None]], target: Path) -> None:
+def draw(found: dict[tuple[str, str, str], list[Docking]], target: FilePath) -> None:
     """Shares of the runs over peak force, lateral error and yaw error, a row for each station."""
     columns = {
         "peak force [N]": lambda ending: ending.peak,
-        "|cross| [mm]": lambda ending: 1e3 * abs(ending.error.y),
-        "|yaw| [deg]": lambda ending: math.degrees(abs(ending.error.yaw)),
+        "|cross| [mm]": lambda ending: 1e3 * abs(ending.pose.y),
+        "|yaw| [deg]": lambda ending: math.degrees(abs(ending.pose.yaw)),
     }
     colours = dict(zip(METHODS, (COLOURS["goal"], COLOURS["raw"], COLOURS["path"]), strict=True))
     lines = dict(zip(WORLDS, ("-", "--"), strict=True))
@@ -242,8 +250,8 @@ def draw(found: dict[tuple[str, str, str], list[Docking | None]], target: Path) 
     axes = figure.subplots(len(names), len(columns), squeeze=False)
     for (station, world, method), endings in found.items():
         for axis, (label, value) in zip(axes[names.index(station)], columns.items(), strict=True):
-            values = np.sort([value(ending) for ending in endings if ending is not None])
-            share = np.arange(1, len(values) + 1) / len(endings)
+            values = np.sort([value(ending) for ending in endings])
+            share = np.arange(1, len(values) + 1) / len(values)
             axis.step(
                 values, share, where="post", color=colours[method], linestyle=lines[world], label=f"{method}, {world}"
             )
@@ -257,27 +265,46 @@ def draw(found: dict[tuple[str, str, str], list[Docking | None]], target: Path) 
 
 
 def main() -> None:
-    """Drive everything; print and write the table, draw the picture and the animation."""
+    """Drive everything; print and write the table, draw the picture and the animations."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--starts", type=int, default=100, help="how many (default: %(default)s)")
     poses = starts(parser.parse_args().starts)
+    try:
+        drives = {
+            (station, world): MujocoDrive(robot, place, actuation=parts.actuation)
+            for station, (robot, place) in stations().items()
+            for world, parts in WORLDS.items()
+        }
+    except MissingExtra as error:
+        print(f"skipped: {error}")
+        return
     found = {}
-    for station, (robot, place) in stations().items():
-        plans = [planned(robot, place, pose) for pose in poses]
-        for name, world in WORLDS.items():
-            try:
-                drive = MujocoDrive(robot, place, actuation=world.actuation)
-            except MissingExtra as error:
-                print(f"skipped: {error}")
-                return
-            for method in METHODS:
-                found[station, name, method] = driven(drive, plans, world, method)
-    head = ["station", "world", "method", "docked", "|cross| mm", "|yaw| deg", "peak force N", "peak across N"]
-    text = table([[*head, "impulse across N s", "time s"], *(row(*key, endings) for key, endings in found.items())])
+    for (station, world), drive in drives.items():
+        plans = [plan_dock(DockingProblem(pose, drive.dock, drive.robot), time_budget=1.0) for pose in poses]
+        for method, steering in METHODS.items():
+            found[station, world, method] = [
+                dock(drive, plan.problem.start, WORLDS[world], steering(plan), seed) for seed, plan in enumerate(plans)
+            ]
+    head = ["station", "world", "method", "docked", "|cross| mm", "|yaw| deg", "peak force N", "impulse across N s"]
+    text = table([[*head, "time s", "faults"], *(row(*key, endings) for key, endings in found.items())])
     OUT.mkdir(parents=True, exist_ok=True)
     write_text(OUT / "forces.md", text + "\n")
     print(f"p50 / p95 / max of {len(poses)} starts\n\n{text}")
     draw(found, OUT / "forces.png")
+    animate(drives, found)
+
+
+def animate(drives: dict[tuple[str, str], MujocoDrive], found: dict[tuple[str, str, str], list[Docking]]) -> None:
+    """The second start in the noisy world, into the V: by the law and by the certified plan; where something draws."""
+    drive = drives["V", NOISY]
+    for method in ("graceful law", "smoothed path"):
+        endings = found["V", NOISY, method]
+        try:
+            save_mujoco_animation(
+                OUT / f"{method.replace(' ', '_')}.gif", drive, endings[min(1, len(endings) - 1)].states
+            )
+        except MissingExtra as error:
+            print(f"no animation: {error}")
 
 
 if __name__ == "__main__":
