@@ -111,7 +111,7 @@ class _Camera:
         self._view = view = mujoco.MjvCamera()
         view.lookat[:] = *middle, 0.0
         view.distance, view.azimuth, view.elevation = 10.0, 90.0 + math.degrees(dock.pose.yaw), _ELEVATION
-        view.orthographic = 1
+        view.orthographic = drive.model.vis.global_.orthographic = 1
         drive.model.vis.global_.fovy = tall  # of a parallel projection the height of the picture [m]
         drive.model.vis.global_.offwidth = max(self._width, drive.model.vis.global_.offwidth)
         drive.model.vis.global_.offheight = max(self._height, drive.model.vis.global_.offheight)

@@ -186,7 +186,8 @@ class MujocoDrive:
     def _enter(self, state: PlantState) -> None:
         if not (isinstance(state.physics, MujocoPhysics) and len(state.physics.snapshot) == self._size):
             raise InvalidValue("mujoco: the state must be one that a MujocoDrive of the same robot made")
-        self._mujoco.mj_setState(self.model, self.data, state.physics.snapshot, self._kind)
+        snapshot = state.physics.snapshot.copy()  # older versions of MuJoCo ask for one that may be written into
+        self._mujoco.mj_setState(self.model, self.data, snapshot, self._kind)
 
     def _actuate(self, drive: tuple[float, float], wanted: tuple[float, float]) -> tuple[float, float]:
         """Tell the motors the velocity that is due on the way to the wanted one, and return it."""
