@@ -88,7 +88,8 @@ def figures_of(scenario: Scenario, kind: str, path: Path, duration: float | None
 def _duration(path: Path, problem: DockingProblem, choice: PluginChoice) -> float | None:
     """None where the limits allow no motion along the path, as at a corner."""
     try:
-        return timed_by(choice, path, problem, start_speed=abs(problem.start_speed)).duration
+        speed, acceleration = problem.start_state(int(path.segments[0].direction))
+        return timed_by(choice, path, problem, start_speed=speed, start_acceleration=acceleration).duration
     except FailedToTimePath:
         return None
 

@@ -24,7 +24,7 @@ class ProblemFingerprint(NamedTuple):
 
     `footprint`: the robot's outline. `limits`: its motion limits and drive. `obstacles`: everything that must not be
     touched, the station included. `clearance`: the rule. `dock`: pose, station, gear, straight and approach. `start`:
-    pose, speed and curvature.
+    pose, speed, curvature and acceleration.
     """
 
     footprint: str

@@ -9,6 +9,7 @@ from __future__ import annotations
 import dataclasses
 import functools
 import itertools
+import math
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
@@ -28,6 +29,8 @@ from optdock.segments import (
     PolylineSegment,
     Segment,
     TurnSegment,
+    moved_segment,
+    piece_of,
 )
 
 if TYPE_CHECKING:
@@ -167,6 +170,28 @@ class Path(FrozenArrays):
             if isinstance(segment, TurnSegment) and end > s:
                 s -= segment.length
         return s
+
+    def piece(self, begin: float, end: float = math.inf) -> Path:
+        """The part of the path from `begin` to `end` [m], clipped to it; its own s begins at 0.
+
+        Raises:
+            InvalidPath: There is none between them; stretches of less than `SAME_POSITION` are none.
+        """
+        end = min(end, self.length)
+        found = []
+        for segment, first, last in zip(
+            self.segments, self.segment_starts[:-1].tolist(), self.segment_starts[1:].tolist(), strict=True
+        ):
+            low, high = max(begin - first, 0.0), min(end, last) - first
+            if high - low > SAME_POSITION or (low == 0.0 and high == last - first):
+                found.append(piece_of(segment, low, min(high, segment.length)))
+        if not found:
+            raise InvalidPath(f"path: has nothing between s = {begin:.6g} m and {end:.6g} m")
+        return Path(tuple(found), self.frame)
+
+    def moved(self, move: Pose2) -> Path:
+        """The path as a rigid motion of the plane leaves it: every pose p becomes `move @ p`."""
+        return Path(tuple(moved_segment(segment, move) for segment in self.segments), self.frame)
 
     def parts(self) -> tuple[Path | TurnSegment, ...]:
         """The path cut at its turns in place: paths without any, and the turns between them, in order."""

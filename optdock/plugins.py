@@ -181,6 +181,7 @@ def timed_by(
     *,
     zone: SpeedZone | None = None,
     start_speed: float = 0.0,
+    start_acceleration: float = 0.0,
 ) -> Trajectory:
     """The motion along a path by a time parameterizer, under the limits of a problem; nothing proves it here.
 
@@ -190,18 +191,25 @@ def timed_by(
         problem: Its robot's limits count; None: the default limits.
         zone: Slow stretch at the end; None: that of the problem's dock.
         start_speed: Along the travel, >= 0 in either gear [m/s].
+        start_acceleration: Likewise [m/s^2].
 
     Raises:
         FailedToTimePath: The method has no motion from this start that keeps the limits.
         PluginError: As `create_plugin`.
         LifecycleError: The plugin is configured already.
-        InvalidValue: A parameter or the start speed is wrong.
+        InvalidValue: A parameter or the start state is wrong.
     """
     parameterizer = plugin_from(TimeParameterizer, timing, "timing")
     limits, approach = (problem.robot.limits, problem.dock.approach) if problem else (MotionLimits(), SpeedZone())
     parameterizer.configure(PluginContext(name=parameterizer.name, problem=problem))
     try:
-        result = parameterizer.parameterize(path, limits, approach if zone is None else zone, start_speed=start_speed)
+        result = parameterizer.parameterize(
+            path,
+            limits,
+            approach if zone is None else zone,
+            start_speed=start_speed,
+            start_acceleration=start_acceleration,
+        )
     finally:
         parameterizer.cleanup()
     if result.status is not TimingStatus.OK or result.trajectory is None:

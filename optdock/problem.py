@@ -41,6 +41,9 @@ BESIDE_THE_ROBOT = 1.0
 # A robot that starts closer to an obstacle than required must leave it at least at this slope, from its start on or,
 # under the weaker rule, from `DockingProblem.start_run` on.
 START_RELIEF_SLOPE = 0.5
+# [m/s], [m/s^2]: what rounding leaves of rest, or of the end of a braking, where a state is evaluated from a time law
+# over kilometres and hours; far less than the 1e-6 that the certificate accepts.
+_ROUNDING = 1e-10
 
 
 @dataclass(frozen=True)
@@ -122,10 +125,13 @@ class DockingProblem(FrozenArrays):
         robot: What drives.
         obstacles: What it must not touch: an `ObstacleSet`, or simple polygons, convex or not, Shape (n, 2) [m] each;
             the i-th is called `obstacles[i]`.
-        clearance: How far it must stay away: a `ClearanceRule`, or one number [m] that holds everywhere, also at the
-            dock.
+        clearance: How far it must stay away, wherever in its tracking tube it is: a `ClearanceRule`, or one number [m]
+            that holds everywhere, also at the dock.
         start_speed: Speed at the start, signed, negative in reverse [m/s].
         start_curvature: Curvature at the start along the travel [1/m]; None leaves it free.
+        start_acceleration: Derivative of the signed speed at the start [m/s^2]: below 0 it slows down in forward gear,
+            or speeds up in reverse. Paths are planned without it; the motion begins with it. What is left of rest by
+            rounding counts as rest.
         costmap: What is known of the surroundings as a grid; None where only obstacles are. Read when the problem is
             made, a grid that layers write into is copied.
         frame: Name of the coordinate frame.
@@ -135,9 +141,9 @@ class DockingProblem(FrozenArrays):
         all_obstacles: The obstacles, the cells of the costmap, and the station last.
 
     Raises:
-        InvalidValue: start_speed or start_curvature is not finite, a polygon is none (the message says which), the
-            station stands farther from the docked robot than the robot is long, and than 1 m, as one in coordinates of
-            the map does; or a part is of another class.
+        InvalidValue: start_speed, start_acceleration or start_curvature is not finite, a polygon is none (the message
+            says which), the station stands farther from the docked robot than the robot is long, and than 1 m, as one
+            in coordinates of the map does; or a part is of another class.
     """
 
     start: Pose2
@@ -150,6 +156,7 @@ class DockingProblem(FrozenArrays):
     costmap: Costmap | None
     frame: str
     unknown_is_obstacle: bool
+    start_acceleration: float
     all_obstacles: ObstacleSet = field(init=False)
 
     # Written out, because it takes more kinds of values than the fields hold.
@@ -165,6 +172,7 @@ class DockingProblem(FrozenArrays):
         costmap: Costmap | None = None,
         frame: str = "map",
         unknown_is_obstacle: bool = True,  # noqa: FBT001, FBT002 - nobody counts so far
+        start_acceleration: float = 0.0,
     ) -> None:
         vars(self).update(
             start=start,
@@ -177,6 +185,7 @@ class DockingProblem(FrozenArrays):
             costmap=costmap,
             frame=frame,
             unknown_is_obstacle=unknown_is_obstacle,
+            start_acceleration=start_acceleration,
         )
         self._check_parts()
         everything = self.obstacles
@@ -203,7 +212,11 @@ class DockingProblem(FrozenArrays):
             instance(kind, getattr(self, name), f"problem.{name}")
         if self.costmap is not None:
             instance(Costmap, self.costmap, "problem.costmap")
-        object.__setattr__(self, "start_speed", finite_number(self.start_speed, "start.speed"))
+        speed = finite_number(self.start_speed, "start.speed")
+        acceleration = finite_number(self.start_acceleration, "start.acceleration")
+        speed, acceleration = _without_rounding(speed, acceleration, self.robot.limits.max_jerk)
+        object.__setattr__(self, "start_speed", speed)
+        object.__setattr__(self, "start_acceleration", acceleration)
         if self.start_curvature is not None:
             object.__setattr__(self, "start_curvature", finite_number(self.start_curvature, "start.curvature"))
 
@@ -261,18 +274,37 @@ class DockingProblem(FrozenArrays):
         ends = f"{self.start.brief} -> {self.goal.brief} in {self.frame!r}"
         return f"<DockingProblem {ends}, {counted}, clearance {self.clearance.required:g} m>"
 
-    def starting_at(self, start: Pose2, speed: float = 0.0, curvature: float | None = None) -> DockingProblem:
+    def starting_at(
+        self, start: Pose2, speed: float = 0.0, curvature: float | None = None, acceleration: float = 0.0
+    ) -> DockingProblem:
         """The same problem from another start.
 
         Args:
             start: Where the robot is.
             speed: Its speed there, signed, negative in reverse [m/s].
             curvature: Its curvature there along the travel [1/m]; None leaves it free.
+            acceleration: Derivative of the signed speed there [m/s^2].
 
         Raises:
             InvalidValue: As the constructor.
         """
-        return dataclasses.replace(self, start=start, start_speed=speed, start_curvature=curvature)
+        return dataclasses.replace(
+            self, start=start, start_speed=speed, start_curvature=curvature, start_acceleration=acceleration
+        )
+
+    def start_state(self, gear: int) -> tuple[float, float]:
+        """Speed [m/s] and acceleration [m/s^2] at the start along the travel of a motion in `gear`, 1 or -1.
+
+        In motion the speed says which gear that is; only at rest it is the motion's own.
+        """
+        sign = math.copysign(1.0, self.start_speed) if self.start_speed != 0.0 else float(gear or 1)
+        return abs(self.start_speed), sign * self.start_acceleration
+
+    @functools.cached_property
+    def path_clearance(self) -> ClearanceRule:
+        """What the path itself must keep, so that every pose within the robot's tracking tube keeps `clearance`."""
+        wider = self.clearance.required + self.robot.tracking.width(self.robot.footprint)
+        return dataclasses.replace(self.clearance, required=wider)
 
     @property
     def goal(self) -> Pose2:
@@ -301,10 +333,12 @@ class DockingProblem(FrozenArrays):
     @functools.cached_property
     def fingerprint(self) -> ProblemFingerprint:
         """Digests of what a certificate for this problem is proven against."""
-        dock, rule = self.dock, self.clearance
+        dock, rule = self.dock, self.path_clearance
         station = digest("none") if dock.footprint is None else digest(dock.footprint.vertices)
         steered = "free" if self.start_curvature is None else str(float(self.start_curvature))
         zone, accepted = dock.approach, dock.tolerances
+        # A start without acceleration has the digest that it had before there was one.
+        pressed = (self.start_acceleration,) if self.start_acceleration != 0.0 else ()
         return ProblemFingerprint(
             *self.robot.fingerprint,
             obstacles=self.all_obstacles.digest,
@@ -315,9 +349,24 @@ class DockingProblem(FrozenArrays):
                 dock.direction.value,
                 (dock.final_straight, zone.speed, zone.distance, accepted.along, accepted.cross, accepted.yaw),
             ),
-            start=digest(self.start.as_array(), self.start_speed, steered),
+            start=digest(self.start.as_array(), self.start_speed, steered, *pressed),
             frame=self.frame,
         )
+
+
+def _without_rounding(speed: float, acceleration: float, jerk: float) -> tuple[float, float]:
+    """A start state, both signed, without what rounding leaves of rest or of the end of a braking.
+
+    From such a state the robot would roll backwards by less than anybody can tell. So it is at rest; or it has just the
+    speed that is left when its acceleration is led to rest.
+    """
+    if max(abs(speed), abs(acceleration)) <= _ROUNDING:
+        return 0.0, 0.0
+    least = 0.5 * acceleration * acceleration / jerk
+    is_braking = speed * acceleration < 0.0
+    return (
+        math.copysign(least, speed) if is_braking and 0.0 < least - abs(speed) <= _ROUNDING else speed
+    ), acceleration
 
 
 def _check_station(station: Footprint, goal: Pose2, robot: Robot) -> None:

@@ -146,7 +146,22 @@ class Refinement:
         so_far.raw_path = raw
         with self.watch.timed("smooth"):
             result = self._smoothed(raw, most, so_far, is_given=is_given)
-            path = so_far.path = plain(result.path, self.smoother, self.problem.frame)
+            path = plain(result.path, self.smoother, self.problem.frame)
+        plan = self.proven(raw, path, so_far)
+        return replace(plan, completed=result.completed, smoothing_report=result.report)
+
+    def proven(self, raw: Path, path: Path, so_far: PartialPlan) -> DockPlan:
+        """The certified plan along a path that needs no smoothing; `so_far` as of `refined`.
+
+        Args:
+            raw: What the path was made of.
+            path: In the problem's frame.
+            so_far: Filled in on the way.
+
+        Raises:
+            OptdockError: As `refined`.
+        """
+        so_far.raw_path, so_far.path = raw, path
         with self.watch.timed("certify"):
             certificate = so_far.certificate = certify_path(path, self.problem, is_late=self.asked_to_stop)
             self._require(certificate, "smoothed path", SmootherCancelled, SmootherTimedOut)
@@ -158,9 +173,8 @@ class Refinement:
             trajectory=motion.trajectory,
             certificate=certificate,
             trajectory_certificate=motion.proof,
-            completed=result.completed,
+            completed=True,
             timing_ms={},
-            smoothing_report=result.report,
             timing_report=motion.report,
         )
 
@@ -237,10 +251,17 @@ class Refinement:
         allowance = self.deadline.left - _PROOF
         if allowance <= 0.0:
             raise TimingTimedOut(f"nothing is left of the time budget of {self.budget:.3g} s for timing")
-        limits, zone, speed = self.problem.robot.limits, self.problem.dock.approach, abs(self.problem.start_speed)
+        limits, zone = self.problem.robot.limits, self.problem.dock.approach
+        speed, acceleration = self.problem.start_state(int(path.segments[0].direction))
         with at_work(method, self.problem, self.cancelled):
             result = method.parameterize(
-                path, limits, zone, start_speed=speed, max_time=allowance, cancel_checker=self.cancelled
+                path,
+                limits,
+                zone,
+                start_speed=speed,
+                start_acceleration=acceleration,
+                max_time=allowance,
+                cancel_checker=self.cancelled,
             )
         returned(result, TimingResult, method)
         returned(result.status, TimingStatus, method, "the status of its result")

@@ -19,7 +19,7 @@ from optdock.errors import InvalidPath, InvalidValue
 from optdock.geometry.arrays import FrozenArrays, frozen_array, readonly
 from optdock.geometry.checked import exactly, finite_number, member
 from optdock.geometry.clothoid import ClothoidSpline
-from optdock.geometry.pose import Pose2, check_range, unwrap_yaw
+from optdock.geometry.pose import Pose2, check_range, transform_points, unwrap_yaw
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike
@@ -36,6 +36,8 @@ __all__ = [
     "PolylineSegment",
     "Segment",
     "TurnSegment",
+    "moved_segment",
+    "piece_of",
 ]
 
 SAME_POSITION = 1e-9  # [m]: shorter steps carry no direction
@@ -299,6 +301,33 @@ class TurnSegment:
     def curvature_rate_at(self, s: ArrayLike) -> FloatArray:
         """None. Shape (n,) [1/m^2]."""
         return np.zeros(np.atleast_1d(np.asarray(s)).size)
+
+
+def piece_of(segment: Segment, begin: float, end: float) -> Segment:
+    """A segment from arc length `begin` to `end` [m], 0 <= begin < end <= length; its own s begins at 0."""
+    if begin <= 0.0 and end >= segment.length:
+        return segment
+    if isinstance(segment, ClothoidSegment):
+        return ClothoidSegment(segment.spline.piece(begin, end))
+    if isinstance(segment, TurnSegment):
+        share = (end - begin) / segment.length
+        return TurnSegment(Pose2.from_sequence(segment.poses_at(begin)[0]), share * segment.turn)
+    assert isinstance(segment, PolylineSegment)  # there is no other kind
+    inside = (segment.knots > begin) & (segment.knots < end)
+    poses = np.concatenate((segment.poses_at(begin), segment.poses[inside], segment.poses_at(end)))
+    return PolylineSegment(poses, segment.direction)
+
+
+def moved_segment(segment: Segment, move: Pose2) -> Segment:
+    """A segment as a rigid motion of the plane leaves it: every pose p becomes `move @ p`."""
+    if isinstance(segment, ClothoidSegment):
+        spline = segment.spline
+        return ClothoidSegment(ClothoidSpline(move @ spline.start, spline.knots, spline.curvature, spline.sign))
+    if isinstance(segment, TurnSegment):
+        return TurnSegment(move @ segment.pose, segment.turn)
+    assert isinstance(segment, PolylineSegment)  # there is no other kind
+    at = transform_points(move.as_array()[None], segment.poses[:, :2])[0]
+    return PolylineSegment(np.column_stack((at, segment.poses[:, 2] + move.yaw)), segment.direction)
 
 
 def _step_arcs(poses: FloatArray) -> tuple[FloatArray, FloatArray]:

@@ -229,7 +229,7 @@ def configured_problem(path: Path, problem: DockingProblem) -> DockingProblem:
     is an obstacle like others, and no gear, final straight or slow approach is asked for.
     """
     if path.start.gap_to(problem.start) > _SAME_POSE:
-        problem = dataclasses.replace(problem, start=path.start, start_speed=0.0, start_curvature=None)
+        problem = problem.starting_at(path.start)
     if path.end.gap_to(problem.goal) > _SAME_POSE:
         elsewhere = Dock(path.end, direction=DockDirection.AUTO)
         problem = dataclasses.replace(problem, obstacles=problem.all_obstacles, dock=elsewhere)

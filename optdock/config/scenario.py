@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from optdock.io.yaml_lines import Document
     from optdock.plan import DockPlan
 
-__all__ = ["Scenario", "load_scenario"]
+__all__ = ["Scenario", "load_scenario", "problem_of"]
 
 logger = logging.getLogger(__name__)
 
@@ -137,20 +137,30 @@ def _problem(document: ScenarioDocument, costmap: Costmap | None, located: Docum
         InvalidFile: It is broken.
     """
     try:
-        return DockingProblem(
-            start=document.start.pose,
-            dock=document.dock.value(),
-            robot=document.robot.value(),
-            obstacles=ObstacleSet.from_polygons(document.obstacles),
-            clearance=document.clearance.value(),
-            start_speed=document.start.speed,
-            start_curvature=document.start.known_curvature,
-            costmap=costmap,
-            frame=document.frame,
-        )
+        return problem_of(document, costmap)
     except InvalidValue as error:
         name, _, rule = str(error).partition(": ")
         raise InvalidFile(located.fault(tuple(name.split(".")), rule)) from error
+
+
+def problem_of(document: ScenarioDocument, costmap: Costmap | None) -> DockingProblem:
+    """The problem that a scenario document says, among the cells of a costmap.
+
+    Raises:
+        InvalidValue: Its parts do not go together.
+    """
+    return DockingProblem(
+        start=document.start.pose,
+        dock=document.dock.value(),
+        robot=document.robot.value(),
+        obstacles=ObstacleSet.from_polygons(document.obstacles),
+        clearance=document.clearance.value(),
+        start_speed=document.start.speed,
+        start_curvature=document.start.known_curvature,
+        start_acceleration=document.start.acceleration,
+        costmap=costmap,
+        frame=document.frame,
+    )
 
 
 def _warn_of_an_outline_aside(source: Path, outline: Footprint) -> None:

@@ -16,6 +16,7 @@ from optdock.costmap.cell_obstacles import mapped_obstacles
 from optdock.errors import InvalidValue
 from optdock.io.atomic_file import write_text
 from optdock.io.maps import load_map, save_map
+from optdock.robot import Robot, TrackingTube
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -29,9 +30,8 @@ if TYPE_CHECKING:
     from optdock.geometry.pose import Pose2
     from optdock.plugins import PluginChoice
     from optdock.problem import DockingProblem
-    from optdock.robot import Robot
 
-__all__ = ["save_scenario"]
+__all__ = ["problem_document", "save_scenario"]
 
 
 def save_scenario(
@@ -65,23 +65,41 @@ def save_scenario(
     target, problem = Path(target), scenario.problem
     _refuse_unsayable(problem)
     map_name, drawn = _map(target, problem.costmap, map_source)
-    pieces = problem.obstacles.vertices if obstacles is None else obstacles
-    document: dict[str, object] = {"format": "optdock-scenario/1", "frame": problem.frame}
-    document |= {"map": map_name} if map_name else {}
-    document |= {"obstacles": [_points(piece) for piece in pieces]} if len(pieces) else {}
-    document |= {
-        "robot": _robot(problem.robot, unsaid=scenario.default_limits),
-        "dock": _dock(problem.dock),
-        "start": _start(problem),
-        "clearance": dataclasses.asdict(problem.clearance),
-        "time_budget": scenario.time_budget,
-    }
+    document = problem_document(problem, map_name=map_name, obstacles=obstacles, unsaid=scenario.default_limits)
+    document["time_budget"] = scenario.time_budget
     for kind in PLUGIN_DEFAULTS:
         if getattr(scenario, kind) != getattr(type(scenario), kind):
             document[kind] = _section(getattr(scenario, kind))
     comment = "".join(f"# {line}\n" for line in note.splitlines())
     write_text(target, comment + _yaml(document))
     return (target, *drawn)
+
+
+def problem_document(
+    problem: DockingProblem,
+    *,
+    map_name: str = "",
+    obstacles: Sequence[ArrayLike] | None = None,
+    unsaid: frozenset[str] = frozenset(),
+) -> dict[str, object]:
+    """A problem in the words of a scenario file, without its costmap and what no such file can say.
+
+    Args:
+        problem: What to say.
+        map_name: What its costmap is called; empty: nothing is said of one.
+        obstacles: As in `save_scenario`.
+        unsaid: Motion limits to leave out.
+    """
+    pieces = problem.obstacles.vertices if obstacles is None else obstacles
+    document: dict[str, object] = {"format": "optdock-scenario/1", "frame": problem.frame}
+    document |= {"map": map_name} if map_name else {}
+    document |= {"obstacles": [_points(piece) for piece in pieces]} if len(pieces) else {}
+    return document | {
+        "robot": _robot(problem.robot, unsaid),
+        "dock": _dock(problem.dock),
+        "start": _start(problem),
+        "clearance": dataclasses.asdict(problem.clearance),
+    }
 
 
 def _refuse_unsayable(problem: DockingProblem) -> None:
@@ -123,8 +141,10 @@ def _robot(robot: Robot, unsaid: frozenset[str]) -> dict[str, object]:
     others = {
         spec.name: getattr(robot, spec.name)
         for spec in dataclasses.fields(robot)
-        if spec.name not in ("footprint", "limits", "drive") and getattr(robot, spec.name) != spec.default
+        if spec.name not in ("footprint", "limits", "drive", "tracking") and getattr(robot, spec.name) != spec.default
     }
+    if robot.tracking != TrackingTube():
+        others["tracking"] = dataclasses.asdict(robot.tracking)
     return {"footprint": _outline(robot.footprint), "drive": robot.drive.value, **others, "limits": said}
 
 
@@ -139,6 +159,7 @@ def _dock(dock: Dock) -> dict[str, object]:
 def _start(problem: DockingProblem) -> dict[str, object]:
     said: dict[str, object] = {"pose": _pose(problem.start)}
     said |= {"speed": problem.start_speed} if problem.start_speed != 0.0 else {}
+    said |= {"acceleration": problem.start_acceleration} if problem.start_acceleration != 0.0 else {}
     return said | ({"curvature": problem.start_curvature} if problem.start_curvature is not None else {})
 
 

@@ -19,7 +19,14 @@ if TYPE_CHECKING:
     from optdock.costmap.costmap import Costmap
     from optdock.geometry.arrays import BoolArray, FloatArray, IntArray
 
-__all__ = ["Region", "cell_rectangles", "mapped_obstacles", "obstacles_from_costmap"]
+__all__ = [
+    "Region",
+    "added_obstacles",
+    "cell_rectangles",
+    "is_same_grid",
+    "mapped_obstacles",
+    "obstacles_from_costmap",
+]
 
 Region: TypeAlias = "tuple[ArrayLike, ArrayLike]"
 
@@ -83,6 +90,49 @@ def mapped_obstacles(costmap: Costmap, *, unknown_is_obstacle: bool = True) -> O
         unknown_is_obstacle: As there.
     """
     return obstacles_from_costmap(costmap, unknown_is_obstacle=unknown_is_obstacle)
+
+
+def added_obstacles(
+    costmap: Costmap, known: Costmap | None, places: FloatArray, reach: float, *, unknown_is_obstacle: bool = True
+) -> ObstacleSet:
+    """The cells near some places that are obstacles in a costmap and were none before, and its border.
+
+    Args:
+        costmap: As it is now.
+        known: As it was; of another grid, or of none, nothing was known.
+        places: Shape (n, 2) [m].
+        reach: Cells further than this from all of them are left out [m].
+        unknown_is_obstacle: Whether NO_INFORMATION cells are obstacles, then and now.
+    """
+    lower, upper = places.min(axis=0) - reach, places.max(axis=0) + reach
+    first, stop = _cell_window(costmap, (lower, upper))
+    rows, columns = slice(first[1], stop[1]), slice(first[0], stop[0])
+    window = costmap.data[rows, columns]
+    blocked = window >= LETHAL if unknown_is_obstacle else window == LETHAL
+    is_known = known is not None and is_same_grid(costmap, known)
+    if known is not None and is_known:
+        before = known.data[rows, columns]
+        blocked &= ~(before >= LETHAL if unknown_is_obstacle else before == LETHAL)
+    cells = np.argwhere(blocked)[:, ::-1]  # column, row
+    if len(cells):
+        centres = np.array(costmap.origin) + (cells + first + 0.5) * costmap.resolution
+        within = (reach + costmap.resolution) ** 2  # a corner is nearer than the centre by less than a side
+        near = np.zeros(len(cells), dtype=np.bool_)
+        for place in places:
+            near |= np.square(centres - place).sum(axis=1) <= within
+        blocked[cells[~near, 1], cells[~near, 0]] = False
+    found = ObstacleSet.empty()
+    for name, these in (("map", window != NO_INFORMATION), ("unknown", window == NO_INFORMATION)):
+        some = cell_rectangles(blocked & these)
+        if len(some):
+            found = found + _rectangles(costmap, some + np.tile(first, 2), name)
+    return found if is_known else found + _border(costmap).in_box(lower, upper)
+
+
+def is_same_grid(first: Costmap, second: Costmap) -> bool:
+    """Whether the cells of two costmaps are the same squares."""
+    same = first.data.shape == second.data.shape and first.origin == second.origin
+    return same and first.resolution == second.resolution
 
 
 def cell_rectangles(occupied: BoolArray) -> IntArray:

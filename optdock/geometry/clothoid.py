@@ -143,6 +143,13 @@ class ClothoidSpline(FrozenArrays):
         rates: FloatArray = self.curvature_rates[piece]
         return rates
 
+    def piece(self, begin: float, end: float) -> ClothoidSpline:
+        """The curve from arc length `begin` to `end` [m], 0 <= begin < end <= length; what is left begins at 0."""
+        inside = self.knots[(self.knots > begin) & (self.knots < end)]
+        knots = np.concatenate(([begin], inside, [end]))
+        start = self.start if begin == 0.0 else Pose2.from_sequence(self.poses_at(begin)[0])
+        return ClothoidSpline(start, knots - begin, self.curvature_at(knots), self.sign)
+
     @property
     def end(self) -> Pose2:
         """Pose at s = length."""

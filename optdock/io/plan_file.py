@@ -28,7 +28,16 @@ if TYPE_CHECKING:
     from optdock.path import Path
     from optdock.trajectory import Trajectory
 
-__all__ = ["PLAN_FORMAT", "PlanError", "PlanFile", "TrajectoryColumns", "load_plan", "save_plan", "strict_json"]
+__all__ = [
+    "PLAN_FORMAT",
+    "PlanError",
+    "PlanFile",
+    "TrajectoryColumns",
+    "load_plan",
+    "parse_plan",
+    "save_plan",
+    "strict_json",
+]
 
 PLAN_FORMAT = "optdock-plan/1"
 DEFAULT_SPACING = 0.02
@@ -255,7 +264,26 @@ def load_plan(source: str | FilePath) -> PlanFile:
         InvalidFile: The file cannot be read, is not strict JSON, or breaks the format; the message lists every fault.
     """
     source = FilePath(source)
-    document = _parsed(source)
+    try:
+        text = source.read_text(encoding="utf-8")
+    except OSError as error:
+        raise InvalidFile(f"{source}: cannot be read: {error.strerror or error}") from error
+    except ValueError as error:
+        raise InvalidFile(f"{source}: not a plan file: {error}") from error
+    return parse_plan(text, str(source))
+
+
+def parse_plan(text: str, source: str) -> PlanFile:
+    """The content of a plan file that has been read.
+
+    Args:
+        text: Its content.
+        source: What it is called in messages.
+
+    Raises:
+        InvalidFile: It is not strict JSON, or breaks the format; the message lists every fault.
+    """
+    document = _parsed(text, source)
     faults: list[str] = []
     raw_path = _built(lambda: _path(document.raw_path, "raw_path"), faults)
     path = _built(lambda: _path(document.path, "path"), faults)
@@ -297,12 +325,9 @@ def _path(columns: PathColumns | None, name: str) -> Path | None:
     return None if columns is None else path_from_columns(columns, name)
 
 
-def _parsed(source: FilePath) -> _PlanDocument:
+def _parsed(text: str, source: str) -> _PlanDocument:
     try:
-        text = source.read_text(encoding="utf-8")
         return _PlanDocument.model_validate(json.loads(text, parse_constant=_refuse_constant))
-    except OSError as error:
-        raise InvalidFile(f"{source}: cannot be read: {error.strerror or error}") from error
     except json.JSONDecodeError as error:
         raise InvalidFile(f"{source}:{error.lineno}: not JSON: {error.msg}") from error
     except ValidationError as error:
@@ -315,14 +340,14 @@ def _refuse_constant(name: str) -> NoReturn:
     raise ValueError(f"{name} is not JSON; numbers must be finite")
 
 
-def _faults(source: FilePath, error: ValidationError) -> str:
+def _faults(source: str, error: ValidationError) -> str:
     """One line each, and how many more there are: a column may hold a million wrong values."""
     items = error.errors(include_url=False)
     more = [f"{source}: and {len(items) - MAX_FAULTS} more faults"] if len(items) > MAX_FAULTS else []
     return "\n".join([*(_fault(source, item) for item in items[:MAX_FAULTS]), *more])
 
 
-def _fault(source: FilePath, item: Mapping[str, object]) -> str:
+def _fault(source: str, item: Mapping[str, object]) -> str:
     path = item["loc"]
     place = ".".join(str(part) for part in path) if isinstance(path, tuple) else str(path)
     got = "" if item["type"] == "missing" else f", got {item['input']!r}"

@@ -90,6 +90,7 @@ def _path_verdict(path: Path, problem: DockingProblem, is_late: Callable[[], boo
         problem=problem.fingerprint,
         path=path.digest,
         start_relief=relief,
+        tube=problem.robot.tracking.width(problem.robot.footprint),
     )
 
 
@@ -98,7 +99,7 @@ def _only_near_the_start(proof: ClearanceProof, problem: DockingProblem) -> bool
 
     Proofs that the weaker rule is broken as well are not made twice.
     """
-    clearance, rule = end_clearances(problem).start, problem.clearance
+    clearance, rule = end_clearances(problem).start, problem.path_clearance
     if clearance >= rule.required:
         return False
     at = proof.violations[:, 4:6]
@@ -124,6 +125,9 @@ def _too_close(row: FloatArray, problem: DockingProblem) -> Violation:
     obstacle = problem.all_obstacles.name_of(int(row[3]))
     what = f"{'overlaps' if clearance < 0.0 else 'comes too close to'} {in_words(obstacle)}"
     message = f"the footprint {what} at s = {s:.3f} m: clearance {clearance:.4f} m, required {required:.4f} m"
+    tube = problem.robot.tracking.width(problem.robot.footprint)
+    if tube > 0.0:
+        message += f", with the tube of {tube:.4f} m about the path"
     where = {"pose": row[4:].tolist(), "obstacle": obstacle, "clearance": clearance, "required": required}
     return Violation("clearance", message, s, required - clearance, where)
 
@@ -171,18 +175,21 @@ def certify_trajectory(
 def certify_motion(
     trajectory: Trajectory, problem: DockingProblem, *, is_late: Callable[[], bool] = never_late
 ) -> TrajectoryCertificate:
-    """Prove that a trajectory keeps the motion limits of `problem` and begins as the robot does, without acceleration.
+    """Prove that a trajectory keeps the motion limits of `problem` and begins as the robot does.
 
     Args:
         trajectory: The motion to judge.
-        problem: Its robot's limits, its dock's slow stretch and its start speed count.
+        problem: Its robot's limits, its dock's slow stretch, its start speed and its start acceleration count.
         is_late: As of `certify_trajectory`.
 
     Returns:
         The certificate, as of `certify_trajectory`.
     """
-    limits, zone, speed = problem.robot.limits, problem.dock.approach, abs(problem.start_speed)
-    return certify_trajectory(trajectory, limits, zone, start_speed=speed, start_acceleration=0.0, is_late=is_late)
+    limits, zone = problem.robot.limits, problem.dock.approach
+    speed, acceleration = problem.start_state(int(trajectory.path.segments[0].direction))
+    return certify_trajectory(
+        trajectory, limits, zone, start_speed=speed, start_acceleration=acceleration, is_late=is_late
+    )
 
 
 class _Itself(weakref.ref[Subject]):

@@ -39,6 +39,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
     from optdock.geometry.arrays import BoolArray, FloatArray, IntArray
+    from optdock.geometry.footprint import Footprint
     from optdock.geometry.pose import Pose2
     from optdock.geometry.separation import ConvexBody
     from optdock.obstacles import ObstacleSet
@@ -47,7 +48,7 @@ if TYPE_CHECKING:
     from optdock.verification.motion_bounds import CellEnds, CellMotion, Nodes
     from optdock.verification.proximity import BoundedBody
 
-__all__ = ["AdvanceBounds", "Advances", "ClearanceProof", "advance_bounds", "prove_clearance"]
+__all__ = ["AdvanceBounds", "Advances", "Begun", "ClearanceProof", "advance_bounds", "prove_clearance"]
 
 _BLOCK = 4000  # cells looked at in one go, some milliseconds; a deadline is looked at in between
 _MAX_STEP = 0.08  # [m], first cells
@@ -106,7 +107,13 @@ class _Round(NamedTuple):
 
 
 def prove_clearance(
-    path: Path, problem: DockingProblem, is_late: Callable[[], bool] = never_late, start_relief: float = 0.0
+    path: Path,
+    problem: DockingProblem,
+    is_late: Callable[[], bool] = never_late,
+    start_relief: float = 0.0,
+    *,
+    obstacles: ObstacleSet | None = None,
+    begun: Begun | None = None,
 ) -> ClearanceProof:
     """Prove the clearance rule of `problem` for every point of `path`, or find the poses that break it.
 
@@ -116,25 +123,55 @@ def prove_clearance(
         is_late: Polled after every round of cells. Once it is True what is proven counts, the minimum is sharpened no
             further, and cells that are still open are given up.
         start_relief: Of the rule, see `ClearanceRule.required_at` [m].
+        obstacles: What must not be touched; None: all that the problem knows.
+        begun: Where a path began of which this is the rest, so that the rule is that of the whole; None: at its start.
     """
-    footprint, obstacles = problem.robot.footprint, problem.all_obstacles
+    footprint = problem.robot.footprint
+    obstacles = problem.all_obstacles if obstacles is None else obstacles
     if len(obstacles) == 0:
         nothing = np.zeros((0, 7))
-        return ClearanceProof(np.inf, 0.0, problem.clearance.required, -1, np.inf, nothing, nothing[:, :2], 0)
+        return ClearanceProof(np.inf, 0.0, problem.path_clearance.required, -1, np.inf, nothing, nothing[:, :2], 0)
     ends = np.stack((problem.start.as_array(), path.end.as_array()))
     clearances, _ = pose_clearances(ends, footprint, obstacles)
-    start_clearance, attained = float(clearances[0]), float(clearances.min())
+    if begun is None:
+        begun, attained = Begun(problem.start, float(clearances[0])), float(clearances.min())
+    else:
+        attained = float(clearances[1])
     motion = PathMotion(path)
-    rule = functools.partial(problem.clearance.required_at, start_clearance=start_clearance, start_relief=start_relief)
-    subdivision = _Subdivision(motion, problem, rule, attained, _CROP, is_late)
+    clearance = problem.path_clearance
+    rule = functools.partial(clearance.required_at, start_clearance=begun.clearance, start_relief=start_relief)
+    world = _World(problem.robot.footprint, obstacles, problem.goal, begun.start, rule, clearance.required)
+    subdivision = _Subdivision(motion, world, attained, _CROP, is_late)
     near = subdivision.run()
     if near.proven <= _CROP or len(subdivision.near) == len(obstacles):
         return near
     # What was left out is at least `_CROP` away: it cannot break the rule, but it may hold the minimum.
     if is_late():
-        margin = min(near.margin, _CROP - problem.clearance.required)
+        margin = min(near.margin, _CROP - problem.path_clearance.required)
         return near._replace(proven=min(near.proven, _CROP), margin=margin)
-    return _Subdivision(motion, problem, rule, attained, np.inf, is_late).run()
+    return _Subdivision(motion, world, attained, np.inf, is_late).run()
+
+
+class Begun(NamedTuple):
+    """Where the robot was when it set off, and its clearance there [m]."""
+
+    start: Pose2
+    clearance: float
+
+
+class _World(NamedTuple):
+    """What a path is proven in: the robot's outline, what it must not touch, and the rule.
+
+    `rule`: required clearance by the distances from the goal and from the start, Shape (n,) [m] each; `most`: the
+    largest.
+    """
+
+    footprint: Footprint
+    obstacles: ObstacleSet
+    goal: Pose2
+    start: Pose2
+    rule: Callable[[FloatArray, FloatArray], FloatArray]
+    most: float
 
 
 class _Subdivision:
@@ -142,8 +179,7 @@ class _Subdivision:
 
     Args:
         motion: The path as cells.
-        problem: What must hold.
-        rule: Required clearance by the distances from the goal and from the start, Shape (n,) [m] each.
+        world: What it is proven in.
         attained: Smallest clearance of a pose on the path so far [m].
         crop: Obstacles further from the swept area are left out [m].
         is_late: See `prove_clearance`.
@@ -152,13 +188,12 @@ class _Subdivision:
     def __init__(
         self,
         motion: PathMotion,
-        problem: DockingProblem,
-        rule: Callable[[FloatArray, FloatArray], FloatArray],
+        world: _World,
         attained: float,
         crop: float,
         is_late: Callable[[], bool],
     ) -> None:
-        self.motion, self.problem, self.rule = motion, problem, rule
+        self.motion, self.world, self.rule = motion, world, world.rule
         self.attained, self.is_late = attained, is_late
         self.step = max(_MAX_STEP, motion.path.length / _MOST_FIRST)
         self.poses = 0
@@ -205,7 +240,7 @@ class _Subdivision:
 
     def _prove_contact(self, cells: Cells) -> tuple[FloatArray, FloatArray]:
         """Poses at which something lies deep inside something, and what cannot be proven; as `run` collects them."""
-        robot = self.problem.robot.footprint
+        robot = self.world.footprint
         at = self._ends(cells)[1].poses[:, :2]
         reach = robot.circumscribed_radius + self.step
         pairs = deep_pairs(robot, self.near, at.min(axis=0) - reach, at.max(axis=0) + reach)
@@ -241,7 +276,7 @@ class _Subdivision:
     def _deep_violation(self, nodes: Nodes, at: int, distance: float) -> FloatArray:
         """The pose as `ClearanceProof.violations` has it, with the obstacle piece that is nearest by itself."""
         pose = nodes.poses[at]
-        _, row = pose_clearances(pose[None], self.problem.robot.footprint, self.near)
+        _, row = pose_clearances(pose[None], self.world.footprint, self.near)
         return np.array([[nodes.s[at], distance - DEPTH, 0.0, row[0], *pose]])
 
     def _ends(self, cells: Cells) -> tuple[CellEnds, Nodes]:
@@ -250,9 +285,9 @@ class _Subdivision:
 
     def _crop(self, nodes: Nodes, crop: float) -> tuple[ObstacleSet, IntArray]:
         """The obstacles near the swept area, or all of them where none is near; and their rows in the problem."""
-        everything = self.problem.all_obstacles
+        everything = self.world.obstacles
         at = nodes.poses[:, :2]  # a cell strays from its chord by less than its length
-        reach = self.problem.robot.footprint.circumscribed_radius + self.step + crop + self.problem.clearance.required
+        reach = self.world.footprint.circumscribed_radius + self.step + crop + self.world.most
         rows = everything.rows_in_box(at.min(axis=0) - reach, at.max(axis=0) + reach)
         if rows.size == 0 or rows.size > _WORTHWHILE * len(everything):
             return everything, np.arange(len(everything))
@@ -275,7 +310,7 @@ class _Subdivision:
         required = self._required_in_cells(distances, ends, bounds)
         exact_within = np.tile(np.maximum(required, self.attained), 2)
         advances = _from_both_ends(nodes, ends, bounds)
-        bodies = bounded_footprint(self.problem.robot.footprint)
+        bodies = bounded_footprint(self.world.footprint)
         found = advance_bounds(bodies, advances, self.near, exact_within, self.is_late)
         earlier = found.bound[:n] <= found.bound[n:]
         pick = np.where(earlier, np.arange(n), np.arange(n) + n)
@@ -300,13 +335,13 @@ class _Subdivision:
         return self.rule(from_goal, from_start)
 
     def _required_at(self, pose: Pose2) -> float:
-        ends = (self.problem.goal, self.problem.start)
+        ends = (self.world.goal, self.world.start)
         from_goal, from_start = (np.array([np.hypot(pose.x - end.x, pose.y - end.y)]) for end in ends)
         return float(self.rule(from_goal, from_start)[0])
 
     def _distances(self, nodes: Nodes) -> tuple[FloatArray, FloatArray]:
         """Distances from the goal and from the start, Shape (n,) [m] each."""
-        return _distance(nodes, self.problem.goal), _distance(nodes, self.problem.start)
+        return _distance(nodes, self.world.goal), _distance(nodes, self.world.start)
 
     def _summary(self, settled: FloatArray, violations: FloatArray, given_up: FloatArray) -> ClearanceProof:
         worst = violations[:, [1, 0, 2, 3]] if len(violations) else np.concatenate((settled, given_up))

@@ -96,7 +96,7 @@ def _planned(
 
 
 def _from(problem: DockingProblem, start: Pose2) -> DockingProblem:
-    return dataclasses.replace(problem, start=start, start_speed=0.0, start_curvature=None)
+    return problem.starting_at(start)
 
 
 def _timed(path: Path, problem: DockingProblem, timing: TimingLike) -> Trajectory:

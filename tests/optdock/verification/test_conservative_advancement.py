@@ -22,7 +22,7 @@ from optdock.path import ClothoidSegment, Direction, Path, PolylineSegment
 from optdock.problem import ClearanceRule, DockingProblem
 from optdock.robot import Robot
 from optdock.verification import certify_path, conservative_advancement, pose_clearance
-from optdock.verification.conservative_advancement import AdvanceBounds, Advances, _Subdivision, advance_bounds
+from optdock.verification.conservative_advancement import AdvanceBounds, Advances, _Subdivision, _World, advance_bounds
 from optdock.verification.motion_bounds import PathMotion
 from optdock.verification.proximity import bounded_footprint
 
@@ -483,7 +483,8 @@ def test_the_requirement_of_a_cell_holds_for_all_of_its_poses(seed):
     start_clearance = float(rng.uniform(0.0, 0.4))
     relief = float(rng.choice([0.0, rng.uniform(0.0, 0.9)]))
     asked = functools.partial(rule.required_at, start_clearance=start_clearance, start_relief=relief)
-    prover = _Subdivision(PathMotion(path), problem, asked, 0.0, np.inf, never_late)
+    world = _World(ROBOT.footprint, problem.all_obstacles, problem.goal, problem.start, asked, rule.required)
+    prover = _Subdivision(PathMotion(path), world, 0.0, np.inf, never_late)
     cells = prover.motion.cells(0.3)
     ends = cells.ends()
     nodes = prover.motion.nodes(ends.segment, ends.u)

@@ -1,0 +1,218 @@
+"""`DockingExecutor`: measurements in, a command out, at any rate, until the task has ended under a name."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING, Literal, NamedTuple, TypeAlias
+
+from optdock.controllers.command_limits import CommandLimiter
+from optdock.errors import InvalidValue
+from optdock.executor.log import LoggedPlanning, LogWriter, Task, plugin_choice
+from optdock.executor.outcomes import Ending, Event, Feedback, FeedbackState, State, Step
+from optdock.executor.perception import Perception
+from optdock.executor.planning import InlinePlanning
+from optdock.executor.procedure import Procedure
+from optdock.executor.settings import ExecutorSettings
+from optdock.geometry.checked import finite_number, instance
+from optdock.geometry.pose import Pose2, Twist2
+from optdock.interfaces import Controller, GoalChecker
+from optdock.lifecycle import PluginContext
+from optdock.measurements import Measurements
+from optdock.plugins import PluginChoice, plugin_from
+from optdock.problem import DockingProblem
+
+if TYPE_CHECKING:
+    from optdock.executor.planning import Planning
+
+__all__ = ["DockingExecutor"]
+
+ControllerLike: TypeAlias = "str | PluginChoice | Controller"
+GoalCheckerLike: TypeAlias = "str | PluginChoice | GoalChecker"
+
+_FEEDBACK = {
+    State.STAGING: FeedbackState.NAV_TO_STAGING_POSE,
+    State.PERCEIVING: FeedbackState.INITIAL_PERCEPTION,
+    State.APPROACHING: FeedbackState.CONTROLLING,
+    State.PRESSING: FeedbackState.CONTROLLING,
+    State.WAITING_FOR_DETECTION: FeedbackState.INITIAL_PERCEPTION,
+    State.WAITING_FOR_CHARGE: FeedbackState.WAIT_FOR_CHARGE,
+    State.BACKING_OUT: FeedbackState.RETRY,
+    State.RETURNING: FeedbackState.RETRY,
+}
+
+
+_STILL = 1e-6  # [m/s], [rad/s]: what is left of a stop by rounding
+_TURNING = 0.005  # [m/s]: a robot that is to turn and not to drive turns in place
+_FIRST_PERIOD = 0.005  # [s], until two cycles have shown another one: of 200 Hz, so that no command changes too fast
+
+
+class _Tick(NamedTuple):
+    """Since the last cycle: the time that passed, and the time over which commands may change [s]."""
+
+    passed: float
+    of_commands: float
+
+
+class DockingExecutor:
+    """Docks a robot, or undocks it, cycle by cycle, without a clock or a thread of its own.
+
+    Args:
+        problem: Robot, dock as stored, obstacles, clearance; its start plays no part.
+        settings: How; None: the defaults.
+        task: Which of the two.
+        controller: Drives; a name, a name with parameters, or a plugin that is not configured.
+        goal_checker: Says when the robot is docked; likewise.
+        planning: Plans beside the control loop; None: at once, the results 20 ms later by the stamps.
+        log: Takes everything down; None: nobody does.
+
+    Raises:
+        InvalidValue: A part is of another class, the task is none of the two, or a parameter of a plugin is wrong.
+        PluginError: A plugin is unknown.
+    """
+
+    def __init__(  # noqa: PLR0913 - what may be chosen
+        self,
+        problem: DockingProblem,
+        settings: ExecutorSettings | None = None,
+        *,
+        task: Literal["dock", "undock"] = "dock",
+        controller: ControllerLike = "TrackingController",
+        goal_checker: GoalCheckerLike = "DockGoalChecker",
+        planning: Planning | None = None,
+        log: LogWriter | None = None,
+    ) -> None:
+        instance(DockingProblem, problem, "problem")
+        self.settings = settings if settings is not None else ExecutorSettings()
+        instance(ExecutorSettings, self.settings, "settings")
+        if task not in ("dock", "undock"):
+            raise InvalidValue(f"task: must be 'dock' or 'undock', got {task!r}")
+        self.problem, self.task = problem, task
+        driver = plugin_from(Controller, controller, "controller")
+        checker = plugin_from(GoalChecker, goal_checker, "goal_checker")
+        checker.configure(PluginContext(name=checker.name, problem=problem))
+        self._events: list[Event] = []
+        self._perception = Perception(problem.goal, self.settings, self._report)
+        self._limiter = CommandLimiter()
+        self._planning: Planning = planning if planning is not None else InlinePlanning()
+        if log is not None:
+            log.begin(Task(problem, self.settings, task, plugin_choice(driver), plugin_choice(checker)))
+            self._planning = LoggedPlanning(self._planning, log, problem.frame)
+        self._procedure = Procedure(
+            problem, self.settings, self._perception, driver, checker, self._planning, self._report
+        )
+        self._cycles = self._procedure.run(undock=task == "undock")
+        self._log = log
+        self._began: float | None = None
+        self._last_stamp = -math.inf
+        self._offset = 0.0
+        self._usual_period = _FIRST_PERIOD
+        self._ending: Ending | None = None
+
+    @property
+    def ending(self) -> Ending | None:
+        """How the task ended; None while it goes on."""
+        return self._ending
+
+    @property
+    def robot(self) -> Pose2 | None:
+        """Where the robot is believed to be; None before the first measured pose."""
+        return self._perception.robot if self._perception.started else None
+
+    @property
+    def dock(self) -> Pose2:
+        """Where the docked pose is believed to be, in the fixed frame."""
+        return self._perception.dock
+
+    def cancel(self) -> None:
+        """End the task: a stop within the limits, and the ending `cancelled`."""
+        if not self._procedure.cancelled:
+            self._procedure.cancelled = True
+            if self._log is not None:
+                self._log.cancel()
+
+    def step(self, measurements: Measurements) -> Step:
+        """One control cycle.
+
+        Args:
+            measurements: What has been measured since the last one; their stamp may come at any rate from 10 to 200 Hz.
+
+        Raises:
+            InvalidValue: They are of another class, or the stamp is no finite number.
+        """
+        instance(Measurements, measurements, "measurements")
+        finite_number(measurements.stamp, "measurements.stamp")
+        self._events.clear()
+        if self._began is None:
+            self._limiter.restart(measurements.twist)
+        tick = self._tick(measurements.stamp)
+        self._perception.update(measurements, measurements.stamp + self._offset, self._offset)
+        command = self._command(tick.of_commands)
+        state = State.ENDED if self._ending is not None else self._procedure.state
+        deviation = self._procedure.deviation if self._ending is None else None
+        step = Step(command, state, self._feedback(state), self._ending, tuple(self._events), deviation)
+        if self._log is not None:
+            self._log.cycle(measurements, step)
+        return step
+
+    def _report(self, name: str, detail: str = "") -> None:
+        self._events.append(Event(self._perception.stamp if self._began is not None else 0.0, name, detail))
+
+    def _tick(self, stamp: float) -> _Tick:
+        """The time since the last cycle, on a clock that never goes back and makes no leaps."""
+        before, self._last_stamp = self._last_stamp, stamp
+        self._procedure.interruption = ("", "")
+        if self._began is None:
+            self._began = stamp
+            return _Tick(0.0, 0.0)
+        period, usual, longest = stamp - before, self._usual_period, self.settings.longest_tick
+        if period < 0.0:
+            self._offset += usual - period
+            self._interrupt("clock went back", f"by {-period:.3f} s; it goes on from where it was")
+            return _Tick(usual, usual)
+        if period > longest:
+            self._offset += longest - period
+            self._interrupt("no cycle for long", f"{period:.3f} s passed since the last one")
+            return _Tick(longest, usual)  # whatever has passed, the drive has not been told anything else
+        if period > self.settings.late_tick:
+            self._report("late cycle", f"{period:.3f} s passed since the last one")
+        elif period > 0.0:
+            self._usual_period = period
+        return _Tick(period, period)
+
+    def _interrupt(self, name: str, reason: str) -> None:
+        self._report(name, reason)
+        self._procedure.interruption = (name, reason)
+
+    def _command(self, period: float) -> Twist2:
+        procedure, wish = self._procedure, None
+        if self._ending is None:
+            procedure.commanded = self._limiter.command
+            try:
+                wish = next(self._cycles)
+            except StopIteration as over:
+                kind, reason = over.value
+                self._ending = Ending(kind, reason, procedure.num_retries, self._perception.stamp)
+                self._report(kind.value, reason)
+                self._planning.close()
+        return self._limited(wish, period)
+
+    def _limited(self, wish: Twist2 | None, period: float) -> Twist2:
+        """What is wished for, or a stop along the present curve, as far as the limits allow; whoever asks for it."""
+        limiter, robot = self._limiter, self.problem.robot
+        if period <= 0.0 or (wish is None and limiter.command == Twist2()):
+            return limiter.command
+        target = wish if wish is not None else Twist2()
+        turns = wish is not None and abs(wish.linear) < _TURNING and wish.angular != 0.0
+        command = limiter.follow(target, target, period, robot.limits, robot.drive, in_place=turns)
+        if wish is None and abs(command.linear) < _STILL and abs(command.angular) < _STILL:
+            limiter.stop()
+        return limiter.command
+
+    def _feedback(self, state: State) -> Feedback:
+        perception = self._perception
+        distance = math.inf
+        if perception.started:
+            relative = perception.robot_from_dock
+            distance = math.hypot(relative.x, relative.y)
+        passed = perception.stamp - (self._began or 0.0)
+        return Feedback(_FEEDBACK.get(state, FeedbackState.NONE), self._procedure.num_retries, distance, passed)

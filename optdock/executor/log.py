@@ -1,0 +1,520 @@
+"""Docking logs, format `optdock-log/1`: one JSON value per line, written as it happens.
+
+The first line says what was asked for: the problem in the words of a scenario file, its costmap, the settings, the
+plugins. Then, for every cycle, what planning delivered in it, and what was measured, commanded and said. Numbers read
+back as they were, to the last bit. A crash leaves at most the last line cut off.
+"""
+
+from __future__ import annotations
+
+import base64
+import dataclasses
+import json
+import zlib
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Literal, NamedTuple, TextIO
+
+import numpy as np
+from pydantic import BaseModel, ConfigDict, JsonValue, TypeAdapter, ValidationError
+
+from optdock.config.document import ScenarioDocument
+from optdock.config.scenario import problem_of
+from optdock.config.writing import problem_document
+from optdock.costmap.costmap import Costmap
+from optdock.dock import DockTolerances
+from optdock.errors import InvalidFile, InvalidValue, OptdockError
+from optdock.executor.outcomes import Ending, EndingKind, Event, State
+from optdock.executor.planning import Motion, Outcome, PlanResult, Verdict
+from optdock.executor.settings import ExecutorSettings
+from optdock.geometry.pose import Pose2, Twist2
+from optdock.io.plan_file import PlanFile, TrajectoryColumns, parse_plan
+from optdock.measurements import Detection, Measurements
+from optdock.parameters import parse_parameters
+from optdock.plugins import PluginChoice
+from optdock.trajectory import Trajectory
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Mapping
+    from types import TracebackType
+
+    from optdock.executor.outcomes import Step
+    from optdock.executor.planning import Job, Planning
+    from optdock.geometry.arrays import FloatArray
+    from optdock.lifecycle import Plugin
+    from optdock.problem import DockingProblem
+
+__all__ = [
+    "LOG_FORMAT",
+    "Cycle",
+    "DockingLog",
+    "LogWriter",
+    "LoggedPlanning",
+    "Planned",
+    "Start",
+    "Task",
+    "plugin_choice",
+    "read_log",
+]
+
+LOG_FORMAT = "optdock-log/1"
+_SPACING, _PERIOD = 0.2, 0.5  # [m], [s] of the samples of a plan: the exact curves and phases stand beside them
+
+
+class Task(NamedTuple):
+    """What was asked for, as the first line of a log says it."""
+
+    problem: DockingProblem
+    settings: ExecutorSettings
+    task: Literal["dock", "undock"]
+    controller: PluginChoice
+    goal_checker: PluginChoice
+
+
+class Start(NamedTuple):
+    """Where a planned motion begins: pose, speed and acceleration along the heading, and curvature, None where free."""
+
+    pose: Pose2
+    speed: float
+    acceleration: float
+    curvature: float | None
+
+
+class Planned(NamedTuple):
+    """What planning delivered, as far as a replay needs it.
+
+    Attributes:
+        result: Of a job; its motion's problem is filled in by whoever handed the job in.
+        trajectory: Of the motion; None where there is none.
+        start: Of the motion's problem.
+        verdict: The answer to a question, instead of a result.
+    """
+
+    result: PlanResult | None = None
+    trajectory: Trajectory | None = None
+    start: Start | None = None
+    verdict: Verdict | None = None
+
+
+class Cycle(NamedTuple):
+    """One control cycle.
+
+    Attributes:
+        line: Where it stands in the file.
+        planned: What planning delivered in it, in this order.
+        cancelled: Whether the task was cancelled before it.
+        measurements: What went in.
+        command: What came out.
+        state: What the executor was doing.
+        ending: How the task ended; None while it went on.
+        events: What happened.
+    """
+
+    line: int
+    planned: tuple[Planned, ...]
+    cancelled: bool
+    measurements: Measurements
+    command: Twist2
+    state: State
+    ending: Ending | None
+    events: tuple[Event, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class DockingLog:
+    """A log that has been read.
+
+    Args:
+        source: The file.
+        task: What was asked for.
+        cycles: What happened.
+        cut_off: Whether the last line was left out because it is not whole.
+    """
+
+    source: str
+    task: Task
+    cycles: tuple[Cycle, ...]
+    cut_off: bool
+
+    @property
+    def measured(self) -> FloatArray:
+        """Poses as measured, Shape (n, 3)."""
+        poses = [cycle.measurements.pose for cycle in self.cycles]
+        return np.array([(pose.x, pose.y, pose.yaw) for pose in poses if pose is not None]).reshape(-1, 3)
+
+    @property
+    def commands(self) -> FloatArray:
+        """Time since the first cycle, linear and angular, Shape (n, 3) [s, m/s, rad/s]."""
+        began = self.cycles[0].measurements.stamp if self.cycles else 0.0
+        rows = [(c.measurements.stamp - began, c.command.linear, c.command.angular) for c in self.cycles]
+        return np.array(rows).reshape(-1, 3)
+
+
+class LogWriter:
+    """Writes a log, line by line; use it as a context, or close it.
+
+    Args:
+        target: The file; one that exists is replaced.
+        flush: Hand every cycle to the operating system at once, so that a crash of the program loses none.
+
+    Raises:
+        InvalidFile: The file cannot be written.
+
+    Attributes:
+        failure: Why nothing is written any more; empty while all is well. A full disk must not stop a robot.
+    """
+
+    def __init__(self, target: str | Path, *, flush: bool = True) -> None:
+        self._target, self._flush = Path(target), flush
+        self.failure = ""
+        self._file: TextIO | None = None
+        try:
+            self._target.parent.mkdir(parents=True, exist_ok=True)
+            self._file = self._target.open("w", encoding="utf-8")
+        except OSError as error:
+            raise InvalidFile(f"{target}: cannot be written: {error.strerror or error}") from error
+
+    def __enter__(self) -> LogWriter:
+        """The log itself."""
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        """Close it."""
+        self.close()
+
+    def begin(self, task: Task) -> None:
+        """The first line."""
+        problem = task.problem
+        self._write(
+            {
+                "format": LOG_FORMAT,
+                "task": task.task,
+                "problem": problem_document(problem),
+                "tolerances": dataclasses.asdict(problem.dock.tolerances),
+                "unknown_is_obstacle": problem.unknown_is_obstacle,
+                "costmap": _costmap_values(problem.costmap),
+                "fingerprint": problem.fingerprint._asdict(),
+                "settings": task.settings.model_dump(),
+                "controller": [task.controller.name, dict(task.controller.parameters)],
+                "goal_checker": [task.goal_checker.name, dict(task.goal_checker.parameters)],
+            }
+        )
+
+    def cancel(self) -> None:
+        """The task is cancelled before the next cycle."""
+        self._write({"cancel": True})
+
+    def planned(self, result: PlanResult, frame: str) -> None:
+        """What planning delivers in the cycle that is written next."""
+        value: dict[str, object] = {
+            "number": result.number,
+            "outcome": result.outcome.value,
+            "starts_at": result.starts_at,
+            "reason": result.reason,
+            "code": result.code,
+        }
+        if result.motion is not None:
+            value |= {"start": _start_values(result.motion.problem), "plan": _plan_values(result.motion, frame)}
+        self._write({"planned": value})
+
+    def verdict(self, verdict: Verdict) -> None:
+        """What planning answers in the cycle that is written next."""
+        self._write({"verdict": list(verdict)})
+
+    def cycle(self, measurements: Measurements, step: Step) -> None:
+        """One control cycle."""
+        m, ending = measurements, step.ending
+        value: dict[str, object] = {
+            "stamp": m.stamp,
+            "pose": None if m.pose is None else [m.pose.x, m.pose.y, m.pose.yaw],
+            "twist": [m.twist.linear, m.twist.angular, m.twist.lateral],
+            "command": [step.command.linear, step.command.angular],
+            "state": step.state.value,
+        }
+        if m.detections:
+            value["detections"] = [
+                [d.stamp, d.pose.x, d.pose.y, d.pose.yaw, d.position_sigma, d.yaw_sigma] for d in m.detections
+            ]
+        if m.contact is not None:
+            value["contact"] = m.contact
+        if m.costmap is not None:
+            value["costmap"] = _costmap_values(m.costmap)
+        if step.events:
+            value["events"] = [list(event) for event in step.events]
+        if ending is not None:
+            value["ending"] = [ending.kind.value, ending.reason, ending.num_retries, ending.stamp]
+        self._write(value)
+        if self._flush and self._file is not None:
+            self._file.flush()
+
+    def close(self) -> None:
+        """Nothing more will be written."""
+        if self._file is not None:
+            self._file.close()
+            self._file = None
+
+    def _write(self, value: Mapping[str, object]) -> None:
+        if self._file is None:
+            return
+        try:
+            self._file.write(json.dumps(value) + "\n")
+        except OSError as error:
+            self.failure = f"{self._target}: cannot be written: {error.strerror or error}"
+            self._file = None
+
+
+class LoggedPlanning:
+    """Planning whose results are written down as they are delivered.
+
+    Args:
+        planning: Does the work.
+        log: Where.
+        frame: Name of the coordinate frame.
+    """
+
+    def __init__(self, planning: Planning, log: LogWriter, frame: str) -> None:
+        self._planning, self._log, self._frame = planning, log, frame
+
+    def submit(self, job: Job) -> None:
+        """As the planning."""
+        self._planning.submit(job)
+
+    def poll(self, stamp: float) -> PlanResult | None:
+        """As the planning."""
+        result = self._planning.poll(stamp)
+        if result is not None:
+            self._log.planned(result, self._frame)
+        return result
+
+    def still_holds(self, motion: Motion, costmap: Costmap, from_time: float) -> Verdict:
+        """As the planning."""
+        verdict = self._planning.still_holds(motion, costmap, from_time)
+        self._log.verdict(verdict)
+        return verdict
+
+    def close(self) -> None:
+        """As the planning."""
+        self._planning.close()
+
+
+def plugin_choice(plugin: Plugin) -> PluginChoice:
+    """A plugin by name and parameters."""
+    return PluginChoice(type(plugin).__name__, plugin.parameters.model_dump())
+
+
+def _costmap_values(costmap: Costmap | None) -> dict[str, object] | None:
+    if costmap is None:
+        return None
+    cells = base64.b64encode(zlib.compress(costmap.data.tobytes())).decode("ascii")
+    return {
+        "rows": costmap.rows,
+        "columns": costmap.columns,
+        "resolution": costmap.resolution,
+        "origin": list(costmap.origin),
+        "cells": cells,
+    }
+
+
+def _start_values(problem: DockingProblem) -> list[float | None]:
+    start = problem.start
+    return [start.x, start.y, start.yaw, problem.start_speed, problem.start_acceleration, problem.start_curvature]
+
+
+def _plan_values(motion: Motion, frame: str) -> object:
+    trajectory = motion.trajectory
+    found = PlanFile(
+        status="planned",
+        frame=frame,
+        path=trajectory.path,
+        trajectory=TrajectoryColumns.from_trajectory(trajectory, _PERIOD),
+        time_law=trajectory.time_law,
+    )
+    return json.loads(found.as_json(spacing=_SPACING))
+
+
+def read_log(source: str | Path) -> DockingLog:
+    """Read a log.
+
+    A last line that is cut off, as a crash leaves it, is left out.
+
+    Raises:
+        InvalidFile: The file cannot be read, is no log, or is damaged; the message names file and line.
+    """
+    source = Path(source)
+    try:
+        text = source.read_text(encoding="utf-8")
+    except OSError as error:
+        raise InvalidFile(f"{source}: cannot be read: {error.strerror or error}") from error
+    except ValueError as error:
+        raise InvalidFile(f"{source}: is no log: {error}") from error
+    lines = text.split("\n")
+    cut_off = bool(lines.pop())  # what comes after the last end of line
+    if not lines:
+        raise InvalidFile(f"{source}:1: is no log: it has not a single whole line")
+    with _said_of(source, 1):
+        task = _TaskLine.model_validate_json(lines[0]).read()
+    cycles = tuple(_cycles(source, lines))
+    if not cycles:
+        raise InvalidFile(f"{source}: holds no whole cycle")
+    return DockingLog(str(source), task, cycles, cut_off)
+
+
+def _cycles(source: Path, lines: list[str]) -> Iterator[Cycle]:
+    planned: list[Planned] = []
+    cancelled = False
+    for number, text in enumerate(lines[1:], start=2):
+        cycle: Cycle | None = None
+        with _said_of(source, number):
+            line = _LINE.validate_json(text)
+            if isinstance(line, _CycleLine):
+                cycle = line.cycle(number, tuple(planned), cancelled=cancelled)
+            elif isinstance(line, _CancelLine):
+                cancelled = True
+            elif isinstance(line, _VerdictLine):
+                planned.append(Planned(verdict=Verdict(*line.verdict)))
+            else:
+                planned.append(line.planned.read(f"{source}:{number}"))
+        if cycle is not None:
+            yield cycle
+            planned.clear()
+            cancelled = False
+
+
+@contextmanager
+def _said_of(source: Path, line: int) -> Iterator[None]:
+    """Whatever is wrong with a line is said with file and line."""
+    try:
+        yield
+    except ValidationError as error:
+        first = error.errors(include_url=False)[0]
+        place = ".".join(str(part) for part in first["loc"])
+        raise InvalidFile(f"{source}:{line}: is damaged: {f'{place}: ' if place else ''}{first['msg']}") from error
+    except (OptdockError, ValueError, TypeError, zlib.error) as error:
+        raise InvalidFile(f"{source}:{line}: is damaged: {error}") from error
+
+
+class _Line(BaseModel):
+    model_config = ConfigDict(strict=True, frozen=True, extra="forbid")
+
+
+class _CostmapValues(_Line):
+    rows: int
+    columns: int
+    resolution: float
+    origin: list[float]
+    cells: str
+
+    def costmap(self) -> Costmap:
+        cells = np.frombuffer(zlib.decompress(base64.b64decode(self.cells)), dtype=np.uint8)
+        x, y = self.origin
+        return Costmap(cells.reshape(self.rows, self.columns), self.resolution, (x, y))
+
+
+class _Tolerances(_Line):
+    along: float
+    cross: float
+    yaw: float
+
+
+class _TaskLine(_Line):
+    format: Literal["optdock-log/1"]
+    task: Literal["dock", "undock"]
+    problem: dict[str, JsonValue]
+    tolerances: _Tolerances
+    unknown_is_obstacle: bool
+    costmap: _CostmapValues | None
+    fingerprint: dict[str, str]
+    settings: dict[str, JsonValue]
+    controller: tuple[str, dict[str, JsonValue]]
+    goal_checker: tuple[str, dict[str, JsonValue]]
+
+    def read(self) -> Task:
+        costmap = None if self.costmap is None else self.costmap.costmap()
+        problem = problem_of(ScenarioDocument.model_validate(self.problem), costmap)
+        dock = dataclasses.replace(problem.dock, tolerances=DockTolerances(**self.tolerances.model_dump()))
+        problem = dataclasses.replace(problem, dock=dock, unknown_is_obstacle=self.unknown_is_obstacle)
+        known = problem.fingerprint._asdict()
+        others = [name for name, digest in self.fingerprint.items() if known.get(name) != digest]
+        if others:
+            raise InvalidValue(f"problem: another one than when the log was written: {', '.join(others)} differ")
+        return Task(
+            problem,
+            parse_parameters(ExecutorSettings, self.settings, "settings"),
+            self.task,
+            PluginChoice(*self.controller),
+            PluginChoice(*self.goal_checker),
+        )
+
+
+class _CancelLine(_Line):
+    cancel: Literal[True]
+
+
+class _VerdictLine(_Line):
+    verdict: tuple[bool, str, float]
+
+
+class _PlannedValues(_Line):
+    number: int
+    outcome: str
+    starts_at: float
+    reason: str
+    code: int
+    start: tuple[float, float, float, float, float, float | None] | None = None
+    plan: dict[str, JsonValue] | None = None
+
+    def read(self, source: str) -> Planned:
+        result = PlanResult(self.number, Outcome(self.outcome), None, self.starts_at, self.reason, self.code)
+        if self.plan is None or self.start is None:
+            return Planned(result)
+        found = parse_plan(json.dumps(self.plan), source)
+        if found.path is None or found.time_law is None:
+            raise InvalidValue("plan: holds no path or no phases")
+        x, y, yaw, speed, acceleration, curvature = self.start
+        trajectory = Trajectory(found.path, found.time_law)
+        return Planned(result, trajectory, Start(Pose2(x, y, yaw), speed, acceleration, curvature))
+
+
+class _PlannedLine(_Line):
+    planned: _PlannedValues
+
+
+class _CycleLine(_Line):
+    stamp: float
+    pose: tuple[float, float, float] | None
+    twist: tuple[float, float, float]
+    command: tuple[float, float]
+    state: str
+    detections: list[tuple[float, float, float, float, float, float]] = []
+    contact: bool | None = None
+    costmap: _CostmapValues | None = None
+    events: list[tuple[float, str, str]] = []
+    ending: tuple[str, str, int, float] | None = None
+
+    def cycle(self, line: int, planned: tuple[Planned, ...], *, cancelled: bool) -> Cycle:
+        measurements = Measurements(
+            self.stamp,
+            None if self.pose is None else Pose2(*self.pose),
+            Twist2(*self.twist),
+            tuple(Detection(d[0], Pose2(d[1], d[2], d[3]), d[4], d[5]) for d in self.detections),
+            self.contact,
+            None if self.costmap is None else self.costmap.costmap(),
+        )
+        return Cycle(
+            line,
+            planned,
+            cancelled,
+            measurements,
+            Twist2(*self.command),
+            State(self.state),
+            None if self.ending is None else Ending(EndingKind(self.ending[0]), *self.ending[1:]),
+            tuple(Event(*event) for event in self.events),
+        )
+
+
+_LINE: TypeAdapter[_CycleLine | _CancelLine | _VerdictLine | _PlannedLine] = TypeAdapter(
+    _CycleLine | _CancelLine | _VerdictLine | _PlannedLine
+)

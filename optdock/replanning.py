@@ -1,0 +1,521 @@
+"""`replan`: another plan for a robot under way, which takes over from the running one without a jump; `still_holds`.
+
+Planning takes time, and so does the drive until it does what it is told. So the new plan begins where the robot will be
+by then, the *joint*: on the running trajectory, with its pose, heading, curvature, speed and acceleration there. The
+joint is the start of a docking problem like any other, and its rules of a moving start are the proof of continuity.
+
+What is tried, until something is certified:
+
+1. The rest of the running path, deformed onto the new goal (`deformation`): a millisecond, and enough for most.
+2. The smoother, from there, with the rest of the running path as its warm start.
+3. Whatever `plan_dock` does, from the joint.
+
+Where nothing is certified in time the old plan goes on, if what is left of it is certified in the new world and ends at
+the new dock within the dock's tolerances; otherwise the robot brakes along its path. The way until the joint is driven
+in any case and proven first: where that fails the robot brakes at once.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import logging
+import math
+from dataclasses import dataclass, field
+from enum import Enum
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+from optdock.deadline import Deadline, garbage_collection_paused
+from optdock.deformation import deformed
+from optdock.errors import Cancelled, InvalidValue, LifecycleError, OptdockError, PluginError, SmootherTimedOut
+from optdock.geometry.checked import finite_number, instance, number
+from optdock.geometry.clothoid import ClothoidSpline
+from optdock.geometry.pose import Pose2, normalize_angle
+from optdock.interfaces import Smoother, TimeParameterizer, never_cancelled
+from optdock.path import Path
+from optdock.pipeline import DEFAULT_PLANNERS, DEFAULT_SMOOTHER, DEFAULT_TIMING, plan_dock, warm_up
+from optdock.plan import Attempt, DockPlan, PartialPlan
+from optdock.planners.manoeuvres.price import stops
+from optdock.plugins import plugin_from
+from optdock.problem import DockingProblem
+from optdock.refinement import Cancellation, Refinement, Stopwatch
+from optdock.segments import TURN_RADIUS, ClothoidSegment
+from optdock.still_holds import StillHolds, still_holds
+from optdock.timing.motion import DriveBounds, State
+from optdock.timing.start_states import full_stop
+from optdock.trajectory import TimeLaw, Trajectory
+from optdock.verification import certify_path, certify_trajectory
+from optdock.verification.certificate import TOLERANCE
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from optdock.dock import DockTolerances
+    from optdock.pipeline import PlannerLike, SmootherLike, TimingLike
+    from optdock.verification import Certificate, TrajectoryCertificate
+
+__all__ = [
+    "DEFAULT_REPLANNING_BUDGET",
+    "DriveState",
+    "ReplanOutcome",
+    "Replanned",
+    "StillHolds",
+    "replan",
+    "still_holds",
+]
+
+logger = logging.getLogger(__name__)
+
+DEFAULT_REPLANNING_BUDGET = 0.02  # [s]: one period of a controller at 50 Hz
+_FALLBACK_SHARE, _FALLBACK_MOST = 0.3, 0.006  # of the budget, [s]: kept back for the old plan's proof, and the stop's
+_AT_REST = 1e-6  # [m/s], [m/s^2]: as the certificate's rests
+_REST_SOON = 0.1  # [s]: a robot that rests so soon after the joint is joined there: no gear is that short
+_NO_WAY = 1e-6  # [m]: of less than that nothing is left to drive
+# Shares of the deceleration that a stop tries: in a bend the yaw acceleration may leave no more.
+_BRAKING = (1.0, 0.8, 0.6, 0.4, 0.25)
+
+
+class DriveState(NamedTuple):
+    """How far a robot is on the trajectory that it drives.
+
+    Attributes:
+        time: Of the reference, on the trajectory's own clock [s].
+        rate: How fast that clock runs, 1 where the robot keeps up [1].
+        pose: Where the robot was measured then; None: on the trajectory.
+    """
+
+    time: float
+    rate: float = 1.0
+    pose: Pose2 | None = None
+
+
+class ReplanOutcome(str, Enum):
+    """What a robot under way is to do."""
+
+    NEW = "new"  # drive the new plan from the joint on
+    KEPT = "kept"  # go on: the old plan is as good as before
+    STOP = "stop"  # brake along the old path
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Replanned:
+    """What `replan` returns.
+
+    Args:
+        outcome: What to do.
+        trajectory: What to drive: from its time 0 on, once the running trajectory's own clock shows `starts_at`.
+        starts_at: Time on the running trajectory's own clock at which `trajectory` takes over [s]; KEPT: 0, as it is
+            that trajectory.
+        plan: The plan whose motion that is; None: STOP.
+        reason: Why it is not new; empty where it is.
+        proven: Whether the way from where the robot is now until where the motion ends is proven to keep its clearance
+            and the motion limits in the new world. False only for a stop: then it is the quickest there is.
+        certificate: Of the clearance of a stop, or None.
+        motion: Of the motion limits of a stop, or None.
+        tried: What was tried, and what became of it.
+        timing_ms: Wall-clock milliseconds of the stages.
+    """
+
+    outcome: ReplanOutcome
+    trajectory: Trajectory
+    starts_at: float
+    plan: DockPlan | None
+    reason: str = ""
+    proven: bool = True
+    certificate: Certificate | None = None
+    motion: TrajectoryCertificate | None = None
+    tried: tuple[Attempt, ...] = ()
+    timing_ms: dict[str, float] = field(default_factory=dict)
+
+    def __repr__(self) -> str:
+        why = f": {self.reason}" if self.reason else ""
+        unproven = "" if self.proven else ", not proven"
+        return f"<Replanned {self.outcome.value}{unproven}, from {self.starts_at:.3f} s{why}>"
+
+
+def replan(  # noqa: PLR0913 - what may be chosen is chosen by name
+    plan: DockPlan,
+    target: DockingProblem | Pose2,
+    state: DriveState,
+    time_budget: float = DEFAULT_REPLANNING_BUDGET,
+    *,
+    drive_delay: float = 0.0,
+    lead: float | None = None,
+    planner: PlannerLike | tuple[PlannerLike, ...] = DEFAULT_PLANNERS,
+    smoother: SmootherLike = DEFAULT_SMOOTHER,
+    timing: TimingLike = DEFAULT_TIMING,
+    cancel_checker: Callable[[], bool] = never_cancelled,
+) -> Replanned:
+    """What a robot that drives `plan` is to do now that its dock, or the world, turned out to be another.
+
+    Args:
+        plan: The running plan.
+        target: Where the docked robot is now known to be, the station with it; or a whole problem, of which everything
+            counts but its start.
+        state: How far the robot is.
+        time_budget: Wall-clock seconds for the whole call.
+        drive_delay: How long the drive takes until it does what it is told [s].
+        lead: How far ahead of `state` the joint lies [s]; None: `time_budget + drive_delay`, which is when the answer
+            is there at the latest. Less is for simulations, whose clock stands still meanwhile.
+        planner: As of `plan_dock`.
+        smoother: As of `plan_dock`.
+        timing: As of `plan_dock`.
+        cancel_checker: As of `plan_dock`; a robot whose replanning is cancelled goes on, or stops, as after a time-out.
+
+    Raises:
+        InvalidValue: A value is of another class or not finite, or the target stands in another frame than the plan.
+        PluginError: As `plan_dock`.
+        LifecycleError: As `plan_dock`.
+    """
+    instance(DockPlan, plan, "plan")
+    time_budget, drive_delay = number(time_budget, "time_budget"), finite_number(drive_delay, "drive_delay")
+    if not (math.isfinite(time_budget) and time_budget > 0.0):
+        raise InvalidValue(f"time_budget: must be finite and > 0 s, got {time_budget}")
+    if not drive_delay >= 0.0:
+        raise InvalidValue(f"drive_delay: must be >= 0 s, got {drive_delay}")
+    lead = time_budget + drive_delay if lead is None else finite_number(lead, "lead")
+    if not lead >= 0.0:
+        raise InvalidValue(f"lead: must be >= 0 s, got {lead}")
+    state = _checked(state)
+    world = _world(plan, target)
+    warm_up(planner, smoother, timing)
+    run = _Replanning(plan, world, state, time_budget, lead, Cancellation(cancel_checker))
+    with garbage_collection_paused():
+        found = run.answer(min(drive_delay, lead), planner, smoother, timing)
+    logger.info("%r after %.1f ms", found, 1e3 * run.deadline.elapsed)
+    return found
+
+
+def _checked(state: DriveState) -> DriveState:
+    instance(DriveState, state, "state")
+    time, rate = finite_number(state.time, "state.time"), finite_number(state.rate, "state.rate")
+    if not rate >= 0.0:
+        raise InvalidValue(f"state.rate: must be >= 0, got {rate}")
+    if state.pose is not None:
+        instance(Pose2, state.pose, "state.pose")
+    return DriveState(time, rate, state.pose)
+
+
+def _world(plan: DockPlan, target: DockingProblem | Pose2) -> DockingProblem:
+    """The problem that is to be solved now, but for its start."""
+    if isinstance(target, Pose2):
+        return dataclasses.replace(plan.problem, dock=dataclasses.replace(plan.problem.dock, pose=target))
+    instance(DockingProblem, target, "target")
+    if target.frame != plan.frame:
+        raise InvalidValue(f"target: stands in frame {target.frame!r}, the plan in {plan.frame!r}; transform it first")
+    return target
+
+
+class _Joint(NamedTuple):
+    """A place on the running trajectory, and the robot there.
+
+    `time`: on its own clock [s]. `s`: along its path [m]. `pose`, `speed`, `acceleration`: of the robot, the latter two
+    signed. `gear`: 1, -1 or 0. `rest`: the path from there on, moved to where the robot will be; None: nothing is left.
+    """
+
+    time: float
+    s: float
+    pose: Pose2
+    speed: float
+    acceleration: float
+    gear: int
+    rest: Path | None
+
+    @property
+    def rests(self) -> bool:
+        return self.speed == 0.0 and self.acceleration == 0.0
+
+
+@dataclass(eq=False)
+class _Replanning:
+    """One call of `replan`."""
+
+    plan: DockPlan
+    world: DockingProblem
+    state: DriveState
+    budget: float
+    lead: float
+    cancelled: Cancellation
+    deadline: Deadline = field(init=False)
+    timing_ms: dict[str, float] = field(default_factory=dict)
+    tried: list[Attempt] = field(default_factory=list)
+    failure: OptdockError | None = None
+
+    def __post_init__(self) -> None:
+        self.deadline = Deadline(self.budget)
+
+    def answer(
+        self, delay: float, planner: PlannerLike | tuple[PlannerLike, ...], smoother: SmootherLike, timing: TimingLike
+    ) -> Replanned:
+        """New, kept or stop."""
+        joint = self._joint(self.lead, at_a_rest=True)
+        blocked = self._blocked(joint)
+        if blocked:
+            return self._stop(delay, f"the way until the joint is not clear: {blocked}")
+        try:
+            found = self._new_plan(joint, planner, smoother, timing)
+        except (PluginError, LifecycleError, InvalidValue):
+            raise
+        except OptdockError as error:
+            why = f"{type(error).__name__}: {error}"
+        else:
+            kept = self._kept("") if stops(found.path) > self._stops_left(joint) else None
+            return kept or Replanned(
+                ReplanOutcome.NEW,
+                found.trajectory,
+                joint.time,
+                found,
+                tried=tuple(self.tried),
+                timing_ms=self._timing(),
+            )
+        return self._kept(why) or self._stop(delay, why)
+
+    def _timing(self) -> dict[str, float]:
+        return {**self.timing_ms, "total": 1e3 * self.deadline.elapsed}
+
+    def _offset(self) -> Pose2 | None:
+        """Where the robot is, seen from its reference; None where it is near enough."""
+        if self.state.pose is None:
+            return None
+        reference = self.plan.trajectory.at(self.state.time).pose
+        seen = self.state.pose.in_frame_of(reference)
+        seen = Pose2(seen.x, seen.y, normalize_angle(seen.yaw))
+        accepted = self.world.dock.tolerances
+        near = math.hypot(seen.x, seen.y) <= accepted.cross and abs(seen.yaw) <= accepted.yaw
+        return None if near else seen
+
+    def _joint(self, lead: float, *, at_a_rest: bool = False) -> _Joint:
+        """Where the robot will be in `lead` seconds; in a turn in place, or just before a rest, at that rest."""
+        running, rate = self.plan.trajectory, self.state.rate
+        time = min(max(self.state.time + rate * lead, 0.0), running.duration)
+        if at_a_rest:
+            time = self._next_rest(time)
+        there = running.at(time)
+        path, length = running.path, running.path.length
+        s = min(max(there.s, 0.0), length)
+        gear = int(path.direction_at(s)[0])
+        along = running.time_law.at(time)[0]
+        speed, acceleration = rate * float(along[1]), rate * rate * float(along[2])
+        if max(abs(speed), abs(acceleration)) <= _AT_REST:
+            speed = acceleration = 0.0
+            near = [cusp for cusp in path.cusps if abs(cusp - s) <= _NO_WAY]
+            s = near[0] if near else s
+            gear = int(path.direction_at(s)[0])
+        sign = gear or 1
+        reference, offset = path.pose_at(s), self._offset()
+        pose = reference if offset is None else reference @ offset
+        rest = path.piece(s) if s < length - _NO_WAY else None
+        if rest is not None and offset is not None:
+            rest = rest.moved(pose @ rest.start.inverse())
+        return _Joint(time, s, pose, sign * speed, sign * acceleration, gear, rest)
+
+    def _next_rest(self, time: float) -> float:
+        """The time itself; or that of the next rest, where it falls into a turn in place or shortly before a rest."""
+        running = self.plan.trajectory
+        ends = [*running.cusp_times.tolist(), running.duration]
+        due = [end for end in ends if end >= time]
+        if not due or max(abs(running.time_law.at(time)[0, 1:3])) <= _AT_REST:
+            return time
+        turning = int(running.path.direction_at(running.at(time).s)[0]) == 0
+        soon = due[0] - time <= _REST_SOON * max(self.state.rate, 1e-9)
+        return due[0] if turning or soon else time
+
+    def _stops_left(self, joint: _Joint) -> int:
+        return stops(joint.rest) if joint.rest is not None else 0
+
+    def _blocked(self, joint: _Joint) -> str:
+        """Why the way from here to the joint is not proven to be clear; empty where it is."""
+        now = self._joint(0.0)
+        if now.rest is None or joint.s - now.s <= _NO_WAY:
+            return ""
+        way = now.rest.piece(0.0, joint.s - now.s)
+        return self._not_clear(way, now.pose)
+
+    def _not_clear(self, way: Path, start: Pose2) -> str:
+        """What of the clearance of a stretch that is driven anyway is not proven in the new world; empty: it is."""
+        problem = dataclasses.replace(
+            self.world, start=start, start_speed=0.0, start_curvature=None, start_acceleration=0.0
+        )
+        certificate = certify_path(way, problem)
+        broken = [one for one in certificate.violations if one.kind in ("clearance", "unproven")]
+        return broken[0].message if broken else ""
+
+    def _new_plan(
+        self,
+        joint: _Joint,
+        planner: PlannerLike | tuple[PlannerLike, ...],
+        smoother: SmootherLike,
+        timing: TimingLike,
+    ) -> DockPlan:
+        """The first certified plan from the joint.
+
+        Raises:
+            OptdockError: There is none, or not in time.
+        """
+        reserve = min(_FALLBACK_SHARE * self.budget, _FALLBACK_MOST)
+        deadline = self.deadline.shortened(by=reserve)
+        problem = self._from_joint(joint)
+        watch = Stopwatch(deadline, self.timing_ms)
+        chosen = plugin_from(Smoother, smoother, "smoother"), plugin_from(TimeParameterizer, timing, "timing")
+        work = Refinement(problem, *chosen, joint.rest, self.cancelled, self.budget, deadline, watch)
+        if joint.rest is not None:
+            with watch.timed("deform"):
+                guess = self._deformed(joint, problem)
+            if guess is not None:
+                plan = self._attempt("deformed", guess, lambda left: work.proven(guess, guess, left))
+                if plan is not None:
+                    return plan
+            rest = guess or joint.rest
+            plan = self._attempt("rest", rest, lambda left: work.refined(rest, left, math.inf))
+            if plan is not None:
+                return plan
+        left = deadline.left
+        if left <= 0.0:
+            raise self.failure or SmootherTimedOut(f"nothing is left of the time budget of {self.budget:.3g} s")
+        return plan_dock(
+            problem,
+            time_budget=left,
+            planner=planner,
+            smoother=smoother,
+            timing=timing,
+            cancel_checker=self.cancelled,
+        )
+
+    def _attempt(self, stage: str, guess: Path, make: Callable[[PartialPlan], DockPlan]) -> DockPlan | None:
+        began = self.deadline.elapsed
+        try:
+            plan = make(PartialPlan())
+        except (PluginError, LifecycleError):
+            raise
+        except OptdockError as error:
+            self.failure = error
+            reason = f"{type(error).__name__}: {error}"
+            self.tried.append(Attempt(stage, guess, self.deadline.elapsed - began, reason=reason))
+            if isinstance(error, Cancelled):
+                raise
+            return None
+        attempt = Attempt(stage, guess, self.deadline.elapsed - began, plan.price)
+        self.tried.append(attempt)
+        return dataclasses.replace(plan, tried=tuple(self.tried))
+
+    def _from_joint(self, joint: _Joint) -> DockingProblem:
+        """The problem of a robot at the joint."""
+        limits = self.world.robot.limits
+        free = joint.rests and not math.isfinite(limits.max_steering_rate)
+        curvature = None
+        if not free and joint.gear != 0:
+            curvature = float(self.plan.path.curvature_at(joint.s)[0])
+        return dataclasses.replace(
+            self.world,
+            start=joint.pose,
+            start_speed=joint.speed,
+            start_curvature=curvature,
+            start_acceleration=joint.acceleration,
+        )
+
+    def _deformed(self, joint: _Joint, problem: DockingProblem) -> Path | None:
+        if joint.rest is None:
+            return None
+        return deformed(
+            joint.rest,
+            joint.pose,
+            problem.goal,
+            problem.robot.limits,
+            final_straight=problem.dock.final_straight,
+            steers=problem.start_curvature is not None,
+        )
+
+    def _kept(self, why: str) -> Replanned | None:
+        """The old plan, where it is still good; None where it is not."""
+        off = _beyond(self.plan.path.end, self.world.goal, self.world.dock.tolerances)
+        now = self._joint(0.0)
+        blocked = self._not_clear(now.rest, now.pose) if now.rest is not None else ""
+        if off or blocked:
+            return None
+        reason = why or "a new plan would stop more often"
+        return Replanned(
+            ReplanOutcome.KEPT,
+            self.plan.trajectory,
+            0.0,
+            self.plan,
+            reason,
+            tried=tuple(self.tried),
+            timing_ms=self._timing(),
+        )
+
+    def _stop(self, delay: float, why: str) -> Replanned:
+        """Braking along the running path: from the joint where that is proven, from now on otherwise."""
+        found: list[Replanned] = []
+        for lead in (self.lead, delay):
+            joint = self._joint(lead)
+            trajectory, motion = self._braking(joint)
+            now = self._joint(0.0)
+            until = joint.s - now.s + trajectory.path.length
+            way = now.rest.piece(0.0, until) if now.rest is not None else trajectory.path
+            blocked = self._not_clear(way, now.pose)
+            reason = why if not blocked else f"{why}; the stop is not proven: {blocked}"
+            if not motion.certified:
+                reason += f"; the stop breaks a limit: {motion.reason}"
+            proven = not blocked and motion.certified
+            stop = Replanned(
+                ReplanOutcome.STOP,
+                trajectory,
+                joint.time,
+                None,
+                reason,
+                proven,
+                None,
+                motion,
+                tried=tuple(self.tried),
+                timing_ms=self._timing(),
+            )
+            if proven:
+                return stop
+            found.append(stop)
+        return found[-1]
+
+    def _braking(self, joint: _Joint) -> tuple[Trajectory, TrajectoryCertificate]:
+        """The quickest certified braking from a joint, or the quickest of all."""
+        limits = self.world.robot.limits
+        state = State(0.0, abs(joint.speed), joint.acceleration * (joint.gear or 1))
+        if joint.rest is None or joint.rests:
+            still = Trajectory(_standing(joint.pose, self.plan.frame), TimeLaw(np.array([_STILL]), np.zeros(1)))
+            return still, certify_trajectory(still, limits, self.world.dock.approach)
+        first = None
+        for share in _BRAKING:
+            if joint.gear == 0:
+                rate, most, jerk = (TURN_RADIUS * limit for limit in limits.turning)
+                bounds = DriveBounds(rate, most, share * most, jerk)
+            else:
+                most = share * limits.max_deceleration
+                bounds = DriveBounds(limits.max_speed, limits.max_acceleration, most, limits.max_jerk)
+            phases = np.array(full_stop(state, bounds))
+            law = TimeLaw(phases[:, 0], phases[:, 1], 0.0, state.v, state.a)
+            length = float(law.states[-1, 0])
+            segment = joint.rest.segments[0]
+            if length > segment.length - _NO_WAY:  # it comes to rest at the cusp by itself
+                length = segment.length
+            trajectory = Trajectory(joint.rest.piece(0.0, length), law)
+            motion = certify_trajectory(trajectory, limits, self.world.dock.approach)
+            first = first or (trajectory, motion)
+            if motion.certified:
+                return trajectory, motion
+        assert first is not None
+        return first
+
+
+_STILL = 0.1  # [s]: how long the motion of a robot lasts that stands
+
+
+def _standing(pose: Pose2, frame: str) -> Path:
+    """A path for a robot that stays: a tenth of what the certificate takes for nothing."""
+    return Path((ClothoidSegment(ClothoidSpline(pose, np.array([0.0, 0.1 * TOLERANCE]), np.zeros(2))),), frame)
+
+
+def _beyond(found: Pose2, wanted: Pose2, accepted: DockTolerances) -> str:
+    """By how much a pose is beyond a dock's tolerances, in words; empty: it is docked there."""
+    seen = found.in_frame_of(wanted)
+    errors = (("along", seen.x, "m"), ("cross", seen.y, "m"), ("yaw", normalize_angle(seen.yaw), "rad"))
+    bad = [f"{name} {value:.4g} {unit}" for name, value, unit in errors if abs(value) > getattr(accepted, name)]
+    return ", ".join(bad)
