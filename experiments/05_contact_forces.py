@@ -3,8 +3,8 @@
 The same random starts around the staging pose (a disc of 0.25 m around 0.85 m before the dock, headings within 0.25
 rad) are driven into a flat contact plate and into a V with wings, until contact: by the graceful law as Nav2's docking
 server runs it (target 0.25 m behind the dock, Nav2's default parameters), by the planner's raw path and the
-TrackingController, and by the certified plan and the TrackingController. Whoever touches presses on at 2 cm/s for
-1 s, so that the contacts seat, and stops; whoever has arrived without touching creeps straight on at 3 cm/s.
+TrackingController, by the certified plan and the TrackingController, and by the executor. Whoever touches presses on at
+2 cm/s for 1 s, so that the contacts seat, and stops; whoever has arrived without touching creeps straight on at 3 cm/s.
 Docked is who then rests in touch within 10 mm across and 1.5 degrees. Writes results/05_contact_forces/.
 
     python experiments/05_contact_forces.py [--starts N]
@@ -23,6 +23,7 @@ import numpy as np
 
 from optdock.dock import Dock, DockDirection
 from optdock.errors import ControllerException, MissingExtra
+from optdock.executor import DockingExecutor, ExecutorSettings
 from optdock.geometry.footprint import Footprint
 from optdock.geometry.pose import Pose2, Twist2
 from optdock.interfaces import Controller, GoalChecker
@@ -141,6 +142,24 @@ def by_smoothed_path(plan: DockPlan) -> Steering:
     return until_contact(tracked(plan.trajectory, {}))
 
 
+def by_executor(plan: DockPlan) -> Steering:
+    """The executor as a server runs it, from where the robot stands, until it says that it has docked."""
+    settings = ExecutorSettings(contact="touch", use_detections=False, navigate_to_staging_pose=False, max_retries=0)
+    executor = DockingExecutor(plan.problem, settings)
+    docked_at: float | None = None
+
+    def steer(measured: Measurements) -> Twist2 | None:
+        nonlocal docked_at
+        step = executor.step(measured)
+        if step.ending is None:
+            return step.command
+        if docked_at is None and step.ending.kind.succeeded:
+            docked_at = measured.stamp
+        return pressing(measured.stamp, docked_at)
+
+    return steer
+
+
 def tracked(motion: Path | Trajectory, parameters: dict[str, object]) -> Steering:
     """The TrackingController, until it has arrived; then it creeps straight on."""
     controller = create_plugin(Controller, "TrackingController", parameters)
@@ -164,20 +183,23 @@ def tracked(motion: Path | Trajectory, parameters: dict[str, object]) -> Steerin
 
 def until_contact(steer: Steering) -> Steering:
     """The same, but who touches presses on for a moment, and then it is over."""
-    touched_at = math.inf
+    touched_at: float | None = None
 
-    def pressing(measured: Measurements) -> Twist2 | None:
+    def steer_or_press(measured: Measurements) -> Twist2 | None:
         nonlocal touched_at
-        if measured.contact:
-            touched_at = min(touched_at, measured.stamp)
-        if measured.stamp < touched_at:
-            return steer(measured)
-        return Twist2(PRESS, 0.0) if measured.stamp < touched_at + PRESSING else None
+        if touched_at is None and measured.contact:
+            touched_at = measured.stamp
+        return steer(measured) if touched_at is None else pressing(measured.stamp, touched_at)
 
-    return pressing
+    return steer_or_press
 
 
-METHODS = {"graceful law": by_law, "raw path": by_raw_path, "smoothed path": by_smoothed_path}
+def pressing(now: float, since: float | None) -> Twist2 | None:
+    """What seats the contacts; None when that is over, or has not begun."""
+    return Twist2(PRESS, 0.0) if since is not None and now < since + PRESSING else None
+
+
+METHODS = {"graceful law": by_law, "raw path": by_raw_path, "smoothed path": by_smoothed_path, "executor": by_executor}
 
 
 def dock(drive: MujocoDrive, start: Pose2, world: World, steer: Steering, seed: int) -> Docking:
@@ -247,7 +269,7 @@ def draw(found: dict[tuple[str, str, str], list[Docking]], target: FilePath) -> 
         "|cross| [mm]": lambda ending: 1e3 * abs(ending.pose.y),
         "|yaw| [deg]": lambda ending: math.degrees(abs(ending.pose.yaw)),
     }
-    colours = dict(zip(METHODS, (COLOURS["goal"], COLOURS["raw"], COLOURS["path"]), strict=True))
+    colours = dict(zip(METHODS, (COLOURS["goal"], COLOURS["raw"], COLOURS["path"], COLOURS["start"]), strict=True))
     lines = dict(zip(WORLDS, ("-", "--"), strict=True))
     names = list(dict.fromkeys(station for station, _, _ in found))
     figure = new_figure(11.0, 3.2 * len(names) + 0.6)
@@ -264,7 +286,7 @@ def draw(found: dict[tuple[str, str, str], list[Docking]], target: FilePath) -> 
             axis.set_ylim(0.0, 1.02)
             axis.grid(visible=True, color="#dddddd", linewidth=0.5)
     handles, labels = axes[0, 0].get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside lower center", ncols=3, fontsize=8, frameon=False)
+    figure.legend(handles, labels, loc="outside lower center", ncols=4, fontsize=8, frameon=False)
     save_figure(figure, target)
 
 
