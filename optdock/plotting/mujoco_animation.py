@@ -125,6 +125,8 @@ class _Camera:
 
     def picture(self, trace: FloatArray) -> Image:
         """The plant as its data are now, and where its axle has been, Shape (n, 2) [m]."""
+        from PIL import Image as Images
+
         mujoco, scene = self._mujoco, self._scene
         everything = mujoco.mjtCatBit.mjCAT_ALL
         mujoco.mjv_updateScene(
@@ -145,8 +147,6 @@ class _Camera:
             scene.ngeom += 1
         area = mujoco.MjrRect(0, 0, self._width, self._height)
         mujoco.mjr_render(area, scene, self._context)
-        from PIL import Image as Images
-
         pixels = np.empty((self._height, self._width, 3), dtype=np.uint8)
         mujoco.mjr_readPixels(pixels, None, area, self._context)
         return Images.fromarray(pixels[::-1].copy())

@@ -152,6 +152,7 @@ def _write_wheels(model: _Model, robot: Robot, chassis: Chassis) -> None:
     gain = inertia / _SERVO_TIME
     for side, y in (("left", half_track), ("right", -half_track)):
         model.set("body", f"{side} wheel", pos=_words(0.0, y, radius))
+        model.set("joint", f"{side} wheel", armature=_words(_ROTOR_SHARE * inertia))
         model.set(
             "geom", f"{side} tyre", size=_words(radius, 0.02, radius), friction=_words(chassis.tyre_friction, 0, 0)
         )

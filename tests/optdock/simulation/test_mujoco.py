@@ -140,10 +140,10 @@ class TestDriving:
 
 @needs_mujoco
 class TestContact:
-    @pytest.mark.parametrize(("speed", "restitution"), [(0.05, 0.3), (0.2, 0.6)])
-    def test_an_impact_takes_the_momentum_and_gives_back_its_share(self, speed, restitution):
+    @pytest.mark.parametrize(("mass", "speed", "restitution"), [(None, 0.05, 0.3), (80.0, 0.2, 0.6)])
+    def test_an_impact_takes_the_momentum_and_gives_back_its_share(self, mass, speed, restitution):
         """Momentum with that of wheels and rotors, 1.1 times the robot's; weak motors, casters without resistance."""
-        chassis = Chassis(restitution=restitution, wheel_torque=1e-3, caster_friction=0.0)
+        chassis = Chassis(mass=mass, restitution=restitution, wheel_torque=1e-3, caster_friction=0.0)
         drive = MujocoDrive(BOX, PLATE, chassis)
         start = drive.moving(Pose2(-0.3 * speed, 0.0, 0.0), Twist2(speed))
         found = forces(driven(drive, start, Twist2(speed), 0.6))
