@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from optdock.dock import Dock
+from optdock.dock import Dock, DockDirection
 from optdock.errors import InvalidValue, MissingExtra
 from optdock.geometry.footprint import Footprint
 from optdock.geometry.pose import Pose2, Twist2
@@ -42,10 +42,16 @@ def forces(states):
 
 
 class TestStations:
-    @pytest.mark.parametrize(("robot", "dock"), [(BOX, PLATE), (NOSED, WINGS)])
-    def test_a_docked_robot_touches_and_goes_in_no_further(self, robot, dock):
-        station = ObstacleSet.from_polygons([dock.footprint.vertices])
-        found = [executed_clearance(robot.footprint, np.array([[x, 0.0, 0.0]]), station) for x in (-0.01, 0.0, 0.01)]
+    @pytest.mark.parametrize("gear", [1.0, -1.0])
+    @pytest.mark.parametrize("kind", ["flat", "V"])
+    def test_a_docked_robot_touches_and_goes_in_no_further(self, kind, gear):
+        direction = DockDirection.FORWARD if gear > 0.0 else DockDirection.BACKWARD
+        v = VShape(direction=direction)
+        robot = BOX.footprint if kind == "flat" else v.with_nose(0.3, 0.2, 0.5)
+        outline = flat_station(robot, direction=direction) if kind == "flat" else v.station(robot)
+        station = ObstacleSet.from_polygons([outline.vertices])
+        poses = [np.array([[gear * x, 0.0, 0.0]]) for x in (-0.01, 0.0, 0.01)]
+        found = [executed_clearance(robot, pose, station) for pose in poses]
         assert found[0] > 0.005
         assert found[1] == pytest.approx(0.0, abs=1e-12)
         assert found[2] < -0.005
@@ -57,6 +63,8 @@ class TestStations:
             VShape(half_angle=2.0).station(NOSED.footprint)
         with pytest.raises(InvalidValue, match="nose of 0.32 m is wider than the robot"):
             V.with_nose(0.3, 0.3, 0.3)
+        with pytest.raises(InvalidValue, match="must be forward or backward, got auto"):
+            flat_station(BOX.footprint, direction=DockDirection.AUTO)
 
 
 class TestModel:
@@ -173,15 +181,20 @@ class TestContact:
         assert end.pose.y > 0.02
         assert end.pose.yaw == pytest.approx(-end.pose.y / 0.35, rel=0.1)
 
-    def test_a_dock_may_stand_anywhere(self):
-        place = Pose2(2.0, -1.0, 2.0)
-        found = []
-        for pose in (ORIGIN, place):
-            drive = MujocoDrive(BOX, dataclasses.replace(PLATE, pose=pose))
-            end = driven(drive, drive.moving(pose @ Pose2(-0.01, 0.01, 0.05), Twist2(0.1)), Twist2(0.1), 0.5)
-            found.append((end[-1].pose.in_frame_of(pose), forces(end)))
-        assert found[0][0].gap_to(found[1][0]) < 1e-4
-        assert found[0][1].sum(axis=0) == pytest.approx(found[1][1].sum(axis=0), rel=0.02)
+    def test_a_dock_may_stand_anywhere_and_be_entered_backward(self):
+        """The same drive seen from the dock; backward it is the mirror image."""
+        place, found = Pose2(2.0, -1.0, 2.0), []
+        symmetric = dataclasses.replace(BOX, footprint=Footprint.rectangle(0.3, 0.3, 0.5))
+        for pose, gear, direction in ((ORIGIN, 1.0, "FORWARD"), (place, 1.0, "FORWARD"), (ORIGIN, -1.0, "BACKWARD")):
+            dock = Dock(pose, flat_station(symmetric.footprint, direction=DockDirection[direction]))
+            drive = MujocoDrive(symmetric, dock)
+            start = drive.moving(pose @ Pose2(-0.01 * gear, 0.01, 0.05 * gear), Twist2(0.1 * gear))
+            states = driven(drive, start, Twist2(0.1 * gear), 0.5)
+            end = states[-1].pose.in_frame_of(pose)
+            found.append((Pose2(gear * end.x, end.y, gear * end.yaw), forces(states).sum(axis=0) * (gear, 1.0)))
+        for pose, force in found[1:]:
+            assert pose.gap_to(found[0][0]) < 2e-4
+            assert force == pytest.approx(found[0][1], rel=0.02)
 
 
 def load_on_tyres(drive):
