@@ -43,6 +43,7 @@ _FEEDBACK = {
 
 _STILL = 1e-6  # [m/s], [rad/s]: what is left of a stop by rounding
 _TURNING = 0.005  # [m/s]: a robot that is to turn and not to drive turns in place
+_LATE = 1.5  # times as long as the period before
 _FIRST_PERIOD = 0.005  # [s], until two cycles have shown another one: of 200 Hz, so that no command changes too fast
 
 
@@ -105,13 +106,18 @@ class DockingExecutor:
         self._began: float | None = None
         self._last_stamp = -math.inf
         self._offset = 0.0
-        self._usual_period = _FIRST_PERIOD
+        self._usual_period, self._cycle_count = _FIRST_PERIOD, -1
         self._ending: Ending | None = None
 
     @property
     def ending(self) -> Ending | None:
         """How the task ended; None while it goes on."""
         return self._ending
+
+    @property
+    def state(self) -> State:
+        """What is being done."""
+        return State.ENDED if self._ending is not None else self._procedure.state
 
     @property
     def robot(self) -> Pose2 | None:
@@ -147,7 +153,7 @@ class DockingExecutor:
         tick = self._tick(measurements.stamp)
         self._perception.update(measurements, measurements.stamp + self._offset, self._offset)
         command = self._command(tick.of_commands)
-        state = State.ENDED if self._ending is not None else self._procedure.state
+        state = self.state
         deviation = self._procedure.deviation if self._ending is None else None
         step = Step(command, state, self._feedback(state), self._ending, tuple(self._events), deviation)
         if self._log is not None:
@@ -161,6 +167,7 @@ class DockingExecutor:
         """The time since the last cycle, on a clock that never goes back and makes no leaps."""
         before, self._last_stamp = self._last_stamp, stamp
         self._procedure.interruption = ("", "")
+        self._cycle_count += 1
         if self._began is None:
             self._began = stamp
             return _Tick(0.0, 0.0)
@@ -173,10 +180,11 @@ class DockingExecutor:
             self._offset += longest - period
             self._interrupt("no cycle for long", f"{period:.3f} s passed since the last one")
             return _Tick(longest, usual)  # whatever has passed, the drive has not been told anything else
-        if period > self.settings.late_tick:
-            self._report("late cycle", f"{period:.3f} s passed since the last one")
-        elif period > 0.0:
+        if self._cycle_count == 1:
             self._usual_period = period
+        elif period > max(self.settings.late_tick, _LATE * usual):
+            self._report("late cycle", f"{period:.3f} s passed since the last one")
+        self._usual_period = min(period, _LATE * self._usual_period)  # a single late one is no new rate
         return _Tick(period, period)
 
     def _interrupt(self, name: str, reason: str) -> None:

@@ -42,7 +42,11 @@ class State(str, Enum):
 
 
 class EndingKind(str, Enum):
-    """How a task ends; `code` is the error code of Nav2's docking actions, 0 for what is no error."""
+    """How a task ends; `code` is the error code of Nav2's docking actions, 0 for what is no error.
+
+    Nav2's 901 and 902, a dock that is not known or not valid, come before there is a task: `DockNotInDB`,
+    `DockNotValid`.
+    """
 
     DOCKED_BY_DISTANCE = "docked by distance"
     DOCKED_BY_STALL = "docked by stall"
@@ -51,7 +55,6 @@ class EndingKind(str, Enum):
     UNDOCKED = "undocked"
     NOT_DOCKED = "not docked, nothing to undock from"
     CANCELLED = "cancelled"
-    DOCK_NOT_VALID = "dock not valid"
     FAILED_TO_STAGE = "failed to stage"
     FAILED_TO_DETECT_DOCK = "failed to detect the dock"
     FAILED_TO_CONTROL = "failed to control"
@@ -71,7 +74,6 @@ class EndingKind(str, Enum):
 
 
 _CODES = {
-    EndingKind.DOCK_NOT_VALID: 902,
     EndingKind.FAILED_TO_STAGE: 903,
     EndingKind.FAILED_TO_DETECT_DOCK: 904,
     EndingKind.FAILED_TO_CONTROL: 905,

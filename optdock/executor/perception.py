@@ -5,6 +5,8 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING
 
+import numpy as np
+
 from optdock.estimation import PoseFilter
 from optdock.executor.dock_filter import DeadReckoning, DockFilter
 
@@ -86,8 +88,11 @@ class Perception:
         return self.robot @ self.robot_from_dock.inverse() if self.sees_dock else self._stored
 
     @property
-    def dock_sigma(self) -> tuple[float, float]:
-        """Of the dock seen from the robot: position, each of x and y [m], and yaw [rad]."""
+    def sigma(self) -> tuple[float, float]:
+        """Of the robot seen from the dock: position, each of x and y [m], and yaw [rad]."""
+        if not self._settings.use_detections and self._robot.started:
+            spread = self._robot.covariance
+            return math.sqrt(max(float(spread[0, 0]), float(spread[1, 1]))), math.sqrt(float(spread[2, 2]))
         if self._dock is None:
             return self._settings.stored_position_sigma, self._settings.stored_yaw_sigma
         return self._dock.position_sigma, self._dock.yaw_sigma
@@ -101,7 +106,7 @@ class Perception:
             offset: What that clock is ahead of the one of the detections [s].
         """
         self.measurements, before, self.stamp = measurements, self.stamp, stamp
-        if measurements.costmap is not None:
+        if measurements.costmap is not None and not _is_same(measurements.costmap, self.costmap):
             self.costmap = measurements.costmap
         if not self._locate(measurements, stamp - before):
             return
@@ -146,8 +151,9 @@ class Perception:
             detection = late._replace(stamp=late.stamp + offset)
             age = self.stamp - detection.stamp
             robot = self._reckoning.at(detection.stamp) if age <= _STALE else None
-            if robot is None:
-                self._report("detection not used", f"its stamp is {age:.3f} s old")
+            sigmas = detection.position_sigma, detection.yaw_sigma
+            if robot is None or not all(math.isfinite(sigma) and sigma >= 0.0 for sigma in sigmas):
+                self._report("detection not used", f"it is {age:.3f} s old, its sigmas are {sigmas}")
                 continue
             before = self._dock.mean
             verdict = self._dock.see(detection, robot)
@@ -171,6 +177,13 @@ class Perception:
         if lost != self._dock_was_lost:
             self._dock_was_lost = lost
             self._report("detection lost" if lost else "detection found", f"{self.detection_age:.2f} s old")
+
+
+def _is_same(costmap: Costmap, known: Costmap | None) -> bool:
+    """Whether it shows the same, by its cells: a replay has other objects."""
+    if known is None or (costmap.resolution, costmap.origin) != (known.resolution, known.origin):
+        return False
+    return costmap is known or np.array_equal(costmap.data, known.data)
 
 
 _MISSED = 0.5  # [s] without a measurement that is said in the log

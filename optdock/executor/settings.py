@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from typing import Literal
 
-from pydantic import Field
+from pydantic import Field, ValidationError
 
-from optdock.parameters import PluginParameters
+from optdock.parameters import PluginParameters, invalid_parameters
 
 __all__ = ["ExecutorSettings"]
 
@@ -17,6 +17,12 @@ class ExecutorSettings(PluginParameters):
     Raises:
         InvalidValue: A parameter is unknown, of the wrong type or out of range.
     """
+
+    def __init__(self, **values: object) -> None:
+        try:
+            super().__init__(**values)
+        except ValidationError as error:
+            raise invalid_parameters(error, type(self), type(self).__name__) from error
 
     # What counts as docked.
     contact: Literal["distance", "touch"] = Field(
@@ -32,6 +38,8 @@ class ExecutorSettings(PluginParameters):
     contact_overrun: float = Field(default=0.03, ge=0.0, description="how far beyond the docked pose to press on [m]")
     stall_speed: float = Field(default=0.005, gt=0.0, description="slower than this by odometry is no motion [m/s]")
     stall_time: float = Field(default=0.4, gt=0.0, description="no motion against a command for so long is a stall [s]")
+
+    timeout: float | None = Field(default=None, gt=0.0, description="of the whole task [s]; None: none")
 
     # Staging and retries.
     navigate_to_staging_pose: bool = Field(default=True, description="drive there first where the robot is far from it")
