@@ -13,6 +13,7 @@ Docked is who then rests in touch within 10 mm across and 1.5 degrees. Writes re
 from __future__ import annotations
 
 import argparse
+import functools
 import math
 from collections import Counter
 from collections.abc import Callable
@@ -22,7 +23,7 @@ from typing import NamedTuple
 import numpy as np
 
 from optdock.dock import Dock, DockDirection
-from optdock.errors import ControllerException, MissingExtra
+from optdock.errors import ControllerException, InvalidValue, MissingExtra, OptdockError
 from optdock.executor import DockingExecutor, ExecutorSettings
 from optdock.geometry.footprint import Footprint
 from optdock.geometry.pose import Pose2, Twist2
@@ -50,6 +51,7 @@ STAGING, SPREAD, TURN = 0.85, 0.25, 0.25  # [m], [m], [rad]
 LAW = GracefulLaw(3.0, 2.0, 0.4, 2.0, 0.25, 2.5, 0.1, 0.25, 0.75)  # the docking server's defaults
 PROJECTION = 0.25  # [m]
 PERIOD, TIMEOUT = 0.02, 60.0  # [s]
+TIME_BUDGET = 5.0  # [s] of wall clock, for busy machines; all but one plan take less than 0.3 s
 CREEP, PRESS, PRESSING = 0.03, 0.02, 1.0  # [m/s], [m/s], [s]
 SETTLING = 0.5  # [s] after the stop; who moves then is not at rest
 MEETING = 0.2  # [s] from the first contact on: the impact, without the pressing
@@ -104,48 +106,49 @@ class Docking(NamedTuple):
     """How one docking ended.
 
     Attributes:
-        states: Of the plant, one for every control period.
+        pose: Of the robot, seen from the dock.
         impulse: Of the force across the dock's axis, in either direction, in the first 0.2 s of contact [N s].
-        peak: Largest contact force [N].
+        peak: Largest contact force [N]; 0 without contact.
         duration: Until the first contact, or the end without one [s].
         fault: Why it did not end at the dock; empty where it did.
     """
 
-    states: tuple[PlantState, ...]
+    pose: Pose2
     impulse: float
     peak: float
     duration: float
     fault: str
 
-    @property
-    def pose(self) -> Pose2:
-        """Of the robot in the end, seen from the dock."""
-        return self.states[-1].pose.in_frame_of(GOAL)
-
 
 Steering = Callable[[Measurements], "Twist2 | None"]  # None: it is over, stand still
 
 
-def by_law(_plan: DockPlan) -> Steering:
+def by_law(_problem: DockingProblem) -> Steering:
     """The docking server's law towards the projected dock."""
     target = GOAL @ Pose2(PROJECTION, 0.0, 0.0)
     return until_contact(lambda measured: LAW.command(target, measured.pose or GOAL))
 
 
-def by_raw_path(plan: DockPlan) -> Steering:
+def by_raw_path(problem: DockingProblem) -> Steering:
     """What the planner made, tracked; however far the robot's heading is off at its corners."""
-    return until_contact(tracked(plan.raw_path, {"max_yaw_error": math.pi}))
+    return until_contact(tracked(planned(problem).raw_path, {"max_yaw_error": math.pi}))
 
 
-def by_smoothed_path(plan: DockPlan) -> Steering:
+def by_smoothed_path(problem: DockingProblem) -> Steering:
     """The certified plan, tracked."""
-    return until_contact(tracked(plan.trajectory, {}))
+    return until_contact(tracked(planned(problem).trajectory, {}))
 
 
-def by_executor(plan: DockPlan) -> Steering:
+def by_executor(problem: DockingProblem) -> Steering:
     """The executor as a server runs it, from where the robot stands, until it says that it has docked."""
-    settings = ExecutorSettings(contact="touch", use_detections=False, navigate_to_staging_pose=False, max_retries=0)
-    executor = DockingExecutor(plan.problem, settings)
+    settings = ExecutorSettings(
+        contact="touch",
+        use_detections=False,
+        navigate_to_staging_pose=False,
+        max_retries=0,
+        time_budget=TIME_BUDGET,
+    )
+    executor = DockingExecutor(problem, settings)
     docked_at: float | None = None
 
     def steer(measured: Measurements) -> Twist2 | None:
@@ -158,6 +161,12 @@ def by_executor(plan: DockPlan) -> Steering:
         return pressing(measured.stamp, docked_at)
 
     return steer
+
+
+@functools.cache
+def planned(problem: DockingProblem) -> DockPlan:
+    """The certified plan of a start."""
+    return plan_dock(problem, time_budget=TIME_BUDGET)
 
 
 def tracked(motion: Path | Trajectory, parameters: dict[str, object]) -> Steering:
@@ -202,10 +211,17 @@ def pressing(now: float, since: float | None) -> Twist2 | None:
 METHODS = {"graceful law": by_law, "raw path": by_raw_path, "smoothed path": by_smoothed_path, "executor": by_executor}
 
 
-def dock(drive: MujocoDrive, start: Pose2, world: World, steer: Steering, seed: int) -> Docking:
+def dock(
+    drive: MujocoDrive, problem: DockingProblem, world: World, method: str, seed: int
+) -> tuple[Docking, list[PlantState]]:
     """Drive until it is over and the robot has had time to come to rest."""
-    robot = SimulatedRobot(drive, start, GOAL, world.sensors, seed=seed)
-    states, reason, over_at = [robot.state], "", math.inf
+    robot = SimulatedRobot(drive, problem.start, GOAL, world.sensors, seed=seed)
+    states = [robot.state]
+    try:
+        steer = METHODS[method](problem)
+    except OptdockError:
+        return Docking(robot.error, 0.0, 0.0, 0.0, "no plan"), states
+    reason, over_at = "", math.inf
     while robot.time < min(TIMEOUT, over_at + SETTLING):
         try:
             command = steer(robot.measurements) if over_at == math.inf else None
@@ -219,13 +235,14 @@ def dock(drive: MujocoDrive, start: Pose2, world: World, steer: Steering, seed: 
     strength = np.hypot(forces[:, 0], forces[:, 1])
     first = int(np.argmax(strength > 0.0))
     meeting = slice(first, first + round(MEETING / drive.timestep))
-    return Docking(
-        states=tuple(states),
+    ending = Docking(
+        pose=robot.error,
         impulse=float(np.sum(np.abs(forces[meeting, 1]))) * drive.timestep,
         peak=float(strength.max()),
         duration=next((state.time for state in states if state.contact), robot.time),
         fault=reason or fault_of(robot),
     )
+    return ending, states
 
 
 def fault_of(robot: SimulatedRobot) -> str:
@@ -240,12 +257,23 @@ def fault_of(robot: SimulatedRobot) -> str:
     return next((name for name, is_so in faults.items() if is_so), "")
 
 
-def row(station: str, world: str, method: str, endings: list[Docking]) -> list[str]:
-    """One line of the table."""
+COLUMNS: dict[str, tuple[Callable[[Docking], float], int]] = {
+    "|cross| mm": (lambda ending: 1e3 * abs(ending.pose.y), 1),
+    "|yaw| deg": (lambda ending: math.degrees(abs(ending.pose.yaw)), 2),
+    "peak force N": (lambda ending: ending.peak, 0),
+    "impulse across N s": (lambda ending: ending.impulse, 1),
+    "time s": (lambda ending: ending.duration, 1),
+}
 
-    def spread(values: list[float], digits: int) -> str:
-        found = (*np.percentile(values, [50, 95]), max(values))
-        return " / ".join(f"{value:.{digits}f}" for value in found)
+
+def row(station: str, world: str, method: str, endings: list[Docking]) -> list[str]:
+    """One line of the table; the figures are of those that touched."""
+    touched = [ending for ending in endings if ending.peak > 0.0]
+
+    def spread(value: Callable[[Docking], float], digits: int) -> str:
+        values = [value(ending) for ending in touched]
+        found = (*np.percentile(values, [50, 95]), max(values)) if values else ()
+        return " / ".join(f"{value:.{digits}f}" for value in found) or "-"
 
     faults = Counter(ending.fault for ending in endings if ending.fault)
     return [
@@ -253,22 +281,14 @@ def row(station: str, world: str, method: str, endings: list[Docking]) -> list[s
         world,
         method,
         f"{sum(not ending.fault for ending in endings)}/{len(endings)}",
-        spread([1e3 * abs(ending.pose.y) for ending in endings], 1),
-        spread([math.degrees(abs(ending.pose.yaw)) for ending in endings], 2),
-        spread([ending.peak for ending in endings], 0),
-        spread([ending.impulse for ending in endings], 1),
-        spread([ending.duration for ending in endings], 1),
+        *(spread(value, digits) for value, digits in COLUMNS.values()),
         ", ".join(f"{count} {fault}" for fault, count in faults.most_common()) or "-",
     ]
 
 
 def draw(found: dict[tuple[str, str, str], list[Docking]], target: FilePath) -> None:
     """Shares of the runs over peak force, lateral error and yaw error, a row for each station."""
-    columns = {
-        "peak force [N]": lambda ending: ending.peak,
-        "|cross| [mm]": lambda ending: 1e3 * abs(ending.pose.y),
-        "|yaw| [deg]": lambda ending: math.degrees(abs(ending.pose.yaw)),
-    }
+    columns = {label: COLUMNS[label][0] for label in ("peak force N", "|cross| mm", "|yaw| deg")}
     colours = dict(zip(METHODS, (COLOURS["goal"], COLOURS["raw"], COLOURS["path"], COLOURS["start"]), strict=True))
     lines = dict(zip(WORLDS, ("-", "--"), strict=True))
     names = list(dict.fromkeys(station for station, _, _ in found))
@@ -276,8 +296,8 @@ def draw(found: dict[tuple[str, str, str], list[Docking]], target: FilePath) -> 
     axes = figure.subplots(len(names), len(columns), squeeze=False)
     for (station, world, method), endings in found.items():
         for axis, (label, value) in zip(axes[names.index(station)], columns.items(), strict=True):
-            values = np.sort([value(ending) for ending in endings])
-            share = np.arange(1, len(values) + 1) / len(values)
+            values = np.sort([value(ending) for ending in endings if ending.peak > 0.0])
+            share = np.arange(1, len(values) + 1) / len(endings)
             axis.step(
                 values, share, where="post", color=colours[method], linestyle=lines[world], label=f"{method}, {world}"
             )
@@ -304,29 +324,34 @@ def main() -> None:
     except MissingExtra as error:
         print(f"skipped: {error}")
         return
-    found = {}
-    for (station, world), drive in drives.items():
-        plans = [plan_dock(DockingProblem(pose, drive.dock, drive.robot), time_budget=1.0) for pose in poses]
-        for method, steering in METHODS.items():
-            found[station, world, method] = [
-                dock(drive, plan.problem.start, WORLDS[world], steering(plan), seed) for seed, plan in enumerate(plans)
-            ]
-    head = ["station", "world", "method", "docked", "|cross| mm", "|yaw| deg", "peak force N", "impulse across N s"]
-    text = table([[*head, "time s", "faults"], *(row(*key, endings) for key, endings in found.items())])
+    problems = {
+        station: [DockingProblem(pose, place, robot) for pose in poses]
+        for station, (robot, place) in stations().items()
+    }
+    found = {
+        (station, world, method): [
+            dock(drive, problem, WORLDS[world], method, seed)[0] for seed, problem in enumerate(problems[station])
+        ]
+        for (station, world), drive in drives.items()
+        for method in METHODS
+    }
+    head = ["station", "world", "method", "docked", *COLUMNS, "faults"]
+    text = table([head, *(row(*key, endings) for key, endings in found.items())])
     OUT.mkdir(parents=True, exist_ok=True)
     write_text(OUT / "forces.md", text + "\n")
     print(f"p50 / p95 / max of {len(poses)} starts\n\n{text}")
     draw(found, OUT / "forces.png")
-    animate(drives, found)
+    animate(drives["V", NOISY], problems["V"])
 
 
-def animate(drives: dict[tuple[str, str], MujocoDrive], found: dict[tuple[str, str, str], list[Docking]]) -> None:
-    """The start farthest aside, in the noisy world, into the V, by every method; where something draws."""
+def animate(drive: MujocoDrive, problems: list[DockingProblem]) -> None:
+    """The start farthest aside, in the noisy world, by every method; where something draws."""
+    seed = max(range(len(problems)), key=lambda i: abs(problems[i].start.y))
     for method in METHODS:
-        farthest = max(found["V", NOISY, method], key=lambda ending: abs(ending.states[0].pose.y))
+        _, states = dock(drive, problems[seed], WORLDS[NOISY], method, seed)
         try:
-            save_mujoco_animation(OUT / f"{method.replace(' ', '_')}.gif", drives["V", NOISY], farthest.states)
-        except MissingExtra as error:
+            save_mujoco_animation(OUT / f"{method.replace(' ', '_')}.gif", drive, states)
+        except (MissingExtra, InvalidValue) as error:
             print(f"no animation: {error}")
 
 

@@ -5,7 +5,6 @@ import importlib
 import pytest
 
 from optdock.geometry.pose import Pose2
-from optdock.pipeline import plan_dock
 from optdock.problem import DockingProblem
 from optdock.simulation.mujoco import MujocoDrive
 
@@ -18,10 +17,9 @@ def test_a_certified_plan_docks_and_the_law_strikes(station):
     robot, place = experiment.stations()[station]
     world = experiment.WORLDS[experiment.NOISY]
     drive = MujocoDrive(robot, place, actuation=world.actuation)
-    plan = plan_dock(DockingProblem(Pose2(-0.7, 0.1, 0.1), place, robot), time_budget=5.0)
+    problem = DockingProblem(Pose2(-0.7, 0.1, 0.1), place, robot)
     law, smoothed = (
-        experiment.dock(drive, plan.problem.start, world, experiment.METHODS[method](plan), 3)
-        for method in ("graceful law", "smoothed path")
+        experiment.dock(drive, problem, world, method, 3)[0] for method in ("graceful law", "smoothed path")
     )
     assert smoothed.fault == ""
     assert law.peak > 2.0 * smoothed.peak > 0.0
