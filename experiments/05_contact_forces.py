@@ -1,0 +1,359 @@
+"""Experiment 5: how hard and how straight robots meet their stations, in a physics simulation; needs the extra `sim`.
+
+The same random starts around the staging pose (a disc of 0.25 m around 0.85 m before the dock, headings within 0.25
+rad) are driven into a flat contact plate and into a V with wings, until contact: by the graceful law as Nav2's docking
+server runs it (target 0.25 m behind the dock, Nav2's default parameters), by the planner's raw path and the
+TrackingController, by the certified plan and the TrackingController, and by the executor. Whoever touches presses on at
+2 cm/s for 1 s, so that the contacts seat, and stops; whoever has arrived without touching creeps straight on at 3 cm/s.
+Docked is who then rests in touch within 10 mm across and 1.5 degrees. Writes results/05_contact_forces/.
+
+    python experiments/05_contact_forces.py [--starts N]
+"""
+
+from __future__ import annotations
+
+import argparse
+import functools
+import math
+from collections import Counter
+from collections.abc import Callable
+from pathlib import Path as FilePath
+from typing import NamedTuple
+
+import numpy as np
+
+from optdock.dock import Dock, DockDirection
+from optdock.errors import ControllerException, InvalidValue, MissingExtra, OptdockError
+from optdock.executor import DockingExecutor, ExecutorSettings
+from optdock.geometry.footprint import Footprint
+from optdock.geometry.pose import Pose2, Twist2
+from optdock.interfaces import Controller, GoalChecker
+from optdock.io.atomic_file import write_text
+from optdock.limits import MotionLimits
+from optdock.measurements import Measurements
+from optdock.nav2.graceful_law import GracefulLaw
+from optdock.path import Path
+from optdock.pipeline import plan_dock
+from optdock.plan import DockPlan
+from optdock.plotting import save_mujoco_animation
+from optdock.plotting.canvas import COLOURS, new_figure, save_figure
+from optdock.plugins import create_plugin
+from optdock.problem import DockingProblem
+from optdock.report import table
+from optdock.robot import Robot
+from optdock.simulation import Actuation, PlantState, PoseSensor, RemainingPath, Sensors, SimulatedRobot
+from optdock.simulation.mujoco import MujocoDrive, VShape, flat_station
+from optdock.trajectory import Trajectory
+
+OUT = FilePath("results") / FilePath(__file__).stem
+GOAL = Pose2(0.0, 0.0, 0.0)
+STAGING, SPREAD, TURN = 0.85, 0.25, 0.25  # [m], [m], [rad]
+LAW = GracefulLaw(3.0, 2.0, 0.4, 2.0, 0.25, 2.5, 0.1, 0.25, 0.75)  # the docking server's defaults
+PROJECTION = 0.25  # [m]
+PERIOD, TIMEOUT = 0.02, 60.0  # [s]
+TIME_BUDGET = 5.0  # [s] of wall clock, for busy machines; all but one plan take less than 0.3 s
+CREEP, PRESS, PRESSING = 0.03, 0.02, 1.0  # [m/s], [m/s], [s]
+SETTLING = 0.5  # [s] after the stop; who moves then is not at rest
+MEETING = 0.2  # [s] from the first contact on: the impact, without the pressing
+TRAVEL, CROSS, YAW = 0.003, 0.01, math.radians(1.5)  # [m] by which spring contacts give way, [m], [rad]
+AT_REST = 0.002  # [m/s]
+LIMITS = MotionLimits(
+    max_speed=0.25, max_reverse_speed=0.25, max_acceleration=0.5, max_deceleration=0.5, max_yaw_rate=0.75,
+    max_curvature=3.0, max_curvature_rate=30.0,
+)  # fmt: skip
+
+
+class World(NamedTuple):
+    """What stands between the commands and the motors, and the noise of localization."""
+
+    actuation: Actuation
+    sensors: Sensors
+
+
+NOISY = "lag, latency, noise"
+WORLDS = {
+    "perfect": World(Actuation(), Sensors()),
+    NOISY: World(
+        Actuation(linear_lag=0.1, angular_lag=0.1, latency=0.06), Sensors(PoseSensor(0.002, math.radians(0.1)))
+    ),
+}
+
+
+def stations() -> dict[str, tuple[Robot, Dock]]:
+    """Each with the robot that fits it."""
+    v, flat = VShape(), Footprint.rectangle(0.3, 0.3, 0.5)
+    nosed = v.with_nose(0.3, 0.3, 0.5)
+    outlines = {"flat plate": (flat, flat_station(flat)), "V": (nosed, v.station(nosed))}
+    return {
+        name: (
+            Robot(robot, LIMITS),
+            Dock(GOAL, station, DockDirection.FORWARD, approach_speed=0.1, approach_distance=0.1),
+        )
+        for name, (robot, station) in outlines.items()
+    }
+
+
+def starts(count: int) -> list[Pose2]:
+    """Poses uniform in a disc around the staging pose, headings uniform around the dock's."""
+    random = np.random.default_rng(1)
+    radius, angle = SPREAD * np.sqrt(random.uniform(size=count)), random.uniform(-math.pi, math.pi, count)
+    turn = random.uniform(-TURN, TURN, count)
+    columns = (radius * np.cos(angle) - STAGING, radius * np.sin(angle), turn)
+    return [Pose2(*row) for row in np.column_stack(columns).tolist()]
+
+
+class Docking(NamedTuple):
+    """How one docking ended.
+
+    Attributes:
+        pose: Of the robot, seen from the dock.
+        impulse: Of the force across the dock's axis, in either direction, in the first 0.2 s of contact [N s].
+        peak: Largest contact force [N]; 0 without contact.
+        duration: Until the first contact, or the end without one [s].
+        fault: Why it did not end at the dock; empty where it did.
+    """
+
+    pose: Pose2
+    impulse: float
+    peak: float
+    duration: float
+    fault: str
+
+
+Steering = Callable[[Measurements], "Twist2 | None"]  # None: it is over, stand still
+
+
+def by_law(_problem: DockingProblem) -> Steering:
+    """The docking server's law towards the projected dock."""
+    target = GOAL @ Pose2(PROJECTION, 0.0, 0.0)
+    return until_contact(lambda measured: LAW.command(target, measured.pose or GOAL))
+
+
+def by_raw_path(problem: DockingProblem) -> Steering:
+    """What the planner made, tracked; however far the robot's heading is off at its corners."""
+    return until_contact(tracked(planned(problem).raw_path, {"max_yaw_error": math.pi}))
+
+
+def by_smoothed_path(problem: DockingProblem) -> Steering:
+    """The certified plan, tracked."""
+    return until_contact(tracked(planned(problem).trajectory, {}))
+
+
+def by_executor(problem: DockingProblem) -> Steering:
+    """The executor as a server runs it, from where the robot stands, until it says that it has docked."""
+    settings = ExecutorSettings(
+        contact="touch",
+        use_detections=False,
+        navigate_to_staging_pose=False,
+        max_retries=0,
+        time_budget=TIME_BUDGET,
+    )
+    executor = DockingExecutor(problem, settings)
+    docked_at: float | None = None
+
+    def steer(measured: Measurements) -> Twist2 | None:
+        nonlocal docked_at
+        step = executor.step(measured)
+        if step.ending is None:
+            return step.command
+        if docked_at is None and step.ending.kind.succeeded:
+            docked_at = measured.stamp
+        return pressing(measured.stamp, docked_at)
+
+    return steer
+
+
+@functools.cache
+def planned(problem: DockingProblem) -> DockPlan:
+    """The certified plan of a start."""
+    return plan_dock(problem, time_budget=TIME_BUDGET)
+
+
+def tracked(motion: Path | Trajectory, parameters: dict[str, object]) -> Steering:
+    """The TrackingController, until it has arrived; then it creeps straight on."""
+    controller = create_plugin(Controller, "TrackingController", parameters)
+    checker = create_plugin(GoalChecker, "DockGoalChecker", {"along_tolerance": TRAVEL})
+    controller.reset()
+    checker.reset()
+    controller.set_path(motion)
+    remaining = RemainingPath(motion.path if isinstance(motion, Trajectory) else motion)
+    arrived = False
+
+    def steer(measured: Measurements) -> Twist2:
+        nonlocal arrived
+        pose = measured.pose or GOAL
+        arrived = arrived or checker.is_goal_reached(pose, GOAL, measured.twist, remaining.from_pose(pose))
+        if arrived:
+            return Twist2(CREEP, 0.0)
+        return controller.compute_velocity_commands(pose, measured.twist, checker, stamp=measured.stamp)
+
+    return steer
+
+
+def until_contact(steer: Steering) -> Steering:
+    """The same, but who touches presses on for a moment, and then it is over."""
+    touched_at: float | None = None
+
+    def steer_or_press(measured: Measurements) -> Twist2 | None:
+        nonlocal touched_at
+        if touched_at is None and measured.contact:
+            touched_at = measured.stamp
+        return steer(measured) if touched_at is None else pressing(measured.stamp, touched_at)
+
+    return steer_or_press
+
+
+def pressing(now: float, since: float | None) -> Twist2 | None:
+    """What seats the contacts; None when that is over, or has not begun."""
+    return Twist2(PRESS, 0.0) if since is not None and now < since + PRESSING else None
+
+
+METHODS = {"graceful law": by_law, "raw path": by_raw_path, "smoothed path": by_smoothed_path, "executor": by_executor}
+
+
+def dock(
+    drive: MujocoDrive, problem: DockingProblem, world: World, method: str, seed: int
+) -> tuple[Docking, list[PlantState]]:
+    """Drive until it is over and the robot has had time to come to rest."""
+    robot = SimulatedRobot(drive, problem.start, GOAL, world.sensors, seed=seed)
+    states = [robot.state]
+    try:
+        steer = METHODS[method](problem)
+    except OptdockError:
+        return Docking(robot.error, 0.0, 0.0, 0.0, "no plan"), states
+    reason, over_at = "", math.inf
+    while robot.time < min(TIMEOUT, over_at + SETTLING):
+        try:
+            command = steer(robot.measurements) if over_at == math.inf else None
+        except ControllerException as error:
+            command, reason = None, type(error).__name__
+        if command is None:
+            over_at = min(over_at, robot.time)
+        robot.advance(command or Twist2(), PERIOD)
+        states.append(robot.state)
+    forces = np.concatenate([state.physics.force for state in states])
+    strength = np.hypot(forces[:, 0], forces[:, 1])
+    first = int(np.argmax(strength > 0.0))
+    meeting = slice(first, first + round(MEETING / drive.timestep))
+    ending = Docking(
+        pose=robot.error,
+        impulse=float(np.sum(np.abs(forces[meeting, 1]))) * drive.timestep,
+        peak=float(strength.max()),
+        duration=next((state.time for state in states if state.contact), robot.time),
+        fault=reason or fault_of(robot),
+    )
+    return ending, states
+
+
+def fault_of(robot: SimulatedRobot) -> str:
+    """Why the robot does not stand at its dock; empty where it does."""
+    error, twist = robot.error, robot.state.twist
+    faults = {
+        "moves": math.hypot(twist.linear, twist.lateral) > AT_REST,
+        "turned": abs(error.yaw) > YAW,
+        "aside": abs(error.y) > CROSS,
+        "out of touch": abs(error.x) > TRAVEL,
+    }
+    return next((name for name, is_so in faults.items() if is_so), "")
+
+
+COLUMNS: dict[str, tuple[Callable[[Docking], float], int]] = {
+    "|cross| mm": (lambda ending: 1e3 * abs(ending.pose.y), 1),
+    "|yaw| deg": (lambda ending: math.degrees(abs(ending.pose.yaw)), 2),
+    "peak force N": (lambda ending: ending.peak, 0),
+    "impulse across N s": (lambda ending: ending.impulse, 1),
+    "time s": (lambda ending: ending.duration, 1),
+}
+
+
+def row(station: str, world: str, method: str, endings: list[Docking]) -> list[str]:
+    """One line of the table; the figures are of those that touched."""
+    touched = [ending for ending in endings if ending.peak > 0.0]
+
+    def spread(value: Callable[[Docking], float], digits: int) -> str:
+        values = [value(ending) for ending in touched]
+        found = (*np.percentile(values, [50, 95]), max(values)) if values else ()
+        return " / ".join(f"{value:.{digits}f}" for value in found) or "-"
+
+    faults = Counter(ending.fault for ending in endings if ending.fault)
+    return [
+        station,
+        world,
+        method,
+        f"{sum(not ending.fault for ending in endings)}/{len(endings)}",
+        *(spread(value, digits) for value, digits in COLUMNS.values()),
+        ", ".join(f"{count} {fault}" for fault, count in faults.most_common()) or "-",
+    ]
+
+
+def draw(found: dict[tuple[str, str, str], list[Docking]], target: FilePath) -> None:
+    """Shares of the runs over peak force, lateral error and yaw error, a row for each station."""
+    columns = {label: COLUMNS[label][0] for label in ("peak force N", "|cross| mm", "|yaw| deg")}
+    colours = dict(zip(METHODS, (COLOURS["goal"], COLOURS["raw"], COLOURS["path"], COLOURS["start"]), strict=True))
+    lines = dict(zip(WORLDS, ("-", "--"), strict=True))
+    names = list(dict.fromkeys(station for station, _, _ in found))
+    figure = new_figure(11.0, 3.2 * len(names) + 0.6)
+    axes = figure.subplots(len(names), len(columns), squeeze=False)
+    for (station, world, method), endings in found.items():
+        for axis, (label, value) in zip(axes[names.index(station)], columns.items(), strict=True):
+            values = np.sort([value(ending) for ending in endings if ending.peak > 0.0])
+            share = np.arange(1, len(values) + 1) / len(endings)
+            axis.step(
+                values, share, where="post", color=colours[method], linestyle=lines[world], label=f"{method}, {world}"
+            )
+            axis.set_xlabel(label)
+            axis.set_ylabel(f"{station}: share of runs")
+            axis.set_ylim(0.0, 1.02)
+            axis.grid(visible=True, color="#dddddd", linewidth=0.5)
+    handles, labels = axes[0, 0].get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside lower center", ncols=4, fontsize=8, frameon=False)
+    save_figure(figure, target)
+
+
+def main() -> None:
+    """Drive everything; print and write the table, draw the picture and the animations."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--starts", type=int, default=100, help="how many (default: %(default)s)")
+    poses = starts(parser.parse_args().starts)
+    try:
+        drives = {
+            (station, world): MujocoDrive(robot, place, actuation=parts.actuation)
+            for station, (robot, place) in stations().items()
+            for world, parts in WORLDS.items()
+        }
+    except MissingExtra as error:
+        print(f"skipped: {error}")
+        return
+    problems = {
+        station: [DockingProblem(pose, place, robot) for pose in poses]
+        for station, (robot, place) in stations().items()
+    }
+    found = {
+        (station, world, method): [
+            dock(drive, problem, WORLDS[world], method, seed)[0] for seed, problem in enumerate(problems[station])
+        ]
+        for (station, world), drive in drives.items()
+        for method in METHODS
+    }
+    head = ["station", "world", "method", "docked", *COLUMNS, "faults"]
+    text = table([head, *(row(*key, endings) for key, endings in found.items())])
+    OUT.mkdir(parents=True, exist_ok=True)
+    write_text(OUT / "forces.md", text + "\n")
+    print(f"p50 / p95 / max of {len(poses)} starts\n\n{text}")
+    draw(found, OUT / "forces.png")
+    animate(drives["V", NOISY], problems["V"])
+
+
+def animate(drive: MujocoDrive, problems: list[DockingProblem]) -> None:
+    """The start farthest aside, in the noisy world, by every method; where something draws."""
+    seed = max(range(len(problems)), key=lambda i: abs(problems[i].start.y))
+    for method in METHODS:
+        _, states = dock(drive, problems[seed], WORLDS[NOISY], method, seed)
+        try:
+            save_mujoco_animation(OUT / f"{method.replace(' ', '_')}.gif", drive, states)
+        except (MissingExtra, InvalidValue) as error:
+            print(f"no animation: {error}")
+
+
+if __name__ == "__main__":
+    main()

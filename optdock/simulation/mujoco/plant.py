@@ -1,0 +1,254 @@
+"""The robot with masses, tyres, motors and a bumper, in MuJoCo [Todorov2012]; needs the extra `sim`.
+
+Every step of the physics gives the force between robot and station and the slip of the wheels; every step of the plant
+the true pose and what the wheels' encoders say. A state holds everything that the physics needs to go on from it: equal
+states and commands give equal states, bit for bit, in whatever order they are asked for.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+
+from optdock.errors import InvalidValue, MissingExtra
+from optdock.geometry.arrays import readonly
+from optdock.geometry.pose import Pose2, Twist2, normalize_angle
+from optdock.robot import admissible
+from optdock.simulation.mujoco.model import Chassis, docking_model
+from optdock.simulation.plant import Actuation, PlantState, arrivals, check_duration, first_order
+
+if TYPE_CHECKING:
+    from optdock.dock import Dock
+    from optdock.geometry.arrays import FloatArray
+    from optdock.robot import Robot
+
+__all__ = ["MujocoDrive", "MujocoPhysics", "load_mujoco"]
+
+_TOUCH = 1.0  # [N]: a switch that closes at the weight of 100 g, be it for a millisecond
+_SETTLING = 1000  # steps of the physics in which a robot that was put on the floor sinks into its tyres, 1 s
+
+
+def load_mujoco() -> Any:  # noqa: ANN401 - MuJoCo is read without its types
+    """The module `mujoco`.
+
+    Raises:
+        MissingExtra: It is not installed.
+    """
+    try:
+        import mujoco
+    except ImportError as error:
+        raise MissingExtra("contact physics needs mujoco: pip install 'optdock[sim]', Python >= 3.11") from error
+    return mujoco
+
+
+class MujocoPhysics(NamedTuple):
+    """What happened during a step of the plant, and what the physics goes on from.
+
+    Attributes:
+        force: Of the station on the robot in every step of the physics, along and across the docked robot's heading,
+            Shape (n, 2) [N]: negative along pushes a robot that came forward back out of its dock.
+        slip: Speed of the left and right rim over the floor, in every step of the physics, Shape (n, 2) [m/s].
+        snapshot: MuJoCo's own state.
+    """
+
+    force: FloatArray
+    slip: FloatArray
+    snapshot: FloatArray
+
+
+class MujocoDrive:
+    """A differential drive and a docking station with masses and contact.
+
+    Commands go to the wheels as speeds, which motors of limited torque follow; what becomes of the robot is up to tyres
+    and contact. It is a `Plant`; the `physics` of its states is a `MujocoPhysics`.
+
+    Args:
+        robot: A differential drive; its drive limits cut every command.
+        dock: Where the station stands.
+        chassis: Masses, wheels, bumper; the default one if None.
+        actuation: Lags, latency, dead band and gains ahead of the motors; the default is none of them.
+        period: Duration of a step that does not say its own [s].
+
+    Attributes:
+        model: MuJoCo's model, for whoever wants to look at or draw it.
+        data: MuJoCo's data, likewise; the next `step` overwrites it.
+        timestep: Of the physics [s].
+        track_width: Distance between the wheels [m].
+
+    Raises:
+        MissingExtra: MuJoCo is not installed.
+        InvalidValue: The robot is no differential drive, or has no room for casters; or the period is not > 0.
+    """
+
+    def __init__(
+        self,
+        robot: Robot,
+        dock: Dock,
+        chassis: Chassis | None = None,
+        actuation: Actuation | None = None,
+        period: float = 0.02,
+    ) -> None:
+        check_duration(period, "plant.period")
+        self.robot, self.dock, self.chassis, self.period = robot, dock, chassis or Chassis(), period
+        self.actuation = actuation or Actuation()
+        self._mujoco = mujoco = load_mujoco()
+        self.model = mujoco.MjModel.from_xml_string(docking_model(robot, dock, self.chassis))
+        self.data = mujoco.MjData(self.model)
+        self.timestep = float(self.model.opt.timestep)
+        self.track_width = self.chassis.track_of(robot)
+        self._kind = mujoco.mjtState.mjSTATE_INTEGRATION
+        self._size = mujoco.mj_stateSize(self.model, self._kind)
+        self._station = self.model.body("station").id
+        joints = [self.model.joint(f"{side} wheel") for side in ("left", "right")]
+        self._angles = [int(joint.qposadr[0]) for joint in joints]
+        self._rates = [int(joint.dofadr[0]) for joint in joints]
+        self._settled: FloatArray | None = None
+
+    def at_rest(self, pose: Pose2) -> PlantState:
+        """The robot standing at `pose`, no command under way."""
+        return self.moving(pose, Twist2())
+
+    def moving(self, pose: Pose2, twist: Twist2) -> PlantState:
+        """The robot rolling at `pose` with a steady body velocity, which goes on until the first command arrives."""
+        data = self.data
+        if self._settled is None:
+            self._settled = self._rest_position()
+        self._mujoco.mj_resetData(self.model, data)
+        data.qpos[:] = self._settled
+        data.qpos[:2] = pose.x, pose.y
+        half = 0.5 * pose.yaw
+        self._mujoco.mju_mulQuat(
+            data.qpos[3:7], np.array([math.cos(half), 0.0, 0.0, math.sin(half)]), self._settled[3:7]
+        )
+        data.qvel[:2] = math.cos(pose.yaw) * twist.linear, math.sin(pose.yaw) * twist.linear
+        data.qvel[5] = twist.angular
+        data.qvel[self._rates] = data.ctrl[:] = self._wheel_speeds(twist.linear, twist.angular)
+        drive = (twist.linear, twist.angular)
+        physics = MujocoPhysics(_NOTHING, _NOTHING, self._snapshot())
+        return PlantState(pose, twist, twist, 0.0, drive, drive, contact=False, physics=physics)
+
+    def step(self, state: PlantState, command: Twist2, duration: float | None = None) -> PlantState:
+        """The state `duration` [s] later, or one period later, `command` being given now.
+
+        Raises:
+            InvalidValue: The duration is not finite and > 0, or the state is none of a `MujocoDrive`.
+        """
+        if duration is None:
+            duration = self.period
+        check_duration(duration, "plant.duration")
+        data = self.data
+        self._enter(state)
+        sent = self.actuation.target(admissible(command, self.robot.limits, self.robot.drive))
+        pieces, target, pending = arrivals(state, self.actuation.latency, sent, duration)
+        before, time, drive = data.qpos[self._angles], state.time, state.drive
+        forces: list[FloatArray] = []
+        slips: list[tuple[float, float]] = []
+        for seconds, wanted in pieces:
+            # On one grid of the physics' own steps, however long a step of the plant is.
+            count = round((time + seconds) / self.timestep) - round(time / self.timestep)
+            time += seconds
+            for _ in range(count):
+                drive = self._actuate(drive, wanted)
+                self._mujoco.mj_step(self.model, data)
+                self._mujoco.mj_rnePostConstraint(self.model, data)
+                forces.append(data.cfrc_ext[self._station, 3:5].copy())
+                slips.append(self._slip())
+        turned = (data.qpos[self._angles] - before) * self.chassis.wheel_radius / duration
+        force = self._on_robot(forces)
+        physics = MujocoPhysics(force, readonly(np.array(slips).reshape(-1, 2)), self._snapshot())
+        return PlantState(
+            pose=self._pose(state.pose.yaw),
+            twist=self._twist(),
+            encoders=Twist2(0.5 * float(turned.sum()), float(turned[1] - turned[0]) / self.track_width),
+            time=state.time + duration,
+            drive=drive,
+            target=target,
+            pending=pending,
+            contact=bool(np.any(np.hypot(force[:, 0], force[:, 1]) > _TOUCH)),
+            physics=physics,
+        )
+
+    def stopped(self, state: PlantState, pose: Pose2, *, stalled: bool) -> PlantState:  # noqa: ARG002 - a plant's
+        """Refused: the station of this plant stops the robot itself.
+
+        Raises:
+            InvalidValue: Always.
+        """
+        raise InvalidValue("mujoco: the physics has a station of its own; give the world none")
+
+    def show(self, state: PlantState) -> None:
+        """Bring `data` into a state, for whoever wants to look at or draw it."""
+        self._enter(state)
+        self._mujoco.mj_forward(self.model, self.data)
+
+    def _enter(self, state: PlantState) -> None:
+        if not (isinstance(state.physics, MujocoPhysics) and len(state.physics.snapshot) == self._size):
+            raise InvalidValue("mujoco: the state must be one that a MujocoDrive of the same robot made")
+        snapshot = state.physics.snapshot.copy()  # older versions of MuJoCo ask for one that may be written into
+        self._mujoco.mj_setState(self.model, self.data, snapshot, self._kind)
+
+    def _actuate(self, drive: tuple[float, float], wanted: tuple[float, float]) -> tuple[float, float]:
+        """Tell the motors the velocity that is due on the way to the wanted one, and return it."""
+        a, step = self.actuation, self.timestep
+        linear = first_order(drive[0], wanted[0], a.linear_lag, step)[1]
+        angular = first_order(drive[1], wanted[1], a.angular_lag, step)[1]
+        self.data.ctrl[:] = self._wheel_speeds(linear, angular)
+        return linear, angular
+
+    def _on_robot(self, forces: list[FloatArray]) -> FloatArray:
+        """Of the station, in the docked robot's frame, from those of the robot on it in the world's."""
+        on_station = np.array(forces).reshape(-1, 2)
+        c, s = math.cos(self.dock.pose.yaw), math.sin(self.dock.pose.yaw)
+        return readonly(-on_station @ np.array([[c, -s], [s, c]]))
+
+    def _rest_position(self) -> FloatArray:
+        """Joint positions of the robot settled on its tyres, far from the station."""
+        data = self.data
+        self._mujoco.mj_resetData(self.model, data)
+        data.qpos[:2] = self.dock.pose.x - 100.0, self.dock.pose.y
+        for _ in range(_SETTLING):
+            self._mujoco.mj_step(self.model, data)
+        settled = np.array(data.qpos)
+        settled[self._angles] = 0.0
+        return settled
+
+    def _snapshot(self) -> FloatArray:
+        physics = np.empty(self._size)
+        self._mujoco.mj_getState(self.model, self.data, physics, self._kind)
+        return readonly(physics)
+
+    def _pose(self, yaw_before: float) -> Pose2:
+        x, y = self.data.qpos[:2].tolist()
+        c, s = self._heading()
+        yaw = math.atan2(s, c)
+        return Pose2(x, y, yaw_before + normalize_angle(yaw - yaw_before))
+
+    def _twist(self) -> Twist2:
+        """Of the robot over the floor, whatever its wheels do."""
+        vx, vy, _, _, _, yaw_rate = self.data.qvel[:6].tolist()
+        c, s = self._heading()
+        return Twist2(c * vx + s * vy, yaw_rate, c * vy - s * vx)
+
+    def _heading(self) -> tuple[float, float]:
+        """Cosine and sine of the yaw."""
+        a, b, c, d = self.data.qpos[3:7].tolist()
+        x, y = 1.0 - 2.0 * (c * c + d * d), 2.0 * (a * d + b * c)
+        return x / math.hypot(x, y), y / math.hypot(x, y)
+
+    def _wheel_speeds(self, linear: float, angular: float) -> tuple[float, float]:
+        """Of the left and the right wheel [rad/s]."""
+        side, radius = 0.5 * self.track_width * angular, self.chassis.wheel_radius
+        return (linear - side) / radius, (linear + side) / radius
+
+    def _slip(self) -> tuple[float, float]:
+        """Speed of the left and the right rim over the floor [m/s]."""
+        vx, vy, _, _, _, yaw_rate = self.data.qvel[:6].tolist()
+        left, right = self.data.qvel[self._rates].tolist()
+        c, s = self._heading()
+        ahead, side, radius = c * vx + s * vy, 0.5 * self.track_width * yaw_rate, self.chassis.wheel_radius
+        return radius * left - (ahead - side), radius * right - (ahead + side)
+
+
+_NOTHING = readonly(np.zeros((0, 2)))
