@@ -33,10 +33,15 @@ __all__ = ["TrackingController", "TrackingControllerParameters"]
 
 _SETTLING = 0.2  # [s], time constant with which the reference's rate approaches its target
 _HELD = 0.1  # rate of a waiting reference below which the robot does not follow
+_CREEPING = 1e-3  # [m/s]: a reference slower than this tells no curvature
+_CREEP = 1e-6  # [m/s]: no drive moves at it; steered wheels turn as its arc says
 _NOTHING = 5e-5  # [m/s], [rad/s]: at the end less than this is not commanded
 _SHORTEST_CONVERGENCE = 0.05  # [m]
 _DELAYS_TO_CONVERGE = 3.0  # a lateral error may decay within the way of so many delays; less overshoots
-_ASIDE_SMOOTHING = 0.2  # [s]
+_ASIDE_SMOOTHING = 0.2  # [s], of the error across: more hides a jump from what is left of the way
+_SCATTER_SMOOTHING = 1.0  # [s], of its squared noise
+_GROWTH, _LEAST_SCATTER = 4.0, 4e-6  # [1], [m^2]: what a single error may add to that
+_NOISES = 3.0  # standard deviations
 _LEFT = 0.25  # of the accepted error across, that may be left at the end by what is seen now
 _PEAK_MARGIN = 1.2  # without a configured robot: headroom for feedback above the trajectory's own peaks
 
@@ -69,7 +74,7 @@ class TrackingControllerParameters(PluginParameters):
     )
     use_collision_detection: bool = Field(default=True, description="look for obstacles on the way to a stop")
     collision_tolerance: float = Field(
-        default=0.01, ge=0.0, description="depth of contact that noise and a pressed bumper may show [m]"
+        default=0.01, ge=0.0, description="how deep noise and a pressed bumper may show the station [m]"
     )
     time_parameterizer: str = Field(default="NearOptimal", description="plugin that times a path handed over untimed")
 
@@ -99,10 +104,12 @@ class TrackingController(Controller):
     accepted then, and becomes no better for `patience`, is refused by name: NoValidControl, plan again. So is a robot
     that does not follow.
 
-    **Collisions.** A command after which the robot could no longer stop before it is `collision_tolerance` deep in
-    something is refused: NoValidControl, and the server stops the robot. The certified path needs no such check; an
-    obstacle that has come since, or a robot off its path, does. What counts is what the context holds: the problem, and
-    the costmaps as they are now; without either nothing is checked.
+    **Collisions.** A command after which the robot could no longer stop before it touches something is refused:
+    NoValidControl, and the server stops the robot. What is looked at is what will be driven: what is under way in the
+    drive, one period of the command, and braking, along its arc or along the path. The station, and what the trajectory
+    touches where it begins or ends, is touched on purpose: it may be pressed by `collision_tolerance`. A robot that is
+    in something already may move unless it goes deeper. What counts is what the context holds: the problem, and the
+    costmaps as they are now; without either nothing is checked.
 
     **Limits.** Those of the context's robot. Without one: the defaults of `MotionLimits`, widened to 1.2 times the
     peaks of the trajectory. Commands are admissible for the drive and change no faster than it can accelerate.
@@ -156,7 +163,7 @@ class TrackingController(Controller):
         else:
             self._reference, self._starts_at = Reference(trajectory), start_stamp
             self._anchored = self._cancelled = False
-        self._attempt()
+            self._attempt()
         self._limits = self._limits_for(trajectory)
 
     def compute_velocity_commands(
@@ -182,12 +189,12 @@ class TrackingController(Controller):
         """
         if self._reference is None:
             raise ControllerInvalidPath("TrackingController: has no path; call set_path first")
-        self._clock.tick(stamp, self.context, self.parameters.period)
-        if self._clock.elapsed == 0.0:
-            return self._limiter.command
-        if self._clock.silent:
-            self._limiter.restart(Twist2(velocity.linear, velocity.angular))
         try:
+            self._clock.tick(stamp, self.context, self.parameters.period)
+            if self._clock.elapsed == 0.0:
+                return self._limiter.command
+            if self._clock.silent:
+                self._limiter.restart(Twist2(velocity.linear, velocity.angular))
             return self._command(self._reference, pose, velocity, goal_checker)
         except NoValidControl:
             self._limiter.stop()  # what a refusal leaves the robot with
@@ -232,16 +239,17 @@ class TrackingController(Controller):
         braking = 0.5 * stopping_time(command, limits.max_deceleration, limits.turning.acceleration)
         driven = ((before, self._known_delay), (command, period))
         straight_on = stopping_way(pose, footprint, (*driven, (command, braking)))
-        found = self._look_ahead.obstruction(self.context, straight_on, p.collision_tolerance)
+        ends = reference.ends
+        found = self._look_ahead.obstruction(self.context, straight_on, ends, p.collision_tolerance)
         if found is None:
             return
         distance = abs(before.linear) * self._known_delay + abs(command.linear) * (period + braking)
         along_path = reference.way(distance, now.pose, pose)
         ways = (straight_on,) if along_path is None else (stopping_way(pose, footprint, driven), along_path)
         for way in ways:
-            found = self._look_ahead.obstruction(self.context, way, p.collision_tolerance)
+            found = self._look_ahead.obstruction(self.context, way, ends, p.collision_tolerance)
             if found is not None:
-                raise collision_ahead(self.context, found, p.collision_tolerance)
+                raise collision_ahead(self.context, found)
 
     def set_speed_limit(self, limit: float, percentage: bool) -> None:  # noqa: FBT001 - Nav2's order of arguments
         """Slow the whole reference down, to `limit` percent or to a peak speed of `limit` m/s; 0 removes the limit.
@@ -275,8 +283,8 @@ class TrackingController(Controller):
         return None if self._reference is None else self._reference.progress
 
     def _attempt(self) -> None:
-        """A new path is a new attempt."""
-        self._aside = 0.0
+        """A new path is a new attempt; one that takes over in motion is not, lest a robot that stands is never named."""
+        self._aside = self._scatter = 0.0
         self._following, self._arriving, self._push = Patience(), Patience(), DeadBandPush()
 
     @property
@@ -358,18 +366,32 @@ class TrackingController(Controller):
         if self._cancelled and reference.rate == 0.0:
             return Twist2()
         p = self.parameters
-        # Smoothed, so that noise alone does not shorten the distance, which would amplify it.
-        self._aside += (error.y - self._aside) * min(1.0, self._clock.elapsed / _ASIDE_SMOOTHING)
-        distance = self._convergence_distance(now, self._aside, accepted)
-        return tracking_command(error, now.ahead.twist, Gains(p.along_gain, distance, p.damping, p.turn_gain))
+        distance = self._convergence_distance(now, error, accepted)
+        wanted = tracking_command(error, now.ahead.twist, Gains(p.along_gain, distance, p.damping, p.turn_gain))
+        if self._drive is Drive.ACKERMANN and now.ahead.speed < _CREEPING:
+            # A rest tells no curvature, and the feedback's would swing the wheels; a creeping command does tell it.
+            arc = reference.next_arc()
+            speed = wanted.linear if abs(wanted.linear) > _CREEP or reference.finished else _CREEP * arc.linear
+            return Twist2(speed, speed * arc.linear * arc.angular)
+        return wanted
 
-    def _convergence_distance(self, now: ReferenceState, aside: float, accepted: Accepted) -> float:
-        """As given; less where too much would be left at the end, but no less than the drive's delay allows."""
+    def _convergence_distance(self, now: ReferenceState, error: Pose2, accepted: Accepted) -> float:
+        """As given; less where too much would be left at the end, but no less than the drive's delay allows.
+
+        What counts is the error across, smoothed and beyond its own noise, which a shorter distance would amplify.
+        """
+        period = self._clock.elapsed
+        share, off = min(1.0, period / _ASIDE_SMOOTHING), error.y - self._aside
+        self._aside += share * off
+        most = _GROWTH * self._scatter + _LEAST_SCATTER  # a jump is no noise
+        self._scatter += min(1.0, period / _SCATTER_SMOOTHING) * (min(off * off, most) - self._scatter)
+        noise = math.sqrt(self._scatter * share / (2.0 - share))
+        aside = abs(self._aside) if abs(self._aside) > _NOISES * noise else 0.0
         usual, left, speed = self.parameters.convergence_distance, now.ahead.left, abs(now.ahead.twist.linear)
         least = max(_SHORTEST_CONVERGENCE, _DELAYS_TO_CONVERGE * speed * (self._known_delay + 0.5 * self._clock.period))
         found = usual
         # Critically damped, an error decays by (1 + d / L) exp(-d / L) over a distance d.
-        while found > least and abs(aside) * (1.0 + left / found) * math.exp(-left / found) > _LEFT * accepted.cross:
+        while found > least and aside * (1.0 + left / found) * math.exp(-left / found) > _LEFT * accepted.cross:
             found *= 0.9
         return max(found, min(least, usual))
 
