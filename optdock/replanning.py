@@ -27,6 +27,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
+from optdock.changed_world import StillHolds, still_holds
 from optdock.deadline import Deadline, garbage_collection_paused
 from optdock.deformation import Push, deformed
 from optdock.errors import Cancelled, InvalidValue, LifecycleError, OptdockError, PluginError, SmootherTimedOut
@@ -44,7 +45,6 @@ from optdock.plugins import plugin_from
 from optdock.problem import DockingProblem
 from optdock.refinement import Cancellation, Refinement, Stopwatch, in_ms
 from optdock.segments import TURN_RADIUS, ClothoidSegment
-from optdock.still_holds import StillHolds, still_holds
 from optdock.timing.motion import DriveBounds, State
 from optdock.timing.start_states import full_stop
 from optdock.trajectory import TimeLaw, Trajectory
