@@ -406,6 +406,8 @@ class _Replanning:
             time = self._next_rest(time)
         s, speed, acceleration, _ = running.time_law.at(time)[0].tolist()
         s, speed, acceleration = min(max(s, 0.0), length), rate * speed, rate * rate * acceleration
+        if s > length - _NO_WAY:  # its last micrometre is a millisecond
+            time, s, speed, acceleration = running.duration, length, 0.0, 0.0
         if max(abs(speed), abs(acceleration)) <= _AT_REST:
             speed = acceleration = 0.0
             s = next((cusp for cusp in path.cusps if abs(cusp - s) <= _NO_WAY), s)
