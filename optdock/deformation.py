@@ -51,6 +51,8 @@ _ALL = 1_000_000  # gears
 _USED = 0.999  # share of the bounds that is taken where one is reached
 _SLOW = 0.3  # share of the speed at the start: a robot may be as slow as that for the sake of a bend
 _USED_BY_BENDS = 0.8  # share of the yaw acceleration; the rest is left for speeding up and slowing down in them
+_BOLD = 12  # rounds in which several bounds at once are added or dropped
+_MOST_AT_ONCE = 6
 _MOST_ACTIVE = 40  # rounds of the active-set method; one that needs more finds nothing
 _NO_PULL = 1e-9  # relative: rounding of the force by which a bound holds a step back
 _WITHIN = 1e-9  # of a bound, in units of its row
@@ -229,6 +231,12 @@ def _contact(push: Push, segments: tuple[Segment, ...]) -> _Contact:
     return _Contact(place, normal, push.distance - float(found.distance[0]))
 
 
+def _peaks(over: FloatArray) -> list[int]:
+    """Where a bound is broken by more than next to it: one of every stretch that is beyond."""
+    beside = np.maximum(np.append(over[1:], -np.inf), np.append(-np.inf, over[:-1]))
+    return [int(i) for i in np.flatnonzero((over > _WITHIN) & (over >= beside))[:_MOST_AT_ONCE]]
+
+
 def _rates_at_speed(gear: _Gear, limits: MotionLimits, speed: float) -> FloatArray:
     """Largest curvature rate over every piece of a gear for a robot that brakes from `speed`, Shape (n - 1,)."""
     left = speed * speed - 2.0 * limits.max_deceleration * gear.knots[:-1]
@@ -270,6 +278,7 @@ class _Program:
             self.fixed.append((0, float(gears[0].curvature[0])))
         if gears[-1].sign:
             self.fixed.append((self.size - 2, 0.0 if gears[-1].tail > 0.0 else float(gears[-1].curvature[-1])))
+        self.active: list[int] = []
         price = np.zeros((self.size, self.size))
         for begin, gear in zip(self.starts.tolist(), gears, strict=False):
             price[begin : begin + gear.size, begin : begin + gear.size] = self._price(gear)
@@ -331,10 +340,12 @@ class _Program:
         return np.split(change, self.starts[1:-1])
 
     def _within(self, must: FloatArray, wanted: FloatArray, rows: FloatArray, room: FloatArray) -> FloatArray | None:
-        """The cheapest change with `must @ change = wanted` and `rows @ change <= room`; None where none is found."""
-        scale = np.maximum(np.abs(rows).max(axis=1), 1e-12)
-        active: list[int] = []
-        for _ in range(_MOST_ACTIVE):
+        """The cheapest change with `must @ change = wanted` and `rows @ change <= room`; None where none is found.
+
+        What was active in the last step is so at first in this one.
+        """
+        scale, active = np.maximum(np.abs(rows).max(axis=1), 1e-12), self.active
+        for count in range(_MOST_ACTIVE):
             table = np.concatenate((must, rows[active]))
             cheap = self.cheapness @ table.T
             try:
@@ -344,16 +355,18 @@ class _Program:
             change: FloatArray = cheap @ pulls
             if not np.all(np.isfinite(change)):
                 return None
-            wrong = pulls[len(wanted) :]
-            if active and wrong.max() > _NO_PULL * np.abs(pulls).max():
-                del active[int(np.argmax(wrong))]
+            wrong = pulls[len(wanted) :] > _NO_PULL * np.abs(pulls).max()
+            if wrong.any():
+                # At first all that hold back, later the worst alone: so nothing is dropped and added for ever.
+                worst = int(np.argmax(pulls[len(wanted) :]))
+                active = [i for k, i in enumerate(active) if not (wrong[k] if count < _BOLD else k == worst)]
                 continue
             over = (rows @ change - room) / scale
             over[active] = -np.inf
-            worst = int(np.argmax(over))
-            if over[worst] <= _WITHIN:
+            if float(over.max()) <= _WITHIN:
+                self.active = active
                 return change
-            active.append(worst)
+            active = [*active, *(_peaks(over) if count < _BOLD else [int(np.argmax(over))])]
         return None
 
     def _price(self, gear: _Gear) -> FloatArray:

@@ -27,6 +27,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
+from optdock.changed_world import StillHolds, still_holds
 from optdock.deadline import Deadline, garbage_collection_paused
 from optdock.deformation import Push, deformed
 from optdock.errors import Cancelled, InvalidValue, LifecycleError, OptdockError, PluginError, SmootherTimedOut
@@ -44,7 +45,6 @@ from optdock.plugins import plugin_from
 from optdock.problem import DockingProblem
 from optdock.refinement import Cancellation, Refinement, Stopwatch, in_ms
 from optdock.segments import TURN_RADIUS, ClothoidSegment
-from optdock.still_holds import StillHolds, still_holds
 from optdock.timing.motion import DriveBounds, State
 from optdock.timing.start_states import full_stop
 from optdock.trajectory import TimeLaw, Trajectory
@@ -56,7 +56,7 @@ if TYPE_CHECKING:
 
     from optdock.dock import DockTolerances
     from optdock.pipeline import PlannerLike, SmootherLike, TimingLike
-    from optdock.verification import Certificate, TrajectoryCertificate, Violation
+    from optdock.verification import TrajectoryCertificate, Violation
 
 __all__ = [
     "DEFAULT_REPLANNING_BUDGET",
@@ -119,8 +119,7 @@ class Replanned:
         reason: Why it is not new; empty where it is.
         proven: Whether the way from where the robot is now until where the motion ends is proven to keep its clearance
             and the motion limits in the new world. False only for a stop: then it is the quickest there is.
-        certificate: Of the clearance of a stop, or None.
-        motion: Of the motion limits of a stop, or None.
+        motion: The certificate of the motion of a stop; None: NEW and KEPT, whose plan has it.
         tried: What was tried, and what became of it.
         timing_ms: Wall-clock milliseconds of the stages.
     """
@@ -131,7 +130,6 @@ class Replanned:
     plan: DockPlan | None
     reason: str = ""
     proven: bool = True
-    certificate: Certificate | None = None
     motion: TrajectoryCertificate | None = None
     tried: tuple[Attempt, ...] = ()
     timing_ms: dict[str, float] = field(default_factory=dict)
@@ -292,6 +290,9 @@ class _Replanning:
             return self._replanned(joint, plugins)
         except (PluginError, LifecycleError, InvalidValue):
             raise
+        except Cancelled as error:
+            why = f"{type(error).__name__}: {error}"
+            return self._kept(why) or self._stop(delay, why)
         except OptdockError as error:
             return self._stop(delay, f"{type(error).__name__}: {error}")
 
@@ -403,6 +404,8 @@ class _Replanning:
             time = self._next_rest(time)
         s, speed, acceleration, _ = running.time_law.at(time)[0].tolist()
         s, speed, acceleration = min(max(s, 0.0), length), rate * speed, rate * rate * acceleration
+        if s > length - _NO_WAY:  # its last micrometre is a millisecond
+            time, s, speed, acceleration = running.duration, length, 0.0, 0.0
         if max(abs(speed), abs(acceleration)) <= _AT_REST:
             speed = acceleration = 0.0
             s = next((cusp for cusp in path.cusps if abs(cusp - s) <= _NO_WAY), s)
@@ -494,13 +497,7 @@ class _Replanning:
         curvature = None
         if not free and joint.gear != 0:
             curvature = float(self.plan.path.curvature_at(joint.s)[0])
-        return dataclasses.replace(
-            self.world,
-            start=joint.pose,
-            start_speed=joint.speed,
-            start_curvature=curvature,
-            start_acceleration=joint.acceleration,
-        )
+        return self.world.starting_at(joint.pose, joint.speed, curvature, joint.acceleration)
 
     def _kept(self, why: str) -> Replanned | None:
         """The old plan, where it is still good; None where it is not.
@@ -510,6 +507,11 @@ class _Replanning:
         """
         if _is_beyond(self.plan.path.end, self.world.goal, self.world.dock.tolerances):
             return None
+        limits = self.world.robot.limits
+        if limits != self.plan.problem.robot.limits:
+            zone = self.world.dock.approach
+            if not certify_trajectory(self.plan.trajectory, limits, zone, is_late=self.deadline.passed).certified:
+                return None
         now = self.now
         if now.rest is not None:
             dock = dataclasses.replace(self.world.dock, pose=self.plan.path.end)
@@ -539,7 +541,6 @@ class _Replanning:
                 None,
                 reason,
                 proven,
-                None,
                 motion,
                 tried=tuple(self.tried),
                 timing_ms=self._timing(),
