@@ -28,7 +28,7 @@ LIMITS = MotionLimits(
     max_speed=0.4, max_curvature=2.0, max_curvature_rate=8.0, max_yaw_rate=1.5, max_yaw_acceleration=3.0
 )
 ROBOT = Robot(Footprint.rectangle(0.3, 0.3, 0.5), LIMITS)
-JERK_SLACK = 1.25
+JERK_SLACK = 1.0 + 1e-6
 STATION = Footprint.rectangle(0.6, -0.3, 0.6)
 TRUE_DOCK, BEFORE_DOCK = Pose2(0.0, 0.0, 0.0), Pose2(-0.9, 0.1, 0.1)
 SLUGGISH = Actuation(0.1, 0.1, 0.06)
