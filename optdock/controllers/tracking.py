@@ -33,6 +33,8 @@ __all__ = ["TrackingController", "TrackingControllerParameters"]
 
 _SETTLING = 0.2  # [s], time constant with which the reference's rate approaches its target
 _HELD = 0.1  # rate of a waiting reference below which the robot does not follow
+_CREEPING = 1e-3  # [m/s]: a reference slower than this tells no curvature
+_CREEP = 1e-6  # [m/s]: no drive moves at it; steered wheels turn as its arc says
 _NOTHING = 5e-5  # [m/s], [rad/s]: at the end less than this is not commanded
 _SHORTEST_CONVERGENCE = 0.05  # [m]
 _DELAYS_TO_CONVERGE = 3.0  # a lateral error may decay within the way of so many delays; less overshoots
@@ -361,7 +363,13 @@ class TrackingController(Controller):
         # Smoothed, so that noise alone does not shorten the distance, which would amplify it.
         self._aside += (error.y - self._aside) * min(1.0, self._clock.elapsed / _ASIDE_SMOOTHING)
         distance = self._convergence_distance(now, self._aside, accepted)
-        return tracking_command(error, now.ahead.twist, Gains(p.along_gain, distance, p.damping, p.turn_gain))
+        wanted = tracking_command(error, now.ahead.twist, Gains(p.along_gain, distance, p.damping, p.turn_gain))
+        if self._drive is Drive.ACKERMANN and now.ahead.speed < _CREEPING:
+            # A rest tells no curvature, and the feedback's would swing the wheels; a creeping command does tell it.
+            arc = reference.next_arc()
+            speed = wanted.linear if abs(wanted.linear) > _CREEP or reference.finished else _CREEP * arc.linear
+            return Twist2(speed, speed * arc.linear * arc.angular)
+        return wanted
 
     def _convergence_distance(self, now: ReferenceState, aside: float, accepted: Accepted) -> float:
         """As given; less where too much would be left at the end, but no less than the drive's delay allows."""
