@@ -115,7 +115,7 @@ WAYS = {
     State.APPROACHING: {},
     State.PRESSING: {"contact": "touch", "station": Station(depth=0.02), "max_retries": 0},
     State.WAITING_FOR_CHARGE: {"wait_for_charge": True},
-    State.WAITING_FOR_OBSTACLE: {**NO_WAY},
+    State.WAITING_FOR_OBSTACLE: {**NO_WAY, "obstacle_patience": 1.0},
     State.WAITING_FOR_POSE: {"before": blind},
     State.BACKING_OUT: {"start": Pose2(0.002, 0.0, 0.0), "task": "undock"},
     State.RETURNING: {"wait_for_charge": True, "wait_charge_timeout": 0.1},
