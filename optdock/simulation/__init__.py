@@ -1,9 +1,10 @@
-"""A closed loop in simulation: plant, noise, latency, run."""
+"""A closed loop in simulation: plants, sensors, a simulated robot, runs."""
 
+from optdock.geometry.pose import pose_errors
 from optdock.simulation.bicycle import Bicycle, Steering, SteeringAtRest
 from optdock.simulation.closed_loop import RemainingPath, SimulationSettings, run_closed_loop
 from optdock.simulation.plant import Actuation, DifferentialDrive, Plant, PlantState, Slip, StuckWheel, Wheel, Wheels
-from optdock.simulation.run import Run, executed_clearance, pose_errors
+from optdock.simulation.run import Run, executed_clearance
 from optdock.simulation.sensors import Displaced, DockSensor, Odometry, PoseSensor, Span
 from optdock.simulation.world import Record, Sensors, SimulatedRobot, Station
 
