@@ -5,6 +5,8 @@ import math
 import numpy as np
 import pytest
 
+from checkers.axis import AxisGoalChecker
+from optdock.controllers.tracking import TrackingController
 from optdock.errors import InvalidValue
 from optdock.geometry.footprint import Footprint
 from optdock.geometry.pose import Pose2, Twist2
@@ -19,8 +21,11 @@ from optdock.simulation import (
     PoseSensor,
     Sensors,
     SimulatedRobot,
+    SimulationSettings,
     Station,
+    run_closed_loop,
 )
+from optdock.testing.drives import s_curve_drive
 
 ROBOT = Robot(Footprint.rectangle(0.4, 0.3, 0.5), MotionLimits())
 PLANT = DifferentialDrive(ROBOT, Actuation(linear_lag=0.1, latency=0.06))
@@ -90,6 +95,29 @@ def test_the_true_dock_is_what_the_detector_sees_even_when_it_moves():
     told = robot.measurements
     assert (told.pose @ told.detections[-1].pose).gap_to(robot.dock_pose) < 1e-9
     assert np.all(robot.record().docks[-2:] == [[0.05, 0.02, 0.03], [0.1, 0.0, 0.0]])
+
+
+def test_a_controller_drives_it_as_it_drives_the_closed_loop():
+    trajectory = s_curve_drive(Pose2(0.4, -0.2, 0.3))
+    checker = AxisGoalChecker(along_path_tolerance=0.003, cross_track_tolerance=0.02)
+    run = run_closed_loop(
+        trajectory,
+        ROBOT,
+        trajectory.path.end,
+        TrackingController(),
+        checker,
+        SimulationSettings(actuation=PLANT.actuation),
+    )
+    first, controller = trajectory.at(0.0), TrackingController()
+    controller.set_path(trajectory)
+    checker.reset()
+    robot = SimulatedRobot(PLANT, first.pose, ORIGIN, start_twist=first.twist)
+    for _ in range(len(run.times) - 1):
+        now = robot.measurements
+        command = controller.compute_velocity_commands(now.pose, now.twist, checker, stamp=now.stamp)
+        robot.advance(command, 0.02)
+    assert robot.record().poses == pytest.approx(run.poses, abs=1e-9)
+    assert robot.record().commands == pytest.approx(run.commands, abs=1e-9)
 
 
 class TestStation:
