@@ -1,6 +1,7 @@
-"""A closed loop in simulation: plant, noise, latency, run."""
+"""A closed loop in simulation: plants, sensors, a simulated robot, runs."""
 
 from optdock.geometry.pose import pose_errors
+from optdock.simulation.bicycle import Bicycle, Steering, SteeringAtRest
 from optdock.simulation.closed_loop import RemainingPath, SimulationSettings, run_closed_loop
 from optdock.simulation.plant import Actuation, DifferentialDrive, Plant, PlantState, Slip, StuckWheel, Wheel, Wheels
 from optdock.simulation.run import Run, executed_clearance
@@ -9,6 +10,7 @@ from optdock.simulation.world import Record, Sensors, SimulatedRobot, Station
 
 __all__ = [
     "Actuation",
+    "Bicycle",
     "DifferentialDrive",
     "Displaced",
     "DockSensor",
@@ -25,6 +27,8 @@ __all__ = [
     "Slip",
     "Span",
     "Station",
+    "Steering",
+    "SteeringAtRest",
     "StuckWheel",
     "Wheel",
     "Wheels",

@@ -135,7 +135,7 @@ class SimulatedRobot:
         dock_pose: True pose of the docked robot; may be set at any time to move the dock.
         sensors: What it measures with.
         obstacles: What it must not touch, the station's outline included.
-        station: Stop and contact switch of the dock; None: neither, and no contact is measured.
+        station: Stop and contact switch of the dock; None: neither, and contact is what the plant says of it.
         seed: Of the sensors' noise (a plant's slip has its own).
         start_twist: Steady body velocity in which the robot begins.
 
@@ -231,7 +231,7 @@ class SimulatedRobot:
         )
 
     def _stop(self, before: Pose2, station: Station) -> None:
-        """Hold the robot where it has driven against the stop; it may still turn there."""
+        """Hold the robot where it has driven against the stop."""
         there = self.error
         beyond = station.past(there)
         if beyond <= 0.0 or abs(there.y) > station.half_width:
@@ -241,7 +241,8 @@ class SimulatedRobot:
         if ahead >= -_TOUCHING:
             share = max(ahead, 0.0) / (max(ahead, 0.0) + beyond)
             held = self.dock_pose @ Pose2(station.stop.x, here.y + share * (there.y - here.y), 0.0)
-            held = Pose2(held.x, held.y, self.state.pose.yaw)
+            yaw = before.yaw + share * (self.state.pose.yaw - before.yaw)
+            held = Pose2(held.x, held.y, yaw)
             self.state = self.plant.stopped(self.state, held, stalled=station.stalls)
 
     def _measure(self, duration: float) -> Measurements:
@@ -250,7 +251,7 @@ class SimulatedRobot:
         pose = self.pose_sensor.measure(self.time, true)
         odometry = self.odometry.measure(state.encoders, duration)
         detections = () if self.dock_sensor is None else self.dock_sensor.measure(self.time, true, dock)
-        contact = None if self.station is None else self.station.touched(self.error)
+        contact = state.contact if self.station is None else self.station.touched(self.error)
         told = (math.nan, math.nan, math.nan) if pose is None else (pose.x, pose.y, pose.yaw)
         motion = (true.x, true.y, true.yaw, twist.linear, twist.angular, twist.lateral)
         rest = (odometry.linear, odometry.angular, dock.x, dock.y, dock.yaw, float(bool(contact)))

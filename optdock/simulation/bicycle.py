@@ -1,0 +1,212 @@
+"""A car that takes the velocity commands of any robot: it turns its front wheels to what they ask for, in their time.
+
+The bicycle model [DeLuca2001]: the robot's origin is the middle of the rear axle, and the yaw rate is speed / wheelbase
+* tan(steering angle). A command asks for the curvature angular / linear, so for the angle atan(wheelbase * curvature).
+
+At rest a velocity command says nothing about the wheels, for 0 / 0 is no curvature. The base controllers in use then
+turn them straight: the steering controllers of ros2_control and the converter of teb_local_planner both make angle 0 of
+an all-zero command. That is the default here; some cars hold the last angle instead. Either way the wheels of a car at
+rest are turned by a command with the right ratio and a speed so small that nothing moves: within the dead band, or
+1e-6 m/s.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+from enum import Enum
+from typing import TYPE_CHECKING
+
+from optdock.errors import InvalidValue
+from optdock.geometry.checked import finite_number, member
+from optdock.geometry.pose import Pose2, Twist2, arc_end
+from optdock.robot import Drive, admissible
+from optdock.simulation.plant import (
+    Actuation,
+    PlantState,
+    Slip,
+    arrivals,
+    check_duration,
+    check_not_negative,
+    first_order,
+    pieces_of,
+)
+
+if TYPE_CHECKING:
+    from optdock.robot import Robot
+
+__all__ = ["Bicycle", "Steering", "SteeringAtRest"]
+
+
+class SteeringAtRest(str, Enum):
+    """What the front wheels do when a speed of 0 is commanded."""
+
+    STRAIGHTEN = "straighten"
+    HOLD = "hold"
+
+
+@dataclass(frozen=True)
+class Steering:
+    """How commanded angles become angles of the front wheels; the default is perfect but for the limits of the robot.
+
+    Args:
+        lag: Time constant of the first-order lag [s], on top of the largest rate, which the robot's limits say.
+        play: The wheels do not follow while the error is smaller than this [rad].
+        gain: True angle over the one that the steering's sensor says [1].
+        offset: True angle when the sensor says straight [rad].
+        at_rest: A `SteeringAtRest` or its word.
+
+    Raises:
+        InvalidValue: A value is no number or not finite, the lag or the play negative, the gain not > 0, or no such
+            word.
+    """
+
+    lag: float = 0.0
+    play: float = 0.0
+    gain: float = 1.0
+    offset: float = 0.0
+    at_rest: SteeringAtRest = SteeringAtRest.STRAIGHTEN
+
+    def __post_init__(self) -> None:
+        check_not_negative(self, "steering", ("lag", "play", "gain"))
+        object.__setattr__(self, "offset", finite_number(self.offset, "steering.offset"))
+        object.__setattr__(self, "at_rest", member(SteeringAtRest, self.at_rest, "steering.at_rest"))
+        if self.gain == 0.0:
+            raise InvalidValue("steering.gain: must be > 0, got 0.0")
+
+
+@dataclass(frozen=True, eq=False)
+class Bicycle:
+    """A car; `PlantState.drive` is its speed and the steering angle that the sensor says.
+
+    Exact on circles. While speed or angle change, sub-steps follow the arc of their mean speed and yaw rate.
+
+    Args:
+        robot: Drive ackermann with a wheelbase; its limits cut speeds and curvatures, the steering angle and its rate.
+        actuation: Of the speed; what is angular in it must be left as it is.
+        period: Duration of a step that does not say its own [s].
+        steering: Of the front wheels.
+        slip: On the floor.
+
+    Raises:
+        InvalidValue: A robot of another drive or without a wheelbase, an angular lag, dead band or gain, or a period
+            that is not > 0.
+    """
+
+    robot: Robot
+    actuation: Actuation = field(default_factory=Actuation)
+    period: float = 0.02
+    steering: Steering = field(default_factory=Steering)
+    slip: Slip = field(default_factory=Slip)
+
+    def __post_init__(self) -> None:
+        check_duration(self.period, "plant.period")
+        if self.robot.drive is not Drive.ACKERMANN:
+            raise InvalidValue(f"plant.robot.drive: must be ackermann for a car, got {self.robot.drive.value}")
+        if not self.robot.limits.wheelbase > 0.0:
+            raise InvalidValue("plant.robot.limits.wheelbase: must be > 0 m for a car, got 0.0")
+        perfect = Actuation()
+        for name in ("angular_lag", "angular_dead_band", "angular_gain"):
+            if getattr(self.actuation, name) != getattr(perfect, name):
+                raise InvalidValue(f"actuation.{name}: a car has none; say lag, play and gain of its steering")
+
+    def at_rest(self, pose: Pose2) -> PlantState:
+        """The car standing at `pose`, its wheels straight, no command under way."""
+        return self.moving(pose, Twist2())
+
+    def moving(self, pose: Pose2, twist: Twist2) -> PlantState:
+        """The car at `pose` with a steady body velocity, which goes on until the first command arrives."""
+        true = math.atan(self.robot.limits.wheelbase * twist.angular / twist.linear) if twist.linear != 0.0 else 0.0
+        drive = (twist.linear, (true - self.steering.offset) / self.steering.gain)
+        actual = Twist2(twist.linear, self._yaw_rate(twist.linear, true))
+        return PlantState(pose, actual, self._encoders(drive), 0.0, drive, drive)
+
+    def step(self, state: PlantState, command: Twist2, duration: float | None = None) -> PlantState:
+        """The state `duration` [s] later, or one period later, `command` being given now.
+
+        Raises:
+            InvalidValue: The duration is not finite and > 0.
+        """
+        if duration is None:
+            duration = self.period
+        check_duration(duration, "plant.duration")
+        noise, drawn = self.slip.after(state.noise, state.drawn, duration)
+        sent = self._target(command, (state.pending[-1][1] if state.pending else state.target)[1])
+        pieces, target, pending = arrivals(state, self.actuation.latency, sent, duration)
+        pose, (v, angle) = (state.pose.x, state.pose.y, state.pose.yaw), state.drive
+        for seconds, wanted in pieces:
+            count = self._substeps(seconds, (v, angle), wanted)
+            span = seconds / count
+            for _ in range(count):
+                v_mean, w_mean, v, angle = self._follow(v, angle, wanted, span)
+                pose = arc_end(*pose, self.slip.ground(v_mean, w_mean, noise), span)
+        twist = Twist2(*self.slip.ground(v, self._yaw_rate(v, self._true(angle)), noise))
+        end, drive = state.time + duration, (v, angle)
+        return PlantState(Pose2(*pose), twist, self._encoders(drive), end, drive, target, pending, noise, drawn)
+
+    def stopped(self, state: PlantState, pose: Pose2, *, stalled: bool) -> PlantState:
+        """The state after something hard held the car at `pose`; `stalled`: its wheels stand still too."""
+        drive = (0.0, state.drive[1]) if stalled else state.drive
+        return state._replace(pose=pose, twist=Twist2(), encoders=self._encoders(drive), drive=drive)
+
+    def _target(self, command: Twist2, last_angle: float) -> tuple[float, float]:
+        """Speed and steering angle that a command asks for."""
+        limits = self.robot.limits
+        cut = admissible(command, limits, self.robot.drive)
+        speed, _ = self.actuation.target(cut)
+        if cut.linear == 0.0:
+            return speed, last_angle if self.steering.at_rest is SteeringAtRest.HOLD else 0.0
+        angle = math.atan(limits.wheelbase * cut.angular / cut.linear)
+        return speed, min(max(angle, -limits.max_steering_angle), limits.max_steering_angle)
+
+    def _substeps(self, seconds: float, drive: tuple[float, float], wanted: tuple[float, float]) -> int:
+        """One where speed and angle are constant."""
+        steady_speed = self.actuation.linear_lag == 0.0 or drive[0] == wanted[0]
+        if steady_speed and (not self._gradual or self._aim(drive[1], wanted[1]) == drive[1]):
+            return 1
+        return pieces_of(seconds, self.actuation.longest_substep)
+
+    def _follow(
+        self, v: float, angle: float, wanted: tuple[float, float], span: float
+    ) -> tuple[float, float, float, float]:
+        """Mean speed and yaw rate of a sub-step (by Simpson's rule), then speed and angle after it."""
+        lag = self.actuation.linear_lag
+        mean, end = first_order(v, wanted[0], lag, span)
+        begin, middle = v if lag > 0.0 else end, first_order(v, wanted[0], lag, 0.5 * span)[1]
+        half, whole = self._turned(angle, wanted[1], 0.5 * span), self._turned(angle, wanted[1], span)
+        first = angle if self._gradual else whole
+        rates = (
+            self._yaw_rate(begin, self._true(first)),
+            self._yaw_rate(middle, self._true(half)),
+            self._yaw_rate(end, self._true(whole)),
+        )
+        return mean, (rates[0] + 4.0 * rates[1] + rates[2]) / 6.0, end, whole
+
+    @property
+    def _gradual(self) -> bool:
+        return self.steering.lag > 0.0 or math.isfinite(self.robot.limits.max_steering_rate)
+
+    def _aim(self, angle: float, wanted: float) -> float:
+        """Where the wheels come to rest: at the near end of the play around the wanted angle."""
+        return min(max(angle, wanted - self.steering.play), wanted + self.steering.play)
+
+    def _turned(self, angle: float, wanted: float, span: float) -> float:
+        """Angle after `span` [s]: at the largest rate while the lag asks for more, then exponentially."""
+        rate, lag, aim = self.robot.limits.max_steering_rate, self.steering.lag, self._aim(angle, wanted)
+        if math.isfinite(rate):
+            too_far = abs(aim - angle) - rate * lag
+            if too_far >= rate * span:
+                return angle + math.copysign(rate * span, aim - angle)
+            if too_far > 0.0:
+                angle, span = angle + math.copysign(too_far, aim - angle), span - too_far / rate
+        return aim if lag <= 0.0 else aim + (angle - aim) * math.exp(-span / lag)
+
+    def _true(self, angle: float) -> float:
+        return self.steering.gain * angle + self.steering.offset
+
+    def _yaw_rate(self, speed: float, angle: float) -> float:
+        return speed * math.tan(angle) / self.robot.limits.wheelbase
+
+    def _encoders(self, drive: tuple[float, float]) -> Twist2:
+        speed = drive[0]
+        return Twist2(speed, self._yaw_rate(speed, drive[1]))

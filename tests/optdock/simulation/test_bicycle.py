@@ -1,0 +1,144 @@
+"""The car against closed forms: circles, wheels that turn at a constant rate, and what commands say at rest."""
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from optdock.errors import InvalidValue
+from optdock.geometry.footprint import Footprint
+from optdock.geometry.pose import Pose2, Twist2
+from optdock.limits import MotionLimits
+from optdock.robot import Drive, Robot
+from optdock.simulation import Actuation, Bicycle, DifferentialDrive, Slip, Steering
+
+ORIGIN = Pose2(0.0, 0.0, 0.0)
+BASE = 0.5
+
+
+def car(rate=math.inf, actuation=None, **steering):
+    limits = MotionLimits(
+        max_speed=2.0, max_reverse_speed=2.0, wheelbase=BASE, max_steering_angle=0.6, max_steering_rate=rate
+    )
+    robot = Robot(Footprint.rectangle(0.6, 0.2, 0.5), limits, Drive.ACKERMANN)
+    return Bicycle(robot, actuation or Actuation(), steering=Steering(**steering))
+
+
+def command(v, angle):
+    return Twist2(v, v * math.tan(angle) / BASE)
+
+
+def drive(plant, commands, state=None, duration=0.02):
+    state = state or plant.at_rest(ORIGIN)
+    for one in commands:
+        state = plant.step(state, one, duration)
+    return state
+
+
+@given(st.floats(-1.0, 1.0), st.floats(-0.59, 0.59), st.lists(st.floats(0.001, 0.2), min_size=1, max_size=10))
+def test_a_constant_steering_angle_drives_a_circle_exactly_at_any_periods(v, angle, durations):
+    state = car().at_rest(ORIGIN)
+    for duration in durations:
+        state = car().step(state, command(v, angle), duration)
+    curvature, way = math.tan(angle) / BASE, v * sum(durations)
+    assert state.pose.yaw == pytest.approx(curvature * way, abs=1e-12)
+    assert state.pose.gap_to(ORIGIN.moved(Twist2(way, curvature * way), 1.0)) < 1e-9
+
+
+@pytest.mark.parametrize("v", [0.5, -0.5])
+@pytest.mark.parametrize("duration", [0.01, 0.05, 0.13])
+def test_wheels_turning_at_a_constant_rate_drive_the_curve_of_their_integral(v, duration):
+    plant, rate, count = car(rate=0.3), 0.3, round(1.3 / duration)
+    end = drive(plant, [command(v, 0.59)] * count, plant.moving(ORIGIN, Twist2(v)), duration)
+    t = np.linspace(0.0, count * duration, 20001)
+    yaw = -v / (BASE * rate) * np.log(np.cos(rate * t))  # the integral of v tan(rate t) / wheelbase
+    assert end.drive[1] == pytest.approx(rate * count * duration, abs=1e-12)
+    assert end.pose.yaw == pytest.approx(yaw[-1], abs=1e-10)
+    expected = np.trapezoid(v * np.cos(yaw), t), np.trapezoid(v * np.sin(yaw), t)
+    assert (end.pose.x, end.pose.y) == pytest.approx(expected, abs=2e-6)
+
+
+@given(st.floats(0.02, 0.5), st.floats(0.1, 2.0), st.floats(-0.5, 0.5), st.floats(0.005, 0.1))
+def test_the_steering_is_cut_at_its_rate_and_then_lags(lag, rate, wanted, duration):
+    end, t, exact = drive(car(rate, lag=lag), [command(0.1, wanted)] * 8, duration=duration), 0.0, 0.0
+    step = 8 * duration / 4000
+    while t < 8 * duration - 0.5 * step:  # Euler's rule, 4000 steps
+        exact += step * min(max((wanted - exact) / lag, -rate), rate)
+        t += step
+    assert end.drive[1] == pytest.approx(exact, abs=2e-3)
+
+
+def test_speed_lags_and_latency_delays_both():
+    actuation = Actuation(linear_lag=0.2, latency=0.05)
+    late = drive(car(1.0, actuation), [command(0.5, 0.3)] * 20)
+    prompt = drive(car(1.0, Actuation(linear_lag=0.2)), [command(0.5, 0.3)] * 35, duration=0.01)
+    assert late.pose.gap_to(prompt.pose) < 1e-7
+    assert late.drive == pytest.approx(prompt.drive, abs=1e-12)
+    assert late.drive[0] == pytest.approx(0.5 * (1.0 - math.exp(-0.35 / 0.2)))
+
+
+def test_the_angle_never_exceeds_its_limit():
+    assert drive(car(), [Twist2(0.3, 5.0)] * 3).drive[1] == pytest.approx(0.6)
+    assert drive(car(), [Twist2(-0.3, 5.0)] * 3).drive[1] == pytest.approx(-0.6)
+
+
+class TestAtRest:
+    @pytest.mark.parametrize(("word", "angle"), [("straighten", 0.0), ("hold", 0.3)])
+    def test_the_wheels_are_straightened_or_held(self, word, angle):
+        plant = car(at_rest=word)
+        end = drive(plant, [command(0.3, 0.3), Twist2(), Twist2(0.0, 1.0)])
+        assert end.twist == Twist2(0.0, 0.0)
+        assert end.drive == pytest.approx((0.0, angle))
+
+    @pytest.mark.parametrize("sign", [1.0, -1.0])
+    def test_the_ratio_of_a_speed_within_the_dead_band_turns_them(self, sign):
+        plant = car(0.5, Actuation(linear_dead_band=0.01))
+        end = drive(plant, [command(sign * 0.001, 0.3)] * 50)
+        assert end.drive == pytest.approx((0.0, 0.3))
+        assert end.pose == ORIGIN
+
+
+def test_wheels_with_play_stop_short_and_stay_until_the_error_is_larger():
+    plant = car(1.0, play=0.02)
+    end = drive(plant, [command(0.3, 0.2)] * 50)
+    assert end.drive[1] == pytest.approx(0.18)
+    assert drive(plant, [command(0.3, 0.165)] * 50, end).drive[1] == pytest.approx(0.18)
+    assert drive(plant, [command(0.3, 0.1)] * 50, end).drive[1] == pytest.approx(0.12)
+
+
+def test_a_steering_out_of_line_is_unseen_by_the_sensors():
+    end = drive(car(gain=1.1, offset=0.05), [command(0.3, 0.2)] * 3)
+    assert end.encoders.angular == pytest.approx(0.3 * math.tan(0.2) / BASE)
+    assert end.twist.angular == pytest.approx(0.3 * math.tan(0.27) / BASE)
+
+
+def test_slip_takes_from_a_car_what_it_takes_from_any():
+    plant = Bicycle(car().robot, slip=Slip(lost=0.1, drift=0.05))
+    end = plant.step(plant.at_rest(ORIGIN), Twist2(1.0), 0.5)
+    assert (end.pose.x, end.pose.y) == pytest.approx((0.45, 0.025))
+
+
+@given(st.floats(0.1, 1.0), st.floats(-0.5, 0.5))
+def test_it_goes_on_as_it_began_until_a_command_arrives(v, angle):
+    plant = car(0.5, Actuation(latency=0.1), gain=1.1, offset=0.02)
+    twist = command(v, angle)
+    end = plant.step(plant.moving(ORIGIN, twist), Twist2(), 0.1)
+    assert end.pose.gap_to(ORIGIN.moved(twist, 0.1)) < 1e-9
+
+
+@pytest.mark.parametrize(
+    ("build", "message"),
+    [
+        (lambda: Bicycle(Robot(Footprint.from_radius(0.3), MotionLimits())), "drive: must be ackermann for a car"),
+        (lambda: Bicycle(Robot(Footprint.from_radius(0.3), MotionLimits(), Drive.ACKERMANN)), "wheelbase: must be > 0"),
+        (lambda: car(actuation=Actuation(angular_lag=0.1)), "actuation.angular_lag: a car has none"),
+        (lambda: car(gain=0.0), "steering.gain"),
+        (lambda: car(at_rest="spin"), "steering.at_rest: must be one of straighten, hold"),
+        (lambda: DifferentialDrive(car().robot, period=-1.0), "plant.period"),
+    ],
+)
+def test_bad_values_are_refused(build, message):
+    with pytest.raises(InvalidValue, match=message):
+        build()
