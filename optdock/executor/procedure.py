@@ -52,7 +52,8 @@ _ARRIVED = 0.05, 0.05  # [m], [rad] from the staging pose: Nav2's undock_linear_
 _MOST_BLOCKS = 5  # stops on one approach, until it counts as failed
 _PROGRESS = 0.05  # [s] on the trajectory's own clock that count as progress
 _INSTANT = 1e-9  # [s]
-_SETTLED = 0.004, 0.02  # [m/s], [rad/s] commanded at the end of the path: 2 mm by the usual gain, noise of the pose
+_SETTLED = 3e-4, 5e-4  # [m/s], [rad/s] commanded at the end of the path: by the usual gains 0.15 mm and 0.03 degrees
+_NOISE_GAIN = 1.0  # [1/s]: what noise makes of the commands, by the usual gains
 _LAST_REPLAN = 0.15  # [m] before the dock: nearer, no robot can be moved sideways by more than a millimetre
 _LOOK = 0.1  # [s] between two looks at what is left to be corrected
 _AFTER_REFUSAL = 3.0  # times the usual pause: what could not be planned now cannot be planned a moment later
@@ -701,7 +702,10 @@ class _Drive:
             raise _Docked(kind)
         if self._finished_since is None or owner._settings.contact == "touch":
             return
-        moves = abs(owner.commanded.linear) > _SETTLED[0] or abs(owner.commanded.angular) > _SETTLED[1]
+        still = [
+            max(least, _NOISE_GAIN * sigma) for least, sigma in zip(_SETTLED, owner._perception.sigma, strict=True)
+        ]
+        moves = abs(owner.commanded.linear) > still[0] or abs(owner.commanded.angular) > still[1]
         if moves and owner._now - self._finished_since < 0.5 * owner._settings.settling_time:
             return  # what is left is still being corrected
         relative, goal = owner._perception.robot_from_dock, Pose2(0.0, 0.0, 0.0)
