@@ -826,7 +826,7 @@ class _Drive:
         left = trajectory.path.length - now.s
         error = self._pose.in_frame_of(now.pose)
         limits, dock, sigma = owner._base.robot.limits, owner._base.dock, perception.sigma
-        left_over = left_at_dock(error.y, left), left_at_dock(error.yaw, left)
+        left_over = [abs(part) for part in left_at_dock(error.y, error.yaw, left, owner._gear)]
         if not can_be_planned_away(error.y, error.yaw, left - dock.final_straight, owner._gear, limits):
             cusps, accepted = trajectory.path.cusps, dock.tolerances
             off = left_over[0] > max(accepted.cross, 3.0 * sigma[0])
