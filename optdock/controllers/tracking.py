@@ -38,7 +38,10 @@ _CREEP = 1e-6  # [m/s]: no drive moves at it; steered wheels turn as its arc say
 _NOTHING = 5e-5  # [m/s], [rad/s]: at the end less than this is not commanded
 _SHORTEST_CONVERGENCE = 0.05  # [m]
 _DELAYS_TO_CONVERGE = 3.0  # a lateral error may decay within the way of so many delays; less overshoots
-_ASIDE_SMOOTHING = 0.2  # [s]
+_ASIDE_SMOOTHING = 0.2  # [s], of the error across: more hides a jump from what is left of the way
+_SCATTER_SMOOTHING = 1.0  # [s], of its squared noise
+_GROWTH, _LEAST_SCATTER = 4.0, 4e-6  # [1], [m^2]: what a single error may add to that
+_NOISES = 3.0  # standard deviations
 _LEFT = 0.25  # of the accepted error across, that may be left at the end by what is seen now
 _PEAK_MARGIN = 1.2  # without a configured robot: headroom for feedback above the trajectory's own peaks
 
@@ -71,7 +74,7 @@ class TrackingControllerParameters(PluginParameters):
     )
     use_collision_detection: bool = Field(default=True, description="look for obstacles on the way to a stop")
     collision_tolerance: float = Field(
-        default=0.01, ge=0.0, description="depth of contact that noise and a pressed bumper may show [m]"
+        default=0.01, ge=0.0, description="how deep noise and a pressed bumper may show the station [m]"
     )
     time_parameterizer: str = Field(default="NearOptimal", description="plugin that times a path handed over untimed")
 
@@ -101,10 +104,12 @@ class TrackingController(Controller):
     accepted then, and becomes no better for `patience`, is refused by name: NoValidControl, plan again. So is a robot
     that does not follow.
 
-    **Collisions.** A command after which the robot could no longer stop before it is `collision_tolerance` deep in
-    something is refused: NoValidControl, and the server stops the robot. The certified path needs no such check; an
-    obstacle that has come since, or a robot off its path, does. What counts is what the context holds: the problem, and
-    the costmaps as they are now; without either nothing is checked.
+    **Collisions.** A command after which the robot could no longer stop before it touches something is refused:
+    NoValidControl, and the server stops the robot. What is looked at is what will be driven: what is under way in the
+    drive, one period of the command, and braking, along its arc or along the path. The station, and what the trajectory
+    touches where it begins or ends, is touched on purpose: it may be pressed by `collision_tolerance`. A robot that is
+    in something already may move unless it goes deeper. What counts is what the context holds: the problem, and the
+    costmaps as they are now; without either nothing is checked.
 
     **Limits.** Those of the context's robot. Without one: the defaults of `MotionLimits`, widened to 1.2 times the
     peaks of the trajectory. Commands are admissible for the drive and change no faster than it can accelerate.
@@ -234,16 +239,17 @@ class TrackingController(Controller):
         braking = 0.5 * stopping_time(command, limits.max_deceleration, limits.turning.acceleration)
         driven = ((before, self._known_delay), (command, period))
         straight_on = stopping_way(pose, footprint, (*driven, (command, braking)))
-        found = self._look_ahead.obstruction(self.context, straight_on, p.collision_tolerance)
+        ends = reference.ends
+        found = self._look_ahead.obstruction(self.context, straight_on, ends, p.collision_tolerance)
         if found is None:
             return
         distance = abs(before.linear) * self._known_delay + abs(command.linear) * (period + braking)
         along_path = reference.way(distance, now.pose, pose)
         ways = (straight_on,) if along_path is None else (stopping_way(pose, footprint, driven), along_path)
         for way in ways:
-            found = self._look_ahead.obstruction(self.context, way, p.collision_tolerance)
+            found = self._look_ahead.obstruction(self.context, way, ends, p.collision_tolerance)
             if found is not None:
-                raise collision_ahead(self.context, found, p.collision_tolerance)
+                raise collision_ahead(self.context, found)
 
     def set_speed_limit(self, limit: float, percentage: bool) -> None:  # noqa: FBT001 - Nav2's order of arguments
         """Slow the whole reference down, to `limit` percent or to a peak speed of `limit` m/s; 0 removes the limit.
@@ -278,7 +284,7 @@ class TrackingController(Controller):
 
     def _attempt(self) -> None:
         """A new path is a new attempt."""
-        self._aside = 0.0
+        self._aside = self._scatter = 0.0
         self._following, self._arriving, self._push = Patience(), Patience(), DeadBandPush()
 
     @property
@@ -360,9 +366,7 @@ class TrackingController(Controller):
         if self._cancelled and reference.rate == 0.0:
             return Twist2()
         p = self.parameters
-        # Smoothed, so that noise alone does not shorten the distance, which would amplify it.
-        self._aside += (error.y - self._aside) * min(1.0, self._clock.elapsed / _ASIDE_SMOOTHING)
-        distance = self._convergence_distance(now, self._aside, accepted)
+        distance = self._convergence_distance(now, error, accepted)
         wanted = tracking_command(error, now.ahead.twist, Gains(p.along_gain, distance, p.damping, p.turn_gain))
         if self._drive is Drive.ACKERMANN and now.ahead.speed < _CREEPING:
             # A rest tells no curvature, and the feedback's would swing the wheels; a creeping command does tell it.
@@ -371,13 +375,23 @@ class TrackingController(Controller):
             return Twist2(speed, speed * arc.linear * arc.angular)
         return wanted
 
-    def _convergence_distance(self, now: ReferenceState, aside: float, accepted: Accepted) -> float:
-        """As given; less where too much would be left at the end, but no less than the drive's delay allows."""
+    def _convergence_distance(self, now: ReferenceState, error: Pose2, accepted: Accepted) -> float:
+        """As given; less where too much would be left at the end, but no less than the drive's delay allows.
+
+        What counts is the error across, smoothed and beyond its own noise, which a shorter distance would amplify.
+        """
+        period = self._clock.elapsed
+        share, off = min(1.0, period / _ASIDE_SMOOTHING), error.y - self._aside
+        self._aside += share * off
+        most = _GROWTH * self._scatter + _LEAST_SCATTER  # a jump is no noise
+        self._scatter += min(1.0, period / _SCATTER_SMOOTHING) * (min(off * off, most) - self._scatter)
+        noise = math.sqrt(self._scatter * share / (2.0 - share))
+        aside = abs(self._aside) if abs(self._aside) > _NOISES * noise else 0.0
         usual, left, speed = self.parameters.convergence_distance, now.ahead.left, abs(now.ahead.twist.linear)
         least = max(_SHORTEST_CONVERGENCE, _DELAYS_TO_CONVERGE * speed * (self._known_delay + 0.5 * self._clock.period))
         found = usual
         # Critically damped, an error decays by (1 + d / L) exp(-d / L) over a distance d.
-        while found > least and abs(aside) * (1.0 + left / found) * math.exp(-left / found) > _LEFT * accepted.cross:
+        while found > least and aside * (1.0 + left / found) * math.exp(-left / found) > _LEFT * accepted.cross:
             found *= 0.9
         return max(found, min(least, usual))
 
