@@ -245,6 +245,9 @@ class Reference:
         `now` is what `state` has said last.
         """
         if self.time < 0.0:  # it waits for its beginning, in seconds that no rate changes
+            if target_rate == 0.0:
+                self.rate = 0.0
+                return
             passed = self.time + period
             self.time = passed if passed <= 0.0 else self.rate * passed
             return

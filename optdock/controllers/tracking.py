@@ -163,7 +163,7 @@ class TrackingController(Controller):
         else:
             self._reference, self._starts_at = Reference(trajectory), start_stamp
             self._anchored = self._cancelled = False
-        self._attempt()
+            self._attempt()
         self._limits = self._limits_for(trajectory)
 
     def compute_velocity_commands(
@@ -189,12 +189,12 @@ class TrackingController(Controller):
         """
         if self._reference is None:
             raise ControllerInvalidPath("TrackingController: has no path; call set_path first")
-        self._clock.tick(stamp, self.context, self.parameters.period)
-        if self._clock.elapsed == 0.0:
-            return self._limiter.command
-        if self._clock.silent:
-            self._limiter.restart(Twist2(velocity.linear, velocity.angular))
         try:
+            self._clock.tick(stamp, self.context, self.parameters.period)
+            if self._clock.elapsed == 0.0:
+                return self._limiter.command
+            if self._clock.silent:
+                self._limiter.restart(Twist2(velocity.linear, velocity.angular))
             return self._command(self._reference, pose, velocity, goal_checker)
         except NoValidControl:
             self._limiter.stop()  # what a refusal leaves the robot with
@@ -283,7 +283,7 @@ class TrackingController(Controller):
         return None if self._reference is None else self._reference.progress
 
     def _attempt(self) -> None:
-        """A new path is a new attempt."""
+        """A new path is a new attempt; one that takes over in motion is not, lest a robot that stands is never named."""
         self._aside = self._scatter = 0.0
         self._following, self._arriving, self._push = Patience(), Patience(), DeadBandPush()
 
