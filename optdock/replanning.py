@@ -56,7 +56,7 @@ if TYPE_CHECKING:
 
     from optdock.dock import DockTolerances
     from optdock.pipeline import PlannerLike, SmootherLike, TimingLike
-    from optdock.verification import Certificate, TrajectoryCertificate, Violation
+    from optdock.verification import TrajectoryCertificate, Violation
 
 __all__ = [
     "DEFAULT_REPLANNING_BUDGET",
@@ -119,8 +119,7 @@ class Replanned:
         reason: Why it is not new; empty where it is.
         proven: Whether the way from where the robot is now until where the motion ends is proven to keep its clearance
             and the motion limits in the new world. False only for a stop: then it is the quickest there is.
-        certificate: Of the clearance of a stop, or None.
-        motion: Of the motion limits of a stop, or None.
+        motion: The certificate of the motion of a stop; None: NEW and KEPT, whose plan has it.
         tried: What was tried, and what became of it.
         timing_ms: Wall-clock milliseconds of the stages.
     """
@@ -131,7 +130,6 @@ class Replanned:
     plan: DockPlan | None
     reason: str = ""
     proven: bool = True
-    certificate: Certificate | None = None
     motion: TrajectoryCertificate | None = None
     tried: tuple[Attempt, ...] = ()
     timing_ms: dict[str, float] = field(default_factory=dict)
@@ -509,6 +507,11 @@ class _Replanning:
         """
         if _is_beyond(self.plan.path.end, self.world.goal, self.world.dock.tolerances):
             return None
+        limits = self.world.robot.limits
+        if limits != self.plan.problem.robot.limits:
+            zone = self.world.dock.approach
+            if not certify_trajectory(self.plan.trajectory, limits, zone, is_late=self.deadline.passed).certified:
+                return None
         now = self.now
         if now.rest is not None:
             dock = dataclasses.replace(self.world.dock, pose=self.plan.path.end)
@@ -538,7 +541,6 @@ class _Replanning:
                 None,
                 reason,
                 proven,
-                None,
                 motion,
                 tried=tuple(self.tried),
                 timing_ms=self._timing(),
