@@ -10,6 +10,9 @@ a longer gear moves it along, and a turn in place turns it about where the robot
 least weighted norm that closes the gap in this linear model, then the exact path, until nothing is left. What is least
 is the curvature rate, which is what drivers feel and what the drive's yaw acceleration pays for; bounds of curvature
 and of its rate are kept by holding what has reached one.
+
+A path that comes too close to something is pushed off it in the same way: to where a point of the robot is on the way,
+a shorter path leads.
 """
 
 from __future__ import annotations
@@ -26,19 +29,28 @@ from optdock.path import Path
 from optdock.segments import ClothoidSegment, TurnSegment
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from optdock.geometry.arrays import FloatArray
     from optdock.limits import MotionLimits
     from optdock.segments import Segment
 
-__all__ = ["deformed"]
+__all__ = ["Push", "deformed"]
 
 _CLOSED = 2e-7  # [m], [rad]: a fifth of what the certificate accepts
+_PUSHED = 1e-4  # [m]: pushes leave more room than that
 _STEPS = 8  # of Gauss-Newton; a gap of decimetres takes four
 _LEAST_PIECES = 12  # of a gear: fewer leave no shape to bend it into
 _SHORTEST_PIECE = 0.01  # [m]: shorter ones are not cut any further
 _LENGTH_PRICE = 0.5  # of a gear's relative change of length, where one of the curvature by its limit over 1 m costs 1
 _BEND_PRICE = 0.3  # of curvature, likewise, beside its rate
+_ALL = 1_000_000  # gears
 _USED = 0.999  # share of the bounds that is taken where one is reached
+_SLOW = 0.3  # share of the speed at the start: a robot may be as slow as that for the sake of a bend
+_USED_BY_BENDS = 0.8  # share of the yaw acceleration; the rest is left for speeding up and slowing down in them
+_MOST_ACTIVE = 40  # rounds of the active-set method; one that needs more finds nothing
+_NO_PULL = 1e-9  # relative: rounding of the force by which a bound holds a step back
+_WITHIN = 1e-9  # of a bound, in units of its row
 _LEAST_TURN = 1e-3  # [rad]: a turn in place that shrinks to less is none
 _MOST_STRETCH = 0.3  # of a gear in one step, relative: beyond it the linear model knows nothing
 _USUAL_SWING = 0.25  # [m]: without a limit, the way over which the curvature is thought to swing by all it has
@@ -80,8 +92,34 @@ class _Gear(NamedTuple):
         return ClothoidSegment(ClothoidSpline(start, knots, curvature, self.sign))
 
 
-def deformed(
-    path: Path, start: Pose2, goal: Pose2, limits: MotionLimits, *, final_straight: float = 0.0, steers: bool = True
+class Push(NamedTuple):
+    """A point of the robot that must be moved off an obstacle.
+
+    Attributes:
+        gear: Index of the segment on which the robot is then.
+        share: How far it is along it, 0 to 1.
+        point: Of the robot, seen from it [m].
+        normal: Away from the obstacle, Shape (2,).
+        height: At least so far along the normal the point must be [m].
+    """
+
+    gear: int
+    share: float
+    point: tuple[float, float]
+    normal: FloatArray
+    height: float
+
+
+def deformed(  # noqa: PLR0913 - what is near to what, under which bounds
+    path: Path,
+    start: Pose2,
+    goal: Pose2,
+    limits: MotionLimits,
+    *,
+    final_straight: float = 0.0,
+    steers: bool = True,
+    speed: float = 0.0,
+    pushes: Sequence[Push] = (),
 ) -> Path | None:
     """A path near `path` from `start` to `goal`, with its gears; or None where the bounds leave no room for one.
 
@@ -94,20 +132,24 @@ def deformed(
         limits: Its curvature and curvature rate are kept.
         final_straight: Length of the straight run at the end [m].
         steers: Whether the curvature at the start must stay what it is: the robot is in motion, or steers its wheels.
+        speed: At the start, >= 0 [m/s]: until it is braked off, the yaw acceleration and the steering rate bound the
+            curvature rate as well.
+        pushes: Off what it is pushed, by just so much each.
     """
     gears = _gears(path, final_straight)
     if gears is None:
         return None
-    program = _Program(gears, limits, steers=steers)
+    program = _Program(gears, limits, speed, steers=steers)
     for _ in range(_STEPS):
         segments = _driven(gears, start)
         if segments is None:
             return None
         end = segments[-1].poses_at(segments[-1].length)[0]
         gap = np.array([goal.x - end[0], goal.y - end[1], normalize_angle(goal.yaw - float(end[2]))])
-        if float(np.abs(gap).max()) <= _CLOSED and not program.hold_broken(gears):
+        short = max((_short_of(push, segments) for push in pushes), default=0.0)
+        if float(np.abs(gap).max()) <= _CLOSED and short <= _PUSHED and program.keeps_bounds(gears):
             return Path(segments, path.frame)
-        change = program.least_change(gears, segments, gap)
+        change = program.least_change(gears, segments, gap, pushes)
         if change is None:
             return None
         gears = [gear.changed(part) for gear, part in zip(gears, change, strict=True)]
@@ -155,83 +197,145 @@ def _driven(gears: list[_Gear], start: Pose2) -> tuple[Segment, ...] | None:
     return tuple(segments)
 
 
+def _place_of(push: Push, segments: tuple[Segment, ...]) -> FloatArray:
+    """Where the point of a push is now, Shape (2,) [m]."""
+    segment = segments[push.gear]
+    pose = Pose2.from_sequence(segment.poses_at(push.share * segment.length)[0])
+    at = pose @ Pose2(*push.point, 0.0)
+    return np.array([at.x, at.y])
+
+
+def _short_of(push: Push, segments: tuple[Segment, ...]) -> float:
+    """How much of a push is still to do [m]."""
+    return push.height - float(push.normal @ _place_of(push, segments))
+
+
+def _rates_at_speed(gear: _Gear, limits: MotionLimits, speed: float) -> FloatArray:
+    """Largest curvature rate over every piece of a gear for a robot that brakes from `speed`, Shape (n - 1,)."""
+    left = speed * speed - 2.0 * limits.max_deceleration * gear.knots[:-1]
+    speeds = np.sqrt(np.maximum(left, (_SLOW * speed) ** 2))
+    turning = _USED_BY_BENDS * limits.max_yaw_acceleration / speeds**2
+    if not math.isfinite(limits.max_steering_rate):
+        return turning
+    return np.minimum(turning, _USED_BY_BENDS * limits.max_steering_rate / (limits.wheelbase * speeds))
+
+
 class _Program:
-    """The quadratic program of a step: its prices, and the bounds that are held.
+    """The quadratic program of a step: the least change that closes the gap within the bounds.
+
+    It is solved by an active-set method [Nocedal2006]: of the bounds those count that are reached, the ones that a step
+    breaks are added, the ones that hold it back from where it would rather go are dropped.
 
     Args:
         gears: As they are at first.
         limits: Their bounds.
+        speed: See `deformed`.
         steers: See `deformed`.
     """
 
-    def __init__(self, gears: list[_Gear], limits: MotionLimits, *, steers: bool) -> None:
+    def __init__(self, gears: list[_Gear], limits: MotionLimits, speed: float, *, steers: bool) -> None:
         sharpest = max((float(np.abs(gear.curvature).max()) for gear in gears if gear.sign), default=0.0)
         self.most = limits.max_curvature * _USED
-        self.most_rate = limits.max_curvature_rate * _USED
         self.scale = limits.max_curvature if math.isfinite(limits.max_curvature) else max(sharpest, 1.0)
         rate = limits.max_curvature_rate
         self.rate_scale = rate if math.isfinite(rate) else self.scale / _USUAL_SWING
-        sizes = [gear.size for gear in gears]
-        self.starts = np.concatenate(([0], np.cumsum(sizes)))
-        self.held: dict[tuple[str, int], float] = {}
+        self.starts = np.concatenate(([0], np.cumsum([gear.size for gear in gears])))
+        self.size = int(self.starts[-1])
+        most_rates = [np.full(max(gear.knots.size - 1, 0), rate * _USED) for gear in gears]
+        if speed > 0.0 and gears[0].sign:
+            first = np.abs(np.diff(gears[0].curvature) / np.diff(gears[0].knots))
+            most_rates[0] = np.minimum(most_rates[0], np.maximum(_rates_at_speed(gears[0], limits, speed), first))
+        self.most_rates = np.concatenate(most_rates)
+        self.fixed: list[tuple[int, float]] = []
         if steers and gears[0].sign:
-            self.held["curvature", 0] = float(gears[0].curvature[0])
+            self.fixed.append((0, float(gears[0].curvature[0])))
         if gears[-1].sign:
-            last = int(self.starts[-1]) - 2
-            self.held["curvature", last] = 0.0 if gears[-1].tail > 0.0 else float(gears[-1].curvature[-1])
+            self.fixed.append((self.size - 2, 0.0 if gears[-1].tail > 0.0 else float(gears[-1].curvature[-1])))
+        price = np.zeros((self.size, self.size))
+        for begin, gear in zip(self.starts.tolist(), gears, strict=False):
+            price[begin : begin + gear.size, begin : begin + gear.size] = self._price(gear)
+        self.cheapness = np.linalg.inv(price)
 
-    def hold_broken(self, gears: list[_Gear]) -> bool:
-        """Hold whatever is beyond a bound at that bound; whether there is anything."""
-        before = len(self.held)
+    def keeps_bounds(self, gears: list[_Gear]) -> bool:
+        """Whether curvature and rates are within their bounds."""
+        curvature, rates, _ = self._bounded(gears)
+        slack = 1.0 / _USED
+        return bool(np.all(np.abs(curvature) <= slack * self.most) and np.all(np.abs(rates) <= slack * self.most_rates))
+
+    def _bounded(self, gears: list[_Gear]) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """All curvatures, all rates, and the rows of the rates over all numbers."""
+        curvature = np.concatenate([gear.curvature for gear in gears])
+        rates, rows = [], np.zeros((self.most_rates.size, self.size))
+        count = 0
         for begin, gear in zip(self.starts.tolist(), gears, strict=False):
             if gear.sign == 0:
                 continue
-            for i in np.flatnonzero(np.abs(gear.curvature) > self.most / _USED).tolist():
-                self.held.setdefault(("curvature", begin + i), math.copysign(self.most, gear.curvature[i]))
-            rates = np.diff(gear.curvature) / np.diff(gear.knots)
-            for i in np.flatnonzero(np.abs(rates) > self.most_rate / _USED).tolist():
-                self.held.setdefault(("rate", begin + i), math.copysign(self.most_rate, rates[i]))
-        return len(self.held) > before
+            steps, n = np.diff(gear.knots), gear.curvature.size
+            found = np.diff(gear.curvature) / steps
+            at = np.arange(n - 1)
+            rows[count + at, begin + at], rows[count + at, begin + at + 1] = -1.0 / steps, 1.0 / steps
+            rows[count + at, begin + n] = -found  # a longer gear swings more slowly
+            rates.append(found)
+            count += n - 1
+        return curvature, np.concatenate(rates) if rates else np.zeros(0), rows
 
     def least_change(
-        self, gears: list[_Gear], segments: tuple[Segment, ...], gap: FloatArray
+        self, gears: list[_Gear], segments: tuple[Segment, ...], gap: FloatArray, pushes: Sequence[Push]
     ) -> list[FloatArray] | None:
-        """The cheapest change that closes a gap and keeps what is held, by gears; None where nothing does both."""
-        size = int(self.starts[-1])
-        price = np.zeros((size, size))
-        rows, wanted = [*self._moves(gears, segments)], [*gap.tolist()]
-        for begin, gear in zip(self.starts.tolist(), gears, strict=False):
-            price[begin : begin + gear.size, begin : begin + gear.size] = self._price(gear)
-        for (kind, i), value in self.held.items():
-            row, now = self._held_row(kind, i, gears, size)
-            rows.append(row)
-            wanted.append(value - now)
-        if len(rows) > size:
-            return None
-        table = np.array(rows)
-        count = len(rows)
-        system = np.block([[price, table.T], [table, np.zeros((count, count))]])
-        try:
-            solved = np.linalg.solve(system, np.concatenate((np.zeros(size), wanted)))[:size]
-        except np.linalg.LinAlgError:
-            return None
+        """The cheapest change that closes a gap, pushes and keeps the bounds, by gears; None: nothing does all that."""
+        numbers = np.concatenate([np.append(g.curvature, 0.0) if g.sign else np.zeros(1) for g in gears])
+        end = segments[-1].poses_at(segments[-1].length)[0]
+        must = np.zeros((3 + len(self.fixed), self.size))
+        must[:3] = self._moves(gears, segments, end)
+        wanted = [*gap.tolist()]
+        for k, (i, value) in enumerate(self.fixed):
+            must[3 + k, i] = 1.0
+            wanted.append(value - float(numbers[i]))
+        curvature, rates, rate_rows = self._bounded(gears)
+        places = np.concatenate(
+            [begin + np.arange(gear.curvature.size) for begin, gear in zip(self.starts.tolist(), gears, strict=False)]
+        )
+        bends = np.zeros((curvature.size, self.size))
+        bends[np.arange(curvature.size), places.astype(np.int64)] = 1.0
+        moves = [
+            push.normal @ self._moves(gears, segments, _place_of(push, segments), (push.gear, push.share))[:2]
+            for push in pushes
+        ]
+        # Every bound as row @ change <= room; a push is one the other way round.
+        rows = np.concatenate((bends, -bends, rate_rows, -rate_rows, -np.array(moves).reshape(-1, self.size)))
+        short = np.array([_short_of(push, segments) for push in pushes])
+        room = (self.most - curvature, self.most + curvature, self.most_rates - rates, self.most_rates + rates, -short)
+        change = self._within(must, np.array(wanted), rows, np.concatenate(room))
         lengths = self.starts[1:][[gear.sign != 0 for gear in gears]] - 1
-        if not np.all(np.isfinite(solved)) or np.any(np.abs(solved[lengths]) > _MOST_STRETCH):
+        if change is None or np.any(np.abs(change[lengths]) > _MOST_STRETCH):
             return None
-        return np.split(solved, self.starts[1:-1])
+        return np.split(change, self.starts[1:-1])
 
-    def _held_row(self, kind: str, i: int, gears: list[_Gear], size: int) -> tuple[FloatArray, float]:
-        """A held number as a row over all numbers, and what it is now."""
-        owner = int(np.searchsorted(self.starts, i, side="right")) - 1
-        gear, k, row = gears[owner], i - int(self.starts[owner]), np.zeros(size)
-        if kind == "curvature":
-            row[i] = 1.0
-            return row, float(gear.curvature[k])
-        step = float(gear.knots[k + 1] - gear.knots[k])
-        row[i], row[i + 1] = -1.0 / step, 1.0 / step
-        rate = float(gear.curvature[k + 1] - gear.curvature[k]) / step
-        row[int(self.starts[owner + 1]) - 1] = -rate  # a longer gear swings more slowly
-        return row, rate
+    def _within(self, must: FloatArray, wanted: FloatArray, rows: FloatArray, room: FloatArray) -> FloatArray | None:
+        """The cheapest change with `must @ change = wanted` and `rows @ change <= room`; None where none is found."""
+        scale = np.maximum(np.abs(rows).max(axis=1), 1e-12)
+        active: list[int] = []
+        for _ in range(_MOST_ACTIVE):
+            table = np.concatenate((must, rows[active]))
+            cheap = self.cheapness @ table.T
+            try:
+                pulls = np.linalg.solve(table @ cheap, np.concatenate((wanted, room[active])))
+            except np.linalg.LinAlgError:
+                return None
+            change: FloatArray = cheap @ pulls
+            if not np.all(np.isfinite(change)):
+                return None
+            wrong = pulls[len(wanted) :]
+            if active and wrong.max() > _NO_PULL * np.abs(pulls).max():
+                del active[int(np.argmax(wrong))]
+                continue
+            over = (rows @ change - room) / scale
+            over[active] = -np.inf
+            worst = int(np.argmax(over))
+            if over[worst] <= _WITHIN:
+                return change
+            active.append(worst)
+        return None
 
     def _price(self, gear: _Gear) -> FloatArray:
         """Of a change of a gear's numbers: the squared norm of what it does, as a matrix."""
@@ -245,25 +349,41 @@ class _Program:
         price[n, n] = _LENGTH_PRICE * gear.knots[-1]
         return price
 
-    def _moves(self, gears: list[_Gear], segments: tuple[Segment, ...]) -> FloatArray:
-        """How the end moves with every number, Shape (3, all numbers)."""
-        end = segments[-1].poses_at(segments[-1].length)[0]
+    def _moves(
+        self,
+        gears: list[_Gear],
+        segments: tuple[Segment, ...],
+        end: FloatArray,
+        until: tuple[int, float] = (_ALL, 1.0),
+    ) -> FloatArray:
+        """How a point that is fixed to the robot, at `end`, moves with every number, Shape (3, all numbers).
+
+        Args:
+            gears: As they are.
+            segments: Their curves.
+            end: Where the point is.
+            until: The gear, and the share of it, on which the robot is then; later ones do not move it.
+        """
         columns = []
-        for gear, segment in zip(gears, segments, strict=True):
+        for i, (gear, segment) in enumerate(zip(gears, segments, strict=True)):
+            if i > until[0]:
+                columns.append(np.zeros((3, gear.size)))
+                continue
+            share = until[1] if i == until[0] else 1.0
             if gear.sign == 0:
                 x, y, _ = segment.poses_at(0.0)[0]
-                columns.append(np.array([[-(end[1] - y)], [end[0] - x], [1.0]]))
+                columns.append(share * np.array([[y - end[1]], [end[0] - x], [1.0]]))
                 continue
-            steps = np.diff(gear.knots)
+            steps, last_s = np.diff(gear.knots), share * segment.length
             s = (gear.knots[:-1, None] + steps[:, None] * _NODES).ravel()
             poses = segment.poses_at(s)
             turned = np.stack((poses[:, 1] - end[1], end[0] - poses[:, 0], np.ones(s.size)))
-            weights = np.repeat(steps, _NODES.size) * np.tile(_WEIGHTS, steps.size)
+            weights = np.repeat(steps, _NODES.size) * np.tile(_WEIGHTS, steps.size) * (s <= last_s)
             weighted = (turned * weights).reshape(3, steps.size, _NODES.size)
             bends = np.zeros((3, gear.curvature.size))
             bends[:, :-1] += weighted @ (1.0 - _NODES)
             bends[:, 1:] += weighted @ _NODES
-            first, last = segment.poses_at([0.0, gear.knots[-1]])
+            first, last = segment.poses_at([0.0, min(gear.knots[-1], last_s)])
             # As long again, with the same curvatures: as much turn more everywhere, and the way itself.
             longer = bends @ gear.curvature + np.array([*(last - first)[:2], 0.0])
             columns.append(np.column_stack((bends, longer)))

@@ -192,6 +192,14 @@ class ObstacleSet(FrozenArrays):
         rows = self.rows_in_box(lower, upper)
         return self if rows.size == len(self) else self.subset(rows)
 
+    def near(self, places: FloatArray, reach: float) -> ObstacleSet:
+        """The pieces whose bounding boxes come within `reach` [m] of one of the places, Shape (n, 2) [m]."""
+        some = self.in_box(places.min(axis=0) - reach, places.max(axis=0) + reach)
+        if len(some) == 0:
+            return some
+        rows = np.flatnonzero(some.box_distance(places).min(axis=0) <= reach)
+        return some if rows.size == len(some) else some.subset(rows)
+
     def rows_in_box(self, lower: FloatArray, upper: FloatArray) -> IntArray:
         """The rows of those pieces, ascending."""
         return np.flatnonzero(np.all((self.lower <= upper) & (self.upper >= lower), axis=1))

@@ -18,6 +18,7 @@ in any case and proven first: where that fails the robot brakes at once.
 from __future__ import annotations
 
 import dataclasses
+import functools
 import logging
 import math
 from dataclasses import dataclass, field
@@ -27,33 +28,35 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from optdock.deadline import Deadline, garbage_collection_paused
-from optdock.deformation import deformed
+from optdock.deformation import Push, deformed
 from optdock.errors import Cancelled, InvalidValue, LifecycleError, OptdockError, PluginError, SmootherTimedOut
 from optdock.geometry.checked import finite_number, instance, number
 from optdock.geometry.clothoid import ClothoidSpline
-from optdock.geometry.pose import Pose2, normalize_angle
+from optdock.geometry.pose import Pose2, normalize_angle, transform_points
+from optdock.geometry.separation import separation
 from optdock.interfaces import Smoother, TimeParameterizer, never_cancelled
+from optdock.limits import SpeedZone
+from optdock.obstacles import in_words
 from optdock.path import Path
 from optdock.pipeline import DEFAULT_PLANNERS, DEFAULT_SMOOTHER, DEFAULT_TIMING, plan_dock, warm_up
 from optdock.plan import Attempt, DockPlan, PartialPlan
-from optdock.planners.manoeuvres.price import stops
 from optdock.plugins import plugin_from
 from optdock.problem import DockingProblem
-from optdock.refinement import Cancellation, Refinement, Stopwatch
+from optdock.refinement import Cancellation, Refinement, Stopwatch, in_ms
 from optdock.segments import TURN_RADIUS, ClothoidSegment
 from optdock.still_holds import StillHolds, still_holds
 from optdock.timing.motion import DriveBounds, State
 from optdock.timing.start_states import full_stop
 from optdock.trajectory import TimeLaw, Trajectory
-from optdock.verification import certify_path, certify_trajectory
-from optdock.verification.certificate import TOLERANCE
+from optdock.verification import TOLERANCE, certify_path, certify_trajectory, pose_clearance
+from optdock.verification.conservative_advancement import Begun, prove_clearance
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
     from optdock.dock import DockTolerances
     from optdock.pipeline import PlannerLike, SmootherLike, TimingLike
-    from optdock.verification import Certificate, TrajectoryCertificate
+    from optdock.verification import Certificate, TrajectoryCertificate, Violation
 
 __all__ = [
     "DEFAULT_REPLANNING_BUDGET",
@@ -71,6 +74,12 @@ DEFAULT_REPLANNING_BUDGET = 0.02  # [s]: one period of a controller at 50 Hz
 _FALLBACK_SHARE, _FALLBACK_MOST = 0.3, 0.006  # of the budget, [s]: kept back for the old plan's proof, and the stop's
 _AT_REST = 1e-6  # [m/s], [m/s^2]: as the certificate's rests
 _REST_SOON = 0.1  # [s]: a robot that rests so soon after the joint is joined there: no gear is that short
+_ON_THE_STRAIGHT = "the robot is on the final straight, where nothing is bent any more"
+_AT_THE_END = "nothing is left of the plan"
+_PUSHES = 4  # off obstacles: each takes two milliseconds, and what needs more is for the smoother
+_FLAT = 1e-6  # [m]: corners of an edge that lies along an obstacle
+_ROOM = 0.002  # [m]: a path that is pushed keeps more than what is required, for it is curved between its contacts
+_SPACING = 0.05  # [m] between the places by which what is near is found
 _NO_WAY = 1e-6  # [m]: of less than that nothing is left to drive
 # Shares of the deceleration that a stop tries: in a bend the yaw acceleration may leave no more.
 _BRAKING = (1.0, 0.8, 0.6, 0.4, 0.25)
@@ -179,10 +188,11 @@ def replan(  # noqa: PLR0913 - what may be chosen is chosen by name
         raise InvalidValue(f"lead: must be >= 0 s, got {lead}")
     state = _checked(state)
     world = _world(plan, target)
-    warm_up(planner, smoother, timing)
+    plugins = _Plugins(planner, smoother, timing)
+    plugins.warm_up()
     run = _Replanning(plan, world, state, time_budget, lead, Cancellation(cancel_checker))
     with garbage_collection_paused():
-        found = run.answer(min(drive_delay, lead), planner, smoother, timing)
+        found = run.answer(min(drive_delay, lead), plugins)
     logger.info("%r after %.1f ms", found, 1e3 * run.deadline.elapsed)
     return found
 
@@ -205,6 +215,33 @@ def _world(plan: DockPlan, target: DockingProblem | Pose2) -> DockingProblem:
     if target.frame != plan.frame:
         raise InvalidValue(f"target: stands in frame {target.frame!r}, the plan in {plan.frame!r}; transform it first")
     return target
+
+
+_WARM: set[object] = set()  # what was warmed up in this process
+
+
+@dataclass(frozen=True, eq=False)
+class _Plugins:
+    """What was chosen; made when it is needed."""
+
+    planner: PlannerLike | tuple[PlannerLike, ...]
+    chosen_smoother: SmootherLike
+    chosen_timing: TimingLike
+
+    def warm_up(self) -> None:
+        """Load and build what is loaded and built once; the names of what is warm are known."""
+        names = repr((self.planner, self.chosen_smoother, self.chosen_timing))
+        if names not in _WARM:
+            warm_up(self.planner, self.chosen_smoother, self.chosen_timing)
+            _WARM.add(names)
+
+    @property
+    def smoother(self) -> Smoother:
+        return plugin_from(Smoother, self.chosen_smoother, "smoother")
+
+    @property
+    def timing(self) -> TimeParameterizer:
+        return plugin_from(TimeParameterizer, self.chosen_timing, "timing")
 
 
 class _Joint(NamedTuple):
@@ -245,31 +282,92 @@ class _Replanning:
     def __post_init__(self) -> None:
         self.deadline = Deadline(self.budget)
 
-    def answer(
-        self, delay: float, planner: PlannerLike | tuple[PlannerLike, ...], smoother: SmootherLike, timing: TimingLike
-    ) -> Replanned:
+    def answer(self, delay: float, plugins: _Plugins) -> Replanned:
         """New, kept or stop."""
         joint = self._joint(self.lead, at_a_rest=True)
         blocked = self._blocked(joint)
         if blocked:
-            return self._stop(delay, f"the way until the joint is not clear: {blocked}")
+            why = f"the way until a new plan could take over is not clear: {blocked}"
+            return self._kept(why) or self._stop(delay, why)
         try:
-            found = self._new_plan(joint, planner, smoother, timing)
+            return self._replanned(joint, plugins)
         except (PluginError, LifecycleError, InvalidValue):
             raise
         except OptdockError as error:
-            why = f"{type(error).__name__}: {error}"
-        else:
-            kept = self._kept("") if stops(found.path) > self._stops_left(joint) else None
-            return kept or Replanned(
-                ReplanOutcome.NEW,
-                found.trajectory,
-                joint.time,
-                found,
-                tried=tuple(self.tried),
-                timing_ms=self._timing(),
-            )
-        return self._kept(why) or self._stop(delay, why)
+            return self._stop(delay, f"{type(error).__name__}: {error}")
+
+    def _replanned(self, joint: _Joint, plugins: _Plugins) -> Replanned:
+        """A new plan in the gears of the old one; the old one; a new one in other gears.
+
+        Raises:
+            OptdockError: Nothing of that, or not in time.
+        """
+        reserve = min(_FALLBACK_SHARE * self.budget, _FALLBACK_MOST)
+        deadline = self.deadline.shortened(by=reserve)
+        problem, why = self._from_joint(joint), _ON_THE_STRAIGHT if joint.rest is not None else _AT_THE_END
+        if joint.rest is not None and not self._is_on_the_straight(joint.rest):
+            watch = Stopwatch(deadline, self.timing_ms)
+            smoother, timing = plugins.smoother, plugins.timing
+            work = Refinement(problem, smoother, timing, joint.rest, self.cancelled, self.budget, deadline, watch)
+            plan = self._in_the_same_gears(joint, joint.rest, problem, work)
+            if plan is not None:
+                return self._new(joint, plan)
+            why = str(self.failure or "the path cannot be deformed within the curvature limits")
+        kept = self._kept(why)
+        if kept is not None:
+            return kept
+        if deadline.left <= 0.0:
+            raise self.failure or SmootherTimedOut(f"{why}; the time budget of {in_ms(self.budget)} is used up")
+        plan = plan_dock(
+            problem,
+            time_budget=deadline.left,
+            planner=plugins.planner,
+            smoother=plugins.chosen_smoother,
+            timing=plugins.chosen_timing,
+            cancel_checker=self.cancelled,
+        )
+        return self._new(joint, plan)
+
+    def _new(self, joint: _Joint, plan: DockPlan) -> Replanned:
+        tried, timing = (*self.tried, *plan.tried), self._timing()
+        plan = dataclasses.replace(plan, tried=tried, timing_ms=timing)
+        return Replanned(ReplanOutcome.NEW, plan.trajectory, joint.time, plan, tried=tried, timing_ms=timing)
+
+    def _is_on_the_straight(self, rest: Path) -> bool:
+        """Whether the robot is on the final straight already, on which nothing may be bent."""
+        return len(rest.segments) == 1 and rest.length <= self.world.dock.final_straight
+
+    def _in_the_same_gears(
+        self, joint: _Joint, rest: Path, problem: DockingProblem, work: Refinement
+    ) -> DockPlan | None:
+        """The rest of the running path, deformed, or else smoothed anew; None where neither is certified."""
+        guess, pushes = rest, list[Push]()
+        for _ in range(_PUSHES + 1):
+            with work.watch.timed("deform"):
+                path = deformed(
+                    guess,
+                    joint.pose,
+                    problem.goal,
+                    problem.robot.limits,
+                    final_straight=problem.dock.final_straight,
+                    steers=problem.start_curvature is not None,
+                    speed=abs(joint.speed),
+                    pushes=pushes,
+                )
+            if path is None or work.asked_to_stop():
+                break
+            guess = path
+            with work.watch.timed("certify"):
+                certificate = certify_path(path, problem, is_late=work.asked_to_stop)
+            if certificate.certified:
+                plan = self._attempt("deformed", path, functools.partial(work.proven, path, path))
+                if plan is not None:
+                    return plan
+                break
+            if any(violation.kind != "clearance" for violation in certificate.violations):
+                break
+            pushes.append(_push_off(certificate.violations[0], path, problem))
+        return self._attempt("smoothed", guess, lambda so_far: work.refined(guess, so_far, math.inf))
 
     def _timing(self) -> dict[str, float]:
         return {**self.timing_ms, "total": 1e3 * self.deadline.elapsed}
@@ -321,66 +419,31 @@ class _Replanning:
         soon = due[0] - time <= _REST_SOON * max(self.state.rate, 1e-9)
         return due[0] if turning or soon else time
 
-    def _stops_left(self, joint: _Joint) -> int:
-        return stops(joint.rest) if joint.rest is not None else 0
-
     def _blocked(self, joint: _Joint) -> str:
         """Why the way from here to the joint is not proven to be clear; empty where it is."""
         now = self._joint(0.0)
         if now.rest is None or joint.s - now.s <= _NO_WAY:
             return ""
-        way = now.rest.piece(0.0, joint.s - now.s)
-        return self._not_clear(way, now.pose)
+        return self._not_clear(now.rest.piece(0.0, joint.s - now.s), now.pose, self.world)
 
-    def _not_clear(self, way: Path, start: Pose2) -> str:
-        """What of the clearance of a stretch that is driven anyway is not proven in the new world; empty: it is."""
-        problem = dataclasses.replace(
-            self.world, start=start, start_speed=0.0, start_curvature=None, start_acceleration=0.0
-        )
-        certificate = certify_path(way, problem)
-        broken = [one for one in certificate.violations if one.kind in ("clearance", "unproven")]
-        return broken[0].message if broken else ""
-
-    def _new_plan(
-        self,
-        joint: _Joint,
-        planner: PlannerLike | tuple[PlannerLike, ...],
-        smoother: SmootherLike,
-        timing: TimingLike,
-    ) -> DockPlan:
-        """The first certified plan from the joint.
-
-        Raises:
-            OptdockError: There is none, or not in time.
-        """
-        reserve = min(_FALLBACK_SHARE * self.budget, _FALLBACK_MOST)
-        deadline = self.deadline.shortened(by=reserve)
-        problem = self._from_joint(joint)
-        watch = Stopwatch(deadline, self.timing_ms)
-        chosen = plugin_from(Smoother, smoother, "smoother"), plugin_from(TimeParameterizer, timing, "timing")
-        work = Refinement(problem, *chosen, joint.rest, self.cancelled, self.budget, deadline, watch)
-        if joint.rest is not None:
-            with watch.timed("deform"):
-                guess = self._deformed(joint, problem)
-            if guess is not None:
-                plan = self._attempt("deformed", guess, lambda left: work.proven(guess, guess, left))
-                if plan is not None:
-                    return plan
-            rest = guess or joint.rest
-            plan = self._attempt("rest", rest, lambda left: work.refined(rest, left, math.inf))
-            if plan is not None:
-                return plan
-        left = deadline.left
-        if left <= 0.0:
-            raise self.failure or SmootherTimedOut(f"nothing is left of the time budget of {self.budget:.3g} s")
-        return plan_dock(
-            problem,
-            time_budget=left,
-            planner=planner,
-            smoother=smoother,
-            timing=timing,
-            cancel_checker=self.cancelled,
-        )
+    @staticmethod
+    def _not_clear(way: Path, start: Pose2, world: DockingProblem) -> str:
+        """What of the clearance of a stretch that is driven anyway is not proven in a world; empty: all is."""
+        footprint = world.robot.footprint
+        count = max(2, math.ceil(way.length / _SPACING) + 1)
+        places = way.poses_at(np.linspace(0.0, way.length, count))[:, :2]
+        near = world.all_obstacles.near(places, footprint.circumscribed_radius + world.clearance.required + _SPACING)
+        begun = Begun(start, pose_clearance(start, footprint, near)[0])
+        proof = prove_clearance(way, world, obstacles=near, begun=begun)
+        if not proof.holds and begun.clearance < world.clearance.required:
+            proof = prove_clearance(way, world, start_relief=world.start_run, obstacles=near, begun=begun)
+        if proof.holds:
+            return ""
+        if not len(proof.violations):
+            return "the clearance of the way is not proven"
+        s, clearance, required, row = proof.violations[np.argmin(proof.violations[:, 0]), :4].tolist()
+        what = in_words(near.name_of(int(row)))
+        return f"{clearance:.4f} m from {what} after {s:.3f} m, required {required:.4f} m"
 
     def _attempt(self, stage: str, guess: Path, make: Callable[[PartialPlan], DockPlan]) -> DockPlan | None:
         began = self.deadline.elapsed
@@ -395,9 +458,8 @@ class _Replanning:
             if isinstance(error, Cancelled):
                 raise
             return None
-        attempt = Attempt(stage, guess, self.deadline.elapsed - began, plan.price)
-        self.tried.append(attempt)
-        return dataclasses.replace(plan, tried=tuple(self.tried))
+        self.tried.append(Attempt(stage, guess, self.deadline.elapsed - began, plan.price))
+        return plan
 
     def _from_joint(self, joint: _Joint) -> DockingProblem:
         """The problem of a robot at the joint."""
@@ -414,35 +476,21 @@ class _Replanning:
             start_acceleration=joint.acceleration,
         )
 
-    def _deformed(self, joint: _Joint, problem: DockingProblem) -> Path | None:
-        if joint.rest is None:
-            return None
-        return deformed(
-            joint.rest,
-            joint.pose,
-            problem.goal,
-            problem.robot.limits,
-            final_straight=problem.dock.final_straight,
-            steers=problem.start_curvature is not None,
-        )
-
     def _kept(self, why: str) -> Replanned | None:
-        """The old plan, where it is still good; None where it is not."""
-        off = _beyond(self.plan.path.end, self.world.goal, self.world.dock.tolerances)
-        now = self._joint(0.0)
-        blocked = self._not_clear(now.rest, now.pose) if now.rest is not None else ""
-        if off or blocked:
+        """The old plan, where it is still good; None where it is not.
+
+        Within the dock's tolerances the robot counts as docked, and the station stands as near as they allow: there it
+        is taken to stand where the plan ends.
+        """
+        if _is_beyond(self.plan.path.end, self.world.goal, self.world.dock.tolerances):
             return None
-        reason = why or "a new plan would stop more often"
-        return Replanned(
-            ReplanOutcome.KEPT,
-            self.plan.trajectory,
-            0.0,
-            self.plan,
-            reason,
-            tried=tuple(self.tried),
-            timing_ms=self._timing(),
-        )
+        now = self._joint(0.0)
+        if now.rest is not None:
+            dock = dataclasses.replace(self.world.dock, pose=self.plan.path.end)
+            if self._not_clear(now.rest, now.pose, dataclasses.replace(self.world, dock=dock)):
+                return None
+        tried, timing = tuple(self.tried), self._timing()
+        return Replanned(ReplanOutcome.KEPT, self.plan.trajectory, 0.0, self.plan, why, tried=tried, timing_ms=timing)
 
     def _stop(self, delay: float, why: str) -> Replanned:
         """Braking along the running path: from the joint where that is proven, from now on otherwise."""
@@ -453,7 +501,7 @@ class _Replanning:
             now = self._joint(0.0)
             until = joint.s - now.s + trajectory.path.length
             way = now.rest.piece(0.0, until) if now.rest is not None else trajectory.path
-            blocked = self._not_clear(way, now.pose)
+            blocked = self._not_clear(way, now.pose, self.world)
             reason = why if not blocked else f"{why}; the stop is not proven: {blocked}"
             if not motion.certified:
                 reason += f"; the stop breaks a limit: {motion.reason}"
@@ -481,7 +529,7 @@ class _Replanning:
         state = State(0.0, abs(joint.speed), joint.acceleration * (joint.gear or 1))
         if joint.rest is None or joint.rests:
             still = Trajectory(_standing(joint.pose, self.plan.frame), TimeLaw(np.array([_STILL]), np.zeros(1)))
-            return still, certify_trajectory(still, limits, self.world.dock.approach)
+            return still, certify_trajectory(still, limits, SpeedZone())
         first = None
         for share in _BRAKING:
             if joint.gear == 0:
@@ -497,7 +545,7 @@ class _Replanning:
             if length > segment.length - _NO_WAY:  # it comes to rest at the cusp by itself
                 length = segment.length
             trajectory = Trajectory(joint.rest.piece(0.0, length), law)
-            motion = certify_trajectory(trajectory, limits, self.world.dock.approach)
+            motion = certify_trajectory(trajectory, limits, SpeedZone())
             first = first or (trajectory, motion)
             if motion.certified:
                 return trajectory, motion
@@ -513,9 +561,36 @@ def _standing(pose: Pose2, frame: str) -> Path:
     return Path((ClothoidSegment(ClothoidSpline(pose, np.array([0.0, 0.1 * TOLERANCE]), np.zeros(2))),), frame)
 
 
-def _beyond(found: Pose2, wanted: Pose2, accepted: DockTolerances) -> str:
-    """By how much a pose is beyond a dock's tolerances, in words; empty: it is docked there."""
+def _push_off(violation: Violation, path: Path, problem: DockingProblem) -> Push:
+    """What moves the robot off an obstacle that it comes too close to."""
+    pose = path.poses_at(violation.s)[0]
+    reach = problem.robot.footprint.circumscribed_radius + problem.clearance.required
+    near = problem.all_obstacles.near(pose[None, :2], reach)
+    rows = np.arange(len(near))
+    poses = np.tile(pose, (rows.size, 1))
+    body, found = min(
+        ((body, separation(body, poses, near.pieces(rows))) for body in problem.robot.footprint.bodies),
+        key=lambda one: float(one[1].distance.min()),
+    )
+    row = int(np.argmin(found.distance))
+    normal = found.axis[row]
+    corners = transform_points(pose[None], body.vertices)[0]
+    heights = corners @ normal
+    nearest = np.flatnonzero(heights <= heights.min() + _FLAT)
+    point = body.vertices[nearest[0]]
+    if nearest.size > 1:  # along an edge: beside the corner that comes nearest to it
+        first, last = body.vertices[nearest[0]], body.vertices[nearest[-1]]
+        corner = near.vertices[row][np.argmax(near.vertices[row] @ normal)]
+        along = last - first
+        reached = (corner - corners[nearest[0]]) @ (corners[nearest[-1]] - corners[nearest[0]])
+        point = first + along * min(max(reached / float(along @ along), 0.0), 1.0)
+    height = float((near.vertices[row] @ normal).max()) + float(found.distance[row]) + violation.amount + _ROOM
+    gear = int(np.clip(np.searchsorted(path.segment_starts, violation.s, side="right") - 1, 0, len(path.segments) - 1))
+    share = (violation.s - float(path.segment_starts[gear])) / path.segments[gear].length
+    return Push(gear, min(max(share, 0.0), 1.0), (float(point[0]), float(point[1])), normal, height)
+
+
+def _is_beyond(found: Pose2, wanted: Pose2, accepted: DockTolerances) -> bool:
+    """Whether a robot at a pose is not docked."""
     seen = found.in_frame_of(wanted)
-    errors = (("along", seen.x, "m"), ("cross", seen.y, "m"), ("yaw", normalize_angle(seen.yaw), "rad"))
-    bad = [f"{name} {value:.4g} {unit}" for name, value, unit in errors if abs(value) > getattr(accepted, name)]
-    return ", ".join(bad)
+    return abs(seen.x) > accepted.along or abs(seen.y) > accepted.cross or abs(seen.yaw) > accepted.yaw

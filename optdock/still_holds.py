@@ -128,14 +128,14 @@ class _Change:
         places = rest.poses_at(np.linspace(0.0, rest.length, count))[:, :2]
         reach = later.robot.footprint.circumscribed_radius + later.clearance.required + _SPACING
         is_ruled_anew = bool(set(self.changed) & _RULES)
-        near = _near(later.all_obstacles, places, reach) if is_ruled_anew else self._new(places, reach)
+        near = later.all_obstacles.near(places, reach) if is_ruled_anew else self._new(places, reach)
         if len(near) == 0:
             return StillHolds(holds=True, changed=self.changed)
         begun, relief = Begun(known.start, end_clearances(known).start), self.plan.certificate.start_relief
         proof = prove_clearance(rest, later, is_late, relief, obstacles=near, begun=begun)
         if proof.holds and proof.proven < 0.0 and not is_ruled_anew:
             # What is new is touched; together with what was there before it may hide an overlap.
-            near = near + _near(known.all_obstacles, places, reach)
+            near = near + known.all_obstacles.near(places, reach)
             proof = prove_clearance(rest, later, is_late, relief, obstacles=near, begun=begun)
         return StillHolds(holds=True, changed=self.changed) if proof.holds else self._conflict(proof, begin, near)
 
@@ -143,7 +143,7 @@ class _Change:
         """What was not there when the plan was proven, and is near."""
         known, later, found = self.plan.problem, self.later, ObstacleSet.empty()
         if "obstacles" in self.changed:
-            found = _without(_near(self.obstacles, places, reach), known.obstacles)
+            found = _without(self.obstacles.near(places, reach), known.obstacles)
         if "costmap" in self.changed and self.costmap is not None:
             unknown = later.unknown_is_obstacle
             before = known.costmap if unknown == known.unknown_is_obstacle else None
@@ -193,14 +193,6 @@ def _is_another(first: Costmap | None, second: Costmap | None) -> bool:
     if first is None or second is None or first is second:
         return first is not second
     return not (is_same_grid(first, second) and np.array_equal(first.data, second.data))
-
-
-def _near(obstacles: ObstacleSet, places: FloatArray, reach: float) -> ObstacleSet:
-    """The pieces whose boxes come within `reach` of one of the places."""
-    some = obstacles.in_box(places.min(axis=0) - reach, places.max(axis=0) + reach)
-    if len(some) == 0:
-        return some
-    return some.subset(np.flatnonzero(some.box_distance(places).min(axis=0) <= reach))
 
 
 def _without(obstacles: ObstacleSet, known: ObstacleSet) -> ObstacleSet:

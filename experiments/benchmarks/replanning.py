@@ -1,0 +1,275 @@
+"""Replanning in motion: whole calls of `replan` among 20 obstacles, and of `still_holds` in worlds that changed.
+
+`plan_dock` from the same joint stands beside.
+
+    python -m experiments.benchmarks replanning
+"""
+
+from __future__ import annotations
+
+import argparse
+import collections
+import dataclasses
+import math
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+from experiments.benchmarks.tables import Table, Timer, percentile
+from optdock.costmap.costmap import Costmap
+from optdock.deadline import garbage_collection_paused
+from optdock.errors import OptdockError
+from optdock.geometry.pose import Pose2, transform_points
+from optdock.obstacles import ObstacleSet
+from optdock.pipeline import plan_dock, warm_up
+from optdock.problem import DockingProblem
+from optdock.replanning import DriveState, ReplanOutcome, replan, still_holds
+from optdock.robot import Robot
+from optdock.testing.families import instance
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator, Sequence
+
+    from optdock.plan import DockPlan
+    from optdock.replanning import Replanned
+
+__all__ = ["main"]
+
+_FAMILIES = ("open_s", "reverse_cusp", "pillar", "collision", "angled_hexagon", "many_obstacles")
+_OBSTACLES = 20
+_BUDGET = 0.02  # [s]: what the calls are meant for
+_ENDLESS = 5.0  # [s]: of the calls whose work is measured, on whatever machine
+_LEAD = 0.05  # [s]
+_MORE_CLEAR = 0.05  # [m]: posts of such scenes could be so much larger
+
+
+class Kind(NamedTuple):
+    """A change: when, as shares of the drive; how far the dock moves [m] and turns [deg]; or an obstacle beside it."""
+
+    name: str
+    when: tuple[float, float]
+    shift: float = 0.0
+    turn: float = 0.0
+    post: bool = False
+
+
+_KINDS = (
+    Kind("dock moved 3 cm, 1.5 deg, mid-drive", (0.3, 0.6), 0.03, 1.5),
+    Kind("dock moved 10 cm, 5 deg, early", (0.02, 0.2), 0.10, 5.0),
+    Kind("an obstacle 2 cm beside the way", (0.05, 0.3), post=True),
+    Kind("dock moved 3 cm, 1.5 deg, late", (0.6, 1.0), 0.03, 1.5),
+)
+
+
+class Task(NamedTuple):
+    """A running plan, and the change."""
+
+    plan: DockPlan
+    target: DockingProblem
+    time: float
+
+
+def main(arguments: Sequence[str]) -> None:
+    """Print two tables."""
+    parser = argparse.ArgumentParser(
+        prog="python -m experiments.benchmarks replanning",
+        description=__doc__,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    parser.add_argument("--seeds", type=int, default=10, help="plans per family")
+    parser.add_argument("--repeats", type=int, default=1, help="calls of each; the quickest counts")
+    asked = parser.parse_args(list(arguments))
+    warm_up()
+    plans = [plan for family in _FAMILIES for seed in range(asked.seeds) for plan in _plans(family, seed)]
+    print(_replan_table(plans, asked.repeats))
+    print(_holds_table(plans, asked.repeats))
+
+
+def _plans(family: str, seed: int) -> Iterator[DockPlan]:
+    """A plan among 20 obstacles, of a robot whose drive is limited in every way."""
+    found = instance(family, seed).problem
+    limits = dataclasses.replace(
+        found.robot.limits, max_yaw_rate=1.2, max_yaw_acceleration=2.0, max_wheel_speed=0.6, track_width=0.4
+    )
+    robot = Robot(found.robot.footprint, limits, found.robot.drive)
+    rng = np.random.default_rng(seed)
+    problem = dataclasses.replace(found, robot=robot)
+    try:
+        first = plan_dock(problem, time_budget=_ENDLESS)
+        posts = _posts(first, _OBSTACLES - len(set(found.obstacles.group.tolist())), rng)
+        known = list(found.obstacles.vertices)
+        yield plan_dock(dataclasses.replace(problem, obstacles=[*known, *posts][:_OBSTACLES]), time_budget=_ENDLESS)
+    except OptdockError:
+        return
+
+
+def _posts(plan: DockPlan, count: int, rng: np.random.Generator) -> list[np.ndarray]:
+    """Posts around a plan that it stays clear of."""
+    posts: list[np.ndarray] = []
+    while len(posts) < count:
+        at = plan.path.pose_at(float(rng.uniform(0.0, plan.path.length)))
+        side = math.copysign(rng.uniform(0.45, 1.5), rng.uniform(-1.0, 1.0))
+        radius, corners = float(rng.uniform(0.05, 0.2)), int(rng.integers(3, 8))
+        post = _post(at @ Pose2(0.0, side, 0.0), radius, corners)
+        # The post, grown by what is required less: the rule stays the plan's own.
+        grown = _post(at @ Pose2(0.0, side, 0.0), radius + _MORE_CLEAR, corners)
+        if still_holds(plan, ObstacleSet.from_polygons([grown])):
+            posts.append(post)
+    return posts
+
+
+def _post(at: Pose2, radius: float, corners: int) -> np.ndarray:
+    angle = 2.0 * math.pi * np.arange(corners) / corners
+    outline = radius * np.column_stack((np.cos(angle), np.sin(angle)))
+    return transform_points(at.as_array()[None], outline)[0]
+
+
+def _tasks(plans: Sequence[DockPlan], kind: Kind) -> Iterator[Task]:
+    for seed, plan in enumerate(plans):
+        rng = np.random.default_rng(seed)
+        time = float(rng.uniform(*kind.when)) * plan.trajectory.duration
+        if kind.post:
+            yield Task(plan, _with_a_post(plan, time, rng), time)
+            continue
+        angle, turn = rng.uniform(-math.pi, math.pi), math.radians(kind.turn) * rng.uniform(-1.0, 1.0)
+        shift = kind.shift * rng.uniform(0.3, 1.0)
+        moved = plan.problem.goal @ Pose2(shift * math.cos(angle), shift * math.sin(angle), turn)
+        dock = dataclasses.replace(plan.problem.dock, pose=moved)
+        yield Task(plan, dataclasses.replace(plan.problem, dock=dock), time)
+
+
+def _with_a_post(plan: DockPlan, time: float, rng: np.random.Generator) -> DockingProblem:
+    """The plan's problem with one more post, which stands 2 cm beside what the rest of the plan sweeps."""
+    s = float(plan.trajectory.sample_at(time).s[0])
+    # At least a robot's length from both ends: before that nothing can be done, and behind it stands the dock.
+    length = plan.problem.robot.footprint.length
+    low, high = s + length, plan.path.length - plan.problem.dock.final_straight - length
+    at = plan.path.pose_at(float(rng.uniform(low, max(low, high))))
+    side = math.copysign(1.0, rng.uniform(-1.0, 1.0))
+    half = float(np.abs(plan.problem.robot.footprint.vertices[:, 1]).max())
+    post = _post(at @ Pose2(0.0, side * (half + 0.1 + 0.02), 0.0), 0.1, 8)
+    obstacles = plan.problem.obstacles + ObstacleSet.from_polygons([post], "new")
+    return dataclasses.replace(plan.problem, obstacles=obstacles)
+
+
+def _replan_table(plans: Sequence[DockPlan], repeats: int) -> Table:
+    header = ("change", "calls", *(outcome.value for outcome in ReplanOutcome), "how")
+    header += ("cpu ms p50", "p99", "wall ms p50", "p99", "late", "plan_dock cpu ms p50", "ratio p50", "longer % p50")
+    rows = tuple(_replan_row(kind.name, list(_tasks(plans, kind)), repeats) for kind in _KINDS)
+    note = (
+        f"{len(plans)} plans among {_OBSTACLES} obstacles. Work is measured without a deadline, on the quickest of "
+        f"{repeats} calls; late: calls with a budget of {1e3 * _BUDGET:.0f} ms that took longer on the wall clock. "
+        "longer: duration of the new motion beyond that of plan_dock's, medians of both NEW."
+    )
+    return Table("Replanning in motion", header, rows, note)
+
+
+def _replan_row(name: str, tasks: Sequence[Task], repeats: int) -> tuple[object, ...]:
+    cpu, wall, outcomes, how, fresh, longer, late = [], [], [], [], [], [], 0
+    for task in tasks:
+        state = DriveState(task.time)
+        found, took = _best(
+            lambda task=task, state=state: replan(task.plan, task.target, state, _ENDLESS, lead=_LEAD), repeats
+        )
+        cpu.append(took[0])
+        wall.append(took[1])
+        outcomes.append(found.outcome)
+        timer = Timer()
+        replan(task.plan, task.target, state, _BUDGET)
+        late += timer.wall > _BUDGET
+        if found.outcome is not ReplanOutcome.NEW or found.plan is None:
+            continue
+        how.append(found.tried[-1].stage if found.tried else "plan_dock")
+        timer = Timer()
+        try:
+            other = plan_dock(found.plan.problem, time_budget=_ENDLESS)
+        except OptdockError:
+            continue
+        fresh.append(timer.cpu)
+        longer.append(found.trajectory.duration / other.trajectory.duration - 1.0)
+    counted = collections.Counter(outcomes)
+    ways = ", ".join(f"{count} {way}" for way, count in collections.Counter(how).most_common())
+    return (
+        name,
+        len(tasks),
+        *(counted[outcome] for outcome in ReplanOutcome),
+        ways,
+        *(1e3 * percentile(cpu, share) for share in (50, 99)),
+        *(1e3 * percentile(wall, share) for share in (50, 99)),
+        late,
+        1e3 * percentile(fresh, 50),
+        percentile(cpu, 50) / percentile(fresh, 50),
+        100.0 * percentile(longer, 50),
+    )
+
+
+def _best(call: Callable[[], Replanned], repeats: int) -> tuple[Replanned, tuple[float, float]]:
+    """What a call returns, and the CPU and wall seconds of the quickest of some calls."""
+    took = []
+    for _ in range(repeats):
+        timer = Timer()
+        found = call()
+        took.append((timer.cpu, timer.wall))
+    return found, min(took)
+
+
+def _holds_table(plans: Sequence[DockPlan], repeats: int) -> Table:
+    rows = tuple(_holds_row(name, list(cases), repeats) for name, cases in _worlds(plans).items())
+    header = ("world", "calls", "holds", "cpu ms p50", "p99", "wall ms p50", "p99")
+    return Table("still_holds", header, rows, "From the middle of the drive; costmaps of 200 x 200 cells of 5 cm.")
+
+
+def _worlds(plans: Sequence[DockPlan]) -> dict[str, list[tuple[DockPlan, object, float]]]:
+    found: dict[str, list[tuple[DockPlan, object, float]]] = collections.defaultdict(list)
+    for seed, plan in enumerate(plans):
+        rng = np.random.default_rng(seed)
+        time = 0.3 * float(rng.uniform()) * plan.trajectory.duration
+        mapped, later, other = _mapped(plan, rng)
+        found["nothing changed"].append((mapped, mapped.problem, time))
+        found["costmap of noise"].append((mapped, later, time))
+        found["costmap of another origin"].append((mapped, other, time))
+        found["20 polygons"].append((plan, _other_polygons(plan, rng), time))
+        moved = plan.problem.goal @ Pose2(0.02, -0.01, 0.02)
+        dock = dataclasses.replace(plan.problem.dock, pose=moved)
+        found["dock moved"].append((plan, dataclasses.replace(plan.problem, dock=dock), time))
+        both = dataclasses.replace(mapped.problem, costmap=later, obstacles=_other_polygons(plan, rng))
+        found["costmap and polygons"].append((mapped, both, time))
+    return found
+
+
+def _mapped(plan: DockPlan, rng: np.random.Generator) -> tuple[DockPlan, Costmap, Costmap]:
+    """The plan on a costmap, and two costmaps that come later."""
+    middle = plan.path.pose_at(0.5 * plan.path.length)
+    origin = (middle.x - 5.0, middle.y - 5.0)
+    x, y = np.meshgrid(origin[0] + 0.05 * np.arange(200), origin[1] + 0.05 * np.arange(200))
+    places = plan.path.poses_at(np.linspace(0.0, plan.path.length, 80))
+    away = np.min(np.hypot(x[..., None] - places[:, 0], y[..., None] - places[:, 1]), axis=-1)
+    reach = plan.problem.robot.footprint.circumscribed_radius + 0.1
+    grids = [np.where((rng.uniform(size=x.shape) < share) & (away > reach), 254, 0) for share in (0.02, 0.02)]
+    walls = Costmap(grids[0].astype(np.uint8), 0.05, origin)
+    later = Costmap(grids[1].astype(np.uint8), 0.05, origin)
+    other = Costmap(grids[1].astype(np.uint8), 0.05, (origin[0] + 0.02, origin[1] - 0.03))
+    problem = dataclasses.replace(plan.problem, costmap=walls)
+    return dataclasses.replace(plan, problem=problem), later, other
+
+
+def _other_polygons(plan: DockPlan, rng: np.random.Generator) -> ObstacleSet:
+    return ObstacleSet.from_polygons(_posts(plan, _OBSTACLES, rng))
+
+
+def _holds_row(name: str, cases: Sequence[tuple[DockPlan, object, float]], repeats: int) -> tuple[object, ...]:
+    cpu, wall, holds = [], [], 0
+    for plan, world, time in cases:
+        took = []
+        for _ in range(repeats):
+            fresh = Costmap(world.data, world.resolution, world.origin) if isinstance(world, Costmap) else world
+            with garbage_collection_paused():
+                timer = Timer()
+                found = still_holds(plan, fresh, time)
+                took.append((timer.cpu, timer.wall))
+        holds += found.holds
+        best = min(took)
+        cpu.append(best[0])
+        wall.append(best[1])
+    shares = (50, 99)
+    return name, len(cases), holds, *(1e3 * percentile(t, share) for t in (cpu, wall) for share in shares)
