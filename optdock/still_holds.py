@@ -104,9 +104,10 @@ def still_holds(
     if "frame" in changed:
         reason = f"the world stands in frame {later.frame!r}, the plan in {plan.frame!r}"
         return StillHolds(holds=False, changed=changed, reason=reason)
-    begin = float(plan.trajectory.sample_at(from_time).s[0])
-    if not set(changed) - {"limits"} or plan.path.length - begin <= _NO_WAY:
+    if not set(changed) - {"limits"}:
         return StillHolds(holds=True, changed=changed)
+    # Where nothing is left to drive the robot stands at the end, which must be clear as well.
+    begin = min(float(plan.trajectory.sample_at(from_time).s[0]), max(0.0, plan.path.length - _NO_WAY))
     return _Change(plan, later, obstacles, costmap, changed).judged(begin, is_late)
 
 
@@ -126,7 +127,7 @@ class _Change:
         rest = self.plan.path.piece(begin)
         count = max(2, int(np.ceil(rest.length / _SPACING)) + 1)
         places = rest.poses_at(np.linspace(0.0, rest.length, count))[:, :2]
-        reach = later.robot.footprint.circumscribed_radius + later.clearance.required + _SPACING
+        reach = later.robot.footprint.circumscribed_radius + later.path_clearance.required + _SPACING
         is_ruled_anew = bool(set(self.changed) & _RULES)
         near = later.all_obstacles.near(places, reach) if is_ruled_anew else self._new(places, reach)
         if len(near) == 0:
@@ -177,7 +178,7 @@ def _changed(
     if later is not known:
         before, after = known.dock, later.dock
         differs["dock"] = before is not after and (before.pose != after.pose or _outline(before) != _outline(after))
-        differs["clearance"] = known.clearance != later.clearance
+        differs["clearance"] = known.path_clearance != later.path_clearance  # with the tube
         if known.robot is not later.robot:
             was, now = known.robot.fingerprint, later.robot.fingerprint
             differs |= {"footprint": was.footprint != now.footprint, "limits": was.limits != now.limits}
