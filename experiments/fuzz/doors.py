@@ -123,6 +123,7 @@ def problem_of(case: Case) -> DockingProblem:
         start_speed=case["start_speed"],
         start_curvature=case.get("start_curvature"),
         costmap=costmap,
+        start_acceleration=case.get("start_acceleration", 0.0),
     )
 
 

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from experiments.fuzz.case import Case
     from experiments.fuzz.oracle.motion import Floats, Ints, Motion
 
-__all__ = ["Judgement", "judged", "turn_limits"]
+__all__ = ["Judgement", "State", "judged", "state_at", "turn_limits"]
 
 _PER_PHASE = 24  # samples
 _BISECTIONS = 60
@@ -66,6 +66,24 @@ class _Law(NamedTuple):
         """Distance, speed, acceleration `dt` into `phase`."""
         s, v, a, j = self.s[phase], self.v[phase], self.a[phase], self.jerk[phase]
         return s + dt * (v + dt * (a / 2.0 + dt * j / 6.0)), v + dt * (a + dt * j / 2.0), a + dt * j
+
+
+class State(NamedTuple):
+    """Distance [m], speed [m/s] and acceleration [m/s^2] along the travel."""
+
+    s: float
+    v: float
+    a: float
+
+
+def state_at(spec: Case, t: float) -> State:
+    """Of a time law at a time [s], clipped."""
+    law = _law(spec)
+    borders = np.concatenate(([0.0], np.cumsum(law.width)))
+    t = min(max(t, 0.0), float(borders[-1]))
+    phase = int(np.clip(np.searchsorted(borders, t, side="right") - 1, 0, law.width.size - 1))
+    s, v, a = law.at(np.array([phase]), np.array([t - borders[phase]]))
+    return State(float(s[0]), float(v[0]), float(a[0]))
 
 
 class _Instants(NamedTuple):
@@ -259,13 +277,16 @@ def _structure(case: Case, motion: Motion, law: _Law) -> dict[str, float]:
     slowest = float(np.min(law.at(instants.phase, instants.dt)[1]))
     back = max(-slowest / _REST, float(np.max(np.maximum.accumulate(law.s) - law.s)) / _REST)
     still = motion.turn[~motion.exact & (motion.h <= 0.0)]
-    start = case.get("start_speed")
+    start, pressed = case.get("start_speed"), case.get("start_acceleration")
     return {
         "coverage": max(ends, back, math.inf if np.any(still > 1e-8) else 0.0),
         "steering_rest": max(_steered(case, motion, law), default=0.0),
         "rest": max(_unrest(law, motion.length, -1), *(_unrest(law, one.start_s) for one in motion.segments[1:]), 0.0)
         / _REST,
-        "start_state": 0.0 if start is None else abs(float(law.v[0]) - start) / _REST,
+        "start_state": max(
+            0.0 if start is None else abs(float(law.v[0]) - start) / _REST,
+            0.0 if pressed is None else abs(float(law.a[0]) - pressed) / _REST,
+        ),
     }
 
 
