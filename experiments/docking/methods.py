@@ -99,7 +99,7 @@ def by_plan(case: Case, world: World, spread: str, rate: float, *, smoothed: boo
     for plugin in (controller, checker):
         plugin.configure(PluginContext(plugin.name, problem=case.problem))
     controller.set_path(trajectory)
-    robot, cycles, ending = case.world(world), _Cycles(), "timeout"
+    robot, cycles, ending = case.world(world, has_switch=world.dock is not None), _Cycles(), "timeout"
     filtered = PoseFilter(max(world.pose.position_sigma, 1e-4), max(world.pose.yaw_sigma, 1e-4))
     remaining, now = RemainingPath(trajectory.path), robot.measurements
     while robot.time < trajectory.duration + TIMEOUT:
@@ -163,7 +163,7 @@ def by_executor(
 ) -> Outcome:
     """The executor: detections, replanning in motion, contact, retries."""
     names = (name, world.name, spread, rate)
-    robot, cycles, planning = case.world(world), _Cycles(), WatchedPlanning()
+    robot, cycles, planning = case.world(world, has_switch=world.dock is not None), _Cycles(), WatchedPlanning()
     settings = ExecutorSettings(
         use_detections=world.dock is not None,
         position_sigma=max(world.pose.position_sigma, 1e-4),

@@ -111,8 +111,8 @@ class Case(NamedTuple):
         station = ObstacleSet.from_footprint(self.problem.dock.footprint, self.true_dock, "dock")
         return self.problem.obstacles + station
 
-    def world(self, kind: World) -> SimulatedRobot:
-        """The robot at its start, at rest."""
+    def world(self, kind: World, *, has_switch: bool = True) -> SimulatedRobot:
+        """The robot at its start, at rest; at a station that stops it and tells contact, or at one that does neither."""
         detector = kind.dock
         return SimulatedRobot(
             DifferentialDrive(self.problem.robot, kind.actuation),
@@ -120,7 +120,7 @@ class Case(NamedTuple):
             self.true_dock,
             Sensors(pose=kind.pose, dock=detector),
             self.obstacles(),
-            station=Station(direction=self.direction),
+            station=Station(direction=self.direction) if has_switch else None,
             seed=self.seed,
         )
 

@@ -1,4 +1,4 @@
-"""The command line: `optdock plan | simulate | certify | compare | demo | import | plugins | schema`.
+"""The command line: `optdock plan | simulate | certify | compare | demo | replay | import | plugins | schema`.
 
 Commands load the library when they run, so that `--help` stays quick.
 """
@@ -16,6 +16,7 @@ from optdock.cli.certify import certify
 from optdock.cli.common import VerboseOption, listen, reported
 from optdock.cli.importing import app as importing
 from optdock.cli.plan import compare, plan
+from optdock.cli.replay import replay
 from optdock.cli.simulate import demo, simulate
 
 __all__ = ["app", "main"]
@@ -93,6 +94,6 @@ def schema(
             write_text(out, text + "\n")
 
 
-for _command in (plan, simulate, certify, compare, demo, plugins, schema):
+for _command in (plan, simulate, certify, compare, demo, replay, plugins, schema):
     app.command()(_command)
 app.add_typer(importing, name="import")

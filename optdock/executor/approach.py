@@ -6,8 +6,8 @@ import math
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from optdock.problem import DockingProblem
     from optdock.limits import MotionLimits
+    from optdock.problem import DockingProblem
 
 __all__ = ["can_be_planned_away", "left_at_dock", "reachable_offset", "staging_distance"]
 

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, Literal, TypeAlias
+from typing import TYPE_CHECKING, Literal, NamedTuple, TypeAlias
 
+from optdock.controllers.command_limits import CommandLimiter
 from optdock.errors import InvalidValue
-from optdock.executor.command_limits import CommandLimiter
 from optdock.executor.log import LoggedPlanning, LogWriter, Task, plugin_choice
 from optdock.executor.outcomes import Ending, Event, Feedback, FeedbackState, State, Step
 from optdock.executor.perception import Perception
@@ -14,7 +14,7 @@ from optdock.executor.planning import InlinePlanning
 from optdock.executor.procedure import Procedure
 from optdock.executor.settings import ExecutorSettings
 from optdock.geometry.checked import finite_number, instance
-from optdock.geometry.pose import Twist2
+from optdock.geometry.pose import Pose2, Twist2
 from optdock.interfaces import Controller, GoalChecker
 from optdock.lifecycle import PluginContext
 from optdock.measurements import Measurements
@@ -39,6 +39,19 @@ _FEEDBACK = {
     State.BACKING_OUT: FeedbackState.RETRY,
     State.RETURNING: FeedbackState.RETRY,
 }
+
+
+_STILL = 1e-6  # [m/s], [rad/s]: what is left of a stop by rounding
+_TURNING = 0.005  # [m/s]: a robot that is to turn and not to drive turns in place
+_LATE = 1.5  # times as long as the period before
+_FIRST_PERIOD = 0.005  # [s], until two cycles have shown another one: of 200 Hz, so that no command changes too fast
+
+
+class _Tick(NamedTuple):
+    """Since the last cycle: the time that passed, and the time over which commands may change [s]."""
+
+    passed: float
+    of_commands: float
 
 
 class DockingExecutor:
@@ -80,7 +93,7 @@ class DockingExecutor:
         checker.configure(PluginContext(name=checker.name, problem=problem))
         self._events: list[Event] = []
         self._perception = Perception(problem.goal, self.settings, self._report)
-        self._limiter = CommandLimiter(problem.robot)
+        self._limiter = CommandLimiter()
         self._planning: Planning = planning if planning is not None else InlinePlanning()
         if log is not None:
             log.begin(Task(problem, self.settings, task, plugin_choice(driver), plugin_choice(checker)))
@@ -93,12 +106,28 @@ class DockingExecutor:
         self._began: float | None = None
         self._last_stamp = -math.inf
         self._offset = 0.0
+        self._usual_period, self._cycle_count = _FIRST_PERIOD, -1
         self._ending: Ending | None = None
 
     @property
     def ending(self) -> Ending | None:
         """How the task ended; None while it goes on."""
         return self._ending
+
+    @property
+    def state(self) -> State:
+        """What is being done."""
+        return State.ENDED if self._ending is not None else self._procedure.state
+
+    @property
+    def robot(self) -> Pose2 | None:
+        """Where the robot is believed to be; None before the first measured pose."""
+        return self._perception.robot if self._perception.started else None
+
+    @property
+    def dock(self) -> Pose2:
+        """Where the docked pose is believed to be, in the fixed frame."""
+        return self._perception.dock
 
     def cancel(self) -> None:
         """End the task: a stop within the limits, and the ending `cancelled`."""
@@ -121,11 +150,12 @@ class DockingExecutor:
         self._events.clear()
         if self._began is None:
             self._limiter.restart(measurements.twist)
-        period = self._tick(measurements.stamp)
+        tick = self._tick(measurements.stamp)
         self._perception.update(measurements, measurements.stamp + self._offset, self._offset)
-        command = self._command(period)
-        state = State.ENDED if self._ending is not None else self._procedure.state
-        step = Step(command, state, self._feedback(state), self._ending, tuple(self._events))
+        command = self._command(tick.of_commands)
+        state = self.state
+        deviation = self._procedure.deviation if self._ending is None else None
+        step = Step(command, state, self._feedback(state), self._ending, tuple(self._events), deviation)
         if self._log is not None:
             self._log.cycle(measurements, step)
         return step
@@ -133,46 +163,58 @@ class DockingExecutor:
     def _report(self, name: str, detail: str = "") -> None:
         self._events.append(Event(self._perception.stamp if self._began is not None else 0.0, name, detail))
 
-    def _tick(self, stamp: float) -> float:
-        """The time since the last cycle; the clock of the procedure never goes back, and makes no leaps [s]."""
+    def _tick(self, stamp: float) -> _Tick:
+        """The time since the last cycle, on a clock that never goes back and makes no leaps."""
         before, self._last_stamp = self._last_stamp, stamp
         self._procedure.interruption = ("", "")
+        self._cycle_count += 1
         if self._began is None:
             self._began = stamp
-            return 0.0
-        period = stamp - before
+            return _Tick(0.0, 0.0)
+        period, usual, longest = stamp - before, self._usual_period, self.settings.longest_tick
         if period < 0.0:
-            self._offset -= period
+            self._offset += usual - period
             self._interrupt("clock went back", f"by {-period:.3f} s; it goes on from where it was")
-            return 0.0
-        if period > self.settings.longest_tick:
-            leap = period - self.settings.longest_tick
-            self._offset -= leap
+            return _Tick(usual, usual)
+        if period > longest:
+            self._offset += longest - period
             self._interrupt("no cycle for long", f"{period:.3f} s passed since the last one")
-            return self.settings.longest_tick
-        if period > self.settings.late_tick:
+            return _Tick(longest, usual)  # whatever has passed, the drive has not been told anything else
+        if self._cycle_count == 1:
+            self._usual_period = period
+        elif period > max(self.settings.late_tick, _LATE * usual):
             self._report("late cycle", f"{period:.3f} s passed since the last one")
-        return period
+        self._usual_period = min(period, _LATE * self._usual_period)  # a single late one is no new rate
+        return _Tick(period, period)
 
     def _interrupt(self, name: str, reason: str) -> None:
         self._report(name, reason)
         self._procedure.interruption = (name, reason)
 
     def _command(self, period: float) -> Twist2:
-        limiter, procedure = self._limiter, self._procedure
-        if self._ending is not None:
-            return limiter.brake(period)
-        procedure.standing = limiter.at_rest
-        procedure.commanded = limiter.last
-        try:
-            wish = next(self._cycles)
-        except StopIteration as over:
-            kind, reason = over.value
-            self._ending = Ending(kind, reason, procedure.num_retries, self._perception.stamp)
-            self._report(kind.value, reason)
-            self._planning.close()
-            return limiter.brake(period)
-        return limiter.brake(period) if wish is None else limiter.towards(wish, period)
+        procedure, wish = self._procedure, None
+        if self._ending is None:
+            procedure.commanded = self._limiter.command
+            try:
+                wish = next(self._cycles)
+            except StopIteration as over:
+                kind, reason = over.value
+                self._ending = Ending(kind, reason, procedure.num_retries, self._perception.stamp)
+                self._report(kind.value, reason)
+                self._planning.close()
+        return self._limited(wish, period)
+
+    def _limited(self, wish: Twist2 | None, period: float) -> Twist2:
+        """What is wished for, or a stop along the present curve, as far as the limits allow; whoever asks for it."""
+        limiter, robot = self._limiter, self.problem.robot
+        if period <= 0.0 or (wish is None and limiter.command == Twist2()):
+            return limiter.command
+        target = wish if wish is not None else Twist2()
+        turns = wish is not None and abs(wish.linear) < _TURNING and wish.angular != 0.0
+        command = limiter.follow(target, target, period, robot.limits, robot.drive, in_place=turns)
+        if wish is None and abs(command.linear) < _STILL and abs(command.angular) < _STILL:
+            limiter.stop()
+        return limiter.command
 
     def _feedback(self, state: State) -> Feedback:
         perception = self._perception
@@ -180,5 +222,5 @@ class DockingExecutor:
         if perception.started:
             relative = perception.robot_from_dock
             distance = math.hypot(relative.x, relative.y)
-        passed = perception.stamp - (self._began or 0.0) - 0.0
+        passed = perception.stamp - (self._began or 0.0)
         return Feedback(_FEEDBACK.get(state, FeedbackState.NONE), self._procedure.num_retries, distance, passed)

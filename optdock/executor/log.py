@@ -11,12 +11,13 @@ import base64
 import dataclasses
 import json
 import zlib
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple, TextIO
+from typing import TYPE_CHECKING, Literal, NamedTuple, TextIO
 
 import numpy as np
-from pydantic import ValidationError
+from pydantic import BaseModel, ConfigDict, JsonValue, TypeAdapter, ValidationError
 
 from optdock.config.document import ScenarioDocument
 from optdock.config.scenario import problem_of
@@ -30,6 +31,7 @@ from optdock.executor.settings import ExecutorSettings
 from optdock.geometry.pose import Pose2, Twist2
 from optdock.io.plan_file import PlanFile, TrajectoryColumns, parse_plan
 from optdock.measurements import Detection, Measurements
+from optdock.parameters import parse_parameters
 from optdock.plugins import PluginChoice
 from optdock.trajectory import Trajectory
 
@@ -39,10 +41,22 @@ if TYPE_CHECKING:
 
     from optdock.executor.outcomes import Step
     from optdock.executor.planning import Job, Planning
+    from optdock.geometry.arrays import FloatArray
     from optdock.lifecycle import Plugin
     from optdock.problem import DockingProblem
 
-__all__ = ["LOG_FORMAT", "Cycle", "DockingLog", "LogWriter", "LoggedPlanning", "Planned", "Task", "read_log"]
+__all__ = [
+    "LOG_FORMAT",
+    "Cycle",
+    "DockingLog",
+    "LogWriter",
+    "LoggedPlanning",
+    "Planned",
+    "Start",
+    "Task",
+    "plugin_choice",
+    "read_log",
+]
 
 LOG_FORMAT = "optdock-log/1"
 _SPACING, _PERIOD = 0.2, 0.5  # [m], [s] of the samples of a plan: the exact curves and phases stand beside them
@@ -53,9 +67,18 @@ class Task(NamedTuple):
 
     problem: DockingProblem
     settings: ExecutorSettings
-    task: str
+    task: Literal["dock", "undock"]
     controller: PluginChoice
     goal_checker: PluginChoice
+
+
+class Start(NamedTuple):
+    """Where a planned motion begins: pose, speed and acceleration along the heading, and curvature, None where free."""
+
+    pose: Pose2
+    speed: float
+    acceleration: float
+    curvature: float | None
 
 
 class Planned(NamedTuple):
@@ -64,13 +87,13 @@ class Planned(NamedTuple):
     Attributes:
         result: Of a job; its motion's problem is filled in by whoever handed the job in.
         trajectory: Of the motion; None where there is none.
-        start: Of the motion's problem: x, y, yaw, speed, acceleration and curvature, this one None where it is free.
+        start: Of the motion's problem.
         verdict: The answer to a question, instead of a result.
     """
 
     result: PlanResult | None = None
     trajectory: Trajectory | None = None
-    start: tuple[float | None, ...] = ()
+    start: Start | None = None
     verdict: Verdict | None = None
 
 
@@ -113,6 +136,19 @@ class DockingLog:
     task: Task
     cycles: tuple[Cycle, ...]
     cut_off: bool
+
+    @property
+    def measured(self) -> FloatArray:
+        """Poses as measured, Shape (n, 3)."""
+        poses = [cycle.measurements.pose for cycle in self.cycles]
+        return np.array([(pose.x, pose.y, pose.yaw) for pose in poses if pose is not None]).reshape(-1, 3)
+
+    @property
+    def commands(self) -> FloatArray:
+        """Time since the first cycle, linear and angular, Shape (n, 3) [s, m/s, rad/s]."""
+        began = self.cycles[0].measurements.stamp if self.cycles else 0.0
+        rows = [(c.measurements.stamp - began, c.command.linear, c.command.angular) for c in self.cycles]
+        return np.array(rows).reshape(-1, 3)
 
 
 class LogWriter:
@@ -284,8 +320,7 @@ def _costmap_values(costmap: Costmap | None) -> dict[str, object] | None:
 
 def _start_values(problem: DockingProblem) -> list[float | None]:
     start = problem.start
-    acceleration = getattr(problem, "start_acceleration", 0.0)
-    return [start.x, start.y, start.yaw, problem.start_speed, acceleration, problem.start_curvature]
+    return [start.x, start.y, start.yaw, problem.start_speed, problem.start_acceleration, problem.start_curvature]
 
 
 def _plan_values(motion: Motion, frame: str) -> object:
@@ -319,122 +354,167 @@ def read_log(source: str | Path) -> DockingLog:
     cut_off = bool(lines.pop())  # what comes after the last end of line
     if not lines:
         raise InvalidFile(f"{source}:1: is no log: it has not a single whole line")
-    first = _json(source, 1, lines[0])
-    if first.get("format") != LOG_FORMAT:
-        raise InvalidFile(f"{source}:1: is no log: format must be {LOG_FORMAT!r}, got {first.get('format')!r}")
-    task = _read(source, 1, _task, first)
-    return DockingLog(str(source), task, tuple(_cycles(source, lines, task)), cut_off)
+    with _said_of(source, 1):
+        task = _TaskLine.model_validate_json(lines[0]).read()
+    cycles = tuple(_cycles(source, lines))
+    if not cycles:
+        raise InvalidFile(f"{source}: holds no whole cycle")
+    return DockingLog(str(source), task, cycles, cut_off)
 
 
-def _json(source: Path, line: int, text: str) -> Mapping[str, object]:
-    try:
-        value = json.loads(text)
-    except (ValueError, RecursionError) as error:
-        raise InvalidFile(f"{source}:{line}: is damaged: {error}") from error
-    if not isinstance(value, dict):
-        raise InvalidFile(f"{source}:{line}: is damaged: must be a mapping, got {type(value).__name__}")
-    return value
-
-
-def _read(source, line, build, *values):  # type: ignore[no-untyped-def]
-    """What `build` makes of the values of a line; whatever is wrong with them is said with file and line."""
-    try:
-        return build(*values)
-    except ValidationError as error:
-        first = error.errors(include_url=False)[0]
-        place = ".".join(str(part) for part in first["loc"])
-        raise InvalidFile(f"{source}:{line}: is damaged: {place}: {first['msg']}") from error
-    except OptdockError as error:
-        raise InvalidFile(f"{source}:{line}: is damaged: {error}") from error
-    except (KeyError, TypeError, ValueError, IndexError, zlib.error) as error:
-        raise InvalidFile(f"{source}:{line}: is damaged: {type(error).__name__}: {error}") from error
-
-
-def _cycles(source: Path, lines: list[str], task: Task) -> Iterator[Cycle]:
+def _cycles(source: Path, lines: list[str]) -> Iterator[Cycle]:
     planned: list[Planned] = []
     cancelled = False
     for number, text in enumerate(lines[1:], start=2):
-        value = _json(source, number, text)
-        if "cancel" in value:
-            cancelled = True
-        elif "verdict" in value:
-            planned.append(_read(source, number, _verdict, value["verdict"]))
-        elif "planned" in value:
-            planned.append(_read(source, number, _planned, value["planned"], f"{source}:{number}"))
-        else:
-            yield _read(source, number, _cycle, number, tuple(planned), cancelled, value)
+        cycle: Cycle | None = None
+        with _said_of(source, number):
+            line = _LINE.validate_json(text)
+            if isinstance(line, _CycleLine):
+                cycle = line.cycle(number, tuple(planned), cancelled=cancelled)
+            elif isinstance(line, _CancelLine):
+                cancelled = True
+            elif isinstance(line, _VerdictLine):
+                planned.append(Planned(verdict=Verdict(*line.verdict)))
+            else:
+                planned.append(line.planned.read(f"{source}:{number}"))
+        if cycle is not None:
+            yield cycle
             planned.clear()
             cancelled = False
 
 
-def _task(value: Mapping[str, object]) -> Task:
-    document = ScenarioDocument.model_validate(value["problem"])
-    problem = problem_of(document, _costmap(value["costmap"]))
-    tolerances = DockTolerances(**value["tolerances"])
-    problem = dataclasses.replace(
-        problem,
-        dock=dataclasses.replace(problem.dock, tolerances=tolerances),
-        unknown_is_obstacle=value["unknown_is_obstacle"],
-    )
-    changed = [
-        name for name, digest in value["fingerprint"].items() if getattr(problem.fingerprint, name, digest) != digest
-    ]
-    if changed:
-        raise InvalidValue(f"problem: another one than when the log was written: {', '.join(changed)} differ")
-    return Task(
-        problem,
-        ExecutorSettings(**value["settings"]),
-        value["task"],
-        PluginChoice(*value["controller"]),
-        PluginChoice(*value["goal_checker"]),
-    )
+@contextmanager
+def _said_of(source: Path, line: int) -> Iterator[None]:
+    """Whatever is wrong with a line is said with file and line."""
+    try:
+        yield
+    except ValidationError as error:
+        first = error.errors(include_url=False)[0]
+        place = ".".join(str(part) for part in first["loc"])
+        raise InvalidFile(f"{source}:{line}: is damaged: {f'{place}: ' if place else ''}{first['msg']}") from error
+    except (OptdockError, ValueError, TypeError, zlib.error) as error:
+        raise InvalidFile(f"{source}:{line}: is damaged: {error}") from error
 
 
-def _costmap(value: Mapping[str, object] | None) -> Costmap | None:
-    if value is None:
-        return None
-    cells = np.frombuffer(zlib.decompress(base64.b64decode(value["cells"])), dtype=np.uint8)
-    return Costmap(cells.reshape(value["rows"], value["columns"]), value["resolution"], tuple(value["origin"]))
+class _Line(BaseModel):
+    model_config = ConfigDict(strict=True, frozen=True, extra="forbid")
 
 
-def _verdict(value: list[object]) -> Planned:
-    return Planned(verdict=Verdict(*value))
+class _CostmapValues(_Line):
+    rows: int
+    columns: int
+    resolution: float
+    origin: list[float]
+    cells: str
+
+    def costmap(self) -> Costmap:
+        cells = np.frombuffer(zlib.decompress(base64.b64decode(self.cells)), dtype=np.uint8)
+        x, y = self.origin
+        return Costmap(cells.reshape(self.rows, self.columns), self.resolution, (x, y))
 
 
-def _planned(value: Mapping[str, object], source: str) -> Planned:
-    result = PlanResult(
-        value["number"],
-        Outcome(value["outcome"]),
-        None,
-        value["starts_at"],
-        value["reason"],
-        value["code"],
-    )
-    if "plan" not in value:
-        return Planned(result)
-    found = parse_plan(json.dumps(value["plan"]), source)
-    if found.path is None or found.time_law is None:
-        raise InvalidValue("plan: holds no path or no phases")
-    return Planned(result, Trajectory(found.path, found.time_law), tuple(value["start"]))
+class _Tolerances(_Line):
+    along: float
+    cross: float
+    yaw: float
 
 
-def _cycle(line: int, planned: tuple[Planned, ...], cancelled: bool, value: Mapping[str, object]) -> Cycle:
-    pose, ending = value["pose"], value.get("ending")
-    measurements = Measurements(
-        value["stamp"],
-        None if pose is None else Pose2.from_sequence(pose),
-        Twist2(*value["twist"]),
-        tuple(Detection(d[0], Pose2(d[1], d[2], d[3]), d[4], d[5]) for d in value.get("detections", ())),
-        value.get("contact"),
-        _costmap(value.get("costmap")),
-    )
-    return Cycle(
-        line,
-        planned,
-        cancelled,
-        measurements,
-        Twist2(*value["command"]),
-        State(value["state"]),
-        None if ending is None else Ending(EndingKind(ending[0]), *ending[1:]),
-        tuple(Event(*event) for event in value.get("events", ())),
-    )
+class _TaskLine(_Line):
+    format: Literal["optdock-log/1"]
+    task: Literal["dock", "undock"]
+    problem: dict[str, JsonValue]
+    tolerances: _Tolerances
+    unknown_is_obstacle: bool
+    costmap: _CostmapValues | None
+    fingerprint: dict[str, str]
+    settings: dict[str, JsonValue]
+    controller: tuple[str, dict[str, JsonValue]]
+    goal_checker: tuple[str, dict[str, JsonValue]]
+
+    def read(self) -> Task:
+        costmap = None if self.costmap is None else self.costmap.costmap()
+        problem = problem_of(ScenarioDocument.model_validate(self.problem), costmap)
+        dock = dataclasses.replace(problem.dock, tolerances=DockTolerances(**self.tolerances.model_dump()))
+        problem = dataclasses.replace(problem, dock=dock, unknown_is_obstacle=self.unknown_is_obstacle)
+        known = problem.fingerprint._asdict()
+        others = [name for name, digest in self.fingerprint.items() if known.get(name) != digest]
+        if others:
+            raise InvalidValue(f"problem: another one than when the log was written: {', '.join(others)} differ")
+        return Task(
+            problem,
+            parse_parameters(ExecutorSettings, self.settings, "settings"),
+            self.task,
+            PluginChoice(*self.controller),
+            PluginChoice(*self.goal_checker),
+        )
+
+
+class _CancelLine(_Line):
+    cancel: Literal[True]
+
+
+class _VerdictLine(_Line):
+    verdict: tuple[bool, str, float]
+
+
+class _PlannedValues(_Line):
+    number: int
+    outcome: str
+    starts_at: float
+    reason: str
+    code: int
+    start: tuple[float, float, float, float, float, float | None] | None = None
+    plan: dict[str, JsonValue] | None = None
+
+    def read(self, source: str) -> Planned:
+        result = PlanResult(self.number, Outcome(self.outcome), None, self.starts_at, self.reason, self.code)
+        if self.plan is None or self.start is None:
+            return Planned(result)
+        found = parse_plan(json.dumps(self.plan), source)
+        if found.path is None or found.time_law is None:
+            raise InvalidValue("plan: holds no path or no phases")
+        x, y, yaw, speed, acceleration, curvature = self.start
+        trajectory = Trajectory(found.path, found.time_law)
+        return Planned(result, trajectory, Start(Pose2(x, y, yaw), speed, acceleration, curvature))
+
+
+class _PlannedLine(_Line):
+    planned: _PlannedValues
+
+
+class _CycleLine(_Line):
+    stamp: float
+    pose: tuple[float, float, float] | None
+    twist: tuple[float, float, float]
+    command: tuple[float, float]
+    state: str
+    detections: list[tuple[float, float, float, float, float, float]] = []
+    contact: bool | None = None
+    costmap: _CostmapValues | None = None
+    events: list[tuple[float, str, str]] = []
+    ending: tuple[str, str, int, float] | None = None
+
+    def cycle(self, line: int, planned: tuple[Planned, ...], *, cancelled: bool) -> Cycle:
+        measurements = Measurements(
+            self.stamp,
+            None if self.pose is None else Pose2(*self.pose),
+            Twist2(*self.twist),
+            tuple(Detection(d[0], Pose2(d[1], d[2], d[3]), d[4], d[5]) for d in self.detections),
+            self.contact,
+            None if self.costmap is None else self.costmap.costmap(),
+        )
+        return Cycle(
+            line,
+            planned,
+            cancelled,
+            measurements,
+            Twist2(*self.command),
+            State(self.state),
+            None if self.ending is None else Ending(EndingKind(self.ending[0]), *self.ending[1:]),
+            tuple(Event(*event) for event in self.events),
+        )
+
+
+_LINE: TypeAdapter[_CycleLine | _CancelLine | _VerdictLine | _PlannedLine] = TypeAdapter(
+    _CycleLine | _CancelLine | _VerdictLine | _PlannedLine
+)

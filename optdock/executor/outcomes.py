@@ -5,7 +5,7 @@ from __future__ import annotations
 from enum import Enum, IntEnum
 from typing import NamedTuple
 
-from optdock.geometry.pose import Twist2
+from optdock.geometry.pose import Pose2, Twist2
 
 __all__ = ["Ending", "EndingKind", "Event", "Feedback", "FeedbackState", "State", "Step"]
 
@@ -42,7 +42,11 @@ class State(str, Enum):
 
 
 class EndingKind(str, Enum):
-    """How a task ends; `code` is the error code of Nav2's docking actions, 0 for what is no error."""
+    """How a task ends; `code` is the error code of Nav2's docking actions, 0 for what is no error.
+
+    Nav2's 901 and 902, a dock that is not known or not valid, come before there is a task: `DockNotInDB`,
+    `DockNotValid`.
+    """
 
     DOCKED_BY_DISTANCE = "docked by distance"
     DOCKED_BY_STALL = "docked by stall"
@@ -51,7 +55,6 @@ class EndingKind(str, Enum):
     UNDOCKED = "undocked"
     NOT_DOCKED = "not docked, nothing to undock from"
     CANCELLED = "cancelled"
-    DOCK_NOT_VALID = "dock not valid"
     FAILED_TO_STAGE = "failed to stage"
     FAILED_TO_DETECT_DOCK = "failed to detect the dock"
     FAILED_TO_CONTROL = "failed to control"
@@ -71,7 +74,6 @@ class EndingKind(str, Enum):
 
 
 _CODES = {
-    EndingKind.DOCK_NOT_VALID: 902,
     EndingKind.FAILED_TO_STAGE: 903,
     EndingKind.FAILED_TO_DETECT_DOCK: 904,
     EndingKind.FAILED_TO_CONTROL: 905,
@@ -136,6 +138,8 @@ class Step(NamedTuple):
         feedback: The same in Nav2's words.
         ending: None while the task goes on.
         events: What happened in this cycle.
+        deviation: The robot as seen from the path that it drives: across [m] and turned [rad]; None where it drives
+            none.
     """
 
     command: Twist2
@@ -143,3 +147,4 @@ class Step(NamedTuple):
     feedback: Feedback
     ending: Ending | None
     events: tuple[Event, ...] = ()
+    deviation: Pose2 | None = None

@@ -75,7 +75,7 @@ class Perception:
 
     @property
     def robot_from_dock(self) -> Pose2:
-        """The robot seen from the docked pose: along, cross, yaw. Localization has no part in it once the dock is seen."""
+        """The robot seen from the docked pose; localization has no part in it once the dock is seen."""
         if self._dock is not None and self._reckoning is not None and self.sees_dock:
             return self._reckoning.pose.in_frame_of(self._dock.mean)
         return self.robot.in_frame_of(self._stored)
@@ -86,8 +86,11 @@ class Perception:
         return self.robot @ self.robot_from_dock.inverse() if self.sees_dock else self._stored
 
     @property
-    def dock_sigma(self) -> tuple[float, float]:
-        """Of the dock seen from the robot: position, each of x and y [m], and yaw [rad]."""
+    def sigma(self) -> tuple[float, float]:
+        """Of the robot seen from the dock: position, each of x and y [m], and yaw [rad]."""
+        if not self._settings.use_detections and self._robot.started:
+            spread = self._robot.covariance
+            return math.sqrt(max(float(spread[0, 0]), float(spread[1, 1]))), math.sqrt(float(spread[2, 2]))
         if self._dock is None:
             return self._settings.stored_position_sigma, self._settings.stored_yaw_sigma
         return self._dock.position_sigma, self._dock.yaw_sigma
@@ -146,8 +149,9 @@ class Perception:
             detection = late._replace(stamp=late.stamp + offset)
             age = self.stamp - detection.stamp
             robot = self._reckoning.at(detection.stamp) if age <= _STALE else None
-            if robot is None:
-                self._report("detection not used", f"its stamp is {age:.3f} s old")
+            sigmas = detection.position_sigma, detection.yaw_sigma
+            if robot is None or not all(math.isfinite(sigma) and sigma >= 0.0 for sigma in sigmas):
+                self._report("detection not used", f"it is {age:.3f} s old, its sigmas are {sigmas}")
                 continue
             before = self._dock.mean
             verdict = self._dock.see(detection, robot)

@@ -13,15 +13,15 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
 
+from optdock.costmap.cell_obstacles import obstacles_from_costmap
 from optdock.dock import Dock, DockDirection
-from optdock.errors import ControllerException, OptdockError
-from optdock.executor.approach import can_be_planned_away, left_at_dock, reachable_offset, staging_distance
+from optdock.errors import ControllerException
+from optdock.executor.approach import can_be_planned_away, left_at_dock, staging_distance
 from optdock.executor.outcomes import EndingKind, State
 from optdock.executor.planning import Job, Motion, Outcome, PlanResult
 from optdock.geometry.pose import Pose2, Twist2
 from optdock.lifecycle import LifecycleState, PluginContext
 from optdock.obstacles import ObstacleSet
-from optdock.costmap.cell_obstacles import obstacles_from_costmap
 from optdock.verification import pose_clearance
 from optdock.verification.time_of_impact import free_motion
 
@@ -39,7 +39,7 @@ __all__ = ["Procedure", "Wish"]
 
 logger = logging.getLogger(__name__)
 
-_AT_REST = 0.01, 0.03  # [m/s], [rad/s] by odometry: a robot that stands, its encoders not quite
+_AT_REST = 0.01, 0.02  # [m/s], [rad/s] by odometry: a robot that stands, its encoders not quite
 _REST_PATIENCE = 2.0  # [s]: an odometry that never says so must not hold the task up
 _PLANNING_PATIENCE = 5.0  # [s] beyond its budget: a thread that shares its core is late, not dead
 _CLEAR_OF_CONTACT = 0.005  # [m]: a way back is planned from there; nearer, noise could make an overlap of it
@@ -51,11 +51,13 @@ _MOST_BLOCKS = 5  # stops on one approach, until it counts as failed
 _PROGRESS = 0.05  # [s] on the trajectory's own clock that count as progress
 _INSTANT = 1e-9  # [s]
 _SETTLED = 0.004, 0.02  # [m/s], [rad/s] commanded at the end of the path: 2 mm by the usual gain, noise of the pose
+_LAST_REPLAN = 0.15  # [m] before the dock: nearer, no robot can be moved sideways by more than a millimetre
 _LEAD = 0.06  # [s] beyond the budget: a period at 20 Hz until the result is asked for, and some
 _LATE = 0.05  # [s]: a reference that jumps by so much at the speeds near a dock jumps by millimetres
 _STALE_STOP = 0.3  # [s]: a motion that is proven wrong from later on than this may go on while another is planned
 
 
+_LATE_ENDINGS = {State.STAGING: EndingKind.FAILED_TO_STAGE, State.UNDOCKING: EndingKind.TIMEOUT}
 _AT_A_STAND: dict[str, Any] = {"start_speed": 0.0, "start_acceleration": 0.0, "start_curvature": None}
 
 
@@ -65,11 +67,11 @@ Cycles: TypeAlias = "Generator[Wish, None, None]"
 _STOP = None
 
 
-class _Cancelled(Exception):  # noqa: N818 - no error
+class _Cancelled(Exception):
     """Somebody wants an end."""
 
 
-class _Failed(Exception):  # noqa: N818 - no error of the program
+class _Failed(Exception):
     """The task has failed."""
 
     def __init__(self, kind: EndingKind, reason: str) -> None:
@@ -81,7 +83,7 @@ class _AttemptFailed(_Failed):
     """This approach has failed; another one may do."""
 
 
-class _Interrupted(Exception):  # noqa: N818 - no error of the program
+class _Interrupted(Exception):
     """The motion cannot go on; another one from here may."""
 
     def __init__(self, name: str, reason: str) -> None:
@@ -106,7 +108,8 @@ class Procedure:
         num_retries: Approaches after the first one.
         cancelled: Set it to end the task.
         interruption: Name and reason of what stops a motion from outside, such as a clock that jumped; empty: nothing.
-        standing: Whether the commands have come to rest; set before every cycle.
+        commanded: The last command; set before every cycle.
+        deviation: The robot as seen from the path that it drives; None where it drives none.
     """
 
     def __init__(  # noqa: PLR0913, PLR0917 - the parts that an executor joins
@@ -123,19 +126,20 @@ class Procedure:
         self._controller, self._goal_checker, self._planning = controller, goal_checker, planning
         self._report = report
         self.state, self.num_retries = State.READY, 0
-        self.cancelled, self.standing = False, True
+        self.cancelled = False
         self.interruption = ("", "")
-        self._ending = False
+        self.commanded = Twist2()
+        self.deviation: Pose2 | None = None
+        self._ending, self._began = False, 0.0
         self._jobs = 0
-        self._kind = EndingKind.UNKNOWN
         self._signal_seen = False
         self._stalled_since: float | None = None
-        self._driven: Motion | None = None
 
     # The whole.
 
     def run(self, *, undock: bool) -> Generator[Wish, None, tuple[EndingKind, str]]:
         """The task; its value is how it ended, the robot being at rest."""
+        self._began = self._now
         try:
             kind, reason = yield from self._undock() if undock else self._dock()
         except _Cancelled:
@@ -186,18 +190,22 @@ class Procedure:
     def _cycle(self, wish: Wish) -> Cycles:
         """One control cycle."""
         yield wish
-        if self.cancelled and not self._ending:
+        if self._ending:
+            return
+        if self.cancelled:
             raise _Cancelled
+        if self._settings.timeout is not None and self._now - self._began > self._settings.timeout:
+            raise _Failed(EndingKind.TIMEOUT, f"{self._now - self._began:.1f} s passed while {self.state.value}")
 
     def _stop(self) -> Cycles:
         """Brake, until commands and odometry say that the robot stands."""
         before, since = self.state, self._now
-        self._driven = None
-        moving = not self.standing or not self._odometry_at_rest
+        self.deviation = None
+        moving = not self._standing or not self._odometry_at_rest
         if moving:
             self.state = State.STOPPING
-        while not self.standing or not self._odometry_at_rest:
-            if self.standing and self._now - since > _REST_PATIENCE + self._braking_time:
+        while not self._standing or not self._odometry_at_rest:
+            if self._standing and self._now - since > _REST_PATIENCE + self._braking_time:
                 self._report("odometry does not come to rest", f"{self._twist.linear:.3f} m/s commanded 0")
                 break
             yield from self._cycle(_STOP)
@@ -244,7 +252,7 @@ class Procedure:
                 yield from self._stop()
                 return docked.kind
             except _Interrupted as stopped:
-                self._report(stopped.name, stopped.reason)
+                self._say_why(stopped)
                 yield from self._stop()
                 if blocks == 0 or self._now - blocked_since > 2.0 * self._settings.obstacle_patience:
                     blocked_since = self._now
@@ -357,7 +365,7 @@ class Procedure:
         yield from self._stop()
 
     def _drive_to_staging(self, state: State, failure: EndingKind) -> Cycles:
-        """Along a certified path to the staging pose; what stops the robot there is planned around, or ends the task."""
+        """Along a certified path to the staging pose; what stops the robot is planned around, or ends the task."""
         blocks, since = 0, self._now
         while True:
             yield from self._locate()
@@ -378,7 +386,7 @@ class Procedure:
                 yield from self._stop()
                 return
             except _Interrupted as stopped:
-                self._report(stopped.name, stopped.reason)
+                self._say_why(stopped)
                 yield from self._stop()
                 blocks += 1
                 since = self._now
@@ -386,6 +394,11 @@ class Procedure:
                     raise _Failed(failure, f"{stopped.name}: {stopped.reason}") from None
 
     # What they are made of.
+
+    @property
+    def _standing(self) -> bool:
+        """Whether the commands have come to rest."""
+        return self.commanded == Twist2()
 
     @property
     def _now(self) -> float:
@@ -418,14 +431,12 @@ class Procedure:
     @property
     def _reach_of_contact(self) -> float:
         """As far from the estimated dock contact may be made: what the estimate may be wrong comes on top [m]."""
-        return self._settings.contact_range + 3.0 * self._perception.dock_sigma[0]
+        return self._settings.contact_range + 3.0 * self._perception.sigma[0]
 
     @property
     def _where(self) -> str:
         relative = self._perception.robot_from_dock
-        return (
-            f"{relative.x:.4f} m along, {relative.y:.4f} m across and {relative.yaw:.4f} rad from the docked pose"
-        )
+        return f"{relative.x:.4f} m along, {relative.y:.4f} m across and {relative.yaw:.4f} rad from the docked pose"
 
     @property
     def _detection_is_old(self) -> bool:
@@ -462,8 +473,10 @@ class Procedure:
     def _station(self) -> ObstacleSet:
         """The station where the dock is seen."""
         station = self._base.dock.footprint
-        return ObstacleSet.empty() if station is None else ObstacleSet.from_footprint(
-            station, self._perception.dock, "dock"
+        return (
+            ObstacleSet.empty()
+            if station is None
+            else ObstacleSet.from_footprint(station, self._perception.dock, "dock")
         )
 
     def _to_dock(self) -> DockingProblem:
@@ -509,6 +522,10 @@ class Procedure:
                 f"plan {result.outcome.value}", f"{trajectory.path.driven:.3f} m in {trajectory.duration:.2f} s"
             )
 
+    def _say_why(self, stopped: _Interrupted) -> None:
+        if stopped.name != self.interruption[0]:  # that has been said already
+            self._report(stopped.name, stopped.reason)
+
     def _require_no_interruption(self) -> None:
         name, reason = self.interruption
         if name:
@@ -534,14 +551,12 @@ class Procedure:
             return None
         return EndingKind.DOCKED_BY_STALL if self._settings.contact == "touch" else None
 
-    commanded = Twist2()
-
     def _is_stalled(self) -> bool:
         wanted = abs(self.commanded.linear) > 2.0 * self._settings.stall_speed
         return wanted and abs(self._twist.linear) < self._settings.stall_speed
 
 
-class _Docked(Exception):  # noqa: N818 - no error
+class _Docked(Exception):
     """The robot is in its dock."""
 
     def __init__(self, kind: EndingKind) -> None:
@@ -557,7 +572,7 @@ class _Drive:
         self._goal = motion.problem.goal
         self._next_goal: tuple[float, Pose2] | None = None  # from when on [s]
         self._job: Job | None = None
-        self._is_urgent = self._is_stop = False
+        self._is_urgent = self._is_stop = self._is_outside = False
         self._costmap = owner._perception.costmap
         self._submitted_at = -math.inf
         self._finished_since: float | None = None
@@ -585,8 +600,12 @@ class _Drive:
                 reason = f"the dock has not been seen for {owner._perception.detection_age:.1f} s"
                 raise _Interrupted("detection missing", reason)
         if owner._now > self._until:
-            raise _AttemptFailed(EndingKind.FAILED_TO_CONTROL, f"timeout while {owner.state.value}: {owner._where}")
+            reason = f"timeout while {owner.state.value}: {owner._where}"
+            if self.is_approach:
+                raise _AttemptFailed(EndingKind.FAILED_TO_CONTROL, reason)
+            raise _Failed(_LATE_ENDINGS.get(owner.state, EndingKind.FAILED_TO_CONTROL), reason)
         self._look_around()
+        self._watch_tube()
         return self._is_finished()
 
     def wish(self) -> Wish:
@@ -618,9 +637,7 @@ class _Drive:
 
     @property
     def _reference(self) -> tuple[float, float]:
-        """Time of the reference on the trajectory's own clock [s], and its rate; of a controller that does not say, 0.
-
-        """
+        """Time of the reference on the trajectory's own clock [s], and its rate; 0 of a controller without one."""
         progress = getattr(self.owner._controller, "progress", None)
         return (0.0, 1.0) if progress is None else (float(progress.time), float(progress.rate))
 
@@ -631,9 +648,9 @@ class _Drive:
             raise _Docked(kind)
         if self._finished_since is None or owner._settings.contact == "touch":
             return
-        if abs(owner.commanded.linear) > _SETTLED[0] or abs(owner.commanded.angular) > _SETTLED[1]:
-            if owner._now - self._finished_since < 0.5 * owner._settings.settling_time:
-                return  # what is left is still being corrected
+        moves = abs(owner.commanded.linear) > _SETTLED[0] or abs(owner.commanded.angular) > _SETTLED[1]
+        if moves and owner._now - self._finished_since < 0.5 * owner._settings.settling_time:
+            return  # what is left is still being corrected
         relative, goal = owner._perception.robot_from_dock, Pose2(0.0, 0.0, 0.0)
         path = [Pose2(-0.1 * owner._gear, 0.0, 0.0), goal]
         if owner._goal_checker.is_goal_reached(relative, goal, owner._twist, path):
@@ -654,7 +671,9 @@ class _Drive:
         if time > best + _PROGRESS:
             self._progress = time, now
         elif now - since > settings.progress_time:
-            raise _Interrupted("no progress", f"the motion stands at {time:.2f} s of its time since {now - since:.1f} s")
+            raise _Interrupted(
+                "no progress", f"the motion stands at {time:.2f} s of its time since {now - since:.1f} s"
+            )
         return False
 
     def _look_around(self) -> None:
@@ -674,6 +693,31 @@ class _Drive:
             raise _Interrupted("obstacle ahead", verdict.reason)
         self._is_urgent, self._job = True, None
 
+    def _watch_tube(self) -> None:
+        """How far the robot is off its path; outside of what is proven it needs another one, or a stop."""
+        owner, path = self.owner, self.motion.trajectory.path
+        time, _ = self._reference
+        if time < 0.0:
+            return
+        s = float(self.motion.trajectory.time_law.at(time)[0, 0])
+        lag = owner._perception.robot.in_frame_of(path.pose_at(s)).x * float(path.direction_at(s)[0])
+        place = path.pose_at(min(max(s + lag, 0.0), path.length))
+        off = owner._perception.robot.in_frame_of(place)
+        owner.deviation = off
+        robot, rule = owner._base.robot, owner._base.clearance
+        width = robot.tracking.width(robot.footprint)
+        if width <= 0.0:
+            return
+        from_goal = place.distance_to(self.motion.problem.goal)
+        share = min(1.0, from_goal / rule.taper) if rule.taper > 0.0 else 1.0
+        swing = 2.0 * robot.footprint.circumscribed_radius * math.sin(0.5 * abs(off.yaw))
+        outside = math.hypot(off.x, off.y) + swing > width * share
+        if outside != self._is_outside:
+            self._is_outside = outside
+            name = "tube left" if outside else "tube entered"
+            owner._report(name, f"{off.y:.4f} m and {off.yaw:.4f} rad off, proven for {width * share:.4f} m")
+            self._is_urgent = self._is_urgent or (outside and from_goal > _LAST_REPLAN)
+
     def _replan(self) -> None:
         """Hand in a job where one is worth it, and take over what the last one gave."""
         owner = self.owner
@@ -691,7 +735,9 @@ class _Drive:
                 return
             if not self._is_worth_it(time):
                 return
-        problem = owner._to_dock() if self.is_approach else dataclasses.replace(self.motion.problem, costmap=self._costmap)
+        problem = (
+            owner._to_dock() if self.is_approach else dataclasses.replace(self.motion.problem, costmap=self._costmap)
+        )
         self._submitted_at = owner._now
         budget = owner._settings.replan_budget
         self._job = owner._job(problem, budget)._replace(
@@ -707,23 +753,27 @@ class _Drive:
         """
         owner, trajectory = self.owner, self.motion.trajectory
         perception, settings = owner._perception, owner._settings
-        if not perception.sees_dock or not 0.0 <= time < trajectory.duration:
+        if settings.use_detections and not perception.sees_dock:
+            return False
+        if not 0.0 <= time < trajectory.duration:
             return False
         now = trajectory.at(time)
         left = trajectory.path.length - now.s
         error = self._pose.in_frame_of(now.pose)
-        limits, dock = owner._base.robot.limits, owner._base.dock
-        sigma = perception.dock_sigma
-        cusps = trajectory.path.cusps
-        if not cusps or now.s >= cusps[-1]:
-            missed = abs(error.y) - reachable_offset(left, limits)
-            if missed > dock.tolerances.cross and missed > 3.0 * sigma[0]:
-                reason = f"{abs(error.y):.3f} m beside the path cannot be corrected over the {left:.3f} m that are left"
-                raise _AttemptFailed(EndingKind.FAILED_TO_CONTROL, reason)
+        limits, dock, sigma = owner._base.robot.limits, owner._base.dock, perception.sigma
+        left_over = left_at_dock(error.y, left), left_at_dock(error.yaw, left)
         if not can_be_planned_away(error.y, error.yaw, left - dock.final_straight, owner._gear, limits):
+            cusps, accepted = trajectory.path.cusps, dock.tolerances
+            off = left_over[0] > max(accepted.cross, 3.0 * sigma[0])
+            turned = left_over[1] > max(accepted.yaw, 3.0 * sigma[1])
+            if (off or turned) and (not cusps or now.s >= cusps[-1]):
+                raise _AttemptFailed(
+                    EndingKind.FAILED_TO_CONTROL,
+                    f"{error.y:.3f} m and {error.yaw:.3f} rad off the path cannot be corrected over {left:.3f} m",
+                )
             return False
-        off = left_at_dock(error.y, left) > settings.worth_position and abs(error.y) > sigma[0]
-        turned = left_at_dock(error.yaw, left) > settings.worth_yaw and abs(error.yaw) > sigma[1]
+        off = left_over[0] > settings.worth_position and abs(error.y) > sigma[0]
+        turned = left_over[1] > settings.worth_yaw and abs(error.yaw) > sigma[1]
         return off or turned
 
     def _take(self, result: PlanResult) -> None:

@@ -1,6 +1,4 @@
-"""A log driven again: the same measurements and the same results of planning must give the same commands, bit for bit.
-
-"""
+"""A log driven again: equal measurements and equal results of planning must give equal commands, bit for bit."""
 
 from __future__ import annotations
 
@@ -8,17 +6,20 @@ import dataclasses
 from collections import deque
 from typing import TYPE_CHECKING, NamedTuple
 
+import numpy as np
+
 from optdock.errors import InvalidValue
 from optdock.executor.docking import DockingExecutor
 from optdock.executor.planning import Job, Motion, PlanResult, Verdict
-from optdock.geometry.pose import Pose2
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
     from optdock.costmap.costmap import Costmap
     from optdock.executor.log import Cycle, DockingLog, Planned
+    from optdock.geometry.arrays import FloatArray
     from optdock.geometry.pose import Twist2
+    from optdock.problem import DockingProblem
 
 __all__ = ["RecordedPlanning", "Replay", "replay"]
 
@@ -30,11 +31,15 @@ class Replay(NamedTuple):
         cycles: Number of them.
         differs_at: The first cycle whose command is another one; None: all are the same, bit for bit.
         command: The command of the replay there.
+        off_path: Largest distance across and largest turn off the path that was driven [m, rad].
+        estimates: The robot as it was believed to be, Shape (n, 3).
     """
 
     cycles: int
     differs_at: Cycle | None
     command: Twist2 | None
+    off_path: tuple[float, float]
+    estimates: FloatArray
 
 
 class RecordedPlanning:
@@ -83,12 +88,16 @@ class RecordedPlanning:
         """Nothing to do."""
 
     @staticmethod
-    def _problem(found: Planned, job: Job):  # type: ignore[no-untyped-def]
-        x, y, yaw, speed, acceleration, curvature = found.start
-        changed = {"start": Pose2(x, y, yaw), "start_speed": speed, "start_curvature": curvature}
-        if hasattr(job.problem, "start_acceleration"):
-            changed["start_acceleration"] = acceleration
-        return dataclasses.replace(job.problem, **changed)
+    def _problem(found: Planned, job: Job) -> DockingProblem:
+        start = found.start
+        assert start is not None
+        return dataclasses.replace(
+            job.problem,
+            start=start.pose,
+            start_speed=start.speed,
+            start_acceleration=start.acceleration,
+            start_curvature=start.curvature,
+        )
 
 
 def replay(log: DockingLog) -> Replay:
@@ -102,17 +111,29 @@ def replay(log: DockingLog) -> Replay:
     executor = DockingExecutor(
         task.problem,
         task.settings,
-        task="undock" if task.task == "undock" else "dock",
+        task=task.task,
         controller=task.controller,
         goal_checker=task.goal_checker,
         planning=planning,
     )
+    across = turned = 0.0
+    estimates: list[tuple[float, float, float]] = []
     for cycle in log.cycles:
         planning.deliver(cycle.planned)
         if cycle.cancelled:
             executor.cancel()
-        command = executor.step(cycle.measurements).command
-        same = command.linear.hex() == cycle.command.linear.hex() and command.angular.hex() == cycle.command.angular.hex()
-        if not same:
-            return Replay(len(log.cycles), cycle, command)
-    return Replay(len(log.cycles), None, None)
+        step = executor.step(cycle.measurements)
+        if step.deviation is not None:
+            across, turned = max(across, abs(step.deviation.y)), max(turned, abs(step.deviation.yaw))
+        if executor.robot is not None:
+            estimates.append((executor.robot.x, executor.robot.y, executor.robot.yaw))
+        if not _is_same(step.command, cycle.command):
+            break
+    else:
+        return Replay(len(log.cycles), None, None, (across, turned), np.array(estimates).reshape(-1, 3))
+    return Replay(len(log.cycles), cycle, step.command, (across, turned), np.array(estimates).reshape(-1, 3))
+
+
+def _is_same(first: Twist2, second: Twist2) -> bool:
+    """To the last bit: 0.0 and -0.0 are not the same."""
+    return (first.linear.hex(), first.angular.hex()) == (second.linear.hex(), second.angular.hex())

@@ -33,6 +33,8 @@ class ExecutorSettings(PluginParameters):
     stall_speed: float = Field(default=0.005, gt=0.0, description="slower than this by odometry is no motion [m/s]")
     stall_time: float = Field(default=0.4, gt=0.0, description="no motion against a command for so long is a stall [s]")
 
+    timeout: float | None = Field(default=None, gt=0.0, description="of the whole task [s]; None: none")
+
     # Staging and retries.
     navigate_to_staging_pose: bool = Field(default=True, description="drive there first where the robot is far from it")
     staging_distance: float | None = Field(

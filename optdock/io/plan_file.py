@@ -28,7 +28,16 @@ if TYPE_CHECKING:
     from optdock.path import Path
     from optdock.trajectory import Trajectory
 
-__all__ = ["PLAN_FORMAT", "PlanError", "PlanFile", "TrajectoryColumns", "load_plan", "parse_plan", "save_plan", "strict_json"]
+__all__ = [
+    "PLAN_FORMAT",
+    "PlanError",
+    "PlanFile",
+    "TrajectoryColumns",
+    "load_plan",
+    "parse_plan",
+    "save_plan",
+    "strict_json",
+]
 
 PLAN_FORMAT = "optdock-plan/1"
 DEFAULT_SPACING = 0.02

@@ -4,8 +4,9 @@ Nothing here changes a result: every function takes finished values and writes o
 """
 
 from optdock.plotting.animation import save_animation
+from optdock.plotting.docking_picture import save_docking_picture
 from optdock.plotting.plan_picture import save_plan_picture
 from optdock.plotting.profile_picture import save_profile_picture
 from optdock.plotting.run_picture import save_run_picture
 
-__all__ = ["save_animation", "save_plan_picture", "save_profile_picture", "save_run_picture"]
+__all__ = ["save_animation", "save_docking_picture", "save_plan_picture", "save_profile_picture", "save_run_picture"]

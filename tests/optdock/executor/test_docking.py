@@ -1,0 +1,186 @@
+"""Whole tasks in simulation: the robot docks, and every fault ends under a name, at rest, without a collision."""
+
+import math
+
+import numpy as np
+import pytest
+
+from optdock.costmap.costmap import Costmap
+from optdock.executor import EndingKind, ExecutorSettings, FeedbackState, State
+from optdock.executor.log import LogWriter, read_log
+from optdock.executor.replay import replay
+from optdock.geometry.pose import Pose2
+from optdock.obstacles import ObstacleSet
+from optdock.simulation import Actuation, DifferentialDrive, Station, StuckWheel, Wheels
+
+from .conftest import PERFECT, ROBOT, TRUE_DOCK, once, problem_with, run, simulated, within
+
+NO_STAGING = ExecutorSettings(navigate_to_staging_pose=False)
+
+
+def test_noisy_robot_docks_at_a_dock_that_is_stored_wrongly(lawful, tmp_path):
+    """Late noisy detections, a sluggish late drive; and its log drives the same commands again, bit for bit."""
+    with LogWriter(tmp_path / "docking.log") as log:
+        docking = run(simulated(Pose2(-1.1, 0.15, 0.2), seed=1), log=log)
+    assert lawful(docking).kind is EndingKind.DOCKED_BY_DISTANCE
+    error = docking.world.error
+    assert abs(error.x) <= 0.01
+    assert abs(error.y) <= 0.006
+    assert abs(error.yaw) <= math.radians(0.8)
+    assert docking.said("plan new")[1:], "it was planned again on the way"
+    states = [step.feedback.state for step in docking.steps]
+    assert {FeedbackState.INITIAL_PERCEPTION, FeedbackState.CONTROLLING} <= set(states)
+    again = replay(read_log(tmp_path / "docking.log"))
+    assert again.differs_at is None
+    assert again.cycles == len(docking.steps)
+
+
+@pytest.mark.parametrize("rate", [10.0, 200.0])
+def test_any_rate_docks(rate, lawful):
+    docking = run(simulated(sensors=PERFECT, actuation=Actuation()), rate=rate)
+    assert lawful(docking).kind is EndingKind.DOCKED_BY_DISTANCE
+    assert abs(docking.world.error.y) <= 0.002
+
+
+def test_lost_detections_and_an_outlier_do_not_matter(lawful):
+    def fault(executor, world, measurements):
+        world.dock_sensor.displace_next(Pose2(0.2, 0.22, 0.1))
+        world.dock_sensor.lose(world.time + 2.0)
+
+    def outlier(executor, world, measurements):
+        world.dock_sensor.displace_next(Pose2(0.2, 0.22, 0.1))
+
+    docking = run(simulated(seed=2), before=once(within(0.6), outlier))
+    assert lawful(docking).kind is EndingKind.DOCKED_BY_DISTANCE
+    assert len(docking.said("detection rejected")) == 1
+    docking = run(simulated(seed=2), before=once(within(0.6), fault))
+    assert lawful(docking).kind is EndingKind.DOCKED_BY_DISTANCE
+    assert docking.said("detection lost")
+    assert abs(docking.world.error.y) <= 0.01
+
+
+def grid_with(box):
+    """A map of 8 x 6 m, free but for a box."""
+    cells = np.zeros((120, 160), dtype=np.uint8)
+    x0, y0, x1, y1 = box
+    rows = slice(max(0, int((y0 + 3) / 0.05)), int((y1 + 3) / 0.05) + 1)
+    cells[rows, int((x0 + 5) / 0.05) : int((x1 + 5) / 0.05) + 1] = 254
+    return Costmap(cells, 0.05, (-5.0, -3.0))
+
+
+def put(half_width):
+    """An obstacle across the robot's way, half a metre before it."""
+
+    def act(executor, world, measurements):
+        centre = world.state.pose @ Pose2(0.85, 0.0, 0.0)
+        box = centre.x - 0.02, centre.y - half_width, centre.x + 0.02, centre.y + half_width
+        corners = [[box[0], box[1]], [box[2], box[1]], [box[2], box[3]], [box[0], box[3]]]
+        world.put(ObstacleSet.from_polygons([corners]), grid_with(box))
+
+    return once(lambda executor, world: world.state.twist.linear > 0.3, act)
+
+
+def test_obstacle_on_the_path_is_driven_around(lawful):
+    docking = run(simulated(Pose2(-3.0, 0.3, 0.0)), settings=NO_STAGING, before=put(0.1))
+    assert lawful(docking).kind is EndingKind.DOCKED_BY_DISTANCE
+    assert docking.said("motion does not hold any more")
+
+
+def test_wall_across_the_way_ends_the_task_at_rest(lawful):
+    settings = ExecutorSettings(navigate_to_staging_pose=False, obstacle_patience=1.5, time_budget=0.1)
+    docking = run(simulated(Pose2(-3.0, 0.3, 0.0)), settings=settings, before=put(4.0))
+    assert lawful(docking).kind is EndingKind.FAILED_TO_CONTROL
+    assert State.WAITING_FOR_OBSTACLE in docking.states
+    assert docking.world.clearance() > 0.05
+
+
+@pytest.mark.parametrize(("distance", "jump"), [(0.6, 0.03), (0.27, 0.05)])
+def test_localization_that_jumps_does_not_matter(distance, jump, lawful):
+    """At the dock the robot is where it sees itself, not where localization says."""
+
+    def act(executor, world, measurements):
+        world.pose_sensor.jump(Pose2(0.0, jump, 0.0))
+
+    docking = run(simulated(seed=3), before=once(within(distance), act))
+    assert lawful(docking).kind is EndingKind.DOCKED_BY_DISTANCE
+    assert docking.said("pose jumped")
+    assert abs(docking.world.error.y) <= 0.006
+
+
+@pytest.mark.parametrize(("distance", "push"), [(0.6, 0.05), (0.27, 0.03)])
+def test_robot_that_is_pushed_aside_comes_again(distance, push, lawful):
+    """What cannot be corrected any more is not driven to the end."""
+
+    def act(executor, world, measurements):
+        world.state = world.state._replace(pose=world.state.pose @ Pose2(0.0, push, 0.0))
+
+    docking = run(simulated(seed=3), before=once(within(distance), act))
+    ending = lawful(docking)
+    assert ending.kind is EndingKind.DOCKED_BY_DISTANCE
+    assert ending.num_retries == 1
+    assert State.RETURNING in docking.states
+    assert abs(docking.world.error.y) <= 0.006
+
+
+def test_stuck_wheel_ends_the_task(lawful):
+    wheels = Wheels(0.4, stuck=(StuckWheel("left", 1.5),))
+    plant = DifferentialDrive(ROBOT, Actuation(0.1, 0.1, 0.06), wheels=wheels)
+    settings = ExecutorSettings(max_retries=0)
+    docking = run(simulated(plant=plant), settings=settings)
+    assert lawful(docking).kind is EndingKind.FAILED_TO_CONTROL
+
+
+def test_late_cycles_and_a_clock_that_goes_back(lawful):
+    late = once(within(0.5), lambda executor, world, measurements: setattr(world, "back", 1.0))
+
+    def before(executor, world, measurements):
+        late(executor, world, measurements)
+        back = getattr(world, "back", 0.0)
+        detections = tuple(d._replace(stamp=d.stamp - back) for d in measurements.detections)
+        return measurements._replace(stamp=measurements.stamp - back, detections=detections)
+
+    docking = run(simulated(sensors=PERFECT), rate=10.0, before=before)
+    assert lawful(docking).kind is EndingKind.DOCKED_BY_DISTANCE
+    assert docking.said("clock went back")
+    assert docking.said("late cycle")
+
+
+def test_lost_pose_stops_the_robot_until_it_comes_again(lawful):
+    lose = once(within(0.5), lambda executor, world, measurements: setattr(world, "until", world.time + 1.5))
+
+    def before(executor, world, measurements):
+        lose(executor, world, measurements)
+        return measurements._replace(pose=None) if world.time < getattr(world, "until", 0.0) else None
+
+    docking = run(simulated(sensors=PERFECT), before=before)
+    assert lawful(docking).kind is EndingKind.DOCKED_BY_DISTANCE
+    assert State.WAITING_FOR_POSE in docking.states
+
+
+def test_contact_by_stall_and_by_signal(lawful):
+    """A station that stops the robot 8 mm deeper than the map says: it presses on until that is felt."""
+    touch = ExecutorSettings(contact="touch")
+    deaf = simulated(sensors=PERFECT, actuation=Actuation(), station=Station(depth=0.008))
+    docking = run(deaf, settings=touch, before=lambda e, w, m: m._replace(contact=None))
+    assert lawful(docking, touch=0.009).kind is EndingKind.DOCKED_BY_STALL
+    assert State.PRESSING in docking.states
+    hearing = simulated(sensors=PERFECT, actuation=Actuation(), station=Station(depth=0.008))
+    docking = run(hearing, settings=touch)
+    assert lawful(docking, touch=0.009).kind is EndingKind.DOCKED_BY_SIGNAL
+    assert docking.world.station.touched(docking.world.error)
+
+
+def test_undocking_out_of_contact(lawful):
+    """The robot overlaps the station by the noise of its pose: straight out first, then along a plan."""
+    world = simulated(Pose2(0.002, 0.001, 0.002), seed=5)
+    docking = run(world, problem_with(), task="undock")
+    assert lawful(docking).kind is EndingKind.UNDOCKED
+    assert State.BACKING_OUT in docking.states
+    assert docking.world.error.x < -0.65
+    assert abs(docking.world.error.y) < 0.02
+
+
+def test_staging_from_afar(lawful):
+    docking = run(simulated(Pose2(-2.5, 1.2, 1.5), sensors=PERFECT), problem_with(TRUE_DOCK))
+    assert lawful(docking).kind is EndingKind.DOCKED_BY_DISTANCE
+    assert docking.steps[50].feedback.state is FeedbackState.NAV_TO_STAGING_POSE
