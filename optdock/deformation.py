@@ -241,7 +241,7 @@ class _Program:
         self.rate_scale = rate if math.isfinite(rate) else self.scale / _USUAL_SWING
         self.starts = np.concatenate(([0], np.cumsum([gear.size for gear in gears])))
         self.size = int(self.starts[-1])
-        most_rates = [np.full(max(gear.knots.size - 1, 0), rate * _USED) for gear in gears]
+        most_rates = [np.full(gear.knots.size - 1 if gear.sign else 0, rate * _USED) for gear in gears]
         if speed > 0.0 and gears[0].sign:
             first = np.abs(np.diff(gears[0].curvature) / np.diff(gears[0].knots))
             most_rates[0] = np.minimum(most_rates[0], np.maximum(_rates_at_speed(gears[0], limits, speed), first))

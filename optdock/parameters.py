@@ -16,7 +16,7 @@ from optdock.errors import InvalidValue
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
-__all__ = ["PluginParameters", "checked_seconds", "closest", "parse_parameters"]
+__all__ = ["PluginParameters", "checked_seconds", "closest", "invalid_parameters", "parse_parameters"]
 
 
 class PluginParameters(BaseModel):
@@ -87,12 +87,17 @@ def parse_parameters(model: type[P], values: Mapping[str, object], owner: str) -
     try:
         checked = model.model_validate({str(name): value for name, value in values.items()})
     except ValidationError as error:
-        raise InvalidValue("\n".join(_fault(model, owner, item) for item in error.errors())) from error
+        raise invalid_parameters(error, model, owner) from error
     if is_plain and _is_constant(checked):
         if len(_CHECKED) >= _MOST_KEPT:
             _CHECKED.clear()
         _CHECKED[key] = checked
     return checked
+
+
+def invalid_parameters(error: ValidationError, model: type[PluginParameters], owner: str) -> InvalidValue:
+    """What is wrong with the values of a model, one line per fault."""
+    return InvalidValue("\n".join(_fault(model, owner, item) for item in error.errors()))
 
 
 _MOST_KEPT = 256  # of many a process uses few

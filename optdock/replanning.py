@@ -367,7 +367,7 @@ class _Replanning:
             if any(violation.kind != "clearance" for violation in certificate.violations):
                 break
             pushes.append(_push_off(certificate.violations[0], path, problem))
-        return self._attempt("smoothed", guess, lambda so_far: work.refined(guess, so_far, math.inf))
+        return self._attempt("smoothed", guess, lambda so_far: work.refined(guess, so_far, math.inf, is_given=True))
 
     def _timing(self) -> dict[str, float]:
         return {**self.timing_ms, "total": 1e3 * self.deadline.elapsed}

@@ -3,7 +3,7 @@
 What must be exact at the dock is the robot's pose relative to it, and localization has no part in that: its error is
 the same for both. So the dock is estimated in the frame of the odometry, in which the robot's pose is known at every
 instant, also at the instant of a late detection. A detection then measures the dock directly, with the detector's
-noise alone; what the odometry gets wrong while the robot drives lets the estimate forget [Bar-Shalom2001]. The pose of
+noise alone; what the odometry gets wrong while the robot drives lets the estimate forget [BarShalom2001]. The pose of
 the localization is needed for nothing but the map: obstacles, and a dock that has not been seen yet.
 """
 

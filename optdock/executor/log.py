@@ -31,7 +31,6 @@ from optdock.executor.settings import ExecutorSettings
 from optdock.geometry.pose import Pose2, Twist2
 from optdock.io.plan_file import PlanFile, TrajectoryColumns, parse_plan
 from optdock.measurements import Detection, Measurements
-from optdock.parameters import parse_parameters
 from optdock.plugins import PluginChoice
 from optdock.trajectory import Trajectory
 
@@ -88,12 +87,14 @@ class Planned(NamedTuple):
         result: Of a job; its motion's problem is filled in by whoever handed the job in.
         trajectory: Of the motion; None where there is none.
         start: Of the motion's problem.
+        start_relief: Of the motion.
         verdict: The answer to a question, instead of a result.
     """
 
     result: PlanResult | None = None
     trajectory: Trajectory | None = None
     start: Start | None = None
+    start_relief: float = 0.0
     verdict: Verdict | None = None
 
 
@@ -217,7 +218,8 @@ class LogWriter:
             "code": result.code,
         }
         if result.motion is not None:
-            value |= {"start": _start_values(result.motion.problem), "plan": _plan_values(result.motion, frame)}
+            value |= {"start": _start_values(result.motion.problem), "start_relief": result.motion.start_relief}
+            value["plan"] = _plan_values(result.motion, frame)
         self._write({"planned": value})
 
     def verdict(self, verdict: Verdict) -> None:
@@ -442,7 +444,7 @@ class _TaskLine(_Line):
             raise InvalidValue(f"problem: another one than when the log was written: {', '.join(others)} differ")
         return Task(
             problem,
-            parse_parameters(ExecutorSettings, self.settings, "settings"),
+            ExecutorSettings(**self.settings),
             self.task,
             PluginChoice(*self.controller),
             PluginChoice(*self.goal_checker),
@@ -464,6 +466,7 @@ class _PlannedValues(_Line):
     reason: str
     code: int
     start: tuple[float, float, float, float, float, float | None] | None = None
+    start_relief: float = 0.0
     plan: dict[str, JsonValue] | None = None
 
     def read(self, source: str) -> Planned:
@@ -475,7 +478,8 @@ class _PlannedValues(_Line):
             raise InvalidValue("plan: holds no path or no phases")
         x, y, yaw, speed, acceleration, curvature = self.start
         trajectory = Trajectory(found.path, found.time_law)
-        return Planned(result, trajectory, Start(Pose2(x, y, yaw), speed, acceleration, curvature))
+        start = Start(Pose2(x, y, yaw), speed, acceleration, curvature)
+        return Planned(result, trajectory, start, self.start_relief)
 
 
 class _PlannedLine(_Line):

@@ -5,6 +5,8 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING
 
+import numpy as np
+
 from optdock.estimation import PoseFilter
 from optdock.executor.dock_filter import DeadReckoning, DockFilter
 
@@ -104,7 +106,7 @@ class Perception:
             offset: What that clock is ahead of the one of the detections [s].
         """
         self.measurements, before, self.stamp = measurements, self.stamp, stamp
-        if measurements.costmap is not None:
+        if measurements.costmap is not None and not _is_same(measurements.costmap, self.costmap):
             self.costmap = measurements.costmap
         if not self._locate(measurements, stamp - before):
             return
@@ -175,6 +177,13 @@ class Perception:
         if lost != self._dock_was_lost:
             self._dock_was_lost = lost
             self._report("detection lost" if lost else "detection found", f"{self.detection_age:.2f} s old")
+
+
+def _is_same(costmap: Costmap, known: Costmap | None) -> bool:
+    """Whether it shows the same, by its cells: a replay has other objects."""
+    if known is None or (costmap.resolution, costmap.origin) != (known.resolution, known.origin):
+        return False
+    return costmap is known or np.array_equal(costmap.data, known.data)
 
 
 _MISSED = 0.5  # [s] without a measurement that is said in the log

@@ -44,11 +44,18 @@ class Motion:
         trajectory: When to be where.
         problem: From where to where, among what.
         plan: With its certificates; None where it comes out of a log, or brakes only.
+        start_relief: Of its certificate, see `Tube` [m].
     """
 
     trajectory: Trajectory
     problem: DockingProblem
     plan: DockPlan | None = None
+    start_relief: float = 0.0
+
+    @classmethod
+    def of(cls, plan: DockPlan) -> Motion:
+        """That of a plan."""
+        return cls(plan.trajectory, plan.problem, plan, plan.certificate.start_relief)
 
 
 class Job(NamedTuple):
@@ -137,7 +144,7 @@ def planned(job: Job) -> PlanResult:
 
 def _from_rest(job: Job) -> PlanResult:
     plan = plan_dock(job.problem, time_budget=job.budget)
-    return PlanResult(job.number, Outcome.NEW, Motion(plan.trajectory, plan.problem, plan))
+    return PlanResult(job.number, Outcome.NEW, Motion.of(plan))
 
 
 def _replanned(job: Job) -> PlanResult:
@@ -155,8 +162,7 @@ def _replanned(job: Job) -> PlanResult:
     found = replan(plan, job.problem, DriveState(job.time, job.rate), job.budget, lead=job.lead)
     if found.outcome is ReplanOutcome.KEPT:
         return PlanResult(job.number, Outcome.KEPT, reason=found.reason)
-    problem = job.problem if found.plan is None else found.plan.problem
-    motion = Motion(found.trajectory, problem, found.plan)
+    motion = Motion(found.trajectory, job.problem) if found.plan is None else Motion.of(found.plan)
     outcome = Outcome.NEW if found.outcome is ReplanOutcome.NEW else Outcome.STOP
     return PlanResult(job.number, outcome, motion, found.starts_at, found.reason)
 

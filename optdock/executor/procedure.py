@@ -22,6 +22,7 @@ from optdock.executor.planning import Job, Motion, Outcome, PlanResult
 from optdock.geometry.pose import Pose2, Twist2
 from optdock.lifecycle import LifecycleState, PluginContext
 from optdock.obstacles import ObstacleSet
+from optdock.tube import Tube
 from optdock.verification import pose_clearance
 from optdock.verification.time_of_impact import free_motion
 
@@ -52,6 +53,7 @@ _PROGRESS = 0.05  # [s] on the trajectory's own clock that count as progress
 _INSTANT = 1e-9  # [s]
 _SETTLED = 0.004, 0.02  # [m/s], [rad/s] commanded at the end of the path: 2 mm by the usual gain, noise of the pose
 _LAST_REPLAN = 0.15  # [m] before the dock: nearer, no robot can be moved sideways by more than a millimetre
+_LEAP = 0.25  # [m] from its reference, farther off another stretch of the path may be nearer
 _LEAD = 0.06  # [s] beyond the budget: a period at 20 Hz until the result is asked for, and some
 _LATE = 0.05  # [s]: a reference that jumps by so much at the speeds near a dock jumps by millimetres
 _STALE_STOP = 0.3  # [s]: a motion that is proven wrong from later on than this may go on while another is planned
@@ -568,18 +570,27 @@ class _Drive:
     """One motion being driven; it becomes another one where replanning is worth it."""
 
     def __init__(self, owner: Procedure, motion: Motion, *, is_approach: bool) -> None:
-        self.owner, self.motion, self.is_approach = owner, motion, is_approach
+        self.owner, self.is_approach = owner, is_approach
         self._goal = motion.problem.goal
         self._next_goal: tuple[float, Pose2] | None = None  # from when on [s]
         self._job: Job | None = None
-        self._is_urgent = self._is_stop = self._is_outside = False
+        self._is_urgent = self._is_stop = False
         self._costmap = owner._perception.costmap
         self._submitted_at = -math.inf
         self._finished_since: float | None = None
-        self._progress = (-math.inf, owner._now)
         self._until = owner._now + motion.trajectory.duration + self._allowance
         self._configure(motion)
         owner._controller.set_path(motion.trajectory)
+        self._become(motion)
+
+    def _become(self, motion: Motion) -> None:
+        """What is driven from now on."""
+        law, tracking = motion.trajectory.time_law, self.owner._base.robot.tracking
+        self.motion, self._progress = motion, (-math.inf, self.owner._now)
+        self._times_of_places, self._time_of_place = (law.states[:, 0], law.times), 0.0
+        proven = not self._is_stop and (tracking.cross > 0.0 or tracking.yaw > 0.0)
+        self._tube = Tube(motion.trajectory.path, motion.problem, motion.start_relief) if proven else None
+        self._is_outside = False
 
     @property
     def _allowance(self) -> float:
@@ -605,7 +616,7 @@ class _Drive:
                 raise _AttemptFailed(EndingKind.FAILED_TO_CONTROL, reason)
             raise _Failed(_LATE_ENDINGS.get(owner.state, EndingKind.FAILED_TO_CONTROL), reason)
         self._look_around()
-        self._watch_tube()
+        self._watch_place()
         return self._is_finished()
 
     def wish(self) -> Wish:
@@ -637,9 +648,12 @@ class _Drive:
 
     @property
     def _reference(self) -> tuple[float, float]:
-        """Time of the reference on the trajectory's own clock [s], and its rate; 0 of a controller without one."""
+        """Time of the reference on the trajectory's own clock [s], and its rate.
+
+        A controller that follows no trajectory in time has none: there it is when the plan would be where the robot is.
+        """
         progress = getattr(self.owner._controller, "progress", None)
-        return (0.0, 1.0) if progress is None else (float(progress.time), float(progress.rate))
+        return (self._time_of_place, 1.0) if progress is None else (float(progress.time), float(progress.rate))
 
     def _check_contact(self) -> None:
         owner = self.owner
@@ -693,30 +707,33 @@ class _Drive:
             raise _Interrupted("obstacle ahead", verdict.reason)
         self._is_urgent, self._job = True, None
 
-    def _watch_tube(self) -> None:
-        """How far the robot is off its path; outside of what is proven it needs another one, or a stop."""
-        owner, path = self.owner, self.motion.trajectory.path
+    def _watch_place(self) -> None:
+        """Where on its path the robot is, and whether it is within the tube that was proven around it."""
+        owner, trajectory, path = self.owner, self.motion.trajectory, self.motion.trajectory.path
         time, _ = self._reference
         if time < 0.0:
             return
-        s = float(self.motion.trajectory.time_law.at(time)[0, 0])
-        lag = owner._perception.robot.in_frame_of(path.pose_at(s)).x * float(path.direction_at(s)[0])
-        place = path.pose_at(min(max(s + lag, 0.0), path.length))
-        off = owner._perception.robot.in_frame_of(place)
-        owner.deviation = off
-        robot, rule = owner._base.robot, owner._base.clearance
-        width = robot.tracking.width(robot.footprint)
-        if width <= 0.0:
+        begin = float(trajectory.time_law.at(time)[0, 0])
+        ahead = owner._perception.robot.in_frame_of(path.pose_at(begin)).x * float(path.direction_at(begin)[0])
+        s = min(max(begin + min(max(ahead, -_LEAP), _LEAP), 0.0), path.length)
+        self._time_of_place = max(time, float(np.interp(s, *self._times_of_places)))
+        owner.deviation = off = owner._perception.robot.in_frame_of(path.pose_at(s))
+        if self._tube is None:
             return
-        from_goal = place.distance_to(self.motion.problem.goal)
-        share = min(1.0, from_goal / rule.taper) if rule.taper > 0.0 else 1.0
-        swing = 2.0 * robot.footprint.circumscribed_radius * math.sin(0.5 * abs(off.yaw))
-        outside = math.hypot(off.x, off.y) + swing > width * share
-        if outside != self._is_outside:
-            self._is_outside = outside
-            name = "tube left" if outside else "tube entered"
-            owner._report(name, f"{off.y:.4f} m and {off.yaw:.4f} rad off, proven for {width * share:.4f} m")
-            self._is_urgent = self._is_urgent or (outside and from_goal > _LAST_REPLAN)
+        radius = owner._base.robot.footprint.circumscribed_radius
+        displacement = math.hypot(off.x, off.y) + 2.0 * radius * math.sin(0.5 * abs(off.yaw))
+        width = float(self._tube.width_at(np.array([s]))[0])
+        if displacement > width:  # from there; another place may be the better one
+            found = self._tube.deviations(owner._perception.robot.as_array()[None], near=s, within=_LEAP)
+            displacement, width = float(found.displacement[0]), float(found.width[0])
+        is_outside = displacement > width
+        if is_outside != self._is_outside:
+            self._is_outside = is_outside
+            said = (
+                f"{off.y:.4f} m and {off.yaw:.4f} rad off, {displacement:.4f} m with its outline; proven: {width:.4f} m"
+            )
+            owner._report("tube left" if is_outside else "tube entered", said)
+            self._is_urgent = self._is_urgent or (is_outside and path.length - s > _LAST_REPLAN)
 
     def _replan(self) -> None:
         """Hand in a job where one is worth it, and take over what the last one gave."""
@@ -794,6 +811,5 @@ class _Drive:
         self._is_stop = result.outcome is Outcome.STOP
         self._configure(result.motion)
         owner._controller.set_path(result.motion.trajectory, start_stamp=start)
-        self.motion = result.motion
         self._next_goal = start, result.motion.problem.goal
-        self._progress = (-math.inf, owner._now)
+        self._become(result.motion)

@@ -72,7 +72,9 @@ class RecordedPlanning:
         assert found.result is not None
         if found.trajectory is None or self._job is None:
             return found.result
-        return found.result._replace(motion=Motion(found.trajectory, self._problem(found, self._job)))
+        return found.result._replace(
+            motion=Motion(found.trajectory, self._problem(found, self._job), None, found.start_relief)
+        )
 
     def still_holds(self, motion: Motion, costmap: Costmap, from_time: float) -> Verdict:  # noqa: ARG002 - interface
         """What was answered in this cycle.

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from typing import Literal
 
-from pydantic import Field
+from pydantic import Field, ValidationError
 
-from optdock.parameters import PluginParameters
+from optdock.parameters import PluginParameters, invalid_parameters
 
 __all__ = ["ExecutorSettings"]
 
@@ -17,6 +17,12 @@ class ExecutorSettings(PluginParameters):
     Raises:
         InvalidValue: A parameter is unknown, of the wrong type or out of range.
     """
+
+    def __init__(self, **values: object) -> None:
+        try:
+            super().__init__(**values)
+        except ValidationError as error:
+            raise invalid_parameters(error, type(self), type(self).__name__) from error
 
     # What counts as docked.
     contact: Literal["distance", "touch"] = Field(

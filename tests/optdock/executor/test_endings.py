@@ -1,0 +1,217 @@
+"""Every ending can be reached, every state can be cancelled; whatever is measured, the commands stay lawful."""
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import example, given, settings
+from hypothesis import strategies as st
+
+from optdock.errors import InvalidValue, PluginError
+from optdock.executor import DockingExecutor, EndingKind, ExecutorSettings, InlinePlanning, State
+from optdock.executor.planning import Motion, Outcome, PlanResult, Verdict
+from optdock.geometry.pose import Pose2, Twist2
+from optdock.measurements import Detection, Measurements
+from optdock.simulation import Actuation, Station
+from optdock.testing.drives import clothoid, rest_to_rest
+
+from .conftest import PERFECT, TRUE_DOCK, assert_lawful, problem_with, run, simulated
+
+QUICK = {"initial_perception_timeout": 0.5, "localization_timeout": 0.5, "wait_charge_timeout": 0.3}
+QUICK |= {"obstacle_patience": 0.1, "time_budget": 0.2, "settling_time": 0.5}
+
+
+AHEAD = Pose2(-0.8, 0.0, 0.0)
+
+
+def perfect(start=AHEAD, **kwargs):
+    """A robot without any error."""
+    return simulated(start, sensors=PERFECT, actuation=Actuation(), **kwargs)
+
+
+class StraightPlanning:
+    """Plans that cost nothing: straight on for so many metres, from wherever the job begins; or none at all."""
+
+    def __init__(self, length=0.8, reason=""):
+        self.length, self.reason, self.job = length, reason, None
+
+    def submit(self, job):
+        self.job = job
+
+    def poll(self, stamp):
+        job, self.job = self.job, None
+        if job is None:
+            return None
+        if self.reason or job.running is not None:
+            return PlanResult(job.number, Outcome.FAILED if job.running is None else Outcome.KEPT, reason=self.reason)
+        drive = rest_to_rest([clothoid(job.problem.start, [0.0, self.length], [0.0, 0.0])], speed=0.3)
+        return PlanResult(job.number, Outcome.NEW, Motion(drive, job.problem))
+
+    def still_holds(self, motion, costmap, from_time):
+        return Verdict(holds=True)
+
+    def close(self):
+        self.job = None
+
+
+def lose(executor, world, measurements):
+    return measurements._replace(detections=())
+
+
+def blind(executor, world, measurements):
+    return measurements._replace(pose=None)
+
+
+def held(executor, world, measurements):
+    """Somebody holds the robot; its wheels turn."""
+    world.state = world.state._replace(pose=Pose2(-0.8, 0.0, 0.0))
+
+
+def signal(executor, world, measurements):
+    return measurements._replace(contact=True)
+
+
+SHORT = StraightPlanning(0.7)
+NO_WAY = {"planning": StraightPlanning(reason="NoValidPathCouldBeFound: a wall")}
+AT_DOCK, AFAR = Pose2(0.0, 0.0, 0.0), Pose2(-2.0, 0.5, 0.3)
+ENDINGS = {
+    EndingKind.DOCKED_BY_DISTANCE: {},
+    EndingKind.ALREADY_DOCKED: {"start": AT_DOCK, "before": signal},
+    EndingKind.UNDOCKED: {"start": AT_DOCK, "task": "undock"},
+    EndingKind.NOT_DOCKED: {"task": "undock", "use_detections": False},
+    EndingKind.FAILED_TO_STAGE: {"start": AFAR, **NO_WAY},
+    EndingKind.FAILED_TO_DETECT_DOCK: {"before": lose},
+    EndingKind.FAILED_TO_CONTROL: {"planning": StraightPlanning(0.7), "max_retries": 0},
+    EndingKind.FAILED_TO_CHARGE: {"wait_for_charge": True, "max_retries": 0},
+    EndingKind.TIMEOUT: {"timeout": 0.4},
+    EndingKind.UNKNOWN: {"before": blind},
+}
+
+
+@pytest.mark.parametrize("kind", ENDINGS, ids=lambda kind: kind.name)
+def test_ending_is_reached_and_the_robot_at_rest(kind, lawful):
+    given_ = dict(ENDINGS[kind])
+    chosen = {name: given_.pop(name) for name in list(given_) if name in ExecutorSettings.model_fields}
+    world = perfect(given_.pop("start", AHEAD))
+    docking = run(world, problem_with(), ExecutorSettings(**(QUICK | chosen)), rate=20.0, **given_)
+    ending = lawful(docking)
+    assert ending.kind is kind, ending
+    assert docking.steps[-1].state is State.ENDED
+    codes = {"FAILED_TO_STAGE": 903, "FAILED_TO_DETECT_DOCK": 904, "FAILED_TO_CONTROL": 905, "FAILED_TO_CHARGE": 906}
+    assert kind.code == (codes | {"TIMEOUT": 907, "UNKNOWN": 999}).get(kind.name, 0)
+    assert kind.succeeded == (kind.code == 0)
+
+
+def test_every_ending_is_tested():
+    elsewhere = {EndingKind.DOCKED_BY_STALL, EndingKind.DOCKED_BY_SIGNAL, EndingKind.CANCELLED}
+    assert set(ENDINGS) | elsewhere == set(EndingKind)
+
+
+# How to come to each state.
+WAYS = {
+    State.STAGING: {"start": AFAR},
+    State.PERCEIVING: {},
+    State.PLANNING: {},
+    State.APPROACHING: {},
+    State.PRESSING: {"contact": "touch", "station": Station(depth=0.02), "max_retries": 0},
+    State.WAITING_FOR_CHARGE: {"wait_for_charge": True},
+    State.WAITING_FOR_OBSTACLE: {**NO_WAY},
+    State.WAITING_FOR_POSE: {"before": blind},
+    State.BACKING_OUT: {"start": Pose2(0.002, 0.0, 0.0), "task": "undock"},
+    State.RETURNING: {"wait_for_charge": True, "wait_charge_timeout": 0.1},
+    State.UNDOCKING: {"start": AT_DOCK, "task": "undock"},
+    State.STOPPING: {},
+}
+
+
+@pytest.mark.parametrize("state", WAYS, ids=lambda state: state.name)
+def test_cancel_in_every_state(state, lawful):
+    way = dict(WAYS[state])
+    chosen = {name: way.pop(name) for name in list(way) if name in ExecutorSettings.model_fields}
+    world = perfect(way.pop("start", AHEAD), station=way.pop("station", None))
+    also, seen = way.pop("before", None), []
+
+    def before(executor, world, measurements):
+        if executor.state is state:
+            seen.append(state)
+            executor.cancel()
+        return also(executor, world, measurements) if also else None
+
+    docking = run(world, problem_with(), ExecutorSettings(**(QUICK | chosen)), rate=20.0, before=before, **way)
+    ending = lawful(docking, touch=0.02)
+    assert seen
+    # A stop that ends the task anyway keeps its name.
+    assert ending.kind is EndingKind.CANCELLED or state is State.STOPPING
+    assert world.time - ending.stamp < 0.1
+
+
+def test_nothing_moves_before_the_first_pose_and_after_the_end():
+    executor = DockingExecutor(problem_with(), planning=StraightPlanning())
+    for k in range(5):
+        assert executor.step(Measurements(0.1 * k, None)).command == Twist2()
+    executor.cancel()
+    steps = [executor.step(Measurements(0.5 + 0.1 * k, Pose2(-1.0, 0.0, 0.0))) for k in range(5)]
+    assert steps[-1].ending.kind is EndingKind.CANCELLED
+    assert all(step.command == Twist2() for step in steps)
+
+
+def test_bad_parts_are_refused_by_name():
+    with pytest.raises(InvalidValue, match="task: must be 'dock' or 'undock'"):
+        DockingExecutor(problem_with(), task="park")
+    with pytest.raises(InvalidValue, match="ExecutorSettings.max_retries: .*greater than or equal to 0"):
+        ExecutorSettings(max_retries=-1)
+    with pytest.raises(InvalidValue, match="planning.latency: must be >= 0 s, got -1"):
+        InlinePlanning(-1.0)
+    with pytest.raises(PluginError, match="unknown plugin 'Nobody'"):
+        DockingExecutor(problem_with(), controller="Nobody")
+    with pytest.raises(InvalidValue, match="measurements.stamp: must be finite"):
+        DockingExecutor(problem_with()).step(Measurements(math.nan, None))
+
+
+poses = st.builds(Pose2, st.floats(-2.0, 0.5), st.floats(-0.6, 0.6), st.floats(-0.8, 0.8))
+surprises = st.lists(
+    st.tuples(
+        st.integers(1, 30),  # cycles until then
+        st.sampled_from(["jump", "lost", "outlier", "silence", "back", "contact", "stuck", "fine"]),
+        poses,
+    ),
+    min_size=1,
+    max_size=8,
+)
+
+
+@settings(max_examples=12)
+@given(script=surprises, rate=st.sampled_from([10.0, 37.0, 100.0]))
+@example(script=[(5, "jump", Pose2(-0.5, 0.3, 0.5)), (10, "back", TRUE_DOCK), (3, "lost", TRUE_DOCK)], rate=37.0)
+def test_whatever_is_measured_commands_are_lawful_and_the_task_ends(script, rate):
+    """A robot that does what it is told, and sensors that lie about it as a script says."""
+    chosen = ExecutorSettings(**(QUICK | {"progress_time": 1.0, "dock_approach_timeout": 3.0, "max_retries": 1}))
+    executor = DockingExecutor(problem_with(), chosen, planning=StraightPlanning(0.6))
+    robot, stamp, lie = Pose2(-0.8, 0.05, 0.0), 0.0, "fine"
+    due = [sum(wait for wait, _, _ in script[: k + 1]) for k in range(len(script))]
+    offset, stamps, commands, states, twist = Pose2(0.0, 0.0, 0.0), [], [], [], Twist2()
+    for k in range(int(60.0 * rate)):
+        period = 1.0 / rate
+        if k in due:
+            _, lie, offset = script[due.index(k)]
+            period = 0.9 if lie == "silence" else period
+            stamp -= 5.0 if lie == "back" else 0.0
+        stamp += period
+        pose = None if lie == "lost" else robot
+        seen = TRUE_DOCK.in_frame_of(robot)
+        pose = offset if lie == "jump" else pose
+        seen = offset if lie == "outlier" else seen
+        detections = () if lie == "lost" else (Detection(stamp - 0.04, seen, 0.003, 0.005),)
+        told = Twist2() if lie == "stuck" else twist
+        step = executor.step(Measurements(stamp, pose, told, detections, lie == "contact"))
+        stamps.append(stamps[-1] + (period if period < 0.5 else 1.0 / rate) if stamps else 0.0)
+        commands.append((step.command.linear, step.command.angular))
+        states.append(step.state)
+        twist = step.command
+        if lie != "stuck":
+            robot = robot.moved(twist, 1.0 / rate)
+        if step.ending is not None:
+            break
+    assert step.ending is not None, f"still {step.state.value}"
+    assert step.command == Twist2()
+    assert_lawful(np.array(stamps), np.array(commands))

@@ -1,0 +1,142 @@
+"""Laws of deformation: it closes the gap exactly, within the bounds, and changes nothing that need not change."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from optdock.deformation import Push, deformed
+from optdock.geometry.clothoid import ClothoidSpline
+from optdock.geometry.pose import Pose2
+from optdock.limits import MotionLimits
+from optdock.path import ClothoidSegment, Path, TurnSegment
+
+LIMITS = MotionLimits(max_curvature=1.5, max_curvature_rate=6.0)
+STRAIGHT = 0.3
+SMALL = st.tuples(st.floats(-0.06, 0.06), st.floats(-0.06, 0.06), st.floats(-0.06, 0.06))
+
+
+ORIGIN = Pose2(0.0, 0.0, 0.0)
+
+
+def s_curve(start=ORIGIN, sign=1):
+    knots, curvature = [0.0, 0.4, 0.8, 1.2, 1.6, 2.0, 2.0 + STRAIGHT], [0.1, 0.8, 0.4, -0.5, -0.6, 0.0, 0.0]
+    return ClothoidSegment(ClothoidSpline(start, np.array(knots), np.array(curvature), sign))
+
+
+def two_gears():
+    first = s_curve()
+    back = Pose2.from_sequence(first.poses_at(first.length)[0])
+    return Path((first, s_curve(back, -1)))
+
+
+def with_a_turn():
+    first = s_curve()
+    turn = TurnSegment(Pose2.from_sequence(first.poses_at(first.length)[0]), 0.9)
+    return Path((first, turn, s_curve(turn.end)))
+
+
+PATHS = st.sampled_from([Path((s_curve(),)), Path((s_curve(sign=-1),)), two_gears(), with_a_turn()])
+
+
+def assert_within(path):
+    for segment in path.segments:
+        if isinstance(segment, ClothoidSegment):
+            assert np.abs(segment.spline.curvature).max() <= LIMITS.max_curvature
+            assert np.abs(segment.spline.curvature_rates).max() <= LIMITS.max_curvature_rate
+
+
+@settings(max_examples=40)
+@given(PATHS, SMALL, SMALL)
+def test_it_leads_from_the_start_to_the_goal_within_the_bounds_and_straight_at_the_end(path, at_start, at_goal):
+    start, goal = path.start @ Pose2(*at_start), path.end @ Pose2(*at_goal)
+    found = deformed(path, start, goal, LIMITS, final_straight=STRAIGHT)
+    assert found.start.gap_to(start) <= 1e-9
+    assert found.end.gap_to(goal) <= 1e-6
+    assert [segment.direction for segment in found.segments] == [segment.direction for segment in path.segments]
+    assert found.curvature_at(0.0)[0] == pytest.approx(path.curvature_at(0.0)[0], abs=1e-12)
+    assert np.abs(found.curvature_at(np.linspace(found.length - STRAIGHT + 1e-6, found.length, 20))).max() <= 1e-12
+    assert_within(found)
+
+
+@given(PATHS)
+def test_what_leads_there_already_is_not_changed(path):
+    found = deformed(path, path.start, path.end, LIMITS, final_straight=STRAIGHT)
+    s = np.linspace(0.0, path.length, 200)
+    np.testing.assert_allclose(found.poses_at(s), path.poses_at(s), atol=1e-9)
+
+
+@settings(max_examples=30)
+@given(PATHS, SMALL, st.floats(-3.0, 3.0), SMALL)
+def test_it_does_not_matter_where_the_world_has_its_origin(path, at_goal, turn, shift):
+    move = Pose2(100.0 * shift[0], 100.0 * shift[1], turn)
+    goal = path.end @ Pose2(*at_goal)
+    here = deformed(path, path.start, goal, LIMITS, final_straight=STRAIGHT)
+    there = deformed(path.moved(move), move @ path.start, move @ goal, LIMITS, final_straight=STRAIGHT)
+    assert there.end.gap_to(move @ here.end) <= 1e-6
+    assert there.length == pytest.approx(here.length, abs=1e-6)
+
+
+def test_a_change_is_linear_while_it_is_small():
+    path = Path((s_curve(),))
+    s = np.linspace(0.0, 2.0, 50)
+    one, two = (
+        deformed(path, path.start, path.end @ Pose2(0.0, d, 0.0), LIMITS, final_straight=STRAIGHT).curvature_at(s)
+        for d in (1e-3, 2e-3)
+    )
+    was = path.curvature_at(s)
+    np.testing.assert_allclose(two - was, 2.0 * (one - was), atol=2e-4)
+
+
+def test_a_push_moves_the_robot_off_and_the_end_stays():
+    path = Path((s_curve(),))
+    pose, normal = path.pose_at(1.0), np.array([0.0, 1.0])
+    nose = pose @ Pose2(0.4, -0.3, 0.0)
+    push = Push(0, 1.0 / path.length, (0.4, -0.3), normal, nose.y + 0.04)
+    found = deformed(path, path.start, path.end, LIMITS, final_straight=STRAIGHT, pushes=[push])
+    now = found.pose_at(push.share * found.length) @ Pose2(0.4, -0.3, 0.0)
+    assert now.y >= nose.y + 0.04 - 1e-4
+    assert found.end.gap_to(path.end) <= 1e-6
+    assert_within(found)
+    idle = deformed(path, path.start, path.end, LIMITS, final_straight=STRAIGHT, pushes=[push._replace(height=-9.0)])
+    assert idle.length == pytest.approx(path.length, abs=1e-9)
+
+
+def test_at_speed_the_curvature_begins_to_change_as_fast_as_the_robot_can_turn():
+    limits = MotionLimits(max_curvature=1.5, max_curvature_rate=60.0, max_yaw_acceleration=0.5, max_deceleration=0.3)
+    path, speed = Path((s_curve(),)), 0.5
+    goal = path.end @ Pose2(0.0, 0.15, 0.0)
+    free, slow = (deformed(path, path.start, goal, limits, final_straight=STRAIGHT, speed=v) for v in (0.0, speed))
+    most = max(0.8 * 0.5 / speed**2, abs(path.curvature_rate_at(0.0)[0]))
+    assert abs(slow.curvature_rate_at(0.0)[0]) <= most + 1e-6
+    assert slow.end.gap_to(goal) <= 1e-6
+    assert free.end.gap_to(goal) <= 1e-6
+
+
+def test_what_the_bounds_leave_no_room_for_is_none():
+    path = Path((s_curve(),)).piece(1.4)
+    assert deformed(path, path.start, path.end @ Pose2(0.0, 0.3, 0.0), LIMITS, final_straight=STRAIGHT) is None
+    assert deformed(path.piece(0.7), path.pose_at(0.7), path.end, LIMITS, final_straight=STRAIGHT) is None
+    lane = Path.from_poses([Pose2(0.0, 0.0, 0.0), Pose2(1.0, 0.0, 0.0)])
+    assert deformed(lane, lane.start, lane.end, LIMITS) is None
+
+
+def test_the_piece_of_a_path_is_that_path():
+    for path in (two_gears(), with_a_turn(), Path.from_poses(two_gears().sample(0.05).poses)):
+        for begin, end in ((0.0, path.length), (0.3, 3.0), (2.3, 3.1), (1.0, 1.2)):
+            part = path.piece(begin, end)
+            s = np.linspace(0.0, part.length, 60)[1:-1]
+            np.testing.assert_allclose(part.poses_at(s), path.poses_at(s + begin), atol=1e-8)
+            assert part.length == pytest.approx(end - begin, abs=1e-9)
+
+
+def test_a_moved_path_has_moved_poses():
+    move = Pose2(3.0, -1.0, math.pi / 3)
+    for path in (two_gears(), with_a_turn(), Path.from_poses(two_gears().sample(0.05).poses)):
+        s = np.linspace(0.0, path.length, 50)
+        for pose, was in zip(path.moved(move).poses_at(s), path.poses_at(s), strict=True):
+            assert Pose2.from_sequence(pose).gap_to(move @ Pose2.from_sequence(was)) <= 1e-9

@@ -1,0 +1,254 @@
+"""Laws of replanning in motion: no jump at the joint, every limit kept, nothing called proven that is not."""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from optdock.dock import Dock, DockDirection
+from optdock.errors import InvalidValue
+from optdock.geometry.footprint import Footprint
+from optdock.geometry.pose import Pose2
+from optdock.limits import MotionLimits, SpeedZone
+from optdock.obstacles import ObstacleSet
+from optdock.pipeline import plan_dock
+from optdock.problem import DockingProblem
+from optdock.replanning import DriveState, ReplanOutcome, replan
+from optdock.robot import Drive, Robot
+from optdock.testing.dense_check import dense_check
+from optdock.verification import certify_motion, certify_path, certify_trajectory
+
+LIMITS = MotionLimits(max_curvature=1.5, max_curvature_rate=6.0, max_yaw_rate=1.2, max_yaw_acceleration=2.0)
+STEERED = MotionLimits(
+    max_curvature=1.5, max_curvature_rate=4.0, wheelbase=0.4, max_steering_angle=0.5, max_steering_rate=0.8
+)
+OUTLINE = Footprint.rectangle(0.45, 0.45, 0.6)
+BUDGET, LEAD = 30.0, 0.06  # no clock decides here
+BOX = np.array([[-0.1, -0.1], [0.1, -0.1], [0.1, 0.1], [-0.1, 0.1]])
+
+
+def dock_of(sign):
+    """A dock that is entered in the gear `sign`, its station 5 mm before the robot."""
+    near, far = (0.455, 0.7) if sign > 0 else (-0.7, -0.455)
+    station = Footprint([[near, -0.3], [far, -0.3], [far, 0.3], [near, 0.3]])
+    direction = DockDirection.FORWARD if sign > 0 else DockDirection.BACKWARD
+    return Dock(Pose2(0.0, 0.0, 0.0), station, direction, 0.3, approach_speed=0.15, approach_distance=0.3)
+
+
+@functools.cache
+def running(sign=1, drive=Drive.DIFFERENTIAL):
+    """A plan of an S, in either gear."""
+    limits = LIMITS if drive is Drive.DIFFERENTIAL else STEERED
+    start = Pose2(-sign * 2.8, 0.7, 0.1)
+    obstacles = [[*BOX, -sign * 1.5, 1.4], [*BOX, -sign * 1.0, -0.9]]
+    return plan_dock(DockingProblem(start, dock_of(sign), Robot(OUTLINE, limits, drive), obstacles), time_budget=BUDGET)
+
+
+def moved(plan, dx, dy, turn):
+    return plan.problem.goal @ Pose2(dx, dy, turn)
+
+
+def with_obstacle(plan, at):
+    obstacles = plan.problem.obstacles + ObstacleSet.from_polygons([[*BOX, at.x, at.y]], "new")
+    return dataclasses.replace(plan.problem, obstacles=obstacles)
+
+
+def assert_continuous(plan, found, rate=1.0):
+    """At the joint the new motion is where the running one is, and drives as it does."""
+    before, after = plan.trajectory.at(found.starts_at), found.trajectory.at(0.0)
+    assert before.pose.gap_to(after.pose) <= 1e-6
+    assert after.twist.linear == pytest.approx(rate * before.twist.linear, abs=1e-6)
+    assert after.twist.angular == pytest.approx(rate * before.twist.angular, abs=1e-6)
+    assert after.acceleration == pytest.approx(rate * rate * before.acceleration, abs=1e-6)
+    if rate * abs(before.twist.linear) > 1e-6:
+        bent = plan.path.curvature_at(before.s)[0]
+        assert found.trajectory.path.curvature_at(0.0)[0] == pytest.approx(bent, abs=1e-6)
+
+
+def assert_lawful(found):
+    """Certified, and by the independent check, too."""
+    plan = found.plan
+    assert certify_path(plan.path, plan.problem).certified
+    assert certify_motion(plan.trajectory, plan.problem).certified
+    assert dense_check(plan.path, plan.problem).ok
+
+
+@pytest.mark.parametrize("drive", list(Drive))
+@pytest.mark.parametrize("sign", [1, -1])
+@pytest.mark.parametrize("share", [0.0, 0.1, 0.35, 0.6])
+def test_a_new_plan_begins_where_the_running_one_is_as_it_drives(sign, drive, share):
+    plan = running(sign, drive)
+    goal = moved(plan, 0.02, -0.02, 0.02)
+    found = replan(plan, goal, DriveState(share * plan.trajectory.duration), BUDGET, lead=LEAD)
+    assert found.outcome is ReplanOutcome.NEW
+    assert found.starts_at == pytest.approx(share * plan.trajectory.duration + LEAD)
+    assert found.plan.path.end.gap_to(goal) <= 1e-6
+    assert_continuous(plan, found)
+    assert_lawful(found)
+
+
+@settings(max_examples=15)
+@given(
+    share=st.floats(0.0, 1.2),
+    rate=st.floats(0.0, 1.0),
+    shift=st.tuples(st.floats(-0.1, 0.1), st.floats(-0.1, 0.1), st.floats(-0.09, 0.09)),
+    sign=st.sampled_from([1, -1]),
+)
+def test_whatever_is_asked_nothing_jumps_and_what_is_said_is_true(share, rate, shift, sign):
+    plan = running(sign)
+    state = DriveState(share * plan.trajectory.duration, rate)
+    found = replan(plan, moved(plan, *shift), state, 0.05, lead=LEAD)
+    if found.outcome is ReplanOutcome.KEPT:
+        assert found.trajectory is plan.trajectory
+        assert found.reason
+        assert found.starts_at == 0.0
+        return
+    assert_continuous(plan, found, rate)
+    if found.outcome is ReplanOutcome.NEW:
+        assert_lawful(found)
+        return
+    assert found.reason
+    assert abs(found.trajectory.at(found.trajectory.duration).twist.linear) <= 1e-9
+    assert not found.proven or certify_trajectory(found.trajectory, LIMITS, SpeedZone()).certified
+
+
+def commands(running, found, rate, period):
+    """Speed, acceleration and yaw rate of the drive over a whole replan: the running motion, then the new one."""
+    joint = found.starts_at
+    t = np.arange(max(0.0, joint - 0.5), joint, rate * period)
+    before, after = running.sample_at(t), found.trajectory.sample_at(np.arange(0.0, 0.5, period))
+    scaled = [(before.speed, after.speed, rate), (before.acceleration, after.acceleration, rate**2)]
+    return [np.concatenate((scale * first, second)) for first, second, scale in scaled]
+
+
+@pytest.mark.parametrize("rate", [1.0, 0.6])
+@pytest.mark.parametrize("share", [0.05, 0.2, 0.5])
+def test_across_the_joint_no_step_of_speed_or_acceleration_is_more_than_the_limits_allow(share, rate):
+    plan, period = running(), 0.002
+    state = DriveState(share * plan.trajectory.duration, rate)
+    found = replan(plan, moved(plan, 0.03, 0.02, -0.02), state, BUDGET, lead=LEAD)
+    assert found.outcome is ReplanOutcome.NEW
+    speed, acceleration = commands(plan.trajectory, found, rate, period)
+    assert np.abs(np.diff(speed)).max() <= 1.01 * period * max(LIMITS.max_acceleration, LIMITS.max_deceleration)
+    # Two samples apart the acceleration moves by the jerk at most; at the joint they lie closer together.
+    assert np.abs(np.diff(acceleration)).max() <= 1.01 * period * LIMITS.max_jerk
+
+
+def test_an_offset_of_the_robot_is_carried_to_the_joint():
+    plan, offset = running(), Pose2(0.01, 0.04, 0.03)
+    measured = plan.trajectory.at(2.0).pose @ offset
+    found = replan(plan, plan.problem.goal, DriveState(2.0, pose=measured), BUDGET, lead=LEAD)
+    assert found.outcome is ReplanOutcome.NEW
+    predicted = plan.trajectory.at(2.0 + LEAD).pose @ offset
+    assert found.trajectory.at(0.0).pose.gap_to(predicted) <= 1e-6
+    assert_lawful(found)
+
+
+def test_a_robot_within_the_dock_s_tolerances_of_its_plan_is_on_it():
+    plan = running()
+    measured = plan.trajectory.at(2.0).pose @ Pose2(0.005, 0.01, 0.01)
+    found = replan(plan, moved(plan, 0.0, 0.03, 0.0), DriveState(2.0, pose=measured), BUDGET, lead=LEAD)
+    assert_continuous(plan, found)
+
+
+def test_a_way_around_a_new_obstacle():
+    plan = running()
+    s = 0.45 * plan.path.length
+    beside = plan.path.pose_at(s) @ Pose2(0.0, -0.42, 0.0)
+    world = with_obstacle(plan, beside)
+    assert not certify_path(plan.path, world).certified
+    found = replan(plan, world, DriveState(0.5), BUDGET, lead=LEAD)
+    assert found.outcome is ReplanOutcome.NEW
+    assert_continuous(plan, found)
+    assert_lawful(found)
+
+
+def test_a_wall_across_the_way_ends_in_a_stop_whose_way_is_proven():
+    plan = running()
+    s = float(plan.trajectory.sample_at(3.0).s[0])
+    world = with_obstacle(plan, plan.path.pose_at(s + 1.0))
+    found = replan(plan, world, DriveState(3.0), 0.02, lead=LEAD)
+    assert found.outcome is ReplanOutcome.STOP
+    assert found.proven
+    assert found.plan is None
+    assert found.reason
+    assert found.starts_at == pytest.approx(3.0 + LEAD)
+    assert_continuous(plan, found)
+    assert found.motion.certified
+    driven = plan.path.piece(s, float(plan.trajectory.sample_at(found.starts_at).s[0]) + found.trajectory.path.length)
+    there = dataclasses.replace(world, start=driven.start, dock=dataclasses.replace(world.dock, pose=driven.end))
+    assert "clearance" not in {fault.bound for fault in dense_check(driven, there).faults}
+
+
+def test_what_pops_up_before_the_joint_stops_the_robot_at_once():
+    """Just before the nose: not even the stop can be proven, and is the quickest there is."""
+    plan = running()
+    s = float(plan.trajectory.sample_at(3.0).s[0])
+    world = with_obstacle(plan, plan.path.pose_at(s) @ Pose2(0.45 + 0.11, 0.0, 0.0))
+    found = replan(plan, world, DriveState(3.0), BUDGET, lead=LEAD, drive_delay=0.01)
+    assert found.outcome is ReplanOutcome.STOP
+    assert not found.proven
+    assert found.starts_at == pytest.approx(3.01)
+    assert "not proven" in found.reason
+    assert "new" in found.reason
+    assert found.motion.certified
+    state = plan.trajectory.at(3.01)
+    least = state.twist.linear**2 / (2.0 * LIMITS.max_deceleration)
+    assert least <= found.trajectory.path.length <= least + 0.15 * state.twist.linear
+
+
+def test_the_last_centimetres_are_kept_where_the_plan_ends_well_enough():
+    plan = running()
+    late = plan.trajectory.duration - 0.4
+    kept = replan(plan, moved(plan, 0.004, 0.006, 0.01), DriveState(late), BUDGET, lead=LEAD)
+    assert kept.outcome is ReplanOutcome.KEPT
+    assert "straight" in kept.reason
+    assert kept.plan is plan
+    gone = replan(plan, moved(plan, 0.0, 0.05, 0.0), DriveState(late), 0.01, lead=LEAD)
+    assert gone.outcome is not ReplanOutcome.KEPT
+
+
+def test_a_dock_behind_the_robot_is_no_reason_to_jump():
+    plan = running()
+    found = replan(plan, moved(plan, -2.5, 0.0, 0.0), DriveState(5.0), 0.05, lead=LEAD)
+    assert found.outcome is not ReplanOutcome.KEPT
+    assert_continuous(plan, found)
+
+
+def test_after_the_end_of_the_plan_the_robot_begins_at_rest():
+    plan = running()
+    kept = replan(plan, plan.problem.goal, DriveState(plan.trajectory.duration + 1.0), BUDGET)
+    assert kept.outcome is ReplanOutcome.KEPT
+    stopped = replan(plan, moved(plan, 0.0, 0.5, 0.0), DriveState(plan.trajectory.duration + 1.0), 1e-6, lead=LEAD)
+    assert stopped.outcome is ReplanOutcome.STOP
+    assert stopped.trajectory.path.length <= 1e-6
+    assert stopped.trajectory.at(0.0).pose.gap_to(plan.path.end) <= 1e-6
+
+
+def test_a_target_in_another_frame_is_refused():
+    plan = running()
+    with pytest.raises(InvalidValue, match="frame"):
+        replan(plan, dataclasses.replace(plan.problem, frame="odom"), DriveState(1.0))
+
+
+@pytest.mark.parametrize(
+    ("wrong", "said"),
+    [
+        ({"time_budget": 0.0}, "time_budget"),
+        ({"time_budget": math.inf}, "time_budget"),
+        ({"drive_delay": -0.1}, "drive_delay"),
+        ({"lead": -1.0}, "lead"),
+    ],
+)
+def test_numbers_that_mean_nothing_are_refused_by_name(wrong, said):
+    plan = running()
+    with pytest.raises(InvalidValue, match=said):
+        replan(plan, plan.problem.goal, DriveState(1.0), **wrong)
+    with pytest.raises(InvalidValue, match="state.rate"):
+        replan(plan, plan.problem.goal, DriveState(1.0, -1.0))
