@@ -432,10 +432,12 @@ class _Replanning:
         footprint = world.robot.footprint
         count = max(2, math.ceil(way.length / _SPACING) + 1)
         places = way.poses_at(np.linspace(0.0, way.length, count))[:, :2]
-        near = world.all_obstacles.near(places, footprint.circumscribed_radius + world.clearance.required + _SPACING)
+        near = world.all_obstacles.near(
+            places, footprint.circumscribed_radius + world.path_clearance.required + _SPACING
+        )
         begun = Begun(start, pose_clearance(start, footprint, near)[0])
         proof = prove_clearance(way, world, obstacles=near, begun=begun)
-        if not proof.holds and begun.clearance < world.clearance.required:
+        if not proof.holds and begun.clearance < world.path_clearance.required:
             proof = prove_clearance(way, world, start_relief=world.start_run, obstacles=near, begun=begun)
         if proof.holds:
             return ""
@@ -564,7 +566,7 @@ def _standing(pose: Pose2, frame: str) -> Path:
 def _push_off(violation: Violation, path: Path, problem: DockingProblem) -> Push:
     """What moves the robot off an obstacle that it comes too close to."""
     pose = path.poses_at(violation.s)[0]
-    reach = problem.robot.footprint.circumscribed_radius + problem.clearance.required
+    reach = problem.robot.footprint.circumscribed_radius + problem.path_clearance.required
     near = problem.all_obstacles.near(pose[None, :2], reach)
     rows = np.arange(len(near))
     poses = np.tile(pose, (rows.size, 1))

@@ -138,9 +138,9 @@ def prove_clearance(
     else:
         attained = float(clearances[1])
     motion = PathMotion(path)
-    clearance = problem.path_clearance
-    rule = functools.partial(clearance.required_at, start_clearance=begun.clearance, start_relief=start_relief)
-    world = _World(problem.robot.footprint, obstacles, problem.goal, begun.start, rule, clearance.required)
+    kept = problem.path_clearance
+    rule = functools.partial(kept.required_at, start_clearance=begun.clearance, start_relief=start_relief)
+    world = _World(problem.robot.footprint, obstacles, problem.goal, begun.start, rule, kept.required)
     subdivision = _Subdivision(motion, world, attained, _CROP, is_late)
     near = subdivision.run()
     if near.proven <= _CROP or len(subdivision.near) == len(obstacles):

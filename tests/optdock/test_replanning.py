@@ -30,7 +30,11 @@ STEERED = MotionLimits(
 )
 OUTLINE = Footprint.rectangle(0.45, 0.45, 0.6)
 BUDGET, LEAD = 30.0, 0.06  # no clock decides here
-BOX = np.array([[-0.1, -0.1], [0.1, -0.1], [0.1, 0.1], [-0.1, 0.1]])
+
+
+def box_at(x, y):
+    """A square of 0.2 m."""
+    return np.array([[x - 0.1, y - 0.1], [x + 0.1, y - 0.1], [x + 0.1, y + 0.1], [x - 0.1, y + 0.1]])
 
 
 def dock_of(sign):
@@ -46,7 +50,7 @@ def running(sign=1, drive=Drive.DIFFERENTIAL):
     """A plan of an S, in either gear."""
     limits = LIMITS if drive is Drive.DIFFERENTIAL else STEERED
     start = Pose2(-sign * 2.8, 0.7, 0.1)
-    obstacles = [[*BOX, -sign * 1.5, 1.4], [*BOX, -sign * 1.0, -0.9]]
+    obstacles = [box_at(-sign * 1.5, 1.4), box_at(-sign * 1.0, -0.9)]
     return plan_dock(DockingProblem(start, dock_of(sign), Robot(OUTLINE, limits, drive), obstacles), time_budget=BUDGET)
 
 
@@ -55,7 +59,7 @@ def moved(plan, dx, dy, turn):
 
 
 def with_obstacle(plan, at):
-    obstacles = plan.problem.obstacles + ObstacleSet.from_polygons([[*BOX, at.x, at.y]], "new")
+    obstacles = plan.problem.obstacles + ObstacleSet.from_polygons([box_at(at.x, at.y)], "new")
     return dataclasses.replace(plan.problem, obstacles=obstacles)
 
 
