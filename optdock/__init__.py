@@ -50,6 +50,7 @@ if TYPE_CHECKING:
     from optdock.planners.dock_planner import DockPlanner
     from optdock.planners.manoeuvres.manoeuvre_planner import ManoeuvrePlanner
     from optdock.problem import ClearanceRule, DockingProblem
+    from optdock.replanning import DriveState, replan, still_holds
     from optdock.robot import Robot, TrackingTube
     from optdock.segments import TurnSegment
     from optdock.timing.near_optimal import NearOptimal
@@ -94,6 +95,7 @@ _MODULES = {
     "optdock.pipeline": ("plan_dock", "warm_up"),
     "optdock.plan": ("DockPlan",),
     "optdock.problem": ("ClearanceRule", "DockingProblem"),
+    "optdock.replanning": ("DriveState", "replan", "still_holds"),
     "optdock.robot": ("Robot", "TrackingTube"),
     "optdock.segments": ("TurnSegment",),
     "optdock.trajectory": ("Trajectory",),
@@ -121,6 +123,7 @@ __all__ = [
     "DockPlan",
     "DockPlanner",
     "DockingProblem",
+    "DriveState",
     "FailedToSmoothPath",
     "FailedToTimePath",
     "Footprint",
@@ -155,6 +158,8 @@ __all__ = [
     "load_scenario",
     "plan_dock",
     "prove_impossible",
+    "replan",
+    "still_holds",
     "warm_up",
 ]
 __version__ = "0.1.0"

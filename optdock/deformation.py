@@ -24,7 +24,8 @@ import numpy as np
 
 from optdock.geometry.arrays import readonly
 from optdock.geometry.clothoid import ClothoidSpline
-from optdock.geometry.pose import Pose2, normalize_angle
+from optdock.geometry.pose import Pose2, normalize_angle, transform_points
+from optdock.geometry.separation import separation
 from optdock.path import Path
 from optdock.segments import ClothoidSegment, TurnSegment
 
@@ -32,12 +33,14 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from optdock.geometry.arrays import FloatArray
+    from optdock.geometry.separation import ConvexBody, ConvexPieces
     from optdock.limits import MotionLimits
     from optdock.segments import Segment
 
 __all__ = ["Push", "deformed"]
 
 _CLOSED = 2e-7  # [m], [rad]: a fifth of what the certificate accepts
+_FLAT = 1e-6  # [m]: corners of an edge that lies along an obstacle
 _PUSHED = 1e-4  # [m]: pushes leave more room than that
 _STEPS = 8  # of Gauss-Newton; a gap of decimetres takes four
 _LEAST_PIECES = 12  # of a gear: fewer leave no shape to bend it into
@@ -48,6 +51,8 @@ _ALL = 1_000_000  # gears
 _USED = 0.999  # share of the bounds that is taken where one is reached
 _SLOW = 0.3  # share of the speed at the start: a robot may be as slow as that for the sake of a bend
 _USED_BY_BENDS = 0.8  # share of the yaw acceleration; the rest is left for speeding up and slowing down in them
+_BOLD = 12  # rounds in which several bounds at once are added or dropped
+_MOST_AT_ONCE = 6
 _MOST_ACTIVE = 40  # rounds of the active-set method; one that needs more finds nothing
 _NO_PULL = 1e-9  # relative: rounding of the force by which a bound holds a step back
 _WITHIN = 1e-9  # of a bound, in units of its row
@@ -93,21 +98,32 @@ class _Gear(NamedTuple):
 
 
 class Push(NamedTuple):
-    """A point of the robot that must be moved off an obstacle.
+    """An obstacle that the robot must keep a distance from at a place of the path.
 
     Attributes:
         gear: Index of the segment on which the robot is then.
         share: How far it is along it, 0 to 1.
-        point: Of the robot, seen from it [m].
-        normal: Away from the obstacle, Shape (2,).
-        height: At least so far along the normal the point must be [m].
+        body: The convex piece of the robot that comes too close.
+        piece: The convex obstacle, alone.
+        distance: That they must keep [m].
     """
 
     gear: int
     share: float
-    point: tuple[float, float]
+    body: ConvexBody
+    piece: ConvexPieces
+    distance: float
+
+
+class _Contact(NamedTuple):
+    """Where robot and obstacle are nearest: a point of the robot, the axis away from the obstacle, and what is short.
+
+    `place`: in the world, Shape (2,) [m]. `normal`: Shape (2,). `short`: [m], below 0 where there is more than enough.
+    """
+
+    place: FloatArray
     normal: FloatArray
-    height: float
+    short: float
 
 
 def deformed(  # noqa: PLR0913 - what is near to what, under which bounds
@@ -146,10 +162,11 @@ def deformed(  # noqa: PLR0913 - what is near to what, under which bounds
             return None
         end = segments[-1].poses_at(segments[-1].length)[0]
         gap = np.array([goal.x - end[0], goal.y - end[1], normalize_angle(goal.yaw - float(end[2]))])
-        short = max((_short_of(push, segments) for push in pushes), default=0.0)
+        contacts = [_contact(push, segments) for push in pushes]
+        short = max((contact.short for contact in contacts), default=0.0)
         if float(np.abs(gap).max()) <= _CLOSED and short <= _PUSHED and program.keeps_bounds(gears):
             return Path(segments, path.frame)
-        change = program.least_change(gears, segments, gap, pushes)
+        change = program.least_change(gears, segments, gap, list(zip(pushes, contacts, strict=True)))
         if change is None:
             return None
         gears = [gear.changed(part) for gear, part in zip(gears, change, strict=True)]
@@ -197,17 +214,27 @@ def _driven(gears: list[_Gear], start: Pose2) -> tuple[Segment, ...] | None:
     return tuple(segments)
 
 
-def _place_of(push: Push, segments: tuple[Segment, ...]) -> FloatArray:
-    """Where the point of a push is now, Shape (2,) [m]."""
+def _contact(push: Push, segments: tuple[Segment, ...]) -> _Contact:
+    """The contact of a push as the path is now."""
     segment = segments[push.gear]
-    pose = Pose2.from_sequence(segment.poses_at(push.share * segment.length)[0])
-    at = pose @ Pose2(*push.point, 0.0)
-    return np.array([at.x, at.y])
+    pose = segment.poses_at(push.share * segment.length)
+    found = separation(push.body, pose, push.piece)
+    normal = found.axis[0]
+    corners = transform_points(pose, push.body.vertices)[0]
+    heights = corners @ normal
+    nearest = np.flatnonzero(heights <= heights.min() + _FLAT)
+    place = corners[nearest[0]]
+    if nearest.size > 1:  # along an edge: beside the corner that comes nearest to it
+        outline = np.column_stack((push.piece.x[:, 0], push.piece.y[:, 0]))
+        corner, edge = outline[np.argmax(outline @ normal)], corners[nearest[-1]] - place
+        place = place + edge * min(max(float((corner - place) @ edge) / float(edge @ edge), 0.0), 1.0)
+    return _Contact(place, normal, push.distance - float(found.distance[0]))
 
 
-def _short_of(push: Push, segments: tuple[Segment, ...]) -> float:
-    """How much of a push is still to do [m]."""
-    return push.height - float(push.normal @ _place_of(push, segments))
+def _peaks(over: FloatArray) -> list[int]:
+    """Where a bound is broken by more than next to it: one of every stretch that is beyond."""
+    beside = np.maximum(np.append(over[1:], -np.inf), np.append(-np.inf, over[:-1]))
+    return np.flatnonzero((over > _WITHIN) & (over >= beside))[:_MOST_AT_ONCE].tolist()
 
 
 def _rates_at_speed(gear: _Gear, limits: MotionLimits, speed: float) -> FloatArray:
@@ -251,6 +278,7 @@ class _Program:
             self.fixed.append((0, float(gears[0].curvature[0])))
         if gears[-1].sign:
             self.fixed.append((self.size - 2, 0.0 if gears[-1].tail > 0.0 else float(gears[-1].curvature[-1])))
+        self.active: list[int] = []
         price = np.zeros((self.size, self.size))
         for begin, gear in zip(self.starts.tolist(), gears, strict=False):
             price[begin : begin + gear.size, begin : begin + gear.size] = self._price(gear)
@@ -280,7 +308,7 @@ class _Program:
         return curvature, np.concatenate(rates) if rates else np.zeros(0), rows
 
     def least_change(
-        self, gears: list[_Gear], segments: tuple[Segment, ...], gap: FloatArray, pushes: Sequence[Push]
+        self, gears: list[_Gear], segments: tuple[Segment, ...], gap: FloatArray, pushes: list[tuple[Push, _Contact]]
     ) -> list[FloatArray] | None:
         """The cheapest change that closes a gap, pushes and keeps the bounds, by gears; None: nothing does all that."""
         numbers = np.concatenate([np.append(g.curvature, 0.0) if g.sign else np.zeros(1) for g in gears])
@@ -298,12 +326,12 @@ class _Program:
         bends = np.zeros((curvature.size, self.size))
         bends[np.arange(curvature.size), places.astype(np.int64)] = 1.0
         moves = [
-            push.normal @ self._moves(gears, segments, _place_of(push, segments), (push.gear, push.share))[:2]
-            for push in pushes
+            contact.normal @ self._moves(gears, segments, contact.place, (push.gear, push.share))[:2]
+            for push, contact in pushes
         ]
         # Every bound as row @ change <= room; a push is one the other way round.
         rows = np.concatenate((bends, -bends, rate_rows, -rate_rows, -np.array(moves).reshape(-1, self.size)))
-        short = np.array([_short_of(push, segments) for push in pushes])
+        short = np.array([contact.short for _, contact in pushes])
         room = (self.most - curvature, self.most + curvature, self.most_rates - rates, self.most_rates + rates, -short)
         change = self._within(must, np.array(wanted), rows, np.concatenate(room))
         lengths = self.starts[1:][[gear.sign != 0 for gear in gears]] - 1
@@ -312,10 +340,12 @@ class _Program:
         return np.split(change, self.starts[1:-1])
 
     def _within(self, must: FloatArray, wanted: FloatArray, rows: FloatArray, room: FloatArray) -> FloatArray | None:
-        """The cheapest change with `must @ change = wanted` and `rows @ change <= room`; None where none is found."""
-        scale = np.maximum(np.abs(rows).max(axis=1), 1e-12)
-        active: list[int] = []
-        for _ in range(_MOST_ACTIVE):
+        """The cheapest change with `must @ change = wanted` and `rows @ change <= room`; None where none is found.
+
+        What was active in the last step is so at first in this one.
+        """
+        scale, active = np.maximum(np.abs(rows).max(axis=1), 1e-12), self.active
+        for count in range(_MOST_ACTIVE):
             table = np.concatenate((must, rows[active]))
             cheap = self.cheapness @ table.T
             try:
@@ -325,16 +355,18 @@ class _Program:
             change: FloatArray = cheap @ pulls
             if not np.all(np.isfinite(change)):
                 return None
-            wrong = pulls[len(wanted) :]
-            if active and wrong.max() > _NO_PULL * np.abs(pulls).max():
-                del active[int(np.argmax(wrong))]
+            wrong = pulls[len(wanted) :] > _NO_PULL * np.abs(pulls).max()
+            if wrong.any():
+                # At first all that hold back, later the worst alone: so nothing is dropped and added for ever.
+                worst = int(np.argmax(pulls[len(wanted) :]))
+                active = [i for k, i in enumerate(active) if not (wrong[k] if count < _BOLD else k == worst)]
                 continue
             over = (rows @ change - room) / scale
             over[active] = -np.inf
-            worst = int(np.argmax(over))
-            if over[worst] <= _WITHIN:
+            if float(over.max()) <= _WITHIN:
+                self.active = active
                 return change
-            active.append(worst)
+            active = [*active, *(_peaks(over) if count < _BOLD else [int(np.argmax(over))])]
         return None
 
     def _price(self, gear: _Gear) -> FloatArray:

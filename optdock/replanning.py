@@ -32,7 +32,7 @@ from optdock.deformation import Push, deformed
 from optdock.errors import Cancelled, InvalidValue, LifecycleError, OptdockError, PluginError, SmootherTimedOut
 from optdock.geometry.checked import finite_number, instance, number
 from optdock.geometry.clothoid import ClothoidSpline
-from optdock.geometry.pose import Pose2, normalize_angle, transform_points
+from optdock.geometry.pose import Pose2
 from optdock.geometry.separation import separation
 from optdock.interfaces import Smoother, TimeParameterizer, never_cancelled
 from optdock.limits import SpeedZone
@@ -77,8 +77,7 @@ _REST_SOON = 0.1  # [s]: a robot that rests so soon after the joint is joined th
 _ON_THE_STRAIGHT = "the robot is on the final straight, where nothing is bent any more"
 _AT_THE_END = "nothing is left of the plan"
 _PUSHES = 4  # off obstacles: each takes two milliseconds, and what needs more is for the smoother
-_FLAT = 1e-6  # [m]: corners of an edge that lies along an obstacle
-_ROOM = 0.002  # [m]: a path that is pushed keeps more than what is required, for it is curved between its contacts
+_ROOM = 0.005  # [m]: a path that is pushed keeps more than what is required, for it comes nearest a little further on
 _SPACING = 0.05  # [m] between the places by which what is near is found
 _NO_WAY = 1e-6  # [m]: of less than that nothing is left to drive
 # Shares of the deceleration that a stop tries: in a bend the yaw acceleration may leave no more.
@@ -372,59 +371,84 @@ class _Replanning:
     def _timing(self) -> dict[str, float]:
         return {**self.timing_ms, "total": 1e3 * self.deadline.elapsed}
 
-    def _offset(self) -> Pose2 | None:
-        """Where the robot is, seen from its reference; None where it is near enough."""
+    @functools.cached_property
+    def now(self) -> _Joint:
+        """Where the robot is."""
+        return self._joint(0.0)
+
+    @functools.cached_property
+    def offset(self) -> Pose2 | None:
+        """Where the robot is, seen from its reference; None where it is near enough.
+
+        That is in its tracking tube; for a robot without one, where it would count as docked at the dock.
+        """
         if self.state.pose is None:
             return None
-        reference = self.plan.trajectory.at(self.state.time).pose
-        seen = self.state.pose.in_frame_of(reference)
-        seen = Pose2(seen.x, seen.y, normalize_angle(seen.yaw))
-        accepted = self.world.dock.tolerances
-        near = math.hypot(seen.x, seen.y) <= accepted.cross and abs(seen.yaw) <= accepted.yaw
+        robot, accepted = self.world.robot, self.world.dock.tolerances
+        seen = self.state.pose.in_frame_of(self.plan.trajectory.at(self.state.time).pose)
+        tube = robot.tracking.width(robot.footprint)
+        if tube > 0.0:
+            turned = 2.0 * robot.footprint.circumscribed_radius * abs(math.sin(0.5 * seen.yaw))
+            near = math.hypot(seen.x, seen.y) + turned <= tube
+        else:
+            near = math.hypot(seen.x, seen.y) <= accepted.cross and abs(seen.yaw) <= accepted.yaw
         return None if near else seen
 
     def _joint(self, lead: float, *, at_a_rest: bool = False) -> _Joint:
         """Where the robot will be in `lead` seconds; in a turn in place, or just before a rest, at that rest."""
         running, rate = self.plan.trajectory, self.state.rate
+        path, length = running.path, running.path.length
         time = min(max(self.state.time + rate * lead, 0.0), running.duration)
         if at_a_rest:
             time = self._next_rest(time)
-        there = running.at(time)
-        path, length = running.path, running.path.length
-        s = min(max(there.s, 0.0), length)
-        gear = int(path.direction_at(s)[0])
-        along = running.time_law.at(time)[0]
-        speed, acceleration = rate * float(along[1]), rate * rate * float(along[2])
+        s, speed, acceleration, _ = running.time_law.at(time)[0].tolist()
+        s, speed, acceleration = min(max(s, 0.0), length), rate * speed, rate * rate * acceleration
         if max(abs(speed), abs(acceleration)) <= _AT_REST:
             speed = acceleration = 0.0
-            near = [cusp for cusp in path.cusps if abs(cusp - s) <= _NO_WAY]
-            s = near[0] if near else s
-            gear = int(path.direction_at(s)[0])
-        sign = gear or 1
-        reference, offset = path.pose_at(s), self._offset()
-        pose = reference if offset is None else reference @ offset
+            s = next((cusp for cusp in path.cusps if abs(cusp - s) <= _NO_WAY), s)
+        gear = int(path.direction_at(s)[0])
         rest = path.piece(s) if s < length - _NO_WAY else None
-        if rest is not None and offset is not None:
-            rest = rest.moved(pose @ rest.start.inverse())
+        pose = path.end if rest is None else rest.start
+        if self.offset is not None:
+            carried = pose @ self.offset
+            rest = rest.moved(carried @ pose.inverse()) if rest is not None else None
+            pose = carried
+        sign = gear or 1
         return _Joint(time, s, pose, sign * speed, sign * acceleration, gear, rest)
 
     def _next_rest(self, time: float) -> float:
         """The time itself; or that of the next rest, where it falls into a turn in place or shortly before a rest."""
         running = self.plan.trajectory
-        ends = [*running.cusp_times.tolist(), running.duration]
-        due = [end for end in ends if end >= time]
-        if not due or max(abs(running.time_law.at(time)[0, 1:3])) <= _AT_REST:
+        s, speed, acceleration, _ = running.time_law.at(time)[0].tolist()
+        if max(abs(speed), abs(acceleration)) <= _AT_REST:
             return time
-        turning = int(running.path.direction_at(running.at(time).s)[0]) == 0
-        soon = due[0] - time <= _REST_SOON * max(self.state.rate, 1e-9)
-        return due[0] if turning or soon else time
+        turning = running.path.turns and int(running.path.direction_at(s)[0]) == 0
+        ends = running.cusp_times.tolist() if running.path.cusps else []
+        due = next((end for end in [*ends, running.duration] if end >= time), time)
+        return due if turning or due - time <= _REST_SOON * self.state.rate else time
 
     def _blocked(self, joint: _Joint) -> str:
         """Why the way from here to the joint is not proven to be clear; empty where it is."""
-        now = self._joint(0.0)
+        now = self.now
         if now.rest is None or joint.s - now.s <= _NO_WAY:
             return ""
-        return self._not_clear(now.rest.piece(0.0, joint.s - now.s), now.pose, self.world)
+        way = now.rest.piece(0.0, joint.s - now.s)
+        return "" if self._is_as_before(way) else self._not_clear(way, now.pose, self.world)
+
+    def _is_as_before(self, way: Path) -> bool:
+        """Whether a stretch of the running path, far from the dock, is proven already: nothing but the dock moved."""
+        before, world = self.plan.problem, self.world
+        same = before.obstacles is world.obstacles and before.costmap is world.costmap and before.robot is world.robot
+        same = same and before.clearance == world.clearance
+        same = same and self.plan.certificate.path == self.plan.path.digest
+        if not same or self.offset is not None or before.unknown_is_obstacle != world.unknown_is_obstacle:
+            return False
+        station = world.dock.footprint
+        reach = world.robot.footprint.circumscribed_radius + world.path_clearance.required
+        reach += 0.0 if station is None else station.circumscribed_radius
+        # Within the taper another dock is another rule; and a robot may have met its station's old place, not its new.
+        far = max(reach, world.path_clearance.taper) + way.length
+        return min(way.start.distance_to(goal) for goal in (before.goal, world.goal)) > far
 
     @staticmethod
     def _not_clear(way: Path, start: Pose2, world: DockingProblem) -> str:
@@ -436,9 +460,9 @@ class _Replanning:
             places, footprint.circumscribed_radius + world.path_clearance.required + _SPACING
         )
         begun = Begun(start, pose_clearance(start, footprint, near)[0])
-        proof = prove_clearance(way, world, obstacles=near, begun=begun)
+        proof = prove_clearance(way, world, obstacles=near, begun=begun, sharp=False)
         if not proof.holds and begun.clearance < world.path_clearance.required:
-            proof = prove_clearance(way, world, start_relief=world.start_run, obstacles=near, begun=begun)
+            proof = prove_clearance(way, world, start_relief=world.start_run, obstacles=near, begun=begun, sharp=False)
         if proof.holds:
             return ""
         if not len(proof.violations):
@@ -486,7 +510,7 @@ class _Replanning:
         """
         if _is_beyond(self.plan.path.end, self.world.goal, self.world.dock.tolerances):
             return None
-        now = self._joint(0.0)
+        now = self.now
         if now.rest is not None:
             dock = dataclasses.replace(self.world.dock, pose=self.plan.path.end)
             if self._not_clear(now.rest, now.pose, dataclasses.replace(self.world, dock=dock)):
@@ -500,7 +524,7 @@ class _Replanning:
         for lead in (self.lead, delay):
             joint = self._joint(lead)
             trajectory, motion = self._braking(joint)
-            now = self._joint(0.0)
+            now = self.now
             until = joint.s - now.s + trajectory.path.length
             way = now.rest.piece(0.0, until) if now.rest is not None else trajectory.path
             blocked = self._not_clear(way, now.pose, self.world)
@@ -575,21 +599,10 @@ def _push_off(violation: Violation, path: Path, problem: DockingProblem) -> Push
         key=lambda one: float(one[1].distance.min()),
     )
     row = int(np.argmin(found.distance))
-    normal = found.axis[row]
-    corners = transform_points(pose[None], body.vertices)[0]
-    heights = corners @ normal
-    nearest = np.flatnonzero(heights <= heights.min() + _FLAT)
-    point = body.vertices[nearest[0]]
-    if nearest.size > 1:  # along an edge: beside the corner that comes nearest to it
-        first, last = body.vertices[nearest[0]], body.vertices[nearest[-1]]
-        corner = near.vertices[row][np.argmax(near.vertices[row] @ normal)]
-        along = last - first
-        reached = (corner - corners[nearest[0]]) @ (corners[nearest[-1]] - corners[nearest[0]])
-        point = first + along * min(max(reached / float(along @ along), 0.0), 1.0)
-    height = float((near.vertices[row] @ normal).max()) + float(found.distance[row]) + violation.amount + _ROOM
+    distance = float(found.distance[row]) + violation.amount + _ROOM
     gear = int(np.clip(np.searchsorted(path.segment_starts, violation.s, side="right") - 1, 0, len(path.segments) - 1))
     share = (violation.s - float(path.segment_starts[gear])) / path.segments[gear].length
-    return Push(gear, min(max(share, 0.0), 1.0), (float(point[0]), float(point[1])), normal, height)
+    return Push(gear, min(max(share, 0.0), 1.0), body, near.pieces(np.array([row])), distance)
 
 
 def _is_beyond(found: Pose2, wanted: Pose2, accepted: DockTolerances) -> bool:

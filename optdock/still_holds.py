@@ -7,6 +7,8 @@ these only what is near enough to the rest of the path to matter. The rule is th
 
 from __future__ import annotations
 
+import functools
+import operator
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
@@ -36,7 +38,7 @@ __all__ = ["StillHolds", "still_holds"]
 _NO_WAY = 1e-6  # [m]: of less than that nothing is left to drive
 _SPACING = 0.1  # [m] between the places by which what is near is found
 _HALVINGS = 30  # of a phase: below a microsecond
-_RULES = {"clearance", "footprint", "dock"}  # what the rule is made of: where that has changed nothing is proven yet
+_RULES = {"path", "clearance", "footprint", "dock"}  # what a proof is about: where that has changed nothing is proven
 
 
 @dataclass(frozen=True)
@@ -46,7 +48,8 @@ class StillHolds:
     Args:
         holds: Whether it is.
         changed: What differs from the world that the plan was proven in: of `obstacles`, `costmap`, `dock`,
-            `clearance`, `footprint`, `limits`, `frame`.
+            `clearance`, `footprint`, `limits`, `frame`; `path` first, where the plan's certificate is for another path
+            or another problem than the plan has.
         at_s: Where on the plan's path the first conflict was found [m]; None: there is none.
         at_time: When that is on the plan's trajectory [s].
         obstacle: What is too close there; empty where the proof was not finished.
@@ -101,6 +104,8 @@ def still_holds(
         instance(DockingProblem, world, "world (a DockingProblem, a Costmap or an ObstacleSet)")
         obstacles, costmap, later = world.obstacles, world.costmap, world
     changed = _changed(known, later, obstacles, costmap)
+    if not _is_proven(plan):
+        changed = ("path", *changed)
     if "frame" in changed:
         reason = f"the world stands in frame {later.frame!r}, the plan in {plan.frame!r}"
         return StillHolds(holds=False, changed=changed, reason=reason)
@@ -133,23 +138,24 @@ class _Change:
         if len(near) == 0:
             return StillHolds(holds=True, changed=self.changed)
         begun, relief = Begun(known.start, end_clearances(known).start), self.plan.certificate.start_relief
-        proof = prove_clearance(rest, later, is_late, relief, obstacles=near, begun=begun)
+        proof = prove_clearance(rest, later, is_late, relief, obstacles=near, begun=begun, sharp=False)
         if proof.holds and proof.proven < 0.0 and not is_ruled_anew:
             # What is new is touched; together with what was there before it may hide an overlap.
             near = near + known.all_obstacles.near(places, reach)
-            proof = prove_clearance(rest, later, is_late, relief, obstacles=near, begun=begun)
+            proof = prove_clearance(rest, later, is_late, relief, obstacles=near, begun=begun, sharp=False)
         return StillHolds(holds=True, changed=self.changed) if proof.holds else self._conflict(proof, begin, near)
 
     def _new(self, places: FloatArray, reach: float) -> ObstacleSet:
         """What was not there when the plan was proven, and is near."""
-        known, later, found = self.plan.problem, self.later, ObstacleSet.empty()
+        known, later, found = self.plan.problem, self.later, list[ObstacleSet]()
         if "obstacles" in self.changed:
-            found = _without(self.obstacles.near(places, reach), known.obstacles)
+            found.append(_without(self.obstacles.near(places, reach), known.obstacles))
         if "costmap" in self.changed and self.costmap is not None:
             unknown = later.unknown_is_obstacle
             before = known.costmap if unknown == known.unknown_is_obstacle else None
-            found = found + added_obstacles(self.costmap, before, places, reach, unknown_is_obstacle=unknown)
-        return found
+            found.append(added_obstacles(self.costmap, before, places, reach, unknown_is_obstacle=unknown))
+        found = [some for some in found if len(some)]
+        return functools.reduce(operator.add, found) if found else ObstacleSet.empty()
 
     def _conflict(self, proof: ClearanceProof, begin: float, near: ObstacleSet) -> StillHolds:
         """What stands in the way of a proof."""
@@ -164,6 +170,16 @@ class _Change:
             reason = f"the clearance near s = {begin + s:.3f} m is not proven; the bound is {-short:.3g} m short"
         when = _time_at(self.plan.trajectory, begin + s)
         return replace(found, at_s=begin + s, at_time=when, reason=reason)
+
+
+def _is_proven(plan: DockPlan) -> bool:
+    """Whether the plan's certificate speaks of its path in its problem, and holds."""
+    certificate = plan.certificate
+    if not certificate.certified or certificate.path != plan.path.digest or certificate.problem is None:
+        return False
+    return not {"footprint", "obstacles", "clearance", "dock", "frame"} & set(
+        certificate.problem.differences(plan.problem.fingerprint)
+    )
 
 
 def _changed(

@@ -122,6 +122,7 @@ def problem_of(case: Case) -> DockingProblem:
         clearance=ClearanceRule(*case["clearance"]),
         start_speed=case["start_speed"],
         start_curvature=case.get("start_curvature"),
+        start_acceleration=case.get("start_acceleration", 0.0),
         costmap=costmap,
         start_acceleration=case.get("start_acceleration", 0.0),
     )
@@ -148,6 +149,7 @@ def problem_spec(problem: DockingProblem) -> Case:
         "start": problem.start.as_array().tolist(),
         "start_speed": problem.start_speed,
         "start_curvature": problem.start_curvature,
+        "start_acceleration": problem.start_acceleration,
         "clearance": [problem.clearance.required, problem.clearance.at_dock, problem.clearance.taper],
         "limits": {spec.name: getattr(limits, spec.name) for spec in fields(limits)},
         "drive": problem.robot.drive.value,

@@ -81,7 +81,12 @@ def _without_extras(case: Case) -> Iterator[Case]:
         yield {**case, "dock": {**dock, "footprint": None}}
     if dock and dock.get("final_straight"):
         yield {**case, "dock": {**dock, "final_straight": 0.0}}
-    for key, plain in (("start_speed", 0.0), ("start_curvature", None), ("zone", [None, 0.0])):
+    for key, plain in (
+        ("start_speed", 0.0),
+        ("start_acceleration", 0.0),
+        ("start_curvature", None),
+        ("zone", [None, 0.0]),
+    ):
         if key in case and case[key] != plain and "law" not in case:
             yield {**case, key: plain}
     rule = case.get("clearance")

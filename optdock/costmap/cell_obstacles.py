@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+import operator
 from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
@@ -113,7 +114,8 @@ def added_obstacles(
     if known is not None and is_known:
         before = known.data[rows, columns]
         blocked &= ~(before >= LETHAL if unknown_is_obstacle else before == LETHAL)
-    cells = np.argwhere(blocked)[:, ::-1]  # column, row
+    rows_at, columns_at = np.nonzero(blocked)
+    cells = np.column_stack((columns_at, rows_at))
     if len(cells):
         centres = np.array(costmap.origin) + (cells + first + 0.5) * costmap.resolution
         within = (reach + costmap.resolution) ** 2  # a corner is nearer than the centre by less than a side
@@ -121,12 +123,16 @@ def added_obstacles(
         for place in places:
             near |= np.square(centres - place).sum(axis=1) <= within
         blocked[cells[~near, 1], cells[~near, 0]] = False
-    found = ObstacleSet.empty()
-    for name, these in (("map", window != NO_INFORMATION), ("unknown", window == NO_INFORMATION)):
-        some = cell_rectangles(blocked & these)
-        if len(some):
-            found = found + _rectangles(costmap, some + np.tile(first, 2), name)
-    return found if is_known else found + _border(costmap).in_box(lower, upper)
+    unseen = blocked & (window == NO_INFORMATION)
+    parts = [
+        _rectangles(costmap, cell_rectangles(these) + np.tile(first, 2), name)
+        for name, these in (("map", blocked & ~unseen), ("unknown", unseen))
+        if these.any()
+    ]
+    if not is_known:
+        inside = np.all(lower >= costmap.lower) and np.all(upper <= costmap.upper)
+        parts += [] if inside else [_border(costmap).in_box(lower, upper)]
+    return functools.reduce(operator.add, parts) if parts else ObstacleSet.empty()
 
 
 def is_same_grid(first: Costmap, second: Costmap) -> bool:

@@ -106,7 +106,7 @@ class _Round(NamedTuple):
         return table
 
 
-def prove_clearance(
+def prove_clearance(  # noqa: PLR0913 - what is proven, and which part of it is known
     path: Path,
     problem: DockingProblem,
     is_late: Callable[[], bool] = never_late,
@@ -114,6 +114,7 @@ def prove_clearance(
     *,
     obstacles: ObstacleSet | None = None,
     begun: Begun | None = None,
+    sharp: bool = True,
 ) -> ClearanceProof:
     """Prove the clearance rule of `problem` for every point of `path`, or find the poses that break it.
 
@@ -125,18 +126,22 @@ def prove_clearance(
         start_relief: Of the rule, see `ClearanceRule.required_at` [m].
         obstacles: What must not be touched; None: all that the problem knows.
         begun: Where a path began of which this is the rest, so that the rule is that of the whole; None: at its start.
+        sharp: Whether `proven` is to be the smallest clearance but for `SHARPNESS`, or any bound that keeps the rule.
     """
     footprint = problem.robot.footprint
     obstacles = problem.all_obstacles if obstacles is None else obstacles
     if len(obstacles) == 0:
         nothing = np.zeros((0, 7))
         return ClearanceProof(np.inf, 0.0, problem.path_clearance.required, -1, np.inf, nothing, nothing[:, :2], 0)
-    ends = np.stack((problem.start.as_array(), path.end.as_array()))
-    clearances, _ = pose_clearances(ends, footprint, obstacles)
-    if begun is None:
-        begun, attained = Begun(problem.start, float(clearances[0])), float(clearances.min())
-    else:
-        attained = float(clearances[1])
+    attained = -np.inf
+    if sharp or begun is None:
+        ends = np.stack((problem.start.as_array(), path.end.as_array()))
+        clearances, _ = pose_clearances(ends, footprint, obstacles)
+        if begun is None:
+            begun, attained = Begun(problem.start, float(clearances[0])), float(clearances.min())
+        else:
+            attained = float(clearances[1])
+    attained = attained if sharp else -np.inf
     motion = PathMotion(path)
     kept = problem.path_clearance
     rule = functools.partial(kept.required_at, start_clearance=begun.clearance, start_relief=start_relief)

@@ -727,6 +727,10 @@ def _begin(judged: _Judged, problem: DockingProblem) -> Iterator[Violation]:
     if not abs(motion.speed[0] - problem.start_speed) <= judged.rounding.speed:
         message = f"start speed: {motion.speed[0]:.6g} m/s, the robot drives {problem.start_speed:.6g} m/s"
         yield Violation("start_state", message, 0.0, abs(float(motion.speed[0] - problem.start_speed)))
+    found, wanted = float(motion.acceleration[0]), problem.start_acceleration
+    if not abs(found - wanted) <= judged.rounding.acceleration:
+        message = f"start acceleration: {found:.6g} m/s^2, the robot has {wanted:.6g} m/s^2"
+        yield Violation("start_state", message, 0.0, abs(found - wanted))
     if begins > 2.0 * judged.slack:
         yield Violation("coverage", f"begins: at s = {begins:.6g} m, the path at 0 m", begins, begins)
 

@@ -29,7 +29,7 @@ dock:
   final_straight: 0.3
   approach_speed: 0.1
   approach_distance: 0.4
-start: {pose: [1.0, 0.2, 0.4], speed: -0.1, curvature: 0.2}
+start: {pose: [1.0, 0.2, 0.4], speed: -0.1, curvature: 0.2, acceleration: 0.05}
 clearance: {required: 0.06, at_dock: 0.01, taper: 1e-1}
 time_budget: 0.25
 controller: {plugin: TrackingController}
@@ -74,7 +74,7 @@ def test_every_key_reaches_its_value(tmp_path):
     problem = loaded.problem
     assert problem.frame == "depot"
     assert problem.start == Pose2(1.0, 0.2, 0.4)
-    assert (problem.start_speed, problem.start_curvature) == (-0.1, 0.2)
+    assert (problem.start_speed, problem.start_curvature, problem.start_acceleration) == (-0.1, 0.2, 0.05)
     assert problem.goal == Pose2(4.0, 1.0, 0.5)
     assert problem.dock.direction is DockDirection.BACKWARD
     assert (problem.dock.final_straight, problem.dock.approach.speed, problem.dock.approach.distance) == (0.3, 0.1, 0.4)

@@ -11,8 +11,11 @@ from hypothesis import strategies as st
 
 from optdock.deformation import Push, deformed
 from optdock.geometry.clothoid import ClothoidSpline
+from optdock.geometry.footprint import Footprint
 from optdock.geometry.pose import Pose2
+from optdock.geometry.separation import separation
 from optdock.limits import MotionLimits
+from optdock.obstacles import ObstacleSet
 from optdock.path import ClothoidSegment, Path, TurnSegment
 
 LIMITS = MotionLimits(max_curvature=1.5, max_curvature_rate=6.0)
@@ -93,16 +96,22 @@ def test_a_change_is_linear_while_it_is_small():
 
 
 def test_a_push_moves_the_robot_off_and_the_end_stays():
-    path = Path((s_curve(),))
-    pose, normal = path.pose_at(1.0), np.array([0.0, 1.0])
-    nose = pose @ Pose2(0.4, -0.3, 0.0)
-    push = Push(0, 1.0 / path.length, (0.4, -0.3), normal, nose.y + 0.04)
+    path, body = Path((s_curve(),)), Footprint.rectangle(0.4, 0.4, 0.6).bodies[0]
+    beside = path.pose_at(1.0) @ Pose2(0.1, -0.42, 0.0)
+    piece = ObstacleSet.from_polygons(
+        [np.array([[0.1, 0.0], [0.0, 0.1], [-0.1, 0.0], [0.0, -0.1]]) + beside.as_array()[:2]]
+    )
+    push = Push(0, 1.0 / path.length, body, piece.pieces(np.array([0])), 0.06)
+
+    def distance(found):
+        return separation(body, found.poses_at(push.share * found.length), push.piece).distance[0]
+
+    assert distance(path) < 0.04
     found = deformed(path, path.start, path.end, LIMITS, final_straight=STRAIGHT, pushes=[push])
-    now = found.pose_at(push.share * found.length) @ Pose2(0.4, -0.3, 0.0)
-    assert now.y >= nose.y + 0.04 - 1e-4
+    assert distance(found) >= 0.06 - 1e-4
     assert found.end.gap_to(path.end) <= 1e-6
     assert_within(found)
-    idle = deformed(path, path.start, path.end, LIMITS, final_straight=STRAIGHT, pushes=[push._replace(height=-9.0)])
+    idle = deformed(path, path.start, path.end, LIMITS, final_straight=STRAIGHT, pushes=[push._replace(distance=0.0)])
     assert idle.length == pytest.approx(path.length, abs=1e-9)
 
 

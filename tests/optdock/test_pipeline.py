@@ -55,7 +55,7 @@ from optdock.robot import Robot
 from optdock.testing.dense_check import dense_check
 from optdock.timing.windowed import Windowed
 from optdock.trajectory import TimeLaw, Trajectory
-from optdock.verification import certify_path, certify_trajectory
+from optdock.verification import certify_motion, certify_path, certify_trajectory
 from smoothers import CasadiSmoother
 
 BUDGET = 20.0  # [s]: these tests are about verdicts, not about time
@@ -262,6 +262,25 @@ def test_a_start_too_fast_to_stop():
     assert isinstance(error, FailedToTimePath)
     assert error.where["status"] in ("START_INFEASIBLE", "CANNOT_STOP")
     assert error.partial.path is not None
+
+
+def test_a_motion_begins_with_the_acceleration_that_the_robot_has():
+    for acceleration in (0.3, -0.4):
+        task = problem(start_speed=0.3, start_curvature=0.0, start_acceleration=acceleration)
+        plan = plan_dock(task, planner="DockPlanner", time_budget=BUDGET)
+        first = plan.trajectory.at(0.0)
+        assert (first.twist.linear, first.acceleration) == (0.3, acceleration)
+        assert plan.trajectory_certificate.certified
+        other = dataclasses.replace(task, start_acceleration=0.0)
+        assert not certify_motion(plan.trajectory, other).certified
+
+
+def test_an_acceleration_that_cannot_be_kept_is_refused_by_name():
+    for speed, acceleration, status in ((0.01, -0.5, "BAD_START"), (0.3, 0.9, "START_INFEASIBLE")):
+        task = problem(start_speed=speed, start_curvature=0.0, start_acceleration=acceleration)
+        error = failure(task, planner="DockPlanner")
+        assert isinstance(error, FailedToTimePath)
+        assert error.where["status"] == status
 
 
 def test_an_unknown_plugin_is_named():

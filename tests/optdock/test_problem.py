@@ -9,6 +9,7 @@ import pytest
 from optdock.costmap.costmap import Costmap
 from optdock.dock import Dock
 from optdock.errors import InvalidValue, NoMotionExists, StartOccupied
+from optdock.fingerprint import digest
 from optdock.geometry.footprint import Footprint
 from optdock.geometry.pose import Pose2
 from optdock.limits import MotionLimits
@@ -114,6 +115,43 @@ def test_another_start_changes_nothing_else():
     assert moved.fingerprint.differences(case.fingerprint) == ("start",)
     driving = case.starting_at(Pose2(0.2, 1.5, 0.1), speed=-0.1, curvature=0.3)
     assert (driving.start_speed, driving.start_curvature) == (-0.1, 0.3)
+
+
+def test_a_start_may_accelerate_and_one_that_does_not_has_the_digest_that_it_had():
+    case = problem(start_speed=0.2, start_curvature=0.0)
+    pressed = case.starting_at(case.start, 0.2, 0.0, -0.3)
+    assert pressed.start_acceleration == -0.3
+    assert pressed.fingerprint.differences(case.fingerprint) == ("start",)
+    assert case.fingerprint.start == digest(case.start.as_array(), 0.2, "0.0")
+    with pytest.raises(InvalidValue, match=r"start\.acceleration"):
+        problem(start_acceleration=math.nan)
+
+
+@pytest.mark.parametrize(
+    ("given", "gear", "along"),
+    [
+        ((0.2, 0.3), -1, (0.2, 0.3)),  # in motion the speed says which gear it is
+        ((-0.2, 0.3), 1, (0.2, -0.3)),
+        ((0.0, 0.3), 1, (0.0, 0.3)),
+        ((0.0, 0.3), -1, (0.0, -0.3)),
+        ((0.0, 0.0), 0, (0.0, 0.0)),
+    ],
+)
+def test_the_start_along_the_travel(given, gear, along):
+    assert problem(start_speed=given[0], start_acceleration=given[1]).start_state(gear) == along
+
+
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_what_rounding_leaves_of_rest_is_rest(sign):
+    """Sampled trajectories end with accelerations such as -1e-12, from which no robot that stands could set off."""
+    still = problem(start_speed=sign * 1e-14, start_acceleration=-1e-12)
+    assert (still.start_speed, still.start_acceleration) == (0.0, 0.0)
+    jerk = still.robot.limits.max_jerk
+    least = 0.5 * (0.1 * 0.1) / jerk  # at -0.1 m/s^2
+    braking = problem(start_speed=sign * (least - 1e-12), start_acceleration=-sign * 0.1)
+    assert braking.start_speed == pytest.approx(sign * least, abs=1e-17)
+    rolling = problem(start_speed=sign * 0.5 * least, start_acceleration=-sign * 0.1)  # no rounding: it rolls back
+    assert rolling.start_speed == sign * 0.5 * least
 
 
 # Row 0 is the lowest y: a wall of cells above the way, and one occupied cell at the lower left corner of the grid.

@@ -130,6 +130,16 @@ def test_what_has_changed_is_named():
         assert still_holds(plan, dataclasses.replace(problem, **change), 1.0).changed == names
 
 
+def test_of_a_plan_that_was_moved_nothing_is_proven_yet():
+    plan = running()
+    moved = dataclasses.replace(plan, path=plan.path.moved(Pose2(0.0, 0.9, 0.0)))
+    found = still_holds(moved, plan.problem)
+    assert found.changed == ("path",)
+    assert not found
+    elsewhere = dataclasses.replace(plan, problem=dataclasses.replace(plan.problem, obstacles=[]))
+    assert still_holds(elsewhere, elsewhere.problem).changed == ("path",)
+
+
 def test_another_frame_holds_nothing():
     plan = running()
     found = still_holds(plan, dataclasses.replace(plan.problem, frame="odom"))

@@ -95,10 +95,13 @@ def _rule(rng: Rng) -> list[float]:
 
 
 def _moving(rng: Rng, case: Case) -> None:
-    """A start at speed, in either gear, up to the limit and a little beyond."""
+    """A start at speed, in either gear, and with an acceleration, up to the limits and a little beyond."""
     gear = 1 if rng.uniform() < 0.7 else -1
     top = case["limits"]["max_speed" if gear > 0 else "max_reverse_speed"]
     case["start_speed"] = gear * top * float(rng.uniform(0.05, 1.02))
+    if rng.uniform() < 0.4:
+        most = case["limits"]["max_acceleration"], case["limits"]["max_deceleration"]
+        case["start_acceleration"] = gear * float(rng.uniform(-1.02 * most[1], 1.02 * most[0]))
     if rng.uniform() < 0.3:  # the wheels turn faster already than they may
         case["limits"]["max_wheel_speed"] = abs(case["start_speed"]) * float(rng.uniform(0.3, 1.1))
         case["limits"]["track_width"] = float(rng.uniform(0.2, 0.9))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+import math
 import time
 from typing import TYPE_CHECKING
 
@@ -91,6 +92,7 @@ def _refuted(case: Case, plan: DockPlan) -> Verdict | None:
         "limits": case["limits"],
         "zone": case["zone"],
         "start_speed": abs(case["start_speed"]),
+        "start_acceleration": math.copysign(1.0, case["start_speed"]) * case.get("start_acceleration", 0.0),
     }
     for evidence, found in (
         (on_path, paths.refuted(on_path, plan.certificate)),

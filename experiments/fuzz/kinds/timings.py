@@ -48,9 +48,24 @@ def draw(rng: np.random.Generator) -> Case:
         "path": path,
         "limits": limits,
         "zone": [log_uniform(rng, 0.02, 0.4), float(rng.uniform(0.05, 1.5))] if rng.uniform() < 0.5 else [None, 0.0],
-        "start_speed": float(top * rng.uniform(0.0, 1.0)) if rng.uniform() < 0.5 else 0.0,
+        **_start(rng, top, limits),
         "plugin": str(rng.choice(["NearOptimal", "Windowed"], p=[0.75, 0.25])),
     }
+
+
+def _start(rng: np.random.Generator, top: float, limits: Case) -> Case:
+    """At rest, at speed, or at speed with an acceleration that may be more than the robot can keep."""
+    if rng.uniform() < 0.5:
+        return {"start_speed": 0.0}
+    speed: Case = {"start_speed": float(top * rng.uniform(0.0, 1.0))}
+    if rng.uniform() < 0.5:
+        most = limits["max_acceleration"], limits["max_deceleration"]
+        speed["start_acceleration"] = float(rng.uniform(-1.02 * most[1], 1.02 * most[0]))
+    return speed
+
+
+def _begins(case: Case) -> dict[str, float]:
+    return {"start_speed": case["start_speed"], "start_acceleration": case.get("start_acceleration", 0.0)}
 
 
 def judge(case: Case) -> Verdict:
@@ -60,7 +75,7 @@ def judge(case: Case) -> Verdict:
     try:
         path = path_of(case["path"])
         plugin = create_plugin(TimeParameterizer, case["plugin"])
-        result = plugin.parameterize(path, limits, zone_of(case), start_speed=case["start_speed"])
+        result = plugin.parameterize(path, limits, zone_of(case), **_begins(case))
     except OptdockError as error:
         return Verdict(type(error).__name__, str(error))
     spent = time.process_time() - began
@@ -73,7 +88,7 @@ def judge(case: Case) -> Verdict:
 
 
 def _looked_at(case: Case, limits: MotionLimits, trajectory: Trajectory) -> Verdict | None:
-    proof = certify_trajectory(trajectory, limits, zone_of(case), start_speed=case["start_speed"])
+    proof = certify_trajectory(trajectory, limits, zone_of(case), **_begins(case))
     if not proof.certified:
         return Verdict("CertificationFailed", f"{case['plugin']} {proof.violations[0].kind}: {proof.reason}")
     timed = {**case, "kind": "trajectories", "law": law_spec(trajectory.time_law)}

@@ -99,7 +99,7 @@ def judged(case: Case, motion: Motion) -> Judgement:
     """What a motion really does, against the limits, the zone and the rules of `case`.
 
     Args:
-        case: Holds `law`, `limits`, `zone`, and `start_speed` or None.
+        case: Holds `law`, `limits`, `zone`, `start_speed` or None, and `start_acceleration` where it is known.
         motion: The path.
     """
     law = _law(case["law"])
@@ -277,16 +277,14 @@ def _structure(case: Case, motion: Motion, law: _Law) -> dict[str, float]:
     slowest = float(np.min(law.at(instants.phase, instants.dt)[1]))
     back = max(-slowest / _REST, float(np.max(np.maximum.accumulate(law.s) - law.s)) / _REST)
     still = motion.turn[~motion.exact & (motion.h <= 0.0)]
-    start, pressed = case.get("start_speed"), case.get("start_acceleration")
+    begins = (("start_speed", law.v), ("start_acceleration", law.a))
+    start = [abs(float(column[0]) - case[key]) / _REST for key, column in begins if case.get(key) is not None]
     return {
         "coverage": max(ends, back, math.inf if np.any(still > 1e-8) else 0.0),
         "steering_rest": max(_steered(case, motion, law), default=0.0),
         "rest": max(_unrest(law, motion.length, -1), *(_unrest(law, one.start_s) for one in motion.segments[1:]), 0.0)
         / _REST,
-        "start_state": max(
-            0.0 if start is None else abs(float(law.v[0]) - start) / _REST,
-            0.0 if pressed is None else abs(float(law.a[0]) - pressed) / _REST,
-        ),
+        "start_state": max(start, default=0.0),
     }
 
 
