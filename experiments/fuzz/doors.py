@@ -124,7 +124,6 @@ def problem_of(case: Case) -> DockingProblem:
         start_curvature=case.get("start_curvature"),
         start_acceleration=case.get("start_acceleration", 0.0),
         costmap=costmap,
-        start_acceleration=case.get("start_acceleration", 0.0),
     )
 
 

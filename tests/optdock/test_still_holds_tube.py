@@ -20,8 +20,12 @@ from optdock.verification import certify_path
 WIDE = TrackingTube(0.4)
 
 
-def problem_with(tube=TrackingTube(), obstacles=()):
-    robot = Robot(Footprint.from_radius(0.3), MotionLimits(max_curvature=1.5, max_curvature_rate=6.0), tracking=tube)
+def problem_with(tube=None, obstacles=()):
+    robot = Robot(
+        Footprint.from_radius(0.3),
+        MotionLimits(max_curvature=1.5, max_curvature_rate=6.0),
+        tracking=tube or TrackingTube(),
+    )
     return DockingProblem(Pose2(-3.0, 0.2, 0.0), Dock(Pose2(0.0, 0.0, 0.0)), robot, obstacles)
 
 

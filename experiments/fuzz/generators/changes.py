@@ -36,7 +36,7 @@ def running_plan(rng: Rng) -> Case:
         case["question"] = "holds"
     else:
         case = docking_problem(rng)
-        case["budget"] = 0.5
+        case["budget"] = 1.0
         case["start_speed"], case["start_curvature"] = 0.0, None
         _steered(rng, case)
         case["world"] = _another_world(rng, case)
@@ -45,7 +45,9 @@ def running_plan(rng: Rng) -> Case:
         case["question"] = "replan"
     case["kind"] = "replans"
     case["asked"] = str(rng.choice(asked))
-    case["share"] = float(rng.choice([rng.uniform(0.0, 0.9), rng.uniform(-0.1, 1.1), 0.0, 1.0], p=[0.7, 0.2, 0.05, 0.05]))
+    case["share"] = float(
+        rng.choice([rng.uniform(0.0, 0.9), rng.uniform(-0.1, 1.1), 0.0, 1.0], p=[0.7, 0.2, 0.05, 0.05])
+    )
     case["rate"] = float(rng.choice([1.0, rng.uniform(0.0, 1.0), 0.0, rng.uniform(1.0, 1.3)], p=[0.6, 0.25, 0.05, 0.1]))
     case["delay"] = float(rng.choice([0.0, rng.uniform(0.0, 0.2)]))
     case["lead"] = None if rng.uniform() < 0.6 else float(rng.uniform(0.0, 0.3))

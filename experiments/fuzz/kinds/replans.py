@@ -16,7 +16,7 @@ from experiments.fuzz.generators.problems import beside
 from experiments.fuzz.kinds import paths, trajectories
 from experiments.fuzz.oracle.motion import cut, motion_of
 from experiments.fuzz.oracle.rules import gap
-from experiments.fuzz.oracle.sweep import start_clearance, start_run, sweep
+from experiments.fuzz.oracle.sweep import start_clearance, start_run, sweep, tube
 from experiments.fuzz.oracle.timing import judged, state_at
 from experiments.fuzz.oracle.world import World
 from optdock.errors import OptdockError
@@ -129,7 +129,9 @@ def _about_the_rest(scene: Case, world: Case, now: float, found: StillHolds) -> 
         return _short("still_holds", world, seen)
     spare = _SPARE + _ROUND * solid.radius
     if seen.margin.min() > spare:
-        return Verdict("false refusal", f"still_holds: {found.reason}; the smallest margin is {seen.margin.min():.4g} m")
+        return Verdict(
+            "false refusal", f"still_holds: {found.reason}; the smallest margin is {seen.margin.min():.4g} m"
+        )
     return None
 
 
@@ -175,13 +177,13 @@ def _moved(place: Floats, offset: Floats) -> Floats:
     return np.array([place[0] + c * x - s * y, place[1] + s * x + c * y, place[2] + yaw])
 
 
-def _about_the_answer(  # noqa: PLR0913, PLR0917 - what was asked
+def _about_the_answer(
     case: Case, scene: Case, world: Case, plan: DockPlan, later: object, now: float
 ) -> tuple[str, Verdict | None]:
     offset = None if case["offset"] is None else np.array(case["offset"])
     reference = plan.trajectory.at(now).pose
     pose = None if offset is None else reference @ Pose2(*offset.tolist())
-    if offset is not None and math.hypot(*offset[:2]) <= _TOLERANCES[1] and abs(offset[2]) <= _TOLERANCES[2]:
+    if offset is not None and _is_near(offset, world):
         offset = None
     target = Pose2(*world["dock"]["pose"]) if case["asked"] == "pose" else later
     began = time.process_time()
@@ -204,6 +206,15 @@ def _about_the_answer(  # noqa: PLR0913, PLR0917 - what was asked
     if wrong is None and spent > _LATE_CPU:
         wrong = Verdict("late", f"replan {word}: {1e3 * spent:.0f} ms of CPU past {1e3 * case['replan_budget']:.0f} ms")
     return word, wrong
+
+
+def _is_near(offset: Floats, world: Case) -> bool:
+    """Whether a robot off its reference counts as on it: in its tube, or docked at the dock where it has none."""
+    far, turn = math.hypot(*offset[:2]), abs(float(offset[2]))
+    width = tube({**world, "tracking": [0.0, turn]}) + far
+    if tube(world) > 0.0:
+        return width <= tube(world)
+    return far <= _TOLERANCES[1] and turn <= _TOLERANCES[2]
 
 
 def _instant(this: _Now, found: Replanned) -> Verdict | None:
@@ -243,7 +254,9 @@ def _joined(this: _Now, found: Replanned) -> tuple[Case, Verdict | None]:
     wanted = {"start": pose.tolist(), "start_speed": speed, "start_acceleration": gained}
     off = gap(motion_of(path).start, pose)
     if off > _SAME:
-        return wanted, Verdict("false certificate", f"joint {found.outcome.value}: begins {off:.4g} away from the robot")
+        return wanted, Verdict(
+            "false certificate", f"joint {found.outcome.value}: begins {off:.4g} away from the robot"
+        )
     jumps = abs(float(law.start_speed) - speed), abs(float(law.start_acceleration) - gained)
     if max(jumps) > _SAME:
         text = f"speed jumps by {jumps[0]:.4g} m/s, acceleration by {jumps[1]:.4g} m/s^2"
@@ -353,5 +366,3 @@ def _stop(this: _Now, found: Replanned) -> Verdict | None:
             this, "STOP", timed["path"]
         )
     return _way(this, "STOP with an offset", timed["path"])
-
-

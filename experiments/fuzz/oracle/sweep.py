@@ -81,7 +81,7 @@ def start_clearance(case: Case, world: World) -> float:
     return float(world.clearances(np.array([case["start"]], dtype=float))[0]) - AROUND * world.radius
 
 
-def sweep(  # noqa: PLR0913 - by name
+def sweep(
     case: Case,
     motion: Motion,
     world: World,
