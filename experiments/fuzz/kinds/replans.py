@@ -94,7 +94,7 @@ def _plan(case: Case) -> DockPlan | None:
     if not certificate.certified:
         return None
     motion = certify_trajectory(trajectory, problem.robot.limits, problem.dock.approach)
-    return DockPlan(problem, path, path, trajectory, certificate, motion, True, {})
+    return DockPlan(problem, path, path, trajectory, certificate, motion, completed=True, timing_ms={})
 
 
 def _world(case: Case, scene: Case, now: float) -> Case:
