@@ -234,7 +234,7 @@ def _contact(push: Push, segments: tuple[Segment, ...]) -> _Contact:
 def _peaks(over: FloatArray) -> list[int]:
     """Where a bound is broken by more than next to it: one of every stretch that is beyond."""
     beside = np.maximum(np.append(over[1:], -np.inf), np.append(-np.inf, over[:-1]))
-    return np.flatnonzero((over > _WITHIN) & (over >= beside))[:_MOST_AT_ONCE].tolist()
+    return [int(i) for i in np.flatnonzero((over > _WITHIN) & (over >= beside))[:_MOST_AT_ONCE]]
 
 
 def _rates_at_speed(gear: _Gear, limits: MotionLimits, speed: float) -> FloatArray:

@@ -292,6 +292,9 @@ class _Replanning:
             return self._replanned(joint, plugins)
         except (PluginError, LifecycleError, InvalidValue):
             raise
+        except Cancelled as error:
+            why = f"{type(error).__name__}: {error}"
+            return self._kept(why) or self._stop(delay, why)
         except OptdockError as error:
             return self._stop(delay, f"{type(error).__name__}: {error}")
 

@@ -94,6 +94,7 @@ class DockingExecutor:
         self._events: list[Event] = []
         self._perception = Perception(problem.goal, self.settings, self._report)
         self._limiter = CommandLimiter()
+        self._moving = Twist2()  # what was wished for last
         self._planning: Planning = planning if planning is not None else InlinePlanning()
         if log is not None:
             log.begin(Task(problem, self.settings, task, plugin_choice(driver), plugin_choice(checker)))
@@ -209,9 +210,11 @@ class DockingExecutor:
         limiter, robot = self._limiter, self.problem.robot
         if period <= 0.0 or (wish is None and limiter.command == Twist2()):
             return limiter.command
-        target = wish if wish is not None else Twist2()
+        # A stop is a target that does not change, wherever the one before it was going.
+        self._moving = wish if wish is not None else self._moving
         turns = wish is not None and abs(wish.linear) < _TURNING and wish.angular != 0.0
-        command = limiter.follow(target, target, period, robot.limits, robot.drive, in_place=turns)
+        target = wish if wish is not None else Twist2()
+        command = limiter.follow(target, self._moving, period, robot.limits, robot.drive, in_place=turns)
         if wish is None and abs(command.linear) < _STILL and abs(command.angular) < _STILL:
             limiter.stop()
         return limiter.command

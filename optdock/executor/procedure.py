@@ -19,7 +19,7 @@ from optdock.errors import ControllerException
 from optdock.executor.approach import can_be_planned_away, left_at_dock, staging_distance
 from optdock.executor.outcomes import EndingKind, State
 from optdock.executor.planning import Job, Motion, Outcome, PlanResult
-from optdock.geometry.pose import Pose2, Twist2
+from optdock.geometry.pose import Pose2, Twist2, normalize_angle
 from optdock.lifecycle import LifecycleState, PluginContext
 from optdock.obstacles import ObstacleSet
 from optdock.tube import Tube
@@ -34,6 +34,7 @@ if TYPE_CHECKING:
     from optdock.executor.planning import Planning
     from optdock.executor.settings import ExecutorSettings
     from optdock.interfaces import Controller, GoalChecker
+    from optdock.path import Path
     from optdock.problem import DockingProblem
 
 __all__ = ["Procedure", "Wish"]
@@ -51,8 +52,11 @@ _ARRIVED = 0.05, 0.05  # [m], [rad] from the staging pose: Nav2's undock_linear_
 _MOST_BLOCKS = 5  # stops on one approach, until it counts as failed
 _PROGRESS = 0.05  # [s] on the trajectory's own clock that count as progress
 _INSTANT = 1e-9  # [s]
-_SETTLED = 0.004, 0.02  # [m/s], [rad/s] commanded at the end of the path: 2 mm by the usual gain, noise of the pose
+_SETTLED = 3e-4, 5e-4  # [m/s], [rad/s] commanded at the end of the path: by the usual gains 0.15 mm and 0.03 degrees
+_NOISE_GAIN = 1.0  # [1/s]: what noise makes of the commands, by the usual gains
 _LAST_REPLAN = 0.15  # [m] before the dock: nearer, no robot can be moved sideways by more than a millimetre
+_LOOK = 0.1  # [s] between two looks at what is left to be corrected
+_AFTER_REFUSAL = 3.0  # times the usual pause: what could not be planned now cannot be planned a moment later
 _LEAP = 0.25  # [m] from its reference, farther off another stretch of the path may be nearer
 _LEAD = 0.06  # [s] beyond the budget: a period at 20 Hz until the result is asked for, and some
 _LATE = 0.05  # [s]: a reference that jumps by so much at the speeds near a dock jumps by millimetres
@@ -566,6 +570,29 @@ class _Docked(Exception):
         self.kind = kind
 
 
+class _Way:
+    """The poses of a path every centimetre, to find one quickly: between them it bends by micrometres."""
+
+    def __init__(self, path: Path) -> None:
+        count = max(1, math.ceil(path.length / _CENTIMETRE))
+        places = np.linspace(0.0, path.length, count + 1)
+        self._step = path.length / count
+        self._poses: list[list[float]] = path.poses_at(places).tolist()
+        self._gears: list[float] = path.direction_at(places).astype(np.float64).tolist()
+
+    def at(self, s: float) -> tuple[Pose2, float]:
+        """The pose at a place [m] of the path, and the gear."""
+        i = min(max(int(s / self._step), 0), len(self._poses) - 2)
+        share = s / self._step - i
+        (x, y, yaw), (far_x, far_y, far_yaw) = self._poses[i : i + 2]
+        turned = normalize_angle(far_yaw - yaw)
+        pose = Pose2(x + share * (far_x - x), y + share * (far_y - y), yaw + share * turned)
+        return pose, self._gears[i]
+
+
+_CENTIMETRE = 0.01
+
+
 class _Drive:
     """One motion being driven; it becomes another one where replanning is worth it."""
 
@@ -576,17 +603,30 @@ class _Drive:
         self._job: Job | None = None
         self._is_urgent = self._is_stop = False
         self._costmap = owner._perception.costmap
-        self._submitted_at = -math.inf
+        self._looked_at, self._where = -math.inf, ""
+        self._submitted_at, self._pause = -math.inf, owner._settings.replan_pause
         self._finished_since: float | None = None
         self._until = owner._now + motion.trajectory.duration + self._allowance
-        self._configure(motion)
-        owner._controller.set_path(motion.trajectory)
+        self._give(motion, None)
         self._become(motion)
+
+    def _give(self, motion: Motion, start_stamp: float | None) -> None:
+        """Hand a motion to the controller.
+
+        Raises:
+            _AttemptFailed: It cannot follow such a one.
+        """
+        self._configure(motion)
+        try:
+            self.owner._controller.set_path(motion.trajectory, start_stamp=start_stamp)
+        except ControllerException as error:
+            raise _AttemptFailed(EndingKind.FAILED_TO_CONTROL, f"{type(error).__name__}: {error}") from error
 
     def _become(self, motion: Motion) -> None:
         """What is driven from now on."""
         law, tracking = motion.trajectory.time_law, self.owner._base.robot.tracking
         self.motion, self._progress = motion, (-math.inf, self.owner._now)
+        self._way = _Way(motion.trajectory.path)
         self._times_of_places, self._time_of_place = (law.states[:, 0], law.times), 0.0
         proven = not self._is_stop and (tracking.cross > 0.0 or tracking.yaw > 0.0)
         self._tube = Tube(motion.trajectory.path, motion.problem, motion.start_relief) if proven else None
@@ -662,7 +702,10 @@ class _Drive:
             raise _Docked(kind)
         if self._finished_since is None or owner._settings.contact == "touch":
             return
-        moves = abs(owner.commanded.linear) > _SETTLED[0] or abs(owner.commanded.angular) > _SETTLED[1]
+        still = [
+            max(least, _NOISE_GAIN * sigma) for least, sigma in zip(_SETTLED, owner._perception.sigma, strict=True)
+        ]
+        moves = abs(owner.commanded.linear) > still[0] or abs(owner.commanded.angular) > still[1]
         if moves and owner._now - self._finished_since < 0.5 * owner._settings.settling_time:
             return  # what is left is still being corrected
         relative, goal = owner._perception.robot_from_dock, Pose2(0.0, 0.0, 0.0)
@@ -713,18 +756,21 @@ class _Drive:
         time, _ = self._reference
         if time < 0.0:
             return
+        robot, way = owner._perception.robot, self._way
         begin = float(trajectory.time_law.at(time)[0, 0])
-        ahead = owner._perception.robot.in_frame_of(path.pose_at(begin)).x * float(path.direction_at(begin)[0])
+        place, gear = way.at(begin)
+        ahead = gear * robot.in_frame_of(place).x
         s = min(max(begin + min(max(ahead, -_LEAP), _LEAP), 0.0), path.length)
-        self._time_of_place = max(time, float(np.interp(s, *self._times_of_places)))
-        owner.deviation = off = owner._perception.robot.in_frame_of(path.pose_at(s))
+        owner.deviation = off = robot.in_frame_of(way.at(s)[0])
+        if not hasattr(owner._controller, "progress"):
+            self._time_of_place = max(time, float(np.interp(s, *self._times_of_places)))
         if self._tube is None:
             return
         radius = owner._base.robot.footprint.circumscribed_radius
         displacement = math.hypot(off.x, off.y) + 2.0 * radius * math.sin(0.5 * abs(off.yaw))
         width = float(self._tube.width_at(np.array([s]))[0])
         if displacement > width:  # from there; another place may be the better one
-            found = self._tube.deviations(owner._perception.robot.as_array()[None], near=s, within=_LEAP)
+            found = self._tube.deviations(robot.as_array()[None], near=s, within=_LEAP)
             displacement, width = float(found.displacement[0]), float(found.width[0])
         is_outside = displacement > width
         if is_outside != self._is_outside:
@@ -748,10 +794,12 @@ class _Drive:
             return
         time, rate = self._reference
         if not self._is_urgent:
-            if not self.is_approach or owner._now - self._submitted_at < owner._settings.replan_pause:
+            if not self.is_approach or owner._now - self._looked_at < _LOOK - _INSTANT:
                 return
-            if not self._is_worth_it(time):
+            self._looked_at = owner._now
+            if not self._is_worth_it(time) or owner._now - self._submitted_at < self._pause:
                 return
+            owner._report("plan asked for", self._where)
         problem = (
             owner._to_dock() if self.is_approach else dataclasses.replace(self.motion.problem, costmap=self._costmap)
         )
@@ -791,13 +839,16 @@ class _Drive:
             return False
         off = left_over[0] > settings.worth_position and abs(error.y) > sigma[0]
         turned = left_over[1] > settings.worth_yaw and abs(error.yaw) > sigma[1]
+        self._where = f"{error.y:.4f} m and {error.yaw:.4f} rad off, {left:.3f} m before the end"
         return off or turned
 
     def _take(self, result: PlanResult) -> None:
         owner = self.owner
         owner._say(result)
         was_urgent, self._is_urgent = self._is_urgent, False
+        self._pause = owner._settings.replan_pause
         if result.motion is None or (result.outcome is Outcome.STOP and not was_urgent):
+            self._pause *= _AFTER_REFUSAL
             if was_urgent and result.outcome is Outcome.FAILED:
                 raise _Interrupted("no way on", result.reason)
             return
@@ -809,7 +860,6 @@ class _Drive:
             return
         start = owner._now + (ahead / rate if rate > 0.0 else 0.0)
         self._is_stop = result.outcome is Outcome.STOP
-        self._configure(result.motion)
-        owner._controller.set_path(result.motion.trajectory, start_stamp=start)
+        self._give(result.motion, start)
         self._next_goal = start, result.motion.problem.goal
         self._become(result.motion)

@@ -95,6 +95,6 @@ class ExecutorSettings(PluginParameters):
     replanning: bool = Field(default=True, description="plan again in motion for a dock that is elsewhere")
     replan_pause: float = Field(default=0.2, ge=0.0, description="least time between two plans in motion [s]")
     worth_position: float = Field(
-        default=0.001, gt=0.0, description="error left at the dock that is worth a plan in motion [m]"
+        default=0.002, gt=0.0, description="error left at the dock that is worth a plan in motion [m]"
     )
-    worth_yaw: float = Field(default=0.0035, gt=0.0, description="as above, of the heading [rad]")
+    worth_yaw: float = Field(default=0.009, gt=0.0, description="as above, of the heading [rad]")

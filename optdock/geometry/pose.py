@@ -99,6 +99,11 @@ class Pose2:
     yaw: float
 
     def __post_init__(self) -> None:
+        x, y, yaw = self.x, self.y, self.yaw
+        if type(x) is type(y) is type(yaw) is float and (
+            -FARTHEST <= x <= FARTHEST and -FARTHEST <= y <= FARTHEST and -MOST_TURNED <= yaw <= MOST_TURNED
+        ):
+            return  # as nearly always; the rest converts numbers of other kinds, or names what is wrong
         for name, most, unit in (("x", FARTHEST, "m"), ("y", FARTHEST, "m"), ("yaw", MOST_TURNED, "rad")):
             value = finite_number(getattr(self, name), f"pose.{name}")
             if abs(value) > most:
@@ -176,6 +181,9 @@ class Twist2:
     lateral: float = 0.0
 
     def __post_init__(self) -> None:
+        kinds = type(self.linear), type(self.angular), type(self.lateral)
+        if kinds == (float, float, float) and math.isfinite(self.linear + self.angular + self.lateral):
+            return  # as nearly always; the rest converts numbers of other kinds, or names what is wrong
         for name in ("linear", "angular", "lateral"):
             object.__setattr__(self, name, finite_number(getattr(self, name), f"twist.{name}"))
 

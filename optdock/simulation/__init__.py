@@ -1,4 +1,4 @@
-"""A closed loop in simulation: plant, noise, latency, run."""
+"""A closed loop in simulation: plants, sensors, a simulated robot, runs."""
 
 from optdock.geometry.pose import pose_errors
 from optdock.simulation.bicycle import Bicycle, Steering, SteeringAtRest

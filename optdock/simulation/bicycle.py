@@ -86,7 +86,7 @@ class Bicycle:
         actuation: Of the speed; what is angular in it must be left as it is.
         period: Duration of a step that does not say its own [s].
         steering: Of the front wheels.
-        slip: On the floor; None: none.
+        slip: On the floor.
 
     Raises:
         InvalidValue: A robot of another drive or without a wheelbase, an angular lag, dead band or gain, or a period
@@ -97,7 +97,7 @@ class Bicycle:
     actuation: Actuation = field(default_factory=Actuation)
     period: float = 0.02
     steering: Steering = field(default_factory=Steering)
-    slip: Slip | None = None
+    slip: Slip = field(default_factory=Slip)
 
     def __post_init__(self) -> None:
         check_duration(self.period, "plant.period")
@@ -130,9 +130,7 @@ class Bicycle:
         if duration is None:
             duration = self.period
         check_duration(duration, "plant.duration")
-        noise, drawn = state.noise, state.drawn
-        if self.slip is not None and self.slip.noisy:
-            noise, drawn = self.slip.after(noise, drawn, duration), drawn + 3
+        noise, drawn = self.slip.after(state.noise, state.drawn, duration)
         sent = self._target(command, (state.pending[-1][1] if state.pending else state.target)[1])
         pieces, target, pending = arrivals(state, self.actuation.latency, sent, duration)
         pose, (v, angle) = (state.pose.x, state.pose.y, state.pose.yaw), state.drive
@@ -141,8 +139,8 @@ class Bicycle:
             span = seconds / count
             for _ in range(count):
                 v_mean, w_mean, v, angle = self._follow(v, angle, wanted, span)
-                pose = arc_end(*pose, self._ground(v_mean, w_mean, noise), span)
-        twist = Twist2(*self._ground(v, self._yaw_rate(v, self._true(angle)), noise))
+                pose = arc_end(*pose, self.slip.ground(v_mean, w_mean, noise), span)
+        twist = Twist2(*self.slip.ground(v, self._yaw_rate(v, self._true(angle)), noise))
         end, drive = state.time + duration, (v, angle)
         return PlantState(Pose2(*pose), twist, self._encoders(drive), end, drive, target, pending, noise, drawn)
 
@@ -153,9 +151,9 @@ class Bicycle:
 
     def _target(self, command: Twist2, last_angle: float) -> tuple[float, float]:
         """Speed and steering angle that a command asks for."""
-        limits, a = self.robot.limits, self.actuation
+        limits = self.robot.limits
         cut = admissible(command, limits, self.robot.drive)
-        speed = a.linear_gain * cut.linear if abs(cut.linear) >= a.linear_dead_band else 0.0
+        speed, _ = self.actuation.target(cut)
         if cut.linear == 0.0:
             return speed, last_angle if self.steering.at_rest is SteeringAtRest.HOLD else 0.0
         angle = math.atan(limits.wheelbase * cut.angular / cut.linear)
@@ -208,9 +206,6 @@ class Bicycle:
 
     def _yaw_rate(self, speed: float, angle: float) -> float:
         return speed * math.tan(angle) / self.robot.limits.wheelbase
-
-    def _ground(self, linear: float, angular: float, noise: tuple[float, float, float]) -> tuple[float, float, float]:
-        return (linear, angular, 0.0) if self.slip is None else self.slip.ground(linear, angular, noise)
 
     def _encoders(self, drive: tuple[float, float]) -> Twist2:
         speed = drive[0]

@@ -67,6 +67,12 @@ class Actuation:
         if self.longest_substep == 0.0:
             raise InvalidValue("actuation.longest_substep: must be > 0 s, got 0.0")
 
+    def target(self, command: Twist2) -> tuple[float, float]:
+        """Speed and yaw rate that the drive makes of a command in the end, dead band and gains looked at."""
+        linear = self.linear_gain * command.linear if abs(command.linear) >= self.linear_dead_band else 0.0
+        angular = self.angular_gain * command.angular if abs(command.angular) >= self.angular_dead_band else 0.0
+        return linear, angular
+
 
 class Wheel(str, Enum):
     """One of the two driven wheels."""
@@ -213,23 +219,26 @@ class Slip:
         check_seed(self.seed, "slip.seed")
 
     @functools.cached_property
-    def noisy(self) -> bool:
-        """Whether any of it is random."""
+    def _noisy(self) -> bool:
         return max(self.lost_sigma, self.drift_sigma, self.turn_sigma) > 0.0
 
     @functools.cached_property
     def _drawn(self) -> _Normals:
         return _Normals(self.seed)
 
-    def after(self, noise: tuple[float, float, float], drawn: int, duration: float) -> tuple[float, float, float]:
-        """The three standardized noises `duration` [s] later, from the random numbers at `drawn` and after."""
+    def after(
+        self, noise: tuple[float, float, float], drawn: int, duration: float
+    ) -> tuple[tuple[float, float, float], int]:
+        """The three standardized noises `duration` [s] later, and how many random numbers are then drawn."""
+        if not self._noisy:
+            return noise, drawn
         keep = math.exp(-duration / self.correlation_time)
         fresh = math.sqrt(1.0 - keep * keep)
         a, b, c = self._drawn.three(drawn)
-        return keep * noise[0] + fresh * a, keep * noise[1] + fresh * b, keep * noise[2] + fresh * c
+        return (keep * noise[0] + fresh * a, keep * noise[1] + fresh * b, keep * noise[2] + fresh * c), drawn + 3
 
     def ground(self, linear: float, angular: float, noise: tuple[float, float, float]) -> tuple[float, float, float]:
-        """Body velocity on the floor (linear, angular, lateral)."""
+        """Body velocity on the floor (linear, angular, lateral) of that which the wheels make."""
         kept = 1.0 - min(max(self.lost + self.lost_sigma * noise[0], 0.0), 1.0)
         drift = self.drift + self.drift_sigma * noise[1]
         turn = self.turn + self.turn_sigma * noise[2]
@@ -250,6 +259,8 @@ class PlantState(NamedTuple):
         pending: Targets under way, each with the time at which it arrives.
         noise: Of the slip, standardized.
         drawn: Random numbers used up.
+        contact: Whether robot and station touch; None where the plant knows of no station.
+        physics: What a plant that has more inside goes on from, such as `MujocoPhysics`.
     """
 
     pose: Pose2
@@ -261,6 +272,8 @@ class PlantState(NamedTuple):
     pending: tuple[tuple[float, _Target], ...] = ()
     noise: tuple[float, float, float] = (0.0, 0.0, 0.0)
     drawn: int = 0
+    contact: bool | None = None
+    physics: object | None = None
 
 
 class Plant(Protocol):
@@ -293,7 +306,7 @@ class DifferentialDrive:
         actuation: Lags, latency, dead band and gains.
         period: Duration of a step that does not say its own [s].
         wheels: Their errors and faults; None: none.
-        slip: On the floor; None: none.
+        slip: On the floor.
 
     Raises:
         InvalidValue: The period is not > 0.
@@ -303,7 +316,7 @@ class DifferentialDrive:
     actuation: Actuation = field(default_factory=Actuation)
     period: float = 0.02
     wheels: Wheels | None = None
-    slip: Slip | None = None
+    slip: Slip = field(default_factory=Slip)
 
     def __post_init__(self) -> None:
         check_duration(self.period, "plant.period")
@@ -326,9 +339,7 @@ class DifferentialDrive:
         if duration is None:
             duration = self.period
         check_duration(duration, "plant.duration")
-        noise, drawn = state.noise, state.drawn
-        if self.slip is not None and self.slip.noisy:
-            noise, drawn = self.slip.after(noise, drawn, duration), drawn + 3
+        noise, drawn = self.slip.after(state.noise, state.drawn, duration)
         pieces, target, pending = arrivals(state, self.actuation.latency, self._target(command), duration)
         pose, time, (v, w) = (state.pose.x, state.pose.y, state.pose.yaw), state.time, state.drive
         a = self.actuation
@@ -338,11 +349,11 @@ class DifferentialDrive:
             for _ in range(count):
                 v_mean, v = first_order(v, wanted[0], a.linear_lag, span)
                 w_mean, w = first_order(w, wanted[1], a.angular_lag, span)
-                pose = arc_end(*pose, self._ground(self._held(v_mean, w_mean, time), noise), span)
+                pose = arc_end(*pose, self.slip.ground(*self._held(v_mean, w_mean, time), noise), span)
                 time += span
         end = state.time + duration
         turned = self._held(v, w, end)
-        twist = Twist2(*self._ground(turned, noise))
+        twist = Twist2(*self.slip.ground(*turned, noise))
         return PlantState(Pose2(*pose), twist, self._encoders(turned), end, (v, w), target, pending, noise, drawn)
 
     def stopped(self, state: PlantState, pose: Pose2, *, stalled: bool) -> PlantState:
@@ -351,11 +362,8 @@ class DifferentialDrive:
         return state._replace(pose=pose, twist=Twist2(), encoders=self._encoders(drive), drive=drive)
 
     def _target(self, command: Twist2) -> _Target:
-        a = self.actuation
-        cut = admissible(command, self.robot.limits, self.robot.drive)
-        linear = a.linear_gain * cut.linear if abs(cut.linear) >= a.linear_dead_band else 0.0
-        angular = a.angular_gain * cut.angular if abs(cut.angular) >= a.angular_dead_band else 0.0
-        return (linear, angular) if self.wheels is None else self.wheels.target(linear, angular)
+        target = self.actuation.target(admissible(command, self.robot.limits, self.robot.drive))
+        return target if self.wheels is None else self.wheels.target(*target)
 
     def _substeps(self, seconds: float, drive: _Target, wanted: _Target) -> int:
         """One where the velocity is constant: no lag, or nothing to follow."""
@@ -367,9 +375,6 @@ class DifferentialDrive:
 
     def _held(self, linear: float, angular: float, time: float) -> _Target:
         return (linear, angular) if self.wheels is None else self.wheels.held(linear, angular, time)
-
-    def _ground(self, turned: _Target, noise: tuple[float, float, float]) -> tuple[float, float, float]:
-        return (*turned, 0.0) if self.slip is None else self.slip.ground(*turned, noise)
 
     def _encoders(self, drive: _Target) -> Twist2:
         return Twist2(*drive) if self.wheels is None else self.wheels.encoders(*drive)

@@ -135,7 +135,7 @@ class SimulatedRobot:
         dock_pose: True pose of the docked robot; may be set at any time to move the dock.
         sensors: What it measures with.
         obstacles: What it must not touch, the station's outline included.
-        station: Stop and contact switch of the dock; None: neither, and no contact is measured.
+        station: Stop and contact switch of the dock; None: neither, and contact is what the plant says of it.
         seed: Of the sensors' noise (a plant's slip has its own).
         start_twist: Steady body velocity in which the robot begins.
 
@@ -251,7 +251,7 @@ class SimulatedRobot:
         pose = self.pose_sensor.measure(self.time, true)
         odometry = self.odometry.measure(state.encoders, duration)
         detections = () if self.dock_sensor is None else self.dock_sensor.measure(self.time, true, dock)
-        contact = None if self.station is None else self.station.touched(self.error)
+        contact = state.contact if self.station is None else self.station.touched(self.error)
         told = (math.nan, math.nan, math.nan) if pose is None else (pose.x, pose.y, pose.yaw)
         motion = (true.x, true.y, true.yaw, twist.linear, twist.angular, twist.lateral)
         rest = (odometry.linear, odometry.angular, dock.x, dock.y, dock.yaw, float(bool(contact)))

@@ -17,6 +17,7 @@ from optdock.geometry.footprint import Footprint
 from optdock.geometry.pose import Pose2
 from optdock.limits import MotionLimits, SpeedZone
 from optdock.obstacles import ObstacleSet
+from optdock.path import Path, TurnSegment
 from optdock.pipeline import plan_dock
 from optdock.problem import DockingProblem
 from optdock.replanning import DriveState, ReplanOutcome, replan
@@ -256,3 +257,75 @@ def test_numbers_that_mean_nothing_are_refused_by_name(wrong, said):
         replan(plan, plan.problem.goal, DriveState(1.0), **wrong)
     with pytest.raises(InvalidValue, match="state.rate"):
         replan(plan, plan.problem.goal, DriveState(1.0, -1.0))
+
+
+@functools.cache
+def with_a_cusp(*, turning=False):
+    """A plan that stops on its way: for a change of gear, or at the end of a turn in place."""
+    robot = Robot(OUTLINE, LIMITS, turns_in_place=turning)
+    start = Pose2(1.6, 1.0, 1.2) if turning else Pose2(1.8, 1.2, -0.5)
+    guesses = []
+    if turning:
+        turn = TurnSegment(start, 0.9)
+        guesses = [Path((turn, Path.from_poses([turn.end, turn.end @ Pose2(-1.5, 0.0, 0.0)]).segments[0]))]
+        dock = dataclasses.replace(dock_of(-1), pose=guesses[0].end)
+    else:
+        dock = dock_of(-1)
+    return plan_dock(DockingProblem(start, dock, robot), guesses=guesses, time_budget=BUDGET)
+
+
+@pytest.mark.parametrize("turning", [False, True])
+def test_whatever_the_joint_falls_on_nothing_jumps(turning):
+    """Before, at and after cusps and in turns in place; there it waits for the rest, where another path may begin."""
+    plan = with_a_cusp(turning=turning)
+    assert plan.path.cusps
+    assert plan.path.turns is turning
+    goal = moved(plan, 0.015, 0.01, 0.01)
+    for arrival in plan.trajectory.cusp_times.tolist():
+        for before in (0.4, 0.15, 0.05, 1e-9, -1e-9, -0.05, -0.3):
+            found = replan(plan, goal, DriveState(max(arrival - before - LEAD, 0.0)), BUDGET, lead=LEAD)
+            assert found.outcome is ReplanOutcome.NEW
+            assert found.starts_at >= arrival - before - 1e-9
+            state = plan.trajectory.at(found.starts_at)
+            assert plan.path.direction_at(state.s)[0] != 0 or abs(state.twist.angular) <= 1e-6
+            assert_continuous(plan, found)
+            assert_lawful(found)
+
+
+def test_a_robot_that_turns_in_place_stops_by_turning_on_within_its_limits():
+    plan = with_a_cusp(turning=True)
+    assert isinstance(plan.path.segments[0], TurnSegment)
+    middle = 0.5 * float(plan.trajectory.cusp_times[0])
+    across = ObstacleSet.from_polygons([box_at(*plan.path.poses_at(plan.path.length - 0.3)[0, :2])], "new")
+    world = dataclasses.replace(plan.problem, obstacles=across)
+    found = replan(plan, world, DriveState(middle), 0.001, lead=LEAD)
+    assert found.outcome is ReplanOutcome.STOP
+    assert found.motion.certified
+    assert found.trajectory.path.driven == 0.0
+    assert_continuous(plan, found)
+
+
+def test_a_robot_whose_clock_stands_still_begins_where_it_stands():
+    plan = running()
+    found = replan(plan, moved(plan, 0.02, 0.02, 0.0), DriveState(3.0, 0.0), BUDGET, lead=LEAD)
+    assert found.outcome is ReplanOutcome.NEW
+    assert found.starts_at == 3.0
+    assert found.trajectory.at(0.0).twist.linear == 0.0
+
+
+def test_who_cancels_goes_on_or_stops():
+    plan = running()
+    kept = replan(plan, moved(plan, 0.001, 0.0, 0.0), DriveState(3.0), BUDGET, lead=LEAD, cancel_checker=lambda: True)
+    assert kept.outcome is ReplanOutcome.KEPT
+    stopped = replan(plan, moved(plan, 0.1, 0.0, 0.0), DriveState(3.0), BUDGET, lead=LEAD, cancel_checker=lambda: True)
+    assert stopped.outcome is ReplanOutcome.STOP
+    assert "Cancelled" in stopped.reason
+
+
+def test_the_call_ends_in_its_time():
+    """By a clock of its own, which runs faster the more is asked of it: nothing here waits for the wall."""
+    plan = running()
+    found = replan(plan, moved(plan, 0.1, 0.1, 0.1), DriveState(3.0), 1e-9, lead=LEAD)
+    assert found.outcome is ReplanOutcome.STOP
+    assert found.plan is None
+    assert found.reason

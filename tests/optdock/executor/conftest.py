@@ -28,7 +28,7 @@ LIMITS = MotionLimits(
     max_speed=0.4, max_curvature=2.0, max_curvature_rate=8.0, max_yaw_rate=1.5, max_yaw_acceleration=3.0
 )
 ROBOT = Robot(Footprint.rectangle(0.3, 0.3, 0.5), LIMITS)
-JERK_SLACK = 1.25
+JERK_SLACK = 1.0 + 1e-6
 STATION = Footprint.rectangle(0.6, -0.3, 0.6)
 TRUE_DOCK, BEFORE_DOCK = Pose2(0.0, 0.0, 0.0), Pose2(-0.9, 0.1, 0.1)
 SLUGGISH = Actuation(0.1, 0.1, 0.06)
@@ -83,7 +83,7 @@ def simulated(start=BEFORE_DOCK, sensors=NOISY, actuation=SLUGGISH, **kwargs):
     return SimulatedRobot(start=start, dock_pose=TRUE_DOCK, sensors=sensors, obstacles=station, **kwargs)
 
 
-def run(world, problem=None, settings=None, *, rate=50.0, timeout=90.0, before=None, **kwargs):
+def run(world, problem=None, settings=None, *, rate=25.0, timeout=90.0, before=None, **kwargs):
     """Step executor and world by turns until the task ends; `before` may change both, and the measurements."""
     executor = DockingExecutor(problem or problem_with(Pose2(0.03, -0.05, 0.03)), settings, **kwargs)
     times, steps, events, measurements = [], [], [], world.measurements

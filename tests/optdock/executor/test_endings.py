@@ -93,7 +93,7 @@ def test_ending_is_reached_and_the_robot_at_rest(kind, lawful):
     given_ = dict(ENDINGS[kind])
     chosen = {name: given_.pop(name) for name in list(given_) if name in ExecutorSettings.model_fields}
     world = perfect(given_.pop("start", AHEAD))
-    docking = run(world, problem_with(), ExecutorSettings(**(QUICK | chosen)), rate=20.0, **given_)
+    docking = run(world, problem_with(), ExecutorSettings(**(QUICK | chosen)), rate=10.0, **given_)
     ending = lawful(docking)
     assert ending.kind is kind, ending
     assert docking.steps[-1].state is State.ENDED
@@ -115,12 +115,12 @@ WAYS = {
     State.APPROACHING: {},
     State.PRESSING: {"contact": "touch", "station": Station(depth=0.02), "max_retries": 0},
     State.WAITING_FOR_CHARGE: {"wait_for_charge": True},
-    State.WAITING_FOR_OBSTACLE: {**NO_WAY},
+    State.WAITING_FOR_OBSTACLE: {**NO_WAY, "obstacle_patience": 1.0},
     State.WAITING_FOR_POSE: {"before": blind},
     State.BACKING_OUT: {"start": Pose2(0.002, 0.0, 0.0), "task": "undock"},
     State.RETURNING: {"wait_for_charge": True, "wait_charge_timeout": 0.1},
     State.UNDOCKING: {"start": AT_DOCK, "task": "undock"},
-    State.STOPPING: {},
+    State.STOPPING: {"start_twist": Twist2(0.2)},
 }
 
 
@@ -128,7 +128,7 @@ WAYS = {
 def test_cancel_in_every_state(state, lawful):
     way = dict(WAYS[state])
     chosen = {name: way.pop(name) for name in list(way) if name in ExecutorSettings.model_fields}
-    world = perfect(way.pop("start", AHEAD), station=way.pop("station", None))
+    world = perfect(way.pop("start", AHEAD), station=way.pop("station", None), start_twist=way.pop("start_twist", None))
     also, seen = way.pop("before", None), []
 
     def before(executor, world, measurements):
@@ -137,12 +137,11 @@ def test_cancel_in_every_state(state, lawful):
             executor.cancel()
         return also(executor, world, measurements) if also else None
 
-    docking = run(world, problem_with(), ExecutorSettings(**(QUICK | chosen)), rate=20.0, before=before, **way)
+    docking = run(world, problem_with(), ExecutorSettings(**(QUICK | chosen)), rate=10.0, before=before, **way)
     ending = lawful(docking, touch=0.02)
     assert seen
-    # A stop that ends the task anyway keeps its name.
-    assert ending.kind is EndingKind.CANCELLED or state is State.STOPPING
-    assert world.time - ending.stamp < 0.1
+    assert ending.kind is EndingKind.CANCELLED
+    assert world.time - ending.stamp < 0.2
 
 
 def test_nothing_moves_before_the_first_pose_and_after_the_end():
@@ -180,9 +179,9 @@ surprises = st.lists(
 )
 
 
-@settings(max_examples=12)
-@given(script=surprises, rate=st.sampled_from([10.0, 37.0, 100.0]))
-@example(script=[(5, "jump", Pose2(-0.5, 0.3, 0.5)), (10, "back", TRUE_DOCK), (3, "lost", TRUE_DOCK)], rate=37.0)
+@settings(max_examples=6)
+@given(script=surprises, rate=st.sampled_from([10.0, 30.0]))
+@example(script=[(5, "jump", Pose2(-0.5, 0.3, 0.5)), (10, "back", TRUE_DOCK), (3, "lost", TRUE_DOCK)], rate=30.0)
 def test_whatever_is_measured_commands_are_lawful_and_the_task_ends(script, rate):
     """A robot that does what it is told, and sensors that lie about it as a script says."""
     chosen = ExecutorSettings(**(QUICK | {"progress_time": 1.0, "dock_approach_timeout": 3.0, "max_retries": 1}))
@@ -190,7 +189,7 @@ def test_whatever_is_measured_commands_are_lawful_and_the_task_ends(script, rate
     robot, stamp, lie = Pose2(-0.8, 0.05, 0.0), 0.0, "fine"
     due = [sum(wait for wait, _, _ in script[: k + 1]) for k in range(len(script))]
     offset, stamps, commands, states, twist = Pose2(0.0, 0.0, 0.0), [], [], [], Twist2()
-    for k in range(int(60.0 * rate)):
+    for k in range(int(90.0 * rate)):
         period = 1.0 / rate
         if k in due:
             _, lie, offset = script[due.index(k)]

@@ -5,6 +5,8 @@ import math
 import numpy as np
 import pytest
 
+from checkers.axis import AxisGoalChecker
+from optdock.controllers.tracking import TrackingController
 from optdock.errors import InvalidValue
 from optdock.geometry.footprint import Footprint
 from optdock.geometry.pose import Pose2, Twist2
@@ -19,8 +21,11 @@ from optdock.simulation import (
     PoseSensor,
     Sensors,
     SimulatedRobot,
+    SimulationSettings,
     Station,
+    run_closed_loop,
 )
+from optdock.testing.drives import s_curve_drive
 
 ROBOT = Robot(Footprint.rectangle(0.4, 0.3, 0.5), MotionLimits())
 PLANT = DifferentialDrive(ROBOT, Actuation(linear_lag=0.1, latency=0.06))
@@ -65,6 +70,24 @@ def test_switching_a_sensor_off_changes_nothing_in_the_others(left_out):
         assert same is (name != left_out)
 
 
+def test_no_random_number_is_used_by_two_sensors():
+    sensors = Sensors(PoseSensor(1.0), Odometry(linear_sigma=1.0), DockSensor(rate=100.0, position_sigma=1.0))
+    _, told = driven(sensors, Twist2(), ORIGIN, [0.01] * 300)
+    poses = [value for one in told for value in (one.pose.x, one.pose.y)]
+    detections = [value for one in told for seen in one.detections for value in (seen.pose.x, seen.pose.y)]
+    noises = np.sort(poses + detections + [one.twist.linear for one in told])
+    assert len(noises) > 1400
+    assert np.min(np.diff(noises)) > 1e-12
+
+
+def test_without_a_station_contact_is_what_the_plant_says():
+    class Touching(DifferentialDrive):
+        def step(self, state, command, duration=None):
+            return super().step(state, command, duration)._replace(contact=True)
+
+    assert driven(plant=Touching(ROBOT))[1][-1].contact is True
+
+
 def test_the_true_dock_is_what_the_detector_sees_even_when_it_moves():
     robot, _ = driven(Sensors(dock=DockSensor(rate=100.0)), dock=Pose2(0.05, 0.02, 0.03))
     robot.dock_pose = Pose2(0.1, 0.0, 0.0)
@@ -72,6 +95,29 @@ def test_the_true_dock_is_what_the_detector_sees_even_when_it_moves():
     told = robot.measurements
     assert (told.pose @ told.detections[-1].pose).gap_to(robot.dock_pose) < 1e-9
     assert np.all(robot.record().docks[-2:] == [[0.05, 0.02, 0.03], [0.1, 0.0, 0.0]])
+
+
+def test_a_controller_drives_it_as_it_drives_the_closed_loop():
+    trajectory = s_curve_drive(Pose2(0.4, -0.2, 0.3))
+    checker = AxisGoalChecker(along_path_tolerance=0.003, cross_track_tolerance=0.02)
+    run = run_closed_loop(
+        trajectory,
+        ROBOT,
+        trajectory.path.end,
+        TrackingController(),
+        checker,
+        SimulationSettings(actuation=PLANT.actuation),
+    )
+    first, controller = trajectory.at(0.0), TrackingController()
+    controller.set_path(trajectory)
+    checker.reset()
+    robot = SimulatedRobot(PLANT, first.pose, ORIGIN, start_twist=first.twist)
+    for _ in range(len(run.times) - 1):
+        now = robot.measurements
+        command = controller.compute_velocity_commands(now.pose, now.twist, checker, stamp=now.stamp)
+        robot.advance(command, 0.02)
+    assert robot.record().poses == pytest.approx(run.poses, abs=1e-9)
+    assert robot.record().commands == pytest.approx(run.commands, abs=1e-9)
 
 
 class TestStation:
@@ -105,6 +151,10 @@ class TestStation:
         robot, told = driven(None, Twist2(0.2), Pose2(-0.3, 0.2, 0.0), [0.02] * 150, station=Station())
         assert robot.error.x > 0.1
         assert not any(one.contact for one in told)
+
+    def test_from_behind_nothing_stops(self):
+        robot, _ = driven(None, Twist2(0.2), Pose2(0.1, 0.0, 0.0), [0.02] * 50, station=Station())
+        assert robot.error.x == pytest.approx(0.268, abs=0.001)
 
     def test_without_the_right_heading_the_switch_stays_open(self):
         robot, told = driven(None, Twist2(0.2), Pose2(-0.3, 0.0, 0.15), [0.02] * 150, station=Station())
