@@ -20,7 +20,8 @@ if TYPE_CHECKING:
 __all__ = ["CommandLimiter", "rate_limited", "smooth_slope"]
 
 _NO_ARC = 1e-9  # [m/s]: a slower command has no curvature
-_CREEPING = 0.005  # [m/s]: a differential drive slower than this bends no path; it may begin with any curvature
+_CREEPING = 0.005  # [m/s]: a slower command says too little of the angle of steered wheels
+_SAME_ARC = 1.5  # times as fast as wanted: beyond, the wanted speed was feedback, whose arc means nothing
 
 
 class CommandLimiter:
@@ -74,7 +75,10 @@ class CommandLimiter:
         free = in_place and drive is Drive.DIFFERENTIAL
         wanted = admissible(wanted if free else _bent(wanted, limits.max_curvature), limits, drive)
         linear = self._linear(wanted.linear, feed_forward.linear, period, limits)
-        angular = wanted.angular if free else self._bend(wanted, linear, period, limits, drive) * linear
+        if drive is Drive.ACKERMANN:
+            angular = self._steered(wanted, linear, period, limits) * linear
+        else:
+            angular = wanted.angular if free else _on_its_arc(wanted, linear, limits.max_curvature)
         turn = (limits.turning.acceleration if linear == 0.0 else limits.max_yaw_acceleration) * period
         angular = _approach(self.command.angular, angular, turn, turn)
         most = _most_turn(linear, limits)  # the turn gives way: the speed falls as fast as it may
@@ -82,9 +86,7 @@ class CommandLimiter:
         if self._feed_forward is not None:
             self._acceleration, self._period = (command.linear - self.command.linear) / period, period
         self._feed_forward, self.command = feed_forward.linear, command
-        if free or (drive is Drive.DIFFERENTIAL and abs(command.linear) < _CREEPING):
-            self._curvature = None
-        elif abs(command.linear) >= _CREEPING:
+        if abs(command.linear) >= _CREEPING:
             self._curvature = command.angular / command.linear
         return command
 
@@ -107,23 +109,19 @@ class CommandLimiter:
             fall = min(fall, limits.max_acceleration)
         return _approach(before, before + slope * period, limits.max_acceleration * period, fall * period)
 
-    def _bend(self, wanted: Twist2, linear: float, period: float, limits: MotionLimits, drive: Drive) -> float:
-        """The curvature of the command."""
+    def _steered(self, wanted: Twist2, linear: float, period: float, limits: MotionLimits) -> float:
+        """The curvature of steered wheels."""
         before = self._curvature
-        is_arc = abs(wanted.linear) > _NO_ARC
-        asked = wanted.angular / wanted.linear if is_arc else before or 0.0
+        asked = wanted.angular / wanted.linear if abs(wanted.linear) > _NO_ARC else before or 0.0
         if before is None:
             return asked
-        low, high = -math.inf, math.inf
-        if drive is Drive.ACKERMANN and math.isfinite(limits.max_steering_rate):
+        if math.isfinite(limits.max_steering_rate):
             angle, turned = math.atan(limits.wheelbase * before), limits.max_steering_rate * period
-            most = 0.5 * math.pi - 1e-6
-            low = max(low, math.tan(max(angle - turned, -most)) / limits.wheelbase)
-            high = min(high, math.tan(min(angle + turned, most)) / limits.wheelbase)
-        found = min(max(asked, low), high)
+            angle = min(max(math.atan(limits.wheelbase * asked), angle - turned), angle + turned)
+            asked = math.tan(angle) / limits.wheelbase
         if abs(linear) < _CREEPING:
-            self._curvature = found  # the wheels turn at rest too
-        return found
+            self._curvature = asked  # the wheels turn at rest too
+        return asked
 
 
 def smooth_slope(missing: float, target_slope: float, slope: float, jerk: float, periods: tuple[float, float]) -> float:
@@ -175,6 +173,12 @@ def _approach(value: float, target: float, rise: float, fall: float) -> float:
         return _approach(0.0, target, rise * left, fall)
     bound = rise if abs(target) > abs(value) else fall
     return value + min(max(target - value, -bound), bound)
+
+
+def _on_its_arc(wanted: Twist2, linear: float, curvature: float) -> float:
+    """The yaw rate at the speed `linear` that keeps the arc of `wanted`, where the speeds are much the same."""
+    share = linear / wanted.linear if wanted.linear != 0.0 else 1.0
+    return _bent(Twist2(linear, wanted.angular * (share if 0.0 <= share <= _SAME_ARC else 1.0)), curvature).angular
 
 
 def _bent(command: Twist2, curvature: float) -> Twist2:

@@ -38,7 +38,10 @@ _CREEP = 1e-6  # [m/s]: no drive moves at it; steered wheels turn as its arc say
 _NOTHING = 5e-5  # [m/s], [rad/s]: at the end less than this is not commanded
 _SHORTEST_CONVERGENCE = 0.05  # [m]
 _DELAYS_TO_CONVERGE = 3.0  # a lateral error may decay within the way of so many delays; less overshoots
-_ASIDE_SMOOTHING = 0.2  # [s]
+_ASIDE_SMOOTHING = 0.2  # [s], of the error across: more hides a jump from what is left of the way
+_SCATTER_SMOOTHING = 1.0  # [s], of its squared noise
+_GROWTH, _LEAST_SCATTER = 4.0, 4e-6  # [1], [m^2]: what a single error may add to that
+_NOISES = 3.0  # standard deviations
 _LEFT = 0.25  # of the accepted error across, that may be left at the end by what is seen now
 _PEAK_MARGIN = 1.2  # without a configured robot: headroom for feedback above the trajectory's own peaks
 
@@ -278,7 +281,7 @@ class TrackingController(Controller):
 
     def _attempt(self) -> None:
         """A new path is a new attempt."""
-        self._aside = 0.0
+        self._aside = self._scatter = 0.0
         self._following, self._arriving, self._push = Patience(), Patience(), DeadBandPush()
 
     @property
@@ -360,9 +363,7 @@ class TrackingController(Controller):
         if self._cancelled and reference.rate == 0.0:
             return Twist2()
         p = self.parameters
-        # Smoothed, so that noise alone does not shorten the distance, which would amplify it.
-        self._aside += (error.y - self._aside) * min(1.0, self._clock.elapsed / _ASIDE_SMOOTHING)
-        distance = self._convergence_distance(now, self._aside, accepted)
+        distance = self._convergence_distance(now, error, accepted)
         wanted = tracking_command(error, now.ahead.twist, Gains(p.along_gain, distance, p.damping, p.turn_gain))
         if self._drive is Drive.ACKERMANN and now.ahead.speed < _CREEPING:
             # A rest tells no curvature, and the feedback's would swing the wheels; a creeping command does tell it.
@@ -371,13 +372,23 @@ class TrackingController(Controller):
             return Twist2(speed, speed * arc.linear * arc.angular)
         return wanted
 
-    def _convergence_distance(self, now: ReferenceState, aside: float, accepted: Accepted) -> float:
-        """As given; less where too much would be left at the end, but no less than the drive's delay allows."""
+    def _convergence_distance(self, now: ReferenceState, error: Pose2, accepted: Accepted) -> float:
+        """As given; less where too much would be left at the end, but no less than the drive's delay allows.
+
+        What counts is the error across, smoothed and beyond its own noise, which a shorter distance would amplify.
+        """
+        period = self._clock.elapsed
+        share, off = min(1.0, period / _ASIDE_SMOOTHING), error.y - self._aside
+        self._aside += share * off
+        most = _GROWTH * self._scatter + _LEAST_SCATTER  # a jump is no noise
+        self._scatter += min(1.0, period / _SCATTER_SMOOTHING) * (min(off * off, most) - self._scatter)
+        noise = math.sqrt(self._scatter * share / (2.0 - share))
+        aside = abs(self._aside) if abs(self._aside) > _NOISES * noise else 0.0
         usual, left, speed = self.parameters.convergence_distance, now.ahead.left, abs(now.ahead.twist.linear)
         least = max(_SHORTEST_CONVERGENCE, _DELAYS_TO_CONVERGE * speed * (self._known_delay + 0.5 * self._clock.period))
         found = usual
         # Critically damped, an error decays by (1 + d / L) exp(-d / L) over a distance d.
-        while found > least and abs(aside) * (1.0 + left / found) * math.exp(-left / found) > _LEFT * accepted.cross:
+        while found > least and aside * (1.0 + left / found) * math.exp(-left / found) > _LEFT * accepted.cross:
             found *= 0.9
         return max(found, min(least, usual))
 
