@@ -27,6 +27,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
+from optdock.changed_world import StillHolds, still_holds
 from optdock.deadline import Deadline, garbage_collection_paused
 from optdock.deformation import Push, deformed
 from optdock.errors import Cancelled, InvalidValue, LifecycleError, OptdockError, PluginError, SmootherTimedOut
@@ -44,7 +45,6 @@ from optdock.plugins import plugin_from
 from optdock.problem import DockingProblem
 from optdock.refinement import Cancellation, Refinement, Stopwatch, in_ms
 from optdock.segments import TURN_RADIUS, ClothoidSegment
-from optdock.still_holds import StillHolds, still_holds
 from optdock.timing.motion import DriveBounds, State
 from optdock.timing.start_states import full_stop
 from optdock.trajectory import TimeLaw, Trajectory
@@ -406,6 +406,8 @@ class _Replanning:
             time = self._next_rest(time)
         s, speed, acceleration, _ = running.time_law.at(time)[0].tolist()
         s, speed, acceleration = min(max(s, 0.0), length), rate * speed, rate * rate * acceleration
+        if s > length - _NO_WAY:  # its last micrometre is a millisecond
+            time, s, speed, acceleration = running.duration, length, 0.0, 0.0
         if max(abs(speed), abs(acceleration)) <= _AT_REST:
             speed = acceleration = 0.0
             s = next((cusp for cusp in path.cusps if abs(cusp - s) <= _NO_WAY), s)

@@ -53,7 +53,7 @@ def assert_within(path):
             assert np.abs(segment.spline.curvature_rates).max() <= LIMITS.max_curvature_rate
 
 
-@settings(max_examples=40)
+@settings(max_examples=25)
 @given(PATHS, SMALL, SMALL)
 def test_it_leads_from_the_start_to_the_goal_within_the_bounds_and_straight_at_the_end(path, at_start, at_goal):
     start, goal = path.start @ Pose2(*at_start), path.end @ Pose2(*at_goal)
@@ -73,7 +73,7 @@ def test_what_leads_there_already_is_not_changed(path):
     np.testing.assert_allclose(found.poses_at(s), path.poses_at(s), atol=1e-9)
 
 
-@settings(max_examples=30)
+@settings(max_examples=15)
 @given(PATHS, SMALL, st.floats(-3.0, 3.0), SMALL)
 def test_it_does_not_matter_where_the_world_has_its_origin(path, at_goal, turn, shift):
     move = Pose2(100.0 * shift[0], 100.0 * shift[1], turn)

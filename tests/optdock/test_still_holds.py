@@ -79,7 +79,7 @@ def as_problem(world):
     return dataclasses.replace(running().problem, **part)
 
 
-@settings(max_examples=40)
+@settings(max_examples=25)
 @given(st.integers(0, 10_000), st.floats(0.0, 0.99))
 def test_it_says_what_a_proof_of_the_rest_says(draw, share):
     plan, world = running(), worlds(draw)
