@@ -288,9 +288,12 @@ class DockingProblem(FrozenArrays):
         Raises:
             InvalidValue: As the constructor.
         """
-        return dataclasses.replace(
-            self, start=start, start_speed=speed, start_curvature=curvature, start_acceleration=acceleration
-        )
+        moved = object.__new__(type(self))
+        # Among the same obstacles, which need not be put together again; only the digests are others.
+        vars(moved).update({name: value for name, value in vars(self).items() if name != "fingerprint"})
+        vars(moved).update(start=start, start_speed=speed, start_curvature=curvature, start_acceleration=acceleration)
+        moved._check_parts()
+        return moved
 
     def start_state(self, gear: int) -> tuple[float, float]:
         """Speed [m/s] and acceleration [m/s^2] at the start along the travel of a motion in `gear`, 1 or -1.

@@ -499,13 +499,7 @@ class _Replanning:
         curvature = None
         if not free and joint.gear != 0:
             curvature = float(self.plan.path.curvature_at(joint.s)[0])
-        return dataclasses.replace(
-            self.world,
-            start=joint.pose,
-            start_speed=joint.speed,
-            start_curvature=curvature,
-            start_acceleration=joint.acceleration,
-        )
+        return self.world.starting_at(joint.pose, joint.speed, curvature, joint.acceleration)
 
     def _kept(self, why: str) -> Replanned | None:
         """The old plan, where it is still good; None where it is not.
