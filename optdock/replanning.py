@@ -53,7 +53,7 @@ from optdock.plugins import plugin_from
 from optdock.problem import DockingProblem
 from optdock.refinement import Cancellation, Refinement, Stopwatch, in_ms
 from optdock.robot import TrackingTube
-from optdock.segments import TURN_RADIUS, ClothoidSegment
+from optdock.segments import SAME_POSITION, TURN_RADIUS, ClothoidSegment
 from optdock.timing.motion import DriveBounds, State
 from optdock.timing.start_states import full_stop
 from optdock.trajectory import TimeLaw, Trajectory
@@ -66,7 +66,7 @@ if TYPE_CHECKING:
 
     from optdock.dock import DockTolerances
     from optdock.pipeline import PlannerLike, SmootherLike, TimingLike
-    from optdock.verification import Certificate, TrajectoryCertificate, Violation
+    from optdock.verification import TrajectoryCertificate, Violation
 
 __all__ = [
     "DEFAULT_REPLANNING_BUDGET",
@@ -143,7 +143,6 @@ class Replanned:
     plan: DockPlan | None
     reason: str = ""
     proven: bool = True
-    certificate: Certificate | None = None
     motion: TrajectoryCertificate | None = None
     tried: tuple[Attempt, ...] = ()
     timing_ms: dict[str, float] = field(default_factory=dict)
@@ -588,7 +587,6 @@ class _Replanning:
                 None,
                 reason,
                 proven,
-                None,
                 motion,
                 tried=tuple(self.tried),
                 timing_ms=self._timing(),
@@ -602,8 +600,8 @@ class _Replanning:
         """The quickest certified braking from a joint, or the quickest of all."""
         limits = self.world.robot.limits
         state = State(0.0, abs(joint.speed), joint.acceleration * (joint.gear or 1))
+        still = Trajectory(_standing(joint.pose, self.plan.frame), TimeLaw(np.array([_STILL]), np.zeros(1)))
         if joint.rest is None or joint.rests:
-            still = Trajectory(_standing(joint.pose, self.plan.frame), TimeLaw(np.array([_STILL]), np.zeros(1)))
             return still, certify_trajectory(still, limits, SpeedZone())
         first = None
         for share in _BRAKING:
@@ -617,6 +615,8 @@ class _Replanning:
             law = TimeLaw(phases[:, 0], phases[:, 1], 0.0, state.v, state.a)
             length = float(law.states[-1, 0])
             segment = joint.rest.segments[0]
+            if length <= SAME_POSITION:
+                return still, certify_trajectory(still, limits, SpeedZone())
             if length > segment.length - _NO_WAY:  # it comes to rest at the cusp by itself
                 length = segment.length
             trajectory = Trajectory(joint.rest.piece(0.0, length), law)

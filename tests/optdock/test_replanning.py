@@ -219,6 +219,14 @@ def test_the_last_centimetres_are_kept_where_the_plan_ends_well_enough():
     assert gone.outcome is not ReplanOutcome.KEPT
 
 
+def test_a_plan_that_is_too_fast_for_the_robot_as_it_is_now_is_not_kept():
+    plan = running()
+    slower = dataclasses.replace(LIMITS, max_speed=0.1)
+    world = dataclasses.replace(plan.problem, robot=Robot(OUTLINE, slower))
+    assert replan(plan, plan.problem, DriveState(3.0), 1e-9, lead=LEAD).outcome is ReplanOutcome.KEPT
+    assert replan(plan, world, DriveState(3.0), 1e-9, lead=LEAD).outcome is ReplanOutcome.STOP
+
+
 def test_a_dock_behind_the_robot_is_no_reason_to_jump():
     plan = running()
     found = replan(plan, moved(plan, -2.5, 0.0, 0.0), DriveState(5.0), 0.05, lead=LEAD)

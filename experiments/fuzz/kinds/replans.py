@@ -165,6 +165,13 @@ class _Now(NamedTuple):
     def s_at(self, t: float) -> float:
         return state_at(self.scene["law"], t).s
 
+    def steers_at(self, t: float) -> bool:
+        """Whether the robot rests at a cusp then, and will for longer than a microsecond."""
+        law = self.scene["law"]
+        is_cusp = any(abs(one.start_s - self.s_at(t)) < 1e-6 for one in motion_of(self.scene["path"]).segments[1:])
+        later = state_at(law, t + 1e-6), state_at(law, t + 1e-3)
+        return is_cusp and all(max(abs(one.v), abs(one.a)) < 1e-6 for one in later)
+
     def pose_at(self, t: float) -> Floats:
         """Where the robot is when the trajectory's clock shows `t`."""
         place = motion_of(cut(self.scene["path"], self.s_at(t))).start
@@ -258,7 +265,8 @@ def _joined(this: _Now, found: Replanned) -> tuple[Case, Verdict | None]:
             "false certificate", f"joint {found.outcome.value}: begins {off:.4g} away from the robot"
         )
     jumps = abs(float(law.start_speed) - speed), abs(float(law.start_acceleration) - gained)
-    if max(jumps) > _SAME:
+    stood = found.trajectory.path.driven <= 1e-6 and jumps[0] <= 1e-6 and jumps[1] <= 1e-3  # as good as at rest
+    if max(jumps) > _SAME and not stood:
         text = f"speed jumps by {jumps[0]:.4g} m/s, acceleration by {jumps[1]:.4g} m/s^2"
         return wanted, Verdict("false certificate", f"joint {found.outcome.value}: {text}")
     moving = max(speed, abs(gained)) > 1e-6
@@ -270,6 +278,11 @@ def _joined(this: _Now, found: Replanned) -> tuple[Case, Verdict | None]:
             return wanted, Verdict("false certificate", f"joint {found.outcome.value}: gear {gears[0]} to {gears[1]}")
         if abs(bent[0] - bent[1]) > 1e-6 * (1.0 + abs(bent[0])):
             text = f"curvature jumps from {bent[0]:.6g} to {bent[1]:.6g} 1/m"
+            return wanted, Verdict("false certificate", f"joint {found.outcome.value}: {text}")
+    if math.isfinite(this.world["limits"].get("max_steering_rate", math.inf)) and found.trajectory.path.driven > 1e-6:
+        wheels = gears[0] * bent[0], gears[1] * float(motion_of(path).k0[0])
+        if abs(wheels[0] - wheels[1]) > 1e-6 * (1.0 + abs(wheels[0])) or this.steers_at(found.starts_at):
+            text = f"wheels turned for {wheels[0]:.6g} 1/m or still turning, the path begins with {wheels[1]:.6g} 1/m"
             return wanted, Verdict("false certificate", f"joint {found.outcome.value}: {text}")
     return wanted, None
 
