@@ -131,8 +131,7 @@ class Replanned:
             in the new world, and the motion from `starts_at` on its limits. False only for a stop: then it is the
             quickest there is. Of KEPT the station counts where the plan ends, from which it may stand apart by the
             dock's tolerances.
-        certificate: Of the clearance of a stop, or None.
-        motion: Of the motion limits of a stop, or None.
+        motion: The certificate of the motion of a stop; None: NEW and KEPT, whose plan has it.
         tried: What was tried, and what became of it.
         timing_ms: Wall-clock milliseconds of the stages.
     """

@@ -370,6 +370,8 @@ def _stop(this: _Now, found: Replanned) -> Verdict | None:
     if not found.proven:
         return None
     timed = _timed(this, found, start, [None, 0.0])
+    if standing:
+        timed |= {"start_speed": None, "start_acceleration": None}  # what is left of a motion was judged at the joint
     assert found.motion is not None
     wrong = trajectories.refuted(timed, found.motion)
     if wrong is not None:
