@@ -30,10 +30,18 @@ import numpy as np
 from optdock.changed_world import StillHolds, still_holds
 from optdock.deadline import Deadline, garbage_collection_paused
 from optdock.deformation import Push, deformed
-from optdock.errors import Cancelled, InvalidValue, LifecycleError, OptdockError, PluginError, SmootherTimedOut
+from optdock.errors import (
+    Cancelled,
+    FailedToSmoothPath,
+    InvalidValue,
+    LifecycleError,
+    OptdockError,
+    PluginError,
+    SmootherTimedOut,
+)
 from optdock.geometry.checked import finite_number, instance, number
 from optdock.geometry.clothoid import ClothoidSpline
-from optdock.geometry.pose import Pose2
+from optdock.geometry.pose import Pose2, normalize_angle
 from optdock.geometry.separation import separation
 from optdock.interfaces import Smoother, TimeParameterizer, never_cancelled
 from optdock.limits import SpeedZone
@@ -44,12 +52,14 @@ from optdock.plan import Attempt, DockPlan, PartialPlan
 from optdock.plugins import plugin_from
 from optdock.problem import DockingProblem
 from optdock.refinement import Cancellation, Refinement, Stopwatch, in_ms
-from optdock.segments import TURN_RADIUS, ClothoidSegment
+from optdock.robot import TrackingTube
+from optdock.segments import SAME_POSITION, TURN_RADIUS, ClothoidSegment
 from optdock.timing.motion import DriveBounds, State
 from optdock.timing.start_states import full_stop
 from optdock.trajectory import TimeLaw, Trajectory
-from optdock.verification import TOLERANCE, certify_path, certify_trajectory, pose_clearance
+from optdock.verification import TOLERANCE, certify_motion, certify_path, certify_trajectory, pose_clearance
 from optdock.verification.conservative_advancement import Begun, prove_clearance
+from optdock.verification.path_rules import path_violations
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -118,7 +128,9 @@ class Replanned:
         plan: The plan whose motion that is; None: STOP.
         reason: Why it is not new; empty where it is.
         proven: Whether the way from where the robot is now until where the motion ends is proven to keep its clearance
-            and the motion limits in the new world. False only for a stop: then it is the quickest there is.
+            in the new world, and the motion from `starts_at` on its limits. False only for a stop: then it is the
+            quickest there is. Of KEPT the station counts where the plan ends, from which it may stand apart by the
+            dock's tolerances.
         motion: The certificate of the motion of a stop; None: NEW and KEPT, whose plan has it.
         tried: What was tried, and what became of it.
         timing_ms: Wall-clock milliseconds of the stages.
@@ -326,6 +338,8 @@ class _Replanning:
             timing=plugins.chosen_timing,
             cancel_checker=self.cancelled,
         )
+        if joint.rests and problem.start_curvature and int(plan.path.segments[0].direction) != joint.gear:
+            raise FailedToSmoothPath("the wheels are turned for the other gear")  # where this curvature is the other
         return self._new(joint, plan)
 
     def _new(self, joint: _Joint, plan: DockPlan) -> Replanned:
@@ -423,12 +437,24 @@ class _Replanning:
         """The time itself; or that of the next rest, where it falls into a turn in place or shortly before a rest."""
         running = self.plan.trajectory
         s, speed, acceleration, _ = running.time_law.at(time)[0].tolist()
+        if self.state.rate <= 0.0:
+            return time  # a clock that stands never comes to any other
         if max(abs(speed), abs(acceleration)) <= _AT_REST:
-            return time
+            return self._steered(time)
         turning = running.path.turns and int(running.path.direction_at(s)[0]) == 0
         ends = running.cusp_times.tolist() if running.path.cusps else []
         due = next((end for end in [*ends, running.duration] if end >= time), time)
-        return due if turning or due - time <= _REST_SOON * self.state.rate else time
+        return self._steered(due) if turning or due - time <= _REST_SOON * self.state.rate else time
+
+    def _steered(self, rest: float) -> float:
+        """The time itself; or, where the robot rests until its wheels are turned, when they are."""
+        law = self.plan.trajectory.time_law
+        if not math.isfinite(self.world.robot.limits.max_steering_rate):
+            return rest
+        phase = int(np.searchsorted(law.times, rest, side="right")) - 1
+        while phase < law.durations.size and law.jerks[phase] == 0.0 and max(abs(law.states[phase, 1:])) <= _AT_REST:
+            phase, rest = phase + 1, float(law.times[phase + 1])
+        return rest
 
     def _blocked(self, joint: _Joint) -> str:
         """Why the way from here to the joint is not proven to be clear; empty where it is."""
@@ -503,22 +529,36 @@ class _Replanning:
         """The old plan, where it is still good; None where it is not.
 
         Within the dock's tolerances the robot counts as docked, and the station stands as near as they allow: there it
-        is taken to stand where the plan ends.
+        is taken to stand where the plan ends. A robot that is off the plan goes back to it: it needs a tube as wide.
         """
-        if _is_beyond(self.plan.path.end, self.world.goal, self.world.dock.tolerances):
+        path, world, now = self.plan.path, self.world, self.now
+        if _is_beyond(path.end, world.goal, world.dock.tolerances) or not self._keeps_limits():
             return None
-        limits = self.world.robot.limits
-        if limits != self.plan.problem.robot.limits:
-            zone = self.world.dock.approach
-            if not certify_trajectory(self.plan.trajectory, limits, zone, is_late=self.deadline.passed).certified:
-                return None
-        now = self.now
-        if now.rest is not None:
-            dock = dataclasses.replace(self.world.dock, pose=self.plan.path.end)
-            if self._not_clear(now.rest, now.pose, dataclasses.replace(self.world, dock=dock)):
-                return None
+        world = dataclasses.replace(world, dock=dataclasses.replace(world.dock, pose=path.end))
+        rest = path.piece(min(now.s, max(0.0, path.length - _NO_WAY)))
+        ways = [(rest, rest.start, world)]
+        if self.offset is not None:
+            known = world.robot.tracking
+            off, turned = math.hypot(self.offset.x, self.offset.y), abs(normalize_angle(self.offset.yaw))
+            tube = TrackingTube(max(known.cross, off), max(known.yaw, turned))
+            wide = dataclasses.replace(world, robot=dataclasses.replace(world.robot, tracking=tube))
+            ways = [(rest, rest.start, wide), (rest if now.rest is None else now.rest, now.pose, world)]
+        if any(self._not_clear(*way) for way in ways):
+            return None
         tried, timing = tuple(self.tried), self._timing()
         return Replanned(ReplanOutcome.KEPT, self.plan.trajectory, 0.0, self.plan, why, tried=tried, timing_ms=timing)
+
+    def _keeps_limits(self) -> bool:
+        """Whether the running plan keeps every rule of the world now but clearance."""
+        before, world, path = self.plan.problem, self.world, self.plan.path
+        robots, docks = (before.robot, world.robot), (before.dock, world.dock)
+        same = robots[0] is robots[1] or robots[0].fingerprint.limits == robots[1].fingerprint.limits
+        rules = [(dock.approach, dock.direction, dock.final_straight) for dock in docks]
+        if same and rules[0] == rules[1]:
+            return True
+        begun = world.starting_at(path.start, before.start_speed, before.start_curvature, before.start_acceleration)
+        asked = dataclasses.replace(begun, dock=dataclasses.replace(world.dock, pose=path.end))
+        return not path_violations(path, asked) and certify_motion(self.plan.trajectory, asked).certified
 
     def _stop(self, delay: float, why: str) -> Replanned:
         """Braking along the running path: from the joint where that is proven, from now on otherwise."""
@@ -527,9 +567,14 @@ class _Replanning:
             joint = self._joint(lead)
             trajectory, motion = self._braking(joint)
             now = self.now
-            until = joint.s - now.s + trajectory.path.length
-            way = now.rest.piece(0.0, until) if now.rest is not None else trajectory.path
-            blocked = self._not_clear(way, now.pose, self.world)
+            before, driven = joint.s - now.s, trajectory.path.length
+            if now.rest is None:
+                ways = [trajectory.path]
+            elif self.offset is None:
+                ways = [now.rest.piece(0.0, max(before + driven, _NO_WAY))]
+            else:  # the robot is carried along with its reference, so the two are no pieces of one path
+                ways = [now.rest.piece(0.0, max(before, _NO_WAY)), trajectory.path]
+            blocked = next(filter(None, (self._not_clear(way, now.pose, self.world) for way in ways)), "")
             reason = why if not blocked else f"{why}; the stop is not proven: {blocked}"
             if not motion.certified:
                 reason += f"; the stop breaks a limit: {motion.reason}"
@@ -554,8 +599,8 @@ class _Replanning:
         """The quickest certified braking from a joint, or the quickest of all."""
         limits = self.world.robot.limits
         state = State(0.0, abs(joint.speed), joint.acceleration * (joint.gear or 1))
+        still = Trajectory(_standing(joint.pose, self.plan.frame), TimeLaw(np.array([_STILL]), np.zeros(1)))
         if joint.rest is None or joint.rests:
-            still = Trajectory(_standing(joint.pose, self.plan.frame), TimeLaw(np.array([_STILL]), np.zeros(1)))
             return still, certify_trajectory(still, limits, SpeedZone())
         first = None
         for share in _BRAKING:
@@ -569,6 +614,8 @@ class _Replanning:
             law = TimeLaw(phases[:, 0], phases[:, 1], 0.0, state.v, state.a)
             length = float(law.states[-1, 0])
             segment = joint.rest.segments[0]
+            if length <= SAME_POSITION:
+                return still, certify_trajectory(still, limits, SpeedZone())
             if length > segment.length - _NO_WAY:  # it comes to rest at the cusp by itself
                 length = segment.length
             trajectory = Trajectory(joint.rest.piece(0.0, length), law)

@@ -35,10 +35,11 @@ _SAVED_PER_SIGNATURE = 3
 _REPORT = 15.0  # [s] between lines of progress
 # How the time is shared where nothing else is asked; a kind that costs more per case gets fewer of them.
 _SHARE = {
-    "paths": 0.3,
+    "paths": 0.25,
     "trajectories": 0.12,
     "timings": 0.12,
-    "plans": 0.23,
+    "plans": 0.15,
+    "replans": 0.13,
     "impossibilities": 0.1,
     "files": 0.08,
     "values": 0.05,

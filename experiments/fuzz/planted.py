@@ -6,6 +6,7 @@ A plant replaces one attribute of `optdock.verification` by a version with one m
 from __future__ import annotations
 
 import contextlib
+import importlib
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -92,11 +93,22 @@ class _View:
         return getattr(self._problem, name)
 
 
+def _one_new_obstacle_less(honest: Callable[..., Any]) -> Callable[..., Any]:
+    def mistaken(path: Any, problem: Any, *rest: Any, obstacles: Any, begun: Any) -> Any:  # noqa: ANN401
+        kept = np.delete(np.arange(len(obstacles)), len(obstacles) // 2)
+        return honest(path, problem, *rest, obstacles=obstacles.subset(kept), begun=begun)
+
+    return mistaken
+
+
 PLANTS: dict[str, Plant] = {
     "tolerance_x5": Plant(conservative_advancement, "TOLERANCE", _five_times),
     "first_order_centimetre": Plant(conservative_advancement, "_directional", _centimetre_more),
     "dropped_obstacle": Plant(certify, "prove_clearance", _one_obstacle_less),
     "dropped_map_cell": Plant(certify, "prove_clearance", _one_map_cell_less),
+    "dropped_new_obstacle": Plant(
+        importlib.import_module("optdock.changed_world"), "prove_clearance", _one_new_obstacle_less
+    ),
     "dropped_path_cell": Plant(motion_bounds.PathMotion, "cells", _middle_cell_less),
     "dropped_time_cell": Plant(trajectory_rules, "_initial_cells", _middle_cell_less),
     "curvature_x5": Plant(path_rules, "EXACT_RTOL", _five_times),

@@ -110,9 +110,11 @@ def _turns(path: Path, problem: DockingProblem) -> Iterator[Violation]:
                 f"the path turns in place by {segment.turn:.4g} rad at s = {start:.3f} m, the robot does not do that"
             )
             yield Violation("turn", message, float(start), abs(segment.turn))
-    if isinstance(path.segments[0], TurnSegment) and problem.start_speed != 0.0:
-        message = f"the robot moves at {problem.start_speed:.3g} m/s but the path begins with a turn in place"
-        yield Violation("turn", message, 0.0, abs(problem.start_speed))
+    speed, gained = problem.start_speed, problem.start_acceleration
+    if isinstance(path.segments[0], TurnSegment) and (speed != 0.0 or gained != 0.0):
+        moves = f"moves at {speed:.3g} m/s" if speed != 0.0 else f"sets off with {gained:.3g} m/s^2"
+        message = f"the robot {moves} but the path begins with a turn in place"
+        yield Violation("turn", message, 0.0, max(abs(speed), abs(gained)))
 
 
 class _Steps(NamedTuple):

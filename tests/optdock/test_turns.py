@@ -208,6 +208,11 @@ def test_a_robot_in_motion_does_not_begin_with_a_turn():
     assert certify_path(path, problem_of(path, start_curvature=0.7)).certified  # nothing is steered at rest
 
 
+def test_a_robot_that_sets_off_with_an_acceleration_does_not_begin_with_a_turn():
+    path = gears((0.5,), (1.0, 0.0, 1))
+    assert kinds(certify_path(path, problem_of(path, start_acceleration=0.2))) == ["turn"]
+
+
 def test_a_turn_must_begin_where_the_gear_before_it_ends():
     first = gears((1.0, 0.0, 1)).segments[0]
     for pose in (Pose2(1.0, 2e-6, 0.0), Pose2(1.0, 0.0, 2e-6)):

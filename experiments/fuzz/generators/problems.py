@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from experiments.fuzz.oracle.motion import Floats, Motion
     from experiments.fuzz.oracle.sweep import Sweep
 
-__all__ = ["path_problem"]
+__all__ = ["beside", "path_problem"]
 
 Rng: TypeAlias = np.random.Generator
 _POSES = 48  # of the swept area, for placing obstacles beside it
@@ -174,6 +174,12 @@ def _beside(rng: Rng, swept: _Swept, required: float) -> list[Points]:
         return placed
     distance = shapely.distance(swept.bodies[:, None], np.array([shapely.Polygon(p) for p in placed])[None]).min(axis=0)
     return [one for one, near in zip(placed, distance, strict=True) if near > 0.0]
+
+
+def beside(rng: Rng, case: Case, motion: Motion, gaps: list[float]) -> list[Points]:
+    """Obstacles so far from the area that a motion sweeps [m]; a gap below 0 reaches into it."""
+    swept = _Swept(case, motion)
+    return [one for gap in gaps for one in _one(rng, swept, gap)]
 
 
 def _one(rng: Rng, swept: _Swept, gap: float) -> list[Points]:

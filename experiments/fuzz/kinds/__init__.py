@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, NamedTuple
 
-from experiments.fuzz.kinds import files, impossibilities, paths, plans, timings, trajectories, values
+from experiments.fuzz.kinds import files, impossibilities, paths, plans, replans, timings, trajectories, values
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -28,6 +28,7 @@ KINDS: dict[str, Kind] = {
     "trajectories": Kind(trajectories.draw, trajectories.judge),
     "timings": Kind(timings.draw, timings.judge),
     "plans": Kind(plans.draw, plans.judge),
+    "replans": Kind(replans.draw, replans.judge),
     "impossibilities": Kind(impossibilities.draw, impossibilities.judge),
     "files": Kind(files.draw, files.judge),
     "values": Kind(values.draw, values.judge),

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     Floats = npt.NDArray[np.float64]
     Ints = npt.NDArray[np.int64]
 
-__all__ = ["Motion", "Segment", "motion_of", "step_arc"]
+__all__ = ["Motion", "Segment", "cut", "motion_of", "step_arc"]
 
 # Twelve Gauss points over at most a radian of turn: exact to rounding.
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(12)
@@ -227,3 +227,50 @@ def _turn(gear: Case) -> tuple[_Rows, Floats, Floats, Floats]:
 
 
 _KINDS = {"clothoid": _clothoid, "polyline": _polyline, "turn": _turn}
+
+
+def cut(path: list[Case], begin: float, end: float = math.inf) -> list[Case]:
+    """The gears of the part of a path between two places [m]; of a path without length there, of a nanometre."""
+    motion = motion_of(path)
+    begin = min(max(begin, 0.0), motion.length - 2.0 * _SAME_POSITION)
+    end = min(max(end, begin + 2.0 * _SAME_POSITION), motion.length)
+    found = []
+    for gear, segment in zip(path, motion.segments, strict=True):
+        low, high = max(begin - segment.start_s, 0.0), min(end - segment.start_s, segment.length)
+        if high - low > _SAME_POSITION or (low == 0.0 and high == segment.length):
+            found.append(_CUTS[gear["type"]](gear, segment, motion, low, high))
+    return found
+
+
+def _pose_at(motion: Motion, segment: Segment, local: float) -> Floats:
+    """Pose so far into a gear [m]."""
+    s = motion.s[segment.first : segment.stop] - segment.start_s
+    piece = int(np.clip(np.searchsorted(s, local, side="right") - 1, 0, s.size - 1))
+    share = np.clip((local - s[piece]) / max(float(motion.h[segment.first + piece]), 1e-300), 0.0, 1.0)
+    return motion.poses_at(np.array([segment.first + piece]), np.array([share]))[0]
+
+
+def _cut_clothoid(gear: Case, segment: Segment, motion: Motion, low: float, high: float) -> Case:
+    knots = segment.knots
+    inner = knots[(knots > low) & (knots < high)]
+    inner = inner[(inner - low > _SAME_POSITION) & (high - inner > _SAME_POSITION)]
+    at = np.concatenate(([low], inner, [high]))
+    curvature = np.interp(at, knots, segment.curvature)
+    start = _pose_at(motion, segment, low).tolist()
+    return {**gear, "start": start, "knots": (at - low).tolist(), "curvature": curvature.tolist()}
+
+
+def _cut_polyline(gear: Case, segment: Segment, _: Motion, low: float, high: float) -> Case:
+    knots, poses = segment.knots, segment.poses
+    inner = poses[(knots > low) & (knots < high)]
+    ends = [[float(np.interp(s, knots, column)) for column in poses.T] for s in (low, high)]
+    return {**gear, "poses": [ends[0], *inner.tolist(), ends[1]]}
+
+
+def _cut_turn(gear: Case, _: Segment, __: Motion, low: float, high: float) -> Case:
+    x, y, yaw = gear["start"]
+    sign = math.copysign(1.0, gear["turn"])
+    return {**gear, "start": [x, y, yaw + sign * low], "turn": sign * (high - low)}
+
+
+_CUTS = {"clothoid": _cut_clothoid, "polyline": _cut_polyline, "turn": _cut_turn}

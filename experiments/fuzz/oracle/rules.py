@@ -89,7 +89,8 @@ def _turns(case: Case, motion: Motion) -> Iterator[Finding]:
     for segment in motion.segments:
         if segment.in_place and not case.get("turns_in_place", False):
             yield Finding("turn", math.inf, segment.start_s)
-    if motion.segments[0].in_place and case["start_speed"] != 0.0:
+    stands = case["start_speed"] == 0.0 and case.get("start_acceleration", 0.0) == 0.0
+    if motion.segments[0].in_place and not stands:
         yield Finding("turn", math.inf, 0.0)
 
 

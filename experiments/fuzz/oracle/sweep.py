@@ -81,7 +81,15 @@ def start_clearance(case: Case, world: World) -> float:
     return float(world.clearances(np.array([case["start"]], dtype=float))[0]) - AROUND * world.radius
 
 
-def sweep(case: Case, motion: Motion, world: World, *, refine: bool = True, relief: float = 0.0) -> Sweep:
+def sweep(
+    case: Case,
+    motion: Motion,
+    world: World,
+    *,
+    refine: bool = True,
+    relief: float = 0.0,
+    begun_with: float | None = None,
+) -> Sweep:
     """Clearance and margin along the path.
 
     Args:
@@ -90,16 +98,19 @@ def sweep(case: Case, motion: Motion, world: World, *, refine: bool = True, reli
         world: The obstacles and the outline.
         relief: Of the clearance rule, see `required_at` [m].
         refine: Whether to look for the minimum between the first samples; without, minima may be missed.
+        begun_with: Clearance of the start [m]; None: in this world.
     """
-    return _Search(case, motion, world, relief).run(rounds=_ROUNDS if refine else 0)
+    return _Search(case, motion, world, relief, begun_with).run(rounds=_ROUNDS if refine else 0)
 
 
 class _Search:
     """Samples by (piece, share), kept in order of the path; intervals between neighbours of one piece."""
 
-    def __init__(self, case: Case, motion: Motion, world: World, relief: float) -> None:
+    def __init__(
+        self, case: Case, motion: Motion, world: World, relief: float, begun_with: float | None = None
+    ) -> None:
         self.case, self.motion, self.world, self.relief = case, motion, world, relief
-        self.start_clearance = start_clearance(case, world)
+        self.start_clearance = start_clearance(case, world) if begun_with is None else begun_with
         reach = world.reach
         self.travel = motion.way + reach * motion.turn  # of any outline point within each piece
         bend = np.where(motion.exact, motion.h * motion.turn, 0.0)  # |p''| for a share from 0 to 1

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from experiments.fuzz.case import Case
     from experiments.fuzz.oracle.motion import Floats, Ints, Motion
 
-__all__ = ["Judgement", "judged", "turn_limits"]
+__all__ = ["Judgement", "State", "judged", "state_at", "turn_limits"]
 
 _PER_PHASE = 24  # samples
 _BISECTIONS = 60
@@ -66,6 +66,24 @@ class _Law(NamedTuple):
         """Distance, speed, acceleration `dt` into `phase`."""
         s, v, a, j = self.s[phase], self.v[phase], self.a[phase], self.jerk[phase]
         return s + dt * (v + dt * (a / 2.0 + dt * j / 6.0)), v + dt * (a + dt * j / 2.0), a + dt * j
+
+
+class State(NamedTuple):
+    """Distance [m], speed [m/s] and acceleration [m/s^2] along the travel."""
+
+    s: float
+    v: float
+    a: float
+
+
+def state_at(spec: Case, t: float) -> State:
+    """Of a time law at a time [s], clipped."""
+    law = _law(spec)
+    borders = np.concatenate(([0.0], np.cumsum(law.width)))
+    t = min(max(t, 0.0), float(borders[-1]))
+    phase = int(np.clip(np.searchsorted(borders, t, side="right") - 1, 0, law.width.size - 1))
+    s, v, a = law.at(np.array([phase]), np.array([t - borders[phase]]))
+    return State(float(s[0]), float(v[0]), float(a[0]))
 
 
 class _Instants(NamedTuple):

@@ -77,7 +77,8 @@ class Stages:
 
     def guesses(self) -> Iterator[Guess | None]:
         """The guesses of all stages, the first of them in a few milliseconds."""
-        turns = self.problem.robot.turns_in_place and self.problem.start_speed == 0.0
+        stands = self.problem.start_speed == 0.0 and self.problem.start_acceleration == 0.0
+        turns = self.problem.robot.turns_in_place and stands
         if not turns and self._cheapest_word() >= self._worthwhile():
             return  # what there is cannot be beaten, were there no obstacle at all
         words = self._words(self._efforts[0])

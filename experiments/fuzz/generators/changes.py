@@ -1,0 +1,165 @@
+"""Running plans in a world that changes under them: where the robot is, and what is another than it was."""
+
+from __future__ import annotations
+
+import copy
+import math
+from typing import TYPE_CHECKING, TypeAlias
+
+import numpy as np
+
+from experiments.fuzz.generators.docking import docking_problem
+from experiments.fuzz.generators.problems import path_problem
+from experiments.fuzz.generators.shapes import log_uniform
+from experiments.fuzz.oracle.motion import motion_of
+
+if TYPE_CHECKING:
+    from experiments.fuzz.case import Case
+
+__all__ = ["running_plan"]
+
+Rng: TypeAlias = np.random.Generator
+_PATHS = 0.6  # share of cases with a path of their own, whose margins lie at the border; the rest is planned
+
+
+def running_plan(rng: Rng) -> Case:
+    """A plan, or a problem to be planned first; a world; how far the robot is; `kind` is `replans`.
+
+    `world` holds what differs from the case itself. `beside` names obstacles that are placed beside the rest of the
+    path once that is known: a seed and gaps [m].
+    """
+    if rng.uniform() < _PATHS:
+        case = path_problem(rng)
+        case["law"] = _simple_law(case["path"])
+        case["world"] = _revealed(rng, case)
+        asked = ["problem", "obstacles"] if case["world"].get("grid") is None else ["problem", "problem", "costmap"]
+        case["question"] = "holds"
+    else:
+        case = docking_problem(rng)
+        case["budget"] = 1.0
+        case["start_speed"], case["start_curvature"] = 0.0, None
+        _steered(rng, case)
+        case["world"] = _another_world(rng, case)
+        case["beside"] = [int(rng.integers(2**31)), [_gap(rng, case) for _ in range(int(rng.choice([0, 1, 3])))]]
+        asked = ["problem"] if set(case["world"]) - {"dock"} or case["beside"][1] else ["problem", "pose"]
+        case["question"] = "replan"
+    case["kind"] = "replans"
+    case["asked"] = str(rng.choice(asked))
+    case["share"] = float(
+        rng.choice([rng.uniform(0.0, 0.9), rng.uniform(-0.1, 1.1), 0.0, 1.0], p=[0.7, 0.2, 0.05, 0.05])
+    )
+    case["rate"] = float(rng.choice([1.0, rng.uniform(0.0, 1.0), 0.0, rng.uniform(1.0, 1.3)], p=[0.6, 0.25, 0.05, 0.1]))
+    case["delay"] = float(rng.choice([0.0, rng.uniform(0.0, 0.2)]))
+    case["lead"] = None if rng.uniform() < 0.6 else float(rng.uniform(0.0, 0.3))
+    case["offset"] = None if rng.uniform() < 0.5 else _offset(rng)
+    case["replan_budget"] = float(rng.choice([0.02, 0.04, 0.1, 0.001], p=[0.3, 0.3, 0.35, 0.05]))
+    return case
+
+
+def _simple_law(path: list[Case]) -> Case:
+    """Four seconds for every gear, from rest to rest, in four phases of one jerk: 2 j T^3 is its way."""
+    lengths = [segment.length for segment in motion_of(path).segments]
+    jerks = [0.5 * length * sign for length in lengths for sign in (1.0, -1.0, -1.0, 1.0)]
+    return {"durations": [1.0] * len(jerks), "jerks": jerks, "start_speed": 0.0, "start_acceleration": 0.0}
+
+
+def _offset(rng: Rng) -> list[float]:
+    far = log_uniform(rng, 1e-4, 0.15)
+    angle = rng.uniform(-math.pi, math.pi)
+    return [far * math.cos(angle), far * math.sin(angle), float(rng.normal(0.0, 0.03))]
+
+
+def _gap(rng: Rng, case: Case) -> float:
+    """From the swept area to what appears: about what is required, or well inside."""
+    required = float(case["clearance"][0])
+    style = rng.uniform()
+    if style < 0.5:
+        return required + float(rng.normal(0.0, 0.02))
+    return required + log_uniform(rng, 1e-6, 0.3) if style < 0.8 else -log_uniform(rng, 1e-3, 0.2)
+
+
+def _revealed(rng: Rng, case: Case) -> Case:
+    """The case becomes the world before: what is returned, the case as it was, has appeared since."""
+    world: Case = {}
+    if case["obstacles"] and rng.uniform() < 0.9:
+        world["obstacles"] = case["obstacles"]
+        case["obstacles"] = [one for one in case["obstacles"] if rng.uniform() < 0.4]
+        if rng.uniform() < 0.2:
+            world["obstacles"] = world["obstacles"][1:]
+    if case["grid"] is not None:
+        world["grid"], case["grid_alone"] = case["grid"], True
+        case["grid"] = _before(rng, case["grid"])
+    style = rng.uniform()
+    if style < 0.08:
+        world["dock"] = copy.deepcopy(case["dock"])
+        world["dock"]["pose"] = _shifted(rng, case["dock"]["pose"])
+    elif style < 0.16:
+        world["tracking"] = [log_uniform(rng, 1e-4, 0.3), float(rng.uniform(0.0, 0.3))]
+    elif style < 0.24:
+        world["clearance"] = [case["clearance"][0] * float(rng.uniform(1.0, 1.5)), *case["clearance"][1:]]
+    return world
+
+
+def _before(rng: Rng, grid: Case) -> Case | None:
+    """A grid as it was: fewer cells, another window, another resolution, or none."""
+    cells, side = np.array(grid["cells"]), grid["resolution"]
+    style = rng.uniform()
+    if style < 0.15:
+        return None
+    before = np.where(rng.uniform(size=cells.shape) < 0.5, 0, cells)
+    origin = np.array(grid["origin"])
+    if style < 0.35:  # a window that rolled on
+        rows, columns = rng.integers(-3, 4, 2)
+        origin, before = origin + side * np.array([columns, rows]), np.roll(before, (-rows, -columns), (0, 1))
+    elif style < 0.5 and cells.size < 6000:
+        before, side = np.kron(before, np.ones((2, 2), dtype=int)), 0.5 * side
+    elif style < 0.6:
+        origin = origin + side * rng.uniform(-1.0, 1.0, 2)
+    return {"cells": before.tolist(), "resolution": side, "origin": origin.tolist()}
+
+
+def _shifted(rng: Rng, pose: list[float]) -> list[float]:
+    far = log_uniform(rng, 1e-4, 0.3)
+    angle = rng.uniform(-math.pi, math.pi)
+    turn = float(rng.normal(0.0, 0.3 * far + 0.01))
+    return [pose[0] + far * math.cos(angle), pose[1] + far * math.sin(angle), pose[2] + turn]
+
+
+def _steered(rng: Rng, case: Case) -> None:
+    """Now and then a car, or a robot that turns in place."""
+    style, limits = rng.uniform(), case["limits"]
+    if style < 0.15:
+        case["drive"] = "ackermann"
+        limits["wheelbase"] = float(rng.uniform(0.3, 1.0))
+        limits["max_steering_rate"] = float(rng.uniform(0.3, 2.0))
+        limits.setdefault("max_curvature", 1.5)
+        limits.setdefault("max_curvature_rate", 6.0)
+    elif style < 0.3:
+        case["turns_in_place"] = True
+        limits.setdefault("max_yaw_rate", 1.0)
+        limits.setdefault("max_yaw_acceleration", 1.0)
+
+
+def _another_world(rng: Rng, case: Case) -> Case:
+    world: Case = {}
+    if rng.uniform() < 0.6:
+        world["dock"] = copy.deepcopy(case["dock"])
+        world["dock"]["pose"] = _shifted(rng, case["dock"]["pose"])
+    if case["obstacles"] and rng.uniform() < 0.2:
+        world["obstacles"] = case["obstacles"][1:]
+    if case["grid"] is not None:
+        case["grid_alone"] = True
+        if rng.uniform() < 0.5:
+            cells = np.array(case["grid"]["cells"])
+            new = rng.choice([0, 254, 255], size=cells.shape, p=[0.995, 0.004, 0.001])
+            world["grid"] = {**case["grid"], "cells": np.maximum(cells, new).tolist()}
+    style = rng.uniform()
+    if style < 0.08:
+        slower = float(rng.uniform(0.3, 1.2))
+        names = ("max_speed", "max_reverse_speed", "max_acceleration", "max_deceleration", "max_jerk")
+        world["limits"] = {**case["limits"], **{name: slower * case["limits"][name] for name in names}}
+    elif style < 0.16:
+        world["tracking"] = [log_uniform(rng, 1e-3, 0.05), float(rng.uniform(0.0, 0.05))]
+    elif style < 0.2:
+        world["zone"] = [log_uniform(rng, 0.02, 0.4), float(rng.uniform(0.05, 1.5))]
+    return world

@@ -1,0 +1,383 @@
+"""`replan` and `still_holds` on running plans in worlds that have changed: whatever they say to be proven is true."""
+
+from __future__ import annotations
+
+import functools
+import math
+import time
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+from experiments.fuzz.case import Verdict
+from experiments.fuzz.doors import law_of, law_spec, path_of, path_spec, problem_of
+from experiments.fuzz.generators.changes import running_plan
+from experiments.fuzz.generators.problems import beside
+from experiments.fuzz.kinds import paths, trajectories
+from experiments.fuzz.oracle.motion import cut, motion_of
+from experiments.fuzz.oracle.rules import gap
+from experiments.fuzz.oracle.sweep import start_clearance, start_run, sweep, tube
+from experiments.fuzz.oracle.timing import judged, state_at
+from experiments.fuzz.oracle.world import World
+from optdock.errors import OptdockError
+from optdock.geometry.pose import Pose2
+from optdock.pipeline import plan_dock, warm_up
+from optdock.plan import DockPlan
+from optdock.replanning import DriveState, ReplanOutcome, replan, still_holds
+from optdock.trajectory import Trajectory
+from optdock.verification import certify_path, certify_trajectory
+
+if TYPE_CHECKING:
+    from experiments.fuzz.case import Case
+    from experiments.fuzz.oracle.motion import Floats
+    from experiments.fuzz.oracle.sweep import Sweep
+    from optdock.replanning import Replanned, StillHolds
+
+__all__ = ["draw", "judge"]
+
+_FORGIVEN = 2e-6  # [m]: twice what the certificate forgives
+_SPARE, _ROUND = 1e-3, 0.02  # [m], of the radius: a rest with more margin must hold
+_SAME = 2e-6  # [m], [rad], [m/s], [m/s^2]: at the joint
+_LATE_CPU = 0.2  # [s] of processor time past the budget
+_TOLERANCES = 0.02, 0.02, 0.05  # of docks: along, cross [m], yaw [rad]
+_UNPROVEN = "stop, not proven"
+
+
+def draw(rng: np.random.Generator) -> Case:
+    """A random running plan in another world."""
+    return running_plan(rng)
+
+
+@functools.cache
+def _warm() -> None:
+    warm_up()
+
+
+def judge(case: Case) -> Verdict:
+    """Make the plan, change the world, ask, and look at what is said."""
+    try:
+        plan = _plan(case)
+    except OptdockError as error:
+        return Verdict(f"no plan: {type(error).__name__}")
+    if plan is None:
+        return Verdict("no plan: not certified")
+    scene = {**_known(case), "path": path_spec(plan.path), "law": law_spec(plan.trajectory.time_law)}
+    time_now = case["share"] * plan.trajectory.duration
+    world = _world(case, scene, time_now)
+    full = {**case, "path": scene["path"], "law": scene["law"], "world": _difference(scene, world), "beside": [0, []]}
+    try:
+        later = problem_of(world)
+    except OptdockError as error:
+        return Verdict(f"input refused: {type(error).__name__}", str(error))
+    asked = {"costmap": later.costmap, "obstacles": later.obstacles}.get(case["asked"], later)
+    found = still_holds(plan, asked, time_now)
+    wrong = _about_the_rest(scene, world, time_now, found)
+    word = "holds" if found else "holds no more"
+    if wrong is None and case["question"] == "replan":
+        word, wrong = _about_the_answer(case, scene, world, plan, later, time_now)
+    return Verdict(word) if wrong is None else Verdict(wrong.outcome, wrong.detail, full)
+
+
+def _known(case: Case) -> Case:
+    """The world that the plan is made in."""
+    return {key: value for key, value in case.items() if key not in ("world", "beside")}
+
+
+def _plan(case: Case) -> DockPlan | None:
+    _warm()
+    problem = problem_of(_known(case))
+    if "path" not in case:
+        return plan_dock(problem, time_budget=case["budget"])
+    path = path_of(case["path"]).with_frame(problem.frame)
+    trajectory = Trajectory(path, law_of(case["law"]))
+    certificate = certify_path(path, problem)
+    if not certificate.certified:
+        return None
+    motion = certify_trajectory(trajectory, problem.robot.limits, problem.dock.approach)
+    return DockPlan(problem, path, path, trajectory, certificate, motion, completed=True, timing_ms={})
+
+
+def _world(case: Case, scene: Case, now: float) -> Case:
+    """The world as it is now, with what appears beside the rest of the path."""
+    told = {"costmap": {"grid"}, "obstacles": {"obstacles"}, "pose": {"dock"}}.get(case["asked"], case["world"])
+    world = {**scene, **{key: value for key, value in case["world"].items() if key in told}}
+    seed, gaps = case.get("beside", [0, []])
+    if gaps:
+        rest = motion_of(cut(scene["path"], state_at(scene["law"], now).s))
+        more = beside(np.random.default_rng(seed), world, rest, gaps)
+        world["obstacles"] = [*world["obstacles"], *more]
+    return world
+
+
+def _difference(scene: Case, world: Case) -> Case:
+    return {key: value for key, value in world.items() if value is not scene.get(key)}
+
+
+# still_holds
+
+
+def _about_the_rest(scene: Case, world: Case, now: float, found: StillHolds) -> Verdict | None:
+    """Whether the rest keeps the rule of the plan, growth from its start included, in the world as it is now."""
+    solid = World.of(world)
+    if solid.is_empty:
+        return None if found or "frame" in found.changed else Verdict("false refusal", "still_holds: in an empty world")
+    begun = start_clearance(scene, World.of(scene))
+    relief = certify_path(path_of(scene["path"]), problem_of(scene)).start_relief
+    rest = motion_of(cut(scene["path"], state_at(scene["law"], now).s))
+    seen = sweep(world, rest, solid, relief=relief, begun_with=begun)
+    if found:
+        return _short("still_holds", world, seen)
+    spare = _SPARE + _ROUND * solid.radius
+    if seen.margin.min() > spare:
+        return Verdict(
+            "false refusal", f"still_holds: {found.reason}; the smallest margin is {seen.margin.min():.4g} m"
+        )
+    return None
+
+
+def _short(what: str, world: Case, seen: Sweep) -> Verdict | None:
+    k = seen.worst
+    if seen.margin[k] >= -_FORGIVEN:
+        return None
+    text = f"{-seen.margin[k]:.4g} m short at s = {seen.s[k]:.6g} m of the rest, clearance {seen.clearance[k]:.6g} m"
+    grid = ", grid" if world.get("grid") is not None else ""
+    return Verdict("false proof", f"{what}{grid}: {text}, pose {seen.poses[k].tolist()}")
+
+
+# replan
+
+
+class _Now(NamedTuple):
+    """What is so, by the oracle.
+
+    `offset`: of the robot from its reference, seen from there; None where it is within the dock's tolerances. `lead`:
+    until the joint at the earliest [s].
+    """
+
+    time: float
+    rate: float
+    offset: Floats | None
+    case: Case
+    scene: Case
+    world: Case
+    plan: DockPlan
+
+    def s_at(self, t: float) -> float:
+        return state_at(self.scene["law"], t).s
+
+    def steers_at(self, t: float) -> bool:
+        """Whether the robot rests at a cusp then, and will for longer than a microsecond."""
+        law = self.scene["law"]
+        is_cusp = any(abs(one.start_s - self.s_at(t)) < 1e-6 for one in motion_of(self.scene["path"]).segments[1:])
+        later = state_at(law, t + 1e-6), state_at(law, t + 1e-3)
+        return is_cusp and all(max(abs(one.v), abs(one.a)) < 1e-6 for one in later)
+
+    def pose_at(self, t: float) -> Floats:
+        """Where the robot is when the trajectory's clock shows `t`."""
+        place = motion_of(cut(self.scene["path"], self.s_at(t))).start
+        return place if self.offset is None else _moved(place, self.offset)
+
+
+def _moved(place: Floats, offset: Floats) -> Floats:
+    c, s = math.cos(place[2]), math.sin(place[2])
+    x, y, yaw = offset
+    return np.array([place[0] + c * x - s * y, place[1] + s * x + c * y, place[2] + yaw])
+
+
+def _about_the_answer(
+    case: Case, scene: Case, world: Case, plan: DockPlan, later: object, now: float
+) -> tuple[str, Verdict | None]:
+    offset = None if case["offset"] is None else np.array(case["offset"])
+    reference = plan.trajectory.at(now).pose
+    pose = None if offset is None else reference @ Pose2(*offset.tolist())
+    if offset is not None and _is_near(offset, world):
+        offset = None
+    target = Pose2(*world["dock"]["pose"]) if case["asked"] == "pose" else later
+    began = time.process_time()
+    try:
+        found = replan(  # type: ignore[arg-type]
+            plan,
+            target,
+            DriveState(now, case["rate"], pose),
+            case["replan_budget"],
+            drive_delay=case["delay"],
+            lead=case["lead"],
+        )
+    except OptdockError as error:
+        return "raised", Verdict("untyped exception", f"replan {type(error).__name__}: {error}")
+    spent = time.process_time() - began - case["replan_budget"]
+    this = _Now(now, case["rate"], offset, case, scene, world, plan)
+    word = found.outcome.value if found.proven else _UNPROVEN
+    checks = {ReplanOutcome.NEW: _new, ReplanOutcome.KEPT: _kept, ReplanOutcome.STOP: _stop}
+    wrong = _instant(this, found) or checks[found.outcome](this, found)
+    if wrong is None and spent > _LATE_CPU:
+        wrong = Verdict("late", f"replan {word}: {1e3 * spent:.0f} ms of CPU past {1e3 * case['replan_budget']:.0f} ms")
+    return word, wrong
+
+
+def _is_near(offset: Floats, world: Case) -> bool:
+    """Whether a robot off its reference counts as on it: in its tube, or docked at the dock where it has none."""
+    far, turn = math.hypot(*offset[:2]), abs(float(offset[2]))
+    width = tube({**world, "tracking": [0.0, turn]}) + far
+    if tube(world) > 0.0:
+        return width <= tube(world)
+    return far <= _TOLERANCES[1] and turn <= _TOLERANCES[2]
+
+
+def _instant(this: _Now, found: Replanned) -> Verdict | None:
+    """When the answer takes over: not before it is there."""
+    if found.outcome is ReplanOutcome.KEPT:
+        return None
+    duration = sum(this.scene["law"]["durations"])
+    earliest = min(max(this.time, 0.0), duration)
+    if found.starts_at < earliest - 1e-9 or found.starts_at > duration + 1e-9:
+        return Verdict("false certificate", f"starts_at: {found.starts_at:.6g} s, it is {earliest:.6g} s already")
+    return None
+
+
+def _standing_start(this: _Now) -> Case:
+    """The world, from where the robot is now."""
+    return {**this.world, "start": this.pose_at(this.time).tolist(), "start_speed": 0.0, "start_curvature": None}
+
+
+def _way(this: _Now, what: str, way: list[Case], world: Case | None = None) -> Verdict | None:
+    """Whether a way that begins where the robot is now keeps clear, by the weaker rule at least."""
+    world = _standing_start(this) if world is None else world
+    solid = World.of(world)
+    if solid.is_empty:
+        return None
+    return _short(what, world, sweep(world, motion_of(way), solid, relief=start_run(world)))
+
+
+def _until(this: _Now, joint: float) -> list[Case]:
+    return cut(this.scene["path"], this.s_at(this.time), max(this.s_at(joint), this.s_at(this.time)))
+
+
+def _joined(this: _Now, found: Replanned) -> tuple[Case, Verdict | None]:
+    """The state at the joint as `start...`, and what of the answer does not continue it."""
+    path, law = path_spec(found.trajectory.path), found.trajectory.time_law
+    state, pose = state_at(this.scene["law"], found.starts_at), this.pose_at(found.starts_at)
+    speed, gained = this.rate * state.v, this.rate**2 * state.a
+    wanted = {"start": pose.tolist(), "start_speed": speed, "start_acceleration": gained}
+    off = gap(motion_of(path).start, pose)
+    if off > _SAME:
+        return wanted, Verdict(
+            "false certificate", f"joint {found.outcome.value}: begins {off:.4g} away from the robot"
+        )
+    jumps = abs(float(law.start_speed) - speed), abs(float(law.start_acceleration) - gained)
+    stood = found.trajectory.path.driven <= 1e-6 and jumps[0] <= 1e-6 and jumps[1] <= 1e-3  # as good as at rest
+    if max(jumps) > _SAME and not stood:
+        text = f"speed jumps by {jumps[0]:.4g} m/s, acceleration by {jumps[1]:.4g} m/s^2"
+        return wanted, Verdict("false certificate", f"joint {found.outcome.value}: {text}")
+    moving = max(speed, abs(gained)) > 1e-6
+    before = motion_of(cut(this.scene["path"], state.s))
+    bent = (float(before.k0[0]), float(motion_of(path).k0[0]))
+    gears = (float(before.gear[0]), float(motion_of(path).gear[0]))
+    if moving and found.trajectory.path.driven > 1e-6:
+        if gears[0] != gears[1]:
+            return wanted, Verdict("false certificate", f"joint {found.outcome.value}: gear {gears[0]} to {gears[1]}")
+        if abs(bent[0] - bent[1]) > 1e-6 * (1.0 + abs(bent[0])):
+            text = f"curvature jumps from {bent[0]:.6g} to {bent[1]:.6g} 1/m"
+            return wanted, Verdict("false certificate", f"joint {found.outcome.value}: {text}")
+    if math.isfinite(this.world["limits"].get("max_steering_rate", math.inf)) and found.trajectory.path.driven > 1e-6:
+        wheels = gears[0] * bent[0], gears[1] * float(motion_of(path).k0[0])
+        if abs(wheels[0] - wheels[1]) > 1e-6 * (1.0 + abs(wheels[0])) or this.steers_at(found.starts_at):
+            text = f"wheels turned for {wheels[0]:.6g} 1/m or still turning, the path begins with {wheels[1]:.6g} 1/m"
+            return wanted, Verdict("false certificate", f"joint {found.outcome.value}: {text}")
+    return wanted, None
+
+
+def _timed(this: _Now, found: Replanned, start: Case, zone: list[object]) -> Case:
+    return {
+        "kind": "trajectories",
+        "path": path_spec(found.trajectory.path),
+        "law": law_spec(found.trajectory.time_law),
+        "limits": this.world["limits"],
+        "zone": zone,
+        "start_speed": abs(start["start_speed"]),
+        "start_acceleration": start["start_acceleration"],
+    }
+
+
+def _new(this: _Now, found: Replanned) -> Verdict | None:
+    plan = found.plan
+    assert plan is not None
+    if not (plan.certificate.certified and plan.trajectory_certificate.certified):
+        return Verdict("uncertified plan", plan.certificate.reason or plan.trajectory_certificate.reason)
+    start, wrong = _joined(this, found)
+    if wrong is not None:
+        return wrong
+    timed = _timed(this, found, start, this.world["zone"])
+    is_moving = start["start_speed"] > 1e-6
+    signed = start["start_speed"] * float(motion_of(timed["path"]).gear[0] or 1.0) if is_moving else 0.0
+    scene = {**this.world, **start, "start_speed": signed, "start_curvature": None, "path": timed["path"]}
+    if this.offset is None:  # else it is where the robot is thought to be that counts
+        wrong = _way(this, "way until NEW takes over", _until(this, found.starts_at))
+    return wrong or paths.refuted(scene, plan.certificate) or trajectories.refuted(timed, plan.trajectory_certificate)
+
+
+def _kept(this: _Now, found: Replanned) -> Verdict | None:
+    if found.trajectory is not this.plan.trajectory:
+        return Verdict("false certificate", "KEPT: another trajectory")
+    goal, end = np.array(this.world["dock"]["pose"]), motion_of(this.scene["path"]).end
+    c, s = math.cos(goal[2]), math.sin(goal[2])
+    dx, dy = end[0] - goal[0], end[1] - goal[1]
+    errors = abs(c * dx + s * dy), abs(c * dy - s * dx), abs(math.remainder(end[2] - goal[2], 2.0 * math.pi))
+    if any(error > most + 1e-9 for error, most in zip(errors, _TOLERANCES, strict=True)):
+        return Verdict("false certificate", f"KEPT: ends {errors} from the dock")
+    # The station is taken to stand where the plan ends, which is as near as the tolerances allow.
+    start = _standing_start(this)
+    world = {**start, "dock": {**this.world["dock"], "pose": end.tolist()}}
+    rest = cut(this.scene["path"], this.s_at(this.time))
+    if this.offset is not None:
+        return _way(this, "KEPT with an offset", rest, {**world, "start": motion_of(rest).start.tolist()})
+    return _way(this, "KEPT", rest, world) or _limits(this, "KEPT", this.time)
+
+
+def _limits(this: _Now, what: str, now: float) -> Verdict | None:
+    """Whether the rest of the running motion keeps the limits of the world now."""
+    if this.world["limits"] == this.scene["limits"] and this.world["zone"] == this.scene["zone"]:
+        return None
+    law, state = this.scene["law"], state_at(this.scene["law"], now)
+    borders = np.concatenate(([0.0], np.cumsum(law["durations"])))
+    left = np.clip(borders[1:] - max(now, 0.0), 0.0, np.diff(borders))
+    keep = left > 0.0
+    if not keep.any():
+        return None
+    rest = {
+        "durations": left[keep].tolist(),
+        "jerks": np.array(law["jerks"])[keep].tolist(),
+        "start_s": state.s,
+        "start_speed": state.v,
+        "start_acceleration": state.a,
+    }
+    case = {**this.world, "path": this.scene["path"], "law": rest, "start_speed": None}
+    found = judged(case, motion_of(this.scene["path"])).ratios
+    worst = max(found, key=lambda name: found[name])
+    if found[worst] > 1.0 + 1e-4:
+        return Verdict("false certificate", f"{what}: {worst} {found[worst]:.6g} times what is allowed now")
+    return None
+
+
+def _stop(this: _Now, found: Replanned) -> Verdict | None:
+    start, wrong = _joined(this, found)
+    standing = found.trajectory.path.driven <= 1e-6
+    if wrong is not None and not (standing and not found.proven):
+        return wrong
+    end = found.trajectory.time_law.states[-1]
+    if max(abs(end[1]), abs(end[2])) > 1e-6:
+        return Verdict("false certificate", f"STOP: ends at {end[1]:.4g} m/s, {end[2]:.4g} m/s^2")
+    if not found.proven:
+        return None
+    timed = _timed(this, found, start, [None, 0.0])
+    if standing:
+        timed |= {"start_speed": None, "start_acceleration": None}  # what is left of a motion was judged at the joint
+    assert found.motion is not None
+    wrong = trajectories.refuted(timed, found.motion)
+    if wrong is not None:
+        return Verdict(wrong.outcome, f"STOP {wrong.detail}")
+    if this.offset is None:
+        return _way(this, "way until STOP takes over", _until(this, found.starts_at)) or _way(
+            this, "STOP", timed["path"]
+        )
+    return _way(this, "STOP with an offset", timed["path"])
