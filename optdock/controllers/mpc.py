@@ -14,7 +14,6 @@ from optdock.controllers.moving_reference import Reference, ReferenceState
 from optdock.controllers.mpc_program import (
     CommandBounds,
     Cycle,
-    Solution,
     TrackingProgram,
     Weights,
     arcs_between,
@@ -37,6 +36,8 @@ if TYPE_CHECKING:
 __all__ = ["CycleOutcome", "MpcController", "MpcControllerParameters", "MpcStatus"]
 
 _RICCATI_STEP = 0.1  # [s]: the cost to go is smooth; finer steps change commands by less than a percent
+_EXACT = 1e4  # penalty per metre and per m/s^3: above every multiplier of errors that weigh 1 to 10
+_JERK_TOLERANCE = 1e-3  # of the limit
 _AT_REST = 1e-6  # [m/s]
 _MOST = 1e3  # [m/s], [rad/s]: faster than anything, for the reachable interval of a command
 
@@ -63,7 +64,7 @@ class CycleOutcome(str, Enum):
     """Where the command of a cycle comes from."""
 
     SOLVED = "solved"
-    JERK_EXCEEDED = "no commands keep the jerk limit; solved without it"
+    JERK_EXCEEDED = "no commands keep the jerk limit; exceeded by as little as can be"
     SHIFTED = "the program found no commands; those of the cycle before go on"
 
 
@@ -129,7 +130,7 @@ class MpcController(TrackingController):
         p = self.parameters
         errors = np.array([p.along_error, p.cross_error, p.yaw_error]) ** -2.0
         effort = np.array([p.speed_effort, p.yaw_rate_effort]) ** -2.0
-        return Weights(errors, effort, p.smoothness**2 * effort, p.final_weight * errors, 1e5)
+        return Weights(errors, effort, p.smoothness**2 * effort, p.final_weight * errors, _EXACT, _EXACT)
 
     def _build(self) -> None:
         p = self.parameters
@@ -202,16 +203,14 @@ class MpcController(TrackingController):
 
     def _solved(self, cycle: Cycle) -> FloatArray:
         assert self._program is not None
-        found: Solution | None = self._program.solve(cycle)
-        outcome = CycleOutcome.SOLVED
-        if found is None:
-            outcome = CycleOutcome.JERK_EXCEEDED
-            found = self._program.solve(cycle._replace(bounds=cycle.bounds._replace(jerk=math.inf)))
+        found = self._program.solve(cycle)
         if found is not None:
+            exceeded = found.over_jerk > _JERK_TOLERANCE * cycle.bounds.jerk
+            outcome = CycleOutcome.JERK_EXCEEDED if exceeded else CycleOutcome.SOLVED
             self.status = MpcStatus(outcome, found.outside)
             return found.commands
         if self._previous is None:
-            raise NoValidControl(f"{self.name}: the program has no solution")
+            raise NoValidControl(f"{self.name}: the program has no solution")  # the server stops the robot
         t, commands = self._previous
         self.status = MpcStatus(CycleOutcome.SHIFTED, 0.0)
         later = np.cumsum(cycle.h) - 0.5 * cycle.h + cycle.h[0]
@@ -232,6 +231,9 @@ class MpcController(TrackingController):
         acceleration = np.array([-down, up])
         acceleration[:, 0] = (lowest.linear - last.linear) / period, (highest.linear - last.linear) / period
         speed = np.tile([[-limits.max_reverse_speed], [limits.max_speed]], n)
+        up_to = _landing(limits.max_speed - last.linear, limits.max_jerk, period)
+        down_to = _landing(limits.max_reverse_speed + last.linear, limits.max_jerk, period)
+        speed[:, 0] = last.linear - down_to, last.linear + up_to
         curvature, gear = None, np.ones(n)
         if self._drive is Drive.ACKERMANN:
             gear, going = np.sign(np.where(np.abs(v) > _AT_REST, v, 0.0)), math.copysign(1.0, last.linear)
@@ -269,6 +271,18 @@ class MpcController(TrackingController):
 
 def _both_ways(bound: float, count: int) -> FloatArray:
     return np.array([[-bound] * count, [bound] * count])
+
+
+def _landing(room: float, jerk: float, period: float) -> float:
+    """Largest change of the speed in one period after which it can still level out within `room` [m/s].
+
+    Every later change is smaller by the unit jerk * period^2. A change of m units, n <= m < n + 1, is followed by
+    m - 1, m - 2, .. m - n: with it they add up to m (n + 1) - n (n + 1) / 2.
+    """
+    unit = jerk * period**2
+    units = max(room, 0.0) / unit
+    n = math.floor(0.5 * (math.sqrt(1.0 + 8.0 * units) - 1.0))
+    return min(room, unit * (units / (n + 1) + 0.5 * n))
 
 
 def _braking_time(speed: float, limits: MotionLimits) -> float:

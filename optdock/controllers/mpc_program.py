@@ -212,6 +212,7 @@ class Weights(NamedTuple):
         change: Of the accelerations of these, Shape (2,).
         final: As `errors`, at the end of the trajectory, Shape (3,).
         tube: Of leaving the tube, an exact penalty [1/m].
+        jerk: Of exceeding the jerk, likewise [s^3/m].
     """
 
     errors: FloatArray
@@ -219,6 +220,7 @@ class Weights(NamedTuple):
     change: FloatArray
     final: FloatArray
     tube: float
+    jerk: float
 
 
 class CommandBounds(NamedTuple):
@@ -277,10 +279,11 @@ class Cycle(NamedTuple):
 
 
 class Solution(NamedTuple):
-    """The commands, Shape (n, 2), and how far the tube is left at most [m]."""
+    """The commands, Shape (n, 2), how far the tube is left at most [m], and the jerk limit exceeded [m/s^3]."""
 
     commands: FloatArray
     outside: float
+    over_jerk: float
 
 
 class TrackingProgram:
@@ -295,15 +298,15 @@ class TrackingProgram:
 
     def __init__(self, steps: int, weights: Weights, *, ackermann: bool, in_tube: bool) -> None:
         self._steps, self._weights = steps, weights
-        counts = [steps, steps, steps, 2 * steps, steps, 2 * steps * ackermann, 4 * steps * in_tube]
+        counts = [steps, steps, 2 * steps, 2 * steps, steps, 2 * steps * ackermann, 4 * steps * in_tube]
         ends = [int(end) for end in np.cumsum(counts)]
         blocks = [slice(end - count, end) for count, end in zip(counts, ends, strict=True)]
         self._speed_changes, self._yaw_rate_changes, self._jerks, self._wheels, self._lateral = blocks[:5]
         self._curvature, self._tube = blocks[5:]
-        self._program = DenseProgram(2 * steps + 1, ends[-1])
-        self._program.lbx[-1] = 0.0
-        self._program.h[-1, -1] = 1.0  # DAQP wants a curved cost; the slack is of millimetres
-        self._program.g[-1] = weights.tube
+        self._program = DenseProgram(2 * steps + 2, ends[-1])
+        self._program.lbx[-2:] = 0.0
+        self._program.h[[-2, -1], [-2, -1]] = 1.0  # DAQP wants a curved cost
+        self._program.g[-2:] = weights.tube, weights.jerk
         self._h: FloatArray = np.zeros(steps)
         self._spans = self._jerk_spans = self._h
         self._changes = np.zeros((steps, steps))
@@ -317,8 +320,14 @@ class TrackingProgram:
         self._fill_bounds(cycle)
         if cycle.tube is not None:
             self._fill_tube(cycle.prediction, cycle.tube)
+        # First with the jerk of the next command kept: only those that come after it may need more, on a coarse grid.
+        next_command = [self._jerks.start, self._jerks.start + self._steps]
+        self._program.a[next_command, -1] = 0.0
         found = self._program.solve()
-        return None if found is None else Solution(found[:-1].reshape(-1, 2), float(found[-1]))
+        if found is None:
+            self._program.a[next_command, -1] = -1.0
+            found = self._program.solve()
+        return None if found is None else Solution(found[:-2].reshape(-1, 2), float(found[-2]), float(found[-1]))
 
     def _use_steps(self, h: FloatArray) -> None:
         """What depends on the lengths of the steps alone: the differences of the commands, and the cost of effort.
@@ -331,9 +340,13 @@ class TrackingProgram:
         self._jerk_spans = np.concatenate((h[:1], 0.5 * (self._spans[:-1] + self._spans[1:])))
         difference = np.eye(n) - np.eye(n, k=-1)
         self._changes = difference / self._spans[:, None]
-        program.a[self._speed_changes, 0:-1:2] = self._changes
-        program.a[self._yaw_rate_changes, 1:-1:2] = self._changes
-        program.a[self._jerks, 0:-1:2] = difference @ self._changes / self._jerk_spans[:, None]
+        program.a[self._speed_changes, 0:-2:2] = self._changes
+        program.a[self._yaw_rate_changes, 1:-2:2] = self._changes
+        up = slice(self._jerks.start, self._jerks.start + n)
+        down = slice(up.stop, self._jerks.stop)
+        program.a[up, 0:-2:2] = difference @ self._changes / self._jerk_spans[:, None]
+        program.a[down, 0:-2:2] = -program.a[up, 0:-2:2]
+        program.a[self._jerks, -1] = -1.0
         for i in range(2):
             smooth = self._changes.T @ ((self._weights.change[i] * self._spans)[:, None] * self._changes)
             self._effort[i::2, i::2] = np.diag(self._weights.effort[i] * h) + smooth
@@ -344,19 +357,19 @@ class TrackingProgram:
         heavy = (cycle.h[:, None] * weights.errors)[:, :, None] * by
         flat = by.reshape(3 * n, 2 * n)
         end = by[-1].T @ cycle.cost_to_go
-        program.h[:-1, :-1] = heavy.reshape(3 * n, 2 * n).T @ flat + end @ by[-1] + self._effort
+        program.h[:-2, :-2] = heavy.reshape(3 * n, 2 * n).T @ flat + end @ by[-1] + self._effort
         nominal = cycle.nominal[1:].ravel()
         gradient = heavy.reshape(3 * n, 2 * n).T @ errors.ravel() + end @ errors[-1] - self._effort @ nominal
         # The first change is from the last command: of it only what lies beside its own nominal one counts.
         beside = cycle.last - cycle.nominal[0]
         gradient[:2] -= weights.change / self._spans[0] * beside
-        program.g[:-1] = gradient
+        program.g[:-2] = gradient
 
     def _fill_bounds(self, cycle: Cycle) -> None:
         program, bounds, last = self._program, cycle.bounds, cycle.last
         lower, upper, a = program.lba, program.uba, program.a
         for box, speed, yaw_rate in zip((program.lbx, program.ubx), bounds.speed, bounds.yaw_rate, strict=True):
-            box[0:-1:2], box[1:-1:2] = speed, yaw_rate
+            box[0:-2:2], box[1:-2:2] = speed, yaw_rate
         changes = (self._speed_changes, bounds.acceleration), (self._yaw_rate_changes, bounds.yaw_acceleration)
         for i, (rows, between) in enumerate(changes):
             lower[rows], upper[rows] = between
@@ -366,7 +379,7 @@ class TrackingProgram:
         known = np.zeros(self._steps)
         known[0] = -(last[0] / self._spans[0] + cycle.last_acceleration) / self._jerk_spans[0]
         known[1] = last[0] / self._spans[0] / self._jerk_spans[1]
-        lower[self._jerks], upper[self._jerks] = -bounds.jerk - known, bounds.jerk - known
+        upper[self._jerks] = bounds.jerk - np.concatenate((known, -known))
         at = np.arange(self._steps)
         for half, sign in ((0, 1.0), (1, -1.0)):
             row = self._wheels.start + half * self._steps + at
@@ -393,7 +406,7 @@ class TrackingProgram:
             by, errors = prediction.by_commands[:, 1 + i, :], prediction.errors[:, 1 + i]
             for half, sign in ((0, 1.0), (1, -1.0)):
                 first = self._tube.start + (2 * i + half) * n
-                program.a[first : first + n, :-1] = sign * by
+                program.a[first : first + n, :-2] = sign * by
                 # A yaw error of the tube's width counts as much as a cross error of its.
-                program.a[first : first + n, -1] = -width / tube[0]
+                program.a[first : first + n, -2] = -width / tube[0]
                 program.uba[first : first + n] = width - sign * errors
