@@ -207,7 +207,8 @@ def driven(scenario: Scenario, plan: DockPlan, seed: int, world: World = _USUAL)
     beside = [] if isinstance(checker, type(second)) else [second]
     for plugin in (controller, checker, *beside):
         plugin.configure(PluginContext(type(plugin).__name__, problem=problem))
-    period = float(controller.parameters.model_dump().get("period", 0.02))
+    # A controller that was promised a period is called with that.
+    period = float(controller.parameters.model_dump().get("period") or SimulationSettings.period)
     step = period / Actuation().substeps
     settings = SimulationSettings(
         period=period,

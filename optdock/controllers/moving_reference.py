@@ -1,4 +1,8 @@
-"""The moving reference: a trajectory played back at a rate between 0 and 1 that changes smoothly."""
+"""The moving reference: a trajectory played back at a rate between 0 and 1 that changes smoothly.
+
+Another trajectory may take over in motion: the reference runs up to the instant where that one begins, and goes on
+along it. What it shows ahead lies on the one before that instant and on the other after it.
+"""
 
 from __future__ import annotations
 
@@ -10,14 +14,26 @@ import numpy as np
 from optdock.geometry.pose import Pose2, Twist2
 
 if TYPE_CHECKING:
+    from optdock.geometry.arrays import FloatArray
     from optdock.limits import MotionLimits
-    from optdock.trajectory import Trajectory
+    from optdock.trajectory import Trajectory, TrajectorySamples
 
-__all__ = ["Reference", "ReferenceState"]
+__all__ = ["Progress", "Reference", "ReferenceState", "peaks"]
 
 _AT_REST = 1e-6  # [m/s]: a standing reference may change its rate at once
 _AT_START = 0.05  # [m]: a robot nearer to the start than this begins there
-_SAMPLES = 400  # for the peak speed and the nearest point
+_SAMPLES = 400  # for the nearest point
+
+
+class Progress(NamedTuple):
+    """How far a controller is.
+
+    `time`: of the reference, on the clock of the trajectory that was given last [s]; negative until it takes over.
+    `rate`: how fast it runs [1].
+    """
+
+    time: float
+    rate: float
 
 
 class ReferenceState(NamedTuple):
@@ -40,47 +56,95 @@ class ReferenceState(NamedTuple):
         return error.x * self.gear + error.yaw * self.turn
 
 
+class _Joint(NamedTuple):
+    """`trajectory` takes over when the one before it is at `time` [s], `faster` times as fast there as it begins."""
+
+    time: float
+    trajectory: Trajectory
+    faster: float
+
+    @classmethod
+    def of(cls, before: Trajectory, time: float, trajectory: Trajectory) -> _Joint:
+        """The joint of two trajectories."""
+        begins = abs(trajectory.time_law.start_speed)
+        speed = abs(float(before.sample_at(time).speed[0])) if 0.0 <= time < before.duration else 0.0
+        return cls(time, trajectory, speed / begins if begins > _AT_REST else math.inf)
+
+    def rate_after(self, before: float) -> float:
+        """The rate at which the new one begins as fast as the old one is at the rate `before`."""
+        return min(1.0, before * self.faster) if math.isfinite(self.faster) else 1.0
+
+
 class Reference:
     """Where the robot should be now: `trajectory` at time `time`, which runs at `rate` seconds per second.
 
     A rate below 1 scales the speed by the rate and every acceleration by its square, so a trajectory within its
     limits stays within them. A change of rate adds `speed * d rate/dt`; it is bounded so that the sum
     `rate^2 * acceleration + speed * d rate/dt` stays within the limits too.
+
+    Args:
+        trajectory: What is played back.
+        time: Where it begins [s]; negative: it waits so long.
     """
 
-    def __init__(self, trajectory: Trajectory) -> None:
+    def __init__(self, trajectory: Trajectory, time: float = 0.0) -> None:
         self.trajectory = trajectory
-        self.time = 0.0
+        self.time = time
         self.rate = 1.0
-        grid = trajectory.sample_at(np.linspace(0.0, trajectory.duration, _SAMPLES))
-        # Speed peaks lie at phase borders or inside a phase; the grid adds what the borders miss.
-        driven = trajectory.path.direction_at(trajectory.time_law.states[:, 0]) != 0
-        v, a = (np.max(np.abs(trajectory.time_law.states[driven, i]), initial=0.0) for i in (1, 2))
-        self.peak_speed, self.peak_acceleration = max(float(np.max(np.abs(grid.speed))), float(v)), float(a)
-        self._grid = grid
+        self._joints: list[_Joint] = []
 
     @property
     def finished(self) -> bool:
-        """Whether the trajectory's end is reached."""
-        return self.time >= self.trajectory.duration
+        """Whether the end is reached."""
+        return self.time >= self.trajectory.duration and not self._joints
+
+    @property
+    def last(self) -> Trajectory:
+        """The trajectory that was given last."""
+        return self._joints[-1].trajectory if self._joints else self.trajectory
+
+    @property
+    def progress(self) -> Progress:
+        """On the clock of the trajectory that was given last."""
+        if not self._joints:
+            return Progress(self.time, self.rate)
+        left = self._joints[0].time - self.time + sum(joint.time for joint in self._joints[1:])
+        return Progress(-left, self.rate)
+
+    def joined_by(self, trajectory: Trajectory, lead: float) -> None:
+        """Let `trajectory` take over `lead` seconds from now; whatever was to take over later is forgotten.
+
+        The instant lies on the running trajectory, where it will be then at the present rate: a rate that changes in
+        the meantime moves the instant, so that the reference does not jump. A standing reference waits.
+        """
+        if self.rate == 0.0 or lead <= 0.0:
+            self._joints.clear()
+            self._take_over(_Joint.of(self.trajectory, self.time, trajectory), -lead)
+            return
+        shown, at, _ = self._at(lead)
+        kept = [joint.trajectory for joint in self._joints]
+        self._joints = self._joints[: kept.index(shown) + 1 if shown in kept else 0]
+        self._joints.append(_Joint.of(shown, at, trajectory))
 
     def state(self, preview: float) -> ReferenceState:
         """The reference now, and its velocity `preview` seconds from now at the present rate."""
-        ahead = self.time + self.rate * preview
-        row = self.trajectory.sample_at((self.time, ahead))
-        speed = float(row.speed[0])
-        gear = (
-            math.copysign(1.0, speed) if abs(speed) > _AT_REST else float(self.trajectory.path.direction_at(row.s)[0])
-        )
-        turn = math.copysign(1.0, float(self.trajectory.path.curvature_at(row.s)[0])) if gear == 0.0 else 0.0
-        share = self.rate if ahead < self.trajectory.duration else 0.0
+        shown, ahead, rate = self._at(preview)
+        if shown is self.trajectory:
+            row = shown.sample_at((self.time, ahead))
+            later = Twist2(float(row.speed[1]), float(row.yaw_rate[1]))
+        else:
+            row = self.trajectory.sample_at(self.time)
+            then = shown.sample_at(ahead)
+            later = Twist2(float(then.speed[0]), float(then.yaw_rate[0]))
+        gear, turn, speed, acceleration = self._along_travel(row)
+        share = rate if 0.0 <= ahead < shown.duration else 0.0
         return ReferenceState(
             pose=Pose2(float(row.x[0]), float(row.y[0]), float(row.yaw[0])),
             gear=gear,
             turn=turn,
-            speed=abs(speed) + turn * float(row.yaw_rate[0]),
-            acceleration=gear * float(row.acceleration[0]) + turn * float(row.yaw_acceleration[0]),
-            previewed=Twist2(share * float(row.speed[1]), share * float(row.yaw_rate[1])),
+            speed=speed if self.time >= 0.0 else 0.0,
+            acceleration=acceleration,
+            previewed=Twist2(share * later.linear, share * later.angular),
         )
 
     def join(self, pose: Pose2, linear: float) -> None:
@@ -89,11 +153,12 @@ class Reference:
         Later gears may pass closer by; to begin there would leave the manoeuvre out. The rate begins such that the
         reference is no faster than the robot at `linear` m/s.
         """
+        grid = self.trajectory.sample_at(np.linspace(0.0, self.trajectory.duration, _SAMPLES))
         cusps = self.trajectory.cusp_times
-        mine = self._grid.t <= cusps[0] if cusps.size else np.ones(self._grid.t.size, dtype=bool)
-        distance = np.hypot(self._grid.x[mine] - pose.x, self._grid.y[mine] - pose.y)
+        mine = grid.t <= cusps[0] if cusps.size else np.ones(grid.t.size, dtype=bool)
+        distance = np.hypot(grid.x[mine] - pose.x, grid.y[mine] - pose.y)
         first = 0 if distance[0] <= _AT_START else int(np.argmin(distance))
-        self.time, speed = float(self._grid.t[first]), float(self._grid.speed[first])
+        self.time, speed = float(grid.t[first]), float(grid.speed[first])
         if abs(speed) > _AT_REST:
             self.rate = min(1.0, max(0.0, linear / speed))
 
@@ -101,16 +166,77 @@ class Reference:
         self, now: ReferenceState, period: float, target_rate: float, limits: MotionLimits, settling: float
     ) -> None:
         """Let `period` seconds pass while the rate approaches `target_rate` with the time constant `settling` [s]."""
+        if self.time < 0.0:  # it waits for its beginning, in seconds that no rate changes
+            passed = self.time + period
+            self.time = passed if passed <= 0.0 else self.rate * passed
+            return
         before = self.rate
         if now.speed <= _AT_REST or abs(target_rate - before) < 1e-6:
             self.rate = before = target_rate
-        else:
+        elif period > 0.0:
             turning = limits.turning.acceleration
             bounds = (turning, turning) if now.turn else (limits.max_acceleration, limits.max_deceleration)
             lowest, highest = _rate_bounds(now.speed, before**2 * now.acceleration, bounds)
             wanted = (target_rate - before) / max(settling, period)
             self.rate = min(1.0, max(0.0, before + period * min(max(wanted, lowest), highest)))
-        self.time = min(self.trajectory.duration, self.time + 0.5 * (before + self.rate) * period)
+        self.time += 0.5 * (before + self.rate) * period
+        while self._joints and self.time >= self._joints[0].time:
+            joint = self._joints.pop(0)
+            self._take_over(joint, (self.time - joint.time) / self.rate if self.rate > 0.0 else 0.0)
+        if not self._joints:
+            self.time = min(self.time, self.trajectory.duration)
+
+    def _take_over(self, joint: _Joint, since: float) -> None:
+        """Go on along the next trajectory, which began `since` seconds ago, as fast as the reference is now."""
+        self.rate = joint.rate_after(self.rate)
+        self.trajectory = joint.trajectory
+        self.time = self.rate * since if since > 0.0 else since
+
+    def _at(self, preview: float) -> tuple[Trajectory, float, float]:
+        """The trajectory in force `preview` seconds from now, the time on its clock and its rate then."""
+        shown, rate = self.trajectory, self.rate
+        time = self.time + (rate if self.time >= 0.0 else 1.0) * preview
+        for joint in self._joints:
+            if time < joint.time:
+                break
+            left = (time - joint.time) / rate if rate > 0.0 else 0.0
+            shown, rate = joint.trajectory, joint.rate_after(rate)
+            time = rate * left
+        return shown, time, rate
+
+    def _along_travel(self, row: TrajectorySamples) -> tuple[float, float, float, float]:
+        """Gear, turn, speed and acceleration of a `ReferenceState`, from the first row."""
+        path, speed = self.trajectory.path, float(row.speed[0])
+        gear = math.copysign(1.0, speed) if abs(speed) > _AT_REST else float(path.direction_at(row.s)[0])
+        turn = math.copysign(1.0, float(path.curvature_at(row.s)[0])) if gear == 0.0 else 0.0
+        return (
+            gear,
+            turn,
+            abs(speed) + turn * float(row.yaw_rate[0]),
+            gear * float(row.acceleration[0]) + turn * float(row.yaw_acceleration[0]),
+        )
+
+
+def peaks(trajectory: Trajectory) -> tuple[float, float]:
+    """Largest speed and acceleration of the driven parts [m/s, m/s^2].
+
+    They lie at the borders of the phases, the speed's also where the acceleration vanishes within one.
+    """
+    law = trajectory.time_law
+    middle = law.phase_middles(0.5 * (law.times[:-1] + law.times[1:]))
+    driven = trajectory.path.direction_at(middle) != 0
+    v, a = law.states[:-1, 1][driven], law.states[:-1, 2][driven]
+    jerk, duration = law.jerks[driven], law.durations[driven]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        turning = np.where(jerk != 0.0, -a / jerk, 0.0)
+    turning = np.clip(turning, 0.0, duration)
+
+    def largest(values: FloatArray) -> float:
+        return float(np.max(np.abs(values), initial=0.0))
+
+    end_v, end_a = law.states[1:, 1][driven], law.states[1:, 2][driven]
+    inside = v + turning * (a + 0.5 * jerk * turning)
+    return max(largest(v), largest(end_v), largest(inside)), max(largest(a), largest(end_a))
 
 
 def _rate_bounds(speed: float, acceleration: float, limits: tuple[float, float]) -> tuple[float, float]:

@@ -10,10 +10,12 @@ import numpy as np
 from pydantic import Field
 
 from optdock.controllers.checks import checked_speed_limit, checked_task
+from optdock.controllers.control_clock import ControlClock
 from optdock.controllers.delay_estimate import DelayEstimate
-from optdock.controllers.moving_reference import Reference, ReferenceState
+from optdock.controllers.moving_reference import Progress, Reference, ReferenceState, peaks
 from optdock.controllers.tracking_law import Gains, tracking_command
 from optdock.errors import ControllerInvalidPath, FailedToTimePath, NoValidControl
+from optdock.geometry.checked import finite_number
 from optdock.geometry.pose import Pose2, Twist2
 from optdock.interfaces import Controller
 from optdock.limits import MotionLimits
@@ -39,7 +41,9 @@ _DEEPER = 1e-6  # [m]: a robot that touches something may drive on as long as it
 class TrackingControllerParameters(PluginParameters):
     """Gains, time base and finish of the TrackingController."""
 
-    period: float = Field(default=0.02, gt=0.0, description="time between two calls [s]")
+    period: float | None = Field(
+        default=None, gt=0.0, description="time between two calls [s]; None: measured from their stamps"
+    )
     along_gain: float = Field(default=2.0, gt=0.0, description="speed per error along the travel [1/s]")
     convergence_distance: float = Field(
         default=0.25, gt=0.0, description="distance over which lateral errors decay [m]"
@@ -67,12 +71,15 @@ class TrackingControllerParameters(PluginParameters):
 class TrackingController(Controller):
     """Follows a trajectory in time, in both gears, and corrects what is left at its end.
 
-    **Time.** There is no clock: every call lets the reference advance by `period`, times a rate in [0, 1]. The rate
-    is 1 normally, lower under a speed limit, and falls smoothly to 0 while the robot lags behind by `slow_down_lag`
-    to `stop_lag`, so a blocked robot finds its reference waiting. A robot further than `max_error` (or
+    **Time.** Every call lets the reference advance by the time since the last, as the stamps say, or by `period` where
+    that is given, times a rate in [0, 1]: any rate of calls from 10 to 200 Hz will do, and it may change. The rate of
+    the reference is 1 normally, lower under a speed limit, and falls smoothly to 0 while the robot lags behind by
+    `slow_down_lag` to `stop_lag`, so a blocked robot finds its reference waiting. A robot further than `max_error` (or
     `max_yaw_error`) from the reference has left what was certified: NoValidControl, and a new plan is needed. The
     first call after `set_path` starts at the nearest point of the trajectory's first gear when the robot is not at its
-    beginning, no faster than the robot is. At cusps the reference rests as its time law does.
+    beginning, no faster than the robot is. A call with the stamp of the one before gets the same command. At cusps the
+    reference rests as its time law does. A trajectory with a `start_stamp` takes over just then, in motion: the
+    reference goes on from one to the other without a jump where they meet, and the feed-forward looks across.
 
     **Law.** See `tracking_law`; the feed-forward is that of the middle of the coming period, `preview` ahead. Without a
     given `preview` it is identified from the first ramp on, by comparing the measured speed with the commands
@@ -103,19 +110,26 @@ class TrackingController(Controller):
     def __init__(self, **parameters: object) -> None:
         super().__init__(**parameters)
         self._speed_limit: tuple[float, bool] | None = None
-        self._seen: tuple[ReferenceState, float] | None = (
-            None  # the reference of the last call, and the robot's lag behind it
-        )
+        # The reference of the last call, and the robot's lag behind it.
+        self._seen: tuple[ReferenceState, float] | None = None
         self._reference: Reference | None = None
+        self._starts_at: float | None = None
         self._limits = MotionLimits()
         self._last = Twist2()
-        self._delay = DelayEstimate(self.parameters.period)
+        self._clock = ControlClock()
+        self._delay = DelayEstimate()
         self._anchored = self._cancelled = False
 
-    def set_path(self, path: Path | Trajectory, *, start_stamp: float | None = None) -> None:  # noqa: ARG002 - no clock yet
+    def set_path(self, path: Path | Trajectory, *, start_stamp: float | None = None) -> None:
         """Follow a trajectory, or a path after timing it, from the next call on.
 
         A path is timed from the speed of the last command, so that a new path in motion is taken up without a stop.
+
+        Args:
+            path: What to follow.
+            start_stamp: When its time 0 is, on the clock of the stamps [s]. Until then the reference goes on along the
+                trajectory before; where there is none it waits at the beginning. It should begin where the other one is
+                then, just as fast and with the same acceleration. None: with the next call, from where the robot is.
 
         Raises:
             ControllerInvalidPath: It is neither a path nor a trajectory, it stands in another frame than the configured
@@ -124,9 +138,13 @@ class TrackingController(Controller):
         """
         path = checked_task(path, self.context, "TrackingController")
         trajectory = path if isinstance(path, Trajectory) else self._timed(path)
-        self._reference = Reference(trajectory)
-        self._anchored = self._cancelled = False
-        self._limits = self._limits_for(self._reference)
+        running, now = self._reference if self._anchored and not self._cancelled else None, self._clock.now
+        if running is not None and now is not None and start_stamp is not None:
+            running.joined_by(trajectory, finite_number(start_stamp, "TrackingController: start_stamp") - now)
+        else:
+            self._reference, self._starts_at = Reference(trajectory), start_stamp
+            self._anchored = self._cancelled = False
+        self._limits = self._limits_for(trajectory)
 
     def compute_velocity_commands(
         self,
@@ -134,7 +152,7 @@ class TrackingController(Controller):
         velocity: Twist2,
         goal_checker: GoalChecker | None,
         *,
-        stamp: float | None = None,  # noqa: ARG002 - no clock yet
+        stamp: float | None = None,
     ) -> Twist2:
         """The command for the coming period; see the class.
 
@@ -142,28 +160,33 @@ class TrackingController(Controller):
             pose: Measured pose.
             velocity: Measured body velocity: where the first command starts from, and what the drive made of the last.
             goal_checker: Its position tolerance may widen `finish_tolerance`.
-            stamp: When the pose was measured [s].
+            stamp: When the pose was measured [s], on any monotonic clock; None: now, on the context's clock.
 
         Raises:
             ControllerInvalidPath: There is no path.
             NoValidControl: The robot is further than `max_error` or `max_yaw_error` from the reference, or would
-                collide.
+                collide; or the clock went back.
         """
         if self._reference is None:
             raise ControllerInvalidPath("TrackingController: has no path; call set_path first")
+        self._clock.tick(stamp, self.context, self.parameters.period)
+        if self._clock.elapsed == 0.0:
+            return self._last
+        if self._clock.silent:
+            self._last = Twist2(velocity.linear, velocity.angular)
         if not self._anchored:
             self._anchor(self._reference, pose, velocity)
-        p = self.parameters
-        self._delay.update(self._last.linear, velocity.linear)
+        p, period = self.parameters, self._clock.elapsed
+        self._delay.update(self._last.linear, velocity.linear, period)
         now = self._advanced(self._reference)
         error = now.pose.in_frame_of(pose)
         self._check_error(error)
         wanted = self._wanted(self._reference, now, error, goal_checker)
-        command = admissible(rate_limited(self._last, wanted, self._limits, p.period), self._limits, self._drive)
+        command = admissible(rate_limited(self._last, wanted, self._limits, period), self._limits, self._drive)
         self._seen = (now, now.lag_of(error))
         self._last = Twist2()  # what a refusal leaves the robot with
         if p.use_collision_detection:
-            require_free_stop(self.context, pose, command, self._limits, p.period, p.collision_tolerance)
+            require_free_stop(self.context, pose, command, self._limits, self._clock.period, p.collision_tolerance)
         self._last = command
         return command
 
@@ -183,10 +206,16 @@ class TrackingController(Controller):
 
     def reset(self) -> None:
         """Forget the path and what was learnt about the drive; the speed limit stays."""
-        self._reference = None
-        self._delay = DelayEstimate(self.parameters.period)
+        self._reference = self._starts_at = None
+        self._clock = ControlClock()
+        self._delay = DelayEstimate()
         self._last = Twist2()
         self._anchored = self._cancelled = False
+
+    @property
+    def progress(self) -> Progress | None:
+        """Where the reference is, on the clock of the trajectory given last; None without a path."""
+        return None if self._reference is None else self._reference.progress
 
     @property
     def _drive(self) -> Drive:
@@ -201,35 +230,35 @@ class TrackingController(Controller):
         except FailedToTimePath as error:
             raise ControllerInvalidPath(f"TrackingController: {error}") from error
 
-    def _limits_for(self, reference: Reference) -> MotionLimits:
+    def _limits_for(self, trajectory: Trajectory) -> MotionLimits:
         if self.context.problem:
             return self.context.problem.robot.limits
-        limits, peak = MotionLimits(), _PEAK_MARGIN * reference.peak_speed
-        acceleration = _PEAK_MARGIN * reference.peak_acceleration
+        limits, (speed, acceleration) = MotionLimits(), (_PEAK_MARGIN * peak for peak in peaks(trajectory))
         return dataclasses.replace(
             limits,
-            max_speed=max(limits.max_speed, peak),
-            max_reverse_speed=max(limits.max_reverse_speed, peak),
+            max_speed=max(limits.max_speed, speed),
+            max_reverse_speed=max(limits.max_reverse_speed, speed),
             max_acceleration=max(limits.max_acceleration, acceleration),
             max_deceleration=max(limits.max_deceleration, acceleration),
         )
 
     def _anchor(self, reference: Reference, pose: Pose2, velocity: Twist2) -> None:
-        reference.join(pose, velocity.linear)
-        self._last = Twist2(velocity.linear, velocity.angular)
-        self._delay = DelayEstimate(self.parameters.period, self._delay.delay)
+        if self._starts_at is None or self._clock.now is None:
+            reference.join(pose, velocity.linear)
+        else:
+            reference.time = self._clock.now - self._starts_at
         self._seen = None
         self._anchored = True
 
     def _advanced(self, reference: Reference) -> ReferenceState:
-        """The reference one period after it was last seen; on the first call, where it begins."""
+        """The reference now; on the first call, where it begins."""
         p = self.parameters
         if self._seen is not None:
             before, lag = self._seen
             settling = 0.0 if self._cancelled else _SETTLING
-            reference.advance(before, p.period, self._target_rate(reference, lag), self._limits, settling)
+            reference.advance(before, self._clock.elapsed, self._target_rate(reference, lag), self._limits, settling)
         preview = self._delay.delay if p.preview is None else p.preview
-        return reference.state(preview + 0.5 * p.period)
+        return reference.state(preview + 0.5 * self._clock.period)
 
     def _check_error(self, error: Pose2) -> None:
         p, distance = self.parameters, math.hypot(error.x, error.y)
@@ -264,13 +293,13 @@ class TrackingController(Controller):
             return 0.0
         p = self.parameters
         waiting = min(1.0, max(0.0, (p.stop_lag - lag) / max(1e-9, p.stop_lag - p.slow_down_lag)))
-        return waiting * self._allowed_rate(reference.peak_speed)
+        return waiting * self._allowed_rate(reference.trajectory)
 
-    def _allowed_rate(self, peak_speed: float) -> float:
+    def _allowed_rate(self, trajectory: Trajectory) -> float:
         if self._speed_limit is None:
             return 1.0
         limit, percentage = self._speed_limit
-        return min(1.0, limit / 100.0 if percentage else limit / peak_speed)
+        return min(1.0, limit / 100.0 if percentage else limit / max(peaks(trajectory)[0], 1e-9))
 
 
 def _at_least(value: float, least: float) -> float:
@@ -294,8 +323,10 @@ def _approach(value: float, target: float, rise: float, fall: float) -> float:
     """`value` moved towards `target`: away from zero by at most `rise`, towards zero by at most `fall`."""
     if value * target < 0.0:
         braked = _approach(value, 0.0, rise, fall)
+        if abs(value) >= fall:
+            return braked
         left = 1.0 - abs(value) / fall if math.isfinite(fall) else 1.0
-        return braked if left <= 0.0 else _approach(0.0, target, rise * left, fall)
+        return _approach(0.0, target, rise * left, fall)
     bound = rise if abs(target) > abs(value) else fall
     return value + min(max(target - value, -bound), bound)
 

@@ -10,6 +10,7 @@ import numpy as np
 from pydantic import Field, model_validator
 
 from optdock.controllers.checks import checked_speed_limit, checked_task
+from optdock.controllers.control_clock import ControlClock
 from optdock.errors import ControllerInvalidPath, NoValidControl
 from optdock.geometry.pose import Pose2, Twist2, normalize_angle
 from optdock.interfaces import Controller
@@ -39,7 +40,9 @@ _CUSP_TOLERANCE: Final = 0.05  # [m]: where the next gear begins
 class GracefulControllerParameters(PluginParameters):
     """Nav2's parameters and defaults, and `period`; those about costmap cells and scaled footprints are missing."""
 
-    period: float = Field(default=0.05, gt=0.0, description="time between two calls, for a stop when cancelled [s]")
+    period: float | None = Field(
+        default=None, gt=0.0, description="time between two calls [s]; None: measured from their stamps"
+    )
 
     min_lookahead: float = Field(default=0.25, gt=0.0, description="nearest target [m]")
     max_lookahead: float = Field(default=1.0, gt=0.0, description="furthest target [m]")
@@ -114,9 +117,10 @@ class GracefulController(Controller):
         self._legs: list[tuple[Direction, list[Pose2]]] = []
         self._turned = self._arrived = self._cancelled = False
         self._last = Twist2()
+        self._clock = ControlClock()
 
-    def set_path(self, path: Path | Trajectory, *, start_stamp: float | None = None) -> None:  # noqa: ARG002 - no clock yet
-        """Follow a path; the time law of a trajectory is ignored.
+    def set_path(self, path: Path | Trajectory, *, start_stamp: float | None = None) -> None:  # noqa: ARG002 - no time law
+        """Follow a path; the time law of a trajectory is ignored, and with it when it begins.
 
         Raises:
             ControllerInvalidPath: It is neither a path nor a trajectory, it stands in another frame than the configured
@@ -144,16 +148,17 @@ class GracefulController(Controller):
         velocity: Twist2,  # noqa: ARG002 - part of the interface
         goal_checker: GoalChecker | None,
         *,
-        stamp: float | None = None,  # noqa: ARG002 - no clock yet
+        stamp: float | None = None,
     ) -> Twist2:
         """The command of this cycle.
 
         Raises:
             ControllerInvalidPath: There is no path.
-            NoValidControl: Every rollout collides, or the path is out of reach.
+            NoValidControl: Every rollout collides, the path is out of reach, or the clock went back.
         """
         if not self._legs:
             raise ControllerInvalidPath("GracefulController: has no path; call set_path first")
+        self._clock.tick(stamp, self.context, self.parameters.period)
         self._last = self._braked() if self._cancelled else self._followed(pose, goal_checker)
         return self._last
 
@@ -178,6 +183,7 @@ class GracefulController(Controller):
         self._legs = []
         self._cancelled = False
         self._last = Twist2()
+        self._clock = ControlClock()
 
     @property
     def law(self) -> GracefulLaw:
@@ -215,7 +221,7 @@ class GracefulController(Controller):
     def _braked(self) -> Twist2:
         """The last command slowed down by one period, its curvature kept."""
         p, speed = self.parameters, abs(self._last.linear)
-        share = max(0.0, 1.0 - p.deceleration_max * p.period / speed) if speed > 0.0 else 0.0
+        share = max(0.0, 1.0 - p.deceleration_max * self._clock.elapsed / speed) if speed > 0.0 else 0.0
         return Twist2(share * self._last.linear, share * self._last.angular)
 
     def _drop_driven(self, pose: Pose2) -> None:

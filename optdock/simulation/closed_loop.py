@@ -86,7 +86,7 @@ def run_closed_loop(  # noqa: PLR0913 - one parameter for each part of the loop
         trajectory: What to drive; the controller gets it through `set_path`.
         robot: Its drive limits bound the plant; its footprint is used for the clearance.
         goal: Pose handed to the goal checker.
-        controller: Ready to use; its own period must be that of the settings.
+        controller: Ready to use; it is told the time.
         goal_checker: Decides.
         settings: The world; perfect by default.
         beside: Goal checkers that are asked once, when the run has ended; they decide nothing.
@@ -132,12 +132,14 @@ class _Loop:
         timeout = self.settings.timeout
         timeout = 1.5 * self.trajectory.duration + 10.0 if timeout is None else timeout
         decisive = self.goal_checkers[0]
-        for _ in range(math.ceil(timeout / self.settings.period) + 1):
+        for k in range(math.ceil(timeout / self.settings.period) + 1):
             measured = self._measured(state.pose)
             if self._reached(decisive, measured, state.twist):
                 return self._end(state, measured, docked=True, reason="")
             try:
-                command = self.controller.compute_velocity_commands(measured, state.twist, decisive)
+                command = self.controller.compute_velocity_commands(
+                    measured, state.twist, decisive, stamp=k * self.settings.period
+                )
             except ControllerException as error:
                 return self._end(state, measured, docked=False, reason=f"{type(error).__name__}: {error}")
             self.rows.append((state.pose, measured, command, state.twist))

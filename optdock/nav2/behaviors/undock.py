@@ -14,7 +14,7 @@ from optdock.nav2.behaviors.collision import CollisionChecker
 from optdock.nav2.behaviors.results import RUNNING, SUCCEEDED, UNDOCK, failed, stopped
 from optdock.parameters import PluginParameters, parse_parameters
 from optdock.path import Path
-from optdock.plugins import create_plugin, load_plugin
+from optdock.plugins import create_plugin
 
 if TYPE_CHECKING:
     from optdock.geometry.pose import Pose2, Twist2
@@ -108,11 +108,7 @@ class Undock(Behavior):
         return self._drive.cycle(pose, velocity)
 
     def _prepared(self, plan: UndockPlan, deadline: Deadline) -> _Drive:
-        name = self.parameters.controller
-        takes_period = "period" in load_plugin(Controller, name).Parameters.model_fields
-        controller = create_plugin(
-            Controller, name, {"period": 1.0 / self.parameters.cycle_frequency} if takes_period else {}
-        )
+        controller = create_plugin(Controller, self.parameters.controller)
         controller.configure(self.context)
         controller.set_path(plan.trajectory)
         return _Drive(
@@ -162,7 +158,8 @@ class _Drive:
         if self._arrived(pose, velocity):
             return stopped(SUCCEEDED)
         try:
-            twist = self.controller.compute_velocity_commands(pose, velocity, None)
+            now = self.controller.context.clock()
+            twist = self.controller.compute_velocity_commands(pose, velocity, None, stamp=now)
         except ControllerException as error:
             return stopped(failed(UNDOCK.control, str(error)))
         refusal = self.checker.refusal(pose, twist, self.parameters.simulate_ahead_time)

@@ -52,7 +52,7 @@ class ControllerContract(PluginContract[Controller]):
     """`optdock.interfaces.Controller`: turns a path or a trajectory into velocity commands.
 
     Attributes:
-        period: Time between two commands [s]; build the plugin for it.
+        period: Time between two commands [s], as their stamps say.
         cycles: Commands within which it arrives.
         stop_cycles: Commands within which `cancel` says True.
         arrival_tolerance: How near the end it comes without a goal checker [m].
@@ -173,7 +173,8 @@ class ControllerContract(PluginContract[Controller]):
         while not controller.cancel():
             asked += 1
             require(asked <= self.stop_cycles, f"cancel says True within {self.stop_cycles} commands")
-            command = controller.compute_velocity_commands(pose, twist, None)
+            stamp = (39 + asked) * self.period
+            command = controller.compute_velocity_commands(pose, twist, None, stamp=stamp)
             slower = abs(command.linear) <= max(abs(twist.linear), 0.02) * _SLACK
             require(slower, f"once cancelled it slows down, got {twist.linear} then {command.linear} m/s")
             pose, twist = pose.moved(command, self.period), command
@@ -204,8 +205,8 @@ class ControllerContract(PluginContract[Controller]):
     def _drive(self, controller: Controller, cycles: int, checker: GoalChecker | None = None) -> _Run:
         """A run from the origin with perfect actuation."""
         pose, twist, commands = ORIGIN, Twist2(), []
-        for _ in range(cycles):
-            twist = controller.compute_velocity_commands(pose, twist, checker)
+        for k in range(cycles):
+            twist = controller.compute_velocity_commands(pose, twist, checker, stamp=k * self.period)
             pose = pose.moved(twist, self.period)
             commands.append(twist)
         return _Run(commands, pose)

@@ -14,11 +14,11 @@ RAMP = [min(0.4, 0.008 * k) for k in range(120)]
 
 
 def identified(actuation, commands=RAMP, known=0.0):
-    plant, estimate = DifferentialDrive(ROBOT, actuation), DelayEstimate(0.02, known)
+    plant, estimate = DifferentialDrive(ROBOT, actuation), DelayEstimate(known)
     state = plant.at_rest(Pose2(0.0, 0.0, 0.0))
     for command in commands:
         state = plant.step(state, Twist2(command))
-        estimate.update(command, state.twist.linear)
+        estimate.update(command, state.twist.linear, 0.02)
     return estimate.delay
 
 
@@ -32,19 +32,19 @@ def test_it_finds_latency_plus_lag_on_the_first_ramp(lag, latency, sign):
 
 
 def test_it_moves_smoothly():
-    plant, estimate = DifferentialDrive(ROBOT, Actuation(linear_lag=0.2)), DelayEstimate(0.02)
+    plant, estimate = DifferentialDrive(ROBOT, Actuation(linear_lag=0.2)), DelayEstimate()
     state, before = plant.at_rest(Pose2(0.0, 0.0, 0.0)), 0.0
     for command in RAMP:
         state = plant.step(state, Twist2(command))
-        estimate.update(command, state.twist.linear)
+        estimate.update(command, state.twist.linear, 0.02)
         assert abs(estimate.delay - before) <= 0.5 * 0.02 + 1e-12
         before = estimate.delay
 
 
 def test_a_held_or_unmeasured_drive_says_nothing():
-    estimate = DelayEstimate(0.02, 0.07)
+    estimate = DelayEstimate(0.07)
     for command in RAMP:
-        estimate.update(command, 0.0)
+        estimate.update(command, 0.0, 0.02)
     assert estimate.delay == 0.07
 
 

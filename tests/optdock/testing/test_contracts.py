@@ -44,10 +44,9 @@ SAMPLES = {
     },
     "smoothers.SimpleSmoother": {"unitless": {"w_data", "w_smooth"}},
     "timing.Windowed": {"unitless": {"cap_ratio", "yaw_share"}},
-    "controllers.TrackingController": {"plugin_parameters": {"period": 0.05}, "unitless": {"damping"}},
+    "controllers.TrackingController": {"unitless": {"damping"}},
     # Steps from rest to speed as Nav2's does, and stops within the 0.25 m of Nav2's default goal checker.
     "controllers.GracefulController": {
-        "plugin_parameters": {"period": 0.05},
         "limits_acceleration": False,
         "arrival_tolerance": 0.25,
         "unitless": {"k_phi", "k_delta", "beta", "lambda", "rotation_scaling_factor"},

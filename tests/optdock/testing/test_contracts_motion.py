@@ -17,42 +17,37 @@ from optdock.parameters import PluginParameters
 from optdock.path import Path
 from optdock.testing.contracts import BehaviorContract, ContractBroken, ControllerContract, LayerContract
 
-
-class Tracking(TrackingController):
-    """The built-in controller at the contract's period."""
-
-    def __init__(self, **parameters):
-        super().__init__(**{"period": 0.05, **parameters})
+Tracking = TrackingController
 
 
 class Idle(Tracking):
-    def compute_velocity_commands(self, pose, velocity, goal_checker):
+    def compute_velocity_commands(self, pose, velocity, goal_checker, **stamp):
         if self._reference is None:
             return Twist2()
-        return super().compute_velocity_commands(pose, velocity, goal_checker)
+        return super().compute_velocity_commands(pose, velocity, goal_checker, **stamp)
 
 
 class Wild(Tracking):
-    def compute_velocity_commands(self, pose, velocity, goal_checker):
-        command = super().compute_velocity_commands(pose, velocity, goal_checker)
+    def compute_velocity_commands(self, pose, velocity, goal_checker, **stamp):
+        command = super().compute_velocity_commands(pose, velocity, goal_checker, **stamp)
         return Twist2(2.0 * command.linear, command.angular)
 
 
 class Presuming(Tracking):
-    def compute_velocity_commands(self, pose, velocity, goal_checker):
+    def compute_velocity_commands(self, pose, velocity, goal_checker, **stamp):
         if goal_checker is not None and goal_checker.tolerances.x is None:
             return Twist2()
-        return super().compute_velocity_commands(pose, velocity, goal_checker)
+        return super().compute_velocity_commands(pose, velocity, goal_checker, **stamp)
 
 
 class ForwardOnly(Tracking):
-    def compute_velocity_commands(self, pose, velocity, goal_checker):
-        command = super().compute_velocity_commands(pose, velocity, goal_checker)
+    def compute_velocity_commands(self, pose, velocity, goal_checker, **stamp):
+        command = super().compute_velocity_commands(pose, velocity, goal_checker, **stamp)
         return Twist2(abs(command.linear), command.angular)
 
 
 class HalfOfPaths(Tracking):
-    def set_path(self, path):
+    def set_path(self, path, **start):
         if isinstance(path, Path):
             path = Path.from_poses(path.sample(0.05).poses[:20])
         super().set_path(path)
@@ -81,15 +76,15 @@ class Sulking(Tracking):
         self.sulks = True
         return super().cancel()
 
-    def compute_velocity_commands(self, pose, velocity, goal_checker):
-        command = super().compute_velocity_commands(pose, velocity, goal_checker)
+    def compute_velocity_commands(self, pose, velocity, goal_checker, **stamp):
+        command = super().compute_velocity_commands(pose, velocity, goal_checker, **stamp)
         return Twist2() if self.sulks else command
 
 
 class Lost(Tracking):
-    def compute_velocity_commands(self, pose, velocity, goal_checker):
+    def compute_velocity_commands(self, pose, velocity, goal_checker, **stamp):
         try:
-            return super().compute_velocity_commands(pose, velocity, goal_checker)
+            return super().compute_velocity_commands(pose, velocity, goal_checker, **stamp)
         except ControllerException:
             if self._reference is None:
                 raise
@@ -121,8 +116,8 @@ def test_a_controller_that_never_stops_or_speeds_up_when_cancelled_is_caught():
             suite().test_cancelling_ends_in_a_stop()
 
 
-def speeding_up(self, pose, velocity, goal_checker):
-    command = Tracking.compute_velocity_commands(self, pose, velocity, goal_checker)
+def speeding_up(self, pose, velocity, goal_checker, **stamp):
+    command = Tracking.compute_velocity_commands(self, pose, velocity, goal_checker, **stamp)
     return Twist2(0.49, 0.0) if self.asked else command
 
 

@@ -1,0 +1,206 @@
+"""Time as the stamps say: any rate, irregular, late, twice the same, going back; and a trajectory that takes over."""
+
+import math
+
+import numpy as np
+import pytest
+
+from checkers.dock import DockGoalChecker
+from optdock.controllers.control_clock import ControlClock
+from optdock.controllers.moving_reference import Progress, Reference
+from optdock.controllers.tracking import TrackingController
+from optdock.dock import Dock
+from optdock.errors import InvalidValue, NoValidControl
+from optdock.geometry.footprint import Footprint
+from optdock.geometry.pose import Pose2, Twist2
+from optdock.interfaces import PluginContext
+from optdock.limits import MotionLimits
+from optdock.nav2.graceful import GracefulController
+from optdock.path import Direction, Path
+from optdock.problem import DockingProblem
+from optdock.robot import Robot
+from optdock.simulation import SimulationSettings, run_closed_loop
+from optdock.testing.drives import clothoid, cusp_drive, s_curve_drive, straight_drive
+from optdock.trajectory import TimeLaw, Trajectory
+
+START = Pose2(0.0, 0.0, 0.3)
+ROBOT = Robot(Footprint.rectangle(0.4, 0.3, 0.5), MotionLimits(max_reverse_speed=0.5))
+
+
+def configured(**parameters):
+    controller = TrackingController(**parameters)
+    controller.configure(PluginContext(problem=DockingProblem(START, Dock(START), ROBOT)))
+    return controller
+
+
+def driven(controller, gaps, pose=START, stamp=100.0, twist=Twist2()):  # noqa: B008 - frozen
+    """Poses of a perfect drive that is told a command at every stamp; each is held until the next."""
+    found = []
+    for gap in gaps:
+        twist = controller.compute_velocity_commands(pose, twist, None, stamp=stamp)
+        pose, stamp = pose.moved(twist, gap), stamp + gap
+        found.append((stamp, pose, twist))
+    return found
+
+
+@pytest.mark.parametrize("make", [s_curve_drive, lambda p: s_curve_drive(p, Direction.REVERSE), cusp_drive])
+@pytest.mark.parametrize("rate", [10, 20, 50, 100, 200])
+def test_a_drive_takes_as_long_as_planned_at_any_rate(make, rate):
+    trajectory = make(START)
+    checker = DockGoalChecker(along_tolerance=0.002, cross_tolerance=0.002, yaw_goal_tolerance=0.01)
+    world = SimulationSettings(period=1.0 / rate)
+    run = run_closed_loop(trajectory, ROBOT, trajectory.path.end, configured(), checker, world)
+    assert run.docked, run.reason
+    assert run.duration == pytest.approx(trajectory.duration, abs=0.15)
+    assert np.abs(run.errors[:, :2]).max() < 0.002
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_irregular_calls_follow_the_time_that_passes(seed):
+    trajectory, controller = s_curve_drive(START), configured()
+    controller.set_path(trajectory)
+    gaps = np.random.default_rng(seed).choice([0.005, 0.01, 0.02, 0.05, 0.1], 300).tolist()
+    for stamp, pose, _ in driven(controller, gaps):
+        assert pose.distance_to(trajectory.at(stamp - 100.0).pose) < 0.006
+    assert controller.progress.time == pytest.approx(min(trajectory.duration, sum(gaps[:-1])), abs=1e-6)
+
+
+def test_a_late_call_lets_the_reference_catch_up():
+    trajectory, controller = straight_drive(START), configured()
+    controller.set_path(trajectory)
+    *_, (_, pose, twist) = driven(controller, [0.02] * 100 + [0.1] + [0.02] * 50)
+    assert controller.progress.time == pytest.approx(150 * 0.02 + 0.08, abs=1e-9)
+    assert pose.distance_to(trajectory.at(151 * 0.02 + 0.08).pose) < 0.001
+    assert twist.linear == pytest.approx(0.4, abs=0.002)
+
+
+def test_a_call_of_the_same_stamp_changes_nothing():
+    trajectory = straight_drive(START)
+    once, twice = configured(), configured()
+    for controller in (once, twice):
+        controller.set_path(trajectory)
+    pose, twist = START, Twist2()
+    for k in range(200):
+        command = once.compute_velocity_commands(pose, twist, None, stamp=0.02 * k)
+        for _ in range(2):
+            again = twice.compute_velocity_commands(pose, twist, None, stamp=0.02 * k)
+            assert again == command
+        pose, twist = pose.moved(command, 0.02), command
+
+
+@pytest.mark.parametrize("make", [configured, GracefulController])
+def test_a_clock_that_goes_back_is_refused_until_it_has_caught_up(make):
+    controller = make()
+    controller.set_path(straight_drive(START))
+    for stamp in (5.0, 5.02):
+        controller.compute_velocity_commands(START, Twist2(), None, stamp=stamp)
+    for stamp in (4.9, 5.01):
+        with pytest.raises(NoValidControl, match=f"clock went back from 5.02 s to {stamp} s"):
+            controller.compute_velocity_commands(START, Twist2(), None, stamp=stamp)
+    controller.compute_velocity_commands(START, Twist2(), None, stamp=5.04)
+    controller.reset()
+    controller.set_path(straight_drive(START))
+    controller.compute_velocity_commands(START, Twist2(), None, stamp=1.0)
+
+
+def test_a_stamp_is_a_number_and_without_one_the_clock_of_the_context_is_asked():
+    controller, time = TrackingController(), [7.0]
+    controller.configure(PluginContext(clock=lambda: time[0]))
+    controller.set_path(straight_drive(START))
+    with pytest.raises(InvalidValue, match="stamp"):
+        controller.compute_velocity_commands(START, Twist2(), None, stamp=math.nan)
+    for _ in range(6):
+        controller.compute_velocity_commands(START, Twist2(), None)
+        time[0] += 0.02
+    assert controller.progress.time == pytest.approx(0.1)
+
+
+def test_after_a_long_silence_commands_begin_at_what_the_robot_does():
+    controller = configured()
+    controller.set_path(straight_drive(START))
+    stamp, pose, twist = driven(controller, [0.02] * 150)[-1]
+    assert twist.linear > 0.39
+    stopped = controller.compute_velocity_commands(pose, Twist2(), None, stamp=stamp + 5.0)
+    assert 0.0 <= stopped.linear <= 0.5 * 0.5 + 1e-9
+
+
+def test_the_usual_period_is_learnt_and_one_late_call_is_no_new_rate():
+    clock, context = ControlClock(), PluginContext()
+    for k in range(50):
+        clock.tick(0.02 * k, context)
+    assert clock.period == pytest.approx(0.02)
+    clock.tick(0.02 * 49 + 0.1, context)
+    assert clock.elapsed == pytest.approx(0.1)
+    assert clock.period <= 0.024 + 1e-9
+
+
+def rest_of(trajectory, time):
+    """What is left of a straight drive from `time` on, as a trajectory of its own."""
+    law, now = trajectory.time_law, trajectory.at(time)
+    _, v, a, _ = law.at(time)[0]
+    phase = int(np.searchsorted(law.times, time, side="right")) - 1
+    durations = np.concatenate(([law.times[phase + 1] - time], law.durations[phase + 1 :]))
+    gear = Direction(trajectory.path.segments[0].direction)
+    left = clothoid(now.pose, [0.0, trajectory.path.length - now.s], [0.0, 0.0], gear)
+    return Trajectory(Path((left,)), TimeLaw(durations, law.jerks[phase:], 0.0, v, a))
+
+
+@pytest.mark.parametrize("at", [0.1, 0.45, 2.0, 5.6])
+@pytest.mark.parametrize("gear", [Direction.FORWARD, Direction.REVERSE])
+def test_what_takes_over_in_motion_does_so_without_a_trace(at, gear):
+    trajectory = straight_drive(START, gear)
+    newer = rest_of(trajectory, at)
+    plain, joined = configured(), configured()
+    for controller in (plain, joined):
+        controller.set_path(trajectory)
+    pose, twist = START, Twist2()
+    for k in range(330):
+        stamp = 50.0 + 0.02 * k
+        if k == max(1, int((at - 0.15) / 0.02)):
+            joined.set_path(newer, start_stamp=50.0 + at)
+            assert joined.progress == Progress(pytest.approx(stamp - 0.02 - 50.0 - at), 1.0)
+        there, here = (c.compute_velocity_commands(pose, twist, None, stamp=stamp) for c in (plain, joined))
+        assert (here.linear, here.angular) == pytest.approx((there.linear, there.angular), abs=1e-9)
+        pose, twist = pose.moved(there, 0.02), there
+    assert joined.progress.time == pytest.approx(newer.duration)
+
+
+def test_a_slow_reference_is_taken_over_where_it_is_and_as_fast_as_it_is():
+    trajectory = straight_drive(START)
+    reference = Reference(trajectory)
+    reference.time, reference.rate = 2.0, 0.5
+    begin = trajectory.at(2.05)
+    slower = Trajectory(straight_drive(begin.pose).path, TimeLaw(np.array([1.0, 9.0]), np.zeros(2), 0.0, 0.2))
+    reference.joined_by(slower, 0.1)
+    before = reference.state(0.0).previewed.linear
+    seen = [reference.state(0.02 * k).previewed.linear for k in range(10)]
+    assert seen == pytest.approx([before] * 10, abs=1e-12)
+    for _ in range(10):
+        reference.advance(
+            reference.state(0.0), 0.02, 0.5 if reference.trajectory is trajectory else 1.0, ROBOT.limits, 0.2
+        )
+    assert reference.progress.time == pytest.approx(0.1)
+    assert reference.rate == pytest.approx(1.0)
+
+
+def test_a_later_plan_replaces_one_that_has_not_begun_and_follows_one_that_will_have():
+    first, second, third = (straight_drive(START) for _ in range(3))
+    reference = Reference(first)
+    reference.joined_by(second, 1.0)
+    reference.joined_by(third, 2.0)
+    assert reference.progress.time == pytest.approx(-2.0)
+    assert reference.last is third
+    reference.joined_by(second, 0.5)
+    assert reference.progress.time == pytest.approx(-0.5)
+    assert reference.last is second
+
+
+def test_a_trajectory_that_begins_later_is_waited_for_and_one_that_has_begun_is_joined_in_time():
+    trajectory = straight_drive(START)
+    early, late = configured(), configured()
+    early.set_path(trajectory, start_stamp=100.5)
+    assert all(twist == Twist2() for _, _, twist in driven(early, [0.02] * 20))
+    assert early.progress.time == pytest.approx(100.38 - 100.5)
+    late.set_path(trajectory, start_stamp=98.0)
+    late.compute_velocity_commands(trajectory.at(2.0).pose, trajectory.at(2.0).twist, None, stamp=100.0)
+    assert late.progress == Progress(pytest.approx(2.0), 1.0)
