@@ -39,11 +39,18 @@ class DelayEstimate:
 
     def __init__(self, delay: float = 0.0) -> None:
         self.delay = delay
+        self._lag_share = 0.0
         self._now = 0.0
         self._since = [-_LONGEST_LATENCY]  # when each command was given [s], the oldest first
         self._told = [0.0]  # [m/s]
         self._speeds = np.zeros((_LATENCIES.size, _LAGS.size))
         self._misfit = np.zeros(self._speeds.shape)
+
+    @property
+    def latency_and_lag(self) -> tuple[float, float]:
+        """The delay in its two parts, as the best model has them [s]."""
+        lag = self._lag_share * self.delay
+        return self.delay - lag, lag
 
     def update(self, command: float, speed: float, period: float) -> None:
         """Take in the speed [m/s] measured at the end of the `period` [s] in which `command` was given [m/s]."""
@@ -62,6 +69,8 @@ class DelayEstimate:
         best = int(np.argmin(self._misfit))
         convincing = float(self._misfit.max()) - float(self._misfit.flat[best]) > _EVIDENCE
         wanted = float(_DELAYS.flat[best]) if convincing else self.delay
+        if convincing and wanted > 0.0:
+            self._lag_share = float(_LAGS[best % _LAGS.size]) / wanted
         step = _SLEW * period
         self.delay += min(max(wanted - self.delay, -step), step)
 

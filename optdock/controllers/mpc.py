@@ -39,44 +39,86 @@ _RICCATI_STEP = 0.1  # [s]: the cost to go is smooth; finer steps change command
 _EXACT = 1e4  # penalty per metre and per m/s^3: above every multiplier of errors that weigh 1 to 10
 _JERK_TOLERANCE = 1e-3  # of the limit
 _AT_REST = 1e-6  # [m/s]
+_REMEMBERED = 0.5  # [s] of commands under way, the longest latency
 _MOST = 1e3  # [m/s], [rad/s]: faster than anything, for the reachable interval of a command
 
 
 class MpcControllerParameters(TrackingControllerParameters):
-    """Horizon, weights and drive of the MpcController."""
+    """Horizon, weights and drive of the MpcController; the gains and the preview of the other law are not used."""
 
-    horizon: float = Field(default=0.8, gt=0.0, description="how far ahead it looks [s]")
+    horizon: float = Field(default=0.8, gt=0.0, le=5.0, description="how far ahead it looks [s]")
     steps: int = Field(default=16, ge=3, le=60, description="of the horizon")
-    latency: float = Field(default=0.0, ge=0.0, description="between a command and its first effect [s]")
-    lag: float = Field(default=0.0, ge=0.0, description="time constant of the drive [s]")
+    latency: float | None = Field(
+        default=None, ge=0.0, le=0.5, description="between a command and its first effect [s]; None: identified"
+    )
+    lag: float | None = Field(default=None, ge=0.0, description="time constant of the drive [s]; None: identified")
     along_error: float = Field(default=0.02, gt=0.0, description="error along that weighs 1 [m]")
     cross_error: float = Field(default=0.01, gt=0.0, description="error across that weighs 1 [m]")
     yaw_error: float = Field(default=0.05, gt=0.0, description="heading error that weighs 1 [rad]")
     speed_effort: float = Field(default=0.1, gt=0.0, description="speed beside the reference's that weighs 1 [m/s]")
-    yaw_rate_effort: float = Field(default=0.2, gt=0.0, description="yaw rate beside the reference's that weighs 1")
-    smoothness: float = Field(default=0.2, ge=0.0, description="time over which commands should change [s]")
-    final_weight: float = Field(default=10.0, ge=0.0, description="weight of errors at the end [s]")
+    yaw_rate_effort: float = Field(default=0.2, gt=0.0, description="yaw rate beside it that weighs 1 [rad/s]")
+    smoothness: float = Field(default=0.2, ge=0.0, description="time in which these efforts may come and go [s]")
+    final_weight: float = Field(default=10.0, ge=0.0, description="errors at the end weigh as over this time [s]")
     tube_cross: float = Field(default=0.0, ge=0.0, description="half width of the tube [m]; 0: none")
-    tube_yaw: float = Field(default=0.0, ge=0.0, description="yaw error of the tube [rad]; 0: none")
+    tube_yaw: float = Field(default=0.1, gt=0.0, description="largest heading error in the tube [rad]")
 
 
 class CycleOutcome(str, Enum):
     """Where the command of a cycle comes from."""
 
     SOLVED = "solved"
-    JERK_EXCEEDED = "no commands keep the jerk limit; exceeded by as little as can be"
-    SHIFTED = "the program found no commands; those of the cycle before go on"
+    JERK_EXCEEDED = "no commands keep the jerk limit: exceeded by as little as can be"
+    SHIFTED = "no commands found in time: those of the cycle before go on"
 
 
 class MpcStatus(NamedTuple):
-    """How a cycle went: its outcome, and how far the prediction leaves the tube [m]."""
+    """How a cycle went.
+
+    Attributes:
+        outcome: Where its command comes from.
+        outside_tube: How far the prediction leaves the tube [m]; 0 where it stays inside, or there is none.
+    """
 
     outcome: CycleOutcome
     outside_tube: float
 
 
+class _Plan(NamedTuple):
+    """Commands that were found at `stamp`, each from its time on, Shape (n,) [s] and (n, 2)."""
+
+    stamp: float
+    times: FloatArray
+    commands: FloatArray
+
+
 class MpcController(TrackingController):
-    """Follows a trajectory by model predictive control."""
+    """Follows a trajectory by model predictive control: a TrackingController with another law.
+
+    **Law.** In every cycle the commands of the next `horizon` seconds are chosen that cost least, in errors and effort,
+    among those that the robot's limits allow: speeds, acceleration, deceleration, jerk, yaw rate and acceleration,
+    wheel speed, lateral acceleration, and for an Ackermann drive curvature and steering rate; the first of them is
+    given (`mpc_program`). What comes after the horizon counts by the cost to go along the rest of the trajectory, with
+    a weight on the errors at its end, so an error is made good before the dock as far as the way left allows.
+
+    **Drive.** Latency and lag, given or identified on the way, are part of the model: the pose is predicted to when the
+    command will take effect, from the commands that are under way.
+
+    **Tube.** With `tube_cross` the errors across and in heading are held within a tube where the limits allow it.
+
+    **When it cannot.** `status` names it: a jerk limit that no commands keep (the reference jumped), a tube that is
+    left, a program without a solution; then the commands found before go on, and after them NoValidControl.
+
+    Time, finish, collisions and limits are those of the TrackingController.
+
+    Args:
+        **parameters: Fields of `MpcControllerParameters`.
+
+    Attributes:
+        status: How the last cycle went.
+
+    Raises:
+        InvalidValue: A parameter is unknown, of the wrong type or out of range.
+    """
 
     Parameters = MpcControllerParameters
     parameters: MpcControllerParameters
@@ -84,46 +126,70 @@ class MpcController(TrackingController):
     def __init__(self, **parameters: object) -> None:
         super().__init__(**parameters)
         self.status = MpcStatus(CycleOutcome.SOLVED, 0.0)
-        self._pose, self._velocity = Pose2(0.0, 0.0, 0.0), Twist2()
         self._program: TrackingProgram | None = None
-        self._under_way: deque[Twist2] = deque()
-        self._previous: tuple[FloatArray, FloatArray] | None = None
+        self._to_go: dict[Trajectory, tuple[FloatArray, FloatArray]] = {}
+        self._measured = Pose2(0.0, 0.0, 0.0), Twist2()
+        self._given: deque[tuple[float, Twist2]] = deque()
+        self._plan: _Plan | None = None
+        self._before = Twist2()  # the command before the last
         self._acceleration = self._curvature = 0.0
-        self._to_go: tuple[FloatArray, FloatArray] | None = None
 
     def on_configure(self) -> None:
         """Build the program and load the solver, which takes longer than a cycle."""
         self._build()
 
     def reset(self) -> None:
+        """Forget the path and what was learnt about the drive; the speed limit stays."""
         super().reset()
-        self._under_way.clear()
-        self._previous, self._acceleration = None, 0.0
+        self._to_go.clear()
+        self._given.clear()
+        self._plan, self._acceleration, self._curvature = None, 0.0, 0.0
 
     def set_path(self, path: Path | Trajectory, *, start_stamp: float | None = None) -> None:
+        """Follow a trajectory, or a path after timing it; see `TrackingController.set_path`."""
         super().set_path(path, start_stamp=start_stamp)
         if self._program is None:
             self._build()
-        self._to_go = None
-        self._previous = None
+        if self._reference is not None:
+            live = self._reference.trajectory, self._reference.last
+            self._to_go = {each: self._to_go[each] if each in self._to_go else self._cost_to_go(each) for each in live}
 
     def compute_velocity_commands(
         self, pose: Pose2, velocity: Twist2, goal_checker: GoalChecker | None, *, stamp: float | None = None
     ) -> Twist2:
-        self._pose, self._velocity = pose, velocity
-        before = self._last
-        fresh = not self._anchored
-        command = super().compute_velocity_commands(pose, velocity, goal_checker, stamp=stamp)
-        if fresh:
-            before = Twist2(velocity.linear, velocity.angular)
-        self._acceleration = (command.linear - before.linear) / self.parameters.period
-        self._under_way.append(command)
+        """The command for the coming period; see the class and `TrackingController.compute_velocity_commands`."""
+        self._measured, before = (pose, velocity), self._clock.now
+        try:
+            command = super().compute_velocity_commands(pose, velocity, goal_checker, stamp=stamp)
+        except NoValidControl:
+            self._plan, self._acceleration = None, 0.0
+            self._give(Twist2())
+            raise
+        if self._clock.now != before:
+            self._acceleration = (command.linear - self._before.linear) / self._clock.elapsed
+            self._give(command)
         return command
+
+    def _give(self, command: Twist2) -> None:
+        """Remember what is under way to the drive."""
+        if self._clock.now is None:
+            return
+        self._given.append((self._clock.now, command))
+        while len(self._given) > 2 and self._given[1][0] < self._clock.now - _REMEMBERED:
+            self._given.popleft()
 
     def _anchor(self, reference: Reference, pose: Pose2, velocity: Twist2) -> None:
         super()._anchor(reference, pose, velocity)
-        if reference.time == 0.0 and velocity.linear == 0.0:
-            reference.time = -self.parameters.latency
+        if self._starts_at is None and reference.time == 0.0 and velocity.linear == 0.0:
+            reference.time = -self._delays[0]  # it starts when the robot can
+        self._acceleration, self._plan = 0.0, None
+
+    @property
+    def _delays(self) -> tuple[float, float]:
+        """Latency and lag [s]."""
+        p = self.parameters
+        latency, lag = self._delay.latency_and_lag
+        return latency if p.latency is None else p.latency, lag if p.lag is None else p.lag
 
     @property
     def _weights(self) -> Weights:
@@ -134,93 +200,100 @@ class MpcController(TrackingController):
 
     def _build(self) -> None:
         p = self.parameters
-        self._program = TrackingProgram(
-            p.steps, self._weights, ackermann=self._drive is Drive.ACKERMANN, in_tube=p.tube_cross > 0.0
-        )
+        ackermann = self._drive is Drive.ACKERMANN
+        self._program = TrackingProgram(p.steps, self._weights, ackermann=ackermann, in_tube=p.tube_cross > 0.0)
 
-    def _cost_to_go(self, trajectory: Trajectory, time: float) -> FloatArray:
-        if self._to_go is None:
-            count = max(1, math.ceil(trajectory.duration / _RICCATI_STEP))
-            times = np.linspace(0.0, trajectory.duration, count + 1)
-            row = trajectory.sample_at(times)
-            arcs = arcs_between(np.column_stack((row.x, row.y, row.yaw)), times)
-            w = self._weights
-            self._to_go = times, riccati_back(arcs, w.errors, w.effort, w.final)
-        times, costs = self._to_go
-        at_end: FloatArray = costs[int(np.searchsorted(times, time).clip(0, len(times) - 1))]
-        return at_end
+    def _cost_to_go(self, trajectory: Trajectory) -> tuple[FloatArray, FloatArray]:
+        """Times on the trajectory, Shape (n,) [s], and the cost matrices there, Shape (n, 3, 3)."""
+        times = np.linspace(0.0, trajectory.duration, max(1, math.ceil(trajectory.duration / _RICCATI_STEP)) + 1)
+        row, weights = trajectory.sample_at(times), self._weights
+        arcs = arcs_between(np.column_stack((row.x, row.y, row.yaw)), times)
+        return times, riccati_back(arcs, weights.errors, weights.effort, weights.final)
 
     def _wanted(
-        self, reference: Reference, now: ReferenceState, error: Pose2, goal_checker: GoalChecker | None
+        self,
+        reference: Reference,
+        now: ReferenceState,  # noqa: ARG002 - of the other law
+        error: Pose2,
+        goal_checker: GoalChecker | None,
     ) -> Twist2:
+        self._before = self._last
         if self._cancelled and reference.rate == 0.0:
-            self._previous = None
             return Twist2()
-        p, n = self.parameters, self.parameters.steps
-        period = p.period
+        p, n, period = self.parameters, self.parameters.steps, self._clock.period
+        latency, lag = self._delays
         h = np.full(n, max(period, (p.horizon - period) / (n - 1)))
         h[0] = period
-        # From when the command takes effect on: the poses, those of a lag later, and those one period before.
         t = np.concatenate(([0.0], np.cumsum(h)))
-        start = reference.time + reference.rate * p.latency
-        times = np.concatenate((t, [p.lag - period], t + p.lag))
-        trajectory = reference.trajectory
-        row = trajectory.sample_at(start + reference.rate * times)
-        poses = np.column_stack((row.x, row.y, row.yaw))
-        poses[:, 2] = np.unwrap(poses[:, 2])
-        arcs = arcs_between(poses[: n + 1], t)
-        ahead = arcs_between(poses[n + 1 :], times[n + 1 :])
-        nominal = np.column_stack((ahead.v, ahead.w))
-
-        pose, v, w = self._pose, self._velocity.linear, self._velocity.angular
-        keep = round(p.latency / period)
-        while len(self._under_way) > keep:
-            self._under_way.popleft()
-        decay = math.exp(-period / p.lag) if p.lag > 0.0 else 0.0
-        kept = (1.0 - decay) * p.lag / period
-        for command in self._under_way:
-            u, r = command.linear, command.angular
-            pose = pose.moved(Twist2(u + (v - u) * kept, r + (w - r) * kept), period)
-            v, w = u + (v - u) * decay, r + (w - r) * decay
+        # From when the command takes effect: where the reference is; and by the lag ahead, from one period before, what
+        # it takes to keep up with it.
+        ahead = np.concatenate(([-period], t)) + lag
+        poses = reference.poses_ahead(latency + np.concatenate((t, ahead)))
+        arcs, nominal = arcs_between(poses[: n + 1], t), arcs_between(poses[n + 1 :], ahead)
+        commands = np.column_stack((nominal.v, nominal.w))
+        trajectory, time = reference.trajectory_ahead(latency + float(t[-1]))
+        times, costs = self._to_go[trajectory]
+        pose, velocity = self._at_effect(latency, lag)
         seen = pose.in_frame_of(Pose2(*poses[0].tolist()))
-        state = np.array([seen.x, seen.y, seen.yaw, v, w])
         cycle = Cycle(
-            prediction=predicted(state, step_matrices(arcs, (p.lag, p.lag))),
-            nominal=nominal,
-            cost_to_go=self._cost_to_go(trajectory, start + reference.rate * t[-1]),
+            prediction=predicted(
+                np.array([seen.x, seen.y, seen.yaw, velocity.linear, velocity.angular]), step_matrices(arcs, (lag, lag))
+            ),
+            nominal=commands,
+            cost_to_go=costs[min(int(np.searchsorted(times, time)), times.size - 1)],
             h=h,
-            bounds=self._bounds(nominal[1:], h),
+            elapsed=self._clock.elapsed,
+            bounds=self._bounds(commands[1:], h),
             last=np.array([self._last.linear, self._last.angular]),
             last_acceleration=self._acceleration,
             tube=(p.tube_cross, p.tube_yaw) if p.tube_cross > 0.0 else None,
         )
-        commands = self._solved(cycle)
+        found = self._solved(cycle)
+        wanted = Twist2(float(found[0]), float(found[1]))
         if cycle.bounds.curvature is not None:
-            least, most = sorted((cycle.bounds.curvature[:, 0] * commands[0, 0]).tolist())
-            commands[0, 1] = min(max(commands[0, 1], least), most)
-        self._previous = t, commands
-        return Twist2(float(commands[0, 0]), float(commands[0, 1]))
+            least, most = sorted((cycle.bounds.curvature[:, 0] * wanted.linear).tolist())
+            wanted = Twist2(wanted.linear, min(max(wanted.angular, least), most))
+        return self._above_dead_band(wanted, error, goal_checker) if reference.finished else wanted
+
+    def _at_effect(self, latency: float, lag: float) -> tuple[Pose2, Twist2]:
+        """Pose and velocity when the next command takes effect, by what has been given until now."""
+        pose, velocity = self._measured
+        now = self._clock.now or 0.0
+        for k, (stamp, command) in enumerate(self._given):
+            until = self._given[k + 1][0] if k + 1 < len(self._given) else now
+            begin, end = max(stamp + latency, now), until + latency
+            if end <= begin:
+                continue
+            decay = math.exp(-(end - begin) / lag) if lag > 0.0 else 0.0
+            mean = (1.0 - decay) * lag / (end - begin)
+            v, w = velocity.linear - command.linear, velocity.angular - command.angular
+            pose = pose.moved(Twist2(command.linear + mean * v, command.angular + mean * w), end - begin)
+            velocity = Twist2(command.linear + decay * v, command.angular + decay * w)
+        return pose, velocity
 
     def _solved(self, cycle: Cycle) -> FloatArray:
-        assert self._program is not None
-        found = self._program.solve(cycle)
+        """The next command, Shape (2,); `status` says where it comes from."""
+        now = self._clock.now or 0.0
+        found = None if self._program is None else self._program.solve(cycle)
         if found is not None:
             exceeded = found.over_jerk > _JERK_TOLERANCE * cycle.bounds.jerk
-            outcome = CycleOutcome.JERK_EXCEEDED if exceeded else CycleOutcome.SOLVED
-            self.status = MpcStatus(outcome, found.outside)
-            return found.commands
-        if self._previous is None:
-            raise NoValidControl(f"{self.name}: the program has no solution")  # the server stops the robot
-        t, commands = self._previous
+            self.status = MpcStatus(CycleOutcome.JERK_EXCEEDED if exceeded else CycleOutcome.SOLVED, found.outside)
+            self._plan = _Plan(now, np.cumsum(cycle.h) - cycle.h, found.commands)
+            command: FloatArray = found.commands[0]
+            return command
         self.status = MpcStatus(CycleOutcome.SHIFTED, 0.0)
-        later = np.cumsum(cycle.h) - 0.5 * cycle.h + cycle.h[0]
-        index = np.searchsorted(t, later, side="right") - 1
-        shifted: FloatArray = commands[index.clip(0, len(commands) - 1)]
+        if self._plan is None or now - self._plan.stamp > self._plan.times[-1]:
+            raise NoValidControl(
+                f"{self.name}: no commands were found for {self.parameters.horizon} s, and none are left from before; "
+                f"plan again from here"
+            )
+        times, commands = self._plan.times + self._plan.stamp, self._plan.commands
+        shifted: FloatArray = commands[np.searchsorted(times, now, side="right") - 1]
         return shifted
 
     def _bounds(self, nominal: FloatArray, h: FloatArray) -> CommandBounds:
         """What the limits allow from the last command on."""
-        n, limits, period, last = self.parameters.steps, self._limits, self.parameters.period, self._last
+        n, limits, period, last = self.parameters.steps, self._limits, self._clock.elapsed, self._last
         lowest = rate_limited(last, Twist2(-_MOST, -_MOST), limits, period)
         highest = rate_limited(last, Twist2(_MOST, _MOST), limits, period)
         v = nominal[:, 0]

@@ -262,6 +262,7 @@ class Cycle(NamedTuple):
             Shape (n + 1, 2).
         cost_to_go: After the last step, Shape (3, 3).
         h: Length of each step, Shape (n,) [s].
+        elapsed: Time since the last command [s].
         bounds: Of the commands.
         last: Command of the last cycle, Shape (2,).
         last_acceleration: How fast its speed was changing [m/s^2].
@@ -272,6 +273,7 @@ class Cycle(NamedTuple):
     nominal: FloatArray
     cost_to_go: FloatArray
     h: FloatArray
+    elapsed: float
     bounds: CommandBounds
     last: FloatArray
     last_acceleration: float
@@ -314,8 +316,8 @@ class TrackingProgram:
 
     def solve(self, cycle: Cycle) -> Solution | None:
         """The best commands, or None where there are none, or they take too many iterations."""
-        if not np.array_equal(cycle.h, self._h):
-            self._use_steps(cycle.h)
+        if cycle.elapsed != self._spans[0] or not np.array_equal(cycle.h, self._h):
+            self._use_steps(cycle.h, cycle.elapsed)
         self._fill_cost(cycle)
         self._fill_bounds(cycle)
         if cycle.tube is not None:
@@ -329,15 +331,15 @@ class TrackingProgram:
             found = self._program.solve()
         return None if found is None else Solution(found[:-2].reshape(-1, 2), float(found[-2]), float(found[-1]))
 
-    def _use_steps(self, h: FloatArray) -> None:
+    def _use_steps(self, h: FloatArray, elapsed: float) -> None:
         """What depends on the lengths of the steps alone: the differences of the commands, and the cost of effort.
 
         A command is the mean over its step, so two of them lie half of both steps apart.
         """
         n, program = self._steps, self._program
         self._h = h.copy()
-        self._spans = np.concatenate((h[:1], 0.5 * (h[:-1] + h[1:])))
-        self._jerk_spans = np.concatenate((h[:1], 0.5 * (self._spans[:-1] + self._spans[1:])))
+        self._spans = np.concatenate(([elapsed], 0.5 * (h[:-1] + h[1:])))
+        self._jerk_spans = np.concatenate(([elapsed], 0.5 * (self._spans[:-1] + self._spans[1:])))
         difference = np.eye(n) - np.eye(n, k=-1)
         self._changes = difference / self._spans[:, None]
         program.a[self._speed_changes, 0:-2:2] = self._changes
