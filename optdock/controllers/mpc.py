@@ -181,7 +181,7 @@ class MpcController(TrackingController):
     def _anchor(self, reference: Reference, pose: Pose2, velocity: Twist2) -> None:
         super()._anchor(reference, pose, velocity)
         if self._starts_at is None and reference.time == 0.0 and velocity.linear == 0.0:
-            reference.time = -self._delays[0]  # it starts when the robot can
+            reference.time = -sum(self._delays)  # it starts when the robot can, which then need not catch up
         self._acceleration, self._plan = 0.0, None
 
     @property
