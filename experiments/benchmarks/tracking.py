@@ -232,6 +232,58 @@ def _row(method: str, world: World, rate: int, driven: Sequence[tuple[Case, Driv
     )
 
 
+_TUNED = {  # ranges, searched evenly in the logarithm
+    "horizon": (0.5, 1.0),
+    "along_error": (0.005, 0.05),
+    "cross_error": (0.003, 0.03),
+    "yaw_error": (0.02, 0.3),
+    "speed_effort": (0.03, 0.3),
+    "yaw_rate_effort": (0.05, 0.5),
+    "smoothness": (0.05, 0.6),
+    "final_weight": (1.0, 100.0),
+}
+_TUNING_WORLDS = ("lag, latency", "lag, latency, noise", "wheel gains", "jump, 0.6 m left", "jump, 0.27 m left")
+
+
+def _badness(parameters: dict[str, float], drives: Sequence[Case]) -> float:
+    """Mean over worlds and rates of the errors at the end, over 3 mm, 3 mm and 0.3 degrees, and on the way over 10 mm."""
+    parts = []
+    for world in (world for world in worlds() if world.name in _TUNING_WORLDS):
+        for rate in (20, 50):
+            driven = [
+                (
+                    case,
+                    drive(case, world, 1.0 / rate, controller_of("MpcController", world, known=True, **parameters), k),
+                )
+                for k, case in enumerate(drives)
+            ]
+            final = np.abs([d.run.final_error.as_array() for _, d in driven]) / (0.003, 0.003, math.radians(0.3))
+            way = [_off_path(case.trajectory, d.run, d.since + round(_SETTLED * rate))[0] / 0.01 for case, d in driven]
+            failed = sum(not d.run.docked for _, d in driven)
+            parts.append(float(np.percentile(final, 95, axis=0).sum() + np.mean(way)) + 10.0 * failed)
+    return float(np.mean(parts))
+
+
+def tune(samples: int, drives: Sequence[Case]) -> None:
+    """Search weights at random, then around the best; print whatever is better than all before."""
+    random, best, found = np.random.default_rng(0), math.inf, {}
+    for k in range(samples):
+        parameters = {}
+        for name, (low, high) in _TUNED.items():
+            value = low * (high / low) ** random.uniform()
+            if k > samples // 2:
+                value = float(np.clip(found[name] * math.exp(random.normal(0.0, 0.3)), low, high))
+            parameters[name] = value
+        if k == 0:
+            parameters = {}
+        badness = _badness(parameters, drives)
+        if badness < best:
+            best, found = badness, parameters or found
+            print(
+                f"{k}: {badness:.3f}", {name: float(f"{value:.3g}") for name, value in parameters.items()}, flush=True
+            )
+
+
 _HEADER = (
     "world", "Hz", "controller", "docked", "|cross| mm", "|yaw| deg", "|along| mm", "way mm",
     "way deg", "time s", "acc/limit", "jerk/limit", "CPU ms p50/p99",
@@ -245,7 +297,11 @@ def main(arguments: Sequence[str]) -> None:
     parser.add_argument("--rates", default=",".join(map(str, _RATES)), help="in Hz (default: %(default)s)")
     parser.add_argument("--identified", action="store_true", help="neither knows the delay of the drive")
     parser.add_argument("--worlds", default="", help="parts of their names, by commas; default: all")
+    parser.add_argument("--tune", type=int, default=0, help="search the weights of the MPC, so many samples")
     asked = parser.parse_args(list(arguments))
+    if asked.tune:
+        tune(asked.tune, list(cases(asked.starts))[:-2])
+        return
     drives = list(cases(asked.starts))
     chosen = [w for w in worlds() if any(part in w.name for part in asked.worlds.split(","))]
     for title, group in (

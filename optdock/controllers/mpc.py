@@ -127,6 +127,7 @@ class MpcController(TrackingController):
         super().__init__(**parameters)
         self.status = MpcStatus(CycleOutcome.SOLVED, 0.0)
         self._program: TrackingProgram | None = None
+        self._built_for: MpcControllerParameters | None = None
         self._to_go: dict[Trajectory, tuple[FloatArray, FloatArray]] = {}
         self._measured = Pose2(0.0, 0.0, 0.0), Twist2()
         self._given: deque[tuple[float, Twist2]] = deque()
@@ -148,7 +149,11 @@ class MpcController(TrackingController):
     def set_path(self, path: Path | Trajectory, *, start_stamp: float | None = None) -> None:
         """Follow a trajectory, or a path after timing it; see `TrackingController.set_path`."""
         super().set_path(path, start_stamp=start_stamp)
-        if self._program is None:
+        self._prepare()
+
+    def _prepare(self) -> None:
+        """Build the program and the costs to go, those that are missing, or all after a change of parameters."""
+        if self._built_for is not self.parameters:
             self._build()
         if self._reference is not None:
             live = self._reference.trajectory, self._reference.last
@@ -202,6 +207,8 @@ class MpcController(TrackingController):
         p = self.parameters
         ackermann = self._drive is Drive.ACKERMANN
         self._program = TrackingProgram(p.steps, self._weights, ackermann=ackermann, in_tube=p.tube_cross > 0.0)
+        self._built_for = p
+        self._to_go.clear()
 
     def _cost_to_go(self, trajectory: Trajectory) -> tuple[FloatArray, FloatArray]:
         """Times on the trajectory, Shape (n,) [s], and the cost matrices there, Shape (n, 3, 3)."""
@@ -218,6 +225,8 @@ class MpcController(TrackingController):
         goal_checker: GoalChecker | None,
     ) -> Twist2:
         self._before = self._last
+        if self._built_for is not self.parameters:
+            self._prepare()
         if self._cancelled and reference.rate == 0.0:
             return Twist2()
         p, n, period = self.parameters, self.parameters.steps, self._clock.period
@@ -249,7 +258,9 @@ class MpcController(TrackingController):
             tube=(p.tube_cross, p.tube_yaw) if p.tube_cross > 0.0 else None,
         )
         found = self._solved(cycle)
-        wanted = Twist2(float(found[0]), float(found[1]))
+        v, w = float(found[0]), float(found[1])
+        most = self._limits.max_lateral_acceleration / abs(v) if v != 0.0 else math.inf
+        wanted = Twist2(v, min(max(w, -most), most))
         if cycle.bounds.curvature is not None:
             least, most = sorted((cycle.bounds.curvature[:, 0] * wanted.linear).tolist())
             wanted = Twist2(wanted.linear, min(max(wanted.angular, least), most))
@@ -314,6 +325,13 @@ class MpcController(TrackingController):
             gear[(np.cumsum(h) - h < _braking_time(abs(last.linear), limits)) & (gear != going)] = 0.0
             speed = np.where([gear > 0.0, gear < 0.0], 0.0, speed)
             curvature = self._reachable_curvature(np.cumsum(h))
+        # Speed times yaw rate, about the last command and the nominal ones; of what that leaves out the next command
+        # can make no more than the product of both changes.
+        about = np.concatenate((np.array([[last.linear, last.angular]]), nominal[1:]))
+        lateral = _both_ways(limits.max_lateral_acceleration, n)
+        if math.isfinite(limits.max_yaw_acceleration):
+            rest = max(rise, fall) * limits.max_yaw_acceleration * period**2
+            lateral[:, 0] *= 1.0 - min(0.1, rest / limits.max_lateral_acceleration)
         return CommandBounds(
             speed=speed,
             yaw_rate=_both_ways(limits.max_yaw_rate, n),
@@ -322,8 +340,8 @@ class MpcController(TrackingController):
             jerk=limits.max_jerk,
             wheel_speed=limits.max_wheel_speed,
             half_track=0.5 * limits.track_width,
-            lateral=_both_ways(limits.max_lateral_acceleration, n),
-            about=nominal,
+            lateral=lateral,
+            about=about,
             curvature=curvature,
             gear=gear,
         )

@@ -281,7 +281,7 @@ class Cycle(NamedTuple):
 
 
 class Solution(NamedTuple):
-    """The commands, Shape (n, 2), how far the tube is left at most [m], and the jerk limit exceeded [m/s^3]."""
+    """The commands, Shape (n, 2); how far the tube is left at most [m], how far the next jerk is too much [m/s^3]."""
 
     commands: FloatArray
     outside: float
@@ -322,14 +322,15 @@ class TrackingProgram:
         self._fill_bounds(cycle)
         if cycle.tube is not None:
             self._fill_tube(cycle.prediction, cycle.tube)
-        # First with the jerk of the next command kept: only those that come after it may need more, on a coarse grid.
+        # The next command is to keep the jerk limit; on a coarse grid those that come after it may need a little more.
         next_command = [self._jerks.start, self._jerks.start + self._steps]
         self._program.a[next_command, -1] = 0.0
-        found = self._program.solve()
+        found, exceeded = self._program.solve(), 0.0
         if found is None:
             self._program.a[next_command, -1] = -1.0
             found = self._program.solve()
-        return None if found is None else Solution(found[:-2].reshape(-1, 2), float(found[-2]), float(found[-1]))
+            exceeded = 0.0 if found is None else float(found[-1])
+        return None if found is None else Solution(found[:-2].reshape(-1, 2), float(found[-2]), exceeded)
 
     def _use_steps(self, h: FloatArray, elapsed: float) -> None:
         """What depends on the lengths of the steps alone: the differences of the commands, and the cost of effort.
@@ -392,7 +393,7 @@ class TrackingProgram:
         lower[row], upper[row] = bounds.lateral + v * w
         if bounds.curvature is not None:
             steering = bounds.gear != 0.0
-            slow = np.maximum(np.max(np.abs(bounds.curvature)) * np.abs(bounds.about[:, 0]), abs(last[1]))
+            slow = np.maximum(np.max(np.abs(bounds.curvature)) * np.abs(cycle.nominal[1:, 0]), abs(last[1]))
             for half, sign in ((0, 1.0), (1, -1.0)):
                 row = self._curvature.start + half * self._steps + at
                 a[row, 2 * at] = -sign * bounds.gear * bounds.curvature[1 - half]
