@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from experiments.benchmarks.tables import Table
+from optdock.controllers.mpc import MpcControllerParameters
 from optdock.dock import Dock, DockDirection
 from optdock.errors import OptdockError
 from optdock.geometry.footprint import Footprint
@@ -246,7 +247,7 @@ _TUNING_WORLDS = ("lag, latency", "lag, latency, noise", "wheel gains", "jump, 0
 
 
 def _badness(parameters: dict[str, float], drives: Sequence[Case]) -> float:
-    """Mean over worlds and rates of the errors at the end, over 3 mm, 3 mm and 0.3 degrees, and on the way over 10 mm."""
+    """Mean over worlds and rates: errors at the end over 3 mm, 3 mm and 0.3 degrees, and on the way over 10 mm."""
     parts = []
     for world in (world for world in worlds() if world.name in _TUNING_WORLDS):
         for rate in (20, 50):
@@ -266,19 +267,20 @@ def _badness(parameters: dict[str, float], drives: Sequence[Case]) -> float:
 
 def tune(samples: int, drives: Sequence[Case]) -> None:
     """Search weights at random, then around the best; print whatever is better than all before."""
-    random, best, found = np.random.default_rng(0), math.inf, {}
+    random, best = np.random.default_rng(0), math.inf
+    found = {name: float(MpcControllerParameters.model_fields[name].default) for name in _TUNED}
     for k in range(samples):
-        parameters = {}
+        parameters: dict[str, float] = {}
         for name, (low, high) in _TUNED.items():
             value = low * (high / low) ** random.uniform()
             if k > samples // 2:
                 value = float(np.clip(found[name] * math.exp(random.normal(0.0, 0.3)), low, high))
             parameters[name] = value
         if k == 0:
-            parameters = {}
+            parameters = dict(found)
         badness = _badness(parameters, drives)
         if badness < best:
-            best, found = badness, parameters or found
+            best, found = badness, parameters
             print(
                 f"{k}: {badness:.3f}", {name: float(f"{value:.3g}") for name, value in parameters.items()}, flush=True
             )
