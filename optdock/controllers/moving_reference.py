@@ -11,16 +11,20 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
+from optdock.controllers.command_limits import smooth_slope
 from optdock.geometry.pose import Pose2, Twist2
+from optdock.trajectory import TrajectorySamples
 
 if TYPE_CHECKING:
     from optdock.geometry.arrays import FloatArray
     from optdock.limits import MotionLimits
-    from optdock.trajectory import Trajectory, TrajectorySamples
+    from optdock.trajectory import Trajectory
 
 __all__ = ["Progress", "Reference", "ReferenceState", "peaks"]
 
 _AT_REST = 1e-6  # [m/s]: a standing reference may change its rate at once
+_STEADY = 1e-3  # [1/s]: a rate that changes no faster stands
+_JERK_SHARE = 0.5  # of the jerk, for changes of the rate; the rest is the trajectory's own
 _AT_START = 0.05  # [m]: a robot nearer to the start than this begins there
 _SAMPLES = 400  # for the nearest point
 
@@ -36,20 +40,33 @@ class Progress(NamedTuple):
     rate: float
 
 
+class Ahead(NamedTuple):
+    """The reference a little later, which is where the commands are.
+
+    `twist`: velocity, scaled by the rate; zero beyond the end. `speed`, `acceleration`: of the trajectory itself, along
+    its travel, at rate 1 [m/s, m/s^2]; where it turns in place those of its yaw [rad/s, rad/s^2]. `gear`: 1 or -1, 0
+    where it turns in place. `curvature`: yaw rate per speed, of the commands [1/m]. `left`: to the end [m].
+    """
+
+    twist: Twist2
+    speed: float
+    acceleration: float
+    gear: float
+    curvature: float
+    left: float
+
+
 class ReferenceState(NamedTuple):
     """The reference at one instant.
 
-    `speed`, `acceleration`: of the trajectory itself, along its travel, at rate 1 [m/s, m/s^2]; where it turns in place
-    those of its yaw [rad/s, rad/s^2]. `gear`: 1 or -1, 0 where it turns in place; `turn`: 1 or -1 there, 0 elsewhere.
-    `previewed`: velocity a little later, scaled by the rate; zero beyond the end.
+    `gear`: 1 or -1, 0 where it turns in place; `turn`: 1 or -1 there, 0 elsewhere. `ahead`: what it will be after the
+    preview, where the feed-forward is taken from.
     """
 
     pose: Pose2
     gear: float
     turn: float
-    speed: float
-    acceleration: float
-    previewed: Twist2
+    ahead: Ahead
 
     def lag_of(self, error: Pose2) -> float:
         """How far along the travel, or along the turn, the reference is ahead of a robot that sees it at `error`."""
@@ -78,9 +95,12 @@ class _Joint(NamedTuple):
 class Reference:
     """Where the robot should be now: `trajectory` at time `time`, which runs at `rate` seconds per second.
 
+    The commands are ahead of it by `preview` seconds, so that they arrive in time. They are what runs smoothly: where the
+    preview or the rate changes the reference gives way, since it is only looked at, but the commands are driven.
+
     A rate below 1 scales the speed by the rate and every acceleration by its square, so a trajectory within its
     limits stays within them. A change of rate adds `speed * d rate/dt`; it is bounded so that the sum
-    `rate^2 * acceleration + speed * d rate/dt` stays within the limits too.
+    `rate^2 * acceleration + speed * d rate/dt` stays within the limits too, and it begins and ends smoothly.
 
     Args:
         trajectory: What is played back.
@@ -91,6 +111,8 @@ class Reference:
         self.trajectory = trajectory
         self.time = time
         self.rate = 1.0
+        self._preview = 0.0
+        self._slope = 0.0  # of the rate [1/s]
         self._joints: list[_Joint] = []
 
     @property
@@ -126,25 +148,36 @@ class Reference:
         self._joints = self._joints[: kept.index(shown) + 1 if shown in kept else 0]
         self._joints.append(_Joint.of(shown, at, trajectory))
 
-    def state(self, preview: float) -> ReferenceState:
-        """The reference now, and its velocity `preview` seconds from now at the present rate."""
-        shown, ahead, rate = self._at(preview)
+    def look_ahead(self, preview: float) -> None:
+        """Let the commands be `preview` seconds ahead from now on, without a jump of theirs."""
+        if self.time + self._preview > 0.0:
+            self.time -= (self.rate if self.time > 0.0 else 1.0) * (preview - self._preview)
+        self._preview = preview
+
+    def state(self) -> ReferenceState:
+        """The reference now and ahead, at the present rate."""
+        shown, ahead, rate = self._at(self._preview)
         if shown is self.trajectory:
-            row = shown.sample_at((self.time, ahead))
-            later = Twist2(float(row.speed[1]), float(row.yaw_rate[1]))
+            both = shown.sample_at((self.time, ahead))
+            row, then = (TrajectorySamples(*(column[k : k + 1] for column in both)) for k in (0, 1))
         else:
-            row = self.trajectory.sample_at(self.time)
-            then = shown.sample_at(ahead)
-            later = Twist2(float(then.speed[0]), float(then.yaw_rate[0]))
-        gear, turn, speed, acceleration = self._along_travel(row)
+            row, then = self.trajectory.sample_at(self.time), shown.sample_at(ahead)
+        gear, turn = _travel(self.trajectory, row)
+        gear_then, turn_then = _travel(shown, then)
         share = rate if 0.0 <= ahead < shown.duration else 0.0
+        speed, yaw_rate = float(then.speed[0]), float(then.yaw_rate[0])
         return ReferenceState(
             pose=Pose2(float(row.x[0]), float(row.y[0]), float(row.yaw[0])),
             gear=gear,
             turn=turn,
-            speed=speed if self.time >= 0.0 else 0.0,
-            acceleration=acceleration,
-            previewed=Twist2(share * later.linear, share * later.angular),
+            ahead=Ahead(
+                twist=Twist2(share * speed, share * yaw_rate),
+                speed=abs(speed) + turn_then * yaw_rate if share else 0.0,
+                acceleration=gear_then * float(then.acceleration[0]) + turn_then * float(then.yaw_acceleration[0]),
+                gear=gear_then,
+                curvature=yaw_rate / speed if abs(speed) > _AT_REST else 0.0,
+                left=shown.path.length - float(then.s[0]),
+            ),
         )
 
     def poses_ahead(self, previews: FloatArray) -> FloatArray:
@@ -181,24 +214,40 @@ class Reference:
         self.time, speed = float(grid.t[first]), float(grid.speed[first])
         if abs(speed) > _AT_REST:
             self.rate = min(1.0, max(0.0, linear / speed))
+        elif first == 0:
+            self.time = -self._preview  # the first command is that of the beginning
 
     def advance(
         self, now: ReferenceState, period: float, target_rate: float, limits: MotionLimits, settling: float
     ) -> None:
-        """Let `period` seconds pass while the rate approaches `target_rate` with the time constant `settling` [s]."""
+        """Let `period` seconds pass while the rate approaches `target_rate` with the time constant `settling` [s].
+
+        `now` is what `state` has said last.
+        """
         if self.time < 0.0:  # it waits for its beginning, in seconds that no rate changes
             passed = self.time + period
             self.time = passed if passed <= 0.0 else self.rate * passed
             return
-        before = self.rate
-        if now.speed <= _AT_REST or abs(target_rate - before) < 1e-6:
+        before, ahead = self.rate, now.ahead
+        if ahead.speed <= _AT_REST or (abs(target_rate - before) < 1e-6 and abs(self._slope) < _STEADY):
             self.rate = before = target_rate
-        elif period > 0.0:
-            turning = limits.turning.acceleration
-            bounds = (turning, turning) if now.turn else (limits.max_acceleration, limits.max_deceleration)
-            lowest, highest = _rate_bounds(now.speed, before**2 * now.acceleration, bounds)
-            wanted = (target_rate - before) / max(settling, period)
-            self.rate = min(1.0, max(0.0, before + period * min(max(wanted, lowest), highest)))
+            self._slope = 0.0
+        else:
+            turning = limits.turning
+            rise, fall, jerk = (
+                (turning.acceleration, turning.acceleration, turning.jerk)
+                if ahead.gear == 0.0
+                else (limits.max_acceleration, limits.max_deceleration, limits.max_jerk)
+            )
+            lowest, highest = _rate_bounds(ahead.speed, before**2 * ahead.acceleration, (rise, fall))
+            missing = target_rate - before
+            wanted = smooth_slope(missing, 0.0, self._slope, _JERK_SHARE * jerk / ahead.speed, (period, period))
+            if settling > 0.0:
+                most = abs(missing) / settling
+                wanted = min(max(wanted, -most), most)
+            self._slope = min(max(wanted, lowest), highest)
+            self.rate = min(1.0, max(0.0, before + period * self._slope))
+            self.time -= (self.rate - before) * self._preview
         self.time += 0.5 * (before + self.rate) * period
         while self._joints and self.time >= self._joints[0].time:
             joint = self._joints.pop(0)
@@ -224,17 +273,12 @@ class Reference:
             time = rate * left
         return shown, time, rate
 
-    def _along_travel(self, row: TrajectorySamples) -> tuple[float, float, float, float]:
-        """Gear, turn, speed and acceleration of a `ReferenceState`, from the first row."""
-        path, speed = self.trajectory.path, float(row.speed[0])
-        gear = math.copysign(1.0, speed) if abs(speed) > _AT_REST else float(path.direction_at(row.s)[0])
-        turn = math.copysign(1.0, float(path.curvature_at(row.s)[0])) if gear == 0.0 else 0.0
-        return (
-            gear,
-            turn,
-            abs(speed) + turn * float(row.yaw_rate[0]),
-            gear * float(row.acceleration[0]) + turn * float(row.yaw_acceleration[0]),
-        )
+
+def _travel(trajectory: Trajectory, row: TrajectorySamples) -> tuple[float, float]:
+    """Gear and turn of a `ReferenceState`."""
+    path, speed = trajectory.path, float(row.speed[0])
+    gear = math.copysign(1.0, speed) if abs(speed) > _AT_REST else float(path.direction_at(row.s)[0])
+    return gear, math.copysign(1.0, float(path.curvature_at(row.s)[0])) if gear == 0.0 else 0.0
 
 
 def peaks(trajectory: Trajectory) -> tuple[float, float]:

@@ -10,6 +10,7 @@ import numpy as np
 from pydantic import Field
 
 from optdock.controllers.checks import checked_speed_limit, checked_task
+from optdock.controllers.command_limits import CommandLimiter
 from optdock.controllers.control_clock import ControlClock
 from optdock.controllers.delay_estimate import DelayEstimate
 from optdock.controllers.moving_reference import Progress, Reference, ReferenceState, peaks
@@ -21,7 +22,7 @@ from optdock.interfaces import Controller
 from optdock.limits import MotionLimits
 from optdock.obstacles import in_words
 from optdock.parameters import PluginParameters
-from optdock.robot import Drive, admissible
+from optdock.robot import Drive
 from optdock.trajectory import Trajectory
 from optdock.verification import pose_clearances
 
@@ -30,7 +31,7 @@ if TYPE_CHECKING:
     from optdock.lifecycle import PluginContext
     from optdock.path import Path
 
-__all__ = ["TrackingController", "TrackingControllerParameters", "rate_limited", "require_free_stop"]
+__all__ = ["TrackingController", "TrackingControllerParameters", "require_free_stop"]
 
 _SETTLING = 0.2  # [s], time constant with which the reference's rate approaches its target
 _PEAK_MARGIN = 1.2  # without a configured robot: headroom for feedback above the trajectory's own peaks
@@ -115,7 +116,7 @@ class TrackingController(Controller):
         self._reference: Reference | None = None
         self._starts_at: float | None = None
         self._limits = MotionLimits()
-        self._last = Twist2()
+        self._limiter = CommandLimiter()
         self._clock = ControlClock()
         self._delay = DelayEstimate()
         self._anchored = self._cancelled = False
@@ -171,23 +172,27 @@ class TrackingController(Controller):
             raise ControllerInvalidPath("TrackingController: has no path; call set_path first")
         self._clock.tick(stamp, self.context, self.parameters.period)
         if self._clock.elapsed == 0.0:
-            return self._last
+            return self._limiter.command
         if self._clock.silent:
-            self._last = Twist2(velocity.linear, velocity.angular)
-        if not self._anchored:
-            self._anchor(self._reference, pose, velocity)
+            self._limiter.restart(Twist2(velocity.linear, velocity.angular))
         p, period = self.parameters, self._clock.elapsed
-        self._delay.update(self._last.linear, velocity.linear, period)
+        self._delay.update(self._limiter.command.linear, velocity.linear, period)
+        if not self._anchored:
+            self._reference.look_ahead(self._preview)
+            self._anchor(self._reference, pose, velocity)
         now = self._advanced(self._reference)
         error = now.pose.in_frame_of(pose)
         self._check_error(error)
         wanted = self._wanted(self._reference, now, error, goal_checker)
-        command = admissible(rate_limited(self._last, wanted, self._limits, period), self._limits, self._drive)
+        in_place = now.gear == 0.0 or self._reference.finished
+        command = self._limiter.follow(wanted, now.ahead.twist, period, self._limits, self._drive, in_place=in_place)
         self._seen = (now, now.lag_of(error))
-        self._last = Twist2()  # what a refusal leaves the robot with
         if p.use_collision_detection:
-            require_free_stop(self.context, pose, command, self._limits, self._clock.period, p.collision_tolerance)
-        self._last = command
+            try:
+                require_free_stop(self.context, pose, command, self._limits, self._clock.period, p.collision_tolerance)
+            except NoValidControl:
+                self._limiter.stop()
+                raise
         return command
 
     def set_speed_limit(self, limit: float, percentage: bool) -> None:  # noqa: FBT001 - Nav2's order of arguments
@@ -202,14 +207,18 @@ class TrackingController(Controller):
     def cancel(self) -> bool:
         """Brake along the path within the limits; True once the commands are zero."""
         self._cancelled = True
-        return self._reference is None or not self._anchored or (self._reference.rate == 0.0 and self._last == Twist2())
+        return (
+            self._reference is None
+            or not self._anchored
+            or (self._reference.rate == 0.0 and self._limiter.command == Twist2())
+        )
 
     def reset(self) -> None:
         """Forget the path and what was learnt about the drive; the speed limit stays."""
         self._reference = self._starts_at = None
         self._clock = ControlClock()
         self._delay = DelayEstimate()
-        self._last = Twist2()
+        self._limiter = CommandLimiter()
         self._anchored = self._cancelled = False
 
     @property
@@ -224,7 +233,7 @@ class TrackingController(Controller):
     def _timed(self, path: Path) -> Trajectory:
         from optdock.plugins import timed_by
 
-        moving = max(0.0, path.segments[0].direction * self._last.linear)
+        moving = max(0.0, path.segments[0].direction * self._limiter.command.linear)
         try:
             return timed_by(self.parameters.time_parameterizer, path, self.context.problem, start_speed=moving)
         except FailedToTimePath as error:
@@ -252,13 +261,18 @@ class TrackingController(Controller):
 
     def _advanced(self, reference: Reference) -> ReferenceState:
         """The reference now; on the first call, where it begins."""
-        p = self.parameters
         if self._seen is not None:
             before, lag = self._seen
             settling = 0.0 if self._cancelled else _SETTLING
             reference.advance(before, self._clock.elapsed, self._target_rate(reference, lag), self._limits, settling)
-        preview = self._delay.delay if p.preview is None else p.preview
-        return reference.state(preview + 0.5 * self._clock.period)
+            reference.look_ahead(self._preview)
+        return reference.state()
+
+    @property
+    def _preview(self) -> float:
+        """To the middle of the coming period, later by what the drive takes."""
+        p = self.parameters
+        return (self._delay.delay if p.preview is None else p.preview) + 0.5 * self._clock.period
 
     def _check_error(self, error: Pose2) -> None:
         p, distance = self.parameters, math.hypot(error.x, error.y)
@@ -276,7 +290,7 @@ class TrackingController(Controller):
             return Twist2()
         p = self.parameters
         gains = Gains(p.along_gain, p.convergence_distance, p.damping, p.turn_gain)
-        wanted = tracking_command(error, now.previewed, gains)
+        wanted = tracking_command(error, now.ahead.twist, gains)
         return self._above_dead_band(wanted, error, goal_checker) if reference.finished else wanted
 
     def _above_dead_band(self, wanted: Twist2, error: Pose2, goal_checker: GoalChecker | None) -> Twist2:
@@ -304,31 +318,6 @@ class TrackingController(Controller):
 
 def _at_least(value: float, least: float) -> float:
     return math.copysign(max(abs(value), least), value) if value != 0.0 else 0.0
-
-
-def rate_limited(previous: Twist2, wanted: Twist2, limits: MotionLimits, period: float) -> Twist2:
-    """The command nearest to `wanted` that `previous` can become within `period` [s].
-
-    Speeding up is bounded by max_acceleration, slowing down by max_deceleration, in either gear.
-    """
-    linear = _approach(
-        previous.linear, wanted.linear, limits.max_acceleration * period, limits.max_deceleration * period
-    )
-    turn = limits.max_yaw_acceleration * period
-    angular = _approach(previous.angular, wanted.angular, turn, turn)
-    return Twist2(linear, angular)
-
-
-def _approach(value: float, target: float, rise: float, fall: float) -> float:
-    """`value` moved towards `target`: away from zero by at most `rise`, towards zero by at most `fall`."""
-    if value * target < 0.0:
-        braked = _approach(value, 0.0, rise, fall)
-        if abs(value) >= fall:
-            return braked
-        left = 1.0 - abs(value) / fall if math.isfinite(fall) else 1.0
-        return _approach(0.0, target, rise * left, fall)
-    bound = rise if abs(target) > abs(value) else fall
-    return value + min(max(target - value, -bound), bound)
 
 
 def require_free_stop(

@@ -5,7 +5,7 @@ import math
 from hypothesis import given
 from hypothesis import strategies as st
 
-from optdock.controllers.tracking import rate_limited
+from optdock.controllers.command_limits import rate_limited
 from optdock.geometry.pose import Twist2
 from optdock.limits import MotionLimits
 

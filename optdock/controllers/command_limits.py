@@ -1,0 +1,163 @@
+"""Commands within the limits: what the drive can follow from the command before, jerk included.
+
+The speed is a second-order limiter. Where the wanted command can be reached it is given as it is, so a feed-forward
+within the limits passes without any lag; else the acceleration rises and falls by no more than the jerk, and falls
+early enough that the speed ends on what is wanted without going beyond: in the frame of the feed-forward, over a
+difference d, at a relative acceleration of at most sqrt(2 jerk d).
+"""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING
+
+from optdock.geometry.pose import Twist2
+from optdock.robot import Drive, admissible
+
+if TYPE_CHECKING:
+    from optdock.limits import MotionLimits
+
+__all__ = ["CommandLimiter", "rate_limited", "smooth_slope"]
+
+_NO_ARC = 1e-9  # [m/s]: a slower command has no curvature
+_CREEPING = 0.005  # [m/s]: a differential drive slower than this bends no path; it may begin with any curvature
+
+
+class CommandLimiter:
+    """Remembers the last command, and gives the next one that it can become.
+
+    Attributes:
+        command: The last one.
+    """
+
+    def __init__(self) -> None:
+        self.restart(Twist2())
+
+    def restart(self, command: Twist2) -> None:
+        """Begin at what the robot does, at a steady speed."""
+        self.command = command
+        self._acceleration = 0.0
+        self._period = 0.0
+        self._feed_forward: float | None = None
+        moving = abs(command.linear) >= _CREEPING
+        self._curvature = command.angular / command.linear if moving else None
+
+    def stop(self) -> None:
+        """Begin again from rest: what a refusal leaves the robot with. An emergency stop keeps no jerk limit."""
+        self.restart(Twist2())
+
+    def follow(
+        self,
+        wanted: Twist2,
+        feed_forward: Twist2,
+        period: float,
+        limits: MotionLimits,
+        drive: Drive,
+        *,
+        in_place: bool,
+    ) -> Twist2:
+        """The command nearest to `wanted` that the last one can become.
+
+        Speed, yaw rate, wheel speed, lateral acceleration, acceleration and jerk, yaw acceleration, curvature and
+        how fast it changes (with the way, and with the angle of steered wheels) are within the limits.
+
+        Args:
+            wanted: Feed-forward and feedback.
+            feed_forward: The part of it that moves; how fast it changes is what the command converges to.
+            period: Since the last command [s], > 0.
+            limits: Of the robot.
+            drive: How it steers.
+            in_place: Whether a differential drive may turn tighter than its smallest radius: where its reference turns
+                in place, or stands at its end.
+        """
+        free = in_place and drive is Drive.DIFFERENTIAL
+        wanted = admissible(wanted if free else _bent(wanted, limits.max_curvature), limits, drive)
+        linear = self._linear(wanted.linear, feed_forward.linear, period, limits)
+        angular = wanted.angular if free else self._bend(wanted, linear, period, limits, drive) * linear
+        turn = limits.max_yaw_acceleration * period
+        angular = _approach(self.command.angular, angular, turn, turn)
+        command = admissible(Twist2(linear, angular), limits, drive)
+        self._acceleration = (command.linear - self.command.linear) / period
+        self._period, self._feed_forward, self.command = period, feed_forward.linear, command
+        if free or (drive is Drive.DIFFERENTIAL and abs(command.linear) < _CREEPING):
+            self._curvature = None
+        elif abs(command.linear) >= _CREEPING:
+            self._curvature = command.angular / command.linear
+        return command
+
+    def _linear(self, wanted: float, feed_forward: float, period: float, limits: MotionLimits) -> float:
+        before = self.command.linear
+        slope = 0.0 if self._feed_forward is None else (feed_forward - self._feed_forward) / period
+        between = 0.5 * (period + (self._period or period))  # accelerations are those in the middle of their periods
+        missing = wanted - slope * period - before
+        slope = smooth_slope(missing, slope, self._acceleration, limits.max_jerk, (period, between))
+        return _approach(
+            before, before + slope * period, limits.max_acceleration * period, limits.max_deceleration * period
+        )
+
+    def _bend(self, wanted: Twist2, linear: float, period: float, limits: MotionLimits, drive: Drive) -> float:
+        """The curvature of the command."""
+        before = self._curvature
+        is_arc = abs(wanted.linear) > _NO_ARC
+        asked = wanted.angular / wanted.linear if is_arc else before or 0.0
+        if before is None:
+            return asked
+        change = limits.max_curvature_rate * abs(linear) * period if linear != 0.0 else math.inf
+        low, high = before - change, before + change
+        if drive is Drive.ACKERMANN and math.isfinite(limits.max_steering_rate):
+            angle, turned = math.atan(limits.wheelbase * before), limits.max_steering_rate * period
+            most = 0.5 * math.pi - 1e-6
+            low = max(low, math.tan(max(angle - turned, -most)) / limits.wheelbase)
+            high = min(high, math.tan(min(angle + turned, most)) / limits.wheelbase)
+        found = min(max(asked, low), high)
+        if abs(linear) < _CREEPING:
+            self._curvature = found  # the wheels turn at rest too
+        return found
+
+
+def smooth_slope(missing: float, target_slope: float, slope: float, jerk: float, periods: tuple[float, float]) -> float:
+    """The slope of the next period, of a value that is to reach a moving target and stay with it.
+
+    Args:
+        missing: By how much the value falls short of the target before the period.
+        target_slope: Of the target.
+        slope: Of the value in the period before.
+        jerk: By how much a slope may change in a unit of time.
+        periods: The period, and the time between its middle and that of the one before [s].
+    """
+    period, between = periods
+    gap = abs(missing)
+    # n periods of slopes that fall by jerk * period each cover gap; between its periods this is the sum's closed form.
+    fastest = jerk * (math.sqrt(0.25 * period**2 + 2.0 * gap / jerk) - 0.5 * period)
+    wanted = target_slope + math.copysign(min(gap / period, fastest), missing)
+    return min(max(wanted, slope - jerk * between), slope + jerk * between)
+
+
+def rate_limited(previous: Twist2, wanted: Twist2, limits: MotionLimits, period: float) -> Twist2:
+    """The command nearest to `wanted` that `previous` can become within `period` [s], whatever the jerk.
+
+    Speeding up is bounded by max_acceleration, slowing down by max_deceleration, in either gear.
+    """
+    linear = _approach(
+        previous.linear, wanted.linear, limits.max_acceleration * period, limits.max_deceleration * period
+    )
+    turn = limits.max_yaw_acceleration * period
+    angular = _approach(previous.angular, wanted.angular, turn, turn)
+    return Twist2(linear, angular)
+
+
+def _approach(value: float, target: float, rise: float, fall: float) -> float:
+    """`value` moved towards `target`: away from zero by at most `rise`, towards zero by at most `fall`."""
+    if value * target < 0.0:
+        if abs(value) >= fall:
+            return value - math.copysign(fall, value)
+        left = 1.0 - abs(value) / fall if math.isfinite(fall) else 1.0
+        return _approach(0.0, target, rise * left, fall)
+    bound = rise if abs(target) > abs(value) else fall
+    return value + min(max(target - value, -bound), bound)
+
+
+def _bent(command: Twist2, curvature: float) -> Twist2:
+    """The command, turning no tighter than `curvature`."""
+    most = curvature * abs(command.linear) if command.linear != 0.0 else 0.0
+    return Twist2(command.linear, min(max(command.angular, -most), most))
