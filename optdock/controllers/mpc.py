@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 from pydantic import Field
 
+from optdock.controllers.command_limits import CommandLimiter, rate_limited
 from optdock.controllers.moving_reference import Reference, ReferenceState
 from optdock.controllers.mpc_program import (
     CommandBounds,
@@ -21,10 +22,10 @@ from optdock.controllers.mpc_program import (
     riccati_back,
     step_matrices,
 )
-from optdock.controllers.tracking import TrackingController, TrackingControllerParameters, rate_limited
+from optdock.controllers.tracking import TrackingController, TrackingControllerParameters
 from optdock.errors import NoValidControl
 from optdock.geometry.pose import Pose2, Twist2
-from optdock.robot import Drive
+from optdock.robot import Drive, admissible
 
 if TYPE_CHECKING:
     from optdock.geometry.arrays import FloatArray
@@ -132,8 +133,7 @@ class MpcController(TrackingController):
         self._measured = Pose2(0.0, 0.0, 0.0), Twist2()
         self._given: deque[tuple[float, Twist2]] = deque()
         self._plan: _Plan | None = None
-        self._before = Twist2()  # the command before the last
-        self._acceleration = self._curvature = 0.0
+        self._limiter: _Remembering = _Remembering()
 
     def on_configure(self) -> None:
         """Build the program and load the solver, which takes longer than a cycle."""
@@ -144,7 +144,7 @@ class MpcController(TrackingController):
         super().reset()
         self._to_go.clear()
         self._given.clear()
-        self._plan, self._acceleration, self._curvature = None, 0.0, 0.0
+        self._plan, self._limiter = None, _Remembering()
 
     def set_path(self, path: Path | Trajectory, *, start_stamp: float | None = None) -> None:
         """Follow a trajectory, or a path after timing it; see `TrackingController.set_path`."""
@@ -167,11 +167,10 @@ class MpcController(TrackingController):
         try:
             command = super().compute_velocity_commands(pose, velocity, goal_checker, stamp=stamp)
         except NoValidControl:
-            self._plan, self._acceleration = None, 0.0
+            self._plan = None
             self._give(Twist2())
             raise
         if self._clock.now != before:
-            self._acceleration = (command.linear - self._before.linear) / self._clock.elapsed
             self._give(command)
         return command
 
@@ -183,18 +182,17 @@ class MpcController(TrackingController):
         while len(self._given) > 2 and self._given[1][0] < self._clock.now - _REMEMBERED:
             self._given.popleft()
 
-    def _anchor(self, reference: Reference, pose: Pose2, velocity: Twist2) -> None:
-        super()._anchor(reference, pose, velocity)
-        if self._starts_at is None and reference.time == 0.0 and velocity.linear == 0.0:
-            reference.time = -sum(self._delays)  # it starts when the robot can, which then need not catch up
-        self._acceleration, self._plan = 0.0, None
-
     @property
     def _delays(self) -> tuple[float, float]:
         """Latency and lag [s]."""
         p = self.parameters
         latency, lag = self._delay.latency_and_lag
         return latency if p.latency is None else p.latency, lag if p.lag is None else p.lag
+
+    @property
+    def _preview(self) -> float:
+        """As the reference has it at the beginning: it starts when the robot can, which then need not catch up."""
+        return sum(self._delays)
 
     @property
     def _weights(self) -> Weights:
@@ -224,7 +222,6 @@ class MpcController(TrackingController):
         error: Pose2,
         goal_checker: GoalChecker | None,
     ) -> Twist2:
-        self._before = self._last
         if self._built_for is not self.parameters:
             self._prepare()
         if self._cancelled and reference.rate == 0.0:
@@ -253,8 +250,8 @@ class MpcController(TrackingController):
             h=h,
             elapsed=self._clock.elapsed,
             bounds=self._bounds(commands[1:], h),
-            last=np.array([self._last.linear, self._last.angular]),
-            last_acceleration=self._acceleration,
+            last=np.array([self._limiter.command.linear, self._limiter.command.angular]),
+            last_acceleration=self._limiter.acceleration,
             tube=(p.tube_cross, p.tube_yaw) if p.tube_cross > 0.0 else None,
         )
         found = self._solved(cycle)
@@ -304,7 +301,7 @@ class MpcController(TrackingController):
 
     def _bounds(self, nominal: FloatArray, h: FloatArray) -> CommandBounds:
         """What the limits allow from the last command on."""
-        n, limits, period, last = self.parameters.steps, self._limits, self._clock.elapsed, self._last
+        n, limits, period, last = self.parameters.steps, self._limits, self._clock.elapsed, self._limiter.command
         lowest = rate_limited(last, Twist2(-_MOST, -_MOST), limits, period)
         highest = rate_limited(last, Twist2(_MOST, _MOST), limits, period)
         v = nominal[:, 0]
@@ -351,13 +348,39 @@ class MpcController(TrackingController):
         limits = self._limits
         if not math.isfinite(limits.max_steering_rate):
             return _both_ways(limits.max_curvature, times.size)
-        if abs(self._last.linear) > _AT_REST:
-            self._curvature = self._last.angular / self._last.linear
-        angle = math.atan(limits.wheelbase * self._curvature)
+        angle = math.atan(limits.wheelbase * self._limiter.curvature)
         turned = np.array([[-1.0], [1.0]]) * limits.max_steering_rate * times
         most = math.atan(limits.wheelbase * limits.max_curvature)
         reached: FloatArray = np.tan(np.clip(angle + turned, -most, most)) / limits.wheelbase
         return reached
+
+
+class _Remembering(CommandLimiter):
+    """The program has kept all limits already: what is given is remembered, and what its tolerances leave is cut."""
+
+    def restart(self, command: Twist2) -> None:
+        """Begin at what the robot does, at a steady speed."""
+        super().restart(command)
+        self.acceleration = 0.0
+        self.curvature = command.angular / command.linear if abs(command.linear) > _AT_REST else 0.0
+
+    def follow(
+        self,
+        wanted: Twist2,
+        feed_forward: Twist2,  # noqa: ARG002 - the program knows where it goes
+        period: float,
+        limits: MotionLimits,
+        drive: Drive,
+        *,
+        in_place: bool,  # noqa: ARG002 - likewise
+    ) -> Twist2:
+        """The command nearest to `wanted` within the limits of speed and acceleration."""
+        command = admissible(rate_limited(self.command, wanted, limits, period), limits, drive)
+        self.acceleration = (command.linear - self.command.linear) / period
+        if abs(command.linear) > _AT_REST:
+            self.curvature = command.angular / command.linear
+        self.command = command
+        return command
 
 
 def _both_ways(bound: float, count: int) -> FloatArray:
