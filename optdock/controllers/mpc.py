@@ -361,7 +361,7 @@ class _Remembering(CommandLimiter):
     def restart(self, command: Twist2) -> None:
         """Begin at what the robot does, at a steady speed."""
         super().restart(command)
-        self.acceleration = 0.0
+        self.acceleration, self._fresh = 0.0, True
         self.curvature = command.angular / command.linear if abs(command.linear) > _AT_REST else 0.0
 
     def follow(
@@ -376,7 +376,9 @@ class _Remembering(CommandLimiter):
     ) -> Twist2:
         """The command nearest to `wanted` within the limits of speed and acceleration."""
         command = admissible(rate_limited(self.command, wanted, limits, period), limits, drive)
-        self.acceleration = (command.linear - self.command.linear) / period
+        # Of the first command nobody knows the period: it is so short that what it gained says nothing.
+        self.acceleration = 0.0 if self._fresh else (command.linear - self.command.linear) / period
+        self._fresh = False
         if abs(command.linear) > _AT_REST:
             self.curvature = command.angular / command.linear
         self.command = command
