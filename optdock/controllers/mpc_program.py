@@ -37,6 +37,7 @@ __all__ = [
 ]
 
 UNBOUNDED = 1e30  # how DAQP spells infinity
+_SAME_TIME = 1e-6  # [s]: steps that differ by less are those of the cycle before
 _MOST_ITERATIONS = 300  # of the active set; what takes longer is late: some 3 ms, and a warm case takes 20
 
 
@@ -316,7 +317,7 @@ class TrackingProgram:
 
     def solve(self, cycle: Cycle) -> Solution | None:
         """The best commands, or None where there are none, or they take too many iterations."""
-        if cycle.elapsed != self._spans[0] or not np.array_equal(cycle.h, self._h):
+        if max(abs(cycle.elapsed - self._spans[0]), float(np.abs(cycle.h - self._h).max())) > _SAME_TIME:
             self._use_steps(cycle.h, cycle.elapsed)
         self._fill_cost(cycle)
         self._fill_bounds(cycle)
