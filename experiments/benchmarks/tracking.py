@@ -243,25 +243,26 @@ _TUNED = {  # ranges, searched evenly in the logarithm
     "smoothness": (0.05, 0.6),
     "final_weight": (1.0, 100.0),
 }
+_TUNING_PERIOD = 0.04  # [s]
 _TUNING_WORLDS = ("lag, latency", "lag, latency, noise", "wheel gains", "jump, 0.6 m left", "jump, 0.27 m left")
 
 
 def _badness(parameters: dict[str, float], drives: Sequence[Case]) -> float:
-    """Mean over worlds and rates: errors at the end over 3 mm, 3 mm and 0.3 degrees, and on the way over 10 mm."""
+    """Mean over worlds: errors at the end over 3 mm, 3 mm and 0.3 degrees, and on the way over 10 mm."""
     parts = []
     for world in (world for world in worlds() if world.name in _TUNING_WORLDS):
-        for rate in (20, 50):
-            driven = [
-                (
-                    case,
-                    drive(case, world, 1.0 / rate, controller_of("MpcController", world, known=True, **parameters), k),
-                )
-                for k, case in enumerate(drives)
-            ]
-            final = np.abs([d.run.final_error.as_array() for _, d in driven]) / (0.003, 0.003, math.radians(0.3))
-            way = [_off_path(case.trajectory, d.run, d.since + round(_SETTLED * rate))[0] / 0.01 for case, d in driven]
-            failed = sum(not d.run.docked for _, d in driven)
-            parts.append(float(np.percentile(final, 95, axis=0).sum() + np.mean(way)) + 10.0 * failed)
+        driven = [
+            (
+                case,
+                drive(case, world, _TUNING_PERIOD, controller_of("MpcController", world, known=True, **parameters), k),
+            )
+            for k, case in enumerate(drives)
+        ]
+        final = np.abs([d.run.final_error.as_array() for _, d in driven]) / (0.003, 0.003, math.radians(0.3))
+        settled = round(_SETTLED / _TUNING_PERIOD)
+        way = [_off_path(case.trajectory, d.run, d.since + settled)[0] / 0.01 for case, d in driven]
+        failed = sum(not d.run.docked for _, d in driven)
+        parts.append(float(np.percentile(final, 95, axis=0).sum() + np.mean(way)) + 10.0 * failed)
     return float(np.mean(parts))
 
 

@@ -133,6 +133,7 @@ class MpcController(TrackingController):
         self._measured = Pose2(0.0, 0.0, 0.0), Twist2()
         self._given: deque[tuple[float, Twist2]] = deque()
         self._plan: _Plan | None = None
+        self._nominal: FloatArray | None = None  # command of the last cycle that would have kept up with the reference
         self._limiter: _Remembering = _Remembering()
 
     def on_configure(self) -> None:
@@ -144,7 +145,8 @@ class MpcController(TrackingController):
         super().reset()
         self._to_go.clear()
         self._given.clear()
-        self._plan, self._limiter = None, _Remembering()
+        self._plan = self._nominal = None
+        self._limiter = _Remembering()
 
     def set_path(self, path: Path | Trajectory, *, start_stamp: float | None = None) -> None:
         """Follow a trajectory, or a path after timing it; see `TrackingController.set_path`."""
@@ -167,7 +169,7 @@ class MpcController(TrackingController):
         try:
             command = super().compute_velocity_commands(pose, velocity, goal_checker, stamp=stamp)
         except NoValidControl:
-            self._plan = None
+            self._plan = self._nominal = None
             self._give(Twist2())
             raise
         if self._clock.now != before:
@@ -225,18 +227,18 @@ class MpcController(TrackingController):
         if self._built_for is not self.parameters:
             self._prepare()
         if self._cancelled and reference.rate == 0.0:
+            self._nominal = None
             return Twist2()
         p, n, period = self.parameters, self.parameters.steps, self._clock.period
         latency, lag = self._delays
         h = np.full(n, max(period, (p.horizon - period) / (n - 1)))
         h[0] = period
         t = np.concatenate(([0.0], np.cumsum(h)))
-        # From when the command takes effect: where the reference is; and by the lag ahead, from one period before, what
-        # it takes to keep up with it.
-        ahead = np.concatenate(([-period], t)) + lag
-        poses = reference.poses_ahead(latency + np.concatenate((t, ahead)))
-        arcs, nominal = arcs_between(poses[: n + 1], t), arcs_between(poses[n + 1 :], ahead)
-        commands = np.column_stack((nominal.v, nominal.w))
+        # From when the command takes effect: where the reference is; and later by the lag, what it takes to keep up.
+        poses = reference.poses_ahead(latency + np.concatenate((t, t + lag)))
+        arcs, keeping_up = arcs_between(poses[: n + 1], t), arcs_between(poses[n + 1 :], t)
+        nominal = np.column_stack((keeping_up.v, keeping_up.w))
+        last = np.array([self._limiter.command.linear, self._limiter.command.angular])
         trajectory, time = reference.trajectory_ahead(latency + float(t[-1]))
         times, costs = self._to_go[trajectory]
         pose, velocity = self._at_effect(latency, lag)
@@ -245,16 +247,16 @@ class MpcController(TrackingController):
             prediction=predicted(
                 np.array([seen.x, seen.y, seen.yaw, velocity.linear, velocity.angular]), step_matrices(arcs, (lag, lag))
             ),
-            nominal=commands,
+            nominal=np.vstack((last if self._nominal is None else self._nominal, nominal)),
             cost_to_go=costs[min(int(np.searchsorted(times, time)), times.size - 1)],
             h=h,
             elapsed=self._clock.elapsed,
-            bounds=self._bounds(commands[1:], h),
-            last=np.array([self._limiter.command.linear, self._limiter.command.angular]),
+            bounds=self._bounds(nominal, h),
+            last=last,
             last_acceleration=self._limiter.acceleration,
             tube=(p.tube_cross, p.tube_yaw) if p.tube_cross > 0.0 else None,
         )
-        found = self._solved(cycle)
+        found, self._nominal = self._solved(cycle), nominal[0]
         v, w = float(found[0]), float(found[1])
         most = self._limits.max_lateral_acceleration / abs(v) if v != 0.0 else math.inf
         wanted = Twist2(v, min(max(w, -most), most))
