@@ -243,7 +243,7 @@ _TUNED = {  # ranges, searched evenly in the logarithm
     "smoothness": (0.05, 0.6),
     "final_weight": (1.0, 100.0),
 }
-_TUNING_PERIOD = 0.04  # [s]
+_TUNING_PERIOD = 1.0 / 30.0  # [s]
 _TUNING_WORLDS = ("lag, latency", "lag, latency, noise", "wheel gains", "jump, 0.6 m left", "jump, 0.27 m left")
 
 
