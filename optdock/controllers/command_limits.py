@@ -76,9 +76,11 @@ class CommandLimiter:
         angular = wanted.angular if free else self._bend(wanted, linear, period, limits, drive) * linear
         turn = limits.max_yaw_acceleration * period
         angular = _approach(self.command.angular, angular, turn, turn)
-        command = admissible(Twist2(linear, angular), limits, drive)
-        self._acceleration = (command.linear - self.command.linear) / period
-        self._period, self._feed_forward, self.command = period, feed_forward.linear, command
+        most = _most_turn(linear, limits)  # the turn gives way: the speed falls as fast as it may
+        command = Twist2(linear, min(max(angular, -most), most))
+        if self._feed_forward is not None:
+            self._acceleration, self._period = (command.linear - self.command.linear) / period, period
+        self._feed_forward, self.command = feed_forward.linear, command
         if free or (drive is Drive.DIFFERENTIAL and abs(command.linear) < _CREEPING):
             self._curvature = None
         elif abs(command.linear) >= _CREEPING:
@@ -87,10 +89,18 @@ class CommandLimiter:
 
     def _linear(self, wanted: float, feed_forward: float, period: float, limits: MotionLimits) -> float:
         before = self.command.linear
-        slope = 0.0 if self._feed_forward is None else (feed_forward - self._feed_forward) / period
+        if self._feed_forward is None:
+            return before  # how long it has been in force nobody knows
+        slope = (feed_forward - self._feed_forward) / period
         between = 0.5 * (period + (self._period or period))  # accelerations are those in the middle of their periods
         missing = wanted - slope * period - before
+        top, bottom = (
+            min(limits.max_speed, limits.max_wheel_speed),
+            min(limits.max_reverse_speed, limits.max_wheel_speed),
+        )
+        rise, fall = (_fastest(max(gap, 0.0), limits.max_jerk, period) for gap in (top - before, before + bottom))
         slope = smooth_slope(missing, slope, self._acceleration, limits.max_jerk, (period, between))
+        slope = min(max(slope, -fall, (-bottom - before) / period), rise, (top - before) / period)
         return _approach(
             before, before + slope * period, limits.max_acceleration * period, limits.max_deceleration * period
         )
@@ -102,8 +112,7 @@ class CommandLimiter:
         asked = wanted.angular / wanted.linear if is_arc else before or 0.0
         if before is None:
             return asked
-        change = limits.max_curvature_rate * abs(linear) * period if linear != 0.0 else math.inf
-        low, high = before - change, before + change
+        low, high = -math.inf, math.inf
         if drive is Drive.ACKERMANN and math.isfinite(limits.max_steering_rate):
             angle, turned = math.atan(limits.wheelbase * before), limits.max_steering_rate * period
             most = 0.5 * math.pi - 1e-6
@@ -127,10 +136,16 @@ def smooth_slope(missing: float, target_slope: float, slope: float, jerk: float,
     """
     period, between = periods
     gap = abs(missing)
-    # n periods of slopes that fall by jerk * period each cover gap; between its periods this is the sum's closed form.
-    fastest = jerk * (math.sqrt(0.25 * period**2 + 2.0 * gap / jerk) - 0.5 * period)
-    wanted = target_slope + math.copysign(min(gap / period, fastest), missing)
+    wanted = target_slope + math.copysign(min(gap / period, _fastest(gap, jerk, period)), missing)
     return min(max(wanted, slope - jerk * between), slope + jerk * between)
+
+
+def _fastest(gap: float, jerk: float, period: float) -> float:
+    """The largest slope that can still fall to nothing, by `jerk` times `period` in every period, within `gap`.
+
+    The sum of such slopes in closed form: slope^2 / (2 jerk) + slope period / 2 = gap.
+    """
+    return jerk * (math.sqrt(0.25 * period**2 + 2.0 * gap / jerk) - 0.5 * period)
 
 
 def rate_limited(previous: Twist2, wanted: Twist2, limits: MotionLimits, period: float) -> Twist2:
@@ -161,3 +176,11 @@ def _bent(command: Twist2, curvature: float) -> Twist2:
     """The command, turning no tighter than `curvature`."""
     most = curvature * abs(command.linear) if command.linear != 0.0 else 0.0
     return Twist2(command.linear, min(max(command.angular, -most), most))
+
+
+def _most_turn(linear: float, limits: MotionLimits) -> float:
+    """The largest yaw rate at this speed."""
+    speed = abs(linear)
+    rim = (limits.max_wheel_speed - speed) / (0.5 * limits.track_width) if limits.track_width > 0.0 else math.inf
+    lateral = limits.max_lateral_acceleration / speed if speed > 0.0 else math.inf
+    return max(0.0, min(limits.max_yaw_rate, rim, lateral))

@@ -26,6 +26,7 @@ class ControlClock:
         now: Stamp of the last call [s]; None before the first.
         elapsed: Time between the last call and the one before [s], at most half a second.
         period: What the coming period will probably be [s].
+        learnt: Whether the last call was the first that told the period.
         silent: Whether the last call came after so long that the last command says nothing any more, or was the first.
     """
 
@@ -33,6 +34,7 @@ class ControlClock:
         self.now: float | None = None
         self.elapsed = 0.0
         self.period = _FIRST
+        self.learnt = False
         self.silent = True
         self._gaps = 0
 
@@ -58,13 +60,16 @@ class ControlClock:
         self.now = stamp
         if promised is not None:
             self.elapsed = self.period = promised
-            self.silent = before is None
+            self.silent = self.learnt = before is None
             return
         gap = math.inf if before is None else stamp - before
         self.silent = gap > _LONGEST
         self.elapsed = min(gap, _LONGEST) if before is not None else _FIRST
+        self.learnt = False
         if gap == 0.0 or self.silent:
             return
         self._gaps += 1
-        share = 1.0 if self._gaps == 1 else _SMOOTHING
-        self.period += share * (min(gap, _MOST_GROWTH * self.period if self._gaps > 1 else gap) - self.period)
+        self.learnt = self._gaps == 1
+        self.period = (
+            gap if self.learnt else self.period + _SMOOTHING * (min(gap, _MOST_GROWTH * self.period) - self.period)
+        )

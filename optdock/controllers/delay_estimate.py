@@ -21,6 +21,7 @@ _DELAYS = readonly(_LATENCIES[:, None] + _LAGS)
 _MOVING = 0.01  # [m/s]: a drive that is held, or whose speed is not measured, says nothing
 _MEMORY = 3.0  # [s], after which old evidence counts 1/e
 _EVIDENCE = 1e-5  # [m^2/s]: by how much the best model must beat the worst
+_BETTER = 0.7  # misfit of a model that replaces the best so far: neighbours must not take turns
 _SLEW = 0.5  # [s/s]: how fast the estimate may move, so that the feed-forward does not jump
 
 
@@ -39,17 +40,18 @@ class DelayEstimate:
 
     def __init__(self, delay: float = 0.0) -> None:
         self.delay = delay
-        self._lag_share = 0.0
         self._now = 0.0
         self._since = [-_LONGEST_LATENCY]  # when each command was given [s], the oldest first
         self._told = [0.0]  # [m/s]
         self._speeds = np.zeros((_LATENCIES.size, _LAGS.size))
         self._misfit = np.zeros(self._speeds.shape)
+        self._best = 0
 
     @property
     def latency_and_lag(self) -> tuple[float, float]:
         """The delay in its two parts, as the best model has them [s]."""
-        lag = self._lag_share * self.delay
+        whole = float(_DELAYS.flat[self._best])
+        lag = self.delay * float(_LAGS[self._best % _LAGS.size]) / whole if whole > 0.0 else 0.0
         return self.delay - lag, lag
 
     def update(self, command: float, speed: float, period: float) -> None:
@@ -67,10 +69,10 @@ class DelayEstimate:
         self._misfit *= math.exp(-period / _MEMORY)
         self._misfit += period * (self._speeds - speed) ** 2
         best = int(np.argmin(self._misfit))
+        if float(self._misfit.flat[best]) < _BETTER * float(self._misfit.flat[self._best]):
+            self._best = best
         convincing = float(self._misfit.max()) - float(self._misfit.flat[best]) > _EVIDENCE
-        wanted = float(_DELAYS.flat[best]) if convincing else self.delay
-        if convincing and wanted > 0.0:
-            self._lag_share = float(_LAGS[best % _LAGS.size]) / wanted
+        wanted = float(_DELAYS.flat[self._best]) if convincing else self.delay
         step = _SLEW * period
         self.delay += min(max(wanted - self.delay, -step), step)
 

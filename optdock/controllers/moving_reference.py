@@ -24,7 +24,7 @@ __all__ = ["Progress", "Reference", "ReferenceState", "peaks"]
 
 _AT_REST = 1e-6  # [m/s]: a standing reference may change its rate at once
 _STEADY = 1e-3  # [1/s]: a rate that changes no faster stands
-_JERK_SHARE = 0.5  # of the jerk, for changes of the rate; the rest is the trajectory's own
+_JERK_SHARE = 1.0
 _AT_START = 0.05  # [m]: a robot nearer to the start than this begins there
 _SAMPLES = 400  # for the nearest point
 
@@ -95,7 +95,7 @@ class _Joint(NamedTuple):
 class Reference:
     """Where the robot should be now: `trajectory` at time `time`, which runs at `rate` seconds per second.
 
-    The commands are ahead of it by `preview` seconds, so that they arrive in time. They are what runs smoothly: where the
+    The commands are ahead of it by a preview, so that they arrive in time. They are what runs smoothly: where the
     preview or the rate changes the reference gives way, since it is only looked at, but the commands are driven.
 
     A rate below 1 scales the speed by the rate and every acceleration by its square, so a trajectory within its
@@ -148,9 +148,9 @@ class Reference:
         self._joints = self._joints[: kept.index(shown) + 1 if shown in kept else 0]
         self._joints.append(_Joint.of(shown, at, trajectory))
 
-    def look_ahead(self, preview: float) -> None:
-        """Let the commands be `preview` seconds ahead from now on, without a jump of theirs."""
-        if self.time + self._preview > 0.0:
+    def look_ahead(self, preview: float, *, at_once: bool = False) -> None:
+        """Let the commands be `preview` seconds ahead from now on, without a jump of theirs unless `at_once`."""
+        if self.time + self._preview > 0.0 and not at_once:
             self.time -= (self.rate if self.time > 0.0 else 1.0) * (preview - self._preview)
         self._preview = preview
 
@@ -188,7 +188,7 @@ class Reference:
         else:
             poses = np.empty((previews.size, 3))
             shown = [self._at(float(preview)) for preview in previews]
-            for trajectory in {each for each, _, _ in shown}:
+            for trajectory in dict.fromkeys(each for each, _, _ in shown):
                 mine = [k for k, (each, _, _) in enumerate(shown) if each is trajectory]
                 row = trajectory.sample_at([shown[k][1] for k in mine])
                 poses[mine] = np.column_stack((row.x, row.y, row.yaw))
@@ -200,11 +200,12 @@ class Reference:
         trajectory, time, _ = self._at(preview)
         return trajectory, time
 
-    def join(self, pose: Pose2, linear: float) -> None:
+    def join(self, pose: Pose2, linear: float, delay: float) -> None:
         """Begin at the trajectory's start, or at the nearest point of its first gear when the robot is not there.
 
         Later gears may pass closer by; to begin there would leave the manoeuvre out. The rate begins such that the
-        reference is no faster than the robot at `linear` m/s.
+        reference is no faster than the robot at `linear` m/s; from rest it begins late, by the drive's `delay` [s], so
+        that no command is left out.
         """
         grid = self.trajectory.sample_at(np.linspace(0.0, self.trajectory.duration, _SAMPLES))
         cusps = self.trajectory.cusp_times
@@ -215,7 +216,7 @@ class Reference:
         if abs(speed) > _AT_REST:
             self.rate = min(1.0, max(0.0, linear / speed))
         elif first == 0:
-            self.time = -self._preview  # the first command is that of the beginning
+            self.time = -delay
 
     def advance(
         self, now: ReferenceState, period: float, target_rate: float, limits: MotionLimits, settling: float

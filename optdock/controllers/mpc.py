@@ -192,7 +192,7 @@ class MpcController(TrackingController):
         return latency if p.latency is None else p.latency, lag if p.lag is None else p.lag
 
     @property
-    def _preview(self) -> float:
+    def _known_delay(self) -> float:
         """As the reference has it at the beginning: it starts when the robot can, which then need not catch up."""
         return sum(self._delays)
 

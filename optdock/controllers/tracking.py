@@ -54,8 +54,8 @@ class TrackingControllerParameters(PluginParameters):
     preview: float | None = Field(
         default=None, ge=0.0, description="the drive's latency plus lag, compensated [s]; None: estimated on the way"
     )
-    slow_down_lag: float = Field(default=0.01, ge=0.0, description="lag at which the reference begins to wait [m]")
-    stop_lag: float = Field(default=0.2, gt=0.0, description="lag at which the reference stands still [m]")
+    slow_down_lag: float = Field(default=0.002, ge=0.0, description="lag at which the reference begins to wait [m]")
+    stop_lag: float = Field(default=0.1, gt=0.0, description="lag at which the reference stands still [m]")
     max_error: float = Field(default=0.5, gt=0.0, description="distance from the reference that ends the task [m]")
     max_yaw_error: float = Field(default=0.8, gt=0.0, description="heading error that ends the task [rad]")
     min_speed: float = Field(default=0.0, ge=0.0, description="smallest speed the drive executes, for the finish [m/s]")
@@ -178,7 +178,7 @@ class TrackingController(Controller):
         p, period = self.parameters, self._clock.elapsed
         self._delay.update(self._limiter.command.linear, velocity.linear, period)
         if not self._anchored:
-            self._reference.look_ahead(self._preview)
+            self._reference.look_ahead(self._known_delay + 0.5 * self._clock.period, at_once=True)
             self._anchor(self._reference, pose, velocity)
         now = self._advanced(self._reference)
         error = now.pose.in_frame_of(pose)
@@ -253,7 +253,7 @@ class TrackingController(Controller):
 
     def _anchor(self, reference: Reference, pose: Pose2, velocity: Twist2) -> None:
         if self._starts_at is None or self._clock.now is None:
-            reference.join(pose, velocity.linear)
+            reference.join(pose, velocity.linear, self._known_delay)
         else:
             reference.time = self._clock.now - self._starts_at
         self._seen = None
@@ -265,14 +265,12 @@ class TrackingController(Controller):
             before, lag = self._seen
             settling = 0.0 if self._cancelled else _SETTLING
             reference.advance(before, self._clock.elapsed, self._target_rate(reference, lag), self._limits, settling)
-            reference.look_ahead(self._preview)
+            reference.look_ahead(self._known_delay + 0.5 * self._clock.period, at_once=self._clock.learnt)
         return reference.state()
 
     @property
-    def _preview(self) -> float:
-        """To the middle of the coming period, later by what the drive takes."""
-        p = self.parameters
-        return (self._delay.delay if p.preview is None else p.preview) + 0.5 * self._clock.period
+    def _known_delay(self) -> float:
+        return self._delay.delay if self.parameters.preview is None else self.parameters.preview
 
     def _check_error(self, error: Pose2) -> None:
         p, distance = self.parameters, math.hypot(error.x, error.y)
