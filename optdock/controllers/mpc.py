@@ -377,10 +377,10 @@ class _Remembering(CommandLimiter):
         in_place: bool,  # noqa: ARG002 - likewise
     ) -> Twist2:
         """The command nearest to `wanted` within the limits of speed and acceleration."""
+        if self._fresh:  # how long what the robot does has been in force nobody knows: nothing may be added yet
+            self._fresh, wanted = False, self.command
         command = admissible(rate_limited(self.command, wanted, limits, period), limits, drive)
-        # Of the first command nobody knows the period: it is so short that what it gained says nothing.
-        self.acceleration = 0.0 if self._fresh else (command.linear - self.command.linear) / period
-        self._fresh = False
+        self.acceleration = (command.linear - self.command.linear) / period
         if abs(command.linear) > _AT_REST:
             self.curvature = command.angular / command.linear
         self.command = command

@@ -336,12 +336,14 @@ class TrackingProgram:
     def _use_steps(self, h: FloatArray, elapsed: float) -> None:
         """What depends on the lengths of the steps alone: the differences of the commands, and the cost of effort.
 
-        A command is the mean over its step, so two of them lie half of both steps apart.
+        A command is the mean over its step, so two of them lie half of both steps apart. The difference of two means is
+        the mean of the acceleration over a triangle around their border; the jerk counts between the centroids of these.
         """
         n, program = self._steps, self._program
         self._h = h.copy()
         self._spans = np.concatenate(([elapsed], 0.5 * (h[:-1] + h[1:])))
-        self._jerk_spans = np.concatenate(([elapsed], 0.5 * (self._spans[:-1] + self._spans[1:])))
+        centroids = np.cumsum(h[:-1]) + np.diff(h) / 3.0
+        self._jerk_spans = np.concatenate(([elapsed], np.diff(centroids, prepend=(h[0] - elapsed) / 3.0)))
         difference = np.eye(n) - np.eye(n, k=-1)
         self._changes = difference / self._spans[:, None]
         program.a[self._speed_changes, 0:-2:2] = self._changes
