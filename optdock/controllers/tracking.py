@@ -13,6 +13,7 @@ from optdock.controllers.checks import checked_speed_limit, checked_task
 from optdock.controllers.command_limits import CommandLimiter
 from optdock.controllers.control_clock import ControlClock
 from optdock.controllers.delay_estimate import DelayEstimate
+from optdock.controllers.finish import Accepted, DeadBandPush, Patience, accepted_errors
 from optdock.controllers.moving_reference import Progress, Reference, ReferenceState, peaks
 from optdock.controllers.tracking_law import Gains, tracking_command
 from optdock.errors import ControllerInvalidPath, FailedToTimePath, NoValidControl
@@ -34,6 +35,12 @@ if TYPE_CHECKING:
 __all__ = ["TrackingController", "TrackingControllerParameters", "require_free_stop"]
 
 _SETTLING = 0.2  # [s], time constant with which the reference's rate approaches its target
+_HELD = 0.1  # rate of a waiting reference below which the robot does not follow
+_NOTHING = 5e-5  # [m/s], [rad/s]: at the end less than this is not commanded
+_SHORTEST_CONVERGENCE = 0.05  # [m]
+_DELAYS_TO_CONVERGE = 3.0  # a lateral error may decay within the way of so many delays; less overshoots
+_ASIDE_SMOOTHING = 0.2  # [s]
+_LEFT = 0.25  # of the accepted error across, that may be left at the end by what is seen now
 _PEAK_MARGIN = 1.2  # without a configured robot: headroom for feedback above the trajectory's own peaks
 _SPACING = 0.05  # [m] between the poses looked at on the way to a stop; no robot is so short that a post fits between
 _DEEPER = 1e-6  # [m]: a robot that touches something may drive on as long as it does not go deeper
@@ -62,6 +69,9 @@ class TrackingControllerParameters(PluginParameters):
     min_yaw_rate: float = Field(default=0.0, ge=0.0, description="smallest yaw rate it executes [rad/s]")
     finish_tolerance: float = Field(default=0.002, gt=0.0, description="the smallest speed is used beyond this [m]")
     finish_yaw_tolerance: float = Field(default=0.005, gt=0.0, description="as finish_tolerance, for yaw [rad]")
+    patience: float = Field(
+        default=3.0, gt=0.0, description="time without progress, on the way or at the end, after which it gives up [s]"
+    )
     use_collision_detection: bool = Field(default=True, description="look for obstacles on the way to a stop")
     collision_tolerance: float = Field(
         default=0.01, ge=0.0, description="depth of contact that noise and a pressed bumper may show [m]"
@@ -87,8 +97,12 @@ class TrackingController(Controller):
     (`delay_estimate`); it is kept from path to path, until `reset`.
 
     **Finish.** At the trajectory's end the same law holds the last pose: errors along and in yaw decay exponentially
-    to zero, without a dead band of its own. A drive that ignores small commands is given at least `min_speed`
-    (`min_yaw_rate`) until within `finish_tolerance`. An error across cannot be removed by a wheeled robot in place.
+    to zero, without a dead band of its own. A drive that ignores small commands is told larger ones, at once
+    `min_speed` and `min_yaw_rate` where they are given, until within half of what the goal checker accepts (or
+    `finish_tolerance`). An error across cannot be removed by a wheeled robot in place: near the end it is corrected
+    over a shorter distance than `convergence_distance`, as far as curvature and the drive's delay allow. What is not
+    accepted then, and becomes no better for `patience`, is refused by name: NoValidControl, plan again. So is a robot
+    that does not follow.
 
     **Collisions.** A command after which the robot could no longer stop before it is `collision_tolerance` deep in
     something is refused: NoValidControl, and the server stops the robot. The certified path needs no such check; an
@@ -120,6 +134,7 @@ class TrackingController(Controller):
         self._clock = ControlClock()
         self._delay = DelayEstimate()
         self._anchored = self._cancelled = False
+        self._attempt()
 
     def set_path(self, path: Path | Trajectory, *, start_stamp: float | None = None) -> None:
         """Follow a trajectory, or a path after timing it, from the next call on.
@@ -145,6 +160,7 @@ class TrackingController(Controller):
         else:
             self._reference, self._starts_at = Reference(trajectory), start_stamp
             self._anchored = self._cancelled = False
+        self._attempt()
         self._limits = self._limits_for(trajectory)
 
     def compute_velocity_commands(
@@ -175,24 +191,31 @@ class TrackingController(Controller):
             return self._limiter.command
         if self._clock.silent:
             self._limiter.restart(Twist2(velocity.linear, velocity.angular))
+        try:
+            return self._command(self._reference, pose, velocity, goal_checker)
+        except NoValidControl:
+            self._limiter.stop()  # what a refusal leaves the robot with
+            raise
+
+    def _command(self, reference: Reference, pose: Pose2, velocity: Twist2, goal_checker: GoalChecker | None) -> Twist2:
         p, period = self.parameters, self._clock.elapsed
         self._delay.update(self._limiter.command.linear, velocity.linear, period)
         if not self._anchored:
-            self._reference.look_ahead(self._known_delay + 0.5 * self._clock.period, at_once=True)
-            self._anchor(self._reference, pose, velocity)
-        now = self._advanced(self._reference)
+            reference.look_ahead(self._known_delay + 0.5 * self._clock.period, at_once=True)
+            self._anchor(reference, pose, velocity)
+        now = self._advanced(reference)
         error = now.pose.in_frame_of(pose)
         self._check_error(error)
-        wanted = self._wanted(self._reference, now, error, goal_checker)
-        in_place = now.gear == 0.0 or self._reference.finished
+        accepted = accepted_errors(goal_checker, self.context)
+        self._check_progress(reference, now, error, accepted)
+        wanted = self._wanted(reference, now, error, accepted)
+        if reference.finished:
+            wanted = self._finishing(wanted, error, accepted, velocity)
+        in_place = now.gear == 0.0 or reference.finished
         command = self._limiter.follow(wanted, now.ahead.twist, period, self._limits, self._drive, in_place=in_place)
         self._seen = (now, now.lag_of(error))
         if p.use_collision_detection:
-            try:
-                require_free_stop(self.context, pose, command, self._limits, self._clock.period, p.collision_tolerance)
-            except NoValidControl:
-                self._limiter.stop()
-                raise
+            require_free_stop(self.context, pose, command, self._limits, self._clock.period, p.collision_tolerance)
         return command
 
     def set_speed_limit(self, limit: float, percentage: bool) -> None:  # noqa: FBT001 - Nav2's order of arguments
@@ -225,6 +248,11 @@ class TrackingController(Controller):
     def progress(self) -> Progress | None:
         """Where the reference is, on the clock of the trajectory given last; None without a path."""
         return None if self._reference is None else self._reference.progress
+
+    def _attempt(self) -> None:
+        """A new path is a new attempt."""
+        self._aside = 0.0
+        self._following, self._arriving, self._push = Patience(), Patience(), DeadBandPush()
 
     @property
     def _drive(self) -> Drive:
@@ -281,31 +309,70 @@ class TrackingController(Controller):
                 where={"along": error.x, "cross": error.y, "yaw": error.yaw},
             )
 
-    def _wanted(
-        self, reference: Reference, now: ReferenceState, error: Pose2, goal_checker: GoalChecker | None
-    ) -> Twist2:
+    def _check_progress(self, reference: Reference, now: ReferenceState, error: Pose2, accepted: Accepted) -> None:
+        """Refuse to stand for ever: a robot that does not follow, or that cannot reach what is accepted."""
+        p, period = self.parameters, self._clock.elapsed
+        where = {"along": error.x, "cross": error.y, "yaw": error.yaw}
+        waiting = self._waiting(now.lag_of(error))
+        if self._following.lost(0.0 if self._cancelled or waiting > _HELD else 2.0, period, p.patience):
+            raise NoValidControl(
+                f"TrackingController: the robot does not follow: for {p.patience:g} s the reference has waited for it, "
+                f"{abs(error.x):.3f} m ahead; it is blocked, or its drive does not answer",
+                where=where,
+            )
+        left = accepted.shortfall(error) if reference.finished and not self._cancelled else 0.0
+        if self._arriving.lost(left, period, p.patience):
+            raise NoValidControl(
+                f"TrackingController: cannot come any nearer: {error.x:.3f} m along, {error.y:.3f} m across and "
+                f"{error.yaw:.3f} rad are left, accepted are {accepted.along:g} m, {accepted.cross:g} m and "
+                f"{accepted.yaw:g} rad, and nothing has become better for {p.patience:g} s; plan again from here",
+                where=where,
+            )
+
+    def _wanted(self, reference: Reference, now: ReferenceState, error: Pose2, accepted: Accepted) -> Twist2:
         if self._cancelled and reference.rate == 0.0:
             return Twist2()
         p = self.parameters
-        gains = Gains(p.along_gain, p.convergence_distance, p.damping, p.turn_gain)
-        wanted = tracking_command(error, now.ahead.twist, gains)
-        return self._above_dead_band(wanted, error, goal_checker) if reference.finished else wanted
+        # Smoothed, so that noise alone does not shorten the distance, which would amplify it.
+        self._aside += (error.y - self._aside) * min(1.0, self._clock.elapsed / _ASIDE_SMOOTHING)
+        distance = self._convergence_distance(now, self._aside, accepted)
+        return tracking_command(error, now.ahead.twist, Gains(p.along_gain, distance, p.damping, p.turn_gain))
 
-    def _above_dead_band(self, wanted: Twist2, error: Pose2, goal_checker: GoalChecker | None) -> Twist2:
+    def _convergence_distance(self, now: ReferenceState, aside: float, accepted: Accepted) -> float:
+        """As given; less where too much would be left at the end, but no less than the drive's delay allows."""
+        usual, left, speed = self.parameters.convergence_distance, now.ahead.left, abs(now.ahead.twist.linear)
+        least = max(_SHORTEST_CONVERGENCE, _DELAYS_TO_CONVERGE * speed * (self._known_delay + 0.5 * self._clock.period))
+        found = usual
+        # Critically damped, an error decays by (1 + d / L) exp(-d / L) over a distance d.
+        while found > least and abs(aside) * (1.0 + left / found) * math.exp(-left / found) > _LEFT * accepted.cross:
+            found *= 0.9
+        return max(found, min(least, usual))
+
+    def _finishing(self, wanted: Twist2, error: Pose2, accepted: Accepted, velocity: Twist2) -> Twist2:
+        """The command that ends the drive: above the dead band while more is left than needs to be, then nothing."""
         p = self.parameters
-        accepted = goal_checker.tolerances if goal_checker else None
-        near = max(p.finish_tolerance, 0.5 * (accepted.x or 0.0) if accepted else 0.0)
-        aligned = max(p.finish_yaw_tolerance, 0.5 * (accepted.yaw or 0.0) if accepted else 0.0)
+        near, aligned = max(p.finish_tolerance, 0.5 * accepted.along), max(p.finish_yaw_tolerance, 0.5 * accepted.yaw)
+        if self._cancelled:
+            return wanted
         linear = _at_least(wanted.linear, p.min_speed) if abs(error.x) > near else wanted.linear
         angular = _at_least(wanted.angular, p.min_yaw_rate) if abs(error.yaw) > aligned else wanted.angular
-        return Twist2(linear, angular)
+        pushed = self._push.onto(
+            Twist2(linear, angular), error, Pose2(near, 0.0, aligned), velocity, self._clock.elapsed
+        )
+        return Twist2(
+            0.0 if abs(pushed.linear) < _NOTHING else pushed.linear,
+            0.0 if abs(pushed.angular) < _NOTHING else pushed.angular,
+        )
 
     def _target_rate(self, reference: Reference, lag: float) -> float:
         if self._cancelled:
             return 0.0
+        return self._waiting(lag) * self._allowed_rate(reference.trajectory)
+
+    def _waiting(self, lag: float) -> float:
+        """Rate of a reference that waits for a robot that lags [1]."""
         p = self.parameters
-        waiting = min(1.0, max(0.0, (p.stop_lag - lag) / max(1e-9, p.stop_lag - p.slow_down_lag)))
-        return waiting * self._allowed_rate(reference.trajectory)
+        return min(1.0, max(0.0, (p.stop_lag - lag) / max(1e-9, p.stop_lag - p.slow_down_lag)))
 
     def _allowed_rate(self, trajectory: Trajectory) -> float:
         if self._speed_limit is None:

@@ -191,14 +191,28 @@ class TestCancel:
         assert ready(straight_drive(START)).cancel()
 
 
-def test_the_reference_waits_for_a_blocked_robot():
+def test_the_reference_waits_for_a_blocked_robot_and_a_robot_that_does_not_follow_is_named():
     trajectory = straight_drive(START)
     controller = ready(trajectory)
-    for _ in range(600):
+    for _ in range(150):
         command = controller.compute_velocity_commands(START, Twist2(), None, stamp=next(STAMPS))
     assert 0.0 < command.linear <= 0.5
+    assert controller.progress.rate < 0.1
+    error = refusal(controller, lambda now: START, 200)
+    assert "does not follow: for 3 s the reference has waited" in str(error)
+    assert 0.08 < error.where["along"] < 0.12
     _, states = drive(controller, trajectory, 500)
     assert states[-1].pose.distance_to(trajectory.path.end) < 1e-4
+
+
+def refusal(controller, pose_at, cycles, checker=None):
+    """What ends a run of a robot that is held where `pose_at` says."""
+    for _ in range(cycles):
+        try:
+            controller.compute_velocity_commands(pose_at(controller.progress), Twist2(), checker, stamp=next(STAMPS))
+        except NoValidControl as error:
+            return error
+    return None
 
 
 def test_far_from_the_reference_it_refuses_and_says_where():
@@ -232,13 +246,26 @@ class TestTheFinish:
         controller = ready(trajectory, **parameters)
         return run_closed_loop(trajectory, ROBOT, trajectory.path.end, controller, checker, settings)
 
-    def test_a_dead_band_traps_the_law_and_the_smallest_speed_frees_it(self):
-        checker = AxisGoalChecker(along_path_tolerance=0.004, cross_track_tolerance=0.05)
-        trapped = self.run(checker, self.dead)
-        assert not trapped.docked
-        assert 0.004 < abs(trapped.final_error.x) < 0.04
-        freed = self.run(checker, self.dead, min_speed=0.08, min_yaw_rate=0.05)
-        assert freed.docked, freed.reason
+    @pytest.mark.parametrize("known", [{}, {"min_speed": 0.08, "min_yaw_rate": 0.05}])
+    def test_a_dead_band_does_not_keep_it_from_its_goal(self, known):
+        checker = AxisGoalChecker(along_path_tolerance=0.008, cross_track_tolerance=0.05)
+        run = self.run(checker, self.dead, **known)
+        assert run.docked, run.reason
+
+    @pytest.mark.parametrize("gear", [Direction.FORWARD, Direction.REVERSE])
+    def test_an_error_across_that_stays_is_named_and_nothing_is_commanded_for_ever(self, gear):
+        trajectory = straight_drive(START, gear)
+        controller, checker = ready(trajectory), DockGoalChecker(cross_tolerance=0.01)
+        aside = trajectory.path.end @ Pose2(0.0, 0.022, 0.0)
+        ends = trajectory.duration - 0.1
+
+        def held(now):
+            return trajectory.at(max(0.0, now.time)).pose if now.time < ends else aside
+
+        error = refusal(controller, held, round((trajectory.duration + 6.0) / PERIOD), checker)
+        assert "cannot come any nearer" in str(error)
+        assert "0.022 m across" in str(error)
+        assert error.where["cross"] == pytest.approx(-0.022)
 
     def test_what_is_left_at_the_end_decays_to_nothing(self):
         trajectory = straight_drive(START)
@@ -256,13 +283,13 @@ class TestTheFinish:
         near = trajectory.path.end @ Pose2(-0.009, 0.0, 0.0)
         assert abs(finishing(controller, trajectory, near, checker).linear) < 0.03
         off = trajectory.path.end @ Pose2(-0.011, 0.0, 0.0)
-        assert finishing(controller, trajectory, off, checker).linear == pytest.approx(0.03)
+        assert finishing(controller, trajectory, off, checker).linear >= 0.03
 
 
 def finishing(controller, trajectory, pose, checker):
-    """The settled command after the trajectory's end, with the robot held at `pose`."""
+    """The command soon after the trajectory's end, with the robot held at `pose`."""
     controller.set_path(trajectory)
-    for _ in range(400):
+    for _ in range(round(trajectory.duration / PERIOD) + 20):
         command = controller.compute_velocity_commands(pose, Twist2(), checker, stamp=next(STAMPS))
     return command
 
