@@ -11,6 +11,7 @@ import numpy as np
 from pydantic import Field
 
 from optdock.controllers.command_limits import CommandLimiter, rate_limited
+from optdock.controllers.finish import Accepted
 from optdock.controllers.moving_reference import Reference, ReferenceState
 from optdock.controllers.mpc_program import (
     CommandBounds,
@@ -45,21 +46,24 @@ _MOST = 1e3  # [m/s], [rad/s]: faster than anything, for the reachable interval 
 
 
 class MpcControllerParameters(TrackingControllerParameters):
-    """Horizon, weights and drive of the MpcController; the gains and the preview of the other law are not used."""
+    """Horizon, weights and drive of the MpcController; the gains and the preview of the other law are not used.
 
-    horizon: float = Field(default=0.8, gt=0.0, le=5.0, description="how far ahead it looks [s]")
-    steps: int = Field(default=16, ge=3, le=60, description="of the horizon")
+    The weights are those that `python -m experiments.benchmarks tracking --tune 120` finds, rounded.
+    """
+
+    horizon: float = Field(default=0.7, gt=0.0, le=5.0, description="how far ahead it looks [s]")
+    steps: int = Field(default=14, ge=3, le=60, description="of the horizon")
     latency: float | None = Field(
         default=None, ge=0.0, le=0.5, description="between a command and its first effect [s]; None: identified"
     )
     lag: float | None = Field(default=None, ge=0.0, description="time constant of the drive [s]; None: identified")
-    along_error: float = Field(default=0.02, gt=0.0, description="error along that weighs 1 [m]")
-    cross_error: float = Field(default=0.01, gt=0.0, description="error across that weighs 1 [m]")
-    yaw_error: float = Field(default=0.05, gt=0.0, description="heading error that weighs 1 [rad]")
-    speed_effort: float = Field(default=0.1, gt=0.0, description="speed beside the reference's that weighs 1 [m/s]")
-    yaw_rate_effort: float = Field(default=0.2, gt=0.0, description="yaw rate beside it that weighs 1 [rad/s]")
-    smoothness: float = Field(default=0.2, ge=0.0, description="time in which these efforts may come and go [s]")
-    final_weight: float = Field(default=10.0, ge=0.0, description="errors at the end weigh as over this time [s]")
+    along_error: float = Field(default=0.01, gt=0.0, description="error along that weighs 1 [m]")
+    cross_error: float = Field(default=0.0125, gt=0.0, description="error across that weighs 1 [m]")
+    yaw_error: float = Field(default=0.08, gt=0.0, description="heading error that weighs 1 [rad]")
+    speed_effort: float = Field(default=0.08, gt=0.0, description="speed beside the reference's that weighs 1 [m/s]")
+    yaw_rate_effort: float = Field(default=0.5, gt=0.0, description="yaw rate beside it that weighs 1 [rad/s]")
+    smoothness: float = Field(default=0.08, ge=0.0, description="time in which these efforts may come and go [s]")
+    final_weight: float = Field(default=20.0, ge=0.0, description="errors at the end weigh as over this time [s]")
     tube_cross: float = Field(default=0.0, ge=0.0, description="half width of the tube [m]; 0: none")
     tube_yaw: float = Field(default=0.1, gt=0.0, description="largest heading error in the tube [rad]")
 
@@ -221,8 +225,8 @@ class MpcController(TrackingController):
         self,
         reference: Reference,
         now: ReferenceState,  # noqa: ARG002 - of the other law
-        error: Pose2,
-        goal_checker: GoalChecker | None,
+        error: Pose2,  # noqa: ARG002 - likewise
+        accepted: Accepted,  # noqa: ARG002 - likewise
     ) -> Twist2:
         if self._built_for is not self.parameters:
             self._prepare()
@@ -263,7 +267,8 @@ class MpcController(TrackingController):
         if cycle.bounds.curvature is not None:
             least, most = sorted((cycle.bounds.curvature[:, 0] * wanted.linear).tolist())
             wanted = Twist2(wanted.linear, min(max(wanted.angular, least), most))
-        return self._above_dead_band(wanted, error, goal_checker) if reference.finished else wanted
+        self._limiter.allowed = wanted
+        return wanted
 
     def _at_effect(self, latency: float, lag: float) -> tuple[Pose2, Twist2]:
         """Pose and velocity when the next command takes effect, by what has been given until now."""
@@ -358,32 +363,42 @@ class MpcController(TrackingController):
 
 
 class _Remembering(CommandLimiter):
-    """The program has kept all limits already: what is given is remembered, and what its tolerances leave is cut."""
+    """Lets the program's own commands pass, which keep all limits already; what the finish makes of them it limits.
+
+    Attributes:
+        allowed: The program's command of this cycle.
+        acceleration: Of the last command [m/s^2].
+        curvature: Of the wheels, as the last command in motion has left them [1/m].
+    """
 
     def restart(self, command: Twist2) -> None:
         """Begin at what the robot does, at a steady speed."""
         super().restart(command)
+        self.allowed: Twist2 | None = None
         self.acceleration, self._fresh = 0.0, True
         self.curvature = command.angular / command.linear if abs(command.linear) > _AT_REST else 0.0
 
     def follow(
         self,
         wanted: Twist2,
-        feed_forward: Twist2,  # noqa: ARG002 - the program knows where it goes
+        feed_forward: Twist2,
         period: float,
         limits: MotionLimits,
         drive: Drive,
         *,
-        in_place: bool,  # noqa: ARG002 - likewise
+        in_place: bool,
     ) -> Twist2:
-        """The command nearest to `wanted` within the limits of speed and acceleration."""
-        if self._fresh:  # how long what the robot does has been in force nobody knows: nothing may be added yet
-            self._fresh, wanted = False, self.command
-        command = admissible(rate_limited(self.command, wanted, limits, period), limits, drive)
-        self.acceleration = (command.linear - self.command.linear) / period
+        """The command nearest to `wanted` that the last one can become."""
+        before = self.command
+        command = super().follow(wanted, feed_forward, period, limits, drive, in_place=in_place)
+        if wanted == self.allowed and not self._fresh:
+            self.command = command = admissible(rate_limited(before, wanted, limits, period), limits, drive)
+            self._acceleration = (command.linear - before.linear) / period
+        # How long what the robot does has been in force nobody knows at first: nothing is added then.
+        self.acceleration = 0.0 if self._fresh else (command.linear - before.linear) / period
+        self._fresh = False
         if abs(command.linear) > _AT_REST:
             self.curvature = command.angular / command.linear
-        self.command = command
         return command
 
 

@@ -337,7 +337,8 @@ class TrackingProgram:
         """What depends on the lengths of the steps alone: the differences of the commands, and the cost of effort.
 
         A command is the mean over its step, so two of them lie half of both steps apart. The difference of two means is
-        the mean of the acceleration over a triangle around their border; the jerk counts between the centroids of these.
+        the mean of the acceleration over a triangle around their border; the jerk counts between the centroids of
+        these, so whatever keeps the limit in continuous time keeps it here.
         """
         n, program = self._steps, self._program
         self._h = h.copy()
