@@ -50,7 +50,7 @@ if TYPE_CHECKING:
     from optdock.planners.dock_planner import DockPlanner
     from optdock.planners.manoeuvres.manoeuvre_planner import ManoeuvrePlanner
     from optdock.problem import ClearanceRule, DockingProblem
-    from optdock.robot import Robot
+    from optdock.robot import Robot, TrackingTube
     from optdock.segments import TurnSegment
     from optdock.timing.near_optimal import NearOptimal
     from optdock.trajectory import Trajectory
@@ -94,7 +94,7 @@ _MODULES = {
     "optdock.pipeline": ("plan_dock", "warm_up"),
     "optdock.plan": ("DockPlan",),
     "optdock.problem": ("ClearanceRule", "DockingProblem"),
-    "optdock.robot": ("Robot",),
+    "optdock.robot": ("Robot", "TrackingTube"),
     "optdock.segments": ("TurnSegment",),
     "optdock.trajectory": ("Trajectory",),
     "optdock.verification": (
@@ -144,6 +144,7 @@ __all__ = [
     "StartOccupied",
     "TimedOut",
     "TrackingController",
+    "TrackingTube",
     "Trajectory",
     "TurnSegment",
     "certify_path",

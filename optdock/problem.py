@@ -122,8 +122,8 @@ class DockingProblem(FrozenArrays):
         robot: What drives.
         obstacles: What it must not touch: an `ObstacleSet`, or simple polygons, convex or not, Shape (n, 2) [m] each;
             the i-th is called `obstacles[i]`.
-        clearance: How far it must stay away: a `ClearanceRule`, or one number [m] that holds everywhere, also at the
-            dock.
+        clearance: How far it must stay away, wherever in its tracking tube it is: a `ClearanceRule`, or one number [m]
+            that holds everywhere, also at the dock.
         start_speed: Speed at the start, signed, negative in reverse [m/s].
         start_curvature: Curvature at the start along the travel [1/m]; None leaves it free.
         costmap: What is known of the surroundings as a grid; None where only obstacles are. Read when the problem is
@@ -274,6 +274,12 @@ class DockingProblem(FrozenArrays):
         """
         return dataclasses.replace(self, start=start, start_speed=speed, start_curvature=curvature)
 
+    @functools.cached_property
+    def path_clearance(self) -> ClearanceRule:
+        """What the path itself must keep, so that every pose within the robot's tracking tube keeps `clearance`."""
+        wider = self.clearance.required + self.robot.tracking.width(self.robot.footprint)
+        return dataclasses.replace(self.clearance, required=wider)
+
     @property
     def goal(self) -> Pose2:
         """The pose of the robot when docked."""
@@ -301,7 +307,7 @@ class DockingProblem(FrozenArrays):
     @functools.cached_property
     def fingerprint(self) -> ProblemFingerprint:
         """Digests of what a certificate for this problem is proven against."""
-        dock, rule = self.dock, self.clearance
+        dock, rule = self.dock, self.path_clearance
         station = digest("none") if dock.footprint is None else digest(dock.footprint.vertices)
         steered = "free" if self.start_curvature is None else str(float(self.start_curvature))
         zone, accepted = dock.approach, dock.tolerances

@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from optdock.limits import MotionLimits
     from optdock.plan import DockPlan
     from optdock.simulation import Run
+    from optdock.tube import Deviations
     from optdock.verification import Certificate
 
 __all__ = [
@@ -126,8 +127,13 @@ def _spoken(name: str) -> str:
     return name.removeprefix("max_").replace("_", " ")
 
 
-def run_rows(run: Run) -> list[Row]:
-    """A simulated run in a few lines."""
+def run_rows(run: Run, deviations: Deviations | None = None) -> list[Row]:
+    """A simulated run in a few lines.
+
+    Args:
+        run: The run.
+        deviations: Of its poses from the certified path; None where there is none.
+    """
     error = run.final_error
     rows = [
         Row("docked", ("yes" if run.docked else f"no: {run.reason}") if not run.collided else f"no, {run.fault}"),
@@ -140,9 +146,28 @@ def run_rows(run: Run) -> list[Row]:
         rows.insert(1, Row("goal checkers", ", ".join(said)))
     if run.min_clearance is not None:
         rows.append(Row("min clearance driven", f"{run.min_clearance:.4f} m"))
+    if deviations is not None:
+        rows += _tube_rows(run, deviations)
     if run.differs:
         rows.append(Row("certified for", f"another {' and '.join(run.differs)}"))
     return rows
+
+
+def _tube_rows(run: Run, deviations: Deviations) -> list[Row]:
+    """What tube the drive needed, and whether it kept the one that is proven."""
+    off, yaw = float(np.hypot(deviations.along, deviations.cross).max()), float(np.abs(deviations.yaw).max())
+    farthest, width = float(deviations.displacement.max()), float(deviations.width.max())
+    needed = f"{1e3 * off:.2f} mm and {yaw:.5f} rad, no point of the robot by more than {1e3 * farthest:.2f} mm"
+    outside = deviations.excess > 0.0
+    to_go = np.hypot(run.poses[:, 0] - run.goal.x, run.poses[:, 1] - run.goal.y)
+    if width == 0.0:
+        said = "none is proven; robot.tracking asks for one"
+    elif not outside.any():
+        said = f"kept, {1e3 * width:.1f} mm wide before it tapers"
+    else:
+        worst = int(np.argmax(deviations.excess))
+        said = f"left {to_go[outside].max():.3f} m before the dock, by {1e3 * deviations.excess[worst]:.2f} mm at most"
+    return [Row("off the path", needed), Row("tube", said)]
 
 
 def _largest_error(errors: FloatArray) -> str:

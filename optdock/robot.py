@@ -10,12 +10,12 @@ from typing import NamedTuple
 
 from optdock.errors import InvalidValue
 from optdock.fingerprint import digest
-from optdock.geometry.checked import instance, member
+from optdock.geometry.checked import instance, member, number
 from optdock.geometry.footprint import Footprint
 from optdock.geometry.pose import Twist2
 from optdock.limits import STEERING_UNITS, MotionLimits
 
-__all__ = ["Drive", "Robot", "RobotFingerprint", "admissible", "check_drive"]
+__all__ = ["Drive", "Robot", "RobotFingerprint", "TrackingTube", "admissible", "check_drive"]
 
 
 class Drive(str, Enum):
@@ -23,6 +23,39 @@ class Drive(str, Enum):
 
     DIFFERENTIAL = "differential"
     ACKERMANN = "ackermann"
+
+
+@dataclass(frozen=True)
+class TrackingTube:
+    """How far the robot may be off its path; a certificate holds for every pose within.
+
+    A pose that is off by `cross` and turned by `yaw` moves no point of the footprint by more than
+    cross + 2 R sin(yaw / 2), R the circumscribed radius: so much more clearance is kept along the path. It tapers at
+    the dock as the clearance does, where the robot comes to rest and is to touch. `optdock simulate` prints the tube
+    that a drive needs.
+
+    Args:
+        cross: Largest distance from the path [m].
+        yaw: Largest heading error [rad].
+
+    Raises:
+        InvalidValue: One is negative or not finite, or `yaw` is more than half a turn.
+    """
+
+    cross: float = 0.0
+    yaw: float = 0.0
+
+    def __post_init__(self) -> None:
+        for name, unit, most in (("cross", "m", math.inf), ("yaw", "rad", math.pi)):
+            value = number(getattr(self, name), f"robot.tracking.{name}")
+            object.__setattr__(self, name, value)
+            if not (math.isfinite(value) and 0.0 <= value <= most):
+                up_to = f" and <= {most:.4f}" if math.isfinite(most) else ""
+                raise InvalidValue(f"robot.tracking.{name}: must be finite and >= 0{up_to} {unit}, got {value}")
+
+    def width(self, footprint: Footprint) -> float:
+        """Largest displacement of a point of the footprint [m]."""
+        return self.cross + 2.0 * footprint.circumscribed_radius * math.sin(0.5 * self.yaw)
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,6 +68,7 @@ class Robot:
         drive: How it steers, a `Drive` or its word.
         turns_in_place: Whether its paths may turn where it stands (`TurnSegment`); a differential drive that has limits
             for it.
+        tracking: How far it may be off its path.
 
     Raises:
         InvalidValue: The drive is none, a part is of another class, a differential drive has a steering angle or rate,
@@ -45,12 +79,14 @@ class Robot:
     limits: MotionLimits
     drive: Drive = Drive.DIFFERENTIAL
     turns_in_place: bool = False
+    tracking: TrackingTube = TrackingTube()
 
     def __post_init__(self) -> None:
         instance(Footprint, self.footprint, "robot.footprint")
         instance(MotionLimits, self.limits, "robot.limits")
         object.__setattr__(self, "drive", member(Drive, self.drive, "robot.drive"))
         instance(bool, self.turns_in_place, "robot.turns_in_place")
+        instance(TrackingTube, self.tracking, "robot.tracking")
         check_drive(self.drive, self.limits, turns_in_place=self.turns_in_place)
 
     @functools.cached_property

@@ -266,4 +266,4 @@ def _held_apart(poses: ca.SX, now: FloatArray, pairs: _Pairs, lines: ca.SX, prob
 def _required(poses: FloatArray, problem: DockingProblem) -> FloatArray:
     from_goal = np.hypot(poses[:, 0] - problem.goal.x, poses[:, 1] - problem.goal.y)
     from_start = np.hypot(poses[:, 0] - problem.start.x, poses[:, 1] - problem.start.y)
-    return problem.clearance.required_at(from_goal, from_start, clearance_at(problem.start, problem))
+    return problem.path_clearance.required_at(from_goal, from_start, clearance_at(problem.start, problem))

@@ -17,7 +17,7 @@ from optdock.limits import MotionLimits, SpeedZone
 from optdock.obstacles import ObstacleSet
 from optdock.path import ClothoidSegment, Direction, Path, PolylineSegment, TurnSegment
 from optdock.problem import ClearanceRule, DockingProblem
-from optdock.robot import Drive, Robot
+from optdock.robot import Drive, Robot, TrackingTube
 from optdock.trajectory import TimeLaw
 
 if TYPE_CHECKING:
@@ -116,6 +116,7 @@ def problem_of(case: Case) -> DockingProblem:
             MotionLimits(**case["limits"]),
             case.get("drive", Drive.DIFFERENTIAL),
             turns_in_place=case.get("turns_in_place", False),
+            tracking=TrackingTube(*case.get("tracking", ())),
         ),
         obstacles=obstacles,
         clearance=ClearanceRule(*case["clearance"]),
@@ -150,6 +151,7 @@ def problem_spec(problem: DockingProblem) -> Case:
         "limits": {spec.name: getattr(limits, spec.name) for spec in fields(limits)},
         "drive": problem.robot.drive.value,
         "turns_in_place": problem.robot.turns_in_place,
+        "tracking": [problem.robot.tracking.cross, problem.robot.tracking.yaw],
         "zone": [approach.speed if np.isfinite(approach.speed) else None, approach.distance],
     }
 

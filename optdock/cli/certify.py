@@ -10,7 +10,7 @@ import typer
 from optdock.cli.common import NOT_CERTIFIED, ScenarioArgument, VerboseOption, reported
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Iterator, Mapping
 
     from optdock.io.plan_file import PlanFile, TrajectoryColumns
     from optdock.path import Path as DockPath
@@ -167,21 +167,29 @@ def _proven_against(plan: PlanFile, certificate: Certificate) -> str:
 
 def _false_claims(plan: PlanFile, certificate: Certificate) -> Iterator[str]:
     """Every claim of the file that is better than the truth."""
-    from optdock.io.numbers import is_number
     from optdock.io.plan_file import CERTIFIED
-    from optdock.verification import SHARPNESS, TOLERANCE
 
     claimed = plan.certificate or {}
     if not certificate.certified and plan.status == CERTIFIED:
         yield f"status is {CERTIFIED!r}, the path is not"
     if not certificate.certified and claimed.get("certified") is True:
         yield "certificate.certified is true, the path is not certified"
+    yield from _false_numbers(claimed, certificate)
+
+
+def _false_numbers(claimed: Mapping[str, object], certificate: Certificate) -> Iterator[str]:
+    from optdock.io.numbers import is_number
+    from optdock.verification import SHARPNESS, TOLERANCE
+
     clearance = claimed.get("min_clearance")
     if is_number(clearance) and clearance > certificate.min_clearance + SHARPNESS + TOLERANCE:
         yield f"certificate.min_clearance is {clearance:.6g} m, proven are {certificate.min_clearance:.6g} m"
     relief = claimed.get("start_relief", 0.0)
     if certificate.certified and is_number(relief) and relief < certificate.start_relief - TOLERANCE:
         yield f"certificate.start_relief is {relief:.6g} m, the proof grants {certificate.start_relief:.6g} m"
+    tube = claimed.get("tube", 0.0)
+    if is_number(tube) and tube > certificate.tube + TOLERANCE:
+        yield f"certificate.tube is {tube:.6g} m, proven are {certificate.tube:.6g} m"
     for name, least, unit in (
         ("max_curvature", certificate.max_curvature, "1/m"),
         ("max_curvature_rate", certificate.max_curvature_rate, "1/m^2"),

@@ -32,6 +32,7 @@ if TYPE_CHECKING:
     from optdock.config import Scenario
     from optdock.plan import DockPlan
     from optdock.simulation import Run
+    from optdock.tube import Deviations
 
 __all__ = ["World", "demo", "driven", "simulate"]
 
@@ -86,9 +87,11 @@ def simulate(  # noqa: PLR0913 - one parameter per option
         _check_animation(gif)
         spare(scenario, out, plot, gif)
         loaded = load_scenario(scenario)
-        run = driven(loaded, solved(loaded, time_budget, PlanOutputs(picture=plot)), seed, world)
+        plan = solved(loaded, time_budget, PlanOutputs(picture=plot))
+        run = driven(loaded, plan, seed, world)
         _write(loaded, run, seed, out, (plot, gif))
-        typer.echo(table([*run_rows(run), ("written", ", ".join(str(one) for one in (out, plot, gif) if one))]))
+        files = ", ".join(str(one) for one in (out, plot, gif) if one)
+        typer.echo(table([*run_rows(run, _deviations(plan, run)), ("written", files)]))
         _refuse_fault(run)
 
 
@@ -119,11 +122,8 @@ def demo(
             run = driven(scenario, plan, 0)
             _write(scenario, run, 0, out / "run.json", (out / "run.png", out / "run.gif"))
             advance("driven")
-        typer.echo(
-            table(
-                [*plan_rows(plan), *limit_rows(scenario.problem.robot.limits, scenario.default_limits), *run_rows(run)]
-            )
-        )
+        limits = limit_rows(scenario.problem.robot.limits, scenario.default_limits)
+        typer.echo(table([*plan_rows(plan), *limits, *run_rows(run, _deviations(plan, run))]))
         typer.echo(f"\nThe scenario, the plan, the run and their pictures are in {out}. Next, for example:")
         typer.echo(f"  {_program()} plan {out / 'scenario.yaml'} --plot plan.png")
         _refuse_fault(run)
@@ -219,6 +219,13 @@ def driven(scenario: Scenario, plan: DockPlan, seed: int, world: World = _USUAL)
         obstacles=problem.all_obstacles,
     )
     return run_closed_loop(plan.trajectory, problem.robot, problem.goal, controller, checker, settings, beside=beside)
+
+
+def _deviations(plan: DockPlan, run: Run) -> Deviations:
+    """How far a run is off the path of its plan."""
+    from optdock.tube import Tube
+
+    return Tube(plan.path, plan.problem, plan.certificate.start_relief).deviations(run.poses)
 
 
 def _checked(world: World) -> World:

@@ -37,7 +37,7 @@ from optdock.io.numbers import check_outline, check_speed, check_yaw, is_number
 from optdock.limits import MotionLimits, check_steering
 from optdock.pipeline import DEFAULT_PLANNERS, DEFAULT_TIME_BUDGET
 from optdock.problem import ClearanceRule
-from optdock.robot import Drive, Robot, check_drive
+from optdock.robot import Drive, Robot, TrackingTube, check_drive
 
 __all__ = ["SECTIONS", "ScenarioDocument", "known_keys", "synonym"]
 
@@ -181,6 +181,7 @@ class _Part(BaseModel):
 
 
 _LIMITS = MotionLimits()
+_TUBE = TrackingTube()
 
 
 class LimitsDocument(_Part):
@@ -252,6 +253,23 @@ class LimitsDocument(_Part):
         return MotionLimits(**self.model_dump())
 
 
+class TrackingDocument(_Part):
+    """`robot.tracking`."""
+
+    cross: Number = _key("largest distance from the path [m]", _TUBE.cross, least=0, finite=True)
+    yaw: Number = _key("largest heading error [rad]", _TUBE.yaw, least=0, finite=True)
+
+    @field_validator("*")
+    @classmethod
+    def _in_range(cls, value: float, info: ValidationInfo) -> float:
+        TrackingTube(**{str(info.field_name): value})
+        return value
+
+    def value(self) -> TrackingTube:
+        """The tube."""
+        return TrackingTube(self.cross, self.yaw)
+
+
 class RobotDocument(_Part):
     """`robot`."""
 
@@ -263,6 +281,11 @@ class RobotDocument(_Part):
     turns_in_place: StrictBool = _key(
         "whether its paths may turn where it stands; for a differential drive with limits of yaw rate and acceleration",
         False,  # noqa: FBT003 - as pydantic's Field
+    )
+    tracking: TrackingDocument = _key(
+        "how far it may be off its path: what is proven holds for every pose within",
+        TrackingDocument(),
+        absent="no tube",
     )
     limits: LimitsDocument = _key("bounds on the motion", LimitsDocument(), absent="each limit's own default")
 
@@ -287,7 +310,7 @@ class RobotDocument(_Part):
     def value(self) -> Robot:
         """The robot."""
         outline = self.footprint if self.footprint is not None else Footprint.from_radius(self.radius or math.nan)
-        return Robot(outline, self.limits.value(), self.drive, self.turns_in_place)
+        return Robot(outline, self.limits.value(), self.drive, self.turns_in_place, self.tracking.value())
 
 
 class DockDocument(_Part):

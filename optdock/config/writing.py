@@ -16,6 +16,7 @@ from optdock.costmap.cell_obstacles import mapped_obstacles
 from optdock.errors import InvalidValue
 from optdock.io.atomic_file import write_text
 from optdock.io.maps import load_map, save_map
+from optdock.robot import Robot, TrackingTube
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -29,7 +30,6 @@ if TYPE_CHECKING:
     from optdock.geometry.pose import Pose2
     from optdock.plugins import PluginChoice
     from optdock.problem import DockingProblem
-    from optdock.robot import Robot
 
 __all__ = ["save_scenario"]
 
@@ -123,8 +123,10 @@ def _robot(robot: Robot, unsaid: frozenset[str]) -> dict[str, object]:
     others = {
         spec.name: getattr(robot, spec.name)
         for spec in dataclasses.fields(robot)
-        if spec.name not in ("footprint", "limits", "drive") and getattr(robot, spec.name) != spec.default
+        if spec.name not in ("footprint", "limits", "drive", "tracking") and getattr(robot, spec.name) != spec.default
     }
+    if robot.tracking != TrackingTube():
+        others["tracking"] = dataclasses.asdict(robot.tracking)
     return {"footprint": _outline(robot.footprint), "drive": robot.drive.value, **others, "limits": said}
 
 

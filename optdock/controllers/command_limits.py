@@ -58,8 +58,9 @@ class CommandLimiter:
     ) -> Twist2:
         """The command nearest to `wanted` that the last one can become.
 
-        Speed, yaw rate, wheel speed, lateral acceleration, acceleration and jerk, yaw acceleration, curvature and
-        how fast it changes (with the way, and with the angle of steered wheels) are within the limits.
+        Speed, yaw rate, wheel speed, lateral acceleration, acceleration and jerk, yaw acceleration, curvature, and how
+        fast steered wheels turn, are within the limits. At rest a command of almost no speed tells steered wheels where
+        to turn.
 
         Args:
             wanted: Feed-forward and feedback.
@@ -74,7 +75,7 @@ class CommandLimiter:
         wanted = admissible(wanted if free else _bent(wanted, limits.max_curvature), limits, drive)
         linear = self._linear(wanted.linear, feed_forward.linear, period, limits)
         angular = wanted.angular if free else self._bend(wanted, linear, period, limits, drive) * linear
-        turn = limits.max_yaw_acceleration * period
+        turn = (limits.turning.acceleration if linear == 0.0 else limits.max_yaw_acceleration) * period
         angular = _approach(self.command.angular, angular, turn, turn)
         most = _most_turn(linear, limits)  # the turn gives way: the speed falls as fast as it may
         command = Twist2(linear, min(max(angular, -most), most))
@@ -98,12 +99,13 @@ class CommandLimiter:
             min(limits.max_speed, limits.max_wheel_speed),
             min(limits.max_reverse_speed, limits.max_wheel_speed),
         )
-        rise, fall = (_fastest(max(gap, 0.0), limits.max_jerk, period) for gap in (top - before, before + bottom))
+        up, down = (_fastest(max(gap, 0.0), limits.max_jerk, period) for gap in (top - before, before + bottom))
         slope = smooth_slope(missing, slope, self._acceleration, limits.max_jerk, (period, between))
-        slope = min(max(slope, -fall, (-bottom - before) / period), rise, (top - before) / period)
-        return _approach(
-            before, before + slope * period, limits.max_acceleration * period, limits.max_deceleration * period
-        )
+        slope = min(max(slope, -down, (-bottom - before) / period), up, (top - before) / period)
+        fall = limits.max_deceleration
+        if before * wanted < 0.0:  # through rest the deceleration becomes an acceleration, and may not jump there
+            fall = min(fall, limits.max_acceleration)
+        return _approach(before, before + slope * period, limits.max_acceleration * period, fall * period)
 
     def _bend(self, wanted: Twist2, linear: float, period: float, limits: MotionLimits, drive: Drive) -> float:
         """The curvature of the command."""
@@ -141,11 +143,14 @@ def smooth_slope(missing: float, target_slope: float, slope: float, jerk: float,
 
 
 def _fastest(gap: float, jerk: float, period: float) -> float:
-    """The largest slope that can still fall to nothing, by `jerk` times `period` in every period, within `gap`.
+    """The largest slope that can still fall to nothing within `gap`, by at most `jerk` times `period` every period.
 
-    The sum of such slopes in closed form: slope^2 / (2 jerk) + slope period / 2 = gap.
+    In units of that step: slopes n + f, n - 1 + f, ..., f cover (n + 1) (n / 2 + f) units of jerk * period^2.
     """
-    return jerk * (math.sqrt(0.25 * period**2 + 2.0 * gap / jerk) - 0.5 * period)
+    step = jerk * period
+    units = gap / (step * period)
+    n = math.floor(0.5 * (math.sqrt(1.0 + 8.0 * units) - 1.0))
+    return step * (0.5 * n + units / (n + 1))
 
 
 def rate_limited(previous: Twist2, wanted: Twist2, limits: MotionLimits, period: float) -> Twist2:

@@ -26,6 +26,8 @@ _AT_REST = 1e-6  # [m/s]: a standing reference may change its rate at once
 _STEADY = 1e-3  # [1/s]: a rate that changes no faster stands
 _JERK_SHARE = 1.0
 _AT_START = 0.05  # [m]: a robot nearer to the start than this begins there
+_BEYOND = 1e-6  # [m]: after a cusp
+_WAY_STEP = 0.03  # [m]
 _SAMPLES = 400  # for the nearest point
 
 
@@ -45,14 +47,13 @@ class Ahead(NamedTuple):
 
     `twist`: velocity, scaled by the rate; zero beyond the end. `speed`, `acceleration`: of the trajectory itself, along
     its travel, at rate 1 [m/s, m/s^2]; where it turns in place those of its yaw [rad/s, rad/s^2]. `gear`: 1 or -1, 0
-    where it turns in place. `curvature`: yaw rate per speed, of the commands [1/m]. `left`: to the end [m].
+    where it turns in place. `left`: to the end [m].
     """
 
     twist: Twist2
     speed: float
     acceleration: float
     gear: float
-    curvature: float
     left: float
 
 
@@ -175,7 +176,6 @@ class Reference:
                 speed=abs(speed) + turn_then * yaw_rate if share else 0.0,
                 acceleration=gear_then * float(then.acceleration[0]) + turn_then * float(then.yaw_acceleration[0]),
                 gear=gear_then,
-                curvature=yaw_rate / speed if abs(speed) > _AT_REST else 0.0,
                 left=shown.path.length - float(then.s[0]),
             ),
         )
@@ -199,6 +199,39 @@ class Reference:
         """The trajectory in force `preview` seconds from now, and the time on its clock then [s]."""
         trajectory, time, _ = self._at(preview)
         return trajectory, time
+
+    def next_arc(self) -> Twist2:
+        """The direction that the commands take next: of an arc at 1 m/s; at a cusp that of the gear that follows."""
+        shown, time, _ = self._at(self._preview)
+        s = np.array([min(self._place(shown, time) + _BEYOND, shown.path.length)])
+        return Twist2(float(shown.path.direction_at(s)[0]), float(shown.path.curvature_at(s)[0]))
+
+    def way(self, distance: float, now: Pose2, pose: Pose2) -> FloatArray | None:
+        """Poses of a robot that drives `distance` further along the path; None where the path ends before [m].
+
+        It keeps the place beside the reference, which is at `now`, that it has at `pose`. Shape (n, 3).
+        """
+        count = 2 + math.ceil(distance / _WAY_STEP)
+        ahead = self._place(self.trajectory, self.time) + np.linspace(0.0, distance, count)
+        path, ends = self.trajectory.path, self.trajectory.path.length
+        if self._joints:
+            ends = self._place(self.trajectory, self._joints[0].time)
+        poses = path.poses_at(np.minimum(ahead, ends))
+        beyond = ahead > ends
+        if beyond[-1]:
+            newer = self._joints[0].trajectory.path if self._joints else None
+            if newer is None or ahead[-1] - ends > newer.length:
+                return None
+            poses[beyond] = newer.poses_at(ahead[beyond] - ends)
+        x, y, yaw = poses.T
+        offset = now.inverse() @ pose
+        c, s = np.cos(yaw), np.sin(yaw)
+        return np.column_stack((x + c * offset.x - s * offset.y, y + s * offset.x + c * offset.y, yaw + offset.yaw))
+
+    @staticmethod
+    def _place(trajectory: Trajectory, time: float) -> float:
+        """Distance along a trajectory at a time of its clock [m]."""
+        return float(trajectory.time_law.at(time)[0, 0])
 
     def join(self, pose: Pose2, linear: float, delay: float) -> None:
         """Begin at the trajectory's start, or at the nearest point of its first gear when the robot is not there.

@@ -225,15 +225,18 @@ class MpcController(TrackingController):
     def _wanted(
         self,
         reference: Reference,
-        now: ReferenceState,  # noqa: ARG002 - of the other law
-        error: Pose2,  # noqa: ARG002 - likewise
-        accepted: Accepted,  # noqa: ARG002 - likewise
+        now: ReferenceState,
+        error: Pose2,
+        accepted: Accepted,
     ) -> Twist2:
         if self._built_for is not self.parameters:
             self._prepare()
         if self._cancelled and reference.rate == 0.0:
             self._nominal = None
             return Twist2()
+        if self._drive is Drive.ACKERMANN and now.ahead.speed < _AT_REST and not reference.finished:
+            self._nominal = None  # steered wheels turn at rest as the tracker's do
+            return super()._wanted(reference, now, error, accepted)
         p, n, period = self.parameters, self.parameters.steps, self._clock.period
         latency, lag = self._delays
         h = np.full(n, max(period, (p.horizon - period) / (n - 1)))
@@ -348,6 +351,7 @@ class MpcController(TrackingController):
             lateral=lateral,
             about=about,
             curvature=curvature,
+            curvature_rate=limits.max_steering_rate / limits.wheelbase if limits.wheelbase > 0.0 else math.inf,
             gear=gear,
         )
 
@@ -395,11 +399,13 @@ class _Remembering(CommandLimiter):
         if wanted == self.allowed and not self._fresh:
             self.command = command = admissible(rate_limited(before, wanted, limits, period), limits, drive)
             self._acceleration = (command.linear - before.linear) / period
+            if abs(command.linear) > _AT_REST:
+                self._curvature = command.angular / command.linear
         # How long what the robot does has been in force nobody knows at first: nothing is added then.
         self.acceleration = 0.0 if self._fresh else (command.linear - before.linear) / period
         self._fresh = False
-        if abs(command.linear) > _AT_REST:
-            self.curvature = command.angular / command.linear
+        if self._curvature is not None:
+            self.curvature = self._curvature
         return command
 
 

@@ -37,6 +37,7 @@ __all__ = [
 ]
 
 UNBOUNDED = 1e30  # how DAQP spells infinity
+_IN_MOTION = 0.02  # [m/s]: slower commands have no curvature that is linear in them
 _SAME_TIME = 1e-6  # [s]: steps that differ by less are those of the cycle before
 _MOST_ITERATIONS = 300  # of the active set; what takes longer is late: some 3 ms, and a warm case takes 20
 
@@ -238,6 +239,7 @@ class CommandBounds(NamedTuple):
         lateral: Of speed times yaw rate, linear about `about` [m/s^2].
         about: Commands, Shape (n, 2).
         curvature: Of a drive that cannot turn as it likes; None for one that can [1/m].
+        curvature_rate: How fast it may change between the commands, a number [1/(m s)].
         gear: Sign of the speeds of such a drive, Shape (n,); 0 where nobody knows it yet, and it is to keep straight.
     """
 
@@ -251,6 +253,7 @@ class CommandBounds(NamedTuple):
     lateral: FloatArray
     about: FloatArray
     curvature: FloatArray | None
+    curvature_rate: float
     gear: FloatArray
 
 
@@ -301,11 +304,12 @@ class TrackingProgram:
 
     def __init__(self, steps: int, weights: Weights, *, ackermann: bool, in_tube: bool) -> None:
         self._steps, self._weights = steps, weights
-        counts = [steps, steps, 2 * steps, 2 * steps, steps, 2 * steps * ackermann, 4 * steps * in_tube]
+        steered = steps if ackermann else 0
+        counts = [steps, steps, 2 * steps, 2 * steps, steps, 2 * steered, steered, 4 * steps * in_tube]
         ends = [int(end) for end in np.cumsum(counts)]
         blocks = [slice(end - count, end) for count, end in zip(counts, ends, strict=True)]
         self._speed_changes, self._yaw_rate_changes, self._jerks, self._wheels, self._lateral = blocks[:5]
-        self._curvature, self._tube = blocks[5:]
+        self._curvature, self._curvature_changes, self._tube = blocks[5:]
         self._program = DenseProgram(2 * steps + 2, ends[-1])
         self._program.lbx[-2:] = 0.0
         self._program.h[[-2, -1], [-2, -1]] = 1.0  # DAQP wants a curved cost
@@ -329,6 +333,8 @@ class TrackingProgram:
         found, exceeded = self._program.solve(), 0.0
         if found is None:
             self._program.a[next_command, -1] = -1.0
+            changes = self._curvature_changes
+            self._program.lba[changes], self._program.uba[changes] = -UNBOUNDED, UNBOUNDED
             found = self._program.solve()
             exceeded = 0.0 if found is None else float(found[-1])
         return None if found is None else Solution(found[:-2].reshape(-1, 2), float(found[-2]), exceeded)
@@ -403,8 +409,27 @@ class TrackingProgram:
                 a[row, 2 * at] = -sign * bounds.gear * bounds.curvature[1 - half]
                 a[row, 2 * at + 1] = sign * np.where(steering, bounds.gear, 1.0)
                 upper[row] = np.where(steering, 0.0, slow)
+            self._fill_curvature_changes(cycle.nominal[1:], bounds)
         for values in (lower, upper, program.lbx, program.ubx):
             np.clip(values, -UNBOUNDED, UNBOUNDED, out=values)
+
+    def _fill_curvature_changes(self, nominal: FloatArray, bounds: CommandBounds) -> None:
+        """Curvatures w / v, linear about the nominal commands, from one command to the next where both are in motion."""
+        program, (v, w) = self._program, nominal.T
+        moving = np.abs(v) > _IN_MOTION
+        speed = np.where(moving, v, 1.0)
+        curvature = w / speed
+        both = np.flatnonzero(
+            moving[1:] & moving[:-1] & (bounds.gear[1:] == bounds.gear[:-1]) & (bounds.gear[1:] != 0.0)
+        )
+        rows = self._curvature_changes
+        program.a[rows] = 0.0
+        program.lba[rows], program.uba[rows] = -UNBOUNDED, UNBOUNDED
+        row, change = rows.start + both + 1, curvature[both + 1] - curvature[both]
+        for k, sign in ((both + 1, 1.0), (both, -1.0)):
+            program.a[row, 2 * k], program.a[row, 2 * k + 1] = -sign * curvature[k] / speed[k], sign / speed[k]
+        most = np.minimum(bounds.curvature_rate * self._spans[both + 1], UNBOUNDED)
+        program.lba[row], program.uba[row] = -most - change, most - change
 
     def _fill_tube(self, prediction: Prediction, tube: tuple[float, float]) -> None:
         """Cross and yaw errors after every step, both ways, each with the slack."""

@@ -6,7 +6,6 @@ import dataclasses
 import math
 from typing import TYPE_CHECKING
 
-import numpy as np
 from pydantic import Field
 
 from optdock.controllers.checks import checked_speed_limit, checked_task
@@ -14,6 +13,7 @@ from optdock.controllers.command_limits import CommandLimiter
 from optdock.controllers.control_clock import ControlClock
 from optdock.controllers.delay_estimate import DelayEstimate
 from optdock.controllers.finish import Accepted, DeadBandPush, Patience, accepted_errors
+from optdock.controllers.look_ahead import LookAhead, collision_ahead, stopping_time, stopping_way
 from optdock.controllers.moving_reference import Progress, Reference, ReferenceState, peaks
 from optdock.controllers.tracking_law import Gains, tracking_command
 from optdock.errors import ControllerInvalidPath, FailedToTimePath, NoValidControl
@@ -21,29 +21,26 @@ from optdock.geometry.checked import finite_number
 from optdock.geometry.pose import Pose2, Twist2
 from optdock.interfaces import Controller
 from optdock.limits import MotionLimits
-from optdock.obstacles import in_words
 from optdock.parameters import PluginParameters
 from optdock.robot import Drive
 from optdock.trajectory import Trajectory
-from optdock.verification import pose_clearances
 
 if TYPE_CHECKING:
     from optdock.interfaces import GoalChecker
-    from optdock.lifecycle import PluginContext
     from optdock.path import Path
 
-__all__ = ["TrackingController", "TrackingControllerParameters", "require_free_stop"]
+__all__ = ["TrackingController", "TrackingControllerParameters"]
 
 _SETTLING = 0.2  # [s], time constant with which the reference's rate approaches its target
 _HELD = 0.1  # rate of a waiting reference below which the robot does not follow
+_CREEPING = 1e-3  # [m/s]: a reference slower than this tells no curvature
+_CREEP = 1e-6  # [m/s]: no drive moves at it; steered wheels turn as its arc says
 _NOTHING = 5e-5  # [m/s], [rad/s]: at the end less than this is not commanded
 _SHORTEST_CONVERGENCE = 0.05  # [m]
 _DELAYS_TO_CONVERGE = 3.0  # a lateral error may decay within the way of so many delays; less overshoots
 _ASIDE_SMOOTHING = 0.2  # [s]
 _LEFT = 0.25  # of the accepted error across, that may be left at the end by what is seen now
 _PEAK_MARGIN = 1.2  # without a configured robot: headroom for feedback above the trajectory's own peaks
-_SPACING = 0.05  # [m] between the poses looked at on the way to a stop; no robot is so short that a post fits between
-_DEEPER = 1e-6  # [m]: a robot that touches something may drive on as long as it does not go deeper
 
 
 class TrackingControllerParameters(PluginParameters):
@@ -133,6 +130,7 @@ class TrackingController(Controller):
         self._limiter = CommandLimiter()
         self._clock = ControlClock()
         self._delay = DelayEstimate()
+        self._look_ahead = LookAhead()
         self._anchored = self._cancelled = False
         self._attempt()
 
@@ -212,11 +210,40 @@ class TrackingController(Controller):
         if reference.finished:
             wanted = self._finishing(wanted, error, accepted, velocity)
         in_place = now.gear == 0.0 or reference.finished
+        before = self._limiter.command
         command = self._limiter.follow(wanted, now.ahead.twist, period, self._limits, self._drive, in_place=in_place)
         self._seen = (now, now.lag_of(error))
         if p.use_collision_detection:
-            require_free_stop(self.context, pose, command, self._limits, self._clock.period, p.collision_tolerance)
+            self._require_free_stop(reference, now, pose, command, before)
         return command
+
+    def _require_free_stop(
+        self, reference: Reference, now: ReferenceState, pose: Pose2, command: Twist2, before: Twist2
+    ) -> None:
+        """Refuse a command after which the robot could stop neither along its arc nor along its path.
+
+        Raises:
+            NoValidControl: As described; `where` holds the obstacle and the depth.
+        """
+        footprint = self.context.footprint
+        if footprint is None:
+            return
+        p, period = self.parameters, self._clock.period
+        limits = self._limits
+        # Braking covers half of what the command would in that time.
+        braking = 0.5 * stopping_time(command, limits.max_deceleration, limits.turning.acceleration)
+        driven = ((before, self._known_delay), (command, period))
+        straight_on = stopping_way(pose, footprint, (*driven, (command, braking)))
+        found = self._look_ahead.obstruction(self.context, straight_on, p.collision_tolerance)
+        if found is None:
+            return
+        distance = abs(before.linear) * self._known_delay + abs(command.linear) * (period + braking)
+        along_path = reference.way(distance, now.pose, pose)
+        ways = (straight_on,) if along_path is None else (stopping_way(pose, footprint, driven), along_path)
+        for way in ways:
+            found = self._look_ahead.obstruction(self.context, way, p.collision_tolerance)
+            if found is not None:
+                raise collision_ahead(self.context, found, p.collision_tolerance)
 
     def set_speed_limit(self, limit: float, percentage: bool) -> None:  # noqa: FBT001 - Nav2's order of arguments
         """Slow the whole reference down, to `limit` percent or to a peak speed of `limit` m/s; 0 removes the limit.
@@ -336,7 +363,13 @@ class TrackingController(Controller):
         # Smoothed, so that noise alone does not shorten the distance, which would amplify it.
         self._aside += (error.y - self._aside) * min(1.0, self._clock.elapsed / _ASIDE_SMOOTHING)
         distance = self._convergence_distance(now, self._aside, accepted)
-        return tracking_command(error, now.ahead.twist, Gains(p.along_gain, distance, p.damping, p.turn_gain))
+        wanted = tracking_command(error, now.ahead.twist, Gains(p.along_gain, distance, p.damping, p.turn_gain))
+        if self._drive is Drive.ACKERMANN and now.ahead.speed < _CREEPING:
+            # A rest tells no curvature, and the feedback's would swing the wheels; a creeping command does tell it.
+            arc = reference.next_arc()
+            speed = wanted.linear if abs(wanted.linear) > _CREEP or reference.finished else _CREEP * arc.linear
+            return Twist2(speed, speed * arc.linear * arc.angular)
+        return wanted
 
     def _convergence_distance(self, now: ReferenceState, aside: float, accepted: Accepted) -> float:
         """As given; less where too much would be left at the end, but no less than the drive's delay allows."""
@@ -383,44 +416,3 @@ class TrackingController(Controller):
 
 def _at_least(value: float, least: float) -> float:
     return math.copysign(max(abs(value), least), value) if value != 0.0 else 0.0
-
-
-def require_free_stop(
-    context: PluginContext, pose: Pose2, command: Twist2, limits: MotionLimits, period: float, tolerance: float
-) -> None:
-    """Refuse a command after which the robot could no longer stop before it is `tolerance` deep in something.
-
-    One period of the command, then braking along its arc: the poses on that way are looked at, with the whole
-    footprint, among everything that the context holds, its costmaps as they are now. A plan that ends in contact with
-    the dock brakes no harder than this, so noise and control errors up to the tolerance do not stop it.
-
-    Args:
-        context: Surroundings; without a footprint nothing is checked.
-        pose: Measured.
-        command: To be given now.
-        limits: How hard the robot can brake.
-        period: Until the next command [s].
-        tolerance: Accepted depth [m].
-
-    Raises:
-        NoValidControl: As described; `where` holds the obstacle and the depth.
-    """
-    if context.footprint is None:
-        return
-    speed = abs(command.linear)
-    time = period + 0.5 * speed / limits.max_deceleration  # braking covers half of what the command would
-    centre, reach = np.array([pose.x, pose.y]), context.footprint.circumscribed_radius + speed * time
-    obstacles = context.obstacles_near(centre - reach, centre + reach)
-    if len(obstacles) == 0:
-        return
-    times = np.linspace(0.0, time, 2 + math.ceil(speed * time / _SPACING))
-    poses = np.array([pose.moved(command, float(t)).as_array() for t in times])
-    clearance, row = pose_clearances(poses, context.footprint, obstacles, within=0.0)
-    worst = int(np.argmin(clearance))
-    if clearance[worst] < min(-tolerance, clearance[0] - _DEEPER):
-        depth, obstacle = -float(clearance[worst]), obstacles.name_of(int(row[worst]))
-        goes = f"the footprint goes {depth:.3f} m into {in_words(obstacle)}"
-        raise NoValidControl(
-            f"{context.name}: collision ahead: even braking now, {goes}, more than collision_tolerance = {tolerance} m",
-            where={"obstacle": obstacle, "depth": depth},
-        )

@@ -27,6 +27,7 @@ __all__ = [
     "Twist2",
     "check_range",
     "normalize_angle",
+    "pose_errors",
     "transform_points",
     "unwrap_yaw",
 ]
@@ -183,3 +184,11 @@ def transform_points(poses: FloatArray, points: FloatArray) -> FloatArray:
     x = poses[:, 0, None] + c * points[:, 0] - s * points[:, 1]
     y = poses[:, 1, None] + s * points[:, 0] + c * points[:, 1]
     return np.stack((x, y), axis=-1)
+
+
+def pose_errors(poses: FloatArray, references: FloatArray) -> FloatArray:
+    """Poses seen from their references, yaw in (-pi, pi]. Shape (n, 3) each."""
+    delta = poses - references
+    c, s = np.cos(references[:, 2]), np.sin(references[:, 2])
+    yaw = np.pi - np.mod(np.pi - delta[:, 2], 2.0 * np.pi)
+    return np.column_stack((c * delta[:, 0] + s * delta[:, 1], c * delta[:, 1] - s * delta[:, 0], yaw))

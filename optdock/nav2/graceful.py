@@ -11,6 +11,7 @@ from pydantic import Field, model_validator
 
 from optdock.controllers.checks import checked_speed_limit, checked_task
 from optdock.controllers.control_clock import ControlClock
+from optdock.controllers.look_ahead import LookAhead, stopping_time, stopping_way
 from optdock.errors import ControllerInvalidPath, NoValidControl
 from optdock.geometry.pose import Pose2, Twist2, normalize_angle
 from optdock.interfaces import Controller
@@ -34,6 +35,7 @@ _ROLLOUT_STEP: Final = 0.1  # [s]
 _ROLLOUT_STEPS: Final = 100
 _AT_TARGET: Final = 0.01  # [m]: where a rollout ends
 _DEFAULT_XY_TOLERANCE: Final = 0.25  # [m], without a goal checker
+_CONTACT: Final = 0.01  # [m]: overlap of a robot at rest in its dock, as in `free_motion`
 _CUSP_TOLERANCE: Final = 0.05  # [m]: where the next gear begins
 
 
@@ -95,8 +97,9 @@ class GracefulController(Controller):
     """Steers towards the furthest path pose within the lookahead whose rollout is free.
 
     As in Nav2: turn towards the path first, follow with the smooth law, turn to the final heading at the goal. Paths
-    are followed one gear at a time; a reverse gear needs `allow_backward`. The rollout moves the footprint through
-    the configured problem's obstacles continuously; without a configured problem nothing is checked. Commands step
+    are followed one gear at a time; a reverse gear needs `allow_backward`. The rollout moves the footprint continuously
+    through whatever the context holds, a problem or costmaps, and no command is given, a turn in place neither, after
+    which the robot could not stop before it is in something; without a footprint nothing is checked. Commands step
     from rest to speed, as Nav2's do: neither curvature nor acceleration is limited. A cancelled task, which Nav2's
     drops at full speed, is braked on its arc by `deceleration_max`; a turn in place just ends.
 
@@ -118,6 +121,7 @@ class GracefulController(Controller):
         self._turned = self._arrived = self._cancelled = False
         self._last = Twist2()
         self._clock = ControlClock()
+        self._look_ahead = LookAhead()
 
     def set_path(self, path: Path | Trajectory, *, start_stamp: float | None = None) -> None:  # noqa: ARG002 - no time law
         """Follow a path; the time law of a trajectory is ignored, and with it when it begins.
@@ -159,8 +163,11 @@ class GracefulController(Controller):
         if not self._legs:
             raise ControllerInvalidPath("GracefulController: has no path; call set_path first")
         self._clock.tick(stamp, self.context, self.parameters.period)
-        self._last = self._braked() if self._cancelled else self._followed(pose, goal_checker)
-        return self._last
+        command = self._braked() if self._cancelled else self._followed(pose, goal_checker)
+        self._last = Twist2()  # what a refusal leaves the robot with
+        self._require_free_stop(pose, command)
+        self._last = command
+        return command
 
     def set_speed_limit(self, limit: float, percentage: bool) -> None:  # noqa: FBT001 - Nav2's order of arguments
         """Scale both speeds, to `limit` percent or to `limit` m/s; never below v_linear_min; 0 removes the limit.
@@ -217,6 +224,15 @@ class GracefulController(Controller):
             if not self._turned:
                 return self._turn(angle)
         return self._towards(pose, gear, leg)
+
+    def _require_free_stop(self, pose: Pose2, command: Twist2) -> None:
+        """Refuse a command, a turn in place too, after which the robot could not stop before it is in something."""
+        p, footprint = self.parameters, self.context.footprint
+        if footprint is None or not p.use_collision_detection:
+            return
+        braking = 0.5 * stopping_time(command, p.deceleration_max)  # which covers half of what the command would
+        way = stopping_way(pose, footprint, ((command, self._clock.period + braking),))
+        self._look_ahead.require_free(self.context, way, _CONTACT)
 
     def _braked(self) -> Twist2:
         """The last command slowed down by one period, its curvature kept."""

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from optdock.geometry.arrays import FloatArray, frozen_array, readonly
+from optdock.geometry.pose import pose_errors
 from optdock.geometry.separation import separation
 
 if TYPE_CHECKING:
@@ -18,7 +19,7 @@ if TYPE_CHECKING:
     from optdock.geometry.pose import Pose2
     from optdock.obstacles import ObstacleSet
 
-__all__ = ["Run", "executed_clearance", "pose_errors"]
+__all__ = ["Run", "executed_clearance"]
 
 _BUMPER = 0.002  # [m]: a dock that is planned to be touched is pressed by so much without harm
 _BLOCK = 256  # poses per round, bounds the memory
@@ -88,14 +89,6 @@ class Run:
     def duration(self) -> float:
         """Time until docked, or until the run was given up [s]."""
         return float(self.times[-1])
-
-
-def pose_errors(poses: FloatArray, references: FloatArray) -> FloatArray:
-    """Poses seen from their references, yaw in (-pi, pi]. Shape (n, 3) each."""
-    delta = poses - references
-    c, s = np.cos(references[:, 2]), np.sin(references[:, 2])
-    yaw = np.pi - np.mod(np.pi - delta[:, 2], 2.0 * np.pi)
-    return np.column_stack((c * delta[:, 0] + s * delta[:, 1], c * delta[:, 1] - s * delta[:, 0], yaw))
 
 
 def executed_clearance(footprint: Footprint, poses: FloatArray, obstacles: ObstacleSet) -> float:

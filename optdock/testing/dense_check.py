@@ -236,13 +236,17 @@ def _straight_faults(path: Path, problem: DockingProblem, step: float) -> tuple[
 def _required(poses: FloatArray, start_clearance: float, problem: DockingProblem, run: float) -> FloatArray:
     """`at_dock + (required - at_dock) min(1, d / taper)`, relieved near a start that is itself too close.
 
+    Required is what the problem says, and by how much the robot's tube moves the outline.
+
     Strictly it grows from there at once (`run` 0), else beyond so many metres from the start.
     """
     rule, goal, start = problem.clearance, problem.dock.pose, problem.start
     from_goal = np.hypot(poses[:, 0] - goal.x, poses[:, 1] - goal.y)
     from_start = np.hypot(poses[:, 0] - start.x, poses[:, 1] - start.y)
     grown = from_goal / rule.taper if rule.taper > 0.0 else np.where(from_goal > 0.0, 1.0, 0.0)
-    wanted = rule.at_dock + (rule.required - rule.at_dock) * np.clip(grown, 0.0, 1.0)
+    tube, corners = problem.robot.tracking, problem.robot.footprint.vertices
+    moved = tube.cross + math.sqrt(2.0 - 2.0 * math.cos(tube.yaw)) * float(np.hypot(*corners.T).max())
+    wanted = rule.at_dock + (rule.required + moved - rule.at_dock) * np.clip(grown, 0.0, 1.0)
     required: FloatArray = np.minimum(wanted, max(start_clearance, 0.0) + 0.5 * np.clip(from_start - run, 0.0, None))
     return required
 

@@ -566,7 +566,7 @@ class _Search:
         """Tiles that cover both ends, and obstacles as far as they may matter."""
         cell = _CELL * float(self.body.discs[:, 2].max())
         ends = np.array([[end.x, end.y] for end in (self.problem.start, self.problem.goal)])
-        near = self.body.reach + float(np.hypot(*self.body.centre)) + self.problem.clearance.required + 2.0 * cell
+        near = self.body.reach + float(np.hypot(*self.body.centre)) + self.problem.path_clearance.required + 2.0 * cell
         lower, upper = ends.min(axis=0), ends.max(axis=0)
         everything = self.problem.all_obstacles.in_box(lower - _SEEN_FROM, upper + _SEEN_FROM)
         if len(everything):
@@ -587,7 +587,7 @@ class _Search:
 
         self.deadline = deadline
         _, _, radius = self.body.discs[0].tolist()
-        ends, border = np.array(self.ends)[:, :2], radius + self.problem.clearance.required
+        ends, border = np.array(self.ends)[:, :2], radius + self.problem.path_clearance.required
         side = float(np.ptp(ends, axis=0).max()) + 2.0 * (border + _AROUND * radius)
         corner, step = 0.5 * (ends.min(axis=0) + ends.max(axis=0) - side), side / (_NODES - 1)
         x, y = np.meshgrid(*(self.grid.origin + corner + step * np.arange(_NODES)[:, None]).T)
@@ -708,7 +708,7 @@ class _Search:
     def _bottlenecks(self) -> Iterator[Bottleneck]:
         """The narrowest place of the widest route, by margins at the middles of cells, which are made ever finer."""
         tiles, half = self._coarse_tiles(), self.grid.cell
-        low, high = -self.problem.clearance.required - float(self.body.discs[:, 2].max()) - half, 0.0
+        low, high = -self.problem.path_clearance.required - float(self.body.discs[:, 2].max()) - half, 0.0
         for _ in range(_ROUNDS):
             low, high = self._widest(tiles, low, high, _SHARP * half)
             graph = self._by_margin(tiles, low, high)
@@ -763,7 +763,7 @@ class _Search:
         if known is not None:
             return known
         half, count, body = self.grid.half(level), self.grid.count(level), self.body
-        turn, required_most = math.pi / count, self.problem.clearance.required
+        turn, required_most = math.pi / count, self.problem.path_clearance.required
         halo = math.ceil((body.reach + required_most) / half) + 1
         nodes = 2 * CELLS + 1 + 2 * halo
         corner = np.array([column, row]) * self.grid.side(level)
@@ -861,7 +861,7 @@ class _Search:
     def _between(self, pose: Pose2) -> tuple[str, ...]:
         """The obstacle nearest to the robot at a pose, and the nearest on its other side."""
         obstacles, footprint = self.problem.all_obstacles, self.problem.robot.footprint
-        reach = footprint.circumscribed_radius + 2.0 * self.problem.clearance.required + self.grid.cell
+        reach = footprint.circumscribed_radius + 2.0 * self.problem.path_clearance.required + self.grid.cell
         at = np.array([pose.x, pose.y])
         rows = obstacles.rows_in_box(at - reach, at + reach)
         found = [

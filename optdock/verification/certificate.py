@@ -66,6 +66,9 @@ class Certificate:
         start_relief: Which rule of clearance near the start it speaks of: 0 the strict one, which asks for a growing
             clearance from the start on; else the weaker one, which lets the robot keep what it has within this distance
             from the start [m]. The weaker one counts only where the strict one is broken.
+        tube: How far any point of the footprint may be from where the path has it while the robot's clearance holds all
+            the same [m]; it tapers at the dock as the clearance does, and `required_clearance` holds it
+            (`TrackingTube`).
     """
 
     violations: tuple[Violation, ...]
@@ -81,6 +84,7 @@ class Certificate:
     problem: ProblemFingerprint
     path: str
     start_relief: float = 0.0
+    tube: float = 0.0
 
     def __repr__(self) -> str:
         if not self.certified:
@@ -112,6 +116,7 @@ class Certificate:
             "max_curvature_rate",
             "length",
             "start_relief",
+            "tube",
         )
         numbers = {name: _plain(getattr(self, name)) for name in names}
         return {

@@ -90,6 +90,7 @@ def _path_verdict(path: Path, problem: DockingProblem, is_late: Callable[[], boo
         problem=problem.fingerprint,
         path=path.digest,
         start_relief=relief,
+        tube=problem.robot.tracking.width(problem.robot.footprint),
     )
 
 
@@ -98,7 +99,7 @@ def _only_near_the_start(proof: ClearanceProof, problem: DockingProblem) -> bool
 
     Proofs that the weaker rule is broken as well are not made twice.
     """
-    clearance, rule = end_clearances(problem).start, problem.clearance
+    clearance, rule = end_clearances(problem).start, problem.path_clearance
     if clearance >= rule.required:
         return False
     at = proof.violations[:, 4:6]
@@ -124,6 +125,9 @@ def _too_close(row: FloatArray, problem: DockingProblem) -> Violation:
     obstacle = problem.all_obstacles.name_of(int(row[3]))
     what = f"{'overlaps' if clearance < 0.0 else 'comes too close to'} {in_words(obstacle)}"
     message = f"the footprint {what} at s = {s:.3f} m: clearance {clearance:.4f} m, required {required:.4f} m"
+    tube = problem.robot.tracking.width(problem.robot.footprint)
+    if tube > 0.0:
+        message += f", with the tube of {tube:.4f} m about the path"
     where = {"pose": row[4:].tolist(), "obstacle": obstacle, "clearance": clearance, "required": required}
     return Violation("clearance", message, s, required - clearance, where)
 

@@ -120,19 +120,21 @@ def prove_clearance(
     footprint, obstacles = problem.robot.footprint, problem.all_obstacles
     if len(obstacles) == 0:
         nothing = np.zeros((0, 7))
-        return ClearanceProof(np.inf, 0.0, problem.clearance.required, -1, np.inf, nothing, nothing[:, :2], 0)
+        return ClearanceProof(np.inf, 0.0, problem.path_clearance.required, -1, np.inf, nothing, nothing[:, :2], 0)
     ends = np.stack((problem.start.as_array(), path.end.as_array()))
     clearances, _ = pose_clearances(ends, footprint, obstacles)
     start_clearance, attained = float(clearances[0]), float(clearances.min())
     motion = PathMotion(path)
-    rule = functools.partial(problem.clearance.required_at, start_clearance=start_clearance, start_relief=start_relief)
+    rule = functools.partial(
+        problem.path_clearance.required_at, start_clearance=start_clearance, start_relief=start_relief
+    )
     subdivision = _Subdivision(motion, problem, rule, attained, _CROP, is_late)
     near = subdivision.run()
     if near.proven <= _CROP or len(subdivision.near) == len(obstacles):
         return near
     # What was left out is at least `_CROP` away: it cannot break the rule, but it may hold the minimum.
     if is_late():
-        margin = min(near.margin, _CROP - problem.clearance.required)
+        margin = min(near.margin, _CROP - problem.path_clearance.required)
         return near._replace(proven=min(near.proven, _CROP), margin=margin)
     return _Subdivision(motion, problem, rule, attained, np.inf, is_late).run()
 
@@ -252,7 +254,9 @@ class _Subdivision:
         """The obstacles near the swept area, or all of them where none is near; and their rows in the problem."""
         everything = self.problem.all_obstacles
         at = nodes.poses[:, :2]  # a cell strays from its chord by less than its length
-        reach = self.problem.robot.footprint.circumscribed_radius + self.step + crop + self.problem.clearance.required
+        reach = (
+            self.problem.robot.footprint.circumscribed_radius + self.step + crop + self.problem.path_clearance.required
+        )
         rows = everything.rows_in_box(at.min(axis=0) - reach, at.max(axis=0) + reach)
         if rows.size == 0 or rows.size > _WORTHWHILE * len(everything):
             return everything, np.arange(len(everything))

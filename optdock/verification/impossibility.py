@@ -279,7 +279,7 @@ def least_required(
         np.maximum(np.hypot(x - end.x, y - end.y) - (reach + SLACK + near), 0.0)
         for end, near in ((problem.goal, 0.0), (problem.start, relief))
     )
-    return problem.clearance.required_at(from_goal, from_start, start_clearance)
+    return problem.path_clearance.required_at(from_goal, from_start, start_clearance)
 
 
 class ImpossibilityVerdict(NamedTuple):

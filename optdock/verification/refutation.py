@@ -342,7 +342,7 @@ def _covers(path: Path, problem: DockingProblem, offset: tuple[float, float]) ->
     raised = replace(problem, clearance=ClearanceRule(rule.required + more, rule.at_dock + more, rule.taper))
     proof = prove_clearance(path, raised)
     proven = len(proof.violations) + len(proof.unproven) == 0
-    return proven and end_clearances(problem).start >= rule.required + more
+    return proven and end_clearances(problem).start >= raised.path_clearance.required
 
 
 def _unproven(judged: _Judged, limits: MotionLimits) -> dict[str, float]:

@@ -103,7 +103,7 @@ def refuse_approach(path: Path, problem: DockingProblem, start_clearance: float)
         (goal.x - back * math.cos(goal.yaw), goal.y - back * math.sin(goal.yaw), np.full(back.size, goal.yaw))
     )
     from_start = np.hypot(poses[:, 0] - problem.start.x, poses[:, 1] - problem.start.y)
-    required = problem.clearance.required_at(np.abs(back), from_start, start_clearance, problem.start_run)
+    required = problem.path_clearance.required_at(np.abs(back), from_start, start_clearance, problem.start_run)
     distance, rows = pose_clearances(poses, problem.robot.footprint, problem.all_obstacles, float(required.max()))
     short = required - distance
     k = int(np.argmax(short))
@@ -194,7 +194,7 @@ def _too_close(path: Path, problem: DockingProblem, bound: float, start_relief: 
         np.hypot(poses[:, 0] - end.x, poses[:, 1] - end.y) for end in (problem.goal, problem.start)
     )
     start_clearance = end_clearances(problem).start
-    required = problem.clearance.required_at(from_goal, from_start, start_clearance, start_relief)
+    required = problem.path_clearance.required_at(from_goal, from_start, start_clearance, start_relief)
     footprint, obstacles = problem.robot.footprint, problem.all_obstacles
     clearance, rows = pose_clearances(poses, footprint, obstacles, float(required.max()))
     k = int(np.argmax(required - clearance))

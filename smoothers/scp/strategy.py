@@ -302,7 +302,7 @@ class Solver:
             self._nlp, self._guesses = self._prepared_thoroughly()
             self._is_thorough, self._closest = True, None
         if row.relieved and self._nlp.scene.start_relief == 0.0:
-            if self._nlp.scene.start_clearance >= self.call.problem.clearance.required:
+            if self._nlp.scene.start_clearance >= self.call.problem.path_clearance.required:
                 return False
             scene = replace(self._nlp.scene, start_relief=self.call.problem.start_run)
             self._nlp = replace(self._nlp, scene=scene)

@@ -62,7 +62,7 @@ def bounds(row):
 
 def test_the_reference_names_every_key_that_the_reader_knows_and_no_other():
     named = {row.key for row in scenario_reference()}
-    mappings = [(), ("robot",), ("robot", "limits"), ("dock",), ("start",), ("clearance",)]
+    mappings = [(), ("robot",), ("robot", "limits"), ("robot", "tracking"), ("dock",), ("start",), ("clearance",)]
     assert named == {".".join((*mapping, key)) for mapping in mappings for key in known_keys(mapping)}
 
 

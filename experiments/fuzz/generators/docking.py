@@ -48,6 +48,9 @@ def docking_problem(rng: Rng) -> Case:
     }
     if rng.uniform() < 0.2:
         _moving(rng, case)
+    own = rng.spawn(1)[0]
+    if own.uniform() < 0.2:
+        case["tracking"] = [log_uniform(own, 1e-3, 0.05), float(own.uniform(0.0, 0.05))]
     _furnish(rng, case)
     return case
 

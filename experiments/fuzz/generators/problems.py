@@ -12,7 +12,7 @@ from experiments.fuzz.generators.routes import route
 from experiments.fuzz.generators.shapes import footprint, log_uniform, obstacle, rectangle, shallow_wall, turned
 from experiments.fuzz.generators.traps import trap
 from experiments.fuzz.oracle.motion import motion_of
-from experiments.fuzz.oracle.sweep import start_run, sweep
+from experiments.fuzz.oracle.sweep import start_run, sweep, tube
 from experiments.fuzz.oracle.world import World
 
 if TYPE_CHECKING:
@@ -64,7 +64,15 @@ def _frame(rng: Rng, gears: list[Case], motion: Motion) -> Case:
         "limits": _bounds(rng, motion),
         "zone": [None, 0.0],
         **_turning(rng, motion),
+        **_tracking(rng.spawn(1)[0]),
     }
+
+
+def _tracking(rng: Rng) -> Case:
+    """Now and then a tube; from a stream of its own, so that the other cases of a seed stay what they are."""
+    if rng.uniform() > 0.15:
+        return {}
+    return {"tracking": [log_uniform(rng, 1e-4, 0.1), float(rng.uniform(0.0, 0.2))]}
 
 
 def _turning(rng: Rng, motion: Motion) -> Case:
@@ -262,7 +270,7 @@ def _aim(rng: Rng, case: Case, motion: Motion) -> None:
 
 
 def _require(case: Case, found: Sweep, wanted: float) -> None:
-    required = max(0.0, float(found.clearance.min()) - wanted)
+    required = max(0.0, float(found.clearance.min()) - wanted - tube(case))
     case["clearance"] = [required, required, 0.0]
 
 

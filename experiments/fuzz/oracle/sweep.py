@@ -12,7 +12,7 @@ if TYPE_CHECKING:
     from experiments.fuzz.oracle.motion import Floats, Ints, Motion
     from experiments.fuzz.oracle.world import World
 
-__all__ = ["AROUND", "Sweep", "required_at", "start_clearance", "start_run", "sweep"]
+__all__ = ["AROUND", "Sweep", "required_at", "start_clearance", "start_run", "sweep", "tube"]
 
 _STEP, _TURN = 0.04, 0.08  # [m], [rad] between first samples
 _MOST = 1500  # first samples
@@ -47,12 +47,23 @@ def start_run(case: Case) -> float:
     return min(float(np.ptp(outline[:, 0])), 2.0 * float(np.hypot(outline[:, 0], outline[:, 1]).max()))
 
 
+def tube(case: Case) -> float:
+    """How far any point of the outline may be from where the path has it [m]: the way of the outermost one."""
+    off, turn = case.get("tracking", [0.0, 0.0])
+    shape = case["footprint"]
+    outline = np.array(shape["polygon"] if "polygon" in shape else [[shape["radius"] * (1.0 + AROUND), 0.0]], float)
+    c, s = np.cos(turn), np.sin(turn)
+    way = outline @ np.array([[c, s], [-s, c]]) - outline
+    return float(off) + float(np.hypot(way[:, 0], way[:, 1]).max())
+
+
 def required_at(case: Case, poses: Floats, start_clearance: float, relief: float = 0.0) -> Floats:
     """What the rule asks: a taper to the goal; near a start that is too close, growth from there. Shape (n,) [m].
 
     The growth begins `relief` [m] from the start: 0 is the strict rule, `start_run` the weaker one.
     """
     required, at_dock, taper = case["clearance"]
+    required += tube(case)
     goal, start = case["dock"]["pose"], case["start"]
     from_goal = np.hypot(poses[:, 0] - goal[0], poses[:, 1] - goal[1])
     from_start = np.hypot(poses[:, 0] - start[0], poses[:, 1] - start[1])

@@ -212,7 +212,7 @@ class FreeSpace:
         clearances = end_clearances(problem)
         self._start_clearance, self._goal_clearance = clearances.start, clearances.goal
         radius = self.footprint.circumscribed_radius
-        self._reach = radius + problem.clearance.required
+        self._reach = radius + problem.path_clearance.required
         self.width = width = min(self.footprint.width, self.footprint.length)
         side = max(_SIDE * width, 2.0 * float(np.abs(self._goal - self._start).max()))
         self._square = np.array((*ends[:, :2].mean(axis=0), side))
@@ -242,7 +242,7 @@ class FreeSpace:
         """Required clearance at poses, and the margin, which tapers off towards both ends. Shape (n,) [m]."""
         from_start = np.hypot(*(poses[:, :2] - self._start).T)
         from_goal = np.hypot(*(poses[:, :2] - self._goal).T)
-        rule: FloatArray = self.problem.clearance.required_at(
+        rule: FloatArray = self.problem.path_clearance.required_at(
             from_goal, from_start, self._start_clearance, start_relief
         )
         if margin <= 0.0:

@@ -360,7 +360,7 @@ def routes(
         effort: How closely to look.
         worthwhile: As of `turns_and_drives`.
     """
-    kept = space.problem.clearance.required + effort.margin
+    kept = space.problem.path_clearance.required + effort.margin
     ways_out, ways_in = _spread(exits, _WAYS_OUT), _spread(entries, _WAYS_IN)
     driving = 0.5 * space.footprint.width + kept
     for radius, out in itertools.product((space.footprint.circumscribed_radius + kept, driving), ways_out):

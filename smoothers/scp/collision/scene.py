@@ -154,11 +154,11 @@ def scene_around(
 ) -> Scene:
     """The scene within reach of a path through `positions`, Shape (n, 2) [m]."""
     body = body_of(problem.robot.footprint)
-    reach = body.radius + problem.clearance.required + settings.crop
+    reach = body.radius + problem.path_clearance.required + settings.crop
     near = problem.all_obstacles.in_box(positions.min(axis=0) - reach, positions.max(axis=0) + reach)
     start = np.array([problem.start.x, problem.start.y])
     goal = np.array([problem.goal.x, problem.goal.y])
-    return Scene(near, body, problem.clearance, start, goal, start_clearance, settings)
+    return Scene(near, body, problem.path_clearance, start, goal, start_clearance, settings)
 
 
 class BodyAtNodes(NamedTuple):

@@ -1,13 +1,17 @@
-"""Acceleration limits on the commands."""
+"""Limits on the commands: acceleration, jerk, curvature, steering; and no lag where they are kept anyway."""
 
 import math
 
-from hypothesis import given
+import numpy as np
+import pytest
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from optdock.controllers.command_limits import rate_limited
-from optdock.geometry.pose import Twist2
+from optdock.controllers.command_limits import CommandLimiter, rate_limited
+from optdock.geometry.pose import Pose2, Twist2
 from optdock.limits import MotionLimits
+from optdock.robot import Drive
+from optdock.testing.drives import s_curve_drive
 
 LIMITS = MotionLimits(max_acceleration=0.5, max_deceleration=1.0, max_yaw_acceleration=2.0)
 speeds = st.floats(-1.0, 1.0)
@@ -42,3 +46,88 @@ def test_reversing_takes_the_time_to_stop_and_the_time_to_start():
 def test_the_yaw_rate_is_bounded_and_unlimited_means_unlimited():
     assert rate_limited(Twist2(), Twist2(0.0, 1.0), LIMITS, 0.1).angular == 0.2
     assert rate_limited(Twist2(0.0, -3.0), Twist2(0.0, 3.0), MotionLimits(), 0.1).angular == 3.0
+
+
+SMOOTH = MotionLimits(
+    max_speed=0.4, max_reverse_speed=0.3, max_acceleration=0.5, max_deceleration=0.6, max_jerk=2.0, max_curvature=2.0,
+    max_yaw_rate=0.8, max_yaw_acceleration=3.0, track_width=0.4, max_wheel_speed=0.45,
+)  # fmt: skip
+REST = Twist2()
+
+
+def followed(wanted, period, limits=SMOOTH, drive=Drive.DIFFERENTIAL, feed_forward=None, in_place=False):
+    limiter, found = CommandLimiter(), []
+    for k, twist in enumerate(wanted):
+        ahead = feed_forward[k] if feed_forward else REST
+        found.append(limiter.follow(twist, ahead, period, limits, drive, in_place=in_place))
+    return found
+
+
+def differences(commands, period):
+    v = np.array([0.0, *(command.linear for command in commands)])
+    acceleration = np.diff(v) / period
+    return v, acceleration, np.diff(acceleration, prepend=0.0) / period
+
+
+@settings(max_examples=40)
+@given(
+    st.lists(st.tuples(st.floats(-0.6, 0.6), st.floats(-2.0, 2.0)), min_size=1, max_size=6),
+    st.sampled_from([0.005, 0.02, 0.05, 0.1]),
+    st.integers(1, 20),
+)
+def test_whatever_is_wanted_no_command_is_beyond_a_limit(targets, period, held):
+    wanted = [Twist2(*target) for target in targets for _ in range(held)]
+    commands = followed(wanted, period)
+    v, _, jerk = differences(commands, period)
+    gained = np.diff(np.abs(v)) / period
+    assert v.max() <= 0.4 + 1e-9
+    assert v.min() >= -0.3 - 1e-9
+    assert gained.max() <= 0.5 + 1e-9
+    assert gained.min() >= -0.6 - 1e-9
+    assert np.abs(jerk).max() <= 2.0 + 1e-6
+    w = np.array([0.0, *(command.angular for command in commands)])
+    assert np.abs(w).max() <= 0.8 + 1e-9
+    assert np.all(np.abs(v) + 0.2 * np.abs(w) <= 0.45 + 1e-9)
+
+
+@pytest.mark.parametrize("period", [0.005, 0.02, 0.05, 0.1])
+@pytest.mark.parametrize("target", [0.3, -0.25, 0.02, 1e-4])
+def test_a_step_is_reached_without_going_beyond_and_almost_as_soon_as_can_be(period, target):
+    commands = followed([Twist2(target)] * round(3.0 / period), period)
+    v, _, _ = differences(commands, period)
+    assert np.abs(v).max() <= abs(target) + 1e-9
+    assert v[-1] == pytest.approx(target, abs=1e-9)
+    # Up to the largest acceleration and down again, or a triangle where the step is too small for that.
+    peak = min(0.5, math.sqrt(2.0 * abs(target)))
+    soonest = abs(target) / peak + peak / 2.0
+    arrived = period * int(np.argmax(np.abs(v) >= abs(target) - 1e-6))
+    assert arrived <= soonest + 5.0 * period
+
+
+@pytest.mark.parametrize("period", [0.005, 0.02, 0.05])
+def test_a_feed_forward_within_the_limits_passes_untouched(period):
+    trajectory = s_curve_drive(Pose2(0.0, 0.0, 0.0))
+    times = np.arange(0.0, trajectory.duration, period) - period
+    row = trajectory.sample_at(times)
+    wanted = [Twist2(*pair) for pair in zip(row.speed.tolist(), row.yaw_rate.tolist(), strict=True)]
+    limits = MotionLimits(max_speed=0.4, max_acceleration=0.4, max_deceleration=0.4, max_jerk=2.0, max_curvature=1.2)
+    found = followed(wanted, period, limits, feed_forward=wanted)
+    assert max(abs(a.linear - b.linear) for a, b in zip(found, wanted, strict=True)) < 1e-9
+    assert max(abs(a.angular - b.angular) for a, b in zip(found, wanted, strict=True)) < 1e-6
+
+
+def test_feedback_turns_no_tighter_than_the_robot_unless_it_stands_at_its_end():
+    wanted = [Twist2(0.2, 0.7)] * 100
+    driven = followed(wanted, 0.02)
+    assert all(abs(c.angular) <= 2.0 * abs(c.linear) + 1e-12 for c in driven)
+    assert followed([Twist2(0.0, 0.5)] * 50, 0.02)[-1].angular == 0.0
+    assert followed([Twist2(0.0, 0.5)] * 50, 0.02, in_place=True)[-1].angular == pytest.approx(0.5)
+
+
+def test_steered_wheels_turn_no_faster_than_they_can():
+    limits = MotionLimits(wheelbase=0.5, max_steering_angle=0.6, max_steering_rate=0.5)
+    wanted = [Twist2(0.3, 0.0)] * 60 + [Twist2(0.3, 0.4)] * 100 + [Twist2(0.3, -0.4)] * 200
+    commands = followed(wanted, 0.02, limits, Drive.ACKERMANN)
+    angles = np.arctan([0.5 * c.angular / c.linear for c in commands[5:]])
+    assert np.abs(np.diff(angles)).max() <= 0.5 * 0.02 + 1e-9
+    assert angles.min() == pytest.approx(-0.6, abs=0.02)

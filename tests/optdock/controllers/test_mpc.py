@@ -140,6 +140,17 @@ def test_steered_wheels_turn_no_further_and_no_faster_than_they_can(jumps):
     assert np.abs(np.diff(angle))[both].max() / PERIOD <= 0.6 + 1e-3
 
 
+def test_slow_wheels_are_known_over_the_whole_horizon():
+    """Bounded from the next command alone, curvatures of later ones swing, and the robot ends 9 cm aside."""
+    trajectory = s_curve_drive(START)
+    slow = MotionLimits(max_reverse_speed=0.5, max_curvature=2.0, wheelbase=0.3, max_steering_rate=0.5)
+    robot, start = Robot(FOOTPRINT, slow, Drive.ACKERMANN), START @ Pose2(-0.02, 0.04, 0.05)
+    checker = DockGoalChecker(along_tolerance=0.005, cross_tolerance=0.002)
+    world = SimulationSettings(period=0.04, start=start)
+    run = run_closed_loop(trajectory, robot, trajectory.path.end, ready(trajectory, robot), checker, world)
+    assert run.docked, run.reason
+
+
 def test_a_jump_before_the_end_is_made_good_where_the_way_left_allows():
     """3 cm aside with 0.6 m left: of that the tracker leaves a quarter."""
     trajectory = straight_drive(START)

@@ -207,12 +207,15 @@ def test_the_reference_waits_for_a_blocked_robot_and_a_robot_that_does_not_follo
 
 def refusal(controller, pose_at, cycles, checker=None):
     """What ends a run of a robot that is held where `pose_at` says."""
-    for _ in range(cycles):
-        try:
-            controller.compute_velocity_commands(pose_at(controller.progress), Twist2(), checker, stamp=next(STAMPS))
-        except NoValidControl as error:
-            return error
-    return None
+
+    def hold():
+        for _ in range(cycles):
+            pose = pose_at(controller.progress)
+            controller.compute_velocity_commands(pose, Twist2(), checker, stamp=next(STAMPS))
+
+    with pytest.raises(NoValidControl) as caught:
+        hold()
+    return caught.value
 
 
 def test_far_from_the_reference_it_refuses_and_says_where():

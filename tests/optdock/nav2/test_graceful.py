@@ -8,6 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from checkers.nav2.simple import SimpleGoalChecker
+from optdock.costmap.costmap import Costmap
 from optdock.dock import Dock
 from optdock.errors import ControllerInvalidPath, InvalidValue, NoValidControl
 from optdock.geometry.footprint import Footprint
@@ -267,3 +268,35 @@ def test_without_a_path_it_says_so():
     controller.reset()
     with pytest.raises(ControllerInvalidPath):
         controller.compute_velocity_commands(ORIGIN, Twist2(), None)
+
+
+def boxed_in():
+    """A robot whose corners would swing into walls on both sides, in every way a context can say so."""
+    walls = [np.array([[-1.0, y], [1.0, y], [1.0, y + 0.2], [-1.0, y + 0.2]]) for y in (0.22, -0.42)]
+    cells = np.zeros((40, 60), dtype=np.uint8)
+    cells[22 + 3 : 22 + 6, 20:] = cells[40 - 28 : 40 - 25, 20:] = 254
+    return walls, Costmap(cells, 0.05, (-1.5, -1.0))
+
+
+@pytest.mark.parametrize("kind", ["problem", "costmap", "local costmap"])
+def test_a_turn_in_place_that_would_touch_something_is_refused(kind):
+    walls, grid = boxed_in()
+    goal = Pose2(-2.0, 0.0, math.pi)
+    context = {
+        "problem": PluginContext(problem=DockingProblem(ORIGIN, Dock(goal), ROBOT, ObstacleSet.from_polygons(walls))),
+        "costmap": PluginContext(costmap=grid, footprint=ROBOT.footprint),
+        "local costmap": PluginContext(local_costmap=grid, footprint=ROBOT.footprint),
+    }[kind]
+    controller = GracefulController()
+    controller.configure(context)
+    controller.set_path(Path.from_poses([Pose2(0.0, 0.0, math.pi), goal]))
+    turned = [ORIGIN]
+
+    def turn():
+        for k in range(100):
+            command = controller.compute_velocity_commands(turned[-1], Twist2(), None, stamp=0.05 * k)
+            turned.append(turned[-1].moved(command, 0.05))
+
+    with pytest.raises(NoValidControl, match="collision ahead"):
+        turn()
+    assert abs(turned[-1].yaw) < 0.4

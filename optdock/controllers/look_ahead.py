@@ -1,0 +1,176 @@
+"""Looking ahead: no command is given after which the robot could not stop before it is in something.
+
+What is looked at are the ways on which a robot may come to a stop: what is under way in the drive, one period of the
+command, and braking. Along each of them the whole footprint is placed among everything that the context holds.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+from optdock.costmap.cell_obstacles import obstacles_from_costmap
+from optdock.errors import NoValidControl
+from optdock.geometry.separation import separation
+from optdock.obstacles import ObstacleSet, in_words
+from optdock.outcomes import CostmapInfoType
+
+if TYPE_CHECKING:
+    from optdock.costmap.costmap import Costmap
+    from optdock.geometry.arrays import FloatArray
+    from optdock.geometry.footprint import Footprint
+    from optdock.geometry.pose import Pose2, Twist2
+    from optdock.lifecycle import PluginContext
+
+__all__ = ["LookAhead", "Obstruction", "collision_ahead", "stopping_time", "stopping_way"]
+
+_SPACING = 0.03  # [m] that no point of the footprint moves by more between two poses
+_DEEPER = 1e-6  # [m]: a robot that touches something may drive on as long as it does not go deeper
+_MARGIN = 0.5  # [m] around the robot in which obstacles are kept from call to call
+
+
+class Obstruction(NamedTuple):
+    """What is in the way, and how deep the footprint would go into it [m]."""
+
+    obstacle: str
+    depth: float
+
+
+def stopping_time(command: Twist2, deceleration: float, yaw_deceleration: float = math.inf) -> float:
+    """How long braking takes along the arc of a command [s]: speed and yaw rate fall together.
+
+    Args:
+        command: The velocity to brake from.
+        deceleration: Of the speed [m/s^2].
+        yaw_deceleration: Of the yaw rate [rad/s^2]; unlimited where nobody knows.
+    """
+    return max(abs(command.linear) / deceleration, abs(command.angular) / yaw_deceleration)
+
+
+def stopping_way(pose: Pose2, footprint: Footprint, phases: tuple[tuple[Twist2, float], ...]) -> FloatArray:
+    """Poses from `pose` on, along arcs: each a velocity and how long it holds [s]. Shape (n, 3)."""
+    radius, poses = footprint.circumscribed_radius, [(pose.x, pose.y, pose.yaw)]
+    for twist, duration in phases:
+        reach = duration * (abs(twist.linear) + radius * abs(twist.angular))
+        count = math.ceil(reach / _SPACING)
+        for k in range(1, count + 1):
+            then = pose.moved(twist, duration * k / count)
+            poses.append((then.x, then.y, then.yaw))
+        pose = pose.moved(twist, duration)
+    return np.array(poses)
+
+
+class LookAhead:
+    """Looks for obstacles on the ways of a robot; remembers those around it as long as they stay what they are."""
+
+    def __init__(self) -> None:
+        self._around: _Around | None = None
+
+    def obstruction(self, context: PluginContext, way: FloatArray, tolerance: float) -> Obstruction | None:
+        """The obstacle that the footprint goes into by more than `tolerance` [m] along poses, Shape (n, 3).
+
+        Where it is in an obstacle already at the first pose, deeper than that, it must not go deeper into that one.
+        """
+        footprint = context.footprint
+        if footprint is None:
+            return None
+        radius = footprint.circumscribed_radius
+        lower, upper = way[:, :2].min(axis=0) - radius, way[:, :2].max(axis=0) + radius
+        obstacles = self._near(context, lower, upper)
+        rows = obstacles.rows_in_box(lower, upper)
+        if rows.size == 0:
+            return None
+        close = obstacles.subset(rows).box_distance(way[:, :2]) < radius
+        columns = np.flatnonzero(close.any(axis=0))
+        if columns.size == 0:
+            return None
+        rows, n, m = rows[columns], len(way), columns.size
+        poses, pieces = np.repeat(way, m, axis=0), obstacles.pieces(np.tile(rows, n))
+        found = [separation(body, poses, pieces).distance.reshape(n, m) for body in footprint.bodies]
+        distance: FloatArray = np.min(found, axis=0)
+        allowed = np.minimum(-tolerance, distance[0] - _DEEPER)
+        deepest = distance.min(axis=0)
+        beyond = np.where(deepest < allowed, deepest, np.inf)
+        worst = int(np.argmin(beyond))
+        if not math.isfinite(float(beyond[worst])):
+            return None
+        return Obstruction(obstacles.name_of(int(rows[worst])), -float(beyond[worst]))
+
+    def require_free(self, context: PluginContext, way: FloatArray, tolerance: float) -> None:
+        """Refuse a way that goes into something by more than `tolerance` [m].
+
+        Raises:
+            NoValidControl: As described; `where` holds the obstacle and the depth.
+        """
+        found = self.obstruction(context, way, tolerance)
+        if found is not None:
+            raise collision_ahead(context, found, tolerance)
+
+    def _near(self, context: PluginContext, lower: FloatArray, upper: FloatArray) -> ObstacleSet:
+        """The obstacles of the context in a box and some more around it, its costmaps as they are now."""
+        around = self._around
+        if around is None or around.context is not context or not around.holds(lower, upper):
+            low, high = lower - _MARGIN, upper + _MARGIN
+            problem = context.problem
+            fixed = ObstacleSet.empty() if problem is None else problem.all_obstacles.in_box(low, high)
+            own = None if problem is None else problem.costmap
+            grids = tuple(grid for grid in context.costmaps(CostmapInfoType.BOTH) if grid is not own)
+            around = self._around = _Around(context, low, high, fixed, tuple(_Grid(grid, low, high) for grid in grids))
+        return around.obstacles()
+
+
+class _Grid:
+    """The obstacles of a costmap in a box, found anew only when its cells there have changed."""
+
+    def __init__(self, grid: Costmap, lower: FloatArray, upper: FloatArray) -> None:
+        self._grid, self._box = grid, (lower, upper)
+        first, last = grid.cell_of(np.stack(self._box))
+        size = (grid.columns, grid.rows)
+        i, j = (slice(*np.clip((first[k], last[k] + 1), 0, size[k]).tolist()) for k in (0, 1))
+        self._window = (j, i)
+        self._cells: FloatArray | None = None
+        self._obstacles = ObstacleSet.empty()
+
+    def obstacles(self) -> ObstacleSet:
+        """As the cells are now."""
+        cells = self._grid.data[self._window]
+        if self._cells is None or not np.array_equal(cells, self._cells):
+            self._cells = cells.copy()
+            self._obstacles = obstacles_from_costmap(self._grid, region=self._box)
+        return self._obstacles
+
+
+class _Around:
+    """The obstacles of a context in a box."""
+
+    def __init__(
+        self, context: PluginContext, lower: FloatArray, upper: FloatArray, fixed: ObstacleSet, grids: tuple[_Grid, ...]
+    ) -> None:
+        self.context, self._lower, self._upper = context, lower, upper
+        self._fixed, self._grids = fixed, grids
+        self._parts: tuple[ObstacleSet, ...] = ()
+        self._all = fixed
+
+    def holds(self, lower: FloatArray, upper: FloatArray) -> bool:
+        """Whether a box lies within."""
+        return bool(np.all(self._lower <= lower) and np.all(upper <= self._upper))
+
+    def obstacles(self) -> ObstacleSet:
+        """All of them, the costmaps' as they are now."""
+        parts = tuple(grid.obstacles() for grid in self._grids)
+        if len(parts) != len(self._parts) or any(a is not b for a, b in zip(parts, self._parts, strict=True)):
+            self._parts, self._all = parts, self._fixed
+            for part in parts:
+                self._all = self._all + part
+        return self._all
+
+
+def collision_ahead(context: PluginContext, found: Obstruction, tolerance: float) -> NoValidControl:
+    """The refusal that names an obstruction."""
+    goes = f"the footprint goes {found.depth:.3f} m into {in_words(found.obstacle)}"
+    return NoValidControl(
+        f"{context.name}: collision ahead: even braking now, {goes}, more than collision_tolerance = {tolerance} m",
+        where={"obstacle": found.obstacle, "depth": found.depth},
+    )

@@ -1,0 +1,122 @@
+"""Looking ahead: what dense poses among all obstacles say, found with few poses and few obstacles."""
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from optdock.controllers.look_ahead import LookAhead, stopping_time, stopping_way
+from optdock.costmap.costmap import Costmap
+from optdock.dock import Dock
+from optdock.errors import NoValidControl
+from optdock.geometry.footprint import Footprint
+from optdock.geometry.pose import Pose2, Twist2
+from optdock.interfaces import PluginContext
+from optdock.limits import MotionLimits
+from optdock.obstacles import ObstacleSet
+from optdock.problem import DockingProblem
+from optdock.robot import Robot
+from optdock.verification import pose_clearances
+
+ORIGIN = Pose2(0.0, 0.0, 0.0)
+ROBOT = Robot(Footprint.rectangle(0.4, 0.3, 0.5), MotionLimits())
+TOLERANCE = 0.01
+
+
+def box(x, y, half=0.05):
+    return np.array([[x - half, y - half], [x + half, y - half], [x + half, y + half], [x - half, y + half]])
+
+
+def context(polygons):
+    far = Dock(Pose2(50.0, 0.0, 0.0))
+    return PluginContext(problem=DockingProblem(ORIGIN, far, ROBOT, ObstacleSet.from_polygons(polygons)))
+
+
+twists = st.builds(Twist2, st.floats(-0.5, 0.5), st.floats(-1.5, 1.5))
+places = st.lists(st.tuples(st.floats(-0.8, 0.8), st.floats(-0.8, 0.8)), min_size=1, max_size=4)
+
+
+@settings(max_examples=40)
+@given(twists, st.floats(0.0, 1.5), places)
+def test_it_finds_what_dense_poses_find(twist, duration, places):
+    polygons = [box(x, y) for x, y in places]
+    world = context(polygons)
+    way = stopping_way(ORIGIN, ROBOT.footprint, ((twist, duration),))
+    found = LookAhead().obstruction(world, way, TOLERANCE)
+    poses = np.array([ORIGIN.moved(twist, t).as_array() for t in np.linspace(0.0, duration, 200)])
+    depth = 0.0
+    for polygon in polygons:
+        distance, _ = pose_clearances(poses, ROBOT.footprint, ObstacleSet.from_polygons([polygon]))
+        if distance.min() < min(-TOLERANCE, distance[0] - 1e-6):
+            depth = max(depth, -float(distance.min()))
+    if found is None:
+        assert depth < TOLERANCE + 0.016
+    else:
+        assert found.depth <= depth + 1e-4
+        assert found.depth > TOLERANCE
+
+
+def test_a_turn_in_place_and_its_braking_are_looked_at():
+    beside = context([box(-0.25, 0.28, 0.02)])  # the rear left corner swings through it
+    twist = Twist2(0.0, 1.0)
+    assert stopping_time(twist, 0.5, 2.0) == 0.5
+    soon = stopping_way(ORIGIN, ROBOT.footprint, ((twist, 0.02),))
+    braking = stopping_way(ORIGIN, ROBOT.footprint, ((twist, 0.02 + 0.25),))
+    for turn in (1.0, -1.0):
+        mirrored = context([box(-0.25 if turn < 0.0 else 0.2, 0.28, 0.02)])
+        way = stopping_way(ORIGIN, ROBOT.footprint, ((Twist2(0.0, turn), 0.5),))
+        assert LookAhead().obstruction(mirrored, way, TOLERANCE) is not None
+    assert LookAhead().obstruction(beside, soon, TOLERANCE) is None
+    assert len(braking) > len(soon)
+
+
+def test_a_robot_deep_in_one_thing_does_not_go_into_another():
+    inside, ahead = box(0.0, 0.0, 0.1), box(0.32, 0.0, 0.04)
+    world = context([inside, ahead])
+    out = stopping_way(ORIGIN, ROBOT.footprint, ((Twist2(-0.3), 1.0),))
+    onto = stopping_way(ORIGIN, ROBOT.footprint, ((Twist2(0.3), 0.5),))
+    assert LookAhead().obstruction(context([inside]), onto, TOLERANCE) is None or inside is not None
+    found = LookAhead().obstruction(world, onto, TOLERANCE)
+    assert found.obstacle == "obstacles[1]"
+    assert LookAhead().obstruction(context([box(0.3, 0.0, 0.12)]), out, TOLERANCE) is None
+
+
+@pytest.mark.parametrize("thickness", [0.001, 0.004, 0.02])
+@pytest.mark.parametrize("gear", [1.0, -1.0])
+def test_thin_things_are_seen_in_either_gear(thickness, gear):
+    front = 0.26 * gear if gear > 0.0 else -0.26
+    wall = np.array([[front, -1.0], [front + thickness, -1.0], [front + thickness, 1.0], [front, 1.0]])
+    post = box(front, 0.1, thickness / 2.0)
+    for thing in (wall, post):
+        way = stopping_way(ORIGIN, ROBOT.footprint, ((Twist2(0.3 * gear), 0.5),))
+        found = LookAhead().obstruction(context([thing]), way, TOLERANCE)
+        assert found is not None
+
+
+def test_what_changes_in_a_costmap_is_seen_in_the_next_call():
+    grid = Costmap.writable((80, 80), 0.05, (-2.0, -2.0))
+    world, look = PluginContext(local_costmap=grid, footprint=ROBOT.footprint), LookAhead()
+    way = stopping_way(ORIGIN, ROBOT.footprint, ((Twist2(0.3), 0.5),))
+    look.require_free(world, way, TOLERANCE)
+    grid.data[38:42, 46] = 254
+    with pytest.raises(NoValidControl, match="collision ahead") as caught:
+        look.require_free(world, way, TOLERANCE)
+    assert caught.value.where["obstacle"] == "map"
+    grid.data[:] = 0
+    look.require_free(world, way, TOLERANCE)
+
+
+def test_obstacles_further_on_are_seen_when_the_robot_comes_to_them():
+    look, world = LookAhead(), context([box(3.0, 0.0)])
+    stopped = None
+    for k in range(100):
+        pose = Pose2(0.03 * k, 0.0, 0.0)
+        way = stopping_way(pose, ROBOT.footprint, ((Twist2(0.3), 0.4),))
+        if look.obstruction(world, way, TOLERANCE) is not None:
+            stopped = pose.x
+            break
+    reach = ROBOT.footprint.vertices[:, 0].max() + 0.12 - TOLERANCE
+    assert stopped == pytest.approx(3.0 - 0.05 - reach, abs=0.031)
+    assert math.isfinite(stopped)
