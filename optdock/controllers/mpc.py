@@ -26,7 +26,7 @@ from optdock.controllers.mpc_program import (
 from optdock.controllers.tracking import TrackingController, TrackingControllerParameters
 from optdock.errors import NoValidControl
 from optdock.geometry.pose import Pose2, Twist2
-from optdock.robot import Drive, admissible
+from optdock.robot import Drive, TrackingTube, admissible
 
 if TYPE_CHECKING:
     from optdock.geometry.arrays import FloatArray
@@ -65,8 +65,7 @@ class MpcControllerParameters(TrackingControllerParameters):
     yaw_rate_effort: float = Field(default=0.5, gt=0.0, description="yaw rate beside it that weighs 1 [rad/s]")
     smoothness: float = Field(default=0.2, ge=0.0, description="time in which these efforts may come and go [s]")
     final_weight: float = Field(default=20.0, ge=0.0, description="errors at the end weigh as over this time [s]")
-    tube_cross: float = Field(default=0.0, ge=0.0, description="half width of the tube [m]; 0: none")
-    tube_yaw: float = Field(default=0.1, gt=0.0, description="largest heading error in the tube [rad]")
+    hold_tube: bool = Field(default=True, description="hold the robot in its tube, Robot.tracking, where it has one")
 
 
 class CycleOutcome(str, Enum):
@@ -109,7 +108,8 @@ class MpcController(TrackingController):
     **Drive.** Latency and lag, given or identified on the way, are part of the model: the pose is predicted to when the
     command will take effect, from the commands that are under way.
 
-    **Tube.** With `tube_cross` the errors across and in heading are held within a tube where the limits allow it.
+    **Tube.** Errors across and in heading are held within the robot's tube, `Robot.tracking`, where the limits allow
+    it and the robot has one.
 
     **When it cannot.** `status` names it: a jerk limit that no commands keep (the reference jumped), a tube that is
     left, a program without a solution; then the commands found before go on, and after them NoValidControl.
@@ -202,6 +202,13 @@ class MpcController(TrackingController):
         return sum(self._delays)
 
     @property
+    def _tube(self) -> tuple[float, float] | None:
+        """Half width [m] and heading error [rad] of the robot's tube; None where nothing is to be held."""
+        tube = self.context.problem.robot.tracking if self.context.problem else TrackingTube()
+        held = self.parameters.hold_tube and tube.cross > 0.0 and tube.yaw > 0.0
+        return (tube.cross, tube.yaw) if held else None
+
+    @property
     def _weights(self) -> Weights:
         p = self.parameters
         errors = np.array([p.along_error, p.cross_error, p.yaw_error]) ** -2.0
@@ -211,7 +218,7 @@ class MpcController(TrackingController):
     def _build(self) -> None:
         p = self.parameters
         ackermann = self._drive is Drive.ACKERMANN
-        self._program = TrackingProgram(p.steps, self._weights, ackermann=ackermann, in_tube=p.tube_cross > 0.0)
+        self._program = TrackingProgram(p.steps, self._weights, ackermann=ackermann, in_tube=self._tube is not None)
         self._built_for = p
         self._to_go.clear()
 
@@ -262,7 +269,7 @@ class MpcController(TrackingController):
             bounds=self._bounds(nominal, h),
             last=last,
             last_acceleration=self._limiter.acceleration,
-            tube=(p.tube_cross, p.tube_yaw) if p.tube_cross > 0.0 else None,
+            tube=self._tube,
         )
         found, self._nominal = self._solved(cycle), nominal[0]
         v, w = float(found[0]), float(found[1])

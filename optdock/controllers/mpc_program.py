@@ -2,7 +2,7 @@
 
 The robot is seen from its moving reference: z = (along, cross, yaw error, speed, yaw rate). Over one step of length h
 the reference moves along an arc of mean velocity (v, w); linearised there [DeLuca2001], with the drive a first-order
-lag that is integrated exactly, z' = A z + B u + c. The states are eliminated, so the variables are the commands alone:
+lag that is integrated exactly, z' = A z + B u + c. The states are eliminated [Rawlings2017], so the variables are the commands alone:
 
     minimize    sum_k h_k |errors_k|^2_Q + |u_k - nominal_k|^2_R + |d(u - nominal)/dt|^2_S  + |errors_N|^2_P
                 + exact penalties of the two slacks
@@ -414,7 +414,7 @@ class TrackingProgram:
             np.clip(values, -UNBOUNDED, UNBOUNDED, out=values)
 
     def _fill_curvature_changes(self, nominal: FloatArray, bounds: CommandBounds) -> None:
-        """Curvatures w / v, linear about the nominal commands, from one command to the next where both are in motion."""
+        """Curvatures w / v, linear about the nominal commands, from each to the next where both are in motion."""
         program, (v, w) = self._program, nominal.T
         moving = np.abs(v) > _IN_MOTION
         speed = np.where(moving, v, 1.0)

@@ -18,7 +18,7 @@ from optdock.obstacles import ObstacleSet
 from optdock.path import Direction
 from optdock.plugins import create_plugin
 from optdock.problem import DockingProblem
-from optdock.robot import Drive, Robot
+from optdock.robot import Drive, Robot, TrackingTube
 from optdock.simulation import Actuation, DifferentialDrive, SimulationSettings, run_closed_loop
 from optdock.testing.drives import clothoid, cusp_drive, rest_to_rest, s_curve_drive, straight_drive
 
@@ -191,7 +191,7 @@ def test_a_late_drive_is_predicted(known):
 class TestTheTube:
     def outside(self, width, error):
         trajectory = straight_drive(START)
-        controller = ready(trajectory, tube_cross=width, tube_yaw=0.05)
+        controller = ready(trajectory, Robot(FOOTPRINT, LIMITS, tracking=TrackingTube(width, 0.05)))
         drive(controller, trajectory, 60)
         for k in range(60, 64):
             pose = trajectory.at(k * PERIOD).pose @ error
