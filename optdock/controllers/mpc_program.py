@@ -2,7 +2,8 @@
 
 The robot is seen from its moving reference: z = (along, cross, yaw error, speed, yaw rate). Over one step of length h
 the reference moves along an arc of mean velocity (v, w); linearised there [DeLuca2001], with the drive a first-order
-lag that is integrated exactly, z' = A z + B u + c. The states are eliminated [Rawlings2017], so the variables are the commands alone:
+lag that is integrated exactly, z' = A z + B u + c. The states are eliminated [Rawlings2017], so the variables are the
+commands alone:
 
     minimize    sum_k h_k |errors_k|^2_Q + |u_k - nominal_k|^2_R + |d(u - nominal)/dt|^2_S  + |errors_N|^2_P
                 + exact penalties of the two slacks
