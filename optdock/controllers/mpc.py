@@ -49,7 +49,7 @@ class MpcControllerParameters(TrackingControllerParameters):
     """Horizon, weights and drive of the MpcController; the gains and the preview of the other law are not used.
 
     The weights are those that `python -m experiments.benchmarks tracking --tune 120` finds, rounded; but `smoothness`
-    and `along_error` are larger and the yaw weighs more: noise at 20 Hz then leaves half of the errors along and in yaw.
+    and `along_error` are larger and the yaw weighs more: of noise at 20 Hz half is then left along and in yaw.
     """
 
     horizon: float = Field(default=0.7, gt=0.0, le=5.0, description="how far ahead it looks [s]")
