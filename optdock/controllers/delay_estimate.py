@@ -47,6 +47,13 @@ class DelayEstimate:
         self._misfit = np.zeros(self._speeds.shape)
         self._best = 0
 
+    @property
+    def latency_and_lag(self) -> tuple[float, float]:
+        """The delay in its two parts, as the best model has them [s]."""
+        whole = float(_DELAYS.flat[self._best])
+        lag = self.delay * float(_LAGS[self._best % _LAGS.size]) / whole if whole > 0.0 else 0.0
+        return self.delay - lag, lag
+
     def update(self, command: float, speed: float, period: float) -> None:
         """Take in the speed [m/s] measured at the end of the `period` [s] in which `command` was given [m/s]."""
         if period <= 0.0:

@@ -186,6 +186,26 @@ class Reference:
             ),
         )
 
+    def poses_ahead(self, previews: FloatArray) -> FloatArray:
+        """Poses so many seconds from now, Shape (n,) [s], at the present rate; yaw continuous. Shape (n, 3)."""
+        if not self._joints:
+            row = self.trajectory.sample_at(self.time + (self.rate if self.time >= 0.0 else 1.0) * previews)
+            poses = np.column_stack((row.x, row.y, row.yaw))
+        else:
+            poses = np.empty((previews.size, 3))
+            shown = [self._at(float(preview)) for preview in previews]
+            for trajectory in dict.fromkeys(each for each, _, _ in shown):
+                mine = [k for k, (each, _, _) in enumerate(shown) if each is trajectory]
+                row = trajectory.sample_at([shown[k][1] for k in mine])
+                poses[mine] = np.column_stack((row.x, row.y, row.yaw))
+        poses[:, 2] = np.unwrap(poses[:, 2])
+        return poses
+
+    def trajectory_ahead(self, preview: float) -> tuple[Trajectory, float]:
+        """The trajectory in force `preview` seconds from now, and the time on its clock then [s]."""
+        trajectory, time, _ = self._at(preview)
+        return trajectory, time
+
     def next_arc(self) -> Twist2:
         """The direction that the commands take next: of an arc at 1 m/s; at a cusp that of the gear that follows."""
         shown, time, _ = self._at(self._preview)

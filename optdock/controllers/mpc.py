@@ -1,0 +1,440 @@
+"""MpcController: drives a trajectory by the best commands of a short horizon within the robot's limits."""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from enum import Enum
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+from pydantic import Field
+
+from optdock.controllers.command_limits import CommandLimiter, rate_limited
+from optdock.controllers.finish import Accepted
+from optdock.controllers.moving_reference import Reference, ReferenceState
+from optdock.controllers.mpc_program import (
+    CommandBounds,
+    Cycle,
+    TrackingProgram,
+    Weights,
+    arcs_between,
+    predicted,
+    riccati_back,
+    step_matrices,
+)
+from optdock.controllers.tracking import TrackingController, TrackingControllerParameters
+from optdock.errors import NoValidControl
+from optdock.geometry.pose import Pose2, Twist2
+from optdock.robot import Drive, TrackingTube, admissible
+
+if TYPE_CHECKING:
+    from optdock.geometry.arrays import FloatArray
+    from optdock.interfaces import GoalChecker
+    from optdock.limits import MotionLimits
+    from optdock.path import Path
+    from optdock.trajectory import Trajectory
+
+__all__ = ["CycleOutcome", "MpcController", "MpcControllerParameters", "MpcStatus"]
+
+_RICCATI_STEP = 0.1  # [s]: the cost to go is smooth; finer steps change commands by less than a percent
+_EXACT = 1e4  # penalty per metre and per m/s^3: above every multiplier of errors that weigh 1 to 10
+_JERK_TOLERANCE = 1e-3  # of the limit
+_AT_REST = 1e-6  # [m/s]
+_REMEMBERED = 0.5  # [s] of commands under way, the longest latency
+_MOST = 1e3  # [m/s], [rad/s]: faster than anything, for the reachable interval of a command
+
+
+class MpcControllerParameters(TrackingControllerParameters):
+    """Horizon, weights and drive of the MpcController; the gains and the preview of the other law are not used.
+
+    The weights are those that `python -m experiments.benchmarks tracking --tune 120` finds, rounded; but `smoothness`
+    and `along_error` are larger and the yaw weighs more: of noise at 20 Hz half is then left along and in yaw.
+    """
+
+    horizon: float = Field(default=0.7, gt=0.0, le=5.0, description="how far ahead it looks [s]")
+    steps: int = Field(default=14, ge=3, le=60, description="of the horizon")
+    latency: float | None = Field(
+        default=None, ge=0.0, le=0.5, description="between a command and its first effect [s]; None: identified"
+    )
+    lag: float | None = Field(default=None, ge=0.0, description="time constant of the drive [s]; None: identified")
+    along_error: float = Field(default=0.015, gt=0.0, description="error along that weighs 1 [m]")
+    cross_error: float = Field(default=0.0125, gt=0.0, description="error across that weighs 1 [m]")
+    yaw_error: float = Field(default=0.05, gt=0.0, description="heading error that weighs 1 [rad]")
+    speed_effort: float = Field(default=0.08, gt=0.0, description="speed beside the reference's that weighs 1 [m/s]")
+    yaw_rate_effort: float = Field(default=0.3, gt=0.0, description="yaw rate beside it that weighs 1 [rad/s]")
+    smoothness: float = Field(default=0.2, ge=0.0, description="time in which these efforts may come and go [s]")
+    final_weight: float = Field(default=20.0, ge=0.0, description="errors at the end weigh as over this time [s]")
+    hold_tube: bool = Field(default=True, description="hold the robot in its tube, Robot.tracking, where it has one")
+
+
+class CycleOutcome(str, Enum):
+    """Where the command of a cycle comes from."""
+
+    SOLVED = "solved"
+    JERK_EXCEEDED = "no commands keep the jerk limit: exceeded by as little as can be"
+    SHIFTED = "no commands found in time: those of the cycle before go on"
+
+
+class MpcStatus(NamedTuple):
+    """How a cycle went.
+
+    Attributes:
+        outcome: Where its command comes from.
+        outside_tube: How far the prediction leaves the tube [m]; 0 where it stays inside, or there is none.
+    """
+
+    outcome: CycleOutcome
+    outside_tube: float
+
+
+class _Plan(NamedTuple):
+    """Commands that were found at `stamp`, each from its time on, Shape (n,) [s] and (n, 2)."""
+
+    stamp: float
+    times: FloatArray
+    commands: FloatArray
+
+
+class MpcController(TrackingController):
+    """Follows a trajectory by model predictive control: a TrackingController with another law.
+
+    **Law.** In every cycle the commands of the next `horizon` seconds are chosen that cost least, in errors and effort,
+    among those that the robot's limits allow: speeds, acceleration, deceleration, jerk, yaw rate and acceleration,
+    wheel speed, lateral acceleration, and for an Ackermann drive curvature and steering rate; the first of them is
+    given (`mpc_program`). What comes after the horizon counts by the cost to go along the rest of the trajectory, with
+    a weight on the errors at its end, so an error is made good before the dock as far as the way left allows.
+
+    **Drive.** Latency and lag, given or identified on the way, are part of the model: the pose is predicted to when the
+    command will take effect, from the commands that are under way.
+
+    **Tube.** Errors across and in heading are held within the robot's tube, `Robot.tracking`, where the limits allow
+    it and the robot has one.
+
+    **When it cannot.** `status` names it: a jerk limit that no commands keep (the reference jumped), a tube that is
+    left, a program without a solution; then the commands found before go on, and after them NoValidControl.
+
+    Time, finish, collisions and limits are those of the TrackingController.
+
+    Args:
+        **parameters: Fields of `MpcControllerParameters`.
+
+    Attributes:
+        status: How the last cycle went.
+
+    Raises:
+        InvalidValue: A parameter is unknown, of the wrong type or out of range.
+    """
+
+    Parameters = MpcControllerParameters
+    parameters: MpcControllerParameters
+
+    def __init__(self, **parameters: object) -> None:
+        super().__init__(**parameters)
+        self.status = MpcStatus(CycleOutcome.SOLVED, 0.0)
+        self._program: TrackingProgram | None = None
+        self._built_for: MpcControllerParameters | None = None
+        self._to_go: dict[Trajectory, tuple[FloatArray, FloatArray]] = {}
+        self._measured = Pose2(0.0, 0.0, 0.0), Twist2()
+        self._given: deque[tuple[float, Twist2]] = deque()
+        self._plan: _Plan | None = None
+        self._nominal: FloatArray | None = None  # command of the last cycle that would have kept up with the reference
+        self._limiter: _Remembering = _Remembering()
+
+    def on_configure(self) -> None:
+        """Build the program and load the solver, which takes longer than a cycle."""
+        self._build()
+
+    def reset(self) -> None:
+        """Forget the path and what was learnt about the drive; the speed limit stays."""
+        super().reset()
+        self._to_go.clear()
+        self._given.clear()
+        self._plan = self._nominal = None
+        self._limiter = _Remembering()
+
+    def set_path(self, path: Path | Trajectory, *, start_stamp: float | None = None) -> None:
+        """Follow a trajectory, or a path after timing it; see `TrackingController.set_path`."""
+        super().set_path(path, start_stamp=start_stamp)
+        self._prepare()
+
+    def _prepare(self) -> None:
+        """Build the program and the costs to go, those that are missing, or all after a change of parameters."""
+        if self._built_for is not self.parameters:
+            self._build()
+        if self._reference is not None:
+            live = self._reference.trajectory, self._reference.last
+            self._to_go = {each: self._to_go[each] if each in self._to_go else self._cost_to_go(each) for each in live}
+
+    def compute_velocity_commands(
+        self, pose: Pose2, velocity: Twist2, goal_checker: GoalChecker | None, *, stamp: float | None = None
+    ) -> Twist2:
+        """The command for the coming period; see the class and `TrackingController.compute_velocity_commands`."""
+        self._measured, before = (pose, velocity), self._clock.now
+        try:
+            command = super().compute_velocity_commands(pose, velocity, goal_checker, stamp=stamp)
+        except NoValidControl:
+            self._plan = self._nominal = None
+            self._give(Twist2())
+            raise
+        if self._clock.now != before:
+            self._give(command)
+        return command
+
+    def _give(self, command: Twist2) -> None:
+        """Remember what is under way to the drive."""
+        if self._clock.now is None:
+            return
+        self._given.append((self._clock.now, command))
+        while len(self._given) > 2 and self._given[1][0] < self._clock.now - _REMEMBERED:
+            self._given.popleft()
+
+    @property
+    def _delays(self) -> tuple[float, float]:
+        """Latency and lag [s]."""
+        p = self.parameters
+        latency, lag = self._delay.latency_and_lag
+        return latency if p.latency is None else p.latency, lag if p.lag is None else p.lag
+
+    @property
+    def _known_delay(self) -> float:
+        """As the reference has it at the beginning: it starts when the robot can, which then need not catch up."""
+        return sum(self._delays)
+
+    @property
+    def _tube(self) -> tuple[float, float] | None:
+        """Half width [m] and heading error [rad] of the robot's tube; None where nothing is to be held."""
+        tube = self.context.problem.robot.tracking if self.context.problem else TrackingTube()
+        held = self.parameters.hold_tube and tube.cross > 0.0 and tube.yaw > 0.0
+        return (tube.cross, tube.yaw) if held else None
+
+    @property
+    def _weights(self) -> Weights:
+        p = self.parameters
+        errors = np.array([p.along_error, p.cross_error, p.yaw_error]) ** -2.0
+        effort = np.array([p.speed_effort, p.yaw_rate_effort]) ** -2.0
+        return Weights(errors, effort, p.smoothness**2 * effort, p.final_weight * errors, _EXACT, _EXACT)
+
+    def _build(self) -> None:
+        p = self.parameters
+        ackermann = self._drive is Drive.ACKERMANN
+        self._program = TrackingProgram(p.steps, self._weights, ackermann=ackermann, in_tube=self._tube is not None)
+        self._built_for = p
+        self._to_go.clear()
+
+    def _cost_to_go(self, trajectory: Trajectory) -> tuple[FloatArray, FloatArray]:
+        """Times on the trajectory, Shape (n,) [s], and the cost matrices there, Shape (n, 3, 3)."""
+        times = np.linspace(0.0, trajectory.duration, max(1, math.ceil(trajectory.duration / _RICCATI_STEP)) + 1)
+        row, weights = trajectory.sample_at(times), self._weights
+        arcs = arcs_between(np.column_stack((row.x, row.y, row.yaw)), times)
+        return times, riccati_back(arcs, weights.errors, weights.effort, weights.final)
+
+    def _wanted(
+        self,
+        reference: Reference,
+        now: ReferenceState,
+        error: Pose2,
+        accepted: Accepted,
+    ) -> Twist2:
+        if self._built_for is not self.parameters:
+            self._prepare()
+        if self._cancelled and reference.rate == 0.0:
+            self._nominal = None
+            return Twist2()
+        if self._drive is Drive.ACKERMANN and now.ahead.speed < _AT_REST and not reference.finished:
+            self._nominal = None  # steered wheels turn at rest as the tracker's do
+            return super()._wanted(reference, now, error, accepted)
+        p, n, period = self.parameters, self.parameters.steps, self._clock.period
+        latency, lag = self._delays
+        h = np.full(n, max(period, (p.horizon - period) / (n - 1)))
+        h[0] = period
+        t = np.concatenate(([0.0], np.cumsum(h)))
+        # From when the command takes effect: where the reference is; and later by the lag, what it takes to keep up.
+        poses = reference.poses_ahead(latency + np.concatenate((t, t + lag)))
+        arcs, keeping_up = arcs_between(poses[: n + 1], t), arcs_between(poses[n + 1 :], t)
+        nominal = np.column_stack((keeping_up.v, keeping_up.w))
+        last = np.array([self._limiter.command.linear, self._limiter.command.angular])
+        trajectory, time = reference.trajectory_ahead(latency + float(t[-1]))
+        times, costs = self._to_go[trajectory]
+        pose, velocity = self._at_effect(latency, lag)
+        seen = pose.in_frame_of(Pose2(*poses[0].tolist()))
+        cycle = Cycle(
+            prediction=predicted(
+                np.array([seen.x, seen.y, seen.yaw, velocity.linear, velocity.angular]), step_matrices(arcs, (lag, lag))
+            ),
+            nominal=np.vstack((last if self._nominal is None else self._nominal, nominal)),
+            cost_to_go=costs[min(int(np.searchsorted(times, time)), times.size - 1)],
+            h=h,
+            elapsed=self._clock.elapsed,
+            bounds=self._bounds(nominal, h),
+            last=last,
+            last_acceleration=self._limiter.acceleration,
+            tube=self._tube,
+        )
+        found, self._nominal = self._solved(cycle), nominal[0]
+        v, w = float(found[0]), float(found[1])
+        most = self._limits.max_lateral_acceleration / abs(v) if v != 0.0 else math.inf
+        wanted = Twist2(v, min(max(w, -most), most))
+        if cycle.bounds.curvature is not None:
+            least, most = sorted((cycle.bounds.curvature[:, 0] * wanted.linear).tolist())
+            wanted = Twist2(wanted.linear, min(max(wanted.angular, least), most))
+        self._limiter.allowed = wanted
+        return wanted
+
+    def _at_effect(self, latency: float, lag: float) -> tuple[Pose2, Twist2]:
+        """Pose and velocity when the next command takes effect, by what has been given until now."""
+        pose, velocity = self._measured
+        now = self._clock.now or 0.0
+        for k, (stamp, command) in enumerate(self._given):
+            until = self._given[k + 1][0] if k + 1 < len(self._given) else now
+            begin, end = max(stamp + latency, now), until + latency
+            if end <= begin:
+                continue
+            decay = math.exp(-(end - begin) / lag) if lag > 0.0 else 0.0
+            mean = (1.0 - decay) * lag / (end - begin)
+            v, w = velocity.linear - command.linear, velocity.angular - command.angular
+            pose = pose.moved(Twist2(command.linear + mean * v, command.angular + mean * w), end - begin)
+            velocity = Twist2(command.linear + decay * v, command.angular + decay * w)
+        return pose, velocity
+
+    def _solved(self, cycle: Cycle) -> FloatArray:
+        """The next command, Shape (2,); `status` says where it comes from."""
+        now = self._clock.now or 0.0
+        found = None if self._program is None else self._program.solve(cycle)
+        if found is not None:
+            exceeded = found.over_jerk > _JERK_TOLERANCE * cycle.bounds.jerk
+            self.status = MpcStatus(CycleOutcome.JERK_EXCEEDED if exceeded else CycleOutcome.SOLVED, found.outside)
+            self._plan = _Plan(now, np.cumsum(cycle.h) - cycle.h, found.commands)
+            command: FloatArray = found.commands[0]
+            return command
+        self.status = MpcStatus(CycleOutcome.SHIFTED, 0.0)
+        if self._plan is None or now - self._plan.stamp > self._plan.times[-1]:
+            raise NoValidControl(
+                f"{self.name}: no commands were found for {self.parameters.horizon} s, and none are left from before; "
+                f"plan again from here"
+            )
+        times, commands = self._plan.times + self._plan.stamp, self._plan.commands
+        shifted: FloatArray = commands[np.searchsorted(times, now, side="right") - 1]
+        return shifted
+
+    def _bounds(self, nominal: FloatArray, h: FloatArray) -> CommandBounds:
+        """What the limits allow from the last command on."""
+        n, limits, period, last = self.parameters.steps, self._limits, self._clock.elapsed, self._limiter.command
+        lowest = rate_limited(last, Twist2(-_MOST, -_MOST), limits, period)
+        highest = rate_limited(last, Twist2(_MOST, _MOST), limits, period)
+        v = nominal[:, 0]
+        travel = np.sign(v + np.concatenate((v[:1], v[:-1])))
+        rise, fall = limits.max_acceleration, limits.max_deceleration
+        up = np.select([travel > 0.0, travel < 0.0], [rise, fall], min(rise, fall))
+        down = np.select([travel > 0.0, travel < 0.0], [fall, rise], min(rise, fall))
+        acceleration = np.array([-down, up])
+        acceleration[:, 0] = (lowest.linear - last.linear) / period, (highest.linear - last.linear) / period
+        speed = np.tile([[-limits.max_reverse_speed], [limits.max_speed]], n)
+        up_to = _landing(limits.max_speed - last.linear, limits.max_jerk, period)
+        down_to = _landing(limits.max_reverse_speed + last.linear, limits.max_jerk, period)
+        speed[:, 0] = last.linear - down_to, last.linear + up_to
+        curvature, gear = None, np.ones(n)
+        if self._drive is Drive.ACKERMANN:
+            gear, going = np.sign(np.where(np.abs(v) > _AT_REST, v, 0.0)), math.copysign(1.0, last.linear)
+            # While it changes gear its speed is of either sign, and it keeps straight as far as it can.
+            gear[(np.cumsum(h) - h < _braking_time(abs(last.linear), limits)) & (gear != going)] = 0.0
+            speed = np.where([gear > 0.0, gear < 0.0], 0.0, speed)
+            curvature = self._reachable_curvature(np.cumsum(h))
+        # Speed times yaw rate, about the last command and the nominal ones; of what that leaves out the next command
+        # can make no more than the product of both changes.
+        about = np.concatenate((np.array([[last.linear, last.angular]]), nominal[1:]))
+        lateral = _both_ways(limits.max_lateral_acceleration, n)
+        if math.isfinite(limits.max_yaw_acceleration):
+            rest = max(rise, fall) * limits.max_yaw_acceleration * period**2
+            lateral[:, 0] *= 1.0 - min(0.1, rest / limits.max_lateral_acceleration)
+        return CommandBounds(
+            speed=speed,
+            yaw_rate=_both_ways(limits.max_yaw_rate, n),
+            acceleration=acceleration,
+            yaw_acceleration=_both_ways(limits.max_yaw_acceleration, n),
+            jerk=limits.max_jerk,
+            wheel_speed=limits.max_wheel_speed,
+            half_track=0.5 * limits.track_width,
+            lateral=lateral,
+            about=about,
+            curvature=curvature,
+            curvature_rate=limits.max_steering_rate / limits.wheelbase if limits.wheelbase > 0.0 else math.inf,
+            gear=gear,
+        )
+
+    def _reachable_curvature(self, times: FloatArray) -> FloatArray:
+        """Least and largest curvature that the wheels can have turned to by then, Shape (2, n)."""
+        limits = self._limits
+        if not math.isfinite(limits.max_steering_rate):
+            return _both_ways(limits.max_curvature, times.size)
+        angle = math.atan(limits.wheelbase * self._limiter.curvature)
+        turned = np.array([[-1.0], [1.0]]) * limits.max_steering_rate * times
+        most = math.atan(limits.wheelbase * limits.max_curvature)
+        reached: FloatArray = np.tan(np.clip(angle + turned, -most, most)) / limits.wheelbase
+        return reached
+
+
+class _Remembering(CommandLimiter):
+    """Lets the program's own commands pass, which keep all limits already; what the finish makes of them it limits.
+
+    Attributes:
+        allowed: The program's command of this cycle.
+        acceleration: Of the last command [m/s^2].
+        curvature: Of the wheels, as the last command in motion has left them [1/m].
+    """
+
+    def restart(self, command: Twist2) -> None:
+        """Begin at what the robot does, at a steady speed."""
+        super().restart(command)
+        self.allowed: Twist2 | None = None
+        self.acceleration, self._fresh = 0.0, True
+        self.curvature = command.angular / command.linear if abs(command.linear) > _AT_REST else 0.0
+
+    def follow(
+        self,
+        wanted: Twist2,
+        feed_forward: Twist2,
+        period: float,
+        limits: MotionLimits,
+        drive: Drive,
+        *,
+        in_place: bool,
+    ) -> Twist2:
+        """The command nearest to `wanted` that the last one can become."""
+        before = self.command
+        command = super().follow(wanted, feed_forward, period, limits, drive, in_place=in_place)
+        if wanted == self.allowed and not self._fresh:
+            self.command = command = admissible(rate_limited(before, wanted, limits, period), limits, drive)
+            self._acceleration = (command.linear - before.linear) / period
+            if abs(command.linear) > _AT_REST:
+                self._curvature = command.angular / command.linear
+        # How long what the robot does has been in force nobody knows at first: nothing is added then.
+        self.acceleration = 0.0 if self._fresh else (command.linear - before.linear) / period
+        self._fresh = False
+        if self._curvature is not None:
+            self.curvature = self._curvature
+        return command
+
+
+def _both_ways(bound: float, count: int) -> FloatArray:
+    return np.array([[-bound] * count, [bound] * count])
+
+
+def _landing(room: float, jerk: float, period: float) -> float:
+    """Largest change of the speed in one period after which it can still level out within `room` [m/s].
+
+    Every later change is smaller by the unit jerk * period^2. A change of m units, n <= m < n + 1, is followed by
+    m - 1, m - 2, .. m - n: with it they add up to m (n + 1) - n (n + 1) / 2.
+    """
+    unit = jerk * period**2
+    units = max(room, 0.0) / unit
+    n = math.floor(0.5 * (math.sqrt(1.0 + 8.0 * units) - 1.0))
+    return min(room, unit * (units / (n + 1) + 0.5 * n))
+
+
+def _braking_time(speed: float, limits: MotionLimits) -> float:
+    """How long a robot takes to stop under its jerk limit [s]."""
+    full = limits.max_deceleration**2 / limits.max_jerk
+    if speed < full:
+        return 2.0 * math.sqrt(speed / limits.max_jerk)
+    return speed / limits.max_deceleration + limits.max_deceleration / limits.max_jerk

@@ -1,0 +1,445 @@
+"""The tracking problem of a short horizon as a quadratic program, solved by DAQP.
+
+The robot is seen from its moving reference: z = (along, cross, yaw error, speed, yaw rate). Over one step of length h
+the reference moves along an arc of mean velocity (v, w); linearised there [DeLuca2001], with the drive a first-order
+lag that is integrated exactly, z' = A z + B u + c. The states are eliminated [Rawlings2017], so the variables are the
+commands alone:
+
+    minimize    sum_k h_k |errors_k|^2_Q + |u_k - nominal_k|^2_R + |d(u - nominal)/dt|^2_S  + |errors_N|^2_P
+                + exact penalties of the two slacks
+    subject to  what the robot's limits allow: speeds, yaw rate, wheel speeds, lateral acceleration, curvature, and
+                the changes of the commands; jerk, with a slack; the tube around the reference, with a slack.
+
+Everything that limits commands depends on commands alone, never on the measured pose: an error of any size leaves the
+program feasible.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, NamedTuple
+
+import casadi
+import numpy as np
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from optdock.geometry.arrays import FloatArray
+
+__all__ = [
+    "UNBOUNDED",
+    "Arcs",
+    "DenseProgram",
+    "Prediction",
+    "arcs_between",
+    "predicted",
+    "riccati_back",
+    "step_matrices",
+]
+
+UNBOUNDED = 1e30  # how DAQP spells infinity
+_IN_MOTION = 0.02  # [m/s]: slower commands have no curvature that is linear in them
+_SAME_TIME = 1e-6  # [s]: steps that differ by less are those of the cycle before
+_MOST_ITERATIONS = 300  # of the active set; what takes longer is late: some 3 ms, and a warm case takes 20
+
+
+class Arcs(NamedTuple):
+    """Mean motion of the reference over each step.
+
+    `v`, `w`: mean velocity of the arc, Shape (n,) [m/s, rad/s]; `h`: its duration, Shape (n,) [s]; `residual`: what the
+    reference really moved beyond the arc, seen from its end, Shape (n, 2) [m].
+    """
+
+    v: FloatArray
+    w: FloatArray
+    h: FloatArray
+    residual: FloatArray
+
+
+def arcs_between(poses: FloatArray, times: FloatArray) -> Arcs:
+    """The arcs that lead from each pose to the next.
+
+    Args:
+        poses: Shape (n + 1, 3), yaw continuous.
+        times: Shape (n + 1,) [s], rising.
+    """
+    h, turn = np.diff(times), np.diff(poses[:, 2])
+    dx, dy = np.diff(poses[:, 0]), np.diff(poses[:, 1])
+    c, s = np.cos(poses[:-1, 2] + 0.5 * turn), np.sin(poses[:-1, 2] + 0.5 * turn)
+    along, aside = c * dx + s * dy, c * dy - s * dx
+    v = along / (h * np.sinc(turn / (2.0 * np.pi)))
+    return Arcs(v, turn / h, h, np.column_stack((np.sin(0.5 * turn) * aside, np.cos(0.5 * turn) * aside)))
+
+
+def step_matrices(arcs: Arcs, lags: tuple[float, float]) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """A, Shape (n, 5, 5), B, Shape (n, 5, 2), and c, Shape (n, 5), of every step.
+
+    Args:
+        arcs: How the reference moves.
+        lags: Time constants of speed and yaw rate [s].
+    """
+    v, w, h, n = arcs.v, arcs.w, arcs.h, arcs.h.size
+    turn = w * h
+    c, s, chord = np.cos(0.5 * turn), np.sin(0.5 * turn), h * np.sinc(turn / (2.0 * np.pi))
+    by_yaw = np.column_stack((v * chord * s, v * chord * c))  # displacement per yaw error, seen from the arc's end
+    by_speed = np.column_stack((chord * c, -chord * s))
+    by_rate = 0.5 * h[:, None] * by_yaw  # a turn builds up over the step: half of it counts
+    a, b, const = np.zeros((n, 5, 5)), np.zeros((n, 5, 2)), np.zeros((n, 5))
+    cw, sw = np.cos(turn), np.sin(turn)
+    a[:, 0, 0] = a[:, 1, 1] = cw
+    a[:, 0, 1], a[:, 1, 0] = sw, -sw
+    a[:, :2, 2], a[:, 2, 2] = by_yaw, 1.0
+    for i, (lag, effect) in enumerate(zip(lags, (by_speed, by_rate), strict=True)):
+        decay = np.exp(-h / lag) if lag > 0.0 else np.zeros(n)
+        kept = (1.0 - decay) * lag / h  # share of the old velocity in the mean one
+        a[:, :2, 3 + i], b[:, :2, i] = kept[:, None] * effect, (1.0 - kept)[:, None] * effect
+        a[:, 3 + i, 3 + i], b[:, 3 + i, i] = decay, 1.0 - decay
+        if i == 1:
+            a[:, 2, 4], b[:, 2, 1] = kept * h, (1.0 - kept) * h
+    const[:, :2] = -by_speed * v[:, None] - by_rate * w[:, None] - arcs.residual
+    const[:, 2] = -turn
+    return a, b, const
+
+
+class Prediction(NamedTuple):
+    """Errors after every step as a function of the commands: `errors + by_commands @ u`.
+
+    Shapes (n, 5) and (n, 5, 2 n); `u` holds speed and yaw rate of one step after the other.
+    """
+
+    errors: FloatArray
+    by_commands: FloatArray
+
+
+def predicted(state: FloatArray, matrices: tuple[FloatArray, FloatArray, FloatArray]) -> Prediction:
+    """The states eliminated.
+
+    Args:
+        state: Where the robot is, Shape (5,).
+        matrices: Of `step_matrices`.
+    """
+    a, b, c = matrices
+    n = len(a)
+    errors, by = np.empty((n, 5)), np.zeros((n, 5, 2 * n))
+    now, effect = state, np.zeros((5, 2 * n))
+    for k in range(n):
+        now = a[k] @ now + c[k]
+        np.matmul(a[k], effect, out=by[k])
+        by[k, :, 2 * k : 2 * k + 2] += b[k]
+        effect = by[k]
+        errors[k] = now
+    return Prediction(errors, by)
+
+
+def riccati_back(arcs: Arcs, stage: FloatArray, effort: FloatArray, final: FloatArray) -> FloatArray:
+    """Cost to go of the unbounded problem, backwards from the end: the finite-horizon Riccati recursion.
+
+    Without the lag, so over the three errors only.
+
+    Args:
+        arcs: The whole reference in steps.
+        stage: Weights of the errors per second, Shape (3,).
+        effort: Weights of the commands' deviations per second, Shape (2,).
+        final: Weights of the errors at the end, Shape (3,).
+
+    Returns:
+        Cost matrices at the borders of the steps, Shape (n + 1, 3, 3).
+    """
+    a, b, _ = step_matrices(arcs, (0.0, 0.0))
+    a, b, h = a[:, :3, :3], b[:, :3, :], arcs.h
+    cost = np.empty((h.size + 1, 3, 3))
+    p = cost[-1] = np.diag(final)
+    q, r = np.diag(stage), np.diag(effort)
+    for k in range(h.size - 1, -1, -1):
+        pb = p @ b[k]
+        m = h[k] * r + b[k].T @ pb
+        inverse = np.array([[m[1, 1], -m[0, 1]], [-m[1, 0], m[0, 0]]]) / (m[0, 0] * m[1, 1] - m[0, 1] * m[1, 0])
+        bpa = pb.T @ a[k]
+        p = a[k].T @ p @ a[k] - bpa.T @ inverse @ bpa + h[k] * q
+        p = cost[k] = 0.5 * (p + p.T)
+    return cost
+
+
+def _memory(values: FloatArray) -> memoryview:
+    return memoryview(values.ravel(order="K"))  # type: ignore[arg-type]  # numpy's stubs do not declare the buffer
+
+
+class DenseProgram:
+    """`min z'hz / 2 + g'z, lbx <= z <= ubx, lba <= az <= uba`, of fixed size, filled in place and solved by DAQP.
+
+    Arrays are in Fortran order; casadi's buffers read and write them without a copy, so they must never be replaced.
+
+    Args:
+        size: Number of variables.
+        rows: Number of general constraints; unused ones keep zero rows and infinite bounds.
+    """
+
+    def __init__(self, size: int, rows: int) -> None:
+        self.h, self.a = np.zeros((size, size), order="F"), np.zeros((rows, size), order="F")
+        self.g, self.lbx, self.ubx = np.zeros(size), np.full(size, -UNBOUNDED), np.full(size, UNBOUNDED)
+        self.lba, self.uba = np.full(rows, -UNBOUNDED), np.full(rows, UNBOUNDED)
+        self._solution = np.zeros(size)
+        shapes = {"h": casadi.Sparsity.dense(size, size), "a": casadi.Sparsity.dense(rows, size)}
+        limit = {"daqp": {"iter_limit": _MOST_ITERATIONS}}
+        self._function = casadi.conic("tracking", "daqp", shapes, {"error_on_fail": False, **limit})
+        self._buffer, self._run = self._bound()
+
+    def _bound(self) -> tuple[casadi.FunctionBuffer, Callable[[], None]]:
+        buffer, run = self._function.buffer()
+        for name in ("h", "g", "a", "lba", "uba", "lbx", "ubx"):
+            values: FloatArray = getattr(self, name)
+            # casadi's stub knows the C form of the two setters only.
+            buffer.set_arg(self._function.index_in(name), _memory(values))  # type: ignore[call-arg]
+        buffer.set_res(self._function.index_out("x"), _memory(self._solution))  # type: ignore[call-arg]
+        return buffer, run
+
+    def solve(self) -> FloatArray | None:
+        """The minimizer, Shape (size,); None where there is none, or it takes too many iterations."""
+        try:
+            self._run()
+        except RuntimeError:  # casadi's one exception, for example where a lower bound exceeds its upper bound
+            return None
+        # On failure DAQP leaves the previous solution behind, and NaN input passes for a success.
+        if not self._buffer.stats()["success"] or not bool(np.isfinite(self._solution).all()):
+            return None
+        solution: FloatArray = self._solution.copy()
+        return solution
+
+
+class Weights(NamedTuple):
+    """What errors and efforts cost, each over one second; `final` and `tube` once.
+
+    Attributes:
+        errors: Of along, cross [1/m^2] and yaw [1/rad^2], Shape (3,).
+        effort: Of commands beside the nominal ones, speed and yaw rate, Shape (2,).
+        change: Of the accelerations of these, Shape (2,).
+        final: As `errors`, at the end of the trajectory, Shape (3,).
+        tube: Of leaving the tube, an exact penalty [1/m].
+        jerk: Of exceeding the jerk, likewise [s^3/m].
+    """
+
+    errors: FloatArray
+    effort: FloatArray
+    change: FloatArray
+    final: FloatArray
+    tube: float
+    jerk: float
+
+
+class CommandBounds(NamedTuple):
+    """Lower and upper bounds of n commands, Shape (2, n) each; infinite where nothing limits them.
+
+    Attributes:
+        speed: [m/s].
+        yaw_rate: [rad/s].
+        acceleration: Between the speeds, the first from the last command [m/s^2].
+        yaw_acceleration: Between the yaw rates [rad/s^2].
+        jerk: Largest change of the accelerations, a number [m/s^3].
+        wheel_speed: Of the rims, a number [m/s].
+        half_track: Half the distance of the wheels, a number [m].
+        lateral: Of speed times yaw rate, linear about `about` [m/s^2].
+        about: Commands, Shape (n, 2).
+        curvature: Of a drive that cannot turn as it likes; None for one that can [1/m].
+        curvature_rate: How fast it may change between the commands, a number [1/(m s)].
+        gear: Sign of the speeds of such a drive, Shape (n,); 0 where nobody knows it yet, and it is to keep straight.
+    """
+
+    speed: FloatArray
+    yaw_rate: FloatArray
+    acceleration: FloatArray
+    yaw_acceleration: FloatArray
+    jerk: float
+    wheel_speed: float
+    half_track: float
+    lateral: FloatArray
+    about: FloatArray
+    curvature: FloatArray | None
+    curvature_rate: float
+    gear: FloatArray
+
+
+class Cycle(NamedTuple):
+    """What a cycle is about.
+
+    Attributes:
+        prediction: Errors as a function of the commands.
+        nominal: Commands that keep the robot on the reference; the first row is the one of the last cycle.
+            Shape (n + 1, 2).
+        cost_to_go: After the last step, Shape (3, 3).
+        h: Length of each step, Shape (n,) [s].
+        elapsed: Time since the last command [s].
+        bounds: Of the commands.
+        last: Command of the last cycle, Shape (2,).
+        last_acceleration: How fast its speed was changing [m/s^2].
+        tube: Half width [m] and yaw error [rad] of the tube; None: nothing bounds the errors.
+    """
+
+    prediction: Prediction
+    nominal: FloatArray
+    cost_to_go: FloatArray
+    h: FloatArray
+    elapsed: float
+    bounds: CommandBounds
+    last: FloatArray
+    last_acceleration: float
+    tube: tuple[float, float] | None
+
+
+class Solution(NamedTuple):
+    """The commands, Shape (n, 2); how far the tube is left at most [m], how far the next jerk is too much [m/s^3]."""
+
+    commands: FloatArray
+    outside: float
+    over_jerk: float
+
+
+class TrackingProgram:
+    """The program of a robot: built once, filled and solved in every cycle.
+
+    Args:
+        steps: Number of steps n.
+        weights: Of the cost.
+        ackermann: Whether the curvature of the commands is bounded.
+        in_tube: Whether the errors are.
+    """
+
+    def __init__(self, steps: int, weights: Weights, *, ackermann: bool, in_tube: bool) -> None:
+        self._steps, self._weights = steps, weights
+        steered = steps if ackermann else 0
+        counts = [steps, steps, 2 * steps, 2 * steps, steps, 2 * steered, steered, 4 * steps * in_tube]
+        ends = [int(end) for end in np.cumsum(counts)]
+        blocks = [slice(end - count, end) for count, end in zip(counts, ends, strict=True)]
+        self._speed_changes, self._yaw_rate_changes, self._jerks, self._wheels, self._lateral = blocks[:5]
+        self._curvature, self._curvature_changes, self._tube = blocks[5:]
+        self._program = DenseProgram(2 * steps + 2, ends[-1])
+        self._program.lbx[-2:] = 0.0
+        self._program.h[[-2, -1], [-2, -1]] = 1.0  # DAQP wants a curved cost
+        self._program.g[-2:] = weights.tube, weights.jerk
+        self._h: FloatArray = np.zeros(steps)
+        self._spans = self._jerk_spans = self._h
+        self._changes = np.zeros((steps, steps))
+        self._effort = np.zeros((2 * steps, 2 * steps))
+
+    def solve(self, cycle: Cycle) -> Solution | None:
+        """The best commands, or None where there are none, or they take too many iterations."""
+        if max(abs(cycle.elapsed - self._spans[0]), float(np.abs(cycle.h - self._h).max())) > _SAME_TIME:
+            self._use_steps(cycle.h, cycle.elapsed)
+        self._fill_cost(cycle)
+        self._fill_bounds(cycle)
+        if cycle.tube is not None:
+            self._fill_tube(cycle.prediction, cycle.tube)
+        # The next command is to keep the jerk limit; on a coarse grid those that come after it may need a little more.
+        next_command = [self._jerks.start, self._jerks.start + self._steps]
+        self._program.a[next_command, -1] = 0.0
+        found, exceeded = self._program.solve(), 0.0
+        if found is None:
+            self._program.a[next_command, -1] = -1.0
+            changes = self._curvature_changes
+            self._program.lba[changes], self._program.uba[changes] = -UNBOUNDED, UNBOUNDED
+            found = self._program.solve()
+            exceeded = 0.0 if found is None else float(found[-1])
+        return None if found is None else Solution(found[:-2].reshape(-1, 2), float(found[-2]), exceeded)
+
+    def _use_steps(self, h: FloatArray, elapsed: float) -> None:
+        """What depends on the lengths of the steps alone: the differences of the commands, and the cost of effort.
+
+        A command is the mean over its step, so two of them lie half of both steps apart. The difference of two means is
+        the mean of the acceleration over a triangle around their border; the jerk counts between the centroids of
+        these, so whatever keeps the limit in continuous time keeps it here.
+        """
+        n, program = self._steps, self._program
+        self._h = h.copy()
+        self._spans = np.concatenate(([elapsed], 0.5 * (h[:-1] + h[1:])))
+        centroids = np.cumsum(h[:-1]) + np.diff(h) / 3.0
+        self._jerk_spans = np.concatenate(([elapsed], np.diff(centroids, prepend=(h[0] - elapsed) / 3.0)))
+        difference = np.eye(n) - np.eye(n, k=-1)
+        self._changes = difference / self._spans[:, None]
+        program.a[self._speed_changes, 0:-2:2] = self._changes
+        program.a[self._yaw_rate_changes, 1:-2:2] = self._changes
+        up = slice(self._jerks.start, self._jerks.start + n)
+        down = slice(up.stop, self._jerks.stop)
+        program.a[up, 0:-2:2] = difference @ self._changes / self._jerk_spans[:, None]
+        program.a[down, 0:-2:2] = -program.a[up, 0:-2:2]
+        program.a[self._jerks, -1] = -1.0
+        for i in range(2):
+            smooth = self._changes.T @ ((self._weights.change[i] * self._spans)[:, None] * self._changes)
+            self._effort[i::2, i::2] = np.diag(self._weights.effort[i] * h) + smooth
+
+    def _fill_cost(self, cycle: Cycle) -> None:
+        n, program, weights = self._steps, self._program, self._weights
+        errors, by = cycle.prediction.errors[:, :3], cycle.prediction.by_commands[:, :3, :]
+        heavy = (cycle.h[:, None] * weights.errors)[:, :, None] * by
+        flat = by.reshape(3 * n, 2 * n)
+        end = by[-1].T @ cycle.cost_to_go
+        program.h[:-2, :-2] = heavy.reshape(3 * n, 2 * n).T @ flat + end @ by[-1] + self._effort
+        nominal = cycle.nominal[1:].ravel()
+        gradient = heavy.reshape(3 * n, 2 * n).T @ errors.ravel() + end @ errors[-1] - self._effort @ nominal
+        # The first change is from the last command: of it only what lies beside its own nominal one counts.
+        beside = cycle.last - cycle.nominal[0]
+        gradient[:2] -= weights.change / self._spans[0] * beside
+        program.g[:-2] = gradient
+
+    def _fill_bounds(self, cycle: Cycle) -> None:
+        program, bounds, last = self._program, cycle.bounds, cycle.last
+        lower, upper, a = program.lba, program.uba, program.a
+        for box, speed, yaw_rate in zip((program.lbx, program.ubx), bounds.speed, bounds.yaw_rate, strict=True):
+            box[0:-2:2], box[1:-2:2] = speed, yaw_rate
+        changes = (self._speed_changes, bounds.acceleration), (self._yaw_rate_changes, bounds.yaw_acceleration)
+        for i, (rows, between) in enumerate(changes):
+            lower[rows], upper[rows] = between
+            lower[rows.start] += last[i] / self._spans[0]
+            upper[rows.start] += last[i] / self._spans[0]
+        # jerk = (second differences of u) with the last command and its acceleration before the first
+        known = np.zeros(self._steps)
+        known[0] = -(last[0] / self._spans[0] + cycle.last_acceleration) / self._jerk_spans[0]
+        known[1] = last[0] / self._spans[0] / self._jerk_spans[1]
+        upper[self._jerks] = bounds.jerk - np.concatenate((known, -known))
+        at = np.arange(self._steps)
+        for half, sign in ((0, 1.0), (1, -1.0)):
+            row = self._wheels.start + half * self._steps + at
+            a[row, 2 * at], a[row, 2 * at + 1] = 1.0, sign * bounds.half_track
+            lower[row], upper[row] = -bounds.wheel_speed, bounds.wheel_speed
+        row, (v, w) = self._lateral.start + at, bounds.about.T
+        a[row, 2 * at], a[row, 2 * at + 1] = w, v
+        lower[row], upper[row] = bounds.lateral + v * w
+        if bounds.curvature is not None:
+            steering = bounds.gear != 0.0
+            slow = np.maximum(np.max(np.abs(bounds.curvature)) * np.abs(cycle.nominal[1:, 0]), abs(last[1]))
+            for half, sign in ((0, 1.0), (1, -1.0)):
+                row = self._curvature.start + half * self._steps + at
+                a[row, 2 * at] = -sign * bounds.gear * bounds.curvature[1 - half]
+                a[row, 2 * at + 1] = sign * np.where(steering, bounds.gear, 1.0)
+                upper[row] = np.where(steering, 0.0, slow)
+            self._fill_curvature_changes(cycle.nominal[1:], bounds)
+        for values in (lower, upper, program.lbx, program.ubx):
+            np.clip(values, -UNBOUNDED, UNBOUNDED, out=values)
+
+    def _fill_curvature_changes(self, nominal: FloatArray, bounds: CommandBounds) -> None:
+        """Curvatures w / v, linear about the nominal commands, from each to the next where both are in motion."""
+        program, (v, w) = self._program, nominal.T
+        moving = np.abs(v) > _IN_MOTION
+        speed = np.where(moving, v, 1.0)
+        curvature = w / speed
+        both = np.flatnonzero(
+            moving[1:] & moving[:-1] & (bounds.gear[1:] == bounds.gear[:-1]) & (bounds.gear[1:] != 0.0)
+        )
+        rows = self._curvature_changes
+        program.a[rows] = 0.0
+        program.lba[rows], program.uba[rows] = -UNBOUNDED, UNBOUNDED
+        row, change = rows.start + both + 1, curvature[both + 1] - curvature[both]
+        for k, sign in ((both + 1, 1.0), (both, -1.0)):
+            program.a[row, 2 * k], program.a[row, 2 * k + 1] = -sign * curvature[k] / speed[k], sign / speed[k]
+        most = np.minimum(bounds.curvature_rate * self._spans[both + 1], UNBOUNDED)
+        program.lba[row], program.uba[row] = -most - change, most - change
+
+    def _fill_tube(self, prediction: Prediction, tube: tuple[float, float]) -> None:
+        """Cross and yaw errors after every step, both ways, each with the slack."""
+        program, n = self._program, self._steps
+        for i, width in enumerate(tube):
+            by, errors = prediction.by_commands[:, 1 + i, :], prediction.errors[:, 1 + i]
+            for half, sign in ((0, 1.0), (1, -1.0)):
+                first = self._tube.start + (2 * i + half) * n
+                program.a[first : first + n, :-2] = sign * by
+                # A yaw error of the tube's width counts as much as a cross error of its.
+                program.a[first : first + n, -2] = -width / tube[0]
+                program.uba[first : first + n] = width - sign * errors

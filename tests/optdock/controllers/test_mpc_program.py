@@ -1,0 +1,125 @@
+"""The program of the MPC: its model against exact motion, its solutions against other solvers."""
+
+import math
+
+import numpy as np
+import pytest
+from scipy.linalg import solve_discrete_are
+from scipy.optimize import minimize
+
+from optdock.controllers import mpc_program
+from optdock.controllers.mpc_program import (
+    DenseProgram,
+    arcs_between,
+    predicted,
+    riccati_back,
+    step_matrices,
+)
+from optdock.geometry.footprint import Footprint
+from optdock.geometry.pose import Pose2, Twist2
+from optdock.limits import MotionLimits
+from optdock.robot import Robot
+from optdock.simulation import Actuation, DifferentialDrive
+from optdock.testing.drives import s_curve_drive
+
+ROBOT = Robot(Footprint.rectangle(0.4, 0.3, 0.5), MotionLimits(max_speed=9.0, max_reverse_speed=9.0))
+
+
+def reference(times):
+    row = s_curve_drive(Pose2(0.0, 0.0, 0.3)).sample_at(times)
+    return np.column_stack((row.x, row.y, row.yaw))
+
+
+def test_arcs_lead_from_each_pose_to_the_next():
+    times = np.linspace(1.0, 5.0, 30)
+    poses = reference(times)
+    arcs = arcs_between(poses, times)
+    for k in range(29):
+        end = Pose2(*poses[k]).moved(Twist2(arcs.v[k], arcs.w[k]), arcs.h[k])
+        rest = Pose2(*poses[k + 1]).in_frame_of(end)
+        assert (rest.x, rest.y, rest.yaw) == pytest.approx((*arcs.residual[k], 0.0), abs=1e-12)
+        assert math.hypot(*arcs.residual[k]) < 2e-4
+
+
+@pytest.mark.parametrize("lag", [0.0, 0.1])
+def test_the_model_is_the_derivative_of_exact_motion(lag):
+    """Against the plant of the simulation, in central differences around the reference."""
+    times = np.array([2.0, 2.05])
+    poses = reference(times)
+    arcs = arcs_between(poses, times)
+    a, b, c = (matrix[0] for matrix in step_matrices(arcs, (lag, lag)))
+    plant = DifferentialDrive(ROBOT, Actuation(linear_lag=lag, angular_lag=lag, substeps=200), 0.05)
+
+    def exact(state, command):
+        start = Pose2(*poses[0]) @ Pose2(*state[:3])
+        end = plant.step(plant.moving(start, Twist2(*state[3:])), Twist2(*command))
+        seen = end.pose.in_frame_of(Pose2(*poses[1]))
+        return np.array([seen.x, seen.y, seen.yaw, end.twist.linear, end.twist.angular])
+
+    v, w = arcs.v[0], arcs.w[0]
+    rest, command = np.array([0.0, 0.0, 0.0, v, w]), np.array([v, w])
+    assert np.abs(exact(rest, command) - (a @ rest + b @ command + c)).max() < 1e-6
+    for k in range(5):
+        bump = 1e-4 * np.eye(5)[k]
+        slope = (exact(rest + bump, command) - exact(rest - bump, command)) / 2e-4
+        assert np.abs(slope - a[:, k]).max() < 1e-3
+    for k in range(2):
+        bump = 1e-4 * np.eye(2)[k]
+        slope = (exact(rest, command + bump) - exact(rest, command - bump)) / 2e-4
+        assert np.abs(slope - b[:, k]).max() < 1e-3
+
+
+def test_eliminated_states_are_those_of_the_recursion():
+    times = np.concatenate(([2.0], 2.02 + 0.05 * np.arange(9)))
+    matrices = step_matrices(arcs_between(reference(times), times), (0.1, 0.05))
+    random = np.random.default_rng(3)
+    state, commands = random.normal(size=5), random.normal(size=(9, 2))
+    found = predicted(state, matrices)
+    for k, (a, b, c) in enumerate(zip(*matrices, strict=True)):
+        state = a @ state + b @ commands[k] + c
+        assert found.errors[k] + found.by_commands[k] @ commands.ravel() == pytest.approx(state)
+
+
+def test_the_cost_to_go_of_a_long_steady_drive_solves_the_riccati_equation():
+    times = 0.1 * np.arange(400)
+    poses = np.column_stack((0.3 * times, 0.0 * times, 0.0 * times))
+    arcs = arcs_between(poses, times)
+    stage, effort = np.array([1.0, 4.0, 2.0]), np.array([0.5, 0.2])
+    a, b, _ = step_matrices(arcs, (0.0, 0.0))
+    steady = solve_discrete_are(a[0, :3, :3], b[0, :3], 0.1 * np.diag(stage), 0.1 * np.diag(effort))
+    assert riccati_back(arcs, stage, effort, np.array([9.0, 9.0, 9.0]))[0] == pytest.approx(steady, rel=1e-6)
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_solutions_are_those_of_another_solver(seed):
+    random = np.random.default_rng(seed)
+    size, rows = 5, 8
+    program = DenseProgram(size, rows)
+    root = random.normal(size=(size, size))
+    program.h[:], program.g[:] = root @ root.T + 0.1 * np.eye(size), 5.0 * random.normal(size=size)
+    program.a[:] = random.normal(size=(rows, size))
+    program.lba[:], program.uba[:] = -1.0, random.uniform(0.1, 1.0, rows)
+    program.lbx[:], program.ubx[:] = -0.5, 0.5
+    constraints = [
+        {"type": "ineq", "fun": lambda z: program.uba - program.a @ z, "jac": lambda z: -program.a},
+        {"type": "ineq", "fun": lambda z: program.a @ z - program.lba, "jac": lambda z: program.a},
+    ]
+    other = minimize(
+        lambda z: 0.5 * z @ program.h @ z + program.g @ z, np.zeros(size), jac=lambda z: program.h @ z + program.g,
+        bounds=[(-0.5, 0.5)] * size, constraints=constraints, method="SLSQP", options={"ftol": 1e-14, "maxiter": 200},
+    )  # fmt: skip
+    assert program.solve() == pytest.approx(other.x, abs=1e-5)
+
+
+def test_what_has_no_solution_or_takes_too_long_has_none(monkeypatch):
+    program = DenseProgram(2, 1)
+    program.h[:], program.a[:] = np.eye(2), 1.0
+    program.lba[:], program.uba[:] = 1.0, 2.0
+    assert program.solve() is not None
+    program.lbx[:], program.ubx[:] = -0.1, 0.1
+    assert program.solve() is None
+    monkeypatch.setattr(mpc_program, "_MOST_ITERATIONS", 1)
+    late = DenseProgram(2, 1)
+    late.h[:], late.g[:], late.a[:] = np.eye(2), -5.0, 1.0
+    late.uba[:], late.ubx[:] = 1.0, 0.7
+    assert late.solve() is None
