@@ -45,6 +45,7 @@ _AT_REST = 0.01, 0.02  # [m/s], [rad/s] by odometry: a robot that stands, its en
 _REST_PATIENCE = 2.0  # [s]: an odometry that never says so must not hold the task up
 _PLANNING_PATIENCE = 5.0  # [s] beyond its budget: a thread that shares its core is late, not dead
 _CLEAR_OF_CONTACT = 0.005  # [m]: a way back is planned from there; nearer, noise could make an overlap of it
+_BLINK = 0.5  # [s] without a detection that nothing is made of
 _BACK_OUT_SPEED = 0.05  # [m/s]
 _BACK_OUT_LOOK = 0.5  # [s] ahead, of straight motions that no plan covers
 _ARRIVED = 0.05, 0.05  # [m], [rad] from the staging pose: Nav2's undock_linear_tolerance and undock_angular_tolerance
@@ -446,7 +447,10 @@ class Procedure:
 
     @property
     def _detection_is_old(self) -> bool:
-        return self._perception.detection_age > self._settings.detection_patience
+        """Whether the dock has not been seen for too long, or not since its place has become too uncertain."""
+        age, accepted = self._perception.detection_age, self._base.dock.tolerances
+        blurred = self._perception.sigma[0] > accepted.cross or self._perception.sigma[1] > accepted.yaw
+        return age > self._settings.detection_patience or (age > _BLINK and blurred)
 
     @property
     def _gear(self) -> float:
@@ -648,7 +652,8 @@ class _Drive:
         if self.is_approach:
             self._check_contact()
             if owner._settings.use_detections and owner._detection_is_old:
-                reason = f"the dock has not been seen for {owner._perception.detection_age:.1f} s"
+                place, turn = owner._perception.sigma
+                reason = f"not seen for {owner._perception.detection_age:.1f} s, sigma {place:.4f} m and {turn:.4f} rad"
                 raise _Interrupted("detection missing", reason)
         if owner._now > self._until:
             reason = f"timeout while {owner.state.value}: {owner._where}"
