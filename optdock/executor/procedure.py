@@ -257,6 +257,9 @@ class Procedure:
                 return (yield from self._make_contact())
             except _Docked as docked:
                 yield from self._stop()
+                if docked.kind is EndingKind.DOCKED_BY_SIGNAL and not self._measured_contact:
+                    self._report("contact lost again", self._where)  # the feedback was taking the robot back
+                    return (yield from self._press())
                 return docked.kind
             except _Interrupted as stopped:
                 self._say_why(stopped)
@@ -325,20 +328,25 @@ class Procedure:
         """At the end of the path, not docked yet: press on until contact is felt."""
         if self._settings.contact == "distance":
             raise _AttemptFailed(EndingKind.FAILED_TO_CONTROL, f"not docked: {self._where}")
+        return (yield from self._press())
+
+    def _press(self) -> Generator[Wish, None, EndingKind]:
+        """Straight on along the dock's axis, slowly, until contact is felt and lasts."""
         self.state = State.PRESSING
-        gear = self._gear
+        gear, speed = self._gear, self._settings.contact_speed
         allowed = self._settings.contact_overrun + abs(self._perception.robot_from_dock.x)
-        until = self._now + _REST_PATIENCE + allowed / self._settings.contact_speed * 2.0
+        until = self._now + _REST_PATIENCE + 2.0 * allowed / speed
         while True:
             self._require_no_interruption()
             kind = self._contact()
             if kind is not None:
                 yield from self._stop()
-                return kind
+                if kind is not EndingKind.DOCKED_BY_SIGNAL or self._measured_contact:
+                    return kind
             beyond = gear * self._perception.robot_from_dock.x
             if beyond > self._settings.contact_overrun or self._now > until:
                 raise _AttemptFailed(EndingKind.FAILED_TO_CONTROL, f"no contact: {self._where}")
-            yield from self._cycle(Twist2(gear * self._settings.contact_speed))
+            yield from self._cycle(Twist2(gear * speed))
 
     def _wait_for_charge(self) -> Cycles:
         self.state = State.WAITING_FOR_CHARGE
