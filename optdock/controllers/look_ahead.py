@@ -70,7 +70,7 @@ class LookAhead:
         self._around: _Around | None = None
 
     def obstruction(
-        self, context: PluginContext, way: FloatArray, contacts: FloatArray, tolerance: float
+        self, context: PluginContext, way: FloatArray, contacts: FloatArray, tolerance: float, noise: float = 0.0
     ) -> Obstruction | None:
         """The obstacle that the footprint goes into along a way, the deepest; None where it touches nothing by mistake.
 
@@ -82,6 +82,7 @@ class LookAhead:
             way: Poses, Shape (n, 3).
             contacts: Poses at which the robot may touch something, Shape (k, 3).
             tolerance: How deep it may be in what it touches on purpose, by noise and a bumper that yields [m].
+            noise: How deep noise alone may show it in anything [m].
         """
         footprint = context.footprint
         if footprint is None:
@@ -104,7 +105,7 @@ class LookAhead:
         at_contacts = _distances(footprint, contacts, obstacles, rows)
         meant = ((at_contacts >= -tolerance) & (at_contacts <= _TOUCHING)).any(axis=0)
         meant |= np.array([obstacles.name_of(row) == "dock" for row in rows.tolist()])
-        allowed = np.minimum(np.where(meant, -tolerance, 0.0), before)
+        allowed = np.minimum(np.where(meant, -tolerance, -min(noise, tolerance)), before)
         beyond = np.where(deepest < allowed, deepest, np.inf)
         worst = int(np.argmin(beyond))
         if not math.isfinite(float(beyond[worst])):

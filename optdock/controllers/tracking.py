@@ -42,6 +42,7 @@ _ASIDE_SMOOTHING = 0.2  # [s], of the error across: more hides a jump from what 
 _SCATTER_SMOOTHING = 1.0  # [s], of its squared noise
 _GROWTH, _LEAST_SCATTER = 4.0, 4e-6  # [1], [m^2]: what a single error may add to that
 _NOISES = 3.0  # standard deviations
+_SEEN_NOISE = 2.0  # standard deviations of the error across, of depth that is taken for noise
 _LEFT = 0.25  # of the accepted error across, that may be left at the end by what is seen now
 _PEAK_MARGIN = 1.2  # without a configured robot: headroom for feedback above the trajectory's own peaks
 
@@ -239,15 +240,15 @@ class TrackingController(Controller):
         braking = 0.5 * stopping_time(command, limits.max_deceleration, limits.turning.acceleration)
         driven = ((before, self._known_delay), (command, period))
         straight_on = stopping_way(pose, footprint, (*driven, (command, braking)))
-        ends = reference.ends
-        found = self._look_ahead.obstruction(self.context, straight_on, ends, p.collision_tolerance)
+        ends, noise = reference.ends, _SEEN_NOISE * math.sqrt(self._scatter)
+        found = self._look_ahead.obstruction(self.context, straight_on, ends, p.collision_tolerance, noise)
         if found is None:
             return
         distance = abs(before.linear) * self._known_delay + abs(command.linear) * (period + braking)
         along_path = reference.way(distance, now.pose, pose)
         ways = (straight_on,) if along_path is None else (stopping_way(pose, footprint, driven), along_path)
         for way in ways:
-            found = self._look_ahead.obstruction(self.context, way, ends, p.collision_tolerance)
+            found = self._look_ahead.obstruction(self.context, way, ends, p.collision_tolerance, noise)
             if found is not None:
                 raise collision_ahead(self.context, found)
 
@@ -283,7 +284,7 @@ class TrackingController(Controller):
         return None if self._reference is None else self._reference.progress
 
     def _attempt(self) -> None:
-        """A new path is a new attempt; one that takes over in motion is not, lest a robot that stands is never named."""
+        """A new path is a new attempt; one that takes over in motion is none: a robot that stands is named still."""
         self._aside = self._scatter = 0.0
         self._following, self._arriving, self._push = Patience(), Patience(), DeadBandPush()
 
