@@ -182,6 +182,13 @@ def test_contact_by_stall_and_by_signal(lawful):
     assert docking.world.station.touched(docking.world.error)
 
 
+def test_contact_that_is_lost_while_stopping_is_made_again(lawful):
+    """The feedback of a late drive takes it back from its end just as the switch closes."""
+    docking = run(simulated(seed=3, station=Station()), settings=ExecutorSettings(contact="touch"), rate=50.0)
+    assert lawful(docking).kind is EndingKind.DOCKED_BY_SIGNAL
+    assert docking.world.measurements.contact
+
+
 def test_undocking_out_of_contact(lawful):
     """The robot overlaps the station by the noise of its pose: straight out first, then along a plan."""
     world = simulated(Pose2(0.002, 0.001, 0.002), seed=5)
