@@ -347,12 +347,13 @@ def _limits(this: _Now, what: str, now: float) -> Verdict | None:
     rest = {
         "durations": left[keep].tolist(),
         "jerks": np.array(law["jerks"])[keep].tolist(),
-        "start_s": state.s,
         "start_speed": state.v,
         "start_acceleration": state.a,
     }
-    case = {**this.world, "path": this.scene["path"], "law": rest, "start_speed": None}
-    found = judged(case, motion_of(this.scene["path"])).ratios
+    path = cut(this.scene["path"], state.s)
+    found = judged(
+        {**this.world, "path": path, "law": rest, "start_speed": None, "start_acceleration": None}, motion_of(path)
+    ).ratios
     worst = max(found, key=lambda name: found[name])
     if found[worst] > 1.0 + 1e-4:
         return Verdict("false certificate", f"{what}: {worst} {found[worst]:.6g} times what is allowed now")
