@@ -106,7 +106,7 @@ class CommandLimiter:
         slope = min(max(slope, -down, (-bottom - before) / period), up, (top - before) / period)
         fall = limits.max_deceleration
         if before * wanted < 0.0:  # through rest the deceleration becomes an acceleration, and may not jump there
-            fall = min(fall, limits.max_acceleration)
+            fall = min(fall, max(limits.max_acceleration, abs(self._acceleration) - limits.max_jerk * between))
         return _approach(before, before + slope * period, limits.max_acceleration * period, fall * period)
 
     def _steered(self, wanted: Twist2, linear: float, period: float, limits: MotionLimits) -> float:

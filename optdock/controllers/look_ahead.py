@@ -19,7 +19,7 @@ from optdock.outcomes import CostmapInfoType
 
 if TYPE_CHECKING:
     from optdock.costmap.costmap import Costmap
-    from optdock.geometry.arrays import FloatArray
+    from optdock.geometry.arrays import FloatArray, IntArray
     from optdock.geometry.footprint import Footprint
     from optdock.geometry.pose import Pose2, Twist2
     from optdock.lifecycle import PluginContext
@@ -28,6 +28,7 @@ __all__ = ["LookAhead", "Obstruction", "collision_ahead", "stopping_time", "stop
 
 _SPACING = 0.03  # [m] that no point of the footprint moves by more between two poses
 _DEEPER = 1e-6  # [m]: a robot that touches something may drive on as long as it does not go deeper
+_TOUCHING = 1e-3  # [m]: what is nearer than this where the robot ends is touched there
 _MARGIN = 0.5  # [m] around the robot in which obstacles are kept from call to call
 
 
@@ -68,10 +69,20 @@ class LookAhead:
     def __init__(self) -> None:
         self._around: _Around | None = None
 
-    def obstruction(self, context: PluginContext, way: FloatArray, tolerance: float) -> Obstruction | None:
-        """The obstacle that the footprint goes into by more than `tolerance` [m] along poses, Shape (n, 3).
+    def obstruction(
+        self, context: PluginContext, way: FloatArray, contacts: FloatArray, tolerance: float, noise: float = 0.0
+    ) -> Obstruction | None:
+        """The obstacle that the footprint goes into along a way, the deepest; None where it touches nothing by mistake.
 
-        Where it is in an obstacle already at the first pose, deeper than that, it must not go deeper into that one.
+        Where it is in an obstacle already at the first pose it must not go deeper into that one. The station, and what
+        it touches at a pose of `contacts`, is touched on purpose: it may be pressed a little.
+
+        Args:
+            context: Surroundings; without a footprint nothing is looked at.
+            way: Poses, Shape (n, 3).
+            contacts: Poses at which the robot may touch something, Shape (k, 3).
+            tolerance: How deep it may be in what it touches on purpose, by noise and a bumper that yields [m].
+            noise: How deep noise alone may show it in anything [m].
         """
         footprint = context.footprint
         if footprint is None:
@@ -86,27 +97,20 @@ class LookAhead:
         columns = np.flatnonzero(close.any(axis=0))
         if columns.size == 0:
             return None
-        rows, n, m = rows[columns], len(way), columns.size
-        poses, pieces = np.repeat(way, m, axis=0), obstacles.pieces(np.tile(rows, n))
-        found = [separation(body, poses, pieces).distance.reshape(n, m) for body in footprint.bodies]
-        distance: FloatArray = np.min(found, axis=0)
-        allowed = np.minimum(-tolerance, distance[0] - _DEEPER)
-        deepest = distance.min(axis=0)
+        rows = rows[columns]
+        distance = _distances(footprint, way, obstacles, rows)
+        deepest, before = distance.min(axis=0), distance[0] - _DEEPER
+        if bool(np.all(deepest >= np.minimum(0.0, before))):
+            return None
+        at_contacts = _distances(footprint, contacts, obstacles, rows)
+        meant = ((at_contacts >= -tolerance) & (at_contacts <= _TOUCHING)).any(axis=0)
+        meant |= np.array([obstacles.name_of(row) == "dock" for row in rows.tolist()])
+        allowed = np.minimum(np.where(meant, -tolerance, -min(noise, tolerance)), before)
         beyond = np.where(deepest < allowed, deepest, np.inf)
         worst = int(np.argmin(beyond))
         if not math.isfinite(float(beyond[worst])):
             return None
         return Obstruction(obstacles.name_of(int(rows[worst])), -float(beyond[worst]))
-
-    def require_free(self, context: PluginContext, way: FloatArray, tolerance: float) -> None:
-        """Refuse a way that goes into something by more than `tolerance` [m].
-
-        Raises:
-            NoValidControl: As described; `where` holds the obstacle and the depth.
-        """
-        found = self.obstruction(context, way, tolerance)
-        if found is not None:
-            raise collision_ahead(context, found, tolerance)
 
     def _near(self, context: PluginContext, lower: FloatArray, upper: FloatArray) -> ObstacleSet:
         """The obstacles of the context in a box and some more around it, its costmaps as they are now."""
@@ -167,10 +171,18 @@ class _Around:
         return self._all
 
 
-def collision_ahead(context: PluginContext, found: Obstruction, tolerance: float) -> NoValidControl:
+def _distances(footprint: Footprint, poses: FloatArray, obstacles: ObstacleSet, rows: IntArray) -> FloatArray:
+    """Signed distances of the footprint at every pose to every one of the obstacles, Shape (n, m) [m]."""
+    n, m = len(poses), rows.size
+    every, pieces = np.repeat(poses, m, axis=0), obstacles.pieces(np.tile(rows, n))
+    found: FloatArray = np.min([separation(body, every, pieces).distance for body in footprint.bodies], axis=0)
+    return found.reshape(n, m)
+
+
+def collision_ahead(context: PluginContext, found: Obstruction) -> NoValidControl:
     """The refusal that names an obstruction."""
     goes = f"the footprint goes {found.depth:.3f} m into {in_words(found.obstacle)}"
     return NoValidControl(
-        f"{context.name}: collision ahead: even braking now, {goes}, more than collision_tolerance = {tolerance} m",
+        f"{context.name}: collision ahead: even braking now, {goes}",
         where={"obstacle": found.obstacle, "depth": found.depth},
     )

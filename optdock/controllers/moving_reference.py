@@ -134,6 +134,12 @@ class Reference:
         left = self._joints[0].time - self.time + sum(joint.time for joint in self._joints[1:])
         return Progress(-left, self.rate)
 
+    @property
+    def ends(self) -> FloatArray:
+        """The poses at which the present trajectory begins and those at which it and the last one end, Shape (3, 3)."""
+        poses = self.trajectory.path.start, self.trajectory.path.end, self.last.path.end
+        return np.array([pose.as_array() for pose in poses])
+
     def joined_by(self, trajectory: Trajectory, lead: float) -> None:
         """Let `trajectory` take over `lead` seconds from now; whatever was to take over later is forgotten.
 
@@ -239,6 +245,9 @@ class Reference:
         `now` is what `state` has said last.
         """
         if self.time < 0.0:  # it waits for its beginning, in seconds that no rate changes
+            if target_rate == 0.0:
+                self.rate = 0.0
+                return
             passed = self.time + period
             self.time = passed if passed <= 0.0 else self.rate * passed
             return

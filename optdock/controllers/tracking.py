@@ -42,6 +42,7 @@ _ASIDE_SMOOTHING = 0.2  # [s], of the error across: more hides a jump from what 
 _SCATTER_SMOOTHING = 1.0  # [s], of its squared noise
 _GROWTH, _LEAST_SCATTER = 4.0, 4e-6  # [1], [m^2]: what a single error may add to that
 _NOISES = 3.0  # standard deviations
+_SEEN_NOISE = 2.0  # standard deviations of the error across, of depth that is taken for noise
 _LEFT = 0.25  # of the accepted error across, that may be left at the end by what is seen now
 _PEAK_MARGIN = 1.2  # without a configured robot: headroom for feedback above the trajectory's own peaks
 
@@ -74,7 +75,7 @@ class TrackingControllerParameters(PluginParameters):
     )
     use_collision_detection: bool = Field(default=True, description="look for obstacles on the way to a stop")
     collision_tolerance: float = Field(
-        default=0.01, ge=0.0, description="depth of contact that noise and a pressed bumper may show [m]"
+        default=0.01, ge=0.0, description="how deep noise and a pressed bumper may show the station [m]"
     )
     time_parameterizer: str = Field(default="NearOptimal", description="plugin that times a path handed over untimed")
 
@@ -104,10 +105,12 @@ class TrackingController(Controller):
     accepted then, and becomes no better for `patience`, is refused by name: NoValidControl, plan again. So is a robot
     that does not follow.
 
-    **Collisions.** A command after which the robot could no longer stop before it is `collision_tolerance` deep in
-    something is refused: NoValidControl, and the server stops the robot. The certified path needs no such check; an
-    obstacle that has come since, or a robot off its path, does. What counts is what the context holds: the problem, and
-    the costmaps as they are now; without either nothing is checked.
+    **Collisions.** A command after which the robot could no longer stop before it touches something is refused:
+    NoValidControl, and the server stops the robot. What is looked at is what will be driven: what is under way in the
+    drive, one period of the command, and braking, along its arc or along the path. The station, and what the trajectory
+    touches where it begins or ends, is touched on purpose: it may be pressed by `collision_tolerance`. A robot that is
+    in something already may move unless it goes deeper. What counts is what the context holds: the problem, and the
+    costmaps as they are now; without either nothing is checked.
 
     **Limits.** Those of the context's robot. Without one: the defaults of `MotionLimits`, widened to 1.2 times the
     peaks of the trajectory. Commands are admissible for the drive and change no faster than it can accelerate.
@@ -161,7 +164,7 @@ class TrackingController(Controller):
         else:
             self._reference, self._starts_at = Reference(trajectory), start_stamp
             self._anchored = self._cancelled = False
-        self._attempt()
+            self._attempt()
         self._limits = self._limits_for(trajectory)
 
     def compute_velocity_commands(
@@ -187,12 +190,12 @@ class TrackingController(Controller):
         """
         if self._reference is None:
             raise ControllerInvalidPath("TrackingController: has no path; call set_path first")
-        self._clock.tick(stamp, self.context, self.parameters.period)
-        if self._clock.elapsed == 0.0:
-            return self._limiter.command
-        if self._clock.silent:
-            self._limiter.restart(Twist2(velocity.linear, velocity.angular))
         try:
+            self._clock.tick(stamp, self.context, self.parameters.period)
+            if self._clock.elapsed == 0.0:
+                return self._limiter.command
+            if self._clock.silent:
+                self._limiter.restart(Twist2(velocity.linear, velocity.angular))
             return self._command(self._reference, pose, velocity, goal_checker)
         except NoValidControl:
             self._limiter.stop()  # what a refusal leaves the robot with
@@ -237,16 +240,17 @@ class TrackingController(Controller):
         braking = 0.5 * stopping_time(command, limits.max_deceleration, limits.turning.acceleration)
         driven = ((before, self._known_delay), (command, period))
         straight_on = stopping_way(pose, footprint, (*driven, (command, braking)))
-        found = self._look_ahead.obstruction(self.context, straight_on, p.collision_tolerance)
+        ends, noise = reference.ends, _SEEN_NOISE * math.sqrt(self._scatter)
+        found = self._look_ahead.obstruction(self.context, straight_on, ends, p.collision_tolerance, noise)
         if found is None:
             return
         distance = abs(before.linear) * self._known_delay + abs(command.linear) * (period + braking)
         along_path = reference.way(distance, now.pose, pose)
         ways = (straight_on,) if along_path is None else (stopping_way(pose, footprint, driven), along_path)
         for way in ways:
-            found = self._look_ahead.obstruction(self.context, way, p.collision_tolerance)
+            found = self._look_ahead.obstruction(self.context, way, ends, p.collision_tolerance, noise)
             if found is not None:
-                raise collision_ahead(self.context, found, p.collision_tolerance)
+                raise collision_ahead(self.context, found)
 
     def set_speed_limit(self, limit: float, percentage: bool) -> None:  # noqa: FBT001 - Nav2's order of arguments
         """Slow the whole reference down, to `limit` percent or to a peak speed of `limit` m/s; 0 removes the limit.
@@ -280,7 +284,7 @@ class TrackingController(Controller):
         return None if self._reference is None else self._reference.progress
 
     def _attempt(self) -> None:
-        """A new path is a new attempt."""
+        """A new path is a new attempt; one that takes over in motion is none: a robot that stands is named still."""
         self._aside = self._scatter = 0.0
         self._following, self._arriving, self._push = Patience(), Patience(), DeadBandPush()
 

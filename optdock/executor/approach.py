@@ -11,7 +11,7 @@ if TYPE_CHECKING:
 
 __all__ = ["can_be_planned_away", "left_at_dock", "reachable_offset", "staging_distance"]
 
-_DECAY = 0.25  # [m]: the distance over which the feedback of the controllers halves an error and more
+_DECAY = 0.25  # [m]: over which lateral errors decay, the TrackingController's convergence_distance
 _LEAST_STAGING = 0.7  # [m], Nav2's staging_x_offset
 _STORED_OFFSET = 0.15  # [m] to the side that the approach must be able to correct: 10 cm, and 5 degrees over 0.6 m
 
@@ -50,13 +50,22 @@ def can_be_planned_away(offset: float, turn: float, distance: float, gear: float
     return beside <= 0.5 * reachable_offset(distance, limits) and abs(turn) <= 0.5 * turned
 
 
-def left_at_dock(error: float, distance: float) -> float:
-    """What feedback leaves of an error at this distance before the dock, in its unit.
+def left_at_dock(offset: float, turn: float, distance: float, gear: float) -> tuple[float, float]:
+    """What feedback leaves of an error at the dock: offset [m] and turn [rad].
 
-    The critically damped decay of the tracking law: (1 + d / L) exp(-d / L).
+    The tracking law makes the lateral error decay with the way, critically damped: with y the offset and w the turn
+    seen along the travel, y'' + 2 y' / L + y / L^2 = 0 and y' = w [DeLuca2001].
+
+    Args:
+        offset: To the left of the path now [m].
+        turn: Of the heading, to the left [rad].
+        distance: Left to drive [m].
+        gear: 1 forward, -1 in reverse.
     """
     passed = max(0.0, distance) / _DECAY
-    return abs(error) * (1.0 + passed) * math.exp(-passed)
+    slope = gear * turn
+    pull, fading = slope + offset / _DECAY, math.exp(-passed)
+    return (offset + pull * passed * _DECAY) * fading, gear * (slope - passed * pull) * fading
 
 
 def staging_distance(problem: DockingProblem) -> float:

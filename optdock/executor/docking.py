@@ -151,6 +151,7 @@ class DockingExecutor:
         self._events.clear()
         if self._began is None:
             self._limiter.restart(measurements.twist)
+        self._watch_log()
         tick = self._tick(measurements.stamp)
         self._perception.update(measurements, measurements.stamp + self._offset, self._offset)
         command = self._command(tick.of_commands)
@@ -160,6 +161,12 @@ class DockingExecutor:
         if self._log is not None:
             self._log.cycle(measurements, step)
         return step
+
+    def _watch_log(self) -> None:
+        """A log that cannot be written any more is said once, and stops nothing."""
+        if self._log is not None and self._log.failure:
+            self._report("log failed", self._log.failure)
+            self._log = None
 
     def _report(self, name: str, detail: str = "") -> None:
         self._events.append(Event(self._perception.stamp if self._began is not None else 0.0, name, detail))

@@ -11,7 +11,7 @@ import base64
 import dataclasses
 import json
 import zlib
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal, NamedTuple, TextIO
@@ -265,6 +265,8 @@ class LogWriter:
             self._file.write(json.dumps(value) + "\n")
         except OSError as error:
             self.failure = f"{self._target}: cannot be written: {error.strerror or error}"
+            with suppress(OSError):
+                self._file.close()
             self._file = None
 
 

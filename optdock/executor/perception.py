@@ -48,6 +48,7 @@ class Perception:
         self.stamp = -math.inf
         self.costmap: Costmap | None = None
         self.detections = self.rejected = 0
+        self._jumped_at = -math.inf
         self._pose_was_lost = self._dock_was_lost = False
 
     @property
@@ -140,8 +141,9 @@ class Perception:
                 "pose jumped", f"by {math.hypot(jump.x, jump.y):.3f} m and {jump.yaw:.3f} rad against the odometry"
             )
             if self._dock is not None and self.sees_dock:
-                # Either localization has moved, or the robot has been; the next detection tells.
+                # Either localization has moved, or the robot has been; the next detection after it tells.
                 self._dock.widen(math.hypot(jump.x, jump.y), abs(jump.yaw))
+                self._jumped_at = stamp
         return True
 
     def _see_dock(self, measurements: Measurements, offset: float) -> None:
@@ -154,6 +156,8 @@ class Perception:
             sigmas = detection.position_sigma, detection.yaw_sigma
             if robot is None or not all(math.isfinite(sigma) and sigma >= 0.0 for sigma in sigmas):
                 self._report("detection not used", f"it is {age:.3f} s old, its sigmas are {sigmas}")
+                continue
+            if detection.stamp < self._jumped_at:
                 continue
             before = self._dock.mean
             verdict = self._dock.see(detection, robot)

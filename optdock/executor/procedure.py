@@ -45,6 +45,7 @@ _AT_REST = 0.01, 0.02  # [m/s], [rad/s] by odometry: a robot that stands, its en
 _REST_PATIENCE = 2.0  # [s]: an odometry that never says so must not hold the task up
 _PLANNING_PATIENCE = 5.0  # [s] beyond its budget: a thread that shares its core is late, not dead
 _CLEAR_OF_CONTACT = 0.005  # [m]: a way back is planned from there; nearer, noise could make an overlap of it
+_BLINK = 0.5  # [s] without a detection that nothing is made of
 _BACK_OUT_SPEED = 0.05  # [m/s]
 _BACK_OUT_LOOK = 0.5  # [s] ahead, of straight motions that no plan covers
 _ARRIVED = 0.05, 0.05  # [m], [rad] from the staging pose: Nav2's undock_linear_tolerance and undock_angular_tolerance
@@ -256,6 +257,9 @@ class Procedure:
                 return (yield from self._make_contact())
             except _Docked as docked:
                 yield from self._stop()
+                if docked.kind is EndingKind.DOCKED_BY_SIGNAL and not self._measured_contact:
+                    self._report("contact lost again", self._where)  # the feedback was taking the robot back
+                    return (yield from self._press())
                 return docked.kind
             except _Interrupted as stopped:
                 self._say_why(stopped)
@@ -324,20 +328,25 @@ class Procedure:
         """At the end of the path, not docked yet: press on until contact is felt."""
         if self._settings.contact == "distance":
             raise _AttemptFailed(EndingKind.FAILED_TO_CONTROL, f"not docked: {self._where}")
+        return (yield from self._press())
+
+    def _press(self) -> Generator[Wish, None, EndingKind]:
+        """Straight on along the dock's axis, slowly, until contact is felt and lasts."""
         self.state = State.PRESSING
-        gear = self._gear
+        gear, speed = self._gear, self._settings.contact_speed
         allowed = self._settings.contact_overrun + abs(self._perception.robot_from_dock.x)
-        until = self._now + _REST_PATIENCE + allowed / self._settings.contact_speed * 2.0
+        until = self._now + _REST_PATIENCE + 2.0 * allowed / speed
         while True:
             self._require_no_interruption()
             kind = self._contact()
             if kind is not None:
                 yield from self._stop()
-                return kind
+                if kind is not EndingKind.DOCKED_BY_SIGNAL or self._measured_contact:
+                    return kind
             beyond = gear * self._perception.robot_from_dock.x
             if beyond > self._settings.contact_overrun or self._now > until:
                 raise _AttemptFailed(EndingKind.FAILED_TO_CONTROL, f"no contact: {self._where}")
-            yield from self._cycle(Twist2(gear * self._settings.contact_speed))
+            yield from self._cycle(Twist2(gear * speed))
 
     def _wait_for_charge(self) -> Cycles:
         self.state = State.WAITING_FOR_CHARGE
@@ -446,7 +455,10 @@ class Procedure:
 
     @property
     def _detection_is_old(self) -> bool:
-        return self._perception.detection_age > self._settings.detection_patience
+        """Whether the dock has not been seen for too long, or not since its place has become too uncertain."""
+        age, accepted = self._perception.detection_age, self._base.dock.tolerances
+        blurred = self._perception.sigma[0] > accepted.cross or self._perception.sigma[1] > accepted.yaw
+        return age > self._settings.detection_patience or (age > _BLINK and blurred)
 
     @property
     def _gear(self) -> float:
@@ -648,7 +660,8 @@ class _Drive:
         if self.is_approach:
             self._check_contact()
             if owner._settings.use_detections and owner._detection_is_old:
-                reason = f"the dock has not been seen for {owner._perception.detection_age:.1f} s"
+                place, turn = owner._perception.sigma
+                reason = f"not seen for {owner._perception.detection_age:.1f} s, sigma {place:.4f} m and {turn:.4f} rad"
                 raise _Interrupted("detection missing", reason)
         if owner._now > self._until:
             reason = f"timeout while {owner.state.value}: {owner._where}"
@@ -826,7 +839,7 @@ class _Drive:
         left = trajectory.path.length - now.s
         error = self._pose.in_frame_of(now.pose)
         limits, dock, sigma = owner._base.robot.limits, owner._base.dock, perception.sigma
-        left_over = left_at_dock(error.y, left), left_at_dock(error.yaw, left)
+        left_over = [abs(part) for part in left_at_dock(error.y, error.yaw, left, owner._gear)]
         if not can_be_planned_away(error.y, error.yaw, left - dock.final_straight, owner._gear, limits):
             cusps, accepted = trajectory.path.cusps, dock.tolerances
             off = left_over[0] > max(accepted.cross, 3.0 * sigma[0])

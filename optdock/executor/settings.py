@@ -75,7 +75,7 @@ class ExecutorSettings(PluginParameters):
     # Perception of the robot.
     position_sigma: float = Field(default=0.005, gt=0.0, description="of the measured x and y, each [m]")
     yaw_sigma: float = Field(default=0.009, gt=0.0, description="of the measured yaw [rad]")
-    odometry_sigma: float = Field(default=0.01, gt=0.0, description="of odometry per way driven [m/sqrt(m)]")
+    odometry_sigma: float = Field(default=0.005, gt=0.0, description="of odometry per way driven [m/sqrt(m)]")
     odometry_yaw_sigma: float = Field(default=0.02, gt=0.0, description="of its yaw per turn [rad/sqrt(rad)]")
     pose_patience: float = Field(default=0.5, gt=0.0, description="odometry alone steers for so long [s]")
     localization_timeout: float = Field(default=5.0, gt=0.0, description="at rest without a pose for so long: end [s]")

@@ -11,7 +11,7 @@ from pydantic import Field, model_validator
 
 from optdock.controllers.checks import checked_speed_limit, checked_task
 from optdock.controllers.control_clock import ControlClock
-from optdock.controllers.look_ahead import LookAhead, stopping_time, stopping_way
+from optdock.controllers.look_ahead import LookAhead, collision_ahead, stopping_time, stopping_way
 from optdock.errors import ControllerInvalidPath, NoValidControl
 from optdock.geometry.pose import Pose2, Twist2, normalize_angle
 from optdock.interfaces import Controller
@@ -122,6 +122,7 @@ class GracefulController(Controller):
         self._last = Twist2()
         self._clock = ControlClock()
         self._look_ahead = LookAhead()
+        self._ends = np.zeros((0, 3))
 
     def set_path(self, path: Path | Trajectory, *, start_stamp: float | None = None) -> None:  # noqa: ARG002 - no time law
         """Follow a path; the time law of a trajectory is ignored, and with it when it begins.
@@ -143,6 +144,7 @@ class GracefulController(Controller):
         if not self.parameters.allow_backward and any(gear is Direction.REVERSE for gear, _ in legs):
             raise ControllerInvalidPath("GracefulController: the path has a reverse gear; set allow_backward")
         self._legs = legs
+        self._ends = np.array([pose.as_array() for pose in (path.start, path.end)])
         self._arrived = self._cancelled = False
         self._turned = not self.parameters.initial_rotation
 
@@ -232,7 +234,9 @@ class GracefulController(Controller):
             return
         braking = 0.5 * stopping_time(command, p.deceleration_max)  # which covers half of what the command would
         way = stopping_way(pose, footprint, ((command, self._clock.period + braking),))
-        self._look_ahead.require_free(self.context, way, _CONTACT)
+        found = self._look_ahead.obstruction(self.context, way, self._ends, _CONTACT)
+        if found is not None:
+            raise collision_ahead(self.context, found)
 
     def _braked(self) -> Twist2:
         """The last command slowed down by one period, its curvature kept."""

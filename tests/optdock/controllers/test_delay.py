@@ -1,5 +1,6 @@
 """The delay of a drive is found from commands and speeds, and nothing is found where there is nothing to see."""
 
+import numpy as np
 import pytest
 
 from optdock.controllers.delay_estimate import DelayEstimate
@@ -54,3 +55,32 @@ def test_a_steady_speed_says_nothing_new():
 
 def test_what_is_known_gives_way_to_evidence():
     assert identified(Actuation(), known=0.2) == pytest.approx(0.0, abs=1e-12)
+
+
+@pytest.mark.parametrize("rate", [10, 20, 50, 100, 200])
+@pytest.mark.parametrize("noise", [0.0, 0.005])
+def test_it_finds_the_same_at_any_rate_and_with_noise_in_the_speed(rate, noise):
+    period, random = 1.0 / rate, np.random.default_rng(1)
+    drive = Actuation(linear_lag=0.1, latency=0.06, substeps=5 if rate < 100 else 2 if rate == 200 else 1)
+    plant, estimate = DifferentialDrive(ROBOT, drive, period), DelayEstimate()
+    state = plant.at_rest(Pose2(0.0, 0.0, 0.0))
+    for k in range(3 * rate):
+        command = min(0.25, 0.4 * k * period)
+        state = plant.step(state, Twist2(command))
+        estimate.update(command, state.twist.linear + noise * float(random.standard_normal()), period)
+    assert estimate.delay == pytest.approx(0.16, abs=0.025)
+
+
+def test_a_period_that_changes_is_no_other_drive():
+    plant, estimate = (
+        DifferentialDrive(ROBOT, Actuation(linear_lag=0.1, latency=0.06, substeps=1), 0.01),
+        DelayEstimate(),
+    )
+    state, k = plant.at_rest(Pose2(0.0, 0.0, 0.0)), 0
+    for steps in np.random.default_rng(2).choice([1, 2, 5, 10], 80).tolist():
+        command = min(0.25, 0.4 * 0.01 * k)
+        for _ in range(steps):
+            state = plant.step(state, Twist2(command))
+        k += steps
+        estimate.update(command, state.twist.linear, 0.01 * steps)
+    assert estimate.delay == pytest.approx(0.16, abs=0.025)

@@ -214,3 +214,36 @@ def test_a_trajectory_that_begins_later_is_waited_for_and_one_that_has_begun_is_
     late.set_path(trajectory, start_stamp=98.0)
     late.compute_velocity_commands(trajectory.at(2.0).pose, trajectory.at(2.0).twist, None, stamp=100.0)
     assert late.progress == Progress(pytest.approx(2.0), 1.0)
+
+
+def test_after_a_clock_that_went_back_it_goes_on_from_rest_as_after_every_refusal():
+    controller = configured()
+    controller.set_path(straight_drive(START))
+    stamp, pose, twist = driven(controller, [0.02] * 100)[-1]
+    with pytest.raises(NoValidControl, match="clock went back"):
+        controller.compute_velocity_commands(pose, twist, None, stamp=stamp - 1.0)
+    assert controller.compute_velocity_commands(pose, Twist2(), None, stamp=stamp).linear < 0.02
+
+
+def test_what_waits_for_its_beginning_is_cancelled_at_once():
+    controller = configured()
+    controller.set_path(straight_drive(START), start_stamp=200.0)
+    driven(controller, [0.02] * 5)
+    controller.cancel()
+    driven(controller, [0.02] * 2, stamp=101.0)
+    assert controller.cancel()
+
+
+def test_new_plans_in_motion_do_not_hide_a_robot_that_stands():
+    controller, trajectory, refusals = configured(), straight_drive(START), 0
+    controller.set_path(trajectory)
+    for k in range(300):
+        if k % 25 == 24:
+            now = controller.progress.time
+            controller.set_path(rest_of(trajectory, max(now, 0.0) + 0.02), start_stamp=0.02 * k + 100.0)
+            trajectory = controller._reference.last
+        try:
+            controller.compute_velocity_commands(START, Twist2(), None, stamp=100.0 + 0.02 * k)
+        except NoValidControl as error:
+            refusals += "does not follow" in str(error)
+    assert refusals >= 1

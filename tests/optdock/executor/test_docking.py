@@ -18,17 +18,31 @@ from .conftest import PERFECT, ROBOT, TRUE_DOCK, once, problem_with, run, simula
 NO_STAGING = ExecutorSettings(navigate_to_staging_pose=False)
 
 
+def pushed(aside):
+    """Somebody pushes the robot to its left [m]."""
+
+    def act(executor, world, measurements):
+        world.state = world.state._replace(pose=world.state.pose @ Pose2(0.0, aside, 0.0))
+
+    return act
+
+
 def test_noisy_robot_docks_at_a_dock_that_is_stored_wrongly(lawful, tmp_path):
-    """Late noisy detections, a sluggish late drive; and its log drives the same commands again, bit for bit."""
-    eager = ExecutorSettings(least_detections=1, worth_position=2e-4, worth_yaw=1e-3)
+    """Late noisy detections, a sluggish late drive, a push on the way that is worth another plan in motion.
+
+    The log drives the same commands again, bit for bit.
+    """
+    push = once(within(0.85), pushed(0.025))
     with LogWriter(tmp_path / "docking.log") as log:
-        docking = run(simulated(Pose2(-1.1, 0.15, 0.2), seed=1), settings=eager, log=log)
+        docking = run(simulated(Pose2(-1.5, 0.15, 0.1), seed=1), settings=NO_STAGING, log=log, before=push)
     assert lawful(docking).kind is EndingKind.DOCKED_BY_DISTANCE
     error = docking.world.error
     assert abs(error.x) <= 0.01
     assert abs(error.y) <= 0.006
     assert abs(error.yaw) <= math.radians(0.8)
+    assert docking.said("plan asked for")
     assert docking.said("plan new")[1:], "it was planned again on the way"
+    assert State.STOPPING not in docking.states[20:-20], "in motion"
     states = [step.feedback.state for step in docking.steps]
     assert {FeedbackState.INITIAL_PERCEPTION, FeedbackState.CONTROLLING} <= set(states)
     again = replay(read_log(tmp_path / "docking.log"))
@@ -111,10 +125,7 @@ def test_localization_that_jumps_does_not_matter(lawful):
 def test_robot_that_is_pushed_aside_comes_again(lawful):
     """What cannot be corrected any more is not driven to the end."""
 
-    def act(executor, world, measurements):
-        world.state = world.state._replace(pose=world.state.pose @ Pose2(0.0, 0.03, 0.0))
-
-    docking = run(simulated(seed=3), before=once(within(0.27), act))
+    docking = run(simulated(seed=3), before=once(within(0.27), pushed(0.03)))
     ending = lawful(docking)
     assert ending.kind is EndingKind.DOCKED_BY_DISTANCE
     assert ending.num_retries == 1
@@ -169,6 +180,13 @@ def test_contact_by_stall_and_by_signal(lawful):
     docking = run(hearing, settings=touch)
     assert lawful(docking, touch=0.009).kind is EndingKind.DOCKED_BY_SIGNAL
     assert docking.world.station.touched(docking.world.error)
+
+
+def test_contact_that_is_lost_while_stopping_is_made_again(lawful):
+    """The feedback of a late drive takes it back from its end just as the switch closes."""
+    docking = run(simulated(seed=3, station=Station()), settings=ExecutorSettings(contact="touch"), rate=50.0)
+    assert lawful(docking).kind is EndingKind.DOCKED_BY_SIGNAL
+    assert docking.world.measurements.contact
 
 
 def test_undocking_out_of_contact(lawful):

@@ -1,6 +1,7 @@
 """Every ending can be reached, every state can be cancelled; whatever is measured, the commands stay lawful."""
 
 import math
+import time
 
 import numpy as np
 import pytest
@@ -8,7 +9,7 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from optdock.errors import InvalidValue, PluginError
-from optdock.executor import DockingExecutor, EndingKind, ExecutorSettings, InlinePlanning, State
+from optdock.executor import DockingExecutor, EndingKind, ExecutorSettings, InlinePlanning, State, ThreadPlanning
 from optdock.executor.planning import Motion, Outcome, PlanResult, Verdict
 from optdock.geometry.pose import Pose2, Twist2
 from optdock.measurements import Detection, Measurements
@@ -214,3 +215,31 @@ def test_whatever_is_measured_commands_are_lawful_and_the_task_ends(script, rate
     assert step.ending is not None, f"still {step.state.value}"
     assert step.command == Twist2()
     assert_lawful(np.array(stamps), np.array(commands))
+
+
+def test_a_thread_plans_beside_the_loop(lawful):
+    """The results come when they come; the robot waits for the first under the name of planning."""
+    planning = ThreadPlanning()
+
+    def before(executor, world, measurements):
+        if executor.state is State.PLANNING:
+            time.sleep(0.005)
+
+    docking = run(perfect(Pose2(-0.6, 0.0, 0.0)), problem_with(), before=before, planning=planning)
+    assert lawful(docking).kind is EndingKind.DOCKED_BY_DISTANCE
+    assert State.PLANNING in docking.states
+    with pytest.raises(RuntimeError, match="shutdown"):
+        planning.submit(None)
+
+
+class Broken(StraightPlanning):
+    """Planning with a mistake in it."""
+
+    def poll(self, stamp):
+        raise ZeroDivisionError("oh")
+
+
+def test_a_mistake_of_a_part_ends_the_task_under_its_name(lawful):
+    docking = run(perfect(), problem_with(), planning=Broken())
+    assert lawful(docking).kind is EndingKind.UNKNOWN
+    assert docking.ending.reason == "ZeroDivisionError: oh"

@@ -121,6 +121,22 @@ def test_another_problem_is_refused(written, tmp_path):
         read_log(broken)
 
 
+def test_full_disk_stops_no_robot(tmp_path, monkeypatch, lawful):
+    log = LogWriter(tmp_path / "full.log")
+
+    def full(text):
+        raise OSError(28, "No space left on device")
+
+    def before(executor, world, measurements):
+        if world.time > 0.5 and log._file is not None:
+            monkeypatch.setattr(log._file, "write", full)
+
+    docking = run(simulated(Pose2(-0.6, 0.0, 0.0)), problem_with(), log=log, before=before)
+    assert lawful(docking).kind.succeeded
+    assert [event.detail for event in docking.said("log failed")] == [log.failure]
+    assert "No space left" in log.failure
+
+
 def test_files_that_are_none(tmp_path):
     with pytest.raises(InvalidFile, match="cannot be read"):
         read_log(tmp_path / "none.log")
