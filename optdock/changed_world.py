@@ -106,6 +106,8 @@ def still_holds(
     changed = _changed(known, later, obstacles, costmap)
     if not _is_proven(plan):
         changed = ("path", *changed)
+        if later is known:  # nothing is proven yet, so all there is now counts
+            later = replace(known, obstacles=obstacles, costmap=costmap)
     if "frame" in changed:
         reason = f"the world stands in frame {later.frame!r}, the plan in {plan.frame!r}"
         return StillHolds(holds=False, changed=changed, reason=reason)

@@ -94,9 +94,9 @@ class _View:
 
 
 def _one_new_obstacle_less(honest: Callable[..., Any]) -> Callable[..., Any]:
-    def mistaken(path: Any, problem: Any, *rest: Any, obstacles: Any, begun: Any) -> Any:  # noqa: ANN401
+    def mistaken(*arguments: Any, obstacles: Any, **rest: Any) -> Any:  # noqa: ANN401
         kept = np.delete(np.arange(len(obstacles)), len(obstacles) // 2)
-        return honest(path, problem, *rest, obstacles=obstacles.subset(kept), begun=begun)
+        return honest(*arguments, obstacles=obstacles.subset(kept), **rest)
 
     return mistaken
 

@@ -12,9 +12,10 @@ from scipy.special import fresnel
 from experiments.fuzz.__main__ import main
 from experiments.fuzz.campaign import judge_once
 from experiments.fuzz.case import Verdict, load_case, rng_of, save_case
+from experiments.fuzz.doors import path_of
 from experiments.fuzz.kinds import KINDS
 from experiments.fuzz.minimise import minimised
-from experiments.fuzz.oracle.motion import motion_of
+from experiments.fuzz.oracle.motion import cut, motion_of
 from experiments.fuzz.oracle.rules import findings
 from experiments.fuzz.oracle.sweep import sweep
 from experiments.fuzz.oracle.timing import judged
@@ -197,9 +198,25 @@ def test_a_case_is_a_function_of_its_seed_and_number_and_survives_a_file(kind, t
 
 @pytest.mark.parametrize("name", sorted(PLANTS))
 def test_planted_mistakes_are_found(name):
-    kind = "trajectories" if name in ("dropped_time_cell", "rest_x5") else "paths"
+    kinds = {"dropped_time_cell": "trajectories", "rest_x5": "trajectories", "dropped_new_obstacle": "replans"}
+    kind = kinds.get(name, "paths")
     cases = (KINDS[kind].draw(rng_of(kind, SEEDS[name], number)) for number in range(12))
-    assert any(judge_once(case, name).is_fault for case in cases)
+    quick = (case for case in cases if case.get("question") != "replan")  # those plan first
+    assert any(judge_once(case, name).is_fault for case in quick)
+
+
+def test_the_rest_of_a_path_is_the_path_from_there_on():
+    gears = [
+        clothoid([0.0, 0.5, 1.0], [0.0, 1.0, -0.5]),
+        {"type": "turn", "start": [0.0, 0.0, 0.0], "turn": -1.2, "gear": 0},
+        {"type": "polyline", "poses": [[0.0, 0.0, 0.0], [0.1, 0.0, 0.0], [0.2, 0.0, 0.0]], "gear": 1},
+    ]
+    path = path_of(gears)
+    for begin, end in ((0.0, 2.4), (0.3, 0.8), (0.7, 1.9), (1.0, 1.5), (2.25, 2.35)):
+        rest, mine = path.piece(begin, end), path_of(cut(gears, begin, end))
+        s = np.linspace(0.0, rest.length, 50)
+        assert mine.length == pytest.approx(rest.length, abs=1e-9)
+        assert mine.poses_at(s) == pytest.approx(rest.poses_at(s), abs=1e-8)
 
 
 def test_shrinking_keeps_the_fault_and_drops_the_rest():
@@ -253,6 +270,7 @@ SEEDS = {
     "first_order_centimetre": 0,
     "dropped_obstacle": 0,
     "dropped_map_cell": 6,
+    "dropped_new_obstacle": 18,
     "dropped_path_cell": 3,
     "dropped_time_cell": 24,
     "curvature_x5": 0,

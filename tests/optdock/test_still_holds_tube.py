@@ -15,6 +15,7 @@ from optdock.pipeline import plan_dock
 from optdock.problem import DockingProblem
 from optdock.replanning import still_holds
 from optdock.robot import Robot, TrackingTube
+from optdock.trajectory import Trajectory
 from optdock.verification import certify_path
 
 WIDE = TrackingTube(0.4)
@@ -68,3 +69,18 @@ def test_where_nothing_is_left_to_drive_the_robot_must_still_be_clear(beyond):
     assert still_holds(plan, Costmap(cells, 0.1, (-5.0, -5.0)), time)
     cells[50, 50] = 254
     assert not still_holds(plan, Costmap(cells, 0.1, (-5.0, -5.0)), time)
+
+
+@pytest.mark.parametrize("told", ["costmap", "obstacles"])
+def test_a_plan_that_was_moved_meets_all_there_is_now(told):
+    """Nothing of it is proven, neither against what was there before nor against what is new."""
+    plan = PLANS[0.0]
+    path = plan.path.moved(Pose2(0.0, 0.02, 0.0))
+    moved = dataclasses.replace(plan, path=path, trajectory=Trajectory(path, plan.trajectory.time_law))
+    cells = np.zeros((100, 100), dtype=np.uint8)
+    cells[50:53, 35] = 254
+    costmap = Costmap(cells, 0.1, (-5.0, -5.0))
+    box = ObstacleSet.of([np.array([[-1.5, 0.0], [-1.4, 0.0], [-1.4, 0.3], [-1.5, 0.3]])])
+    world, free = (costmap, Costmap(0 * cells, 0.1, (-5.0, -5.0))) if told == "costmap" else (box, ObstacleSet.empty())
+    assert not still_holds(moved, world)
+    assert still_holds(moved, free)

@@ -26,7 +26,7 @@ def running_plan(rng: Rng) -> Case:
     """A plan, or a problem to be planned first; a world; how far the robot is; `kind` is `replans`.
 
     `world` holds what differs from the case itself. `beside` names obstacles that are placed beside the rest of the
-    path once that is known: a seed and gaps [m].
+    path once that is known: a seed and gaps [m]. `moved` is a rigid motion of the finished plan, as estimates ask for.
     """
     if rng.uniform() < _PATHS:
         case = path_problem(rng)
@@ -51,6 +51,7 @@ def running_plan(rng: Rng) -> Case:
     case["rate"] = float(rng.choice([1.0, rng.uniform(0.0, 1.0), 0.0, rng.uniform(1.0, 1.3)], p=[0.6, 0.25, 0.05, 0.1]))
     case["delay"] = float(rng.choice([0.0, rng.uniform(0.0, 0.2)]))
     case["lead"] = None if rng.uniform() < 0.6 else float(rng.uniform(0.0, 0.3))
+    case["moved"] = None if rng.uniform() < 0.9 else [float(rng.normal(0.0, 0.05)) for _ in range(3)]
     case["offset"] = None if rng.uniform() < 0.5 else _offset(rng)
     case["replan_budget"] = float(rng.choice([0.02, 0.04, 0.1, 0.001], p=[0.3, 0.3, 0.35, 0.05]))
     return case

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import functools
 import math
 import time
@@ -61,17 +62,21 @@ def judge(case: Case) -> Verdict:
         return Verdict(f"no plan: {type(error).__name__}")
     if plan is None:
         return Verdict("no plan: not certified")
+    made = path_spec(plan.path)
+    if case.get("moved"):
+        path = plan.path.moved(Pose2(*case["moved"]))
+        plan = dataclasses.replace(plan, path=path, trajectory=Trajectory(path, plan.trajectory.time_law))
     scene = {**_known(case), "path": path_spec(plan.path), "law": law_spec(plan.trajectory.time_law)}
     time_now = case["share"] * plan.trajectory.duration
     world = _world(case, scene, time_now)
-    full = {**case, "path": scene["path"], "law": scene["law"], "world": _difference(scene, world), "beside": [0, []]}
+    full = {**case, "path": made, "law": scene["law"], "world": _difference(scene, world), "beside": [0, []]}
     try:
         later = problem_of(world)
     except OptdockError as error:
         return Verdict(f"input refused: {type(error).__name__}", str(error))
     asked = {"costmap": later.costmap, "obstacles": later.obstacles}.get(case["asked"], later)
     found = still_holds(plan, asked, time_now)
-    wrong = _about_the_rest(scene, world, time_now, found)
+    wrong = _about_the_rest(scene, world, time_now, found, plan.certificate.start_relief)
     word = "holds" if found else "holds no more"
     if wrong is None and case["question"] == "replan":
         word, wrong = _about_the_answer(case, scene, world, plan, later, time_now)
@@ -116,13 +121,14 @@ def _difference(scene: Case, world: Case) -> Case:
 # still_holds
 
 
-def _about_the_rest(scene: Case, world: Case, now: float, found: StillHolds) -> Verdict | None:
+def _about_the_rest(scene: Case, world: Case, now: float, found: StillHolds, relief: float) -> Verdict | None:
     """Whether the rest keeps the rule of the plan, growth from its start included, in the world as it is now."""
     solid = World.of(world)
     if solid.is_empty:
         return None if found or "frame" in found.changed else Verdict("false refusal", "still_holds: in an empty world")
     begun = start_clearance(scene, World.of(scene))
-    relief = certify_path(path_of(scene["path"]), problem_of(scene)).start_relief
+    if relief > (1.0 + _ROUND) * start_run(scene):
+        return Verdict("false certificate", f"start relief: {relief:.6g} m, the rule allows {start_run(scene):.6g} m")
     rest = motion_of(cut(scene["path"], state_at(scene["law"], now).s))
     seen = sweep(world, rest, solid, relief=relief, begun_with=begun)
     if found:
@@ -347,12 +353,13 @@ def _limits(this: _Now, what: str, now: float) -> Verdict | None:
     rest = {
         "durations": left[keep].tolist(),
         "jerks": np.array(law["jerks"])[keep].tolist(),
-        "start_s": state.s,
         "start_speed": state.v,
         "start_acceleration": state.a,
     }
-    case = {**this.world, "path": this.scene["path"], "law": rest, "start_speed": None}
-    found = judged(case, motion_of(this.scene["path"])).ratios
+    path = cut(this.scene["path"], state.s)
+    found = judged(
+        {**this.world, "path": path, "law": rest, "start_speed": None, "start_acceleration": None}, motion_of(path)
+    ).ratios
     worst = max(found, key=lambda name: found[name])
     if found[worst] > 1.0 + 1e-4:
         return Verdict("false certificate", f"{what}: {worst} {found[worst]:.6g} times what is allowed now")
