@@ -117,7 +117,6 @@ def by_plan(case: Case, world: World, spread: str, rate: float, *, smoothed: boo
             break
         now = robot.advance(command, 1.0 / rate)
     followed = [Followed(0.0, plan)] if smoothed else []
-    robot.advance(Twist2(), 1.0 / rate)
     return outcome_of(case, robot.record(), followed, names=names, ending=ending, counts=(0, 0, 0), busy=cycles.busy)
 
 
@@ -188,7 +187,6 @@ def by_executor(
     ended = executor.ending
     ending = "never ended" if ended is None else "" if ended.kind.succeeded else f"{ended.kind.value}: {ended.reason}"
     counts = planning.replans, 0 if ended is None else ended.num_retries, told
-    robot.advance(Twist2(), 1.0 / rate)
     return outcome_of(
         case, robot.record(), planning.followed, names=names, ending=ending, counts=counts, busy=cycles.busy
     )
