@@ -1,4 +1,4 @@
-"""Replan in motion: from where the robot is now, at its speed and curvature, with the earlier plan as a warm start."""
+"""Replan in motion: the dock is seen elsewhere, and a new plan takes over without a jump, or the robot is told to stop."""
 
 from pathlib import Path
 
@@ -6,12 +6,18 @@ import optdock as od
 
 problem = od.load_scenario(Path(__file__).parent / "data" / "bay.yaml").problem
 plan = od.plan_dock(problem, time_budget=1.0)
-print("first: ", plan)
+print("first:", plan)
 
-now = plan.trajectory.at(4.0)  # what localization and odometry would say
-here = problem.starting_at(now.pose, speed=now.twist.linear, curvature=plan.path.curvature_at(now.s)[0])
-again = od.plan_dock(here, time_budget=1.0, warm_start=plan)
-print("again: ", again)
-print(
-    f"left of the first plan: {plan.trajectory.duration - 4.0:.2f} s, of the new one: {again.trajectory.duration:.2f} s"
-)
+now = od.DriveState(time=4.0)  # what the controller's `progress` says; with a measured pose where there is one
+seen = problem.goal @ od.Pose2(0.01, 0.02, 0.02)  # 1 cm deeper, 2 cm to the left, 1.1 degrees turned
+print("the way still holds:", od.still_holds(plan, problem, from_time=now.time).holds)
+
+again = od.replan(plan, seen, now, time_budget=0.2)  # 0.02 by default, for machines with nothing else to do
+print(f"{again.outcome.value}: {again.plan or again.reason}")
+
+before, after = plan.trajectory.at(again.starts_at), again.trajectory.at(0.0)
+print(f"it takes over at {again.starts_at:.2f} s, where both have the same pose, speed and acceleration:")
+print(f"  {before.pose} {before.twist.linear:.6f} m/s {before.acceleration:.6f} m/s^2")
+print(f"  {after.pose} {after.twist.linear:.6f} m/s {after.acceleration:.6f} m/s^2")
+left = plan.trajectory.duration - again.starts_at
+print(f"left of the first plan: {left:.2f} s, of the new one: {again.trajectory.duration:.2f} s")

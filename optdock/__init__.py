@@ -37,12 +37,14 @@ if TYPE_CHECKING:
         StartOccupied,
         TimedOut,
     )
+    from optdock.executor import DockingExecutor, ExecutorSettings
     from optdock.geometry.footprint import Footprint
-    from optdock.geometry.pose import Pose2
+    from optdock.geometry.pose import Pose2, Twist2
     from optdock.io.maps import load_map
     from optdock.io.plan_file import load_plan
     from optdock.lifecycle import PluginContext
     from optdock.limits import MotionLimits
+    from optdock.measurements import Detection, Measurements
     from optdock.obstacles import ObstacleSet
     from optdock.path import Path
     from optdock.pipeline import plan_dock, warm_up
@@ -84,12 +86,14 @@ _MODULES = {
         "StartOccupied",
         "TimedOut",
     ),
+    "optdock.executor": ("DockingExecutor", "ExecutorSettings"),
     "optdock.geometry.footprint": ("Footprint",),
-    "optdock.geometry.pose": ("Pose2",),
+    "optdock.geometry.pose": ("Pose2", "Twist2"),
     "optdock.io.maps": ("load_map",),
     "optdock.io.plan_file": ("load_plan",),
     "optdock.lifecycle": ("PluginContext",),
     "optdock.limits": ("MotionLimits",),
+    "optdock.measurements": ("Detection", "Measurements"),
     "optdock.obstacles": ("ObstacleSet",),
     "optdock.path": ("Path",),
     "optdock.pipeline": ("plan_dock", "warm_up"),
@@ -119,11 +123,14 @@ __all__ = [
     "CertificationFailed",
     "ClearanceRule",
     "Costmap",
+    "Detection",
     "Dock",
     "DockPlan",
     "DockPlanner",
+    "DockingExecutor",
     "DockingProblem",
     "DriveState",
+    "ExecutorSettings",
     "FailedToSmoothPath",
     "FailedToTimePath",
     "Footprint",
@@ -132,6 +139,7 @@ __all__ = [
     "InvalidFile",
     "InvalidValue",
     "ManoeuvrePlanner",
+    "Measurements",
     "MotionLimits",
     "NearOptimal",
     "NoMotionExists",
@@ -150,6 +158,7 @@ __all__ = [
     "TrackingTube",
     "Trajectory",
     "TurnSegment",
+    "Twist2",
     "certify_path",
     "certify_trajectory",
     "check_impossibility",
