@@ -127,6 +127,14 @@ def _plugin(kind: str, name: str) -> str:
     )
 
 
+def _settings(dotted: str) -> str:
+    """The parameters of a model that is no plugin."""
+    from optdock.config.reference import _reference
+
+    module, _, name = dotted.rpartition(".")
+    return _table(_reference(getattr(importlib.import_module(module), name)))
+
+
 # The library: signatures and docstrings.
 
 _SECTION = re.compile(r"^(Args|Attributes|Returns|Raises|Yields):$", re.MULTILINE)
@@ -288,6 +296,7 @@ _MAKERS: dict[str, Callable[[str], str]] = {
     "map": _map,
     "plugins": _plugins,
     "scenario": _scenario,
+    "settings": _settings,
 }
 
 

@@ -81,7 +81,7 @@ def test_every_equation_is_numbered_once_and_names_a_module_that_has_what_it_nam
 
 def test_every_reference_to_an_equation_has_one():
     known = {re.search(r"\\tag\{(\w+)\}", found["tex"])[1] for _, found in equations()}
-    referred = {number for page in WRITTEN for number in re.findall(r"\(([GMPRNSCTK]\d+)\)", page.read_text())}
+    referred = {number for page in WRITTEN for number in re.findall(r"\(([DEGMPRNSCTK]\d+)\)", page.read_text())}
     assert referred - known == set()
 
 
@@ -135,7 +135,7 @@ def test_the_index_of_the_map_names_what_exists_and_what_the_tree_below_it_lists
 
 def test_every_equation_is_in_the_index_at_the_module_that_computes_it():
     homes = {re.search(r"\\tag\{(\w+)\}", found["tex"])[1]: found["path"].strip() for _, found in equations()}
-    indexed = [(number, path) for said, path, _ in index_rows() for number in re.findall(r"\(([GMPRNSCTK]\d+)\)", said)]
+    indexed = [(number, path) for said, path, _ in index_rows() for number in re.findall(r"\(([DEGMPRNSCTK]\d+)\)", said)]
     assert sorted(indexed) == sorted(homes.items())
 
 

@@ -57,6 +57,7 @@ SHOWS = (
     "FailedToSmoothPath",
     "found by: ",
     "the proof holds: True",
+    "at the true dock",
 )
 
 
