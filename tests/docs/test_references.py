@@ -135,7 +135,9 @@ def test_the_index_of_the_map_names_what_exists_and_what_the_tree_below_it_lists
 
 def test_every_equation_is_in_the_index_at_the_module_that_computes_it():
     homes = {re.search(r"\\tag\{(\w+)\}", found["tex"])[1]: found["path"].strip() for _, found in equations()}
-    indexed = [(number, path) for said, path, _ in index_rows() for number in re.findall(r"\(([DEGMPRNSCTK]\d+)\)", said)]
+    indexed = [
+        (number, path) for said, path, _ in index_rows() for number in re.findall(r"\(([DEGMPRNSCTK]\d+)\)", said)
+    ]
     assert sorted(indexed) == sorted(homes.items())
 
 
