@@ -27,7 +27,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from optdock.changed_world import StillHolds, still_holds
+from optdock.changed_world import StillHolds, is_proven, still_holds
 from optdock.deadline import Deadline, garbage_collection_paused
 from optdock.deformation import Push, deformed
 from optdock.errors import (
@@ -469,7 +469,7 @@ class _Replanning:
         before, world = self.plan.problem, self.world
         same = before.obstacles is world.obstacles and before.costmap is world.costmap and before.robot is world.robot
         same = same and before.clearance == world.clearance
-        same = same and self.plan.certificate.path == self.plan.path.digest
+        same = same and is_proven(self.plan)
         if not same or self.offset is not None or before.unknown_is_obstacle != world.unknown_is_obstacle:
             return False
         station = world.dock.footprint

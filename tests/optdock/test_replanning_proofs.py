@@ -140,3 +140,14 @@ def test_wheels_that_are_still_turned_at_a_cusp_are_waited_for():
     assert found.starts_at == pytest.approx(leaves)
     assert found.trajectory.path.segments[0].direction is Direction.REVERSE
     assert found.trajectory.path.curvature_at(0.0)[0] == pytest.approx(0.8, abs=1e-6)
+
+
+def test_a_plan_that_says_it_was_made_for_this_world_is_proven_in_it():
+    """Nothing but the dock differs from what the plan says it was made for; its certificate says otherwise."""
+    plan = running()
+    ahead = plan.trajectory.at(3.0).pose @ Pose2(0.45, -0.05, 0.0)
+    walled = dataclasses.replace(plan.problem, obstacles=box(ahead.x, ahead.y, 0.1))
+    claimed = dataclasses.replace(plan, problem=walled)
+    found = replan(claimed, walled.goal @ Pose2(0.05, 0.02, 0.0), DriveState(3.0), 1.0, lead=0.3)
+    assert found.outcome is ReplanOutcome.STOP
+    assert "the way until a new plan could take over is not clear" in found.reason
