@@ -614,8 +614,9 @@ class _Replanning:
             law = TimeLaw(phases[:, 0], phases[:, 1], 0.0, state.v, state.a)
             length = float(law.states[-1, 0])
             segment = joint.rest.segments[0]
-            if length <= SAME_POSITION:
-                return still, certify_trajectory(still, limits, SpeedZone())
+            if length <= SAME_POSITION:  # it would roll back, or has as good as stopped; a jump is not certified
+                jump = {"start_speed": state.v, "start_acceleration": state.a}
+                return still, certify_trajectory(still, limits, SpeedZone(), **jump)
             if length > segment.length - _NO_WAY:  # it comes to rest at the cusp by itself
                 length = segment.length
             trajectory = Trajectory(joint.rest.piece(0.0, length), law)

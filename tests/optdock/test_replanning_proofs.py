@@ -151,3 +151,17 @@ def test_a_plan_that_says_it_was_made_for_this_world_is_proven_in_it():
     found = replan(claimed, walled.goal @ Pose2(0.05, 0.02, 0.0), DriveState(3.0), 1.0, lead=0.3)
     assert found.outcome is ReplanOutcome.STOP
     assert "the way until a new plan could take over is not clear" in found.reason
+
+
+def test_a_robot_that_cannot_stop_without_rolling_back_is_told_so():
+    """Faster than its clock just before the end: the largest jerk takes the braking back too late."""
+    plan = running()
+    for before in (0.2, 0.3, 0.4):
+        state = DriveState(plan.trajectory.duration - before, 1.3)
+        elsewhere = dataclasses.replace(plan.problem, dock=Dock(Pose2(9.0, 9.0, 0.0)))
+        found = replan(plan, elsewhere, state, NO_TIME, lead=0.0)
+        at = plan.trajectory.at(found.starts_at)
+        begins = found.trajectory.time_law.start_speed, found.trajectory.time_law.start_acceleration
+        jumps = abs(begins[0] - 1.3 * at.twist.linear), abs(begins[1] - 1.69 * at.acceleration)
+        assert found.outcome is ReplanOutcome.STOP
+        assert not found.proven or max(jumps) <= 1e-6
