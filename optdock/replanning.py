@@ -611,6 +611,9 @@ class _Replanning:
                 most = share * limits.max_deceleration
                 bounds = DriveBounds(limits.max_speed, limits.max_acceleration, most, limits.max_jerk)
             phases = np.array(full_stop(state, bounds))
+            if state.a < 0.0 < state.v and state.a**2 > 2.0 * state.v * bounds.jerk:
+                jerk = state.a**2 / (2.0 * state.v)  # with less it would roll back; with this both end together
+                phases = np.array([[-state.a / jerk, jerk]])
             law = TimeLaw(phases[:, 0], phases[:, 1], 0.0, state.v, state.a)
             length = float(law.states[-1, 0])
             segment = joint.rest.segments[0]
