@@ -1,4 +1,4 @@
-"""Replan in motion: the dock is seen elsewhere, and a new plan takes over without a jump, or the robot is told to stop."""
+"""Replan in motion: the dock is seen elsewhere, and a new plan takes over without a jump."""
 
 from pathlib import Path
 
