@@ -12,6 +12,8 @@ import pytest
 
 import optdock
 from optdock import errors
+from optdock.executor.outcomes import EndingKind, State
+from optdock.executor.planning import Outcome as PlanOutcome
 from optdock.outcomes import TimingStatus
 from optdock.testing.families import FAMILIES, instance
 
@@ -186,6 +188,31 @@ def test_every_reason_of_a_refusal_is_explained():
 def test_every_kind_of_violation_is_explained():
     kinds = calls_of("Violation")
     assert {"clearance", "slip", "rest", "coverage"} <= kinds <= TOLD
+
+
+DOCKING = (DOCS / "howto" / "dock-with-a-detector.md").read_text(encoding="utf-8")
+
+
+def test_every_ending_of_a_docking_is_explained_with_its_code():
+    rows = re.findall(r"^\| (`[^|]+`) \| (\d+) \|", DOCKING, re.MULTILINE)
+    told = {kind: int(code) for kinds, code in rows for kind in re.findall(r"`([^`]+)`", kinds)}
+    assert {kind.value: kind.code for kind in EndingKind} == {kind.value: told.get(kind.value) for kind in EndingKind}
+
+
+def test_every_state_and_every_event_of_a_docking_is_explained():
+    told = set(re.findall(r"`([^`\n]+)`", DOCKING))
+    assert {state.value for state in State} - {"ready", "ended"} <= told
+    said = {
+        node.value
+        for path in (ROOT / "optdock" / "executor").glob("*.py")
+        for call in ast.walk(parsed(path))
+        if isinstance(call, ast.Call) and call.args
+        if getattr(call.func, "attr", getattr(call.func, "id", "")) in {"_report", "_interrupt", "_Interrupted"}
+        for node in ([call.args[0].body, call.args[0].orelse] if isinstance(call.args[0], ast.IfExp) else call.args[:1])
+        if isinstance(node, ast.Constant)
+    }
+    assert {"tube left", "tube entered", "no way on", "clock went back"} <= said <= told
+    assert {f"plan {outcome.value}" for outcome in PlanOutcome} <= told
 
 
 def test_steps_of_the_planner_are_explained():
