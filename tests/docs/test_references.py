@@ -14,6 +14,7 @@ import optdock
 from optdock import errors
 from optdock.executor.outcomes import EndingKind, State
 from optdock.executor.planning import Outcome as PlanOutcome
+from optdock.executor.settings import ExecutorSettings
 from optdock.outcomes import TimingStatus
 from optdock.testing.families import FAMILIES, instance
 
@@ -213,6 +214,11 @@ def test_every_state_and_every_event_of_a_docking_is_explained():
     }
     assert {"tube left", "tube entered", "no way on", "clock went back"} <= said <= told
     assert {f"plan {outcome.value}" for outcome in PlanOutcome} <= told
+
+
+def test_every_setting_of_a_docking_is_on_its_page():
+    heads = re.findall(r"^\| `(\w+)` \|", generated.on_page_markdown(DOCKING), re.MULTILINE)
+    assert set(ExecutorSettings.model_fields) <= set(heads)
 
 
 def test_steps_of_the_planner_are_explained():
