@@ -33,7 +33,7 @@ if TYPE_CHECKING:
     from optdock.trajectory import Trajectory
     from optdock.verification.conservative_advancement import ClearanceProof
 
-__all__ = ["StillHolds", "still_holds"]
+__all__ = ["StillHolds", "is_proven", "still_holds"]
 
 _NO_WAY = 1e-6  # [m]: of less than that nothing is left to drive
 _SPACING = 0.1  # [m] between the places by which what is near is found
@@ -104,7 +104,7 @@ def still_holds(
         instance(DockingProblem, world, "world (a DockingProblem, a Costmap or an ObstacleSet)")
         obstacles, costmap, later = world.obstacles, world.costmap, world
     changed = _changed(known, later, obstacles, costmap)
-    if not _is_proven(plan):
+    if not is_proven(plan):
         changed = ("path", *changed)
         if later is known:  # nothing is proven yet, so all there is now counts
             later = replace(known, obstacles=obstacles, costmap=costmap)
@@ -174,7 +174,7 @@ class _Change:
         return replace(found, at_s=begin + s, at_time=when, reason=reason)
 
 
-def _is_proven(plan: DockPlan) -> bool:
+def is_proven(plan: DockPlan) -> bool:
     """Whether the plan's certificate speaks of its path in its problem, and holds."""
     certificate = plan.certificate
     if not certificate.certified or certificate.path != plan.path.digest or certificate.problem is None:

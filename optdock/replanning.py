@@ -27,7 +27,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from optdock.changed_world import StillHolds, still_holds
+from optdock.changed_world import StillHolds, is_proven, still_holds
 from optdock.deadline import Deadline, garbage_collection_paused
 from optdock.deformation import Push, deformed
 from optdock.errors import (
@@ -469,7 +469,7 @@ class _Replanning:
         before, world = self.plan.problem, self.world
         same = before.obstacles is world.obstacles and before.costmap is world.costmap and before.robot is world.robot
         same = same and before.clearance == world.clearance
-        same = same and self.plan.certificate.path == self.plan.path.digest
+        same = same and is_proven(self.plan)
         if not same or self.offset is not None or before.unknown_is_obstacle != world.unknown_is_obstacle:
             return False
         station = world.dock.footprint
@@ -611,11 +611,15 @@ class _Replanning:
                 most = share * limits.max_deceleration
                 bounds = DriveBounds(limits.max_speed, limits.max_acceleration, most, limits.max_jerk)
             phases = np.array(full_stop(state, bounds))
+            if state.a < 0.0 < state.v and state.a**2 > 2.0 * state.v * bounds.jerk:
+                jerk = state.a**2 / (2.0 * state.v)  # with less it would roll back; with this both end together
+                phases = np.array([[-state.a / jerk, jerk]])
             law = TimeLaw(phases[:, 0], phases[:, 1], 0.0, state.v, state.a)
             length = float(law.states[-1, 0])
             segment = joint.rest.segments[0]
-            if length <= SAME_POSITION:
-                return still, certify_trajectory(still, limits, SpeedZone())
+            if length <= SAME_POSITION:  # it would roll back, or has as good as stopped; a jump is not certified
+                jump = {"start_speed": state.v, "start_acceleration": state.a}
+                return still, certify_trajectory(still, limits, SpeedZone(), **jump)
             if length > segment.length - _NO_WAY:  # it comes to rest at the cusp by itself
                 length = segment.length
             trajectory = Trajectory(joint.rest.piece(0.0, length), law)

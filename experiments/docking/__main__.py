@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import argparse
 import csv
+import dataclasses
 import os
 import sys
 from concurrent.futures import ProcessPoolExecutor
@@ -24,6 +25,7 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from experiments.docking.outcome import Outcome
+    from experiments.docking.run import Task
 
 OUT = Path("results") / "docking"
 THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
@@ -75,7 +77,23 @@ def study(options: argparse.Namespace) -> int:
     (options.out / "table.md").write_text(text + "\n", encoding="utf-8")
     sys.stdout.write(text + "\n")
     tables.draw_distributions(options.out / "cdf.png", found)
+    replanned = [(abs(one.cross), task) for one, task in zip(found, todo, strict=True) if task.method == "replanning"]
+    if replanned:
+        film(options.out / "worst.gif", max(replanned)[1])
     return 1 if any(outcome.short > tables.FORGIVEN for outcome in found) else 0
+
+
+def film(target: Path, task: Task) -> None:
+    """A docking by the executor, as the robot drove it."""
+    from experiments.docking.methods import executed
+    from experiments.docking.worlds import SPREADS, WORLDS, case_of
+    from optdock.plotting import save_animation
+
+    world = WORLDS[task.world]
+    case = case_of(task.number, SPREADS[task.spread], world, task.seed)
+    record = executed(case, world, task.rate).robot.record()
+    dock = dataclasses.replace(case.problem.dock, pose=case.true_dock)
+    save_animation(target, dataclasses.replace(case.problem, dock=dock), record.times, record.poses)
 
 
 if __name__ == "__main__":

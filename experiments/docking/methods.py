@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from functools import partial
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -28,9 +28,10 @@ if TYPE_CHECKING:
     from experiments.docking.worlds import Case, World
     from optdock.executor.planning import Job, PlanResult
     from optdock.measurements import Measurements
+    from optdock.simulation import SimulatedRobot
     from optdock.trajectory import Trajectory
 
-__all__ = ["METHODS"]
+__all__ = ["METHODS", "WatchedPlanning", "executed"]
 
 LAW = GracefulLaw(3.0, 2.0, 0.4, 2.0, 0.25, 2.5, 0.1, 0.25, 0.75)  # the docking server's defaults
 PROJECTION = 0.25  # [m]: how far behind the dock Nav2 aims
@@ -70,6 +71,7 @@ def by_law(case: Case, world: World, spread: str, rate: float) -> Outcome:
             goal = _filtered(goal, now.pose @ seen.pose)
         target = goal @ Pose2(int(gear) * PROJECTION, 0.0, 0.0)
         now = robot.advance(cycles.timed(partial(LAW.command, target, now.pose, gear)), 1.0 / rate)
+        case.push(robot, world)
         standing = standing + 1.0 / rate if abs(now.twist.linear) < STALL and robot.time > PATIENCE else 0.0
     ending = "" if now.contact else "stalled beside the contact" if standing >= PATIENCE else "timeout"
     names = ("graceful law", world.name, spread, rate)
@@ -116,6 +118,7 @@ def by_plan(case: Case, world: World, spread: str, rate: float, *, smoothed: boo
             ending = f"{type(error).__name__}: {error}"
             break
         now = robot.advance(command, 1.0 / rate)
+        case.push(robot, world)
     followed = [Followed(0.0, plan)] if smoothed else []
     return outcome_of(case, robot.record(), followed, names=names, ending=ending, counts=(0, 0, 0), busy=cycles.busy)
 
@@ -151,17 +154,18 @@ class WatchedPlanning(InlinePlanning):
         return result
 
 
-def by_executor(
-    case: Case,
-    world: World,
-    spread: str,
-    rate: float,
-    *,
-    controller: str = "TrackingController",
-    name: str = "replanning",
-) -> Outcome:
-    """The executor: detections, replanning in motion, contact, retries."""
-    names = (name, world.name, spread, rate)
+class Executed(NamedTuple):
+    """What a run of the executor leaves behind; `told`: how often it said that the tube was left."""
+
+    robot: SimulatedRobot
+    executor: DockingExecutor
+    planning: WatchedPlanning
+    cycles: _Cycles
+    told: int
+
+
+def executed(case: Case, world: World, rate: float, controller: str = "TrackingController") -> Executed:
+    """Dock by the executor: detections, replanning in motion, contact, retries."""
     robot, cycles, planning = case.world(world, has_switch=world.dock is not None), _Cycles(), WatchedPlanning()
     settings = ExecutorSettings(
         use_detections=world.dock is not None,
@@ -184,11 +188,25 @@ def by_executor(
         if step.ending is not None and step.command == Twist2():
             break
         now = robot.advance(step.command, 1.0 / rate)
-    ended = executor.ending
+        case.push(robot, world)
+    return Executed(robot, executor, planning, cycles, told)
+
+
+def by_executor(
+    case: Case, world: World, spread: str, rate: float, *, name: str, controller: str = "TrackingController"
+) -> Outcome:
+    """The outcome of the executor."""
+    run = executed(case, world, rate, controller)
+    ended = run.executor.ending
     ending = "never ended" if ended is None else "" if ended.kind.succeeded else f"{ended.kind.value}: {ended.reason}"
-    counts = planning.replans, 0 if ended is None else ended.num_retries, told
     return outcome_of(
-        case, robot.record(), planning.followed, names=names, ending=ending, counts=counts, busy=cycles.busy
+        case,
+        run.robot.record(),
+        run.planning.followed,
+        names=(name, world.name, spread, rate),
+        ending=ending,
+        counts=(run.planning.replans, 0 if ended is None else ended.num_retries, run.told),
+        busy=run.cycles.busy,
     )
 
 
@@ -196,6 +214,6 @@ METHODS: dict[str, Callable[[Case, World, str, float], Outcome]] = {
     "graceful law": by_law,
     "raw + tracker": partial(by_plan, smoothed=False),
     "smoothed + tracker": partial(by_plan, smoothed=True),
-    "replanning": by_executor,
-    "MPC": partial(by_executor, controller="MpcController", name="MPC"),
+    "replanning": partial(by_executor, name="replanning"),
+    "MPC": partial(by_executor, name="MPC", controller="MpcController"),
 }

@@ -114,7 +114,7 @@ def outcome_of(  # noqa: PLR0913 - what a run leaves behind
         counts: Replans, retries, leavings of the tube that were told.
         busy: CPU of a control cycle [s].
     """
-    error = pose_errors(record.poses[-1:], case.true_dock.as_array()[None])[0]
+    error = pose_errors(record.poses[-1:], record.docks[-1:])[0]
     moving = np.abs(record.commands[:, 0]) > _MOVING
     curvature = np.abs(record.commands[moving, 1] / record.commands[moving, 0])
     over, limit = _worst_ratio(record, case)

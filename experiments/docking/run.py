@@ -11,10 +11,12 @@ if TYPE_CHECKING:
 
 __all__ = ["PLAN", "Task", "driven", "tasks"]
 
+ALL = ("graceful law", "raw + tracker", "smoothed + tracker", "replanning", "MPC")
 PLAN = {
-    "perfect": ((20.0, 50.0, 100.0), ("graceful law", "raw + tracker", "smoothed + tracker", "replanning", "MPC")),
-    "noisy": ((20.0, 50.0, 100.0), ("graceful law", "raw + tracker", "smoothed + tracker", "replanning", "MPC")),
-    "detected": ((50.0,), ("graceful law", "raw + tracker", "smoothed + tracker", "replanning", "MPC")),
+    "perfect": ((20.0, 50.0, 100.0), ALL),
+    "noisy": ((20.0, 50.0, 100.0), ALL),
+    "detected": ((50.0,), ALL),
+    "pushed": ((50.0,), ("graceful law", "replanning", "MPC")),
 }
 """Rates and methods of every world."""
 

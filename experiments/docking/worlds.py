@@ -37,6 +37,7 @@ ROBOT = Robot(
 STATION = Footprint(np.array([[0.3, -0.3], [0.45, -0.3], [0.45, 0.3], [0.3, 0.3]]))  # touches the docked robot's front
 CLEARANCE = ClearanceRule(0.05, 0.0, 0.5)
 POSTS, POST_SIDE = 20, 0.06  # how many; [m]
+PUSHED_AT = 0.6  # [m] before the dock
 
 
 class Spread(NamedTuple):
@@ -66,7 +67,8 @@ class World(NamedTuple):
         actuation: Of the drive.
         pose: Localization.
         dock: Detector of the dock; None: the dock stands where it is stored.
-        moved: How far the true dock is from the stored one at most, x, y [m] and yaw [rad].
+        moved: How far the true dock is from the stored one at most [m], and how far turned [rad].
+        pushed: How far it is pushed, and turned, when the robot is 0.6 m away from it.
     """
 
     name: str
@@ -74,19 +76,22 @@ class World(NamedTuple):
     pose: PoseSensor
     dock: DockSensor | None = None
     moved: tuple[float, float] = (0.0, 0.0)
+    pushed: tuple[float, float] = (0.0, 0.0)
 
 
 LATE = Actuation(linear_lag=0.1, angular_lag=0.1, latency=0.06)
+DETECTED = World(
+    "detected",
+    LATE,
+    PoseSensor(position_sigma=0.005, yaw_sigma=math.radians(0.5)),
+    DockSensor(rate=15.0, latency=0.06, position_sigma=0.003, yaw_sigma=math.radians(0.3), near=1.0),
+    (0.1, math.radians(5.0)),
+)
 WORLDS = {
     "perfect": World("perfect", Actuation(), PoseSensor()),
     "noisy": World("noisy", LATE, PoseSensor(position_sigma=0.002, yaw_sigma=math.radians(0.1))),
-    "detected": World(
-        "detected",
-        LATE,
-        PoseSensor(position_sigma=0.005, yaw_sigma=math.radians(0.5)),
-        DockSensor(rate=15.0, latency=0.06, position_sigma=0.003, yaw_sigma=math.radians(0.3), near=1.0),
-        (0.1, math.radians(5.0)),
-    ),
+    "detected": DETECTED,
+    "pushed": DETECTED._replace(name="pushed", pushed=(0.03, math.radians(1.5))),
 }
 
 
@@ -104,6 +109,16 @@ class Case(NamedTuple):
     direction: DockDirection
     problem: DockingProblem
     true_dock: Pose2
+
+    def push(self, robot: SimulatedRobot, world: World) -> None:
+        """Push the dock once, when the robot has come near it."""
+        near = math.hypot(robot.error.x, robot.error.y) < PUSHED_AT
+        if world.pushed == (0.0, 0.0) or not near or robot.dock_pose != self.true_dock:
+            return
+        random = np.random.default_rng((7, self.seed))
+        bearing, (far, turn) = random.uniform(-math.pi, math.pi), world.pushed
+        by = Pose2(far * math.cos(bearing), far * math.sin(bearing), float(random.uniform(-turn, turn)))
+        robot.dock_pose = self.true_dock @ by
 
     def obstacles(self) -> ObstacleSet:
         """What really stands there."""

@@ -105,9 +105,11 @@ class CommandLimiter:
         up, down = (_fastest(max(gap, 0.0), limits.max_jerk, period) for gap in (top - before, before + bottom))
         slope = smooth_slope(missing, slope, self._acceleration, limits.max_jerk, (period, between))
         slope = min(max(slope, -down, (-bottom - before) / period), up, (top - before) / period)
-        fall = limits.max_deceleration
-        if before * wanted < 0.0:  # through rest the deceleration becomes an acceleration, and may not jump there
-            fall = min(fall, max(limits.max_acceleration, abs(self._acceleration) - limits.max_jerk * between))
+        # Through rest the deceleration becomes an acceleration: by then it must have come down to that one's limit.
+        soon = max(abs(before) - limits.max_deceleration * period, 0.0)
+        through = math.sqrt(limits.max_acceleration**2 + 2.0 * limits.max_jerk * soon)
+        through = max(through, abs(self._acceleration) - limits.max_jerk * between)
+        fall = min(limits.max_deceleration, through)
         linear = _approach(before, before + slope * period, limits.max_acceleration * period, fall * period)
         return wanted if abs(linear - wanted) <= _ROUNDING else linear
 

@@ -20,6 +20,7 @@ from optdock.lifecycle import PluginContext
 from optdock.measurements import Measurements
 from optdock.plugins import PluginChoice, plugin_from
 from optdock.problem import DockingProblem
+from optdock.robot import admissible
 
 if TYPE_CHECKING:
     from optdock.executor.planning import Planning
@@ -150,10 +151,12 @@ class DockingExecutor:
         finite_number(measurements.stamp, "measurements.stamp")
         self._events.clear()
         if self._began is None:
-            self._limiter.restart(measurements.twist)
+            robot = self.problem.robot
+            self._limiter.restart(admissible(measurements.twist, robot.limits, robot.drive))
         self._watch_log()
         tick = self._tick(measurements.stamp)
-        self._perception.update(measurements, measurements.stamp + self._offset, self._offset)
+        now = max(self._perception.stamp, measurements.stamp + self._offset)  # sums of large numbers are rounded
+        self._perception.update(measurements, now, self._offset)
         command = self._command(tick.of_commands)
         state = self.state
         deviation = self._procedure.deviation if self._ending is None else None

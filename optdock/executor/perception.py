@@ -20,6 +20,7 @@ if TYPE_CHECKING:
 
 __all__ = ["Perception"]
 
+_VAGUE = 1.0  # [m], [rad]: a detection that is no surer says nothing, and must not pass for one
 _STALE = 1.0  # [s]: a detection that took longer says where the dock was
 
 
@@ -154,7 +155,7 @@ class Perception:
             age = self.stamp - detection.stamp
             robot = self._reckoning.at(detection.stamp) if age <= _STALE else None
             sigmas = detection.position_sigma, detection.yaw_sigma
-            if robot is None or not all(math.isfinite(sigma) and sigma >= 0.0 for sigma in sigmas):
+            if robot is None or not all(0.0 <= sigma <= _VAGUE for sigma in sigmas):
                 self._report("detection not used", f"it is {age:.3f} s old, its sigmas are {sigmas}")
                 continue
             if detection.stamp < self._jumped_at:

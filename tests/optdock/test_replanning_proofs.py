@@ -140,3 +140,32 @@ def test_wheels_that_are_still_turned_at_a_cusp_are_waited_for():
     assert found.starts_at == pytest.approx(leaves)
     assert found.trajectory.path.segments[0].direction is Direction.REVERSE
     assert found.trajectory.path.curvature_at(0.0)[0] == pytest.approx(0.8, abs=1e-6)
+
+
+def test_a_plan_that_says_it_was_made_for_this_world_is_proven_in_it():
+    """Nothing but the dock differs from what the plan says it was made for; its certificate says otherwise."""
+    plan = running()
+    ahead = plan.trajectory.at(3.0).pose @ Pose2(0.45, -0.05, 0.0)
+    walled = dataclasses.replace(plan.problem, obstacles=box(ahead.x, ahead.y, 0.1))
+    claimed = dataclasses.replace(plan, problem=walled)
+    found = replan(claimed, walled.goal @ Pose2(0.05, 0.02, 0.0), DriveState(3.0), 1.0, lead=0.3)
+    assert found.outcome is ReplanOutcome.STOP
+    assert "the way until a new plan could take over is not clear" in found.reason
+
+
+def test_a_robot_that_cannot_stop_without_rolling_back_is_told_so():
+    """Faster than its clock just before the end: the largest jerk takes the braking back too late."""
+    plan = running()
+    for before in (0.2, 0.3, 0.4):
+        state = DriveState(plan.trajectory.duration - before, 1.3)
+        elsewhere = dataclasses.replace(plan.problem, dock=Dock(Pose2(9.0, 9.0, 0.0)))
+        found = replan(plan, elsewhere, state, NO_TIME, lead=0.0)
+        at = plan.trajectory.at(found.starts_at)
+        begins = found.trajectory.time_law.start_speed, found.trajectory.time_law.start_acceleration
+        jumps = abs(begins[0] - 1.3 * at.twist.linear), abs(begins[1] - 1.69 * at.acceleration)
+        assert found.outcome is ReplanOutcome.STOP
+        assert max(jumps) <= 1e-6
+        speeds = found.trajectory.time_law.at(np.linspace(0.0, found.trajectory.duration, 200))[:, 1]
+        assert speeds.min() >= -1e-9
+        assert abs(speeds[-1]) <= 1e-9
+        assert found.proven is found.motion.certified

@@ -36,7 +36,7 @@ def running_plan(rng: Rng) -> Case:
         case["question"] = "holds"
     else:
         case = docking_problem(rng)
-        case["budget"] = 1.0
+        case["budget"] = 2.0
         case["start_speed"], case["start_curvature"] = 0.0, None
         _steered(rng, case)
         case["world"] = _another_world(rng, case)
@@ -53,7 +53,7 @@ def running_plan(rng: Rng) -> Case:
     case["lead"] = None if rng.uniform() < 0.6 else float(rng.uniform(0.0, 0.3))
     case["moved"] = None if rng.uniform() < 0.9 else [float(rng.normal(0.0, 0.05)) for _ in range(3)]
     case["offset"] = None if rng.uniform() < 0.5 else _offset(rng)
-    case["replan_budget"] = float(rng.choice([0.02, 0.04, 0.1, 0.001], p=[0.3, 0.3, 0.35, 0.05]))
+    case["replan_budget"] = float(rng.choice([0.02, 0.1, 0.5, 0.001], p=[0.2, 0.2, 0.55, 0.05]))
     return case
 
 
