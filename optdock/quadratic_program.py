@@ -7,11 +7,12 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-import casadi
 import numpy as np
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
+
+    import casadi
 
     from optdock.geometry.arrays import FloatArray
 
@@ -69,7 +70,7 @@ class DenseProgram:
         """The minimizer by PIQP [Schwan2023], built anew for the rows in use; unused rows make it print warnings."""
         if not all(bool(np.isfinite(getattr(self, name)).all()) for name in _ARGUMENTS):
             return None
-        if bool(np.any(self.lbx > self.ubx) or np.any(self.lba > self.uba)) or not casadi.has_conic("piqp"):
+        if bool(np.any(self.lbx > self.ubx) or np.any(self.lba > self.uba)) or not _has_piqp():
             return None
         used = (self.lba > -UNBOUNDED) | (self.uba < UNBOUNDED)
         values = {name: getattr(self, name) for name in _ARGUMENTS}
@@ -80,7 +81,15 @@ class DenseProgram:
         return solution if found else None
 
 
+def _has_piqp() -> bool:
+    import casadi
+
+    return bool(casadi.has_conic("piqp"))
+
+
 def _plugin(name: str, size: int, rows: int, options: Mapping[str, Mapping[str, int | str]]) -> casadi.Function:
+    import casadi
+
     shapes = {"h": casadi.Sparsity.dense(size, size), "a": casadi.Sparsity.dense(rows, size)}
     return casadi.conic(f"dense_{name}", name, shapes, {"error_on_fail": False, **options})
 
