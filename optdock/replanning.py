@@ -618,8 +618,8 @@ class _Replanning:
             length = float(law.states[-1, 0])
             segment = joint.rest.segments[0]
             if length <= SAME_POSITION:  # it would roll back, or has as good as stopped; a jump is not certified
-                jump = {"start_speed": state.v, "start_acceleration": state.a}
-                return still, certify_trajectory(still, limits, SpeedZone(), **jump)
+                motion = certify_trajectory(still, limits, SpeedZone(), start_speed=state.v, start_acceleration=state.a)
+                return still, motion
             if length > segment.length - _NO_WAY:  # it comes to rest at the cusp by itself
                 length = segment.length
             trajectory = Trajectory(joint.rest.piece(0.0, length), law)

@@ -17,7 +17,7 @@ from experiments.fuzz.generators.problems import beside
 from experiments.fuzz.kinds import paths, trajectories
 from experiments.fuzz.oracle.motion import cut, motion_of
 from experiments.fuzz.oracle.rules import gap
-from experiments.fuzz.oracle.sweep import start_clearance, start_run, sweep, tube
+from experiments.fuzz.oracle.sweep import jumps_at_goal, start_clearance, start_run, sweep, tube
 from experiments.fuzz.oracle.timing import judged, state_at
 from experiments.fuzz.oracle.world import World
 from optdock.errors import OptdockError
@@ -134,7 +134,7 @@ def _about_the_rest(scene: Case, world: Case, now: float, found: StillHolds, rel
     if found:
         return _short("still_holds", world, seen)
     spare = _SPARE + _ROUND * solid.radius
-    if seen.margin.min() > spare:
+    if seen.margin.min() > spare and not jumps_at_goal(world):
         return Verdict(
             "false refusal", f"still_holds: {found.reason}; the smallest margin is {seen.margin.min():.4g} m"
         )

@@ -12,7 +12,7 @@ if TYPE_CHECKING:
     from experiments.fuzz.oracle.motion import Floats, Ints, Motion
     from experiments.fuzz.oracle.world import World
 
-__all__ = ["AROUND", "Sweep", "required_at", "start_clearance", "start_run", "sweep", "tube"]
+__all__ = ["AROUND", "Sweep", "jumps_at_goal", "required_at", "start_clearance", "start_run", "sweep", "tube"]
 
 _STEP, _TURN = 0.04, 0.08  # [m], [rad] between first samples
 _MOST = 1500  # first samples
@@ -71,6 +71,12 @@ def required_at(case: Case, poses: Floats, start_clearance: float, relief: float
     near_start = max(start_clearance, 0.0) + 0.5 * np.clip(from_start - relief, 0.0, None)
     required_there: Floats = np.minimum(at_dock + (required - at_dock) * share, near_start)
     return required_there
+
+
+def jumps_at_goal(case: Case) -> bool:
+    """Whether the rule asks for less at the goal itself than ever so near to it, which no sample shows."""
+    required, at_dock, taper = case["clearance"]
+    return bool(taper == 0.0 and required + tube(case) > at_dock)
 
 
 def start_clearance(case: Case, world: World) -> float:
