@@ -27,6 +27,7 @@ from optdock.geometry.clothoid import ClothoidSpline
 from optdock.geometry.pose import Pose2, normalize_angle, transform_points
 from optdock.geometry.separation import separation
 from optdock.path import Path
+from optdock.quadratic_program import UNBOUNDED, DenseProgram
 from optdock.segments import ClothoidSegment, TurnSegment
 
 if TYPE_CHECKING:
@@ -51,11 +52,6 @@ _ALL = 1_000_000  # gears
 _USED = 0.999  # share of the bounds that is taken where one is reached
 _SLOW = 0.3  # share of the speed at the start: a robot may be as slow as that for the sake of a bend
 _USED_BY_BENDS = 0.8  # share of the yaw acceleration; the rest is left for speeding up and slowing down in them
-_BOLD = 12  # rounds in which several bounds at once are added or dropped
-_MOST_AT_ONCE = 6
-_MOST_ACTIVE = 40  # rounds of the active-set method; one that needs more finds nothing
-_NO_PULL = 1e-9  # relative: rounding of the force by which a bound holds a step back
-_WITHIN = 1e-9  # of a bound, in units of its row
 _LEAST_TURN = 1e-3  # [rad]: a turn in place that shrinks to less is none
 _MOST_STRETCH = 0.3  # of a gear in one step, relative: beyond it the linear model knows nothing
 _USUAL_SWING = 0.25  # [m]: without a limit, the way over which the curvature is thought to swing by all it has
@@ -231,12 +227,6 @@ def _contact(push: Push, segments: tuple[Segment, ...]) -> _Contact:
     return _Contact(place, normal, push.distance - float(found.distance[0]))
 
 
-def _peaks(over: FloatArray) -> list[int]:
-    """Where a bound is broken by more than next to it: one of every stretch that is beyond."""
-    beside = np.maximum(np.append(over[1:], -np.inf), np.append(-np.inf, over[:-1]))
-    return [int(i) for i in np.flatnonzero((over > _WITHIN) & (over >= beside))[:_MOST_AT_ONCE]]
-
-
 def _rates_at_speed(gear: _Gear, limits: MotionLimits, speed: float) -> FloatArray:
     """Largest curvature rate over every piece of a gear for a robot that brakes from `speed`, Shape (n - 1,)."""
     left = speed * speed - 2.0 * limits.max_deceleration * gear.knots[:-1]
@@ -249,9 +239,6 @@ def _rates_at_speed(gear: _Gear, limits: MotionLimits, speed: float) -> FloatArr
 
 class _Program:
     """The quadratic program of a step: the least change that closes the gap within the bounds.
-
-    It is solved by an active-set method [Nocedal2006]: of the bounds those count that are reached, the ones that a step
-    breaks are added, the ones that hold it back from where it would rather go are dropped.
 
     Args:
         gears: As they are at first.
@@ -278,11 +265,12 @@ class _Program:
             self.fixed.append((0, float(gears[0].curvature[0])))
         if gears[-1].sign:
             self.fixed.append((self.size - 2, 0.0 if gears[-1].tail > 0.0 else float(gears[-1].curvature[-1])))
-        self.active: list[int] = []
-        price = np.zeros((self.size, self.size))
+        shaped = [np.arange(gear.curvature.size) for gear in gears]
+        self.places = np.concatenate([b + at for b, at in zip(self.starts.tolist(), shaped, strict=False)]).astype(int)
+        self.program: DenseProgram | None = None  # built on first use, for all steps
+        self.price = np.zeros((self.size, self.size))
         for begin, gear in zip(self.starts.tolist(), gears, strict=False):
-            price[begin : begin + gear.size, begin : begin + gear.size] = self._price(gear)
-        self.cheapness = np.linalg.inv(price)
+            self.price[begin : begin + gear.size, begin : begin + gear.size] = self._price(gear)
 
     def keeps_bounds(self, gears: list[_Gear]) -> bool:
         """Whether curvature and rates are within their bounds."""
@@ -311,63 +299,30 @@ class _Program:
         self, gears: list[_Gear], segments: tuple[Segment, ...], gap: FloatArray, pushes: list[tuple[Push, _Contact]]
     ) -> list[FloatArray] | None:
         """The cheapest change that closes a gap, pushes and keeps the bounds, by gears; None: nothing does all that."""
-        numbers = np.concatenate([np.append(g.curvature, 0.0) if g.sign else np.zeros(1) for g in gears])
         end = segments[-1].poses_at(segments[-1].length)[0]
-        must = np.zeros((3 + len(self.fixed), self.size))
-        must[:3] = self._moves(gears, segments, end)
-        wanted = [*gap.tolist()]
-        for k, (i, value) in enumerate(self.fixed):
-            must[3 + k, i] = 1.0
-            wanted.append(value - float(numbers[i]))
         curvature, rates, rate_rows = self._bounded(gears)
-        places = np.concatenate(
-            [begin + np.arange(gear.curvature.size) for begin, gear in zip(self.starts.tolist(), gears, strict=False)]
-        )
-        bends = np.zeros((curvature.size, self.size))
-        bends[np.arange(curvature.size), places.astype(np.int64)] = 1.0
-        moves = [
-            contact.normal @ self._moves(gears, segments, contact.place, (push.gear, push.share))[:2]
-            for push, contact in pushes
-        ]
-        # Every bound as row @ change <= room; a push is one the other way round.
-        rows = np.concatenate((bends, -bends, rate_rows, -rate_rows, -np.array(moves).reshape(-1, self.size)))
-        short = np.array([contact.short for _, contact in pushes])
-        room = (self.most - curvature, self.most + curvature, self.most_rates - rates, self.most_rates + rates, -short)
-        change = self._within(must, np.array(wanted), rows, np.concatenate(room))
+        if self.program is None:
+            self.program = DenseProgram(self.size, 3 + rates.size + len(pushes))
+            self.program.h[:] = self.price
+        program, pushed = self.program, 3 + rates.size
+        room = min(self.most, UNBOUNDED)
+        program.lbx[self.places], program.ubx[self.places] = -room - curvature, room - curvature
+        for i, value in self.fixed:
+            program.lbx[i] = program.ubx[i] = value - curvature[np.searchsorted(self.places, i)]
+        program.a[:3] = self._moves(gears, segments, end)
+        program.lba[:3] = program.uba[:3] = gap
+        most_rates = np.minimum(self.most_rates, UNBOUNDED)
+        program.a[3:pushed] = rate_rows
+        program.lba[3:pushed], program.uba[3:pushed] = -most_rates - rates, most_rates - rates
+        for row, (push, contact) in enumerate(pushes, pushed):
+            place = push.gear, push.share
+            program.a[row] = contact.normal @ self._moves(gears, segments, contact.place, place)[:2]
+            program.lba[row] = contact.short
+        change = program.solve()
         lengths = self.starts[1:][[gear.sign != 0 for gear in gears]] - 1
         if change is None or np.any(np.abs(change[lengths]) > _MOST_STRETCH):
             return None
         return np.split(change, self.starts[1:-1])
-
-    def _within(self, must: FloatArray, wanted: FloatArray, rows: FloatArray, room: FloatArray) -> FloatArray | None:
-        """The cheapest change with `must @ change = wanted` and `rows @ change <= room`; None where none is found.
-
-        What was active in the last step is so at first in this one.
-        """
-        scale, active = np.maximum(np.abs(rows).max(axis=1), 1e-12), self.active
-        for count in range(_MOST_ACTIVE):
-            table = np.concatenate((must, rows[active]))
-            cheap = self.cheapness @ table.T
-            try:
-                pulls = np.linalg.solve(table @ cheap, np.concatenate((wanted, room[active])))
-            except np.linalg.LinAlgError:
-                return None
-            change: FloatArray = cheap @ pulls
-            if not np.all(np.isfinite(change)):
-                return None
-            wrong = pulls[len(wanted) :] > _NO_PULL * np.abs(pulls).max()
-            if wrong.any():
-                # At first all that hold back, later the worst alone: so nothing is dropped and added for ever.
-                worst = int(np.argmax(pulls[len(wanted) :]))
-                active = [i for k, i in enumerate(active) if not (wrong[k] if count < _BOLD else k == worst)]
-                continue
-            over = (rows @ change - room) / scale
-            over[active] = -np.inf
-            if float(over.max()) <= _WITHIN:
-                self.active = active
-                return change
-            active = [*active, *(_peaks(over) if count < _BOLD else [int(np.argmax(over))])]
-        return None
 
     def _price(self, gear: _Gear) -> FloatArray:
         """Of a change of a gear's numbers: the squared norm of what it does, as a matrix."""

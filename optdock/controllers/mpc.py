@@ -238,9 +238,9 @@ class MpcController(TrackingController):
     ) -> Twist2:
         if self._built_for is not self.parameters:
             self._prepare()
-        if self._cancelled and reference.rate == 0.0:
-            self._nominal = None
-            return Twist2()
+        if self._cancelled:
+            self._nominal = None  # it brakes as the tracker does: the horizon does not know that the reference will
+            return super()._wanted(reference, now, error, accepted)
         if self._drive is Drive.ACKERMANN and now.ahead.speed < _AT_REST and not reference.finished:
             self._nominal = None  # steered wheels turn at rest as the tracker's do
             return super()._wanted(reference, now, error, accepted)

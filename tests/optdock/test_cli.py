@@ -777,7 +777,8 @@ def test_a_path_driven_against_its_gear_is_refused(planned):
 
 def test_a_warning_is_said_once_and_without_the_name_of_a_module():
     """In a process of its own, whose console nobody has set up."""
-    write(old="[[0.4, 0.3], [-0.4, 0.3], [-0.4, -0.3], [0.4, -0.3]]", new="[[0.4, 0.3], [0.1, 0.3], [0.1, -0.3]]")
+    occupied = SCENARIO.replace("pose: [1.0, 0.2, 0.4]", "pose: [1.5, 1.5, 0.0]")
+    write(occupied, "[[0.4, 0.3], [-0.4, 0.3], [-0.4, -0.3], [0.4, -0.3]]", "[[0.4, 0.3], [0.1, 0.3], [0.1, -0.3]]")
     command = [sys.executable, "-c", "from optdock.cli import main; main()", "compare", "bay.yaml", "bay.yaml"]
     result = subprocess.run(command, capture_output=True, text=True, check=False)
     warnings = [line for line in result.stderr.splitlines() if "does not contain [0, 0]" in line]

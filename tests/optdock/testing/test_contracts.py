@@ -45,7 +45,7 @@ SAMPLES = {
     "smoothers.SimpleSmoother": {"unitless": {"w_data", "w_smooth"}},
     "timing.Windowed": {"unitless": {"cap_ratio", "yaw_share"}},
     "controllers.TrackingController": {"unitless": {"damping"}},
-    "controllers.MpcController": {"unitless": {"damping", "steps"}},
+    "controllers.MpcController": {"plugin_parameters": {"steps": 8}, "unitless": {"damping", "steps"}},
     # Steps from rest to speed as Nav2's does, and stops within the 0.25 m of Nav2's default goal checker.
     "controllers.GracefulController": {
         "limits_acceleration": False,
