@@ -22,6 +22,7 @@ from optdock.executor.planning import Job, Motion, Outcome, PlanResult
 from optdock.geometry.pose import Pose2, Twist2, normalize_angle
 from optdock.lifecycle import LifecycleState, PluginContext
 from optdock.obstacles import ObstacleSet
+from optdock.problem import ClearanceRule
 from optdock.tube import Tube
 from optdock.verification import pose_clearance
 from optdock.verification.time_of_impact import free_motion
@@ -508,12 +509,17 @@ class Procedure:
         )
 
     def _to(self, place: Pose2) -> DockingProblem:
-        """From where the robot is to a place before the dock, among everything and the station."""
+        """From where the robot is to a place before the dock, among everything and the station.
+
+        There is nothing to be touched at that place: the whole clearance is kept up to it.
+        """
+        kept = self._base.clearance.required
         return dataclasses.replace(
             self._base,
             start=self._perception.robot,
             dock=Dock(place),
             obstacles=self._base.obstacles + self._station,
+            clearance=ClearanceRule(kept, kept, 0.0),
             costmap=self._costmap,
             **_AT_A_STAND,
         )
