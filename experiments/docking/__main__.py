@@ -87,12 +87,13 @@ def film(target: Path, task: Task) -> None:
     """A docking by the executor, as the robot drove it."""
     from experiments.docking.methods import executed
     from experiments.docking.worlds import SPREADS, WORLDS, case_of
+    from optdock.geometry.pose import Pose2
     from optdock.plotting import save_animation
 
     world = WORLDS[task.world]
     case = case_of(task.number, SPREADS[task.spread], world, task.seed)
     record = executed(case, world, task.rate).robot.record()
-    dock = dataclasses.replace(case.problem.dock, pose=case.true_dock)
+    dock = dataclasses.replace(case.problem.dock, pose=Pose2.from_sequence(record.docks[-1]))
     save_animation(target, dataclasses.replace(case.problem, dock=dock), record.times, record.poses)
 
 
