@@ -8,7 +8,7 @@ ARGS :=
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
 
-.PHONY: help demo test check unit docs fuzz bench bench-manoeuvres experiments clean
+.PHONY: help demo test check unit docs fuzz bench bench-manoeuvres bench-docking experiments clean
 help:
 	@echo "make demo         built-in docking scenario, start to finish, pictures in demo/"
 	@echo "make test         the whole check: ruff, mypy, import-linter, pytest with doctests"
@@ -16,6 +16,7 @@ help:
 	@echo "make fuzz         random problems against an independent oracle; SECONDS=600 SEED=1 JOBS=1, failures in results/fuzz/"
 	@echo "make bench        benchmarks, tables on stdout"
 	@echo "make bench-manoeuvres  from anywhere into the dock, tables on stdout, results/manoeuvres/; ARGS='--every 20'"
+	@echo "make bench-docking  1,000 dockings to contact in each world, tables on stdout, results/docking/; ARGS='--count 50'"
 	@echo "make experiments  every numbered script in experiments/, results in results/; on Nav2's maps too with OPTDOCK_DATA"
 
 $(STAMP): pyproject.toml
@@ -54,6 +55,9 @@ bench: $(STAMP)
 
 bench-manoeuvres: $(STAMP)
 	$(BIN)/python -m experiments.manoeuvres $(ARGS)
+
+bench-docking: $(STAMP)
+	$(BIN)/python -m experiments.docking $(ARGS)
 
 experiments: $(STAMP)
 	failed=0; \
