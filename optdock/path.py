@@ -255,8 +255,7 @@ class Path(FrozenArrays):
         return directions
 
     def _owners(self, s: FloatArray) -> IntArray:
-        found = np.searchsorted(self.segment_starts, s, side="right") - 1
-        return np.clip(found, 0, len(self.segments) - 1)
+        return np.searchsorted(self.segment_starts[1:-1], s, side="right")
 
     def _evaluate(
         self, s: ArrayLike, of: Callable[[Segment, FloatArray], FloatArray], shape: tuple[int, ...]

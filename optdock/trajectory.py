@@ -148,8 +148,7 @@ class TimeLaw(FrozenArrays):
         return middles
 
     def _phases_at(self, t: FloatArray) -> IntArray:
-        found: IntArray = np.clip(np.searchsorted(self.times, t, side="right") - 1, 0, self.durations.size - 1)
-        return found
+        return np.searchsorted(self.times[1:-1], t, side="right")
 
 
 class TrajectoryState(NamedTuple):

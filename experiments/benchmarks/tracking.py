@@ -80,7 +80,7 @@ class Case(NamedTuple):
 def worlds() -> tuple[World, ...]:
     """The worlds."""
     yaw = math.radians(0.1)
-    late = Actuation(linear_lag=0.1, angular_lag=0.1, latency=0.06, substeps=5)
+    late = Actuation(linear_lag=0.1, angular_lag=0.1, latency=0.06)
     return (
         World("perfect", Actuation()),
         World("lag, latency", late),

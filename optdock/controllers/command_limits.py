@@ -20,6 +20,7 @@ if TYPE_CHECKING:
 __all__ = ["CommandLimiter", "rate_limited", "smooth_slope"]
 
 _NO_ARC = 1e-9  # [m/s]: a slower command has no curvature
+_ROUNDING = 1e-15  # [m/s]: of a command that is to be the wanted one; a robot at rest is commanded nothing at all
 _CREEPING = 0.005  # [m/s]: a slower command says too little of the angle of steered wheels
 _SAME_ARC = 1.5  # times as fast as wanted: beyond, the wanted speed was feedback, whose arc means nothing
 
@@ -109,7 +110,8 @@ class CommandLimiter:
         through = math.sqrt(limits.max_acceleration**2 + 2.0 * limits.max_jerk * soon)
         through = max(through, abs(self._acceleration) - limits.max_jerk * between)
         fall = min(limits.max_deceleration, through)
-        return _approach(before, before + slope * period, limits.max_acceleration * period, fall * period)
+        linear = _approach(before, before + slope * period, limits.max_acceleration * period, fall * period)
+        return wanted if abs(linear - wanted) <= _ROUNDING else linear
 
     def _steered(self, wanted: Twist2, linear: float, period: float, limits: MotionLimits) -> float:
         """The curvature of steered wheels."""

@@ -18,18 +18,15 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, NamedTuple
 
-import casadi
 import numpy as np
 
-if TYPE_CHECKING:
-    from collections.abc import Callable
+from optdock.quadratic_program import UNBOUNDED, DenseProgram
 
+if TYPE_CHECKING:
     from optdock.geometry.arrays import FloatArray
 
 __all__ = [
-    "UNBOUNDED",
     "Arcs",
-    "DenseProgram",
     "Prediction",
     "arcs_between",
     "predicted",
@@ -37,7 +34,6 @@ __all__ = [
     "step_matrices",
 ]
 
-UNBOUNDED = 1e30  # how DAQP spells infinity
 _IN_MOTION = 0.02  # [m/s]: slower commands have no curvature that is linear in them
 _SAME_TIME = 1e-6  # [s]: steps that differ by less are those of the cycle before
 _MOST_ITERATIONS = 300  # of the active set; what takes longer is late: some 3 ms, and a warm case takes 20
@@ -160,52 +156,6 @@ def riccati_back(arcs: Arcs, stage: FloatArray, effort: FloatArray, final: Float
     return cost
 
 
-def _memory(values: FloatArray) -> memoryview:
-    return memoryview(values.ravel(order="K"))  # type: ignore[arg-type]  # numpy's stubs do not declare the buffer
-
-
-class DenseProgram:
-    """`min z'hz / 2 + g'z, lbx <= z <= ubx, lba <= az <= uba`, of fixed size, filled in place and solved by DAQP.
-
-    Arrays are in Fortran order; casadi's buffers read and write them without a copy, so they must never be replaced.
-
-    Args:
-        size: Number of variables.
-        rows: Number of general constraints; unused ones keep zero rows and infinite bounds.
-    """
-
-    def __init__(self, size: int, rows: int) -> None:
-        self.h, self.a = np.zeros((size, size), order="F"), np.zeros((rows, size), order="F")
-        self.g, self.lbx, self.ubx = np.zeros(size), np.full(size, -UNBOUNDED), np.full(size, UNBOUNDED)
-        self.lba, self.uba = np.full(rows, -UNBOUNDED), np.full(rows, UNBOUNDED)
-        self._solution = np.zeros(size)
-        shapes = {"h": casadi.Sparsity.dense(size, size), "a": casadi.Sparsity.dense(rows, size)}
-        limit = {"daqp": {"iter_limit": _MOST_ITERATIONS}}
-        self._function = casadi.conic("tracking", "daqp", shapes, {"error_on_fail": False, **limit})
-        self._buffer, self._run = self._bound()
-
-    def _bound(self) -> tuple[casadi.FunctionBuffer, Callable[[], None]]:
-        buffer, run = self._function.buffer()
-        for name in ("h", "g", "a", "lba", "uba", "lbx", "ubx"):
-            values: FloatArray = getattr(self, name)
-            # casadi's stub knows the C form of the two setters only.
-            buffer.set_arg(self._function.index_in(name), _memory(values))  # type: ignore[call-arg]
-        buffer.set_res(self._function.index_out("x"), _memory(self._solution))  # type: ignore[call-arg]
-        return buffer, run
-
-    def solve(self) -> FloatArray | None:
-        """The minimizer, Shape (size,); None where there is none, or it takes too many iterations."""
-        try:
-            self._run()
-        except RuntimeError:  # casadi's one exception, for example where a lower bound exceeds its upper bound
-            return None
-        # On failure DAQP leaves the previous solution behind, and NaN input passes for a success.
-        if not self._buffer.stats()["success"] or not bool(np.isfinite(self._solution).all()):
-            return None
-        solution: FloatArray = self._solution.copy()
-        return solution
-
-
 class Weights(NamedTuple):
     """What errors and efforts cost, each over one second; `final` and `tube` once.
 
@@ -311,7 +261,7 @@ class TrackingProgram:
         blocks = [slice(end - count, end) for count, end in zip(counts, ends, strict=True)]
         self._speed_changes, self._yaw_rate_changes, self._jerks, self._wheels, self._lateral = blocks[:5]
         self._curvature, self._curvature_changes, self._tube = blocks[5:]
-        self._program = DenseProgram(2 * steps + 2, ends[-1])
+        self._program = DenseProgram(2 * steps + 2, ends[-1], _MOST_ITERATIONS)
         self._program.lbx[-2:] = 0.0
         self._program.h[[-2, -1], [-2, -1]] = 1.0  # DAQP wants a curved cost
         self._program.g[-2:] = weights.tube, weights.jerk

@@ -111,7 +111,7 @@ class ClothoidSpline(FrozenArrays):
         return float(self.knots[-1])
 
     def _cells(self, s: FloatArray) -> IntArray:
-        return np.clip(np.searchsorted(self._breaks, s, side="right") - 1, 0, self._breaks.size - 2)
+        return np.searchsorted(self._breaks[1:-1], s, side="right")
 
     def poses_at(self, s: ArrayLike) -> FloatArray:
         """Poses at arc lengths `s`, Shape (n,) [m], clipped to the curve; Shape (n, 3)."""
@@ -139,7 +139,7 @@ class ClothoidSpline(FrozenArrays):
     def curvature_rate_at(self, s: ArrayLike) -> FloatArray:
         """D curvature / ds at `s`, Shape (n,) [1/m^2]; at a knot the value to its right, at the end to its left."""
         points = np.clip(np.atleast_1d(np.asarray(s, dtype=np.float64)), 0.0, self.length)
-        piece = np.clip(np.searchsorted(self.knots, points, side="right") - 1, 0, self.knots.size - 2)
+        piece = np.searchsorted(self.knots[1:-1], points, side="right")
         rates: FloatArray = self.curvature_rates[piece]
         return rates
 

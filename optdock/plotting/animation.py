@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from optdock.geometry.pose import transform_points
-from optdock.io.atomic_file import replacing
 from optdock.plotting.canvas import COLOURS, DPI, canvas_of, new_figure
+from optdock.plotting.gif import frame_count, save_gif
 from optdock.plotting.scene import OutlineStyle, draw_footprints, draw_scene, view_of
 
 if TYPE_CHECKING:
@@ -23,11 +23,8 @@ if TYPE_CHECKING:
 
 __all__ = ["save_animation"]
 
-_FRAME_TIME = 0.1  # [s]
-_MOST_FRAMES = 150
 _APART = 0.15  # [m] between the outlines that the robot leaves behind
 _BORDER = 0.06  # [inch] of white around the axes
-_HOLD = 1500  # [ms] on the last frame
 
 
 def save_animation(
@@ -51,14 +48,14 @@ def save_animation(
         InvalidFile: The file cannot be written.
     """
     stage = _Stage(problem, poses)
-    count = int(np.clip(np.ceil(times[-1] / _FRAME_TIME), 2, _MOST_FRAMES))
+    count = frame_count(float(times[-1]))
     frames: list[Image] = []
     for i, time in enumerate(np.linspace(times[0], times[-1], count)):
         pose = np.array([[np.interp(time, times, poses[:, k]) for k in range(3)]])
         frames.append(stage.frame(pose, f"{time:.1f} s"))
         if on_frame is not None:
             on_frame(i + 1, count)
-    _write(target, frames, 1e3 * times[-1] / count)
+    save_gif(target, frames, float(times[-1]))
 
 
 class _Stage:
@@ -115,17 +112,3 @@ class _Stage:
         if self._palette is None:
             self._palette = picture.quantize(colors=128, method=Images.Quantize.FASTOCTREE)
         return picture.quantize(palette=self._palette, dither=Images.Dither.NONE)
-
-
-def _write(target: str | Path, frames: list[Image], milliseconds: float) -> None:
-    step = int(min(milliseconds, 1e3 * _FRAME_TIME))
-    with replacing(target) as temporary:
-        frames[0].save(
-            temporary,
-            format="GIF",
-            save_all=True,
-            append_images=frames[1:],
-            duration=[step] * (len(frames) - 1) + [_HOLD],
-            loop=0,
-            disposal=1,
-        )

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from optdock.errors import InvalidValue, MissingExtra
-from optdock.io.atomic_file import replacing
+from optdock.plotting.gif import frame_count, save_gif
 from optdock.simulation.mujoco.plant import MujocoPhysics, load_mujoco
 
 if TYPE_CHECKING:
@@ -27,9 +27,6 @@ if TYPE_CHECKING:
 
 __all__ = ["save_mujoco_animation"]
 
-_FRAME_TIME = 0.1  # [s]
-_MOST_FRAMES = 150
-_HOLD = 1500  # [ms] on the last frame
 _WIDTH = 720  # pixels
 _MARGIN = 0.15  # [m] around robot and station
 _ELEVATION = -60.0  # [deg] of the camera
@@ -59,7 +56,7 @@ def save_mujoco_animation(target: str | Path, drive: MujocoDrive, states: Sequen
     if len(states) < 2:
         raise InvalidValue(f"mujoco: an animation needs at least two states, got {len(states)}")
     times = np.array([state.time for state in states])
-    count = int(np.clip(np.ceil((times[-1] - times[0]) / _FRAME_TIME), 2, _MOST_FRAMES))
+    count = frame_count(float(times[-1] - times[0]))
     with ExitStack() as closing:
         camera = _Camera(drive, states, closing)
         frames: list[Image] = []
@@ -72,17 +69,7 @@ def save_mujoco_animation(target: str | Path, drive: MujocoDrive, states: Sequen
             frames.append(picture)
     palette = frames[-1].quantize(_COLOURS)
     frames = [picture.quantize(palette=palette, dither=Images.Dither.NONE) for picture in frames]
-    step = int(1e3 * (times[-1] - times[0]) / count)
-    with replacing(target) as temporary:
-        frames[0].save(
-            temporary,
-            format="GIF",
-            save_all=True,
-            append_images=frames[1:],
-            duration=[min(step, int(1e3 * _FRAME_TIME))] * (count - 1) + [_HOLD],
-            loop=0,
-            disposal=1,
-        )
+    save_gif(target, frames, float(times[-1] - times[0]))
 
 
 def _words(states: Sequence[PlantState]) -> str:

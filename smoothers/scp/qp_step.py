@@ -18,14 +18,12 @@ import threading
 import time
 from typing import TYPE_CHECKING, NamedTuple
 
-import casadi
 import numpy as np
 
+from optdock.quadratic_program import UNBOUNDED, DenseProgram
 from smoothers.scp.basis import basis_for
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping
-
     from optdock.geometry.arrays import FloatArray, IntArray
     from smoothers.scp.basis import Basis
     from smoothers.scp.collision.linearization import ClearanceRows
@@ -35,9 +33,7 @@ if TYPE_CHECKING:
     from smoothers.scp.settings import StepSettings
 
 __all__ = [
-    "UNBOUNDED",
     "Blocks",
-    "DenseProgram",
     "Penalties",
     "ProgramPool",
     "Step",
@@ -49,9 +45,6 @@ __all__ = [
     "trusted_nodes",
     "zone_of",
 ]
-
-UNBOUNDED = 1e30  # how DAQP spells infinity
-_ARGUMENTS = ("h", "g", "a", "lba", "uba", "lbx", "ubx")
 
 
 class Penalties(NamedTuple):
@@ -189,6 +182,8 @@ def solve_step(
     _fill_clearance(program, blocks, around.rows, zone_of(basis, around.rows.node, settings.zones))
     solution = program.solve()
     if solution is None:
+        solution = program.solve_slowly()
+    if solution is None:
         return None
     change, model = solution[blocks.path], around.quadratic
     gain = -float(model.gradient @ change + 0.5 * change @ model.hessian @ change)
@@ -251,70 +246,6 @@ def _fill_clearance(program: DenseProgram, blocks: Blocks, rows: ClearanceRows, 
     program.a[used, blocks.path] = rows.gradient
     program.a[np.arange(first, first + count), blocks.clearance_slack.start + zone] = 1.0
     program.lba[used] = -rows.gap
-
-
-def _plugin(name: str, size: int, rows: int, options: Mapping[str, Mapping[str, str]]) -> casadi.Function:
-    shapes = {"h": casadi.Sparsity.dense(size, size), "a": casadi.Sparsity.dense(rows, size)}
-    return casadi.conic(f"step_{name}", name, shapes, {"error_on_fail": False, **options})
-
-
-def _memory(values: FloatArray) -> memoryview:
-    return memoryview(values.ravel(order="K"))  # type: ignore[arg-type]  # numpy's stubs do not declare the buffer
-
-
-class DenseProgram:
-    """`min z'hz / 2 + g'z, lbx <= z <= ubx, lba <= az <= uba`, of fixed size, filled in place and solved.
-
-    Arrays are in Fortran order. DAQP solves; where it fails PIQP [Schwan2023] does.
-
-    Args:
-        size: Number of variables.
-        rows: Number of general constraints; unused ones keep zero rows and infinite bounds.
-    """
-
-    def __init__(self, size: int, rows: int) -> None:
-        self.h, self.a = np.zeros((size, size), order="F"), np.zeros((rows, size), order="F")
-        self.g, self.lbx, self.ubx = np.zeros(size), np.zeros(size), np.zeros(size)
-        self.lba, self.uba = np.full(rows, -UNBOUNDED), np.full(rows, UNBOUNDED)
-        self._solution = np.zeros(size)
-        self._primary = _plugin("daqp", size, rows, {})
-        self._buffer, self._run = self._bound()
-
-    def _bound(self) -> tuple[casadi.FunctionBuffer, Callable[[], None]]:
-        buffer, run = self._primary.buffer()
-        for name in _ARGUMENTS:
-            # A view in memory order: the buffer keeps the address, so the arrays must never be replaced.
-            values: FloatArray = getattr(self, name)
-            # casadi's stub knows the C form of the two setters only.
-            buffer.set_arg(self._primary.index_in(name), _memory(values))  # type: ignore[call-arg]
-        buffer.set_res(self._primary.index_out("x"), _memory(self._solution))  # type: ignore[call-arg]
-        return buffer, run
-
-    def solve(self) -> FloatArray | None:
-        """The minimizer, or None where no solver finds one. Shape (size,)."""
-        try:
-            self._run()
-        except RuntimeError:  # casadi's one exception, for example where a lower bound exceeds its upper bound
-            return None
-        # On failure DAQP leaves the previous solution behind, and NaN input passes for a success.
-        if self._buffer.stats()["success"] and bool(np.isfinite(self._solution).all()):
-            solution: FloatArray = self._solution.copy()
-            return solution
-        return self.solve_slowly()
-
-    def solve_slowly(self) -> FloatArray | None:
-        """The minimizer by PIQP, built anew for the rows in use; unused rows make it print warnings."""
-        if not all(bool(np.isfinite(getattr(self, name)).all()) for name in _ARGUMENTS):
-            return None
-        if not casadi.has_conic("piqp"):
-            return None
-        used = (self.lba > -UNBOUNDED) | (self.uba < UNBOUNDED)
-        values = {name: getattr(self, name) for name in _ARGUMENTS}
-        values.update({name: values[name][used] for name in ("a", "lba", "uba")})
-        solver = _plugin("piqp", self.g.size, int(used.sum()), {"piqp": {"kkt_solver": "dense_cholesky"}})
-        solution = np.array(solver(**values)["x"]).ravel()
-        found = bool(solver.stats()["success"]) and bool(np.isfinite(solution).all())
-        return solution if found else None
 
 
 class ProgramPool:

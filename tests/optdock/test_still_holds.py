@@ -22,6 +22,7 @@ from optdock.problem import DockingProblem
 from optdock.replanning import still_holds
 from optdock.robot import Robot, TrackingTube
 from optdock.testing.dense_check import dense_check
+from optdock.trajectory import Trajectory
 from optdock.verification import certify_path
 
 ORIGIN, CELL, SIDE = (-3.0, -2.0), 0.1, 40
@@ -197,20 +198,22 @@ def post_beside(plan, gap, share=0.5):
     return np.array([[x - 0.01, y], [x + 0.01, y], [x + 0.01, y + 0.02], [x - 0.01, y + 0.02]])
 
 
-PLANS = {tube.cross: plan_dock(open_problem(tube)) for tube in (NONE, WIDE)}
+@functools.cache
+def planned(tube):
+    return plan_dock(open_problem(tube))
 
 
 @pytest.mark.parametrize("gap", [0.02, 0.2, 0.3, 0.38, 0.5])
-@pytest.mark.parametrize("cross", PLANS)
-def test_the_tube_counts(cross, gap):
-    plan = PLANS[cross]
+@pytest.mark.parametrize("tube", [NONE, WIDE])
+def test_the_tube_counts(tube, gap):
+    plan = planned(tube)
     obstacles = ObstacleSet.of([post_beside(plan, gap)])
     there = dataclasses.replace(plan.problem, obstacles=obstacles)
     assert still_holds(plan, obstacles).holds is certify_path(plan.path, there).certified
 
 
 def test_a_wider_tube_is_another_rule():
-    plan = plan_dock(open_problem(obstacles=[post_beside(PLANS[0.0], 0.2)]))
+    plan = plan_dock(open_problem(obstacles=[post_beside(planned(NONE), 0.2)]))
     wide = dataclasses.replace(plan.problem, robot=open_problem(WIDE).robot)
     found = still_holds(plan, wide)
     assert not found
@@ -220,7 +223,7 @@ def test_a_wider_tube_is_another_rule():
 
 @pytest.mark.parametrize("beyond", [0.0, 1.0])
 def test_where_nothing_is_left_to_drive_the_robot_must_still_be_clear(beyond):
-    plan = PLANS[0.0]
+    plan = planned(NONE)
     x, y = plan.path.end.x, plan.path.end.y
     time = plan.trajectory.duration + beyond
     on_the_robot = ObstacleSet.of([np.array([[x, y], [x + 0.1, y], [x, y + 0.1]])])
@@ -229,3 +232,18 @@ def test_where_nothing_is_left_to_drive_the_robot_must_still_be_clear(beyond):
     assert still_holds(plan, Costmap(cells, 0.1, (-5.0, -5.0)), time)
     cells[50, 50] = 254
     assert not still_holds(plan, Costmap(cells, 0.1, (-5.0, -5.0)), time)
+
+
+@pytest.mark.parametrize("told", ["costmap", "obstacles"])
+def test_a_plan_that_was_moved_meets_all_there_is_now(told):
+    """Nothing of it is proven, neither against what was there before nor against what is new."""
+    plan = planned(NONE)
+    path = plan.path.moved(Pose2(0.0, 0.02, 0.0))
+    moved = dataclasses.replace(plan, path=path, trajectory=Trajectory(path, plan.trajectory.time_law))
+    cells = np.zeros((100, 100), dtype=np.uint8)
+    cells[50:53, 35] = 254
+    costmap = Costmap(cells, 0.1, (-5.0, -5.0))
+    box = ObstacleSet.of([np.array([[-1.5, 0.0], [-1.4, 0.0], [-1.4, 0.3], [-1.5, 0.3]])])
+    world, free = (costmap, Costmap(0 * cells, 0.1, (-5.0, -5.0))) if told == "costmap" else (box, ObstacleSet.empty())
+    assert not still_holds(moved, world)
+    assert still_holds(moved, free)

@@ -61,7 +61,7 @@ def test_what_is_known_gives_way_to_evidence():
 @pytest.mark.parametrize("noise", [0.0, 0.005])
 def test_it_finds_the_same_at_any_rate_and_with_noise_in_the_speed(rate, noise):
     period, random = 1.0 / rate, np.random.default_rng(1)
-    drive = Actuation(linear_lag=0.1, latency=0.06, substeps=5 if rate < 100 else 2 if rate == 200 else 1)
+    drive = Actuation(linear_lag=0.1, latency=0.06)
     plant, estimate = DifferentialDrive(ROBOT, drive, period), DelayEstimate()
     state = plant.at_rest(Pose2(0.0, 0.0, 0.0))
     for k in range(3 * rate):
@@ -73,7 +73,7 @@ def test_it_finds_the_same_at_any_rate_and_with_noise_in_the_speed(rate, noise):
 
 def test_a_period_that_changes_is_no_other_drive():
     plant, estimate = (
-        DifferentialDrive(ROBOT, Actuation(linear_lag=0.1, latency=0.06, substeps=1), 0.01),
+        DifferentialDrive(ROBOT, Actuation(linear_lag=0.1, latency=0.06), 0.01),
         DelayEstimate(),
     )
     state, k = plant.at_rest(Pose2(0.0, 0.0, 0.0)), 0

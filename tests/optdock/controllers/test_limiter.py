@@ -131,3 +131,17 @@ def test_steered_wheels_turn_no_faster_than_they_can():
     angles = np.arctan([0.5 * c.angular / c.linear for c in commands[5:]])
     assert np.abs(np.diff(angles)).max() <= 0.5 * 0.02 + 1e-9
     assert angles.min() == pytest.approx(-0.6, abs=0.02)
+
+
+def test_a_robot_that_is_to_stop_is_commanded_nothing_in_the_end():
+    """Not what rounding has left of its speed, at periods as stamps give them."""
+    periods = np.diff(100.0 + 0.02 * np.arange(121)).tolist()
+    for speed in np.linspace(0.01, 0.5, 40).tolist():
+        limiter = CommandLimiter()
+        limiter.restart(Twist2(speed, 0.1))
+        commands = [
+            limiter.follow(Twist2(), Twist2(), period, MotionLimits(), Drive.DIFFERENTIAL, in_place=True)
+            for period in periods
+        ]
+        standing = next(k for k, command in enumerate(commands) if abs(command.linear) < 1e-6)
+        assert all(command == Twist2() for command in commands[standing + 1 :])

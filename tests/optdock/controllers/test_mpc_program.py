@@ -1,15 +1,12 @@
-"""The program of the MPC: its model against exact motion, its solutions against other solvers."""
+"""The program of the MPC: its model against exact motion, what comes after it against the Riccati equation."""
 
 import math
 
 import numpy as np
 import pytest
 from scipy.linalg import solve_discrete_are
-from scipy.optimize import minimize
 
-from optdock.controllers import mpc_program
 from optdock.controllers.mpc_program import (
-    DenseProgram,
     arcs_between,
     predicted,
     riccati_back,
@@ -48,7 +45,7 @@ def test_the_model_is_the_derivative_of_exact_motion(lag):
     poses = reference(times)
     arcs = arcs_between(poses, times)
     a, b, c = (matrix[0] for matrix in step_matrices(arcs, (lag, lag)))
-    plant = DifferentialDrive(ROBOT, Actuation(linear_lag=lag, angular_lag=lag, substeps=200), 0.05)
+    plant = DifferentialDrive(ROBOT, Actuation(linear_lag=lag, angular_lag=lag, longest_substep=0.05 / 200), 0.05)
 
     def exact(state, command):
         start = Pose2(*poses[0]) @ Pose2(*state[:3])
@@ -88,38 +85,3 @@ def test_the_cost_to_go_of_a_long_steady_drive_solves_the_riccati_equation():
     a, b, _ = step_matrices(arcs, (0.0, 0.0))
     steady = solve_discrete_are(a[0, :3, :3], b[0, :3], 0.1 * np.diag(stage), 0.1 * np.diag(effort))
     assert riccati_back(arcs, stage, effort, np.array([9.0, 9.0, 9.0]))[0] == pytest.approx(steady, rel=1e-6)
-
-
-@pytest.mark.parametrize("seed", range(6))
-def test_solutions_are_those_of_another_solver(seed):
-    random = np.random.default_rng(seed)
-    size, rows = 5, 8
-    program = DenseProgram(size, rows)
-    root = random.normal(size=(size, size))
-    program.h[:], program.g[:] = root @ root.T + 0.1 * np.eye(size), 5.0 * random.normal(size=size)
-    program.a[:] = random.normal(size=(rows, size))
-    program.lba[:], program.uba[:] = -1.0, random.uniform(0.1, 1.0, rows)
-    program.lbx[:], program.ubx[:] = -0.5, 0.5
-    constraints = [
-        {"type": "ineq", "fun": lambda z: program.uba - program.a @ z, "jac": lambda z: -program.a},
-        {"type": "ineq", "fun": lambda z: program.a @ z - program.lba, "jac": lambda z: program.a},
-    ]
-    other = minimize(
-        lambda z: 0.5 * z @ program.h @ z + program.g @ z, np.zeros(size), jac=lambda z: program.h @ z + program.g,
-        bounds=[(-0.5, 0.5)] * size, constraints=constraints, method="SLSQP", options={"ftol": 1e-14, "maxiter": 200},
-    )  # fmt: skip
-    assert program.solve() == pytest.approx(other.x, abs=1e-5)
-
-
-def test_what_has_no_solution_or_takes_too_long_has_none(monkeypatch):
-    program = DenseProgram(2, 1)
-    program.h[:], program.a[:] = np.eye(2), 1.0
-    program.lba[:], program.uba[:] = 1.0, 2.0
-    assert program.solve() is not None
-    program.lbx[:], program.ubx[:] = -0.1, 0.1
-    assert program.solve() is None
-    monkeypatch.setattr(mpc_program, "_MOST_ITERATIONS", 1)
-    late = DenseProgram(2, 1)
-    late.h[:], late.g[:], late.a[:] = np.eye(2), -5.0, 1.0
-    late.uba[:], late.ubx[:] = 1.0, 0.7
-    assert late.solve() is None

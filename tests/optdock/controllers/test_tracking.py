@@ -163,8 +163,12 @@ class TestSpeedLimit:
 
 
 class TestCancel:
-    @pytest.mark.parametrize("make", [s_curve_drive, lambda p: s_curve_drive(p, Direction.REVERSE), cusp_drive])
-    @pytest.mark.parametrize("cycle", [10, 60, 150, 230, 320])
+    @pytest.mark.parametrize(
+        ("make", "cycle"),
+        [(s_curve_drive, cycle) for cycle in (10, 60, 150, 320)]
+        + [(lambda p: s_curve_drive(p, Direction.REVERSE), cycle) for cycle in (60, 320)]
+        + [(cusp_drive, cycle) for cycle in (60, 150, 230)],
+    )
     def test_brakes_along_the_path_within_the_limits_and_says_when_it_stands(self, make, cycle):
         trajectory, robot = make(START), Robot(ROBOT.footprint, MotionLimits(max_reverse_speed=0.5))
         controller = ready(trajectory, robot)
