@@ -4,17 +4,24 @@ The speed is a second-order limiter. Where the wanted command can be reached it 
 within the limits passes without any lag; else the acceleration rises and falls by no more than the jerk, and falls
 early enough that the speed ends on what is wanted without going beyond: in the frame of the feed-forward, over a
 difference d, at a relative acceleration of at most sqrt(2 jerk d).
+
+A limit that speed and turn share (wheels, lateral acceleration, yaw rate of steered wheels) is kept by looking ahead:
+a speed that rises goes on rising until its acceleration has come down at the largest jerk, and the turn needs time to
+give way. A command is given only where both together stay within the limit until then, so that the next one can do
+the same. The speed gives way first, then the turn. A motion within the limits is one such future itself: it passes.
 """
 
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 from optdock.geometry.pose import Twist2
 from optdock.robot import Drive, admissible
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from optdock.limits import MotionLimits
 
 __all__ = ["CommandLimiter", "rate_limited", "smooth_slope"]
@@ -23,6 +30,9 @@ _NO_ARC = 1e-9  # [m/s]: a slower command has no curvature
 _ROUNDING = 1e-15  # [m/s]: of a command that is to be the wanted one; a robot at rest is commanded nothing at all
 _CREEPING = 0.005  # [m/s]: a slower command says too little of the angle of steered wheels
 _SAME_ARC = 1.5  # times as fast as wanted: beyond, the wanted speed was feedback, whose arc means nothing
+_EXACT = 1.0 + 1e-12  # a motion at its limits is not beyond them by rounding
+_HALVINGS = 40  # to a rounding error
+_QUARTER = 1.57  # [rad]: wheels turn no further
 
 
 class CommandLimiter:
@@ -75,57 +85,203 @@ class CommandLimiter:
         """
         free = in_place and drive is Drive.DIFFERENTIAL
         wanted = admissible(wanted if free else _bent(wanted, limits.max_curvature), limits, drive)
-        linear = self._linear(wanted.linear, feed_forward.linear, period, limits)
-        if drive is Drive.ACKERMANN:
-            angular = self._steered(wanted, linear, period, limits) * linear
-        else:
+        before, steered = self.command.linear, drive is Drive.ACKERMANN
+
+        def turn_at(linear: float) -> _Turn:
+            if steered:
+                return self._steered(wanted, linear, period, limits)
             angular = wanted.angular if free else _on_its_arc(wanted, linear, limits.max_curvature)
-        turn = (limits.turning.acceleration if linear == 0.0 else limits.max_yaw_acceleration) * period
-        angular = _approach(self.command.angular, angular, turn, turn)
-        most = _most_turn(linear, limits)  # the turn gives way: the speed falls as fast as it may
-        command = Twist2(linear, min(max(angular, -most), most))
+            return self._turned(angular, linear, period, limits)
+
+        slope = self._slope(wanted.linear, feed_forward.linear, period, limits)
+        slope = self._leaving_room(slope, turn_at(before + slope * period), period, limits)
+        linear = before + slope * period
+        if abs(linear - wanted.linear) <= _ROUNDING:
+            linear = wanted.linear
+        turned = _turned_within(turn_at(linear), linear, slope, period, limits)
+        command = Twist2(linear, turned * linear if steered else turned)
         if self._feed_forward is not None:
-            self._acceleration, self._period = (command.linear - self.command.linear) / period, period
+            self._acceleration, self._period = (command.linear - before) / period, period
         self._feed_forward, self.command = feed_forward.linear, command
-        if abs(command.linear) >= _CREEPING:
-            self._curvature = command.angular / command.linear
+        if steered:
+            self._curvature = turned
+        elif abs(linear) >= _CREEPING:
+            self._curvature = command.angular / linear
         return command
 
-    def _linear(self, wanted: float, feed_forward: float, period: float, limits: MotionLimits) -> float:
+    def _between(self, period: float) -> float:
+        """Time between accelerations, which are those in the middle of their periods [s]."""
+        return 0.5 * (period + (self._period or period))
+
+    def _slope(self, wanted: float, feed_forward: float, period: float, limits: MotionLimits) -> float:
+        """The acceleration towards the wanted speed, whatever the turn."""
         before = self.command.linear
         if self._feed_forward is None:
-            return before  # how long it has been in force nobody knows
+            return 0.0  # how long the command has been in force nobody knows
         slope = (feed_forward - self._feed_forward) / period
-        between = 0.5 * (period + (self._period or period))  # accelerations are those in the middle of their periods
-        missing = wanted - slope * period - before
-        top, bottom = (
-            min(limits.max_speed, limits.max_wheel_speed),
-            min(limits.max_reverse_speed, limits.max_wheel_speed),
-        )
-        up, down = (_fastest(max(gap, 0.0), limits.max_jerk, period) for gap in (top - before, before + bottom))
-        slope = smooth_slope(missing, slope, self._acceleration, limits.max_jerk, (period, between))
-        slope = min(max(slope, -down, (-bottom - before) / period), up, (top - before) / period)
-        # Through rest the deceleration becomes an acceleration: by then it must have come down to that one's limit.
-        soon = max(abs(before) - limits.max_deceleration * period, 0.0)
-        through = math.sqrt(limits.max_acceleration**2 + 2.0 * limits.max_jerk * soon)
-        through = max(through, abs(self._acceleration) - limits.max_jerk * between)
-        fall = min(limits.max_deceleration, through)
-        linear = _approach(before, before + slope * period, limits.max_acceleration * period, fall * period)
-        return wanted if abs(linear - wanted) <= _ROUNDING else linear
+        missing, periods = wanted - slope * period - before, (period, self._between(period))
+        slope = smooth_slope(missing, slope, self._acceleration, limits.max_jerk, periods)
+        braking = before != 0.0 and slope * before < 0.0
+        most = _most_braking(abs(before), period, limits) if braking else limits.max_acceleration
+        return min(max(slope, -most), most)
 
-    def _steered(self, wanted: Twist2, linear: float, period: float, limits: MotionLimits) -> float:
-        """The curvature of steered wheels."""
-        before = self._curvature
+    def _leaving_room(self, slope: float, turn: _Turn, period: float, limits: MotionLimits) -> float:
+        """The acceleration, no larger than what the limits leave beside the turn, and no jump down from the last."""
+        forward, rise = math.copysign(1.0, slope), abs(slope)
+        speed = forward * self.command.linear  # negative: it falls towards rest
+        top = min(limits.max_speed if forward > 0.0 else limits.max_reverse_speed, limits.max_wheel_speed)
+        most = min(rise, _rise_to(top - speed, limits.max_jerk, period))
+        if turn.steered and turn.least != 0.0:
+            most = min(most, (limits.max_yaw_acceleration + turn.fade * max(speed, 0.0)) / abs(turn.least))
+        least = max(forward * self._acceleration - limits.max_jerk * self._between(period), 0.0)
+        return forward * _largest(
+            lambda rise: _fits(
+                speed + rise * period, rise - 0.5 * limits.max_jerk * period, abs(turn.wanted), turn, limits
+            ),
+            min(least, rise),
+            most,
+        )
+
+    def _turned(self, wanted: float, linear: float, period: float, limits: MotionLimits) -> _Turn:
+        """The yaw rate."""
+        before = self.command.angular
+        most = (limits.turning.acceleration if linear == 0.0 else limits.max_yaw_acceleration) * period
+        least = math.copysign(max(abs(before) - most, 0.0), before)
+        return _Turn(_approach(before, wanted, most, most), least, limits.max_yaw_acceleration, steered=False)
+
+    def _steered(self, wanted: Twist2, linear: float, period: float, limits: MotionLimits) -> _Turn:
+        """The curvature of steered wheels: first what they can turn to, then what the yaw acceleration allows."""
+        before, base = self._curvature, limits.wheelbase
         asked = wanted.angular / wanted.linear if abs(wanted.linear) > _NO_ARC else before or 0.0
-        if before is None:
-            return asked
+        low, high = -limits.max_curvature, limits.max_curvature
+        if before is not None and math.isfinite(limits.max_steering_rate):
+            angle, turned = math.atan(base * before), limits.max_steering_rate * period
+            low = max(low, math.tan(max(angle - turned, -_QUARTER)) / base)
+            high = min(high, math.tan(min(angle + turned, _QUARTER)) / base)
+        least = min(max(0.0, low), high)
+        fade = math.inf
         if math.isfinite(limits.max_steering_rate):
-            angle, turned = math.atan(limits.wheelbase * before), limits.max_steering_rate * period
-            angle = min(max(math.atan(limits.wheelbase * asked), angle - turned), angle + turned)
-            asked = math.tan(angle) / limits.wheelbase
-        if abs(linear) < _CREEPING:
-            self._curvature = asked  # the wheels turn at rest too
-        return asked
+            # The tangent is convex: wheels that turn back keep the curvature below the straight line to nothing.
+            angle = math.atan(base * abs(least))
+            fade = limits.max_steering_rate * (abs(least) / angle if angle > 0.0 else 1.0 / base)
+        top = max(limits.max_speed, limits.max_reverse_speed)
+        fade = min(fade, limits.max_yaw_acceleration / top)
+        if abs(linear) > _NO_ARC:
+            change = limits.max_yaw_acceleration * period
+            ends = sorted(((self.command.angular - change) / linear, (self.command.angular + change) / linear))
+            asked = min(max(asked, ends[0]), ends[1])
+        asked = min(max(asked, low), high)
+        return _Turn(asked, least, fade, steered=True)
+
+
+class _Turn(NamedTuple):
+    """What a command turns by: the yaw rate, or the curvature of steered wheels.
+
+    `wanted` is what can be reached; `least` the least that can; `fade` how fast the amount can become less later.
+    """
+
+    wanted: float
+    least: float
+    fade: float
+    steered: bool
+
+
+def _turned_within(turn: _Turn, linear: float, slope: float, period: float, limits: MotionLimits) -> float:
+    """The turn nearest to what is wanted that the speed leaves room for, now and while its acceleration comes down."""
+    speed, rise = math.copysign(1.0, slope) * linear, abs(slope) - 0.5 * limits.max_jerk * period
+    both = ((speed, rise),) if speed >= 0.0 else ((speed, rise), (-speed, 0.0))
+    amount = _largest(
+        lambda amount: all(_fits(speed, rise, amount, turn, limits) for speed, rise in both),
+        min(abs(turn.least), abs(turn.wanted)),
+        abs(turn.wanted),
+    )
+    return math.copysign(amount, turn.wanted)
+
+
+def _fits(speed: float, rise: float, amount: float, turn: _Turn, limits: MotionLimits) -> bool:
+    """Whether a command, and all that must come of it, is within the limits that speed and turn share.
+
+    From now on the acceleration falls by the jerk, and the turn by its `fade`.
+
+    Args:
+        speed: In the direction in which it rises [m/s].
+        rise: The acceleration at the end of the period [m/s^2].
+        amount: Of the yaw rate, or of the curvature.
+        turn: What kind of a turn it is.
+        limits: Of the robot.
+    """
+    rise, jerk, lever, fade = max(rise, 0.0), limits.max_jerk, 0.5 * limits.track_width, turn.fade
+    shared: tuple[tuple[int, float, float, float], ...]
+    shared = ((1, amount, fade, limits.max_lateral_acceleration),)
+    if turn.steered:
+        if amount * rise > (limits.max_yaw_acceleration + fade * max(speed, 0.0)) * _EXACT:
+            return False
+        shared = (
+            (1, 1.0 + lever * amount, lever * fade, limits.max_wheel_speed),
+            (1, amount, fade, limits.max_yaw_rate),
+            (2, amount, fade, limits.max_lateral_acceleration),
+        )
+    else:
+        later = max(rise - lever * fade, 0.0) if lever > 0.0 else 0.0
+        rim = speed + later * later / (2.0 * jerk) + lever * amount
+        if amount > limits.max_yaw_rate * _EXACT or rim > limits.max_wheel_speed * _EXACT:
+            return False
+    return all(
+        math.isinf(bound) or _peak(power, (speed, rise, jerk), (turned, less)) <= bound * _EXACT
+        for power, turned, less, bound in shared
+    )
+
+
+def _peak(power: int, speed: tuple[float, float, float], turn: tuple[float, float]) -> float:
+    """The largest value of v(t)^power (c - d t), t >= 0, with v(t) = v + u t - jerk t^2 / 2, while it rises.
+
+    Its logarithm is concave. Where it is largest, power v' (c - d t) = d v, a quadratic equation in t.
+    """
+    (v, u, jerk), (c, d) = speed, turn
+    now = max(v, 0.0) ** power * c
+    if u <= 0.0 or math.isinf(d):
+        return now
+    constant = power * u * c - d * v
+    if constant <= 0.0:
+        return now
+    linear, square = power * jerk * c + (power + 1) * u * d, (power + 0.5) * jerk * d
+    t = 2.0 * constant / (linear + math.sqrt(max(linear * linear - 4.0 * square * constant, 0.0)))
+    if c - d * t <= 0.0:
+        return now
+    return max(now, max(v + u * t - 0.5 * jerk * t * t, 0.0) ** power * (c - d * t))
+
+
+def _rise_to(gap: float, jerk: float, period: float) -> float:
+    """The largest acceleration that comes down to nothing within `gap`, however the periods to come are.
+
+    Under the jerk the speed v goes on by u^2 / (2 jerk), u = a - jerk * period / 2 at the end of the period.
+    """
+    gap = max(gap, 0.0)
+    return min(max(math.sqrt(2.0 * jerk * gap) - 0.5 * jerk * period, 0.5 * jerk * period), gap / period)
+
+
+def _largest(fits: Callable[[float], bool], low: float, high: float) -> float:
+    """The largest value that fits; `low` where none does."""
+    if high <= low or fits(high):
+        return max(low, high)
+    for _ in range(_HALVINGS):
+        middle = 0.5 * (low + high)
+        low, high = (middle, high) if fits(middle) else (low, middle)
+    return low
+
+
+def _most_braking(speed: float, period: float, limits: MotionLimits) -> float:
+    """The largest deceleration of the coming period.
+
+    Through rest the deceleration becomes an acceleration. By then it must have come down to that one's limit: a
+    deceleration b needs (b^2 - a^2) / (2 jerk) of the speed to come down to a.
+    """
+    most, after, jerk = limits.max_deceleration, limits.max_acceleration, limits.max_jerk
+    until_rest = speed / most
+    if most > after:
+        first = math.sqrt(after * after + 2.0 * jerk * speed)
+        most, until_rest = min(most, first - 0.5 * jerk * period), max(until_rest, (first - after) / jerk)
+    return most if until_rest >= period else (speed + after * (period - until_rest)) / period
 
 
 def smooth_slope(missing: float, target_slope: float, slope: float, jerk: float, periods: tuple[float, float]) -> float:
@@ -189,11 +345,3 @@ def _bent(command: Twist2, curvature: float) -> Twist2:
     """The command, turning no tighter than `curvature`."""
     most = curvature * abs(command.linear) if command.linear != 0.0 else 0.0
     return Twist2(command.linear, min(max(command.angular, -most), most))
-
-
-def _most_turn(linear: float, limits: MotionLimits) -> float:
-    """The largest yaw rate at this speed."""
-    speed = abs(linear)
-    rim = (limits.max_wheel_speed - speed) / (0.5 * limits.track_width) if limits.track_width > 0.0 else math.inf
-    lateral = limits.max_lateral_acceleration / speed if speed > 0.0 else math.inf
-    return max(0.0, min(limits.max_yaw_rate, rim, lateral))

@@ -90,6 +90,52 @@ def test_whatever_is_wanted_no_command_is_beyond_a_limit(targets, period, held):
     assert np.all(np.abs(v) + 0.2 * np.abs(w) <= 0.45 + 1e-9)
 
 
+SHARED = {
+    "wheels": MotionLimits(
+        max_speed=0.6, max_acceleration=0.9, max_jerk=3.8, max_yaw_rate=0.7, max_yaw_acceleration=1.2,
+        max_wheel_speed=0.35, track_width=0.4,
+    ),
+    "lateral": MotionLimits(max_acceleration=0.6, max_jerk=1.0, max_yaw_acceleration=0.6, max_lateral_acceleration=0.1),
+    "car": MotionLimits(
+        max_acceleration=0.7, max_jerk=1.5, max_curvature=2.0, max_wheel_speed=0.36, track_width=0.4,
+        max_lateral_acceleration=0.12, max_yaw_rate=0.5, wheelbase=0.4, max_steering_rate=0.45,
+    ),
+    "through rest": MotionLimits(max_acceleration=0.34, max_deceleration=0.88, max_jerk=2.85),
+}  # fmt: skip
+
+
+@settings(max_examples=40)
+@given(
+    st.sampled_from(sorted(SHARED)),
+    st.lists(st.tuples(st.floats(-0.6, 0.6), st.floats(-1.5, 1.5)), min_size=1, max_size=6),
+    st.lists(st.sampled_from([0.01, 0.02, 0.05, 0.1]), min_size=1, max_size=4),
+    st.booleans(),
+)
+def test_limits_that_speed_and_turn_share_cost_neither_a_jump_of_the_turn_nor_of_the_speed(name, targets, rates, moves):
+    limits, drive = SHARED[name], Drive.ACKERMANN if name == "car" else Drive.DIFFERENTIAL
+    limiter, commands, periods = CommandLimiter(), [REST], []
+    limiter.follow(REST, REST, 0.1, limits, drive, in_place=False)
+    for target in targets:
+        for k in range(24):
+            period, wanted = rates[k % len(rates)], Twist2(*target)
+            commands.append(limiter.follow(wanted, wanted if moves else REST, period, limits, drive, in_place=False))
+            periods.append(period)
+    v, w = np.array([(command.linear, command.angular) for command in commands]).T
+    h = np.array(periods)
+    acceleration, between = np.diff(v) / h, 0.5 * (h[1:] + h[:-1])
+    within = 1.0 + 1e-6
+    assert np.all(np.abs(np.diff(acceleration)) <= limits.max_jerk * between * within)
+    assert np.all(np.abs(np.diff(w)) <= limits.max_yaw_acceleration * h * within)
+    assert np.all(np.abs(v) + 0.5 * limits.track_width * np.abs(w) <= limits.max_wheel_speed * within)
+    assert np.all(np.abs(v * w) <= limits.max_lateral_acceleration * within)
+    assert np.all(np.abs(w) <= limits.max_yaw_rate * within)
+    assert np.all(np.abs(acceleration) <= max(limits.max_acceleration, limits.max_deceleration) * within)
+    if drive is Drive.ACKERMANN:
+        moving = np.minimum(np.abs(v[1:]), np.abs(v[:-1])) > 1e-3
+        angle = np.arctan(limits.wheelbase * w / np.where(v == 0.0, 1.0, v))
+        assert np.all(np.abs(np.diff(angle))[moving] <= (limits.max_steering_rate * h * within + 1e-9)[moving])
+
+
 @pytest.mark.parametrize("period", [0.005, 0.02, 0.05, 0.1])
 @pytest.mark.parametrize("target", [0.3, -0.25, 0.02, 1e-4])
 def test_a_step_is_reached_without_going_beyond_and_almost_as_soon_as_can_be(period, target):
