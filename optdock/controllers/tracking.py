@@ -287,7 +287,7 @@ class TrackingController(Controller):
     def _attempt(self) -> None:
         """A new path is a new attempt; one that takes over in motion is none: a robot that stands is named still."""
         self._aside = self._scatter = 0.0
-        self._measured: tuple[Pose2, Twist2] | None = None
+        self._pose_before: tuple[Pose2, Twist2] | None = None
         self._following, self._arriving, self._push = Patience(), Patience(), DeadBandPush()
 
     @property
@@ -383,8 +383,8 @@ class TrackingController(Controller):
 
         Two poses have twice the variance of one.
         """
-        period, before = self._clock.elapsed, self._measured
-        self._measured = (pose, velocity)
+        period, before = self._clock.elapsed, self._pose_before
+        self._pose_before = (pose, velocity)
         if before is None or self._clock.silent:
             return
         last, speed = before

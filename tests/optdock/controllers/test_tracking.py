@@ -392,7 +392,7 @@ class TestCollisions:
         assert pose_clearances(poses, ROBOT.footprint, wall)[0].min() > -1e-4
 
     def test_noise_alone_refuses_no_passage(self):
-        sides = [np.array([[0.5, y], [0.9, y], [0.9, y + 0.1], [0.5, y + 0.1]]) for y in (0.255, -0.355)]
+        sides = [np.array([[0.9, y], [1.2, y], [1.2, y + 0.1], [0.9, y + 0.1]]) for y in (0.252, -0.352)]
         target = DockingProblem(
             Pose2(0.0, 0.0, 0.0), Dock(self.AHEAD.path.end), ROBOT, ObstacleSet.from_polygons(sides)
         )
