@@ -29,6 +29,7 @@ __all__ = ["LookAhead", "Obstruction", "collision_ahead", "stopping_time", "stop
 _SPACING = 0.03  # [m] that no point of the footprint moves by more between two poses
 _DEEPER = 1e-6  # [m]: a robot that touches something may drive on as long as it does not go deeper
 _TOUCHING = 1e-3  # [m]: what is nearer than this where the robot ends is touched there
+_AT_CONTACT = 0.1  # [m]: a robot further off, by more than noise and overshoot, is not there yet: it touches by mistake
 _MARGIN = 0.5  # [m] around the robot in which obstacles are kept from call to call
 
 
@@ -75,7 +76,7 @@ class LookAhead:
         """The obstacle that the footprint goes into along a way, the deepest; None where it touches nothing by mistake.
 
         Where it is in an obstacle already at the first pose it must not go deeper into that one. The station, and what
-        it touches at a pose of `contacts`, is touched on purpose: it may be pressed a little.
+        it touches at a pose of `contacts`, is touched on purpose: it may be pressed a little, the latter only there.
 
         Args:
             context: Surroundings; without a footprint nothing is looked at.
@@ -103,10 +104,12 @@ class LookAhead:
         if bool(np.all(deepest >= np.minimum(0.0, before))):
             return None
         at_contacts = _distances(footprint, contacts, obstacles, rows)
-        meant = ((at_contacts >= -tolerance) & (at_contacts <= _TOUCHING)).any(axis=0)
+        touched = (at_contacts >= -tolerance) & (at_contacts <= _TOUCHING)
+        off = np.linalg.norm(way[:, None, :2] - contacts[None, :, :2], axis=2)
+        meant = np.any((off <= _AT_CONTACT)[:, :, None] & touched, axis=1)
         meant |= np.array([obstacles.name_of(row) == "dock" for row in rows.tolist()])
         allowed = np.minimum(np.where(meant, -tolerance, -min(noise, tolerance)), before)
-        beyond = np.where(deepest < allowed, deepest, np.inf)
+        beyond = np.where(distance < allowed, distance, np.inf).min(axis=0)
         worst = int(np.argmin(beyond))
         if not math.isfinite(float(beyond[worst])):
             return None

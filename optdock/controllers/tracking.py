@@ -22,7 +22,7 @@ from optdock.geometry.pose import Pose2, Twist2
 from optdock.interfaces import Controller
 from optdock.limits import MotionLimits
 from optdock.parameters import PluginParameters
-from optdock.robot import Drive
+from optdock.robot import Drive, admissible
 from optdock.trajectory import Trajectory
 
 if TYPE_CHECKING:
@@ -42,7 +42,7 @@ _ASIDE_SMOOTHING = 0.2  # [s], of the error across: more hides a jump from what 
 _SCATTER_SMOOTHING = 1.0  # [s], of its squared noise
 _GROWTH, _LEAST_SCATTER = 4.0, 4e-6  # [1], [m^2]: what a single error may add to that
 _NOISES = 3.0  # standard deviations
-_SEEN_NOISE = 2.0  # standard deviations of the error across, of depth that is taken for noise
+_SEEN_NOISE = 2.0  # standard deviations of a pose across, of depth that is taken for noise
 _LEFT = 0.25  # of the accepted error across, that may be left at the end by what is seen now
 _PEAK_MARGIN = 1.2  # without a configured robot: headroom for feedback above the trajectory's own peaks
 
@@ -195,7 +195,7 @@ class TrackingController(Controller):
             if self._clock.elapsed == 0.0:
                 return self._limiter.command
             if self._clock.silent:
-                self._limiter.restart(Twist2(velocity.linear, velocity.angular))
+                self._limiter.restart(admissible(velocity, self._limits, self._drive))
             return self._command(self._reference, pose, velocity, goal_checker)
         except NoValidControl:
             self._limiter.stop()  # what a refusal leaves the robot with
@@ -209,6 +209,7 @@ class TrackingController(Controller):
             self._anchor(reference, pose, velocity)
         now = self._advanced(reference)
         error = now.pose.in_frame_of(pose)
+        self._learn_noise(pose, velocity)
         self._check_error(error)
         accepted = accepted_errors(goal_checker, self.context)
         self._check_progress(reference, now, error, accepted)
@@ -286,6 +287,7 @@ class TrackingController(Controller):
     def _attempt(self) -> None:
         """A new path is a new attempt; one that takes over in motion is none: a robot that stands is named still."""
         self._aside = self._scatter = 0.0
+        self._pose_before: tuple[Pose2, Twist2] | None = None
         self._following, self._arriving, self._push = Patience(), Patience(), DeadBandPush()
 
     @property
@@ -376,16 +378,29 @@ class TrackingController(Controller):
             return Twist2(speed, speed * arc.linear * arc.angular)
         return wanted
 
+    def _learn_noise(self, pose: Pose2, velocity: Twist2) -> None:
+        """How much poses scatter across, beyond what odometry says the robot has moved: noise and no error of its own.
+
+        Two poses have twice the variance of one.
+        """
+        period, before = self._clock.elapsed, self._pose_before
+        self._pose_before = (pose, velocity)
+        if before is None or self._clock.silent:
+            return
+        last, speed = before
+        driven = Twist2(0.5 * (speed.linear + velocity.linear), 0.5 * (speed.angular + velocity.angular))
+        off = last.moved(driven, period).in_frame_of(pose).y
+        most = _GROWTH * self._scatter + _LEAST_SCATTER  # a jump is no noise
+        self._scatter += min(1.0, period / _SCATTER_SMOOTHING) * (min(0.5 * off * off, most) - self._scatter)
+
     def _convergence_distance(self, now: ReferenceState, error: Pose2, accepted: Accepted) -> float:
         """As given; less where too much would be left at the end, but no less than the drive's delay allows.
 
         What counts is the error across, smoothed and beyond its own noise, which a shorter distance would amplify.
         """
         period = self._clock.elapsed
-        share, off = min(1.0, period / _ASIDE_SMOOTHING), error.y - self._aside
-        self._aside += share * off
-        most = _GROWTH * self._scatter + _LEAST_SCATTER  # a jump is no noise
-        self._scatter += min(1.0, period / _SCATTER_SMOOTHING) * (min(off * off, most) - self._scatter)
+        share = min(1.0, period / _ASIDE_SMOOTHING)
+        self._aside += share * (error.y - self._aside)
         noise = math.sqrt(self._scatter * share / (2.0 - share))
         aside = abs(self._aside) if abs(self._aside) > _NOISES * noise else 0.0
         usual, left, speed = self.parameters.convergence_distance, now.ahead.left, abs(now.ahead.twist.linear)

@@ -100,7 +100,7 @@ SHARED = {
         max_acceleration=0.7, max_jerk=1.5, max_curvature=2.0, max_wheel_speed=0.36, track_width=0.4,
         max_lateral_acceleration=0.12, max_yaw_rate=0.5, wheelbase=0.4, max_steering_rate=0.45,
     ),
-    "through rest": MotionLimits(max_acceleration=0.34, max_deceleration=0.88, max_jerk=2.85),
+    "through rest": MotionLimits(max_acceleration=0.48, max_deceleration=0.726, max_jerk=2.46),
 }  # fmt: skip
 
 

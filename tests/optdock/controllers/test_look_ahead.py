@@ -138,3 +138,11 @@ def test_obstacles_further_on_are_seen_when_the_robot_comes_to_them():
     reach = ROBOT.footprint.vertices[:, 0].max() + 0.12
     assert stopped == pytest.approx(3.0 - 0.05 - reach, abs=0.031)
     assert math.isfinite(stopped)
+
+
+def test_what_is_touched_at_the_end_is_not_to_be_touched_on_the_way():
+    wall = np.array([[0.45, -1.0], [0.6, -1.0], [0.6, 1.0], [0.45, 1.0]])
+    end = np.array([[0.05, 0.0, 0.0]])
+    pressed = stopping_way(Pose2(0.0, 0.3, 0.0), ROBOT.footprint, ((Twist2(0.055), 1.0),))
+    assert obstruction(context([wall]), pressed, end) is not None
+    assert obstruction(context([wall]), pressed - np.array([0.0, 0.3, 0.0]), end) is None

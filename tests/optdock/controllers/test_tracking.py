@@ -23,6 +23,7 @@ from optdock.problem import DockingProblem
 from optdock.robot import Drive, Robot
 from optdock.simulation import Actuation, DifferentialDrive, SimulationSettings, run_closed_loop
 from optdock.testing.drives import cusp_drive, s_curve_drive, straight_drive
+from optdock.verification import pose_clearances
 
 START = Pose2(0.0, 0.0, 0.3)
 LIMITS = MotionLimits(max_acceleration=0.5, max_deceleration=0.6)
@@ -366,6 +367,38 @@ class TestCollisions:
         assert 0.97 < rest <= 1.0 + 1e-9  # the nose stands at the wall where x is 1 m
         assert error.where["depth"] > 0.0
         assert "collision ahead" in str(error)
+
+    def tried(self, surroundings, trajectory, aside, noise):
+        """Poses of a robot that begins aside and tries again after every refusal, and how many of these there are."""
+        controller = TrackingController()
+        controller.configure(surroundings)
+        controller.set_path(trajectory)
+        plant, rng, refused = DifferentialDrive(ROBOT, period=PERIOD), np.random.default_rng(1), 0
+        state, poses = plant.at_rest(trajectory.path.start @ Pose2(0.0, aside, 0.0)), []
+        for _ in range(300):
+            seen = state.pose @ Pose2(*rng.normal(0.0, noise, 2).tolist(), 0.0)
+            try:
+                command = controller.compute_velocity_commands(seen, state.twist, None, stamp=next(STAMPS))
+            except NoValidControl:
+                command, refused = Twist2(), refused + 1
+            state = plant.step(state, command)
+            poses.append(state.pose.as_array())
+        return np.array(poses), refused
+
+    def test_its_own_error_across_is_no_noise_that_lets_it_into_a_wall(self):
+        poses, refused = self.tried(self.worlds()["polygon"], self.AHEAD, 0.2, 0.0)
+        assert refused > 0
+        wall = ObstacleSet.from_polygons([self.WALL])
+        assert pose_clearances(poses, ROBOT.footprint, wall)[0].min() > -1e-4
+
+    def test_noise_alone_refuses_no_passage(self):
+        sides = [np.array([[0.9, y], [1.2, y], [1.2, y + 0.1], [0.9, y + 0.1]]) for y in (0.252, -0.352)]
+        target = DockingProblem(
+            Pose2(0.0, 0.0, 0.0), Dock(self.AHEAD.path.end), ROBOT, ObstacleSet.from_polygons(sides)
+        )
+        poses, refused = self.tried(PluginContext(problem=target), self.AHEAD, 0.0, 0.001)
+        assert refused == 0
+        assert poses[-1, 0] == pytest.approx(1.05, abs=0.005)
 
     def test_it_drives_on_only_when_told(self):
         state, error = self.driven(self.worlds()["polygon"], use_collision_detection=False)
