@@ -148,7 +148,8 @@ def _worst_ratio(record: Record, case: Case) -> tuple[float, str]:
     limits, (v, w), h = case.problem.robot.limits, record.commands[:-1].T, np.diff(record.times[:-1])  # given ones only
     a, turned = np.diff(v) / h, np.diff(w) / h
     speeding = np.where(np.abs(v[1:]) > np.abs(v[:-1]), limits.max_acceleration, limits.max_deceleration)
-    jerk = np.diff(np.concatenate(([0.0], a))) / h
+    apart = np.concatenate((h[:1], 0.5 * (h[:-1] + h[1:])))  # an acceleration is that of the middle of its period
+    jerk = np.diff(np.concatenate(([0.0], a))) / apart
     ratios = {
         "speed": np.abs(v) / np.where(v >= 0.0, limits.max_speed, limits.max_reverse_speed),
         "yaw rate": np.abs(w) / limits.max_yaw_rate,
