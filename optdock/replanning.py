@@ -81,7 +81,7 @@ __all__ = [
 logger = logging.getLogger(__name__)
 
 DEFAULT_REPLANNING_BUDGET = 0.02  # [s]: one period of a controller at 50 Hz
-_FALLBACK_SHARE, _FALLBACK_MOST = 0.3, 0.006  # of the budget, [s]: kept back for the old plan's proof, and the stop's
+_FALLBACK_SHARE, _FALLBACK_MOST = 0.35, 0.007  # of the budget, [s]: kept back for the old plan's proof, and the stop's
 _AT_REST = 1e-6  # [m/s], [m/s^2]: as the certificate's rests
 _REST_SOON = 0.1  # [s]: a robot that rests so soon after the joint is joined there: no gear is that short
 _ON_THE_STRAIGHT = "the robot is on the final straight, where nothing is bent any more"
@@ -355,8 +355,11 @@ class _Replanning:
         self, joint: _Joint, rest: Path, problem: DockingProblem, work: Refinement
     ) -> DockPlan | None:
         """The rest of the running path, deformed, or else smoothed anew; None where neither is certified."""
-        guess, pushes = rest, list[Push]()
+        guess, pushes, longest = rest, list[Push](), 0.0
         for _ in range(_PUSHES + 1):
+            if work.deadline.left < longest:  # another round would not end in time
+                break
+            began = work.deadline.elapsed
             with work.watch.timed("deform"):
                 path = deformed(
                     guess,
@@ -381,6 +384,7 @@ class _Replanning:
             if any(violation.kind != "clearance" for violation in certificate.violations):
                 break
             pushes.append(_push_off(certificate.violations[0], path, problem))
+            longest = max(longest, work.deadline.elapsed - began)
         return self._attempt("smoothed", guess, lambda so_far: work.refined(guess, so_far, math.inf, is_given=True))
 
     def _timing(self) -> dict[str, float]:
