@@ -41,7 +41,7 @@ from optdock.errors import (
 )
 from optdock.geometry.checked import finite_number, instance, number
 from optdock.geometry.clothoid import ClothoidSpline
-from optdock.geometry.pose import Pose2, normalize_angle
+from optdock.geometry.pose import Pose2, displacement, normalize_angle
 from optdock.geometry.separation import separation
 from optdock.interfaces import Smoother, TimeParameterizer, never_cancelled
 from optdock.limits import SpeedZone
@@ -407,8 +407,7 @@ class _Replanning:
         seen = self.state.pose.in_frame_of(self.plan.trajectory.at(self.state.time).pose)
         tube = robot.tracking.width(robot.footprint)
         if tube > 0.0:
-            turned = 2.0 * robot.footprint.circumscribed_radius * abs(math.sin(0.5 * seen.yaw))
-            near = math.hypot(seen.x, seen.y) + turned <= tube
+            near = displacement(math.hypot(seen.x, seen.y), seen.yaw, robot.footprint.circumscribed_radius) <= tube
         else:
             near = math.hypot(seen.x, seen.y) <= accepted.cross and abs(seen.yaw) <= accepted.yaw
         return None if near else seen

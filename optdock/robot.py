@@ -12,7 +12,7 @@ from optdock.errors import InvalidValue
 from optdock.fingerprint import digest
 from optdock.geometry.checked import instance, member, number
 from optdock.geometry.footprint import Footprint
-from optdock.geometry.pose import Twist2
+from optdock.geometry.pose import Twist2, displacement
 from optdock.limits import STEERING_UNITS, MotionLimits
 
 __all__ = ["Drive", "Robot", "RobotFingerprint", "TrackingTube", "admissible", "check_drive"]
@@ -55,7 +55,7 @@ class TrackingTube:
 
     def width(self, footprint: Footprint) -> float:
         """Largest displacement of a point of the footprint [m]."""
-        return self.cross + 2.0 * footprint.circumscribed_radius * math.sin(0.5 * self.yaw)
+        return float(displacement(self.cross, self.yaw, footprint.circumscribed_radius))
 
 
 @dataclass(frozen=True, eq=False)

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from optdock.geometry.arrays import FloatArray, readonly
-from optdock.geometry.pose import pose_errors
+from optdock.geometry.pose import displacement, pose_errors
 from optdock.verification import end_clearances
 
 if TYPE_CHECKING:
@@ -113,5 +113,4 @@ class Tube:
 
     def _displacements(self, poses: FloatArray, references: FloatArray) -> FloatArray:
         off = np.hypot(references[..., 0] - poses[..., 0], references[..., 1] - poses[..., 1])
-        moved: FloatArray = off + 2.0 * self._radius * np.abs(np.sin(0.5 * (references[..., 2] - poses[..., 2])))
-        return moved
+        return displacement(off, references[..., 2] - poses[..., 2], self._radius)

@@ -412,6 +412,7 @@ class _CostmapValues(_Line):
     cells: str
 
     def costmap(self) -> Costmap:
+        """The grid."""
         cells = np.frombuffer(zlib.decompress(base64.b64decode(self.cells)), dtype=np.uint8)
         x, y = self.origin
         return Costmap(cells.reshape(self.rows, self.columns), self.resolution, (x, y))
@@ -436,6 +437,11 @@ class _TaskLine(_Line):
     goal_checker: tuple[str, dict[str, JsonValue]]
 
     def read(self) -> Task:
+        """The task, if its problem is the one that the log was written for.
+
+        Raises:
+            InvalidValue: It is another one.
+        """
         costmap = None if self.costmap is None else self.costmap.costmap()
         problem = problem_of(ScenarioDocument.model_validate(self.problem), costmap)
         dock = dataclasses.replace(problem.dock, tolerances=DockTolerances(**self.tolerances.model_dump()))
@@ -472,6 +478,12 @@ class _PlannedValues(_Line):
     plan: dict[str, JsonValue] | None = None
 
     def read(self, source: str) -> Planned:
+        """What planning gave; `source` is what the plan is called in messages.
+
+        Raises:
+            InvalidFile: The plan breaks its format.
+            InvalidValue: It holds no path or no phases.
+        """
         result = PlanResult(self.number, Outcome(self.outcome), None, self.starts_at, self.reason, self.code)
         if self.plan is None or self.start is None:
             return Planned(result)
@@ -501,6 +513,7 @@ class _CycleLine(_Line):
     ending: tuple[str, str, int, float] | None = None
 
     def cycle(self, line: int, planned: tuple[Planned, ...], *, cancelled: bool) -> Cycle:
+        """The control cycle in this line, with what came since the one before."""
         measurements = Measurements(
             self.stamp,
             None if self.pose is None else Pose2(*self.pose),

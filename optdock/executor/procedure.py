@@ -19,7 +19,7 @@ from optdock.errors import ControllerException
 from optdock.executor.approach import can_be_planned_away, left_at_dock, staging_distance
 from optdock.executor.outcomes import EndingKind, State
 from optdock.executor.planning import Job, Motion, Outcome, PlanResult
-from optdock.geometry.pose import Pose2, Twist2, normalize_angle
+from optdock.geometry.pose import Pose2, Twist2, displacement, normalize_angle
 from optdock.lifecycle import LifecycleState, PluginContext
 from optdock.obstacles import ObstacleSet
 from optdock.problem import ClearanceRule
@@ -786,17 +786,15 @@ class _Drive:
         if self._tube is None:
             return
         radius = owner._base.robot.footprint.circumscribed_radius
-        displacement = math.hypot(off.x, off.y) + 2.0 * radius * math.sin(0.5 * abs(off.yaw))
+        moved = float(displacement(math.hypot(off.x, off.y), off.yaw, radius))
         width = float(self._tube.width_at(np.array([s]))[0])
-        if displacement > width:  # from there; another place may be the better one
+        if moved > width:  # from there; another place may be the better one
             found = self._tube.deviations(robot.as_array()[None], near=s, within=_LEAP)
-            displacement, width = float(found.displacement[0]), float(found.width[0])
-        is_outside = displacement > width
+            moved, width = float(found.displacement[0]), float(found.width[0])
+        is_outside = moved > width
         if is_outside != self._is_outside:
             self._is_outside = is_outside
-            said = (
-                f"{off.y:.4f} m and {off.yaw:.4f} rad off, {displacement:.4f} m with its outline; proven: {width:.4f} m"
-            )
+            said = f"{off.y:.4f} m and {off.yaw:.4f} rad off, {moved:.4f} m with its outline; proven: {width:.4f} m"
             owner._report("tube left" if is_outside else "tube entered", said)
             self._is_urgent = self._is_urgent or (is_outside and path.length - s > _LAST_REPLAN)
 

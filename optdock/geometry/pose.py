@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TypeVar
 
 import numpy as np
 
@@ -27,11 +27,14 @@ __all__ = [
     "Twist2",
     "arc_end",
     "check_range",
+    "displacement",
     "normalize_angle",
     "pose_errors",
     "transform_points",
     "unwrap_yaw",
 ]
+
+Number = TypeVar("Number", float, "FloatArray")
 
 FARTHEST = 1e8  # [m] of any coordinate: beyond it squares overflow or millimetres vanish; no map on earth is that large
 MOST_TURNED = 1e6  # [rad] of any yaw: its last digit is then 1e-10 rad, a tenth of a nanometre at one metre
@@ -210,3 +213,17 @@ def pose_errors(poses: FloatArray, references: FloatArray) -> FloatArray:
     c, s = np.cos(references[:, 2]), np.sin(references[:, 2])
     yaw = np.pi - np.mod(np.pi - delta[:, 2], 2.0 * np.pi)
     return np.column_stack((c * delta[:, 0] + s * delta[:, 1], c * delta[:, 1] - s * delta[:, 0], yaw))
+
+
+def displacement(off: Number, turn: Number, radius: float) -> Number:
+    """How far a pose that is off and turned moves any point within a radius of its origin, at most [m].
+
+    A turn moves a point by a chord, off + 2 R sin(|turn| / 2).
+
+    Args:
+        off: Distance of the poses, a number or an array [m].
+        turn: Angle between them, likewise; of any number of whole turns [rad].
+        radius: Of the body [m].
+    """
+    moved: Number = off + 2.0 * radius * np.abs(np.sin(0.5 * turn))
+    return moved
