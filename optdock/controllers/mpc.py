@@ -379,7 +379,6 @@ class _Remembering(CommandLimiter):
 
     Attributes:
         allowed: The program's command of this cycle.
-        acceleration: Of the last command [m/s^2].
         curvature: Of the wheels, as the last command in motion has left them [1/m].
     """
 
@@ -387,8 +386,12 @@ class _Remembering(CommandLimiter):
         """Begin at what the robot does, at a steady speed."""
         super().restart(command)
         self.allowed: Twist2 | None = None
-        self.acceleration, self._fresh = 0.0, True
         self.curvature = command.angular / command.linear if abs(command.linear) > _AT_REST else 0.0
+
+    @property
+    def acceleration(self) -> float:
+        """Of the last command [m/s^2]; 0 at first, for how long that has been in force nobody knows."""
+        return self._acceleration
 
     def follow(
         self,
@@ -401,16 +404,13 @@ class _Remembering(CommandLimiter):
         in_place: bool,
     ) -> Twist2:
         """The command nearest to `wanted` that the last one can become."""
-        before = self.command
+        before, is_first = self.command, self._feed_forward is None
         command = super().follow(wanted, feed_forward, period, limits, drive, in_place=in_place)
-        if wanted == self.allowed and not self._fresh:
+        if wanted == self.allowed and not is_first:
             self.command = command = admissible(rate_limited(before, wanted, limits, period), limits, drive)
             self._acceleration = (command.linear - before.linear) / period
             if abs(command.linear) > _AT_REST:
                 self._curvature = command.angular / command.linear
-        # How long what the robot does has been in force nobody knows at first: nothing is added then.
-        self.acceleration = 0.0 if self._fresh else (command.linear - before.linear) / period
-        self._fresh = False
         if self._curvature is not None:
             self.curvature = self._curvature
         return command
