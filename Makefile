@@ -6,9 +6,12 @@ SEED := 1
 JOBS := 1
 ARGS :=
 BIN := $(VENV)/bin
+ROS_VENV := .venv-ros
+ROS_BIN := $(ROS_VENV)/bin
+ROS_STAMP := $(ROS_VENV)/.installed
 STAMP := $(VENV)/.installed
 
-.PHONY: help demo test check unit docs fuzz bench bench-manoeuvres bench-docking experiments clean
+.PHONY: help demo test check unit docs fuzz bench bench-manoeuvres bench-docking experiments ros-env test-ros clean
 help:
 	@echo "make demo         built-in docking scenario, start to finish, pictures in demo/"
 	@echo "make test         the whole check: ruff, mypy, import-linter, pytest with doctests"
@@ -17,6 +20,7 @@ help:
 	@echo "make bench        benchmarks, tables on stdout"
 	@echo "make bench-manoeuvres  from anywhere into the dock, tables on stdout, results/manoeuvres/; ARGS='--every 20'"
 	@echo "make bench-docking  1,000 dockings to contact in each world, tables on stdout, results/docking/; ARGS='--count 50'"
+	@echo "make test-ros     the ROS 2 package with a real rclpy, in an environment of its own (.venv-ros)"
 	@echo "make experiments  every numbered script in experiments/, results in results/; on Nav2's maps too with OPTDOCK_DATA"
 
 $(STAMP): pyproject.toml
@@ -59,9 +63,22 @@ bench-manoeuvres: $(STAMP)
 bench-docking: $(STAMP)
 	$(BIN)/python -m experiments.docking $(ARGS)
 
+# rclpy lives in an environment of its own: its wheels start every Python of theirs anew, with other library paths.
+$(ROS_STAMP): pyproject.toml ros/requirements.txt ros/optdock_ros/setup.py
+	$(PYTHON) -m venv $(ROS_VENV)
+	$(ROS_BIN)/python -m pip install --quiet --disable-pip-version-check -e . -r ros/requirements.txt
+	$(ROS_BIN)/python -m pip install --quiet --disable-pip-version-check --no-deps -e ros/optdock_ros
+	touch $(ROS_STAMP)
+
+ros-env: $(ROS_STAMP)
+	$(ROS_BIN)/python ros/interfaces/build.py
+
+test-ros: ros-env
+	$(ROS_BIN)/python -m pytest -q -c ros/tests/pytest.ini ros/tests
+
 experiments: $(STAMP)
 	failed=0; \
 	for script in experiments/[0-9]*.py; do echo "$$script"; $(BIN)/python $$script || failed=1; done; exit $$failed
 
 clean:
-	rm -rf $(VENV) demo results site
+	rm -rf $(VENV) $(ROS_VENV) demo results site

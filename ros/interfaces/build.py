@@ -1,0 +1,146 @@
+"""Compile the interface definitions beside this file for the `rclpy` of this Python, and install them into it.
+
+    python ros/interfaces/build.py
+
+A robot has the packages `nav2_msgs` and `tf2_msgs` from its ROS distribution. The wheels of `rclpy` do not bring them,
+so the tests compile what they need: names and order of the fields, which are the interface. It takes a C and a C++
+compiler and a dozen seconds. Nothing is done where definitions, script, interpreter and wheels are those of last time.
+
+The generators are called directly, not through CMake: the wheels' CMake exports name directories of the machine that
+built them.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import shutil
+import subprocess
+import sys
+import sysconfig
+import tempfile
+from concurrent.futures import ThreadPoolExecutor
+from importlib import metadata
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+from rosidl_cli.command.hash.api import generate_type_hashes
+from rosidl_cli.command.translate.api import translate
+from rosidl_generator_c.cli import GenerateC
+from rosidl_generator_py.cli import GeneratePython
+from rosidl_typesupport_c.cli import GenerateCTypesupport
+from rosidl_typesupport_fastrtps_c.cli import GenerateFastRTPSCTypesupport
+
+HERE = Path(__file__).resolve().parent
+PREFIX = Path(sys.prefix)
+SITE = Path(sysconfig.get_path("purelib"))
+MARK = PREFIX / ".interfaces"
+PACKAGES = ("tf2_msgs", "nav2_msgs")
+KINDS = (".action", ".msg", ".srv")
+# One middleware is all that the wheels have, so the dispatching type support may name it directly.
+MIDDLEWARE = "rosidl_typesupport_fastrtps_c"
+# Libraries that the generated code calls, beside those of the packages whose messages it uses.
+RUNTIME = ("rosidl_runtime_c", "rosidl_typesupport_c", MIDDLEWARE, "rosidl_typesupport_fastrtps_cpp", "fastcdr", "rmw")
+FLAGS = ("-O1", "-fPIC", "-w", "-pipe")
+
+
+class Library(NamedTuple):
+    """A shared library as a ROS build names it, and what it is compiled from."""
+
+    suffix: str
+    sources: list[Path]
+
+
+def main() -> None:
+    """Build whatever has changed."""
+    key = fingerprint()
+    if MARK.exists() and MARK.read_text() == key:
+        return
+    MARK.unlink(missing_ok=True)
+    for tool in ("cc", "c++"):
+        if shutil.which(tool) is None:
+            sys.exit(f"{tool}: not found; nav2_msgs and tf2_msgs are compiled for the tests, which takes a C++ compiler")
+    os.environ["AMENT_PREFIX_PATH"] = str(PREFIX)  # the generators look their templates up
+    with tempfile.TemporaryDirectory() as work:
+        for package in PACKAGES:
+            build(package, Path(work) / package)
+    MARK.write_text(key)
+
+
+def fingerprint() -> str:
+    """Of everything that the result depends on."""
+    digest = hashlib.sha256(sys.version.encode())
+    for path in sorted(HERE.rglob("*")):
+        if path.suffix in (*KINDS, ".py"):
+            digest.update(f"{path.relative_to(HERE)}\0".encode() + path.read_bytes())
+    wheels = {f"{found.name}=={found.version}" for found in metadata.distributions() if found.name.startswith("ros")}
+    digest.update("\n".join(sorted(wheels)).encode())
+    return digest.hexdigest()
+
+
+def build(package: str, work: Path) -> None:
+    """Generate, compile and install one package."""
+    definitions = HERE / package
+    named = [f"{definitions}:{p.relative_to(definitions)}" for p in sorted(definitions.rglob("*")) if p.suffix in KINDS]
+    share = PREFIX / "share" / package
+    known = [str(p) for p in (PREFIX / "share").iterdir() if p != share and any(p.glob("*/*.idl"))]
+    files = translate(
+        package_name=package, interface_files=named, include_paths=known, output_format="idl", output_path=share
+    )
+    hashes = generate_type_hashes(
+        package_name=package, interface_files=files, include_paths=known, output_path=share
+    )
+    code, dispatch, python = work / package, work / "dispatch", work / "python"  # headers are <package/...>
+    GenerateC("c").generate(package, files, known, code, hashes)
+    GenerateFastRTPSCTypesupport("fastrtps").generate(package, files, known, code)
+    GenerateCTypesupport("c", typesupport_implementations=[MIDDLEWARE]).generate(package, files, known, dispatch)
+    GeneratePython("py", typesupport_implementations=["rosidl_typesupport_c"]).generate(package, files, known, python)
+    libraries = (
+        Library("rosidl_generator_c", list(code.rglob("*.c"))),
+        Library(MIDDLEWARE, list(code.rglob("*.cpp"))),
+        Library("rosidl_typesupport_c", list(dispatch.rglob("*.cpp"))),
+        Library("rosidl_generator_py", list(python.rglob("*_s.c"))),
+    )
+    entry = python / f"_{package}_s.ep.rosidl_typesupport_c.c"
+    compile_all([*(path for library in libraries for path in library.sources), entry], work)
+    install(package, libraries, entry, [Path(p).name for p in known])
+
+
+def compile_all(sources: list[Path], work: Path) -> None:
+    """Every source to an object file beside it."""
+    headers = [work, PREFIX / "include", *(PREFIX / "include").iterdir(), sysconfig.get_path("include")]
+    flags = [*FLAGS, *(f"-I{path}" for path in [*headers, np.get_include()])]
+
+    def compiled(path: Path) -> None:
+        run("c++" if path.suffix == ".cpp" else "cc", *flags, "-c", path, "-o", f"{path}.o")
+
+    with ThreadPoolExecutor(os.cpu_count()) as pool:
+        list(pool.map(compiled, sources))
+
+
+def install(package: str, libraries: tuple[Library, ...], entry: Path, used: list[str]) -> None:
+    """Link the libraries and the extension into this Python's environment, beside those of the wheels."""
+    lib = PREFIX / "lib"
+    suffixes = [library.suffix for library in libraries]
+    others = [f"-l{name}__{suffix}" for name in used for suffix in suffixes]
+    others = [name for name in others if (lib / f"lib{name[2:]}.so").exists()]
+    link = ["c++", "-shared", f"-L{lib}", f"-Wl,-rpath,{lib}", f"-Wl,-rpath-link,{lib}", "-Wl,--as-needed"]
+    other = [*others, *(f"-l{name}" for name in RUNTIME)]
+    own: list[str] = []
+    for suffix, sources in libraries:
+        run(*link, *(f"{path}.o" for path in sources), *own, *other, "-o", lib / f"lib{package}__{suffix}.so")
+        own.append(f"-l{package}__{suffix}")
+    module = SITE / package
+    shutil.rmtree(module, ignore_errors=True)
+    shutil.copytree(entry.parent, module, ignore=shutil.ignore_patterns("*.c", "*.o"))
+    (module / "__init__.py").touch()
+    run(*link, f"{entry}.o", *own, *other, "-o", module / f"{package}_s__rosidl_typesupport_c.so")
+
+
+def run(*command: object) -> None:
+    """Run a compiler; its own words say what failed."""
+    subprocess.run([str(part) for part in command], check=True)
+
+
+main()

@@ -1,0 +1,1 @@
+"""ROS 2 nodes that take the place of Nav2's smoother, planner and docking servers."""

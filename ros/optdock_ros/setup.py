@@ -1,0 +1,33 @@
+"""The ament_python package; colcon needs this file."""
+
+from glob import glob
+
+from setuptools import setup
+
+NAME = "optdock_ros"
+
+setup(
+    name=NAME,
+    version="0.1.0",
+    packages=[NAME],
+    data_files=[
+        ("share/ament_index/resource_index/packages", [f"resource/{NAME}"]),
+        (f"share/{NAME}", ["package.xml"]),
+        (f"share/{NAME}/launch", glob("launch/*.launch.py")),
+        (f"share/{NAME}/config", glob("config/*.yaml")),
+    ],
+    install_requires=["setuptools", "optdock"],
+    zip_safe=True,
+    maintainer="The optdock developers",
+    maintainer_email="optdock@example.org",
+    description="Nav2's smoother, planner and docking servers with optdock inside",
+    license="Apache-2.0",
+    entry_points={
+        "console_scripts": [
+            "smoother_server = optdock_ros.smoother_server:main",
+            "planner_server = optdock_ros.planner_server:main",
+            "docking_server = optdock_ros.docking_server:main",
+            "simulated_robot = optdock_ros.simulated_robot:main",
+        ]
+    },
+)
