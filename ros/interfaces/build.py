@@ -36,7 +36,7 @@ HERE = Path(__file__).resolve().parent
 PREFIX = Path(sys.prefix)
 SITE = Path(sysconfig.get_path("purelib"))
 MARK = PREFIX / ".interfaces"
-PACKAGES = ("tf2_msgs", "nav2_msgs")
+PACKAGES = ("bond", "tf2_msgs", "nav2_msgs")
 KINDS = (".action", ".msg", ".srv")
 # One middleware is all that the wheels have, so the dispatching type support may name it directly.
 MIDDLEWARE = "rosidl_typesupport_fastrtps_c"
