@@ -29,7 +29,7 @@ __all__ = [
     "SimpleChargingDockParameters",
     "SimpleNonChargingDock",
     "SimpleNonChargingDockParameters",
-    "dock_plugin",
+    "plugin_class",
 ]
 
 _UNIT = 1e-3  # of a quaternion's length: rounded by hand, still meant as a rotation
@@ -249,27 +249,26 @@ DOCK_PLUGINS: Mapping[str, type[DockPlugin]] = {
 """By Nav2's class names."""
 
 
-def dock_plugin(name: str, block: Mapping[str, object]) -> DockPlugin:
-    """The plugin of an instance.
+def plugin_class(name: str, nav2_class: object) -> type[DockPlugin]:
+    """The plugin of one of Nav2's classes.
 
     Args:
-        name: Of the instance.
-        block: Its parameters, `plugin` among them.
+        name: Of the instance, for messages.
+        nav2_class: Nav2's name, also in the form with a slash.
 
     Raises:
-        DockNotValid: There is no `plugin`, or it is of another class.
-        InvalidValue: A parameter is wrong.
+        DockNotValid: There is none of this class.
+        InvalidValue: None is named.
     """
-    chosen = block.get("plugin")
-    if not isinstance(chosen, str):
-        raise InvalidValue(f"{name}.plugin: is required, the class of the dock plugin; got {chosen!r}")
-    known = DOCK_PLUGINS.get(chosen.replace("/", "::"))
-    if known is None:
+    if not isinstance(nav2_class, str):
+        raise InvalidValue(f"{name}.plugin: is required, the class of the dock plugin; got {nav2_class!r}")
+    found = DOCK_PLUGINS.get(nav2_class.replace("/", "::"))
+    if found is None:
         raise DockNotValid(
-            f"{name}.plugin: optdock has no dock of the class {chosen}{closest(chosen, DOCK_PLUGINS)}; it has "
+            f"{name}.plugin: optdock has no dock of the class {nav2_class}{closest(nav2_class, DOCK_PLUGINS)}; it has "
             f"{', '.join(DOCK_PLUGINS)}"
         )
-    return known(name, {key: value for key, value in block.items() if key not in ("plugin", "dock")})
+    return found
 
 
 def _quaternion(roll: float, pitch: float, yaw: float) -> tuple[float, float, float, float]:
