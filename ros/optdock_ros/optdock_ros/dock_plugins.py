@@ -16,7 +16,6 @@ from optdock.errors import DockNotValid, InvalidMessage, InvalidValue
 from optdock.geometry.pose import Pose2
 from optdock.measurements import Detection
 from optdock.parameters import PluginParameters, closest, parse_parameters
-
 from optdock_ros.transforms import Transform
 
 if TYPE_CHECKING:
@@ -29,6 +28,7 @@ __all__ = [
     "SimpleChargingDockParameters",
     "SimpleNonChargingDock",
     "SimpleNonChargingDockParameters",
+    "Told",
     "plugin_class",
 ]
 
@@ -69,9 +69,7 @@ class SimpleNonChargingDockParameters(PluginParameters):
     detection_position_sigma: float = Field(
         default=0.005, gt=0.0, description="standard deviation of a detection's x and y, each; ours [m]"
     )
-    detection_yaw_sigma: float = Field(
-        default=0.01, gt=0.0, description="as above, of its yaw; ours [rad]"
-    )
+    detection_yaw_sigma: float = Field(default=0.01, gt=0.0, description="as above, of its yaw; ours [rad]")
 
     use_stall_detection: bool = Field(default=False, description="contact is felt: joints that push and do not turn")
     stall_joint_names: list[str] = Field(default=[], description="which joints; the mean of them counts")
@@ -98,11 +96,11 @@ class SimpleChargingDockParameters(SimpleNonChargingDockParameters):
     charging_threshold: float = Field(default=0.5, description="a larger current charges [A]")
 
 
-class _Told(NamedTuple):
-    """What a message said, and when it came [s]."""
+class Told(NamedTuple):
+    """A message, and when it came [s]."""
 
-    value: bool
-    stamp: float
+    message: Any
+    at: float
 
 
 class DockPlugin:
@@ -126,7 +124,6 @@ class DockPlugin:
         self._rotation = _quaternion(
             p.external_detection_rotation_roll, p.external_detection_rotation_pitch, p.external_detection_rotation_yaw
         )
-        self._stalled = self._charging = _Told(False, -math.inf)
 
     def docked_pose(self, dock: Pose2) -> Pose2:
         """Where the robot stands when docked: a dock's x axis points into it, also for a robot that backs in."""
@@ -146,7 +143,7 @@ class DockPlugin:
         """Gear of the last motion."""
         return DockDirection(self.parameters.dock_direction)
 
-    def detection(self, message: Any, base: Transform) -> Detection:  # noqa: ANN401 - any geometry_msgs/PoseStamped
+    def detection(self, message: Any, base: Transform) -> Detection:
         """What a detection says of the docked pose.
 
         Args:
@@ -181,32 +178,37 @@ class DockPlugin:
         stamp = message.header.stamp.sec + 1e-9 * message.header.stamp.nanosec
         return Detection(stamp, self.docked_pose(dock), p.detection_position_sigma, p.detection_yaw_sigma)
 
-    def take_joint_states(self, message: Any, now: float) -> None:  # noqa: ANN401 - any sensor_msgs/JointState
-        """What the joints do.
+    def is_stalled(self, told: Told | None, now: float) -> bool:
+        """Whether joints push and do not turn.
+
+        Args:
+            told: The newest sensor_msgs/JointState.
+            now: [s].
 
         Raises:
             InvalidMessage: A joint of the list tells no velocity or no effort.
         """
         p = self.parameters
+        if told is None or not p.use_stall_detection or now - told.at > _STALL_AGE:
+            return False
+        message = told.message
         rows = [i for i, name in enumerate(message.name) if name in p.stall_joint_names]
         if not rows:
-            return
+            return False
         if max(rows) >= min(len(message.velocity), len(message.effort)):
             raise InvalidMessage(f"JointState: {message.name[max(rows)]}: needs velocity and effort")
         velocity = sum(abs(message.velocity[i]) for i in rows) / len(rows)
         effort = sum(abs(message.effort[i]) for i in rows) / len(rows)
         # What is no number is no stall: comparisons with it are false.
-        self._stalled = _Told(velocity < p.stall_velocity_threshold and effort > p.stall_effort_threshold, now)
+        return bool(velocity < p.stall_velocity_threshold and effort > p.stall_effort_threshold)
 
-    def take_battery_state(self, message: Any, now: float) -> None:  # noqa: ANN401 - any sensor_msgs/BatteryState
-        """What the battery does."""
+    def is_charging(self, told: Told | None, now: float) -> bool | None:  # noqa: ARG002 - of those that charge
+        """Whether the battery is being charged; None where it does not tell.
 
-    def is_stalled(self, now: float) -> bool:
-        """Whether joints push and do not turn."""
-        return self._stalled.value and now - self._stalled.stamp <= _STALL_AGE
-
-    def is_charging(self, now: float) -> bool | None:
-        """Whether the battery is being charged; None where it does not tell."""
+        Args:
+            told: The newest sensor_msgs/BatteryState.
+            now: [s].
+        """
         return None
 
     @property
@@ -226,15 +228,15 @@ class SimpleChargingDock(DockPlugin):
     parameters: SimpleChargingDockParameters
     is_charger = True
 
-    def take_battery_state(self, message: Any, now: float) -> None:  # noqa: ANN401 - any sensor_msgs/BatteryState
-        """What the battery does; a current that is no number does not charge."""
-        self._charging = _Told(message.current > self.parameters.charging_threshold, now)
-
-    def is_charging(self, now: float) -> bool | None:
-        """Whether the battery is being charged; None where it does not tell."""
+    def is_charging(self, told: Told | None, now: float) -> bool | None:
+        """Whether the battery is being charged; None where it does not tell. A current that is no number is none."""
         if not self.parameters.use_battery_status:
             return None
-        return self._charging.value and now - self._charging.stamp <= _CHARGE_AGE
+        return (
+            told is not None
+            and now - told.at <= _CHARGE_AGE
+            and told.message.current > self.parameters.charging_threshold
+        )
 
     @property
     def waits_for_charge(self) -> bool:

@@ -75,7 +75,9 @@ class DockingParameters(ServerParameters):
 class ControllerParameters(PluginParameters):
     """The block `controller`: what of Nav2's means something here."""
 
-    v_linear_max: float = Field(default=0.25, gt=0.0, description="default of robot.limits.max_speed, either gear [m/s]")
+    v_linear_max: float = Field(
+        default=0.25, gt=0.0, description="default of robot.limits.max_speed, either gear [m/s]"
+    )
     v_angular_max: float = Field(default=0.75, gt=0.0, description="default of robot.limits.max_yaw_rate [rad/s]")
     use_collision_detection: bool = Field(
         default=True, description="false: neither costmap nor obstacles; only the dock's own outline counts"
@@ -344,9 +346,7 @@ def _choice(read: _Reader, interface: type[Plugin], owner: str, default: str) ->
     return choice
 
 
-def _read_type(
-    read: _Reader, name: str, plugins: dict[str, DockPlugin], of_docks: dict[str, DockParameters]
-) -> None:
+def _read_type(read: _Reader, name: str, plugins: dict[str, DockPlugin], of_docks: dict[str, DockParameters]) -> None:
     """One type of docks."""
     given, dock = read.inner(name), read.inner("dock")
     special = read.inner("dock", given)

@@ -14,7 +14,6 @@ from optdock.parameters import closest
 if TYPE_CHECKING:
     from optdock.geometry.pose import Pose2
     from optdock.io.yaml_lines import Keys
-
     from optdock_ros.dock_plugins import DockPlugin
 
 __all__ = ["Docks", "docks_of_parameters"]
@@ -103,4 +102,3 @@ def docks_of_parameters(block: Mapping[str, object]) -> dict[str, DockEntry]:
     if faults:
         raise InvalidValue("\n".join(faults))
     return {entry.name: entry for entry in entries if entry is not None}
-

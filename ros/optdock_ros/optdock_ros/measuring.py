@@ -20,7 +20,6 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
 
     from optdock.costmap.costmap import Costmap
-
     from optdock_ros.transforms import Transform
 
 __all__ = ["Frames", "MeasurementRules", "Measuring", "Surroundings"]
@@ -97,11 +96,16 @@ class Measuring:
         self.faults: Mapping[str, str] = {}
         self._now = -math.inf
 
-    def take_odometry(self, message: Any) -> None:  # noqa: ANN401 - any nav_msgs/Odometry
+    @property
+    def detects(self) -> bool:
+        """Whether detections count."""
+        return self._detect is not None
+
+    def take_odometry(self, message: Any) -> None:
         """A new one; from any thread."""
         self._odometry.append(message)
 
-    def take_detection(self, message: Any) -> None:  # noqa: ANN401 - any geometry_msgs/PoseStamped
+    def take_detection(self, message: Any) -> None:
         """A new one; from any thread."""
         self._seen.append(message)
 
