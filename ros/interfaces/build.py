@@ -2,9 +2,10 @@
 
     python ros/interfaces/build.py
 
-A robot has the packages `nav2_msgs` and `tf2_msgs` from its ROS distribution. The wheels of `rclpy` do not bring them,
-so the tests compile what they need: names and order of the fields, which are the interface. It takes a C and a C++
-compiler and a dozen seconds. Nothing is done where definitions, script, interpreter and wheels are those of last time.
+A robot has the packages `nav2_msgs`, `tf2_msgs` and `bond` from its ROS distribution. The wheels of `rclpy` do not
+bring them, so the tests compile what they need: names and order of the fields, which are the interface. It takes a C
+and a C++ compiler and a quarter of a minute. Nothing is done where definitions, script, interpreter and wheels are
+those of last time.
 
 The generators are called directly, not through CMake: the wheels' CMake exports name directories of the machine that
 built them.
@@ -43,7 +44,7 @@ HERE = Path(__file__).resolve().parent
 PREFIX = Path(sys.prefix)
 SITE = Path(sysconfig.get_path("purelib"))
 MARK = PREFIX / ".interfaces"
-PACKAGES = ("tf2_msgs", "nav2_msgs")
+PACKAGES = ("bond", "tf2_msgs", "nav2_msgs")
 KINDS = (".action", ".msg", ".srv")
 # The middleware of the wheels looks for its own type support, and for introspection: without the latter everything
 # works, but every service and action of these packages complains of it at length when it is made.
@@ -72,7 +73,7 @@ def main() -> None:
     for tool in ("cc", "c++"):
         if shutil.which(tool) is None:
             sys.exit(
-                f"{tool}: not found; nav2_msgs and tf2_msgs are compiled for the tests, which takes a C++ compiler"
+                f"{tool}: not found; nav2_msgs, tf2_msgs and bond are compiled for the tests, which takes a compiler"
             )
     os.environ["AMENT_PREFIX_PATH"] = str(PREFIX)  # the generators look their templates up
     with tempfile.TemporaryDirectory() as work:
