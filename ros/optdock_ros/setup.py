@@ -18,7 +18,7 @@ setup(
         (f"share/{NAME}/config", [str(path) for path in Path("config").glob("*.yaml")]),
     ],
     install_requires=["setuptools", "optdock"],
-    zip_safe=True,
+    zip_safe=False,
     maintainer="The optdock developers",
     maintainer_email="optdock@example.org",
     description="Nav2's smoother, planner and docking servers with optdock inside",

@@ -22,7 +22,7 @@ import rclpy
 import yaml
 from lifecycle_msgs.msg import State, Transition
 from lifecycle_msgs.srv import ChangeState, GetState
-from rclpy.action import ActionClient
+from rclpy.action.client import ActionClient
 from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
@@ -193,7 +193,7 @@ class Reply(NamedTuple):
 class Goal:
     """A goal of an action under way."""
 
-    def __init__(self, client: Client, action: ActionClient, goal: Any) -> None:
+    def __init__(self, client: Client, action: ActionClient[Any, Any, Any], goal: Any) -> None:
         self.client = client
         self.feedback: list[Any] = []
         self.handle = client.wait(
@@ -224,7 +224,7 @@ class Client(Node):
 
     def __init__(self, name: str = "test_client") -> None:
         super().__init__(name, start_parameter_services=False)
-        self._action_clients_by_name: dict[str, ActionClient] = {}
+        self._action_clients_by_name: dict[str, ActionClient[Any, Any, Any]] = {}
         self._clients_by_name: dict[str, Any] = {}
         self._own_executor = SingleThreadedExecutor()
         self._own_executor.add_node(self)
@@ -252,7 +252,7 @@ class Client(Node):
             time.sleep(0.005)
         return value
 
-    def call(self, kind: type, name: str, request: Any = None, timeout: float = PATIENCE) -> Any:
+    def call(self, kind: Any, name: str, request: Any = None, timeout: float = PATIENCE) -> Any:
         """Call a service."""
         if name not in self._clients_by_name:
             self._clients_by_name[name] = self.create_client(kind, name)
@@ -260,7 +260,7 @@ class Client(Node):
         assert service.wait_for_service(timeout), f"no service {name} within {timeout} s"
         return self.wait(service.call_async(kind.Request() if request is None else request), timeout)
 
-    def send(self, kind: type, name: str, goal: Any, timeout: float = PATIENCE) -> Goal:
+    def send(self, kind: Any, name: str, goal: Any, timeout: float = PATIENCE) -> Goal:
         """Send a goal to an action, and wait until it is accepted or not."""
         if name not in self._action_clients_by_name:
             self._action_clients_by_name[name] = ActionClient(self, kind, name)
@@ -268,7 +268,7 @@ class Client(Node):
         assert action.wait_for_server(timeout), f"no action {name} within {timeout} s"
         return Goal(self, action, goal)
 
-    def heard(self, kind: type, topic: str, qos: QoSProfile | int = 10) -> list[Any]:
+    def heard(self, kind: Any, topic: str, qos: QoSProfile | int = 10) -> list[Any]:
         """A list that every message of a topic is appended to from now on."""
         found: list[Any] = []
         self.create_subscription(kind, topic, found.append, qos)

@@ -656,7 +656,8 @@ def points_along(outlines: FloatArray, step: float) -> FloatArray:
     # A quarter of a cell: an edge that cuts off less than that of a corner is not seen by a scanner either.
     counts = np.maximum(1, np.ceil(4.0 * np.hypot(*ways.T) / step).astype(int))
     shares = np.concatenate([np.arange(count) / count for count in counts.tolist()])
-    return np.repeat(begins, counts, axis=0) + shares[:, None] * np.repeat(ways, counts, axis=0)
+    found: FloatArray = np.repeat(begins, counts, axis=0) + shares[:, None] * np.repeat(ways, counts, axis=0)
+    return found
 
 
 def pose_message(position: Sequence[float], rotation: Rotation) -> Pose:
