@@ -173,7 +173,7 @@ def parameters_of(node: Node) -> dict[str, object]:
     Raises:
         InvalidValue: As `nested`.
     """
-    names = node.list_parameters([], 0).result.names
+    names = node.list_parameters([], 0).names
     return nested({p.name: plain(p.value) for p in node.get_parameters(list(names))})
 
 
