@@ -563,6 +563,7 @@ class DockingServer(Server[DockingSettings]):
             loop = self._loop = ControlLoop(task.problem.robot, settings.period, self._now, self._send)
             run = Run(task.executor, task.measuring.measurements, task.observe)
             goal.start(run)
+            task.measuring.begin()
             loop.start(run)
             while not run.done.is_set():
                 goal.changed.wait(_LOOK)
