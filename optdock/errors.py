@@ -24,6 +24,7 @@ __all__ = [
     "GoalOccupied",
     "GoalOutsideMapBounds",
     "InvalidFile",
+    "InvalidMessage",
     "InvalidPath",
     "InvalidValue",
     "LifecycleError",
@@ -66,6 +67,10 @@ class OptdockError(Exception):
 
 class InvalidValue(OptdockError, ValueError):
     """A value breaks a rule that its constructor states."""
+
+
+class InvalidMessage(InvalidValue):
+    """A ROS message breaks a rule; the error names message, field, value and rule."""
 
 
 class InvalidFile(OptdockError):

@@ -1,0 +1,167 @@
+"""Costmaps and occupancy grids, and the updates of parts of them."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+from optdock.costmap.costmap import Costmap
+from optdock.costmap.costs import OccupancyRule
+from optdock.ros import messages
+from optdock.ros.messages import column, header, made, refuse, stamped_frame
+from optdock.ros.motion import plain_pose
+
+if TYPE_CHECKING:
+    from optdock.costmap.costs import CostArray
+    from optdock.ros.messages import Message, MessageTypes
+
+__all__ = ["StampedCostmap", "costmap", "costmap_message", "occupancy_message", "patched"]
+
+_TURNED = 1e-6  # [rad]: over a map of a kilometre a millimetre, far less than a cell
+_UNKNOWN, _OCCUPIED = -1, 100
+
+
+class StampedCostmap(NamedTuple):
+    """A costmap, its frame and its stamp [s]."""
+
+    frame: str
+    stamp: float
+    costmap: Costmap
+
+
+def costmap(message: Message, rule: OccupancyRule | None = None) -> StampedCostmap:
+    """The costmap of a `nav2_msgs/Costmap` or a `nav_msgs/OccupancyGrid`.
+
+    A resolution is sent with seven digits; the shortest number that is sent as these is taken: 0.05 m, not
+    0.05000000074505806 m.
+
+    Args:
+        message: Either of them.
+        rule: How occupancies become costs; None for the defaults, by which only 100 is lethal and 99 inscribed.
+
+    Raises:
+        InvalidMessage: As many cells as width times height are not there, an occupancy is outside -1..100, the map is
+            turned, a number is not finite, there is no frame; or it is neither of the two messages.
+    """
+    frame, time = stamped_frame(message)
+    is_costmap = hasattr(message, "metadata")
+    if not (is_costmap or hasattr(message, "info")):
+        refuse(message, "type", "must be nav2_msgs/msg/Costmap or nav_msgs/msg/OccupancyGrid", "neither")
+    meta = message.metadata if is_costmap else message.info
+    field, wide, high = ("metadata", "size_x", "size_y") if is_costmap else ("info", "width", "height")
+    columns, rows = int(getattr(meta, wide)), int(getattr(meta, high))
+    costs = _costs_of(message, columns, rows, None if is_costmap else rule or OccupancyRule())
+    corner = plain_pose(message, meta.origin, f"{field}.origin", _TURNED)
+    if abs(corner.yaw) > _TURNED:
+        refuse(message, f"{field}.origin.orientation", "must not be turned: rows go along x", f"{corner.yaw:.6g} rad")
+    resolution = _shortest(meta.resolution)
+    if not (math.isfinite(resolution) and resolution > 0.0):
+        refuse(message, f"{field}.resolution", "must be finite and > 0 m", meta.resolution)
+    return StampedCostmap(frame, time, Costmap(costs, resolution, (corner.x, corner.y)))
+
+
+def patched(known: StampedCostmap, update: Message, rule: OccupancyRule | None = None) -> StampedCostmap:
+    """A costmap with one of its parts new: `nav2_msgs/CostmapUpdate` or `map_msgs/OccupancyGridUpdate`.
+
+    Args:
+        known: Of the last whole message.
+        update: What has changed; its stamp becomes that of the whole.
+        rule: As for `costmap`.
+
+    Raises:
+        InvalidMessage: It is in another frame, reaches beyond the costmap, has another number of cells than it says,
+            or an occupancy is outside -1..100.
+    """
+    frame, time = stamped_frame(update)
+    if frame != known.frame:
+        refuse(update, "header.frame_id", f"must be the costmap's, {known.frame!r}", repr(frame))
+    is_costmap = hasattr(update, "size_x")
+    wide, high = ("size_x", "size_y") if is_costmap else ("width", "height")
+    columns, rows = int(getattr(update, wide)), int(getattr(update, high))
+    x, y, grid = int(update.x), int(update.y), known.costmap
+    if not (0 <= x <= x + columns <= grid.columns and 0 <= y <= y + rows <= grid.rows):
+        told = f"{columns} x {rows} from ({x}, {y})"
+        refuse(update, wide, f"must lie within the {grid.columns} x {grid.rows} cells of the costmap", told)
+    costs = _costs_of(update, columns, rows, None if is_costmap else rule or OccupancyRule())
+    data = grid.data.copy()
+    data[y : y + rows, x : x + columns] = costs
+    return StampedCostmap(frame, time, Costmap(data, grid.resolution, grid.origin))
+
+
+def costmap_message(
+    types: MessageTypes, costmap: Costmap, frame: str, stamp: float, *, layer: str = "master"
+) -> Message:
+    """A `nav2_msgs/Costmap`.
+
+    Raises:
+        InvalidValue: No frame, or no time.
+    """
+    name = "nav2_msgs/msg/Costmap"
+    metadata = made(
+        types,
+        "nav2_msgs/msg/CostmapMetaData",
+        map_load_time=messages.stamp(types, stamp),
+        update_time=messages.stamp(types, stamp),
+        layer=layer,
+        resolution=costmap.resolution,
+        size_x=costmap.columns,
+        size_y=costmap.rows,
+        origin=_origin(types, costmap),
+    )
+    data = column(types, name, costmap.data)
+    return made(types, name, header=header(types, frame, stamp), metadata=metadata, data=data)
+
+
+def occupancy_message(types: MessageTypes, costmap: Costmap, frame: str, stamp: float) -> Message:
+    """A `nav_msgs/OccupancyGrid` with the occupancies that Nav2 publishes of costs.
+
+    Raises:
+        InvalidValue: No frame, or no time.
+    """
+    name = "nav_msgs/msg/OccupancyGrid"
+    info = made(
+        types,
+        "nav_msgs/msg/MapMetaData",
+        map_load_time=messages.stamp(types, stamp),
+        resolution=costmap.resolution,
+        width=costmap.columns,
+        height=costmap.rows,
+        origin=_origin(types, costmap),
+    )
+    data = column(types, name, costmap.occupancy())
+    return made(types, name, header=header(types, frame, stamp), info=info, data=data)
+
+
+def _origin(types: MessageTypes, grid: Costmap) -> Message:
+    x, y = grid.origin
+    place = made(types, "geometry_msgs/msg/Point", x=x, y=y, z=0.0)
+    turn = made(types, "geometry_msgs/msg/Quaternion", x=0.0, y=0.0, z=0.0, w=1.0)
+    return made(types, "geometry_msgs/msg/Pose", position=place, orientation=turn)
+
+
+def _costs_of(message: Message, columns: int, rows: int, rule: OccupancyRule | None) -> CostArray:
+    """The costs of a message, Shape (rows, columns); its cells are occupancies where there is a rule for them."""
+    given = message.data
+    if isinstance(given, list | tuple):  # of a stand-in, or of whoever sets a field of rclpy to one
+        given = bytes(value % 256 for value in given)
+    cells = np.frombuffer(given, dtype=np.uint8)
+    if cells.size != columns * rows or cells.size == 0:
+        refuse(message, "data", f"must have {columns} x {rows} cells, and at least one", cells.size)
+    if rule is None:
+        return cells.reshape(rows, columns)
+    signed = cells.view(np.int8)
+    if signed.min() < _UNKNOWN or signed.max() > _OCCUPIED:
+        row = int(np.flatnonzero((signed < _UNKNOWN) | (signed > _OCCUPIED))[0])
+        refuse(message, f"data[{row}]", "must be -1 (unknown) or 0..100", int(signed[row]))
+    # By a table of all bytes, -1 the last: a grid may have millions of cells.
+    table, known = np.zeros(256, dtype=np.uint8), rule.table()
+    table[: _OCCUPIED + 1], table[_UNKNOWN] = known[:-1], known[-1]
+    costs: CostArray = np.take(table, cells).reshape(rows, columns)
+    return costs
+
+
+def _shortest(value: float) -> float:
+    """The shortest number that a field of 32 bits holds as this value."""
+    return float(str(np.float32(value)))
