@@ -53,13 +53,14 @@ class ServerParameters(PluginParameters):
     """What every server can be told; the names beside plugins and blocks at the top of a node's parameters."""
 
     autostart: bool = Field(default=False, description="configure and activate at once, without a lifecycle manager")
+    bond_heartbeat_period: float = Field(0.1, ge=0, description="to the lifecycle manager; 0: no bond [s]")
 
 
 # Names that rclpy declares, or that Nav2's nodes have and that mean nothing in a process of Python.
 OF_EVERY_NODE = frozenset(
     {
         *("use_sim_time", "start_type_description_service", "qos_overrides"),
-        *("bond_heartbeat_period", "autostart_node", "use_realtime_priority", "introspection_mode"),
+        *("autostart_node", "use_realtime_priority", "introspection_mode"),
         *("service_introspection_mode", "action_introspection_mode", "allow_parameter_qos_overrides"),
     }
 )
@@ -173,7 +174,7 @@ def parameters_of(node: Node) -> dict[str, object]:
     Raises:
         InvalidValue: As `nested`.
     """
-    names = node.list_parameters([], 0).result.names
+    names = node.list_parameters([], 0).names
     return nested({p.name: plain(p.value) for p in node.get_parameters(list(names))})
 
 

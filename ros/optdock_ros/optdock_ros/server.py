@@ -22,6 +22,8 @@ from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackRet
 from rclpy.signals import SignalHandlerOptions
 
 from optdock.errors import InvalidValue, OptdockError
+from optdock.parameters import parse_parameters
+from optdock_ros.bond import Bond
 from optdock_ros.parameters import (
     ServerParameters,
     declare,
@@ -84,6 +86,7 @@ class Server(LifecycleNode, Generic[S]):
         self._is_configured = False
         self._is_started = False
         self._told: frozenset[str] = frozenset()
+        self._bond: Bond | None = None
         self.add_on_set_parameters_callback(self._may_set)
         self.add_post_set_parameters_callback(self._have_set)
 
@@ -139,15 +142,9 @@ class Server(LifecycleNode, Generic[S]):
         faults, ignored = unknown_names(block, {*fields, *blocks}, self.accepted)
         own = {name: value for name, value in block.items() if name in fields}
         try:
-            parsed = self.Parameters.model_validate(own)
-        except ValueError:
-            try:
-                from optdock.parameters import parse_parameters
-
-                parsed = parse_parameters(self.Parameters, own, self.get_name())
-            except InvalidValue as error:
-                faults.insert(0, str(error))
-                raise InvalidValue("\n".join(faults)) from error
+            parsed = parse_parameters(self.Parameters, own, self.get_name())
+        except InvalidValue as error:
+            raise InvalidValue("\n".join([str(error), *faults])) from error
         if faults:
             raise InvalidValue("\n".join(faults))
         fresh = frozenset(ignored) - self._told
@@ -174,9 +171,11 @@ class Server(LifecycleNode, Generic[S]):
     def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Check all parameters, and make what they say."""
         try:
-            self.settings = self.check(self.parameters_block())
+            block = self.parameters_block()
+            self.settings = self.check(block)
             self._is_configured = True
             self.set_up()
+            self._form_bond(block)
         except Exception as error:  # a subclass, a plugin or rclpy: none may end the node
             self.say(error, "configure failed")
             self._torn_down()
@@ -192,6 +191,8 @@ class Server(LifecycleNode, Generic[S]):
             self._stopped()
             return TransitionCallbackReturn.FAILURE
         self._is_started = True
+        if self._bond is not None:
+            self._bond.start()
         return super().on_activate(state)
 
     def on_deactivate(self, state: LifecycleState) -> TransitionCallbackReturn:
@@ -226,6 +227,18 @@ class Server(LifecycleNode, Generic[S]):
             self.stop()
         except Exception as error:
             self.say(error, "stop failed")
+        if self._bond is not None:
+            self._bond.end()
+
+    def _form_bond(self, block: dict[str, object]) -> None:
+        """What a lifecycle manager listens for, where its messages are installed."""
+        period = parse_parameters(ServerParameters, {"bond_heartbeat_period": block["bond_heartbeat_period"]}, "bond")
+        if self._bond is not None or period.bond_heartbeat_period == 0.0:
+            return
+        try:
+            self._bond = Bond(self, period.bond_heartbeat_period)
+        except ImportError:
+            self.get_logger().info("no package bond: set bond_timeout: 0.0 at the lifecycle manager")
 
     def _torn_down(self) -> None:
         if not self._is_configured:
