@@ -1,13 +1,14 @@
-"""`optdock import tpcap | obca | nav2`: what others describe, as scenario files."""
+"""`optdock import tpcap | obca | nav2 | bag`: what others describe, as scenario files."""
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, TypeAlias
 
 import typer
 
-from optdock.cli.common import SECONDS, VerboseOption, checked_positive, reported, spare
+from optdock.cli.common import METRES, SECONDS, VerboseOption, checked_positive, reported, spare
 from optdock.errors import InvalidValue
 
 if TYPE_CHECKING:
@@ -18,10 +19,15 @@ __all__ = ["app"]
 # [s]: what a manoeuvre with cusps may take; a file can be changed.
 _BUDGET = 1.0
 
-app = typer.Typer(help="Make a scenario file of a public parking case, or of Nav2's files.", no_args_is_help=True)
+app = typer.Typer(
+    help="Make a scenario file of a public parking case, or of Nav2's files or recordings.", no_args_is_help=True
+)
 
 OutOption: TypeAlias = Annotated[
     Path, typer.Option("--out", "-o", help="Scenario file to write (YAML).", show_default=False)
+]
+TopicOption: TypeAlias = Annotated[
+    str, typer.Option(metavar="TOPIC", help="Default: the first of Nav2's names that is there.", show_default=False)
 ]
 BudgetOption: TypeAlias = Annotated[
     float, typer.Option(metavar=SECONDS, help="Wall clock for planning, written into the scenario.")
@@ -116,6 +122,59 @@ def nav2(  # noqa: PLR0913 - one parameter per option
         typer.echo(table(found.costmap_rows))
         note = f"{nav2_params.name}, {map_.name}, dock {dock or 'the only one'}"
         _tell(save_scenario(out, dataclasses.replace(found, time_budget=time_budget), map_source=map_, note=note))
+
+
+@app.command()
+def bag(  # noqa: PLR0913 - one parameter per option
+    file: Annotated[Path, typer.Argument(help="Recording: .mcap, .db3, or the folder of one.", show_default=False)],
+    *,
+    out: Annotated[Path, typer.Option("--out", "-o", help="Folder to write into.", show_default=False)],
+    path_topic: TopicOption = "",
+    costmap_topic: TopicOption = "",
+    footprint_topic: TopicOption = "",
+    odom_topic: TopicOption = "",
+    base_frame: Annotated[str, typer.Option(help="The robot's frame; default: the odometry's child frame.")] = "",
+    footprint: Annotated[
+        str, typer.Option(help="Outline in Nav2's syntax, [[x, y], ...]; instead of the recording's.")
+    ] = "",
+    radius: Annotated[float | None, typer.Option(metavar=METRES, help="Of a round robot; likewise.")] = None,
+    clearance: Annotated[float, typer.Option(metavar=METRES, help="That path and drive must keep.")] = 0.0,
+    since: Annotated[float, typer.Option(metavar=SECONDS, help="Leave out what was received earlier.")] = 0.0,
+    until: Annotated[
+        float | None, typer.Option(metavar=SECONDS, help="Leave out what was received later.", show_default=False)
+    ] = None,
+    verbose: VerboseOption = False,
+) -> None:
+    """A docking out of a robot's recording, for optdock certify: map, planned path and driven poses.
+
+    The last path, the last costmap and what was driven, in the costmap's frame. Which pose collides, where and by how
+    much: optdock import bag failed.mcap -o failed; optdock certify failed/path.json failed/path.yaml; the same for
+    failed/drive.json
+    """
+    with reported(verbose=verbose):
+        from optdock.geometry.footprint import Footprint
+        from optdock.problem import ClearanceRule
+        from optdock.report import table
+        from optdock.ros.bag import open_bag
+        from optdock.ros.field import FieldTopics, field_docking
+        from optdock.ros.field_scenario import judged_poses, save_field_docking
+
+        if footprint and radius is not None:
+            raise InvalidValue("--radius: --footprint says the outline already")
+        end = math.inf if until is None else until
+        if not 0.0 <= since < end:
+            raise InvalidValue(f"--since: must be >= 0 s and before --until, got {since} and {end}")
+        asked = {"path": path_topic, "costmap": costmap_topic, "footprint": footprint_topic, "odometry": odom_topic}
+        topics = FieldTopics().instead(asked)
+        rule = ClearanceRule.of(clearance, "--clearance")
+        outline = Footprint.from_string(footprint) if footprint else None
+        outline = outline if radius is None else Footprint.from_radius(radius)
+        with open_bag(file) as recording:
+            found = field_docking(recording, topics, outline=outline, base_frame=base_frame, since=since, until=end)
+        judged, rows = judged_poses(found, rule)
+        written = save_field_docking(out, judged, found, file.name)
+        typer.echo(table([*found.rows, *rows]))
+        _tell(written)
 
 
 def _tell(written: tuple[Path, ...]) -> None:
