@@ -9,11 +9,13 @@ perception      robot and dock, brought up to date by every set of measurements
 dock_filter     the dock in the frame of the odometry, from late detections
 command_limits  every command within the limits, jerk included
 planning        jobs beside the control loop: at once, in a thread, out of a log
+planning_process  the process to which a thread may hand them
 """
 
 from optdock.executor.docking import DockingExecutor
 from optdock.executor.outcomes import Ending, EndingKind, Event, Feedback, FeedbackState, State, Step
 from optdock.executor.planning import InlinePlanning, Planning, ThreadPlanning
+from optdock.executor.planning_process import PlanningProcess
 from optdock.executor.settings import ExecutorSettings
 
 __all__ = [
@@ -26,6 +28,7 @@ __all__ = [
     "FeedbackState",
     "InlinePlanning",
     "Planning",
+    "PlanningProcess",
     "State",
     "Step",
     "ThreadPlanning",

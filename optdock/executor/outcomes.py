@@ -34,6 +34,7 @@ class State(str, Enum):
     WAITING_FOR_DETECTION = "waiting for a detection"
     WAITING_FOR_OBSTACLE = "waiting for an obstacle to go"
     WAITING_FOR_POSE = "waiting for a pose"
+    WAITING_FOR_COSTMAP = "waiting for a newer costmap"
     BACKING_OUT = "backing out"
     RETURNING = "returning to the staging pose"
     UNDOCKING = "undocking"

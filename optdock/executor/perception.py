@@ -48,6 +48,7 @@ class Perception:
         self.measurements: Measurements | None = None
         self.stamp = -math.inf
         self.costmap: Costmap | None = None
+        self._costmap_at: float | None = None
         self.detections = self.rejected = 0
         self._jumped_at = -math.inf
         self._pose_was_lost = self._dock_was_lost = False
@@ -66,6 +67,11 @@ class Perception:
     def pose_age(self) -> float:
         """Since a measured pose was believed [s]; infinite before the first."""
         return self.stamp - self._robot.measured_at
+
+    @property
+    def costmap_age(self) -> float:
+        """Since a costmap came, be it the same as before, or since the first measurements [s]."""
+        return 0.0 if self._costmap_at is None else self.stamp - self._costmap_at
 
     @property
     def sees_dock(self) -> bool:
@@ -108,6 +114,8 @@ class Perception:
             offset: What that clock is ahead of the one of the detections [s].
         """
         self.measurements, before, self.stamp = measurements, self.stamp, stamp
+        if self._costmap_at is None or measurements.costmap is not None:
+            self._costmap_at = stamp
         if measurements.costmap is not None and not _is_same(measurements.costmap, self.costmap):
             self.costmap = measurements.costmap
         if not self._locate(measurements, stamp - before):

@@ -1,7 +1,7 @@
 """Planning beside the control loop: a job is handed in, and its result is there some cycles later.
 
 Three ways to do it: at once, delivered after a time that the caller chooses (simulations, the same in every run); in a
-thread (servers); out of a log (replay).
+thread, or from there in another process (`PlanningProcess`; servers); out of a log (replay).
 """
 
 from __future__ import annotations
@@ -19,6 +19,8 @@ from optdock.replanning import DriveState, ReplanOutcome, replan, still_holds
 from optdock.trajectory import Trajectory
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from optdock.costmap.costmap import Costmap
     from optdock.geometry.pose import Pose2
     from optdock.plan import DockPlan
@@ -227,9 +229,13 @@ class ThreadPlanning:
     """Does jobs in a thread of its own; close it at the end.
 
     A job is not interrupted: its budget bounds it, and the next one begins after it.
+
+    Args:
+        plan: What does a job; `PlanningProcess.planned` does it in another process.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, plan: Callable[[Job], PlanResult] = planned) -> None:
+        self._plan = plan
         self._thread = ThreadPoolExecutor(1, thread_name_prefix="optdock-planning")
         self._result: Future[PlanResult] | None = None
 
@@ -237,7 +243,7 @@ class ThreadPlanning:
         """Put it into the queue; what waits there is dropped."""
         if self._result is not None:
             self._result.cancel()
-        self._result = self._thread.submit(planned, job)
+        self._result = self._thread.submit(self._plan, job)
 
     def poll(self, stamp: float) -> PlanResult | None:  # noqa: ARG002 - part of the interface
         """The result, once it is there."""
@@ -251,5 +257,5 @@ class ThreadPlanning:
         return holds(motion, costmap, from_time)
 
     def close(self) -> None:
-        """Wait for the job at work, and end the thread."""
-        self._thread.shutdown(wait=True, cancel_futures=True)
+        """Drop what waits; the thread ends with the job at work, for which no control loop must wait."""
+        self._thread.shutdown(wait=False, cancel_futures=True)

@@ -220,11 +220,18 @@ class Procedure:
         self.state = before
 
     def _locate(self) -> Cycles:
+        """At rest until robot and surroundings are known as they are now."""
         self.state = State.WAITING_FOR_POSE
         since = self._now
         while not self._perception.started or self._perception.pose_age > self._settings.pose_patience:
             if self._now - since > self._settings.localization_timeout:
                 raise _Failed(EndingKind.UNKNOWN, f"no pose for {self._now - since:.1f} s")
+            yield from self._cycle(_STOP)
+        while self._is_blind:
+            self.state = State.WAITING_FOR_COSTMAP
+            if self._now - since > self._settings.costmap_timeout:
+                reason = f"no costmap for {self._perception.costmap_age:.1f} s"
+                raise _Failed(EndingKind.FAILED_TO_CONTROL, reason)
             yield from self._cycle(_STOP)
 
     def _perceive(self) -> Cycles:
@@ -366,6 +373,7 @@ class Procedure:
         limit = 2.0 * self._settings.back_out_distance / _BACK_OUT_SPEED + _REST_PATIENCE
         footprint = self._base.robot.footprint
         while True:
+            yield from self._locate()
             robot, driven = self._perception.robot, origin.distance_to(self._perception.robot)
             near = self._near(robot, footprint.circumscribed_radius + _CLEAR_OF_CONTACT)
             if pose_clearance(robot, footprint, near)[0] >= _CLEAR_OF_CONTACT:
@@ -550,12 +558,20 @@ class Procedure:
         if stopped.name != self.interruption[0]:  # that has been said already
             self._report(stopped.name, stopped.reason)
 
+    @property
+    def _is_blind(self) -> bool:
+        """Whether the picture of the surroundings is too old to be moved in."""
+        patience = self._settings.costmap_patience
+        return patience is not None and self._perception.costmap_age > patience
+
     def _require_no_interruption(self) -> None:
         name, reason = self.interruption
         if name:
             raise _Interrupted(name, reason)
         if self._perception.pose_age > self._settings.pose_patience:
             raise _Interrupted("no pose", f"the last one is {self._perception.pose_age:.2f} s old")
+        if self._is_blind:
+            raise _Interrupted("no costmap", f"the last one is {self._perception.costmap_age:.2f} s old")
 
     def _contact(self) -> EndingKind | None:
         """Contact that is felt: by the external signal, or by a stall."""

@@ -81,6 +81,12 @@ class ExecutorSettings(PluginParameters):
     localization_timeout: float = Field(default=5.0, gt=0.0, description="at rest without a pose for so long: end [s]")
 
     # Surroundings, progress, clock.
+    costmap_patience: float | None = Field(
+        default=None,
+        gt=0.0,
+        description="surroundings older than this stop the robot [s]; None: they may stay the same",
+    )
+    costmap_timeout: float = Field(default=5.0, gt=0.0, description="at rest without newer ones for so long: end [s]")
     obstacle_patience: float = Field(
         default=5.0, ge=0.0, description="at rest before an obstacle that nothing leads around [s]"
     )

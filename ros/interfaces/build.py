@@ -36,7 +36,7 @@ HERE = Path(__file__).resolve().parent
 PREFIX = Path(sys.prefix)
 SITE = Path(sysconfig.get_path("purelib"))
 MARK = PREFIX / ".interfaces"
-PACKAGES = ("tf2_msgs", "nav2_msgs")
+PACKAGES = ("bond", "tf2_msgs", "nav2_msgs")
 KINDS = (".action", ".msg", ".srv")
 # One middleware is all that the wheels have, so the dispatching type support may name it directly.
 MIDDLEWARE = "rosidl_typesupport_fastrtps_c"
@@ -60,7 +60,9 @@ def main() -> None:
     MARK.unlink(missing_ok=True)
     for tool in ("cc", "c++"):
         if shutil.which(tool) is None:
-            sys.exit(f"{tool}: not found; nav2_msgs and tf2_msgs are compiled for the tests, which takes a C++ compiler")
+            sys.exit(
+                f"{tool}: not found; nav2_msgs and tf2_msgs are compiled for the tests, which takes a C++ compiler"
+            )
     os.environ["AMENT_PREFIX_PATH"] = str(PREFIX)  # the generators look their templates up
     with tempfile.TemporaryDirectory() as work:
         for package in PACKAGES:
@@ -88,9 +90,7 @@ def build(package: str, work: Path) -> None:
     files = translate(
         package_name=package, interface_files=named, include_paths=known, output_format="idl", output_path=share
     )
-    hashes = generate_type_hashes(
-        package_name=package, interface_files=files, include_paths=known, output_path=share
-    )
+    hashes = generate_type_hashes(package_name=package, interface_files=files, include_paths=known, output_path=share)
     code, dispatch, python = work / package, work / "dispatch", work / "python"  # headers are <package/...>
     GenerateC("c").generate(package, files, known, code, hashes)
     GenerateFastRTPSCTypesupport("fastrtps").generate(package, files, known, code)

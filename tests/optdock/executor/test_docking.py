@@ -9,7 +9,7 @@ from optdock.costmap.costmap import Costmap
 from optdock.executor import EndingKind, ExecutorSettings, FeedbackState, State
 from optdock.executor.log import LogWriter, read_log
 from optdock.executor.replay import replay
-from optdock.geometry.pose import Pose2
+from optdock.geometry.pose import Pose2, Twist2
 from optdock.obstacles import ObstacleSet
 from optdock.simulation import Actuation, DifferentialDrive, Station, StuckWheel, Wheels
 
@@ -167,6 +167,29 @@ def test_lost_pose_stops_the_robot_until_it_comes_again(lawful):
     docking = run(simulated(sensors=PERFECT), before=before)
     assert lawful(docking).kind is EndingKind.DOCKED_BY_DISTANCE
     assert State.WAITING_FOR_POSE in docking.states
+
+
+@pytest.mark.parametrize(
+    ("silence", "kind"), [(2.0, EndingKind.DOCKED_BY_DISTANCE), (9.0, EndingKind.FAILED_TO_CONTROL)]
+)
+def test_surroundings_that_are_not_renewed_stop_the_robot(lawful, silence, kind):
+    """Without the setting they may stay as they are; with it nothing moves in a world that nobody has seen lately."""
+    empty = Costmap(np.zeros((80, 80), dtype=np.uint8), 0.1, (-4.0, -4.0))
+    silent = once(within(0.5), lambda executor, world, measurements: setattr(world, "until", world.time + silence))
+
+    def before(executor, world, measurements):
+        silent(executor, world, measurements)
+        return measurements if world.time < getattr(world, "until", 0.0) else measurements._replace(costmap=empty)
+
+    settings = ExecutorSettings(costmap_patience=0.4, costmap_timeout=3.0)
+    docking = run(simulated(sensors=PERFECT), settings=settings, before=before)
+    assert lawful(docking).kind is kind
+    assert State.WAITING_FOR_COSTMAP in docking.states
+    assert docking.said("no costmap")
+    still = [step.command == Twist2() for step in docking.steps if step.state is State.WAITING_FOR_COSTMAP]
+    assert all(still)
+    trusting = run(simulated(sensors=PERFECT), before=before)
+    assert State.WAITING_FOR_COSTMAP not in trusting.states
 
 
 def test_contact_by_stall_and_by_signal(lawful):

@@ -1,0 +1,212 @@
+"""Planning in a process of its own, so that a control loop never waits for the interpreter that plans.
+
+A thread is not enough for that: whoever plans holds the interpreter for milliseconds at a time.
+`ThreadPlanning(process.planned)` hands jobs to the process. What both sides need again and again, costmaps and
+motions, crosses once, so that what has been found out about them stays known on either side.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import logging
+import multiprocessing
+import pickle
+import signal
+import threading
+from collections import OrderedDict
+from typing import TYPE_CHECKING, NamedTuple
+
+from optdock.costmap.costmap import Costmap
+from optdock.executor.planning import Job, Motion, Outcome, PlanResult, planned
+from optdock.pipeline import warm_up
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+    from multiprocessing.connection import Connection
+    from multiprocessing.context import SpawnProcess
+
+__all__ = ["PlanningProcess"]
+
+logger = logging.getLogger(__name__)
+
+_SENT = 16  # objects that a side keeps for the other one to speak of
+_RECEIVED = 8  # objects that a side speaks of: fewer, since the other one may have sent some more meanwhile
+_WARM_UP_TIME = 120.0  # [s]: libraries from a cold disk on a slow computer
+_END_TIME = 2.0  # [s] until a process that does not end by itself is killed
+_MARGIN = 5.0  # [s] beyond its budget until a job counts as lost, and the process with it
+
+
+class PlanningProcess:
+    """A process that plans, started at once, warm some seconds later, and started anew where it has died.
+
+    It ends with `close`, or by itself when this process is gone.
+    """
+
+    def __init__(self) -> None:
+        self._lock = threading.Lock()
+        self._closed = False
+        self._worker = _Worker.start()
+
+    @property
+    def pid(self) -> int | None:
+        """Of the process; None once it has been closed."""
+        return self._worker.process.pid if not self._closed else None
+
+    def wait_until_warm(self, timeout: float = _WARM_UP_TIME) -> bool:
+        """Wait until libraries are loaded and caches filled; whether they are [s]."""
+        with self._lock:
+            return self._worker.wait_until_warm(timeout)
+
+    def planned(self, job: Job) -> PlanResult:
+        """Do a job, or say why not; it takes about as long as its budget allows.
+
+        A process that has died or does not answer fails the job and is replaced.
+        """
+        with self._lock:
+            if self._closed:
+                return PlanResult(job.number, Outcome.FAILED, reason="the planning process has been closed")
+            result = self._worker.ask(job)
+            if isinstance(result, PlanResult):
+                return result
+            logger.error("the planning process is started anew: %s", result)
+            self._worker.end()
+            self._worker = _Worker.start()
+            return PlanResult(job.number, Outcome.FAILED, reason=result)
+
+    def close(self) -> None:
+        """End the process; a job at work fails."""
+        self._closed = True
+        self._worker.process.terminate()  # whoever waits for an answer holds the lock
+        with self._lock:
+            self._worker.end()
+
+
+class _Worker(NamedTuple):
+    """A process, the line to it, and what has crossed that."""
+
+    process: SpawnProcess
+    line: Connection
+    shared: _Shared
+    is_warm: threading.Event
+
+    @classmethod
+    def start(cls) -> _Worker:
+        context = multiprocessing.get_context("spawn")
+        here, there = context.Pipe()
+        process = context.Process(target=_work, args=(there,), name="optdock-planning", daemon=True)
+        process.start()
+        there.close()
+        return cls(process, here, _Shared("here"), threading.Event())
+
+    def wait_until_warm(self, timeout: float) -> bool:
+        if not self.is_warm.is_set():
+            with contextlib.suppress(EOFError, OSError):
+                if self.line.poll(timeout):
+                    self.line.recv_bytes()
+                    self.is_warm.set()
+        return self.is_warm.is_set()
+
+    def ask(self, job: Job) -> PlanResult | str:
+        """The result, or why there is none and never will be."""
+        try:
+            if not self.wait_until_warm(_WARM_UP_TIME):
+                return f"the planning process has not started: {self._exit}"
+            self.line.send_bytes(self.shared.dumps(job))
+            if not self.line.poll(job.budget + _MARGIN):
+                return f"the planning process did not answer within {job.budget + _MARGIN:.1f} s"
+            result = self.shared.loads(self.line.recv_bytes())
+        except (EOFError, OSError):
+            return f"the planning process has ended: {self._exit}"
+        assert isinstance(result, PlanResult)
+        return result
+
+    @property
+    def _exit(self) -> str:
+        self.process.join(_END_TIME)
+        code = self.process.exitcode
+        return "it still runs" if code is None else f"exit code {code}"
+
+    def end(self) -> None:
+        self.process.terminate()
+        self.process.join(_END_TIME)
+        if self.process.is_alive():
+            self.process.kill()
+            self.process.join(_END_TIME)
+        self.line.close()
+        self.process.close()
+
+
+def _work(line: Connection) -> None:
+    """The process: one job after the other, until the other end of the line is gone."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # ctrl-C reaches the whole group: the other process ends this one
+    signal.signal(signal.SIGTERM, signal.SIG_DFL)  # without the handlers of whatever that one runs
+    shared = _Shared("there")
+    warm_up()
+    with contextlib.suppress(EOFError, OSError):
+        line.send_bytes(b"warm")
+        while True:
+            job = shared.loads(line.recv_bytes())
+            assert isinstance(job, Job)
+            try:
+                result = planned(job)
+            except Exception as error:  # whatever a plugin raises, the next job may do better
+                logger.exception("a job fails")
+                result = PlanResult(job.number, Outcome.FAILED, reason=f"{type(error).__name__}: {error}")
+            line.send_bytes(shared.dumps(result))
+
+
+class _Shared:
+    """Pickles in which a costmap or a motion that has crossed already, either way, is only spoken of.
+
+    Args:
+        side: Name of this side; the other one has another.
+    """
+
+    def __init__(self, side: str) -> None:
+        self._side, self._count = side, 0
+        self._sent: OrderedDict[tuple[str, int], object] = OrderedDict()
+        self._received: OrderedDict[tuple[str, int], object] = OrderedDict()
+
+    def dumps(self, value: object) -> bytes:
+        """A message to the other side."""
+        buffer = io.BytesIO()
+        pickler = pickle.Pickler(buffer, protocol=pickle.HIGHEST_PROTOCOL)
+        pickler.persistent_id = self._named  # type: ignore[method-assign]
+        pickler.dump(value)
+        return buffer.getvalue()
+
+    def loads(self, message: bytes) -> object:
+        """A message of the other side."""
+        unpickler = pickle.Unpickler(io.BytesIO(message))
+        unpickler.persistent_load = self._found  # type: ignore[method-assign]
+        return unpickler.load()
+
+    def _named(self, value: object) -> object:
+        """Name and parts of what is shared; without parts where it has crossed."""
+        if not isinstance(value, Costmap | Motion):
+            return None
+        for table in (self._sent, self._received):
+            for name, known in table.items():
+                if known is value:
+                    return name, None, ()
+        self._count += 1
+        name = self._side, self._count
+        _keep(self._sent, name, value, _SENT)
+        if isinstance(value, Costmap):
+            return name, Costmap, (value.data, value.resolution, value.origin)
+        return name, Motion, (value.trajectory, value.problem, value.plan, value.start_relief)
+
+    def _found(self, named: tuple[tuple[str, int], Callable[..., object] | None, tuple[object, ...]]) -> object:
+        name, kind, parts = named
+        if kind is None:
+            return self._sent[name] if name[0] == self._side else self._received[name]
+        value = kind(*parts)
+        _keep(self._received, name, value, _RECEIVED)
+        return value
+
+
+def _keep(table: OrderedDict[tuple[str, int], object], name: tuple[str, int], value: object, most: int) -> None:
+    table[name] = value
+    if len(table) > most:
+        table.popitem(last=False)

@@ -1,0 +1,63 @@
+"""Planning in another process: the same plans, what is shared stays shared, and a process that dies is replaced."""
+
+import os
+import signal
+
+import numpy as np
+import pytest
+
+from optdock.costmap.costmap import Costmap
+from optdock.executor import PlanningProcess, ThreadPlanning
+from optdock.executor.planning import Job, Outcome, planned
+
+from .conftest import problem_with
+
+
+@pytest.fixture(scope="module")
+def process():
+    found = PlanningProcess()
+    yield found
+    found.close()
+    assert found.pid is None
+    assert "closed" in found.planned(job(1)).reason
+
+
+def job(number, obstacles=(), **kwargs):
+    return Job(number, 0.0, problem_with(obstacles=obstacles), 5.0)._replace(**kwargs)
+
+
+def test_plans_as_this_process_does_and_shares_what_crosses_twice(process):
+    empty = Costmap(np.zeros((60, 60), dtype=np.uint8), 0.1, (-3.0, -3.0))
+    problem = problem_with().among(empty)
+    asked = job(7, problem=problem)
+    there, here = process.planned(asked), planned(asked)
+    assert (there.number, there.outcome) == (here.number, here.outcome) == (7, Outcome.NEW)
+    assert there.motion.plan.certificate.min_clearance == pytest.approx(
+        here.motion.plan.certificate.min_clearance, abs=1e-6
+    )
+    assert there.motion.trajectory.duration == pytest.approx(here.motion.trajectory.duration, abs=1e-6)
+    assert there.motion.problem.costmap is empty
+    moved = there.motion.trajectory.at(0.5).pose
+    again = job(8, problem=problem, running=there.motion, time=0.5, pose=moved, lead=0.1, budget=0.5)
+    assert process.planned(again).outcome in {Outcome.NEW, Outcome.KEPT}
+
+
+def test_a_refusal_says_why_with_its_code(process):
+    in_the_dock = [[[-0.2, -0.1], [0.2, -0.1], [0.2, 0.1], [-0.2, 0.1]]]
+    refused = process.planned(job(3, in_the_dock))
+    assert refused.outcome is Outcome.FAILED
+    assert refused.code == 206
+    assert refused.reason.startswith("GoalOccupied")
+
+
+def test_a_process_that_is_killed_fails_its_job_and_is_replaced(process):
+    before = process.pid
+    os.kill(before, signal.SIGKILL)
+    failed = process.planned(job(4))
+    assert failed.outcome is Outcome.FAILED
+    assert "exit code -9" in failed.reason
+    assert process.pid != before
+    planning = ThreadPlanning(process.planned)
+    planning.submit(job(5))
+    assert planning._result.result(timeout=60.0).outcome is Outcome.NEW
+    planning.close()
