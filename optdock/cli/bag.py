@@ -50,11 +50,7 @@ def bag(  # noqa: PLR0913 - one parameter per option
         from optdock.ros.bag import write_bag
         from optdock.ros.contents import LATCHED, Names
 
-        if not (math.isfinite(start) and start >= 0.0):
-            raise InvalidValue(f"--start: must be finite and >= 0 s, got {start}")
-        for name, value in (("--base-frame", base_frame), ("--frame", frame or "map")):
-            if not value.strip():
-                raise InvalidValue(f"{name}: must be the name of a coordinate frame, got {value!r}")
+        names = _checked(Names(frame, base_frame, start, not unstamped))
         for read in (source, scenario):
             spare(read, out)
         problem = None
@@ -62,13 +58,20 @@ def bag(  # noqa: PLR0913 - one parameter per option
             from optdock.config import load_scenario
 
             problem = load_scenario(scenario).problem
-        names = Names(frame, base_frame, start, not unstamped)
         messages = [*_messages(source, names, problem)]
         was_there = out.exists()
         write_bag(out, messages, LATCHED)
         topics = len({message.topic for message in messages})
         instead = ", in place of the one before" if was_there else ""
         typer.echo(f"written: {out}, {len(messages)} messages on {topics} topics{instead}")
+
+
+def _checked(names: Names) -> Names:
+    if not (math.isfinite(names.start) and names.start >= 0.0):
+        raise InvalidValue(f"--start: must be finite and >= 0 s, got {names.start}")
+    if not names.base.strip():
+        raise InvalidValue(f"--base-frame: must be the name of a coordinate frame, got {names.base!r}")
+    return names
 
 
 def _messages(source: Path, names: Names, problem: DockingProblem | None) -> Iterator[BagMessage]:

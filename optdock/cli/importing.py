@@ -12,7 +12,10 @@ from optdock.cli.common import METRES, SECONDS, VerboseOption, checked_positive,
 from optdock.errors import InvalidValue
 
 if TYPE_CHECKING:
+    from optdock.costmap.costs import OccupancyRule
+    from optdock.geometry.footprint import Footprint
     from optdock.io.parking_cases import ParkingCase
+    from optdock.problem import ClearanceRule
 
 __all__ = ["app"]
 
@@ -139,6 +142,9 @@ def bag(  # noqa: PLR0913 - one parameter per option
     ] = "",
     radius: Annotated[float | None, typer.Option(metavar=METRES, help="Of a round robot; likewise.")] = None,
     clearance: Annotated[float, typer.Option(metavar=METRES, help="That path and drive must keep.")] = 0.0,
+    occupied_from: Annotated[
+        int, typer.Option(help="Occupancy from which a cell of an OccupancyGrid is occupied; of many SLAM maps 65.")
+    ] = 100,
     since: Annotated[float, typer.Option(metavar=SECONDS, help="Leave out what was received earlier.")] = 0.0,
     until: Annotated[
         float | None, typer.Option(metavar=SECONDS, help="Leave out what was received later.", show_default=False)
@@ -152,29 +158,51 @@ def bag(  # noqa: PLR0913 - one parameter per option
     failed/drive.json
     """
     with reported(verbose=verbose):
-        from optdock.geometry.footprint import Footprint
-        from optdock.problem import ClearanceRule
         from optdock.report import table
         from optdock.ros.bag import open_bag
-        from optdock.ros.field import FieldTopics, field_docking
+        from optdock.ros.field import FieldOptions, FieldTopics, field_docking
         from optdock.ros.field_scenario import judged_poses, save_field_docking
 
-        if footprint and radius is not None:
-            raise InvalidValue("--radius: --footprint says the outline already")
         end = math.inf if until is None else until
-        if not 0.0 <= since < end:
-            raise InvalidValue(f"--since: must be >= 0 s and before --until, got {since} and {end}")
+        _check_stretch(since, end)
         asked = {"path": path_topic, "costmap": costmap_topic, "footprint": footprint_topic, "odometry": odom_topic}
         topics = FieldTopics().instead(asked)
-        rule = ClearanceRule.of(clearance, "--clearance")
-        outline = Footprint.from_string(footprint) if footprint else None
-        outline = outline if radius is None else Footprint.from_radius(radius)
+        rule, occupied = _rules(clearance, occupied_from)
+        outline = _outline(footprint, radius)
         with open_bag(file) as recording:
-            found = field_docking(recording, topics, outline=outline, base_frame=base_frame, since=since, until=end)
+            options = FieldOptions(outline, base_frame, occupied, since, end)
+            found = field_docking(recording, topics, options)
         judged, rows = judged_poses(found, rule)
         written = save_field_docking(out, judged, found, file.name)
         typer.echo(table([*found.rows, *rows]))
         _tell(written)
+
+
+def _check_stretch(since: float, until: float) -> None:
+    if not 0.0 <= since < until:
+        raise InvalidValue(f"--since: must be >= 0 s and before --until, got {since} and {until}")
+
+
+def _rules(clearance: float, occupied_from: int) -> tuple[ClearanceRule, OccupancyRule]:
+    from optdock.costmap.costs import OccupancyRule
+    from optdock.problem import ClearanceRule
+
+    if not (math.isfinite(clearance) and clearance >= 0.0):
+        raise InvalidValue(f"--clearance: must be finite and >= 0 m, got {clearance}")
+    if not 1 <= occupied_from <= 100:
+        raise InvalidValue(f"--occupied-from: must be in 1..100, got {occupied_from}")
+    return ClearanceRule(clearance), OccupancyRule(lethal_cost_threshold=occupied_from)
+
+
+def _outline(text: str, radius: float | None) -> Footprint | None:
+    """The outline that was given; None where none was."""
+    from optdock.geometry.footprint import Footprint
+
+    if text and radius is not None:
+        raise InvalidValue("--radius: --footprint says the outline already")
+    if radius is not None:
+        return Footprint.from_radius(radius)
+    return Footprint.from_string(text) if text else None
 
 
 def _tell(written: tuple[Path, ...]) -> None:

@@ -21,9 +21,10 @@ if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
 
     from optdock.costmap.costmap import Costmap
+    from optdock.costmap.costs import OccupancyRule
     from optdock.ros.bag import Recording
 
-__all__ = ["Drive", "FieldDocking", "FieldTopics", "field_docking", "kept_poses"]
+__all__ = ["Drive", "FieldDocking", "FieldOptions", "FieldTopics", "field_docking", "kept_poses"]
 
 _PATH = ("nav_msgs/msg/Path",)
 _GRID = ("nav2_msgs/msg/Costmap", "nav_msgs/msg/OccupancyGrid")
@@ -96,15 +97,25 @@ class FieldDocking(NamedTuple):
     rows: tuple[tuple[str, str], ...]
 
 
-def field_docking(
-    bag: Recording,
-    topics: FieldTopics,
-    *,
-    outline: Footprint | None = None,
-    base_frame: str = "",
-    since: float = 0.0,
-    until: float = math.inf,
-) -> FieldDocking:
+class FieldOptions(NamedTuple):
+    """What is known of a recording beside itself.
+
+    Attributes:
+        outline: The robot's; None: that of the recording, taken back from where the robot stood.
+        base_frame: The robot's frame; empty: the child frame of the odometry, or `base_link`.
+        rule: How occupancies become costs; None for the defaults.
+        since: Leave out what was received earlier, since the beginning of the recording [s].
+        until: Leave out what was received later, likewise.
+    """
+
+    outline: Footprint | None = None
+    base_frame: str = ""
+    rule: OccupancyRule | None = None
+    since: float = 0.0
+    until: float = math.inf
+
+
+def field_docking(bag: Recording, topics: FieldTopics, options: FieldOptions) -> FieldDocking:
     """What a recording tells of a docking.
 
     Path, costmap and outline are the last ones in the stretch that is asked for; the costmap with its updates.
@@ -112,29 +123,27 @@ def field_docking(
     Args:
         bag: The recording.
         topics: Where to look.
-        outline: The robot's outline; None: that of the recording, taken back from where the robot stood.
-        base_frame: The robot's frame; empty: the child frame of the odometry, or `base_link`.
-        since: Leave out what was received earlier, since the beginning of the recording [s].
-        until: Leave out what was received later, likewise.
+        options: What else is known.
 
     Raises:
         InvalidFile: A topic is missing, empty, of another type or damaged, a message breaks a rule, or frames are not
             joined; the message names file and topic.
     """
-    return _Reader(bag, topics, base_frame, (bag.begin + since, bag.begin + until)).read(outline)
+    return _Reader(bag, topics, options).read()
 
 
 class _Reader:
     """Reads one recording; every fault is said with file and topic."""
 
-    def __init__(self, bag: Recording, topics: FieldTopics, base: str, stretch: tuple[float, float]) -> None:
-        self._bag, self._topics, self._base, self._stretch = bag, topics, base, stretch
+    def __init__(self, bag: Recording, topics: FieldTopics, options: FieldOptions) -> None:
+        self._bag, self._topics, self._options, self._base = bag, topics, options, options.base_frame
+        self._stretch = bag.begin + options.since, bag.begin + options.until
         self._rows: list[tuple[str, str]] = []
         self._transforms = RecordedTransforms()
         self._times: list[tuple[float, float]] = []  # of the odometry: received, stamp
         self._out_of_reach = ""
 
-    def read(self, outline: Footprint | None) -> FieldDocking:
+    def read(self) -> FieldDocking:
         """Everything, in the frame of the costmap."""
         topics = self._topics
         odom = self._find(topics.odometry, _ODOMETRY, "--odom-topic")
@@ -150,7 +159,7 @@ class _Reader:
         frame, known = self._costmap(grid)
         path = self._path(planned, frame) if planned else None
         drive = self._drive(odom, frame) if odom else None
-        found = self._footprint() if outline is None else outline
+        found = self._options.outline or self._footprint()
         return FieldDocking(frame, known, found, path, drive, tuple(self._rows))
 
     def _find(self, names: tuple[str, ...], kinds: tuple[str, ...], option: str) -> str:
@@ -212,12 +221,12 @@ class _Reader:
             raise self._nothing(topic)
         received, message = last
         with self._said_of(topic):
-            known = costmap(message)
+            known = costmap(message, self._options.rule)
         updates, count = f"{topic}_updates", 0
         if self._bag.find((updates,), _UPDATE, "--costmap-topic"):
             for _, update in self._bag.messages(updates, received, self._stretch[1]):
                 with self._said_of(updates):
-                    known, count = patched(known, update), count + 1
+                    known, count = patched(known, update, self._options.rule), count + 1
         grid, frame = known.costmap, known.frame.lstrip("/")
         more = f" and {count} updates" if count else ""
         cells = f"{grid.columns} x {grid.rows} cells of {grid.resolution:g} m in {frame!r}"

@@ -33,6 +33,8 @@ class _Edge:
 class _Upright:
     """The fields of a `geometry_msgs/Transform` under the names of a `geometry_msgs/Pose`."""
 
+    __msgtype__ = "tf2_msgs/msg/TFMessage"  # what messages call it
+
     def __init__(self, transform: Message) -> None:
         self.position, self.orientation = transform.translation, transform.rotation
 
