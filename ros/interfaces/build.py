@@ -2,9 +2,10 @@
 
     python ros/interfaces/build.py
 
-A robot has the packages `nav2_msgs` and `tf2_msgs` from its ROS distribution. The wheels of `rclpy` do not bring them,
-so the tests compile what they need: names and order of the fields, which are the interface. It takes a C and a C++
-compiler and a dozen seconds. Nothing is done where definitions, script, interpreter and wheels are those of last time.
+A robot has the packages `nav2_msgs`, `tf2_msgs` and `bond` from its ROS distribution. The wheels of `rclpy` do not
+bring them, so the tests compile what they need: names and order of the fields, which are the interface. It takes a C
+and a C++ compiler and a quarter of a minute. Nothing is done where definitions, script, interpreter and wheels are
+those of last time.
 
 The generators are called directly, not through CMake: the wheels' CMake exports name directories of the machine that
 built them.
@@ -12,7 +13,10 @@ built them.
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
+import io
+import logging
 import os
 import shutil
 import subprocess
@@ -22,7 +26,7 @@ import tempfile
 from concurrent.futures import ThreadPoolExecutor
 from importlib import metadata
 from pathlib import Path
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from rosidl_cli.command.hash.api import generate_type_hashes
@@ -31,6 +35,10 @@ from rosidl_generator_c.cli import GenerateC
 from rosidl_generator_py.cli import GeneratePython
 from rosidl_typesupport_c.cli import GenerateCTypesupport
 from rosidl_typesupport_fastrtps_c.cli import GenerateFastRTPSCTypesupport
+from rosidl_typesupport_introspection_c.cli import GenerateIntrospectionCTypesupport
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
 
 HERE = Path(__file__).resolve().parent
 PREFIX = Path(sys.prefix)
@@ -38,10 +46,14 @@ SITE = Path(sysconfig.get_path("purelib"))
 MARK = PREFIX / ".interfaces"
 PACKAGES = ("bond", "tf2_msgs", "nav2_msgs")
 KINDS = (".action", ".msg", ".srv")
-# One middleware is all that the wheels have, so the dispatching type support may name it directly.
-MIDDLEWARE = "rosidl_typesupport_fastrtps_c"
+# The middleware of the wheels looks for its own type support, and for introspection: without the latter everything
+# works, but every service and action of these packages complains of it at length when it is made.
+MIDDLEWARE, INTROSPECTION = "rosidl_typesupport_fastrtps_c", "rosidl_typesupport_introspection_c"
 # Libraries that the generated code calls, beside those of the packages whose messages it uses.
-RUNTIME = ("rosidl_runtime_c", "rosidl_typesupport_c", MIDDLEWARE, "rosidl_typesupport_fastrtps_cpp", "fastcdr", "rmw")
+RUNTIME = (
+    "rosidl_runtime_c", "rosidl_typesupport_c", MIDDLEWARE, INTROSPECTION, "rosidl_typesupport_fastrtps_cpp", "fastcdr",
+    "rmw",
+)  # fmt: skip
 FLAGS = ("-O1", "-fPIC", "-w", "-pipe")
 
 
@@ -61,7 +73,7 @@ def main() -> None:
     for tool in ("cc", "c++"):
         if shutil.which(tool) is None:
             sys.exit(
-                f"{tool}: not found; nav2_msgs and tf2_msgs are compiled for the tests, which takes a C++ compiler"
+                f"{tool}: not found; nav2_msgs, tf2_msgs and bond are compiled for the tests, which takes a compiler"
             )
     os.environ["AMENT_PREFIX_PATH"] = str(PREFIX)  # the generators look their templates up
     with tempfile.TemporaryDirectory() as work:
@@ -87,18 +99,29 @@ def build(package: str, work: Path) -> None:
     named = [f"{definitions}:{p.relative_to(definitions)}" for p in sorted(definitions.rglob("*")) if p.suffix in KINDS]
     share = PREFIX / "share" / package
     known = [str(p) for p in (PREFIX / "share").iterdir() if p != share and any(p.glob("*/*.idl"))]
-    files = translate(
-        package_name=package, interface_files=named, include_paths=known, output_format="idl", output_path=share
-    )
-    hashes = generate_type_hashes(package_name=package, interface_files=files, include_paths=known, output_path=share)
-    code, dispatch, python = work / package, work / "dispatch", work / "python"  # headers are <package/...>
-    GenerateC("c").generate(package, files, known, code, hashes)
-    GenerateFastRTPSCTypesupport("fastrtps").generate(package, files, known, code)
-    GenerateCTypesupport("c", typesupport_implementations=[MIDDLEWARE]).generate(package, files, known, dispatch)
-    GeneratePython("py", typesupport_implementations=["rosidl_typesupport_c"]).generate(package, files, known, python)
+    # Headers are <package/...>: the folders above are where the compiler looks.
+    code, dynamic = work / "c" / package, work / "introspection" / package
+    dispatch, python = work / "dispatch", work / "python"
+    with quiet():
+        files = translate(
+            package_name=package, interface_files=named, include_paths=known, output_format="idl", output_path=share
+        )
+        hashes = generate_type_hashes(
+            package_name=package, interface_files=files, include_paths=known, output_path=share
+        )
+        GenerateC("c").generate(package, files, known, code, hashes)
+        GenerateFastRTPSCTypesupport("fastrtps").generate(package, files, known, code)
+        GenerateIntrospectionCTypesupport("introspection").generate(package, files, known, dynamic)
+        GenerateCTypesupport("c", typesupport_implementations=[MIDDLEWARE, INTROSPECTION]).generate(
+            package, files, known, dispatch
+        )
+        GeneratePython("py", typesupport_implementations=["rosidl_typesupport_c"]).generate(
+            package, files, known, python
+        )
     libraries = (
         Library("rosidl_generator_c", list(code.rglob("*.c"))),
         Library(MIDDLEWARE, list(code.rglob("*.cpp"))),
+        Library(INTROSPECTION, list(dynamic.rglob("*.c"))),
         Library("rosidl_typesupport_c", list(dispatch.rglob("*.cpp"))),
         Library("rosidl_generator_py", list(python.rglob("*_s.c"))),
     )
@@ -107,9 +130,36 @@ def build(package: str, work: Path) -> None:
     install(package, libraries, entry, [Path(p).name for p in known])
 
 
+@contextlib.contextmanager
+def quiet() -> Iterator[None]:
+    """Without the generators' words on every file, and on being named twice by the wheels; a failure shows them all."""
+    said = io.StringIO()
+    log = logging.getLogger("rosidl_cli.entry_points")
+    log.addFilter(is_no_duplicate)
+    try:
+        with contextlib.redirect_stdout(said):
+            yield
+    except BaseException:
+        sys.stderr.write(said.getvalue())
+        raise
+    finally:
+        log.removeFilter(is_no_duplicate)
+
+
+def is_no_duplicate(record: logging.LogRecord) -> bool:
+    """Whether a line of the log is worth reading."""
+    return not record.getMessage().startswith("Found duplicate entry point")
+
+
 def compile_all(sources: list[Path], work: Path) -> None:
     """Every source to an object file beside it."""
-    headers = [work, PREFIX / "include", *(PREFIX / "include").iterdir(), sysconfig.get_path("include")]
+    headers = [
+        work / "c",
+        work / "introspection",
+        PREFIX / "include",
+        *(PREFIX / "include").iterdir(),
+        sysconfig.get_path("include"),
+    ]
     flags = [*FLAGS, *(f"-I{path}" for path in [*headers, np.get_include()])]
 
     def compiled(path: Path) -> None:

@@ -10,6 +10,7 @@ setup(
     name=NAME,
     version="0.1.0",
     packages=[NAME],
+    package_data={NAME: ["*.yaml"]},
     data_files=[
         ("share/ament_index/resource_index/packages", [f"resource/{NAME}"]),
         (f"share/{NAME}", ["package.xml"]),
@@ -17,7 +18,7 @@ setup(
         (f"share/{NAME}/config", [str(path) for path in Path("config").glob("*.yaml")]),
     ],
     install_requires=["setuptools", "optdock"],
-    zip_safe=True,
+    zip_safe=False,
     maintainer="The optdock developers",
     maintainer_email="optdock@example.org",
     description="Nav2's smoother, planner and docking servers with optdock inside",

@@ -1,0 +1,357 @@
+"""What all servers share: life cycle, parameters, one goal at a time, and the way a process ends.
+
+A server's parameters are judged as a whole, into one frozen value (`Server.settings`), before anything is made of them:
+at configure, where all faults are told at once, and at every change afterwards, which holds wholly or not at all. Who is
+at work has taken the value before and goes on with it.
+
+Callbacks are short: goals are worked on in threads of their own, and the executor's thread only takes messages and
+answers. An error in a callback is told and does not end the node.
+"""
+
+from __future__ import annotations
+
+import signal
+import threading
+import traceback
+from typing import TYPE_CHECKING, Any, ClassVar, Generic, TypeVar
+
+import rclpy
+from rcl_interfaces.msg import SetParametersResult
+from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
+from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
+from rclpy.signals import SignalHandlerOptions
+
+from optdock.errors import InvalidValue, OptdockError
+from optdock.parameters import parse_parameters
+from optdock_ros.bond import Bond
+from optdock_ros.parameters import (
+    ServerParameters,
+    declare,
+    declare_overrides,
+    merged,
+    parameters_of,
+    unknown_names,
+)
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
+
+    from rclpy.context import Context
+    from rclpy.executors import Executor
+    from rclpy.parameter import Parameter
+
+__all__ = ["Server", "run"]
+
+S = TypeVar("S")
+
+_PATIENCE = 10.0  # [s] for the last transitions of a process that was asked to end; a lifecycle manager waits as long
+
+
+class Server(LifecycleNode, Generic[S]):
+    """A lifecycle node with the parameters of a Nav2 server.
+
+    A subclass says what its parameters mean (`check`), what it makes of them (`set_up`, `tear_down`) and how it begins
+    and ends its work (`start`, `stop`). Each may raise: the transition fails, what was made is torn down, and the log
+    says why.
+
+    Args:
+        name: Name of the node.
+        parameter_overrides: Values beside those of the command line, for tests and composition.
+        context: rclpy's; None for the default one.
+
+    Attributes:
+        settings: What `check` made of the parameters; there from configure to cleanup.
+    """
+
+    Parameters: ClassVar[type[ServerParameters]] = ServerParameters
+    accepted: ClassVar[frozenset[str]] = frozenset()
+    """Names of Nav2's that mean nothing here; they are listed in the log, and no fault."""
+    fixed: ClassVar[frozenset[str]] = frozenset()
+    """Names, and names of blocks, that are read at configure only and cannot be changed afterwards."""
+
+    settings: S
+
+    def __init__(
+        self,
+        name: str,
+        *,
+        parameter_overrides: Sequence[Parameter[Any]] | None = None,
+        context: Context | None = None,
+    ) -> None:
+        given = list(parameter_overrides or ())
+        # Undeclared ones may be set: a plugin that is named later brings parameters that nobody knows yet.
+        super().__init__(name, parameter_overrides=given, context=context, allow_undeclared_parameters=True)
+        declare_overrides(self, given)
+        declare(self, self.Parameters)
+        self._is_configured = False
+        self._is_started = False
+        self._told: frozenset[str] = frozenset()
+        self._bond: Bond | None = None
+        self.add_on_set_parameters_callback(self._may_set)
+        self.add_post_set_parameters_callback(self._have_set)
+
+    # What a subclass says.
+
+    def check(self, block: dict[str, object]) -> S:
+        """Everything that the parameters mean, as one frozen value; nothing is made, subscribed or changed.
+
+        Args:
+            block: All parameters of the node, nested.
+
+        Raises:
+            OptdockError: What is wrong, one line per fault.
+        """
+        raise NotImplementedError
+
+    def set_up(self) -> None:
+        """Make what `settings` say: subscriptions, publishers, action servers."""
+
+    def start(self) -> None:
+        """Begin to work."""
+
+    def stop(self) -> None:
+        """End all work, and let nothing stand; also called where `start` failed half way."""
+
+    def tear_down(self) -> None:
+        """Give back what `set_up` made, also where it failed half way."""
+
+    def changed(self, before: S) -> None:
+        """Parameters were changed: `settings` are new."""
+
+    # What all have in common.
+
+    def parameters_block(self) -> dict[str, object]:
+        """All parameters, nested.
+
+        Raises:
+            InvalidValue: A name is a value and a block at once.
+        """
+        return parameters_of(self)
+
+    def own_parameters(self, block: dict[str, object], blocks: Sequence[str] = ()) -> ServerParameters:
+        """The parameters of `Parameters`, checked; names at the top that nobody reads are told or refused.
+
+        Args:
+            block: All parameters of the node, nested.
+            blocks: Names at the top that are read elsewhere.
+
+        Raises:
+            InvalidValue: Values that break a rule, and names that look like misspelt ones; one line per fault.
+        """
+        fields = {spec.alias or name for name, spec in self.Parameters.model_fields.items()}
+        faults, ignored = unknown_names(block, {*fields, *blocks}, self.accepted)
+        own = {name: value for name, value in block.items() if name in fields}
+        try:
+            parsed = parse_parameters(self.Parameters, own, self.get_name())
+        except InvalidValue as error:
+            raise InvalidValue("\n".join([str(error), *faults])) from error
+        if faults:
+            raise InvalidValue("\n".join(faults))
+        fresh = frozenset(ignored) - self._told
+        if fresh:
+            self._told |= fresh
+            self.get_logger().info(f"parameters that mean nothing here: {', '.join(sorted(fresh))}")
+        return parsed
+
+    @property
+    def is_active(self) -> bool:
+        """Whether it works."""
+        return self._is_started
+
+    def say(self, error: BaseException, what: str) -> None:
+        """One line of the log per fault; of an error that is not ours, where it came from as well."""
+        if isinstance(error, OptdockError):
+            for line in str(error).splitlines():
+                self.get_logger().error(f"{what}: {line}")
+        else:
+            self.get_logger().error(f"{what}: {''.join(traceback.format_exception(error))}")
+
+    # rclpy's side.
+
+    def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Check all parameters, and make what they say."""
+        try:
+            block = self.parameters_block()
+            self.settings = self.check(block)
+            self._is_configured = True
+            self.set_up()
+            self._form_bond(block)
+        except Exception as error:  # a subclass, a plugin or rclpy: none may end the node
+            self.say(error, "configure failed")
+            self._torn_down()
+            return TransitionCallbackReturn.FAILURE
+        return super().on_configure(state)
+
+    def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Begin to work."""
+        try:
+            self.start()
+        except Exception as error:
+            self.say(error, "activate failed")
+            self._stopped()
+            return TransitionCallbackReturn.FAILURE
+        self._is_started = True
+        if self._bond is not None:
+            self._bond.start()
+        return super().on_activate(state)
+
+    def on_deactivate(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """End all work."""
+        self._stopped()
+        return super().on_deactivate(state)
+
+    def on_cleanup(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Give everything back."""
+        self._torn_down()
+        return super().on_cleanup(state)
+
+    def on_shutdown(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """End all work, and give everything back."""
+        self.end()
+        return super().on_shutdown(state)
+
+    def on_error(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """A transition raised, which these do not: nothing may stand."""
+        self.end()
+        return super().on_error(state)
+
+    def end(self) -> None:
+        """End all work and give everything back, in whatever state; nothing to do where it has been done."""
+        if self._is_started:
+            self._stopped()
+        self._torn_down()
+
+    def _stopped(self) -> None:
+        self._is_started = False
+        try:
+            self.stop()
+        except Exception as error:
+            self.say(error, "stop failed")
+        if self._bond is not None:
+            self._bond.end()
+
+    def _form_bond(self, block: dict[str, object]) -> None:
+        """What a lifecycle manager listens for, where its messages are installed."""
+        period = parse_parameters(ServerParameters, {"bond_heartbeat_period": block["bond_heartbeat_period"]}, "bond")
+        if self._bond is not None or period.bond_heartbeat_period == 0.0:
+            return
+        try:
+            self._bond = Bond(self, period.bond_heartbeat_period)
+        except ImportError:
+            self.get_logger().info("no package bond: set bond_timeout: 0.0 at the lifecycle manager")
+
+    def _torn_down(self) -> None:
+        if not self._is_configured:
+            return
+        self._is_configured = False
+        try:
+            self.tear_down()
+        except Exception as error:
+            self.say(error, "cleanup failed")
+
+    def _may_set(self, changes: list[Parameter[Any]]) -> SetParametersResult:
+        """Judge a change of parameters; before a configure any may come, which judges them all."""
+        if not self._is_configured:
+            return SetParametersResult(successful=True)
+        try:
+            block = merged(self.parameters_block(), changes)
+            for parameter in changes:
+                self._check_fixed(parameter)
+            self.check(block)
+        except Exception as error:
+            if not isinstance(error, OptdockError):
+                self.say(error, "a change of parameters failed")
+            return SetParametersResult(successful=False, reason=str(error))
+        return SetParametersResult(successful=True)
+
+    def _check_fixed(self, parameter: Parameter[Any]) -> None:
+        name = next((n for n in self.fixed if parameter.name == n or parameter.name.startswith(f"{n}.")), None)
+        if name is None and not parameter.name.endswith(".plugin"):
+            return
+        if parameter.value != self.get_parameter_or(parameter.name).value:
+            raise InvalidValue(f"{parameter.name}: cannot be changed while configured; clean up first")
+
+    def _have_set(self, _changes: list[Parameter[Any]]) -> None:
+        if not self._is_configured:
+            return
+        try:
+            before, self.settings = self.settings, self.check(self.parameters_block())
+            self.changed(before)
+        except Exception as error:
+            self.say(error, "a change of parameters failed")
+
+
+def spin(executor: Executor, ended: threading.Event) -> None:
+    """Run an executor until the end; an error that a callback lets through is told, and the others go on."""
+    while not ended.is_set():
+        try:
+            executor.spin()
+        except ExternalShutdownException:
+            return
+        except Exception:
+            rclpy.logging.get_logger("optdock_ros").error(f"in a callback: {traceback.format_exc()}")
+        else:
+            return
+
+
+def run(make: Callable[[], Server[Any]], args: Sequence[str] | None = None) -> int:
+    """The life of a server's process: made, spun in a thread, and ended by SIGINT or SIGTERM in good order.
+
+    The order of the end: work is ended, stop commands are out, goals are answered; then the executor's thread is
+    joined, and only then the context goes down.
+
+    Args:
+        make: Makes the server.
+        args: Of the command line; None: the process's.
+
+    Returns:
+        The exit code, 0 after a signal.
+    """
+    ended = threading.Event()
+    # Handlers of our own: rclpy's take the context down at once, and the stop command with it.
+    rclpy.init(args=list(args) if args is not None else None, signal_handler_options=SignalHandlerOptions.NO)
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, lambda *_: ended.set())
+    try:
+        server = make()
+    except Exception:
+        rclpy.logging.get_logger("optdock_ros").fatal(traceback.format_exc())
+        rclpy.try_shutdown()
+        return 1
+    executor = SingleThreadedExecutor()
+    executor.add_node(server)
+    thread = threading.Thread(target=spin, args=(executor, ended), name="executor")
+    thread.start()
+    if server.get_parameter("autostart").value is True:
+        executor.create_task(_autostart, server)
+    while not ended.wait(1.0) and thread.is_alive():
+        pass
+    failed = not ended.is_set()
+    _in_executor(executor, thread, server.end)
+    _in_executor(executor, thread, lambda: None)  # what the end has queued, the last answers, comes before this
+    ended.set()
+    executor.shutdown()
+    thread.join(_PATIENCE)
+    server.destroy_node()
+    rclpy.try_shutdown()
+    return int(failed)
+
+
+def _autostart(server: Server[Any]) -> None:
+    if server.trigger_configure() == TransitionCallbackReturn.SUCCESS:
+        server.trigger_activate()
+
+
+def _in_executor(executor: Executor, thread: threading.Thread, work: Callable[[], None]) -> None:
+    """Do something between callbacks; in this thread where the executor's does nothing any more."""
+    done, begun = threading.Event(), threading.Lock()
+
+    def _once() -> None:
+        if begun.acquire(blocking=False):
+            work()
+            done.set()
+
+    if thread.is_alive():
+        executor.create_task(_once)
+        done.wait(_PATIENCE)
+    _once()

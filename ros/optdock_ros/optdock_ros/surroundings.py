@@ -1,0 +1,241 @@
+"""What the costmap and the footprint topics say, and how old it is.
+
+Subscriptions only store what arrives; it is converted, and judged, when somebody asks.
+"""
+
+from __future__ import annotations
+
+import threading
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from geometry_msgs.msg import PolygonStamped
+from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
+from rclpy.qos import DurabilityPolicy, QoSProfile
+
+from optdock import ros
+from optdock.errors import InvalidValue, OptdockError
+from optdock.geometry.footprint import Footprint
+
+if TYPE_CHECKING:
+    from rclpy.node import Node
+
+    from optdock.ros import StampedCostmap
+    from optdock_ros.transforms import TransformBuffer
+
+__all__ = [
+    "CostmapTopic",
+    "FootprintTopic",
+    "SurroundingsError",
+    "now",
+    "nav2_footprint",
+]
+
+# Updates that nobody has asked for are patched in at this number: more would only be kept, and patched at once later.
+_MOST_UPDATES = 32
+# [m]: an outline that comes back from the map's frame as float32 wanders by some micrometres; it is the same outline.
+_SAME_OUTLINE = 1e-4
+
+
+class SurroundingsError(OptdockError):
+    """A topic has not been heard, says what cannot be, or is too old."""
+
+
+def now(node: Node) -> float:
+    """Seconds on a node's clock, which is the simulation's with `use_sim_time`."""
+    return float(node.get_clock().now().nanoseconds) * 1e-9
+
+
+class CostmapTopic:
+    """The newest costmap of a topic, with the updates of parts that came after it.
+
+    Args:
+        node: Whose subscription it is.
+        topic: Its name. One that ends in `_raw` holds nav2_msgs/Costmap, as `costmap_raw` of Nav2 does; any other
+            nav_msgs/OccupancyGrid, as `costmap` and `map`. Updates come on the same name with `_updates`.
+    """
+
+    def __init__(self, node: Node, topic: str) -> None:
+        self.topic = topic
+        self._node = node
+        raw = topic.endswith("_raw")
+        whole = ros.imported("nav2_msgs/msg/Costmap" if raw else "nav_msgs/msg/OccupancyGrid")
+        part = _update_type(raw=raw)
+        self._lock = threading.Lock()  # held for list operations only
+        self._whole: Any = None
+        self._updates: list[Any] = []
+        self._known: StampedCostmap | None = None
+        self._converting = threading.Lock()
+        group = MutuallyExclusiveCallbackGroup()
+        kept = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+        parts = QoSProfile(depth=_MOST_UPDATES, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+        self._subscriptions = [
+            node.create_subscription(whole, topic, self._take_whole, kept, callback_group=group),
+        ]
+        if part is not None:
+            updates = f"{topic}_updates"
+            self._subscriptions.append(
+                node.create_subscription(part, updates, self._take_part, parts, callback_group=group)
+            )
+        else:
+            node.get_logger().warning(f"{topic}: map_msgs is not installed; only whole grids of it are seen")
+
+    def close(self) -> None:
+        """End the subscriptions."""
+        for subscription in self._subscriptions:
+            self._node.destroy_subscription(subscription)
+        self._subscriptions = []
+
+    def newest(self) -> StampedCostmap:
+        """The costmap as it is known now.
+
+        Raises:
+            SurroundingsError: Nothing has come yet, or what came is no costmap; the message names topic and fault.
+        """
+        with self._converting:
+            with self._lock:
+                whole, updates = self._whole, self._updates
+                self._whole, self._updates = None, []
+            if whole is not None:
+                self._known = None
+                self._known = self._converted(whole)
+            for update in updates:
+                self._known = self._patched(update)
+            known = self._known
+        if known is None:
+            raise SurroundingsError(f"{self.topic}: no costmap yet", where={"topic": self.topic})
+        return known
+
+    def _converted(self, message: Any) -> StampedCostmap:  # noqa: ANN401 - either of two types
+        try:
+            return ros.costmap(message)
+        except InvalidValue as error:
+            raise SurroundingsError(f"{self.topic}: {error}", where={"topic": self.topic}) from error
+
+    def _patched(self, message: Any) -> StampedCostmap | None:  # noqa: ANN401 - either of two types
+        """The costmap with one part replaced; a part of an older one changes nothing.
+
+        Raises:
+            SurroundingsError: The part does not fit: what is known is not what there is, so it is forgotten until the
+                next whole costmap.
+        """
+        known = self._known
+        try:
+            if known is None or ros.seconds(message.header.stamp) < known.stamp:
+                return known
+            return ros.patched(known, message)
+        except InvalidValue as error:
+            self._known = None
+            raise SurroundingsError(f"{self.topic}_updates: {error}", where={"topic": self.topic}) from error
+
+    def _take_whole(self, message: Any) -> None:  # noqa: ANN401 - either of two types
+        with self._lock:
+            # What is older than a whole costmap is part of it; later parts may overtake it, and stay.
+            self._whole = message
+
+    def _take_part(self, message: Any) -> None:  # noqa: ANN401 - either of two types
+        with self._lock:
+            self._updates.append(message)
+            is_many = len(self._updates) >= _MOST_UPDATES
+        if is_many:
+            try:
+                self.newest()
+            except SurroundingsError as error:
+                self._node.get_logger().error(str(error), throttle_duration_sec=5.0)
+
+
+class FootprintTopic:
+    """The newest outline of the robot from a topic, in the robot's own frame.
+
+    Nav2 publishes the outline where the robot stands, in its costmap's frame; the transform of the same moment takes it
+    back.
+
+    Args:
+        node: Whose subscription it is.
+        topic: Its name; geometry_msgs/PolygonStamped.
+        transforms: Where the robot stands.
+        base_frame: The robot's own frame.
+        tolerance: How much older than the message its transform may be [s].
+    """
+
+    def __init__(
+        self, node: Node, topic: str, transforms: TransformBuffer, base_frame: str, tolerance: float = 0.0
+    ) -> None:
+        self.topic = topic
+        self._node, self._transforms, self._base, self._tolerance = node, transforms, base_frame, tolerance
+        self._newest: PolygonStamped | None = None
+        self._known: tuple[Footprint, float] | None = None
+        self._converting = threading.Lock()
+        group = MutuallyExclusiveCallbackGroup()
+        # Nav2 publishes it as any topic; a latched one is taken by this as well, once it moves or is told again.
+        self._subscription = node.create_subscription(PolygonStamped, topic, self._take, 1, callback_group=group)
+
+    def close(self) -> None:
+        """End the subscription."""
+        self._node.destroy_subscription(self._subscription)
+
+    def newest(self) -> tuple[Footprint, float]:
+        """The outline in the robot's frame, and its stamp [s].
+
+        An outline that differs from the one before by less than 0.1 mm is the one before.
+
+        Raises:
+            SurroundingsError: Nothing has come yet, or it is no outline.
+            TransformError: Where the robot stood at that moment is not known.
+        """
+        with self._converting:
+            message, self._newest = self._newest, None
+            if message is not None:
+                try:
+                    self._known = self._converted(message)
+                except OptdockError:
+                    # A transform may come a moment later; a newer message has its own.
+                    if self._newest is None:
+                        self._newest = message
+                    raise
+            known = self._known
+        if known is None:
+            raise SurroundingsError(f"{self.topic}: no footprint yet", where={"topic": self.topic})
+        return known
+
+    def _converted(self, message: PolygonStamped) -> tuple[Footprint, float]:
+        try:
+            frame, stamp = message.header.frame_id.lstrip("/"), ros.seconds(message.header.stamp)
+            stood = None
+            if frame and frame != self._base.lstrip("/"):
+                stood = self._transforms.lookup(frame, self._base, stamp, self._tolerance).planar()
+            outline = ros.footprint(message, at=stood).footprint
+        except InvalidValue as error:
+            raise SurroundingsError(f"{self.topic}: {error}", where={"topic": self.topic}) from error
+        known = self._known[0] if self._known is not None else None
+        if known is not None and known.vertices.shape == outline.vertices.shape:
+            if float(np.abs(known.vertices - outline.vertices).max()) < _SAME_OUTLINE:
+                outline = known
+        return outline, stamp
+
+    def _take(self, message: PolygonStamped) -> None:
+        self._newest = message
+
+
+def _update_type(*, raw: bool) -> type | None:
+    """The class of a grid's updates; None where its package is not installed, as may be with map_msgs."""
+    try:
+        return ros.imported("nav2_msgs/msg/CostmapUpdate" if raw else "map_msgs/msg/OccupancyGridUpdate")
+    except ImportError:
+        return None
+
+
+def nav2_footprint(footprint: str, robot_radius: float, padding: float) -> Footprint:
+    """The outline that Nav2's three parameters mean.
+
+    Args:
+        footprint: `"[[x, y], ...]"` [m]; empty or `"[]"`: the robot is round.
+        robot_radius: Of a round robot [m].
+        padding: How far every vertex is moved outward along x and y [m].
+
+    Raises:
+        InvalidValue: They make no outline.
+    """
+    is_round = footprint.strip() in {"", "[]"}
+    outline = Footprint.from_radius(robot_radius) if is_round else Footprint.from_string(footprint)
+    return outline.padded(padding) if padding else outline

@@ -1,0 +1,85 @@
+"""Fixtures for the tests of the ROS package; what they hand out is described in `harness.py`."""
+
+from __future__ import annotations
+
+import functools
+import os
+from typing import TYPE_CHECKING
+
+import pytest
+from harness import Client, Lifecycle, Processes, free_domain, ros
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator
+
+LINES = 150  # of each process' log that a failure shows
+
+
+@pytest.fixture(scope="session", autouse=True)
+def domain(tmp_path_factory: pytest.TempPathFactory) -> Iterator[int]:
+    """Domain id of this run (of this worker where there are several); processes started from here on have it."""
+    number, keeper = free_domain()
+    logs = str(tmp_path_factory.mktemp("ros"))
+    ours = {"ROS_DOMAIN_ID": str(number), "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST", "ROS_LOG_DIR": logs}
+    ours["OMP_NUM_THREADS"] = "1"
+    with pytest.MonkeyPatch.context() as patch, keeper:
+        patch.delenv("ROS_LOCALHOST_ONLY", raising=False)
+        patch.delenv("ROS_STATIC_PEERS", raising=False)
+        for name, value in ours.items():
+            patch.setenv(name, value)
+        yield number
+
+
+@pytest.fixture(scope="module")
+def context(domain: int) -> Iterator[None]:
+    """`rclpy` initialised with its default context, for nodes inside this process."""
+    with ros(domain):
+        yield
+
+
+@pytest.fixture(scope="module")
+def client_node(context: None) -> Iterator[Client]:  # noqa: ARG001 - a node needs it
+    """A node to ask others with, spinning in a thread of its own."""
+    client = Client(f"test_client_{os.getpid()}")
+    yield client
+    client.end()
+
+
+@pytest.fixture
+def process(tmp_path: object) -> Iterator[Processes]:
+    """Call it with a console script's name, `params` and `args` to start one; all end with the test."""
+    processes = Processes(tmp_path)  # type: ignore[arg-type]
+    yield processes
+    processes.end()
+
+
+@pytest.fixture(scope="module")
+def module_process(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Processes]:
+    """As `process`, for processes that all tests of a module use."""
+    processes = Processes(tmp_path_factory.mktemp("processes"))
+    yield processes
+    processes.end()
+
+
+@pytest.fixture
+def lifecycle(client_node: Client) -> Callable[[str], Lifecycle]:
+    """Call it with a node's name, then `.configure()`, `.activate()`, ..., `.state`."""
+    return functools.partial(Lifecycle, client_node)
+
+
+@pytest.fixture(scope="module")
+def module_lifecycle(client_node: Client) -> Callable[[str], Lifecycle]:
+    """As `lifecycle`, for fixtures that all tests of a module use."""
+    return functools.partial(Lifecycle, client_node)
+
+
+@pytest.hookimpl(hookwrapper=True)
+def pytest_runtest_makereport() -> Iterator[None]:
+    """A failure shows what the processes said."""
+    outcome = yield
+    report = outcome.get_result()  # type: ignore[attr-defined]
+    if report.failed:
+        for processes in Processes.everywhere:
+            for one in processes.started:
+                state = "running" if one.is_running else f"ended with {one.popen.returncode}"
+                report.sections.append((f"{one.name} ({one.pid}, {state})", "\n".join(one.log().splitlines()[-LINES:])))
