@@ -16,8 +16,8 @@ from optdock.errors import InvalidFile, InvalidValue, MissingExtra
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterable, Iterator, Sequence
 
-    from rosbags.highlevel import AnyReader
-    from rosbags.interfaces import Connection
+    from rosbags.interfaces import Connection, MessageDefinition
+    from rosbags.rosbag2 import Reader
     from rosbags.typesys.store import Typestore
 
     from optdock.ros.messages import Message
@@ -78,6 +78,26 @@ def _store() -> Typestore:
     store = get_typestore(Stores.ROS2_KILTED)
     for name, fields in _NAV2_FIELDS.items():
         store.register(get_types_from_msg("\n".join(fields), f"nav2_msgs/msg/{name}"))
+    return store
+
+
+@functools.lru_cache(maxsize=64)
+def _store_of(kind: str, definition: MessageDefinition) -> Typestore:
+    """The classes that a type of message needs, as a recording defines them.
+
+    Of every type for itself: a definition that nobody can read is no obstacle to reading the others.
+    """
+    from rosbags.interfaces import MessageDefinitionFormat
+    from rosbags.typesys import Stores, get_types_from_idl, get_types_from_msg, get_typestore
+
+    if definition.format is MessageDefinitionFormat.NONE:
+        return _store()
+    store = get_typestore(Stores.EMPTY)
+    if definition.format is MessageDefinitionFormat.MSG:
+        store.register(get_types_from_msg(definition.data, kind))
+    else:
+        for part in filter(None, definition.data.split("=" * 80 + "\n")):
+            store.register(get_types_from_idl(part.partition("\n")[2] if part.startswith("IDL: ") else part))
     return store
 
 
@@ -165,13 +185,14 @@ def open_bag(source: str | Path) -> Iterator[Recording]:
         InvalidFile: It cannot be read, is damaged, or holds no message.
         MissingExtra: rosbags is not installed.
     """
-    source, store = Path(source), _store()
-    from rosbags.highlevel import AnyReader
+    source = Path(source)
+    _store()
+    from rosbags.rosbag2 import Reader
 
     if not source.exists():
         raise InvalidFile(f"{source}: cannot be read: No such file or directory")
     with _told(source):
-        reader = AnyReader([source], default_typestore=store)
+        reader = Reader(source)
         reader.open()
     try:
         if not reader.message_count:
@@ -202,7 +223,7 @@ class Recording:
         reader: Of rosbags.
     """
 
-    def __init__(self, source: Path, reader: AnyReader) -> None:
+    def __init__(self, source: Path, reader: Reader) -> None:
         self.source, self._reader = source, reader
         self.begin = 1e-9 * reader.start_time
         self.end = 1e-9 * reader.end_time
@@ -265,4 +286,5 @@ class Recording:
 
     def _read(self, topic: str, kind: str, data: bytes) -> Message:
         with _told(self.source, topic):
-            return self._reader.deserialize(data, kind)
+            definition = next(c.msgdef for c in self._reader.connections if c.msgtype == kind)
+            return _store_of(kind, definition).deserialize_cdr(data, kind)

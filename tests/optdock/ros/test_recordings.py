@@ -60,7 +60,7 @@ def planned(tmp_path_factory):
     )
     problem = od.load_scenario(folder / "bay.yaml").problem
     plan = od.plan_dock(problem, time_budget=5.0)
-    plan.save(folder / "plan.json")
+    plan.save(folder / "plan.json", period=0.1)
     motion = plan.trajectory.sampled(0.1)
     columns = {"t": motion.t}
     for of in ("", "measured_", "planned_"):
@@ -312,8 +312,11 @@ def test_a_stretch_of_a_recording_is_taken():
     assert (path.start.x, path.end.x) == pytest.approx((0.1, 1.0))
 
 
+WHOLE = field_messages()
+
+
 def without(*topics):
-    return [message for message in field_messages() if message.topic not in topics]
+    return [message for message in WHOLE if message.topic not in topics]
 
 
 def instead(topic, message):
@@ -371,7 +374,7 @@ def test_what_is_wrong_with_a_recording_is_said_with_file_and_topic(messages, op
 
 def test_a_damaged_recording_is_named():
     Path("text.mcap").write_text("no recording\n" * 10)
-    write_bag("cut.mcap", field_messages())
+    write_bag("cut.mcap", WHOLE)
     whole = Path("cut.mcap").read_bytes()
     Path("cut.mcap").write_bytes(whole[: len(whole) // 3])
     Path("notes.txt").write_text("hello\n")
@@ -387,7 +390,7 @@ def test_a_message_that_is_cut_off_is_named():
     with Writer("cut", version=9, storage_plugin=StoragePlugin.MCAP) as writer:
         store = ros.bag._store()
         connection = writer.add_connection("/odom", "nav_msgs/msg/Odometry", typestore=store)
-        whole = next(message for message in field_messages() if message.topic == "/odom").message
+        whole = next(message for message in WHOLE if message.topic == "/odom").message
         data = bytes(store.serialize_cdr(whole, "nav_msgs/msg/Odometry"))
         writer.write(connection, int(BEGIN * 1e9), data[:40])
         grid = writer.add_connection("/map", "nav_msgs/msg/OccupancyGrid", typestore=store)
@@ -395,6 +398,35 @@ def test_a_message_that_is_cut_off_is_named():
         writer.write(grid, int(BEGIN * 1e9), store.serialize_cdr(message, "nav_msgs/msg/OccupancyGrid"))
     result = run("import", "bag", "cut", "-o", "out")
     assert result.stderr.startswith("cut: /odom: is damaged or no recording: ")
+
+
+@pytest.mark.parametrize("storage", [StoragePlugin.SQLITE3, StoragePlugin.MCAP])
+def test_what_a_robot_records_beside_is_no_obstacle(storage):
+    """A type whose definition nobody can read, and a recording of the other kind."""
+    store = ros.bag._store()
+    with Writer("field", version=8, storage_plugin=storage) as writer:
+        odd = writer.add_connection("/odd", "vendor_msgs/msg/Odd", msgdef="no definition !", rihs01="RIHS01_0")
+        writer.write(odd, int(BEGIN * 1e9), b"")
+        known = {}
+        for topic, time, message in field_messages():
+            kind = message.__msgtype__
+            if topic not in known:
+                known[topic] = writer.add_connection(topic, kind, typestore=store)
+            writer.write(known[topic], round(time * 1e9), store.serialize_cdr(message, kind))
+    result = run("import", "bag", "field", "-o", "out")
+    assert (result.exit_code, result.stderr) == (0, "")
+
+
+def test_a_collision_is_said_before_all_else():
+    messages = field_messages(blocked=True)
+    for message in messages:
+        if message.topic == "/tf":
+            message.message.transforms[0].transform.translation.y = 0.002 * math.sin(1e3 * message.time)
+    write_bag("field.mcap", messages)
+    assert run("import", "bag", "field.mcap", "-o", "field").exit_code == 0
+    verdict = run("certify", "field/drive.json", "field/drive.yaml")
+    assert verdict.stderr.startswith("not certified: the footprint overlaps map at s = ")
+    assert re.search("violation +the path slips sideways", verdict.stdout)
 
 
 def test_a_costmap_is_taken_with_its_updates():
