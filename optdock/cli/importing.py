@@ -29,9 +29,6 @@ app = typer.Typer(
 OutOption: TypeAlias = Annotated[
     Path, typer.Option("--out", "-o", help="Scenario file to write (YAML).", show_default=False)
 ]
-TopicOption: TypeAlias = Annotated[
-    str, typer.Option(metavar="TOPIC", help="Default: the first of Nav2's names that is there.", show_default=False)
-]
 BudgetOption: TypeAlias = Annotated[
     float, typer.Option(metavar=SECONDS, help="Wall clock for planning, written into the scenario.")
 ]
@@ -132,13 +129,22 @@ def bag(  # noqa: PLR0913 - one parameter per option
     file: Annotated[Path, typer.Argument(help="Recording: .mcap, .db3, or the folder of one.", show_default=False)],
     *,
     out: Annotated[Path, typer.Option("--out", "-o", help="Folder to write into.", show_default=False)],
-    path_topic: TopicOption = "",
-    costmap_topic: TopicOption = "",
-    footprint_topic: TopicOption = "",
-    odom_topic: TopicOption = "",
+    path_topic: Annotated[
+        str, typer.Option(metavar="TOPIC", help="Default: /docking_trajectory, else /plan_smoothed, else /plan.")
+    ] = "",
+    costmap_topic: Annotated[
+        str,
+        typer.Option(
+            metavar="TOPIC", help="Default: costmap_raw of /global_costmap, of /local_costmap, their costmap, or /map."
+        ),
+    ] = "",
+    footprint_topic: Annotated[
+        str, typer.Option(metavar="TOPIC", help="Default: published_footprint of /local_costmap or /global_costmap.")
+    ] = "",
+    odom_topic: Annotated[str, typer.Option(metavar="TOPIC", help="Default: /odom, else /odometry/filtered.")] = "",
     base_frame: Annotated[str, typer.Option(help="The robot's frame; default: the odometry's child frame.")] = "",
     footprint: Annotated[
-        str, typer.Option(help="Outline in Nav2's syntax, [[x, y], ...]; instead of the recording's.")
+        str, typer.Option(help="Outline, a list of corners in Nav2's syntax; instead of the recording's.")
     ] = "",
     radius: Annotated[float | None, typer.Option(metavar=METRES, help="Of a round robot; likewise.")] = None,
     clearance: Annotated[float, typer.Option(metavar=METRES, help="That path and drive must keep.")] = 0.0,

@@ -228,13 +228,13 @@ class Recording:
         self.begin = 1e-9 * reader.start_time
         self.end = 1e-9 * reader.end_time
 
-    def find(self, topics: Sequence[str], kinds: Collection[str], option: str) -> str:
+    def find(self, topics: Sequence[str], kinds: Collection[str], option: str = "") -> str:
         """The first of some topics that is there; empty where none is.
 
         Args:
             topics: What to look for, in this order.
             kinds: Types of message that it may have.
-            option: Of the command, for messages.
+            option: Of the command, for messages; empty where there is none.
 
         Raises:
             InvalidFile: It is of another type.
@@ -245,9 +245,8 @@ class Recording:
             if kind is None:
                 continue
             if kind not in kinds:
-                raise InvalidFile(
-                    f"{self.source}: {topic}: must be {' or '.join(kinds)}, is {kind}; choose another by {option}"
-                )
+                other = f"; choose another by {option}" if option else ""
+                raise InvalidFile(f"{self.source}: {topic}: must be {' or '.join(kinds)}, is {kind}{other}")
             return topic
         return ""
 

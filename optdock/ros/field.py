@@ -193,7 +193,7 @@ class _Reader:
     def _note_transforms(self) -> None:
         begin, end = self._stretch
         for topic, since, always in ((self._topics.tf_static, 0.0, True), (self._topics.tf, begin - _AROUND, False)):
-            if self._bag.find((topic,), _TRANSFORMS, "the transforms"):
+            if self._bag.find((topic,), _TRANSFORMS):
                 for _, message in self._bag.messages(topic, since, end + _AROUND):
                     with self._said_of(topic):
                         self._transforms.add(message, always=always)
@@ -223,7 +223,7 @@ class _Reader:
         with self._said_of(topic):
             known = costmap(message, self._options.rule)
         updates, count = f"{topic}_updates", 0
-        if self._bag.find((updates,), _UPDATE, "--costmap-topic"):
+        if self._bag.find((updates,), _UPDATE):
             for _, update in self._bag.messages(updates, received, self._stretch[1]):
                 with self._said_of(updates):
                     known, count = patched(known, update, self._options.rule), count + 1
