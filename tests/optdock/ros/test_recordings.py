@@ -54,7 +54,8 @@ def planned(tmp_path_factory):
     """A plan with its scenario, a run of it, and the log of a docking by it."""
     folder = tmp_path_factory.mktemp("planned")
     (folder / "bay.yaml").write_text(
-        "format: optdock-scenario/1\nobstacles: [[[0.5, 0.6], [1.5, 0.6], [1.5, 0.8], [0.5, 0.8]]]\n"
+        "format: optdock-scenario/1\nobstacles:\n- [[-0.7, -0.2], [-0.65, -0.2], [-0.65, 0.2], [-0.7, 0.2]]\n"
+        "- [[0.5, 0.6], [1.5, 0.6], [1.5, 0.8], [0.5, 0.8]]\n"
         "robot: {footprint: [[0.3, 0.2], [-0.3, 0.2], [-0.3, -0.2], [0.3, -0.2]], limits: {max_curvature: 2.0}}\n"
         "dock: {pose: [2.0, 0.2, 0.0]}\nstart: {pose: [0.0, 0.0, 0.0]}\n"
     )
@@ -120,7 +121,7 @@ def test_a_plan_is_recorded_with_its_true_times(planned, out):
     clearance = plan.certificate.min_clearance
     begin, end = (np.array([point.x, point.y]) for point in drawn["closest", 1].points)
     assert np.hypot(*(end - begin)) == pytest.approx(clearance, abs=2e-3)
-    assert drawn["closest", 2].text == f"{1e3 * clearance:.0f} mm to obstacles[0]"
+    assert drawn["closest", 2].text == f"{1e3 * clearance:.0f} mm to obstacles[1]"
     corners = np.array([(point.x, point.y) for point in drawn["goal", 1].points])[::2]
     assert corners == pytest.approx(transform_points(plan.path.end.as_array()[None], FOOTPRINT.vertices)[0])
 
