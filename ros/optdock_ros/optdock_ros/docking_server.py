@@ -56,7 +56,7 @@ if TYPE_CHECKING:
     from optdock.measurements import Measurements
     from optdock.nav2.docks import DockEntry
     from optdock_ros.dock_plugins import DockPlugin
-    from optdock_ros.surroundings import SeenCostmap
+    from optdock.ros import StampedCostmap
     from optdock_ros.world import Box
 
 __all__ = ["DockingServer", "main"]
@@ -285,8 +285,10 @@ class DockingServer(Server[DockingSettings]):
         finally:
             self._measuring = None
             self._reports.idle(self._now())
-        said = self.get_logger().info if outcome.success else self.get_logger().error
-        said(f"{'done' if outcome.success else f'failed ({outcome.code})'}{outcome.text and ': '}{outcome.text}")
+        if outcome.success:
+            self.get_logger().info(f"done{outcome.text and ': '}{outcome.text}")
+        else:
+            self.get_logger().error(f"failed ({outcome.code}): {outcome.text}")
         return outcome
 
     def _dock_at(self, goal: Goal) -> Outcome:
@@ -561,6 +563,7 @@ class DockingServer(Server[DockingSettings]):
             loop = self._loop = ControlLoop(task.problem.robot, settings.period, self._now, self._send)
             run = Run(task.executor, task.measuring.measurements, task.observe)
             goal.start(run)
+            task.measuring.begin()
             loop.start(run)
             while not run.done.is_set():
                 goal.changed.wait(_LOOK)
@@ -612,7 +615,9 @@ class DockingServer(Server[DockingSettings]):
         is_new = said != task.said
         if is_new or time.monotonic() - task.told_at >= _TELL:
             task.said, task.told_at = said, time.monotonic()
-            self._tell(goal, int(step.feedback.state), step.feedback.num_retries)
+            # Nav2 knows no state for what is done at rest: whoever plans or waits is still doing what he did.
+            task.feedback = int(step.feedback.state) or task.feedback
+            self._tell(goal, task.feedback, step.feedback.num_retries)
             docked = task.executor.dock
             self._reports.pose("dock_pose", task.plugin.stored_pose(docked), now)
             if task.measuring.detects:
@@ -660,7 +665,7 @@ class DockingServer(Server[DockingSettings]):
         task.local, task.wide = local, wide
         task.measuring.take_surroundings(Surroundings(costmap, local.stamp))
 
-    def _in_frame(self, seen: SeenCostmap, box: Box) -> Costmap:
+    def _in_frame(self, seen: StampedCostmap, box: Box) -> Costmap:
         """A costmap in the fixed frame; what of it is far from robot and dock is left out where it must be moved."""
         fixed = self.settings.own.fixed_frame
         if seen.frame.lstrip("/") == fixed.lstrip("/"):
@@ -684,9 +689,10 @@ class _Task:
     step: Step | None = None
     events: deque[Event] = field(default_factory=deque)
     stalled: bool = False
-    local: SeenCostmap | None = None
-    wide: SeenCostmap | None = None
+    local: StampedCostmap | None = None
+    wide: StampedCostmap | None = None
     said: tuple[State, int] | None = None
+    feedback: int = DockRobot.Feedback.INITIAL_PERCEPTION
     told_at: float = -math.inf
     reported_at: float = -math.inf
 

@@ -109,6 +109,10 @@ class Measuring:
         """A new one; from any thread."""
         self._seen.append(message)
 
+    def begin(self) -> None:
+        """The control loop begins: what was seen before it cannot be placed on the way that the robot makes."""
+        self._seen.clear()
+
     def take_surroundings(self, surroundings: Surroundings) -> None:
         """A new picture; from any thread."""
         self._surroundings = surroundings

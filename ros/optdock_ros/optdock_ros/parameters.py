@@ -11,7 +11,7 @@ import array
 from collections.abc import Mapping
 from dataclasses import dataclass
 from enum import Enum
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 from pydantic import Field, ValidationError
@@ -19,13 +19,13 @@ from rcl_interfaces.msg import ParameterDescriptor
 from rclpy.parameter import Parameter
 
 from optdock.config.document import ClearanceDocument, RobotDocument, synonym
-from optdock.errors import InvalidValue
+from optdock.errors import InvalidValue, OptdockError
 from optdock.io.faults import faults_of
 from optdock.parameters import PluginParameters, closest
 from optdock.robot import Robot
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Sequence
+    from collections.abc import Callable, Iterable, Sequence
 
     from pydantic import BaseModel
     from rclpy.node import Node
@@ -33,7 +33,10 @@ if TYPE_CHECKING:
     from optdock.geometry.footprint import Footprint
     from optdock.problem import ClearanceRule
 
+T = TypeVar("T")
+
 __all__ = [
+    "Faults",
     "RobotParameters",
     "ServerParameters",
     "clearance_parameters",
@@ -64,6 +67,34 @@ OF_EVERY_NODE = frozenset(
         *("service_introspection_mode", "action_introspection_mode", "allow_parameter_qos_overrides"),
     }
 )
+
+
+class Faults:
+    """What is wrong with several things that are read one after the other, told at once.
+
+    Args:
+        lines: What is wrong already, one line per fault.
+    """
+
+    def __init__(self, lines: Iterable[str] = ()) -> None:
+        self.lines = list(lines)
+
+    def attempt(self, read: Callable[[], T]) -> T | None:
+        """What `read` returns; None where it says what is wrong."""
+        try:
+            return read()
+        except OptdockError as error:
+            self.lines += str(error).splitlines()
+            return None
+
+    def look(self) -> None:
+        """Go on only where nothing is wrong.
+
+        Raises:
+            InvalidValue: Something is; one line per fault.
+        """
+        if self.lines:
+            raise InvalidValue("\n".join(self.lines))
 
 
 def plain(value: object) -> object:
@@ -207,7 +238,7 @@ def unknown_names(
     return faults, ignored
 
 
-def _validated(model: type[BaseModel], block: object, owner: str) -> Any:  # noqa: ANN401 - of the model's class
+def _validated(model: type[BaseModel], block: object, owner: str) -> Any:
     """A part of the scenario format from a block of parameters.
 
     Raises:

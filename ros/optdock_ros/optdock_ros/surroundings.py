@@ -27,8 +27,8 @@ __all__ = [
     "CostmapTopic",
     "FootprintTopic",
     "SurroundingsError",
-    "now",
     "nav2_footprint",
+    "now",
 ]
 
 # Updates that nobody has asked for are patched in at this number: more would only be kept, and patched at once later.
@@ -106,13 +106,13 @@ class CostmapTopic:
             raise SurroundingsError(f"{self.topic}: no costmap yet", where={"topic": self.topic})
         return known
 
-    def _converted(self, message: Any) -> StampedCostmap:  # noqa: ANN401 - either of two types
+    def _converted(self, message: Any) -> StampedCostmap:
         try:
             return ros.costmap(message)
         except InvalidValue as error:
             raise SurroundingsError(f"{self.topic}: {error}", where={"topic": self.topic}) from error
 
-    def _patched(self, message: Any) -> StampedCostmap | None:  # noqa: ANN401 - either of two types
+    def _patched(self, message: Any) -> StampedCostmap | None:
         """The costmap with one part replaced; a part of an older one changes nothing.
 
         Raises:
@@ -128,12 +128,12 @@ class CostmapTopic:
             self._known = None
             raise SurroundingsError(f"{self.topic}_updates: {error}", where={"topic": self.topic}) from error
 
-    def _take_whole(self, message: Any) -> None:  # noqa: ANN401 - either of two types
+    def _take_whole(self, message: Any) -> None:
         with self._lock:
             # What is older than a whole costmap is part of it; later parts may overtake it, and stay.
             self._whole = message
 
-    def _take_part(self, message: Any) -> None:  # noqa: ANN401 - either of two types
+    def _take_part(self, message: Any) -> None:
         with self._lock:
             self._updates.append(message)
             is_many = len(self._updates) >= _MOST_UPDATES
@@ -174,6 +174,11 @@ class FootprintTopic:
         """End the subscription."""
         self._node.destroy_subscription(self._subscription)
 
+    @property
+    def is_heard(self) -> bool:
+        """Whether anything has come."""
+        return self._newest is not None or self._known is not None
+
     def newest(self) -> tuple[Footprint, float]:
         """The outline in the robot's frame, and its stamp [s].
 
@@ -209,8 +214,8 @@ class FootprintTopic:
             raise SurroundingsError(f"{self.topic}: {error}", where={"topic": self.topic}) from error
         known = self._known[0] if self._known is not None else None
         if known is not None and known.vertices.shape == outline.vertices.shape:
-            if float(np.abs(known.vertices - outline.vertices).max()) < _SAME_OUTLINE:
-                outline = known
+            is_same = float(np.abs(known.vertices - outline.vertices).max()) < _SAME_OUTLINE
+            outline = known if is_same else outline
         return outline, stamp
 
     def _take(self, message: PolygonStamped) -> None:

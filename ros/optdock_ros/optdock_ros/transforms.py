@@ -350,7 +350,7 @@ def _product(a: Quaternion, b: Quaternion) -> Quaternion:
 
 
 def _rotated(q: Quaternion, v: Vector) -> Vector:
-    x, y, z, w = _product(_product(q, (*v, 0.0)), (-q[0], -q[1], -q[2], q[3]))
+    x, y, z, _w = _product(_product(q, (*v, 0.0)), (-q[0], -q[1], -q[2], q[3]))
     return x, y, z
 
 
