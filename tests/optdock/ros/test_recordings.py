@@ -54,7 +54,8 @@ def planned(tmp_path_factory):
     """A plan with its scenario, a run of it, and the log of a docking by it."""
     folder = tmp_path_factory.mktemp("planned")
     (folder / "bay.yaml").write_text(
-        "format: optdock-scenario/1\nobstacles: [[[0.5, 0.6], [1.5, 0.6], [1.5, 0.8], [0.5, 0.8]]]\n"
+        "format: optdock-scenario/1\nobstacles:\n- [[-0.7, -0.2], [-0.65, -0.2], [-0.65, 0.2], [-0.7, 0.2]]\n"
+        "- [[0.5, 0.6], [1.5, 0.6], [1.5, 0.8], [0.5, 0.8]]\n"
         "robot: {footprint: [[0.3, 0.2], [-0.3, 0.2], [-0.3, -0.2], [0.3, -0.2]], limits: {max_curvature: 2.0}}\n"
         "dock: {pose: [2.0, 0.2, 0.0]}\nstart: {pose: [0.0, 0.0, 0.0]}\n"
     )
@@ -120,15 +121,16 @@ def test_a_plan_is_recorded_with_its_true_times(planned, out):
     clearance = plan.certificate.min_clearance
     begin, end = (np.array([point.x, point.y]) for point in drawn["closest", 1].points)
     assert np.hypot(*(end - begin)) == pytest.approx(clearance, abs=2e-3)
-    assert drawn["closest", 2].text == f"{1e3 * clearance:.0f} mm to obstacles[0]"
+    assert drawn["closest", 2].text == f"{1e3 * clearance:.0f} mm to obstacles[1]"
     corners = np.array([(point.x, point.y) for point in drawn["goal", 1].points])[::2]
     assert corners == pytest.approx(transform_points(plan.path.end.as_array()[None], FOOTPRINT.vertices)[0])
 
 
 def test_without_the_scenario_outlines_are_deleted_and_the_path_is_shown(planned):
     folder, _ = planned
-    assert run("bag", folder / "plan.json", "plan.mcap", "--unstamped").exit_code == 0
+    assert run("bag", folder / "plan.json", "plan.mcap", "--unstamped", "--frame", "hall").exit_code == 0
     found = recorded("plan.mcap")
+    assert {found[topic][0][1].header.frame_id for topic in ("/plan", "/docking_trajectory", "/odom")} == {"hall"}
     actions = {(one.ns, one.id): one.action for one in found["/markers"][0][1].markers}
     assert {name for name, action in actions.items() if action == 0} == {("path", 0), ("goal", 0)}
     assert set(actions.values()) == {0, 2}
@@ -207,6 +209,10 @@ def test_a_recording_is_replaced_whole_or_not_at_all(planned):
         (("plan.json", "a.mcap", "--base-frame", ""), "--base-frame: must be the name of a coordinate frame, got ''"),
         (("run.json", "a.mcap"), "run.json: columns.yaw: must have as many values as columns.t = 2, got 1"),
         (("dock.log", "a.mcap", "--scenario", "bay.yaml"), "--scenario: is for plans and runs; the log of a docking"),
+        (
+            ("plan.json", "a.mcap", "--scenario", "odom.yaml"),
+            "plan.json: the plan stands in frame 'map', the scenario in",
+        ),
         (("plan.json", "file/a.mcap"), "file/a.mcap: cannot be written: Not a directory"),
     ],
 )
@@ -214,6 +220,7 @@ def test_what_cannot_be_recorded_is_refused(planned, arguments, message):
     folder, _ = planned
     for name in ("plan.json", "dock.log", "bay.yaml"):
         Path(name).write_bytes((folder / name).read_bytes())
+    Path("odom.yaml").write_text("frame: odom\n" + Path("bay.yaml").read_text())
     Path("folder").mkdir()
     Path("file").touch()
     columns = json.loads((folder / "run.json").read_text())["columns"]
