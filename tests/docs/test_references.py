@@ -21,7 +21,8 @@ from optdock.testing.families import FAMILIES, instance
 ROOT = Path(__file__).resolve().parents[2]
 DOCS = ROOT / "docs"
 PACKAGES = ("optdock", "smoothers", "checkers")
-CODE = sorted(path for package in PACKAGES for path in (ROOT / package).rglob("*.py"))
+ROS = ROOT / "ros" / "optdock_ros" / "optdock_ros"
+CODE = sorted(path for folder in (*(ROOT / package for package in PACKAGES), ROS) for path in folder.rglob("*.py"))
 WRITTEN = [ROOT / "README.md", *sorted(DOCS.rglob("*.md"))]
 KEY = re.compile(r"\[([A-Z][A-Za-z]+\d{4}[a-z]?)\](?!\()")
 EQUATION = re.compile(
@@ -88,7 +89,7 @@ def test_every_reference_to_an_equation_has_one():
     assert referred - known == set()
 
 
-NAMED = re.compile(r"`((?:optdock|smoothers|checkers|examples|tests|experiments|docs)[/.][\w/.]*\w)/?`")
+NAMED = re.compile(r"`((?:optdock|smoothers|checkers|examples|tests|experiments|docs|ros)[/.][\w/.]*\w)/?`")
 
 
 def exists(name):
