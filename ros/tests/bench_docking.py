@@ -158,6 +158,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--count", type=int, default=20)
     parser.add_argument("--first", type=int, default=0)
+    parser.add_argument("--realtime", action="store_true", help="the server with use_realtime_priority")
     options = parser.parse_args()
     domain, keeper = free_domain()
     os.environ.update(ROS_DOMAIN_ID=str(domain), ROS_AUTOMATIC_DISCOVERY_RANGE="LOCALHOST", OMP_NUM_THREADS="1")
@@ -165,7 +166,7 @@ def main() -> None:
         processes, client = Processes(Path(tempfile.mkdtemp())), Client("bench_docking")
         try:
             processes("simulated_robot")
-            server = processes("docking_server", params=SERVER)
+            server = processes("docking_server", params={**SERVER, "use_realtime_priority": options.realtime})
             Lifecycle(client, "docking_server").up()
             receiver, reports = Receiver(client), client.heard(DiagnosticArray, "/simulated_robot/report")
             dockings = []

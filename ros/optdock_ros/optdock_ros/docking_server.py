@@ -28,11 +28,11 @@ from rclpy.duration import Duration
 from sensor_msgs.msg import BatteryState, JointState
 
 from optdock import ros
-from optdock.errors import DockNotValid, InvalidMessage, OptdockError
+from optdock.errors import DockNotValid, InvalidMessage, InvalidValue, OptdockError
 from optdock.executor import DockingExecutor, EndingKind, PlanningProcess, State, ThreadPlanning
 from optdock.geometry.pose import Pose2, Twist2
 from optdock.problem import DockingProblem
-from optdock_ros.control_loop import ControlLoop, Run
+from optdock_ros.control_loop import ControlLoop, Run, preferred
 from optdock_ros.dock_plugins import Told
 from optdock_ros.docking_goals import UNKNOWN, Goal, GoalQueue, Outcome
 from optdock_ros.docking_parameters import NOT_READ, DockingParameters, DockingSettings, docking_settings
@@ -131,6 +131,11 @@ class DockingServer(Server[DockingSettings]):
     def set_up(self) -> None:
         """Subscriptions, publishers, services, actions, and the process that plans."""
         settings = self.settings
+        if settings.own.use_realtime_priority:
+            permitted = preferred(True)
+            preferred(False)
+            if not permitted:
+                raise InvalidValue("use_realtime_priority: is not permitted; set rtprio in /etc/security/limits.conf")
         if settings.not_read:
             self.get_logger().info(f"parameters that mean nothing here: {', '.join(settings.not_read)}")
         if not settings.docks:
@@ -185,6 +190,7 @@ class DockingServer(Server[DockingSettings]):
     def start(self) -> None:
         """Accept goals."""
         self._goals.open()
+        self.get_logger().info(f"ready for goals: {len(self._docks.plugins)} dock types, {len(self._docks.entries)} docks")
 
     def stop(self) -> None:
         """Stop the robot, end all goals; the last command is zero."""
@@ -560,7 +566,7 @@ class DockingServer(Server[DockingSettings]):
             if not self._planner.wait_until_warm(_WARM):
                 raise _Ended(Outcome(False, UNKNOWN, "the planning process does not start"))
             self._check_end(goal)
-            loop = self._loop = ControlLoop(task.problem.robot, settings.period, self._now, self._send)
+            loop = self._loop = ControlLoop(task.problem.robot, settings.period, self._now, self._send, realtime=settings.own.use_realtime_priority)
             run = Run(task.executor, task.measuring.measurements, task.observe)
             goal.start(run)
             task.measuring.begin()
