@@ -184,10 +184,10 @@ def _ros(dotted: str) -> str:
     return _table(_reference(ros_models(module)[name]))
 
 
-def _ros_defaults(dotted: str) -> str:
-    """A mapping of names to defaults, in words."""
-    module, _, name = dotted.partition(".")
-    return ", ".join(f"`{key}: {value:g}`" for key, value in ros_models(module)[name].items())
+def _ros_defaults(names: str) -> str:
+    """Mappings of names to defaults, in words."""
+    found = [(ros_models(module)[name]) for module, _, name in (dotted.partition(".") for dotted in names.split())]
+    return "; ".join(", ".join(f"`{key}: {value:g}`" for key, value in one.items()) for one in found) + "."
 
 
 def _ros_table(dotted: str) -> str:
