@@ -1,0 +1,135 @@
+"""What the docking server tells of its work: the plan, where the dock is, and how well certificate and rate hold."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING, Any
+
+from diagnostic_msgs.msg import DiagnosticArray
+from geometry_msgs.msg import PoseStamped
+from nav_msgs.msg import Path
+from rclpy.qos import DurabilityPolicy, QoSProfile
+from visualization_msgs.msg import MarkerArray
+
+from optdock import ros
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from rclpy.node import Node
+
+    from optdock.executor import Step
+    from optdock.executor.planning import Motion
+    from optdock.geometry.pose import Pose2
+    from optdock_ros.control_loop import CycleTimes
+
+__all__ = ["Reports"]
+
+_SPACING = 0.05  # [m] between the poses of docking_trajectory, as Nav2's planners have them
+_LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+
+
+class Reports:
+    """Publishers and what they said last.
+
+    Args:
+        node: Whose they are.
+        frame: In which everything stands.
+    """
+
+    def __init__(self, node: Node, frame: str) -> None:
+        self._node, self._frame = node, frame
+        self._trajectory = node.create_publisher(Path, "docking_trajectory", _LATCHED)
+        self._markers = node.create_publisher(MarkerArray, "~/markers", _LATCHED)
+        self._diagnostics = node.create_publisher(DiagnosticArray, "/diagnostics", 10)
+        self._poses = {
+            name: node.create_publisher(PoseStamped, name, _LATCHED)
+            for name in ("staging_pose", "dock_pose", "filtered_dock_pose")
+        }
+        self._told: Motion | None = None
+
+    def close(self) -> None:
+        """End the publishers."""
+        for publisher in (self._trajectory, self._markers, self._diagnostics, *self._poses.values()):
+            self._node.destroy_publisher(publisher)
+
+    def pose(self, name: str, pose: Pose2, now: float, frame: str = "") -> None:
+        """`staging_pose`, `dock_pose` or `filtered_dock_pose`."""
+        self._poses[name].publish(ros.pose_message(ros.imported, pose, frame or self._frame, now))
+
+    def motion(self, motion: Motion, now: float) -> None:
+        """What is driven; said once."""
+        if motion is self._told:
+            return
+        self._told = motion
+        path = motion.trajectory.path
+        count = max(2, math.ceil(path.length / _SPACING) + 1)
+        places = [path.length * i / (count - 1) for i in range(count)]
+        self._trajectory.publish(ros.path_message(ros.imported, path.poses_at(places), self._frame, now))
+        if motion.plan is not None:
+            self._markers.publish(ros.plan_markers(ros.imported, motion.plan, self._frame, now))
+            self._certificate(motion, now)
+
+    def _certificate(self, motion: Motion, now: float) -> None:
+        plan = motion.plan
+        assert plan is not None
+        found, proof = plan.certificate, plan.trajectory_certificate
+        certified = found.certified and proof.certified
+        values: dict[str, object] = {
+            "min_clearance [m]": found.min_clearance,
+            "required_clearance [m]": found.required_clearance,
+            "nearest": found.nearest,
+            "at [m]": found.at_s,
+            "tube [m]": found.tube,
+            "max_curvature [1/m]": found.max_curvature,
+            "length [m]": found.length,
+            "duration [s]": plan.trajectory.duration,
+            "poses checked": found.poses_checked,
+            **{f"{stage} [ms]": spent for stage, spent in plan.timing_ms.items()},
+        }
+        self._say("certificate", "ok" if certified else "error", str(plan) if certified else found.reason, values, now)
+
+    def state(
+        self,
+        level: str,
+        text: str,
+        step: Step | None,
+        faults: Mapping[str, str],
+        times: CycleTimes | None,
+        now: float,
+    ) -> None:
+        """What is being done, what is missing, and how well the rate is kept."""
+        values: dict[str, object] = {f"{name} missing": why for name, why in faults.items()}
+        if step is not None:
+            values |= {
+                "retries": step.feedback.num_retries,
+                "distance [m]": step.feedback.distance,
+                "time [s]": step.feedback.docking_time,
+                "speed [m/s]": step.command.linear,
+                "yaw rate [rad/s]": step.command.angular,
+            }
+            if step.deviation is not None:
+                values |= {"off the path [m]": step.deviation.y, "turned off it [rad]": step.deviation.yaw}
+        self._say("state", "warn" if level == "ok" and faults else level, text, values, now)
+        if times is not None:
+            self._deadlines(times, now)
+
+    def _deadlines(self, times: CycleTimes, now: float) -> None:
+        text = f"{times.count} cycles of {1e3 * times.period:.1f} ms, {times.missed} missed"
+        values = {
+            "missed": times.missed,
+            "late p99 [ms]": 1e3 * times.late_p99,
+            "late max [ms]": 1e3 * times.late_max,
+            "busy p99 [ms]": 1e3 * times.busy_p99,
+            "busy max [ms]": 1e3 * times.busy_max,
+        }
+        self._say("deadlines", "ok" if times.missed == 0 else "warn", text, values, now)
+
+    def idle(self, now: float) -> None:
+        """Nothing is being done."""
+        self._told = None
+        self._say("state", "ok", "idle", {}, now)
+
+    def _say(self, name: str, level: Any, text: str, values: Mapping[str, object], now: float) -> None:
+        full = f"{self._node.get_name()}: {name}"
+        self._diagnostics.publish(ros.diagnostics_message(ros.imported, full, level, text, values, now))

@@ -1,0 +1,717 @@
+"""`docking_server`: Nav2's dock_robot and undock_robot, carried out by the executor.
+
+Three threads share the work, and none waits for another one while the robot moves. The executor of the node takes
+messages and puts them away. The control loop steps the `DockingExecutor` at `controller_frequency` and publishes
+cmd_vel. The goal's thread does everything that takes time: it finds the dock, has the robot navigated to its staging
+pose, prepares the costmaps and reports. Paths are planned in another process.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+import sys
+import time
+from collections import deque
+from contextlib import suppress
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple, TypeVar
+
+from action_msgs.msg import GoalStatus
+from geometry_msgs.msg import PoseStamped, Twist, TwistStamped
+from nav2_msgs.action import DockRobot, NavigateToPose, UndockRobot
+from nav2_msgs.srv import ReloadDockDatabase
+from nav_msgs.msg import Odometry
+from rclpy.action import ActionClient
+from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
+from rclpy.duration import Duration
+from sensor_msgs.msg import BatteryState, JointState
+
+from optdock import ros
+from optdock.errors import DockNotValid, InvalidMessage, OptdockError
+from optdock.executor import DockingExecutor, EndingKind, PlanningProcess, State, ThreadPlanning
+from optdock.geometry.pose import Pose2, Twist2
+from optdock.problem import DockingProblem
+from optdock_ros.control_loop import ControlLoop, Run
+from optdock_ros.dock_plugins import Told
+from optdock_ros.docking_goals import UNKNOWN, Goal, GoalQueue, Outcome
+from optdock_ros.docking_parameters import NOT_READ, DockingParameters, DockingSettings, docking_settings
+from optdock_ros.docking_reports import Reports
+from optdock_ros.docks import Docks
+from optdock_ros.measuring import MeasurementRules, Measuring, Surroundings
+from optdock_ros.server import Server, run
+from optdock_ros.surroundings import CostmapTopic, FootprintTopic, SurroundingsError, nav2_footprint
+from optdock_ros.transforms import TransformBuffer
+from optdock_ros.world import joined, moved, with_contact_zone
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from rclpy.task import Future
+
+    from optdock.costmap.costmap import Costmap
+    from optdock.executor import Event, ExecutorSettings, Step
+    from optdock.executor.planning import Motion, PlanResult
+    from optdock.geometry.footprint import Footprint
+    from optdock.measurements import Measurements
+    from optdock.nav2.docks import DockEntry
+    from optdock_ros.dock_plugins import DockPlugin
+    from optdock.ros import StampedCostmap
+    from optdock_ros.world import Box
+
+__all__ = ["DockingServer", "main"]
+
+T = TypeVar("T")
+
+_LOOK = 0.05  # [s] between two looks at costmaps, cancellations and what there is to report
+_FIRST_MESSAGES = 2.0  # [s]: a costmap comes at 1 Hz at least, a footprint and transforms with it
+_WARM = 60.0  # [s] for the planning process to start, once, on a slow computer
+_STOPPING = 5.0  # [s]: robots of these limits stop within two seconds; longer, and the command falls to zero
+_NAVIGATOR = 2.0  # [s] for navigate_to_pose to be there and to accept, each
+_SWITCH = 0.0005  # [s]: another thread gives the interpreter up so soon; Python's 5 ms would be jitter of cmd_vel
+_TELL, _REPORT = 0.1, 0.5  # [s] between two feedbacks, and two reports on /diagnostics, where nothing changes
+_PRESSES = (State.APPROACHING, State.PRESSING)
+_AROUND = 3.0  # [m] around robot and dock: beyond, a map is not looked at
+
+
+class _Ended(Exception):
+    """The goal has ended before its task, or instead of one."""
+
+    def __init__(self, outcome: Outcome) -> None:
+        super().__init__(outcome.text)
+        self.outcome = outcome
+
+
+class _Docked(NamedTuple):
+    """Where the robot was docked last: in the fixed frame, the robot's pose; and its type."""
+
+    pose: Pose2
+    type_name: str
+
+
+class _WatchedPlanning(ThreadPlanning):
+    """Plans in the process, and remembers what is driven."""
+
+    def __init__(self, process: PlanningProcess) -> None:
+        super().__init__(process.planned)
+        self.motion: Motion | None = None
+        self.results: list[PlanResult] = []
+
+    def poll(self, stamp: float) -> PlanResult | None:
+        """The result, once it is there."""
+        result = super().poll(stamp)
+        if result is not None:
+            self.results.append(result)
+            self.motion = result.motion or self.motion
+        return result
+
+
+class DockingServer(Server[DockingSettings]):
+    """The node."""
+
+    Parameters = DockingParameters
+    accepted = NOT_READ
+    fixed = frozenset(
+        {
+            *("controller_frequency", "base_frame", "fixed_frame", "odom_topic", "enable_stamped_cmd_vel"),
+            *("dock_plugins", "dock_database", "docks", "stage_by_executor"),
+            *("controller.costmap_topic", "controller.footprint_topic", "controller.map_topic"),
+            "controller.use_collision_detection",
+        }
+    )
+
+    def check(self, block: dict[str, object]) -> DockingSettings:
+        """All parameters; see `docking_settings`."""
+        names = [name for key in ("dock_plugins", "docks") for name in block.get(key) or () if isinstance(name, str)]  # type: ignore[attr-defined]
+        blocks = ("controller", "executor", "robot", "clearance", "tracker", "goal_checker", "dock", *names)
+        own = self.own_parameters(block, blocks)
+        assert isinstance(own, DockingParameters)
+        return docking_settings(block, own)
+
+    def set_up(self) -> None:
+        """Subscriptions, publishers, services, actions, and the process that plans."""
+        settings = self.settings
+        if settings.not_read:
+            self.get_logger().info(f"parameters that mean nothing here: {', '.join(settings.not_read)}")
+        if not settings.docks:
+            self.get_logger().warning(
+                "there is neither dock_database nor docks: goals must give the dock's pose, or reload_database be called"
+            )
+        controller = settings.controller
+        self._docks = Docks(settings.plugins, settings.docks)
+        self._frames = TransformBuffer(self)
+        self._measuring: Measuring | None = None
+        self._battery: Told | None = None
+        self._joints: Told | None = None
+        self._docked: _Docked | None = None
+        self._kept: list[Any] = []
+        self._costmap = self._map = self._footprint = None
+        if controller.use_collision_detection:
+            self._costmap = CostmapTopic(self, controller.costmap_topic)
+            self._map = CostmapTopic(self, controller.map_topic) if controller.map_topic else None
+            self._footprint = FootprintTopic(
+                self, controller.footprint_topic, self._frames, settings.own.base_frame, controller.transform_tolerance
+            )
+        else:
+            self.get_logger().warning("controller.use_collision_detection is false: the robot sees no obstacles")
+        group = MutuallyExclusiveCallbackGroup()
+        self._kept = [
+            self.create_subscription(Odometry, settings.own.odom_topic, self._take_odometry, 10, callback_group=group)
+        ]
+        plugins = list(settings.plugins.values())
+        if any(p.parameters.use_external_detection_pose and not p.parameters.subscribe_toggle for p in plugins):
+            self._kept.append(self._detections())
+        if any(p.waits_for_charge for p in plugins):
+            self._kept.append(
+                self.create_subscription(BatteryState, "battery_state", self._take_battery, 1, callback_group=group)
+            )
+        if any(p.parameters.use_stall_detection for p in plugins):
+            self._kept.append(
+                self.create_subscription(JointState, "joint_states", self._take_joints, 10, callback_group=group)
+            )
+        stamped = settings.own.enable_stamped_cmd_vel
+        self._command = self.create_publisher(TwistStamped if stamped else Twist, "cmd_vel", 1)
+        self._reports = Reports(self, settings.own.fixed_frame)
+        self._service = self.create_service(ReloadDockDatabase, "~/reload_database", self._reload)
+        self._navigator = (
+            None if settings.own.stage_by_executor else ActionClient(self, NavigateToPose, "navigate_to_pose")
+        )
+        self._goals = GoalQueue(
+            self, {DockRobot: ("dock_robot", self._dock), UndockRobot: ("undock_robot", self._undock)}
+        )
+        self._planner = PlanningProcess()
+        self._loop: ControlLoop | None = None
+
+    def start(self) -> None:
+        """Accept goals."""
+        self._goals.open()
+
+    def stop(self) -> None:
+        """Stop the robot, end all goals; the last command is zero."""
+        self._goals.close("the server is being deactivated")
+        loop = self._loop
+        if loop is not None:
+            loop.close("the server is being deactivated", _STOPPING)
+        if not self._goals.join(_STOPPING):
+            self.get_logger().error("a goal's thread goes on; it commands nothing any more")
+        self._send(Twist2())
+        self._reports.idle(self._now())
+
+    def tear_down(self) -> None:
+        """Give everything back."""
+        for name in ("_frames", "_costmap", "_map", "_footprint", "_reports", "_planner"):
+            part = self.__dict__.pop(name, None)
+            if part is not None:
+                part.close()
+        goals = self.__dict__.pop("_goals", None)
+        if goals is not None:
+            goals.close()
+            goals.join(_STOPPING)
+            goals.destroy()
+        for subscription in self.__dict__.pop("_kept", ()):
+            self.destroy_subscription(subscription)
+        publisher, service, navigator = (self.__dict__.pop(n, None) for n in ("_command", "_service", "_navigator"))
+        if publisher is not None:
+            self.destroy_publisher(publisher)
+        if service is not None:
+            self.destroy_service(service)
+        if navigator is not None:
+            navigator.destroy()
+        self._loop = None
+
+    # Messages.
+
+    def _now(self) -> float:
+        return float(self.get_clock().now().nanoseconds) * 1e-9
+
+    def _detections(self) -> Any:
+        return self.create_subscription(PoseStamped, "detected_dock_pose", self._take_detection, 10)
+
+    def _take_odometry(self, message: Odometry) -> None:
+        if self._measuring is not None:
+            self._measuring.take_odometry(message)
+
+    def _take_detection(self, message: PoseStamped) -> None:
+        if self._measuring is not None:
+            self._measuring.take_detection(message)
+
+    def _take_battery(self, message: BatteryState) -> None:
+        self._battery = Told(message, self._now())
+
+    def _take_joints(self, message: JointState) -> None:
+        self._joints = Told(message, self._now())
+
+    def _send(self, command: Twist2) -> None:
+        own = self.settings.own
+        self._command.publish(
+            ros.twist_message(ros.imported, command, own.base_frame, self._now(), stamped=own.enable_stamped_cmd_vel)
+        )
+
+    def _reload(
+        self, request: ReloadDockDatabase.Request, response: ReloadDockDatabase.Response
+    ) -> ReloadDockDatabase.Response:
+        response.success = False
+        if self._goals.is_busy:
+            self.get_logger().error("reload_database: not while docking or undocking")
+            return response
+        try:
+            self._docks.reload(request.filepath)
+        except OptdockError as error:
+            self.say(error, "reload_database")
+            return response
+        self.get_logger().info(f"reload_database: {len(self._docks.entries)} docks from {request.filepath}")
+        response.success = True
+        return response
+
+    # Docking.
+
+    def _dock(self, goal: Goal) -> Outcome:
+        """The work on a goal of dock_robot."""
+        return self._worked_on(goal, self._dock_at)
+
+    def _undock(self, goal: Goal) -> Outcome:
+        """The work on a goal of undock_robot."""
+        outcome = self._worked_on(goal, self._undock_from)
+        of_action = (0, UndockRobot.Result.DOCK_NOT_VALID, UndockRobot.Result.TIMEOUT, UndockRobot.Result.UNKNOWN)
+        return outcome if outcome.code in of_action else outcome._replace(code=UndockRobot.Result.FAILED_TO_CONTROL)
+
+    def _worked_on(self, goal: Goal, work: Callable[[Goal], Outcome]) -> Outcome:
+        try:
+            outcome = work(goal)
+        except _Ended as ended:
+            outcome = ended.outcome
+        except OptdockError as error:
+            outcome = Outcome(False, error.code or UNKNOWN, str(error))
+        finally:
+            self._measuring = None
+            self._reports.idle(self._now())
+        if outcome.success:
+            self.get_logger().info(f"done{outcome.text and ': '}{outcome.text}")
+        else:
+            self.get_logger().error(f"failed ({outcome.code}): {outcome.text}")
+        return outcome
+
+    def _dock_at(self, goal: Goal) -> Outcome:
+        request, own = goal.request, self.settings.own
+        entry, plugin = self._wanted(request)
+        dock = self._in_fixed_frame(goal, entry)
+        if plugin.is_charger and self._is_in_dock(plugin, [plugin.docked_pose(dock)]):
+            return Outcome(True, text="the robot is docked or charging already")
+        stages = bool(request.navigate_to_staging_pose)
+        if stages and not own.stage_by_executor:
+            self._navigate(goal, entry, plugin, dock)
+            dock, stages = self._in_fixed_frame(goal, entry), False
+        staging_time = max(float(request.max_staging_time), self.settings.period)
+        settings = self.settings.executor_settings(
+            plugin, navigate_to_staging_pose=stages, max_staging_time=staging_time
+        )
+        task = self._task(goal, plugin, plugin.docked_pose(dock), settings, "dock")
+        ending = self._carry_out(goal, task)
+        if ending.success:
+            self._docked = _Docked(task.executor.dock, plugin.name)
+        return ending
+
+    def _undock_from(self, goal: Goal) -> Outcome:
+        request = goal.request
+        named = request.dock_type or (self._docked.type_name if self._docked is not None else "")
+        plugin = self._docks.plugin(named, "undock_robot: dock_type")
+        robot = self._robot_pose(goal)
+        known = [plugin.docked_pose(pose) for pose in self._stored(plugin)]
+        known += [self._docked.pose] if self._docked is not None else []
+        if plugin.is_charger and not self._is_in_dock(plugin, known):
+            return Outcome(True, text="the robot is in no dock, there is nothing to undock from")
+        limit = max(float(request.max_undocking_time), self.settings.period)
+        settings = self.settings.executor_settings(
+            plugin, use_detections=False, wait_for_charge=False, max_undocking_time=limit, timeout=limit
+        )
+        # As Nav2: the dock is where the robot stands.
+        ending = self._carry_out(goal, self._task(goal, plugin, robot, settings, "undock"))
+        if not ending.success:
+            return ending
+        self._docked = None
+        until = time.monotonic() + _FIRST_MESSAGES  # batteries tell once a second
+        while plugin.is_charging(self._battery, self._now()) and time.monotonic() < until and not goal.ending:
+            goal.changed.wait(_LOOK)
+        if plugin.is_charging(self._battery, self._now()):
+            return Outcome(False, UndockRobot.Result.FAILED_TO_CONTROL, "the battery still charges at the staging pose")
+        return ending
+
+    def _wanted(self, request: DockRobot.Goal) -> tuple[DockEntry, DockPlugin]:
+        """The dock that a goal means.
+
+        Raises:
+            DockNotInDB: There is none of its name.
+            DockNotValid: Its type is unknown, or its pose is none.
+        """
+        if request.use_dock_id:
+            return self._docks.find(request.dock_id)
+        try:
+            told = ros.pose(request.dock_pose)
+        except InvalidMessage as error:
+            raise DockNotValid(f"dock_pose: {error}") from error
+        return self._docks.at(told.pose, told.frame, request.dock_type)
+
+    def _in_fixed_frame(self, goal: Goal, entry: DockEntry) -> Pose2:
+        """The dock's pose, as Nav2 writes it.
+
+        Raises:
+            DockNotValid: Its frame is unknown.
+        """
+        fixed = self.settings.own.fixed_frame
+        try:
+            frame = self._waited(goal, lambda: self._frames.lookup(fixed, entry.frame).planar())
+        except OptdockError as error:
+            raise DockNotValid(f"{entry.name}.frame: {error}") from error
+        return frame @ entry.pose
+
+    def _robot_pose(self, goal: Goal, frame: str = "") -> Pose2:
+        own = self.settings.own
+        return self._waited(goal, lambda: self._frames.lookup(frame or own.fixed_frame, own.base_frame).planar())
+
+    def _waited(self, goal: Goal, ask: Callable[[], T]) -> T:
+        """What may come with the first messages.
+
+        Raises:
+            OptdockError: It has not come.
+        """
+        until = time.monotonic() + _FIRST_MESSAGES
+        while True:
+            self._check_end(goal)
+            try:
+                return ask()
+            except OptdockError:
+                if time.monotonic() > until:
+                    raise
+            goal.changed.wait(_LOOK)
+
+    def _check_end(self, goal: Goal) -> None:
+        """End here where the goal is to end."""
+        self._goals.tidy()
+        if goal.ending:
+            raise _Ended(self._stopped_goal(goal))
+
+    @staticmethod
+    def _stopped_goal(goal: Goal, where: str = "", retries: int = 0) -> Outcome:
+        code = 0 if goal.ending == "cancelled" else UNKNOWN
+        return Outcome(False, code, f"{goal.ending}{where and ' '}{where}", retries)
+
+    def _stored(self, plugin: DockPlugin) -> list[Pose2]:
+        """The docks of a type whose frames are known, in the fixed frame."""
+        found = []
+        for entry in self._docks.entries.values():
+            if entry.type == plugin.name:
+                with suppress(OptdockError):
+                    frame = self._frames.lookup(self.settings.own.fixed_frame, entry.frame).planar()
+                    found.append(frame @ entry.pose)
+        return found
+
+    def _is_in_dock(self, plugin: DockPlugin, docked: list[Pose2]) -> bool:
+        """Whether the battery charges, or the robot stands where it would stand docked."""
+        if plugin.is_charging(self._battery, self._now()):
+            return True
+        own = self.settings.own
+        try:
+            robot = self._frames.lookup(own.fixed_frame, own.base_frame).planar()
+        except OptdockError:
+            return False
+        return any(robot.distance_to(pose) < plugin.parameters.docking_threshold for pose in docked)
+
+    # The way to the staging pose, by Nav2.
+
+    def _navigate(self, goal: Goal, entry: DockEntry, plugin: DockPlugin, dock: Pose2) -> None:
+        """Have the robot navigated to the staging pose, where it is far from it; two attempts, as Nav2's.
+
+        Raises:
+            _Ended: It did not get there.
+        """
+        own, staging = self.settings.own, plugin.staging_pose(dock)
+        self._reports.pose("staging_pose", staging, self._now())
+        gap = self._robot_pose(goal).in_frame_of(staging)
+        if math.sqrt(gap.x**2 + gap.y**2 + gap.yaw**2) < own.dock_prestaging_tolerance:
+            return
+        until = time.monotonic() + float(goal.request.max_staging_time)
+        wanted = NavigateToPose.Goal(behavior_tree=own.navigator_bt_xml)
+        stamp = self._now()
+        wanted.pose = ros.pose_message(ros.imported, plugin.staging_pose(entry.pose), entry.frame, stamp)
+        reason = ""
+        for _ in range(2):
+            reason = self._navigated(goal, wanted, until)
+            if not reason:
+                return
+            self.get_logger().warning(f"navigate_to_pose: {reason}")
+        raise _Ended(Outcome(False, DockRobot.Result.FAILED_TO_STAGE, f"navigate_to_pose: {reason}"))
+
+    def _navigated(self, goal: Goal, wanted: NavigateToPose.Goal, until: float) -> str:
+        """One attempt; why it failed, or nothing."""
+        client = self._navigator
+        assert client is not None
+        if not client.wait_for_server(_NAVIGATOR):
+            return "there is no such server"
+        sent = client.send_goal_async(wanted)
+        if not self._came(goal, sent, min(until, time.monotonic() + _NAVIGATOR)):
+            sent.add_done_callback(_cancel_when_accepted)
+            self._check_end(goal)
+            return "it does not answer"
+        handle = sent.result()
+        if handle is None or not handle.accepted:
+            return "it does not accept the goal"
+        result = handle.get_result_async()
+        if not self._came(goal, result, until):
+            handle.cancel_goal_async()
+            self._check_end(goal)
+            return f"not there after {goal.request.max_staging_time:.1f} s"
+        found = result.result()
+        if found.status == GoalStatus.STATUS_SUCCEEDED and getattr(found.result, "error_code", 0) == 0:
+            return ""
+        return f"it ended with status {found.status}, code {getattr(found.result, 'error_code', 0)}"
+
+    def _came(self, goal: Goal, future: Future[Any], until: float) -> bool:
+        """Whether a result came in time, and before the goal was to end."""
+        while not future.done():
+            self._goals.tidy()
+            if goal.ending or time.monotonic() > until:
+                return False
+            self._tell(goal, DockRobot.Feedback.NAV_TO_STAGING_POSE, 0)
+            goal.changed.wait(_LOOK)
+            goal.changed.clear()
+        return True
+
+    # The executor's part.
+
+    def _task(
+        self, goal: Goal, plugin: DockPlugin, docked: Pose2, settings: ExecutorSettings, what: Literal["dock", "undock"]
+    ) -> _Task:
+        """Everything that one task needs, checked; the robot stands.
+
+        Raises:
+            _Ended: What the robot must see or know has not come.
+        """
+        own, controller = self.settings.own, self.settings.controller
+        outline = self._outline(goal)
+        robot = self.settings.robot.robot(outline)
+        dock = self.settings.dock_parameters[plugin.name].dock(plugin, docked)
+        problem = DockingProblem(
+            self._robot_pose(goal), dock, robot, clearance=self.settings.clearance, frame=own.fixed_frame
+        )
+        planning = _WatchedPlanning(self._planner)
+        executor = DockingExecutor(
+            problem,
+            settings,
+            task=what,
+            controller=self.settings.tracker,
+            goal_checker=self.settings.goal_checker,
+            planning=planning,
+        )
+        rules = MeasurementRules(
+            own.fixed_frame,
+            own.base_frame,
+            controller.transform_tolerance,
+            own.odom_duration,
+            controller.costmap_timeout if controller.use_collision_detection else None,
+            plugin.parameters.external_detection_timeout,
+        )
+        detect = plugin.detection if settings.use_detections else None
+        task = _Task(goal, plugin, problem, executor, planning)
+        task.measuring = Measuring(rules, self._frames, detect, lambda now: self._contact(task, now))
+        return task
+
+    def _outline(self, goal: Goal) -> Footprint:
+        """The robot's, from the block `robot`, the topic, or the parameters of Nav2's costmaps.
+
+        Raises:
+            _Ended: Nobody tells.
+        """
+        own, given = self.settings.own, self.settings.robot.footprint
+        if given is not None:
+            return given
+        topic = self._footprint
+        if topic is None or own.footprint:
+            return nav2_footprint(own.footprint, own.robot_radius, own.footprint_padding)
+        try:
+            return self._waited(goal, lambda: topic.newest()[0])
+        except OptdockError as error:
+            raise _Ended(Outcome(False, DockRobot.Result.FAILED_TO_CONTROL, str(error))) from error
+
+    def _contact(self, task: _Task, now: float) -> bool | None:
+        """What tells of contact: the current, and the joints until the robot has stopped."""
+        plugin, state = task.plugin, task.executor.state
+        charging = plugin.is_charging(self._battery, now)
+        if state is State.WAITING_FOR_CHARGE or not plugin.parameters.use_stall_detection:
+            return charging
+        if state in _PRESSES:
+            try:
+                task.stalled = task.stalled or plugin.is_stalled(self._joints, now)
+            except InvalidMessage as error:
+                self.get_logger().error(str(error), throttle_duration_sec=5.0)
+        elif state is not State.STOPPING:
+            task.stalled = False
+        return bool(charging) or task.stalled
+
+    def _carry_out(self, goal: Goal, task: _Task) -> Outcome:
+        """Drive; returns when the robot stands."""
+        settings, toggled = self.settings, None
+        self._measuring = task.measuring
+        of_type = task.plugin.parameters
+        if task.measuring.detects and of_type.subscribe_toggle:
+            toggled = self._detections()
+        try:
+            self._switch_detector(goal, task, on=True)
+            self._see_first(goal, task)
+            if not self._planner.wait_until_warm(_WARM):
+                raise _Ended(Outcome(False, UNKNOWN, "the planning process does not start"))
+            self._check_end(goal)
+            loop = self._loop = ControlLoop(task.problem.robot, settings.period, self._now, self._send)
+            run = Run(task.executor, task.measuring.measurements, task.observe)
+            goal.start(run)
+            task.measuring.begin()
+            loop.start(run)
+            while not run.done.is_set():
+                goal.changed.wait(_LOOK)
+                goal.changed.clear()
+                self._look_after(goal, task, loop)
+            self._look_after(goal, task, loop)
+        finally:
+            task.planning.close()
+            if toggled is not None:
+                self.destroy_subscription(toggled)
+            self._switch_detector(goal, task, on=False)
+        ending = run.ending
+        assert ending is not None
+        if ending.kind is EndingKind.CANCELLED and goal.ending:
+            return self._stopped_goal(goal, ending.reason, ending.num_retries)
+        missing = "; ".join(f"{name}: {why}" for name, why in task.measuring.faults.items())
+        text = f"{ending.kind.value}{ending.reason and ': '}{ending.reason}"
+        if not ending.kind.succeeded and missing:
+            text += f" ({missing})"
+        return Outcome(ending.kind.succeeded, ending.kind.code, text, ending.num_retries)
+
+    def _see_first(self, goal: Goal, task: _Task) -> None:
+        """Wait for the surroundings.
+
+        Raises:
+            _Ended: There are none.
+        """
+        if self._costmap is None:
+            return
+        try:
+            self._waited(goal, lambda: self._refresh(task, is_first=True))
+        except OptdockError as error:
+            raise _Ended(Outcome(False, DockRobot.Result.FAILED_TO_CONTROL, str(error))) from error
+
+    def _look_after(self, goal: Goal, task: _Task, loop: ControlLoop) -> None:
+        """Everything beside the control loop; nothing here may end the goal."""
+        self._goals.tidy()
+        try:
+            self._refresh(task)
+        except OptdockError as error:
+            self.get_logger().error(str(error), throttle_duration_sec=1.0)
+        step, now = task.step, self._now()
+        if step is None:
+            return
+        while task.events:
+            event = task.events.popleft()
+            self.get_logger().info(f"{event.name}{event.detail and ': '}{event.detail}")
+        said = (step.state, step.feedback.num_retries)
+        is_new = said != task.said
+        if is_new or time.monotonic() - task.told_at >= _TELL:
+            task.said, task.told_at = said, time.monotonic()
+            # Nav2 knows no state for what is done at rest: whoever plans or waits is still doing what he did.
+            task.feedback = int(step.feedback.state) or task.feedback
+            self._tell(goal, task.feedback, step.feedback.num_retries)
+            docked = task.executor.dock
+            self._reports.pose("dock_pose", task.plugin.stored_pose(docked), now)
+            if task.measuring.detects:
+                self._reports.pose("filtered_dock_pose", task.plugin.stored_pose(docked), now)
+        if is_new or time.monotonic() - task.reported_at >= _REPORT:
+            task.reported_at = time.monotonic()
+            self._reports.state("ok", step.state.value, step, task.measuring.faults, loop.times, now)
+        motion = task.planning.motion
+        if motion is not None:
+            self._reports.motion(motion, now)
+
+    def _tell(self, goal: Goal, state: int, retries: int) -> None:
+        passed = Duration(nanoseconds=int(1e9 * (time.monotonic() - goal.began))).to_msg()
+        goal.tell(state=state, docking_time=passed, num_retries=retries)
+
+    def _refresh(self, task: _Task, *, is_first: bool = False) -> None:
+        """Hand over the costmaps as one picture in the fixed frame, where there is a new one.
+
+        Raises:
+            SurroundingsError: There is none, or it is too old to begin with.
+            TransformError: Nobody knows where it stands.
+        """
+        topic = self._costmap
+        if topic is None:
+            return
+        local, wide = topic.newest(), None if self._map is None else self._map.newest()
+        timeout = self.settings.controller.costmap_timeout
+        age = self._now() - local.stamp
+        if is_first and age > timeout:
+            raise SurroundingsError(f"{topic.topic}: the last costmap is {age:.2f} s old")
+        if local is task.local and wide is task.wide:
+            return
+        executor = task.executor
+        robot, docked = executor.robot or task.problem.start, executor.dock
+        box = (
+            min(robot.x, docked.x) - _AROUND, min(robot.y, docked.y) - _AROUND,
+            max(robot.x, docked.x) + _AROUND, max(robot.y, docked.y) + _AROUND,
+        )  # fmt: skip
+        costmap = self._in_frame(local, box)
+        if wide is not None:
+            costmap = joined(self._in_frame(wide, box), costmap)
+        dock = dataclasses.replace(task.problem.dock, pose=docked)
+        margin = self.settings.dock_parameters[task.plugin.name].contact_margin
+        costmap = with_contact_zone(costmap, dock, task.problem.robot.footprint, margin)
+        task.local, task.wide = local, wide
+        task.measuring.take_surroundings(Surroundings(costmap, local.stamp))
+
+    def _in_frame(self, seen: StampedCostmap, box: Box) -> Costmap:
+        """A costmap in the fixed frame; what of it is far from robot and dock is left out where it must be moved."""
+        fixed = self.settings.own.fixed_frame
+        if seen.frame.lstrip("/") == fixed.lstrip("/"):
+            return seen.costmap
+        return moved(seen.costmap, self._frames.lookup(fixed, seen.frame).planar(), box)
+
+    def _switch_detector(self, goal: Goal, task: _Task, *, on: bool) -> None:
+        """Have the detector switched on or off, where the type of dock names its service."""
+
+
+@dataclass(eq=False)
+class _Task:
+    """A task under way, and what was said of it."""
+
+    goal: Goal
+    plugin: DockPlugin
+    problem: DockingProblem
+    executor: DockingExecutor
+    planning: _WatchedPlanning
+    measuring: Measuring = field(init=False)
+    step: Step | None = None
+    events: deque[Event] = field(default_factory=deque)
+    stalled: bool = False
+    local: StampedCostmap | None = None
+    wide: StampedCostmap | None = None
+    said: tuple[State, int] | None = None
+    feedback: int = DockRobot.Feedback.INITIAL_PERCEPTION
+    told_at: float = -math.inf
+    reported_at: float = -math.inf
+
+    def observe(self, _: Measurements, step: Step) -> None:
+        """What came of a cycle; in the control loop."""
+        before, self.step = self.step, step
+        self.events.extend(step.events)
+        if before is None or step.state is not before.state or step.events:
+            self.goal.changed.set()
+
+
+def _cancel_when_accepted(future: Future[Any]) -> None:
+    """A goal that was accepted too late is nobody's."""
+    handle = future.result()
+    if handle is not None and handle.accepted:
+        handle.cancel_goal_async()
+
+
+def main() -> None:
+    """The process."""
+    sys.setswitchinterval(_SWITCH)
+    sys.exit(run(lambda: DockingServer("docking_server")))

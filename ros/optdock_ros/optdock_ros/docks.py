@@ -1,0 +1,104 @@
+"""The docks that the server knows: by name, from parameters or a database file."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from optdock.errors import DockNotInDB, DockNotValid, InvalidValue
+from optdock.io.yaml_lines import Document, printable
+from optdock.nav2.docks import DockEntry, load_dock_database, read_dock
+from optdock.parameters import closest
+
+if TYPE_CHECKING:
+    from optdock.geometry.pose import Pose2
+    from optdock.io.yaml_lines import Keys
+    from optdock_ros.dock_plugins import DockPlugin
+
+__all__ = ["Docks", "docks_of_parameters"]
+
+
+class Docks:
+    """Docks by name, and what knows how to dock at them.
+
+    Args:
+        plugins: By the name of the instance.
+        entries: By their names.
+    """
+
+    def __init__(self, plugins: Mapping[str, DockPlugin], entries: Mapping[str, DockEntry]) -> None:
+        self.plugins, self.entries = dict(plugins), dict(entries)
+
+    def reload(self, path: str) -> None:
+        """Take the docks of a file instead.
+
+        Raises:
+            InvalidFile: It cannot be read or breaks its format; the docks stay as they are.
+        """
+        self.entries = load_dock_database(path)
+
+    def find(self, name: str) -> tuple[DockEntry, DockPlugin]:
+        """A dock.
+
+        Raises:
+            DockNotInDB: There is none of this name.
+            DockNotValid: Its type is unknown.
+        """
+        entry = self.entries.get(name)
+        if entry is None:
+            known = ", ".join(self.entries) or "none"
+            raise DockNotInDB(f"dock_id: there is no dock {name!r}{closest(name, self.entries)}; known: {known}")
+        return entry, self.plugin(entry.type, f"dock {name}")
+
+    def at(self, pose: Pose2, frame: str, type_name: str) -> tuple[DockEntry, DockPlugin]:
+        """A dock that nobody has stored.
+
+        Raises:
+            DockNotValid: Its type is unknown.
+        """
+        plugin = self.plugin(type_name, "dock_type")
+        return DockEntry("dock at a pose", plugin.name, pose, frame), plugin
+
+    def plugin(self, type_name: str, owner: str) -> DockPlugin:
+        """A type; the only one where none is named.
+
+        Raises:
+            DockNotValid: It is unknown.
+        """
+        if not type_name and len(self.plugins) == 1:
+            return next(iter(self.plugins.values()))
+        found = self.plugins.get(type_name)
+        if found is None:
+            known = ", ".join(self.plugins)
+            raise DockNotValid(
+                f"{owner}: there is no dock type {type_name!r}{closest(type_name, self.plugins)}; known: {known}"
+            )
+        return found
+
+
+class _Parameters(Document):
+    """Parameters that may come from several files: a fault names the parameter alone."""
+
+    def fault(self, keys: Keys, message: str) -> str:
+        return printable(f"{'.'.join(map(str, keys))}: {message}")
+
+
+def docks_of_parameters(block: Mapping[str, object]) -> dict[str, DockEntry]:
+    """The docks of a parameter block, or of the file that it names.
+
+    Raises:
+        InvalidFile: The file breaks its format.
+        InvalidValue: A dock of the block is wrong; every fault on a line.
+    """
+    path = block.get("dock_database")
+    if path:
+        return load_dock_database(str(path))
+    names = block.get("docks") or []
+    if not (isinstance(names, list) and all(isinstance(name, str) for name in names)):
+        raise InvalidValue(f"docks: must be a list of names, got {names!r}")
+    document, faults = _Parameters(Path(), block, {}), []
+    entries = [read_dock(document, (name,), faults) for name in dict.fromkeys(names)]
+    if faults:
+        raise InvalidValue("\n".join(faults))
+    return {entry.name: entry for entry in entries if entry is not None}

@@ -1,0 +1,243 @@
+"""The newest messages as what the executor measures, without ROS.
+
+Subscriptions only put messages away; the control loop takes them, once in every cycle. What is not fit to be believed
+is left out under a name: `faults` says what is missing, and the executor stops the robot by its own patience.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
+
+from optdock import ros
+from optdock.errors import InvalidMessage, OptdockError
+from optdock.executor.dock_filter import DeadReckoning
+from optdock.geometry.pose import Pose2, Twist2
+from optdock.measurements import Detection, Measurements
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Mapping
+
+    from optdock.costmap.costmap import Costmap
+    from optdock_ros.transforms import Transform
+
+__all__ = ["Frames", "MeasurementRules", "Measuring", "Surroundings"]
+
+_QUEUED = 200  # messages between two cycles: at most 4 s of odometry at 50 Hz are worth having
+_AHEAD = 0.1  # [s] that a stamp may lie ahead of this clock: two computers agree better than that, or not at all
+_TRANSFORM_WAIT = 0.2  # [s] that a detection waits for its transform, as Nav2's
+_STEP = 0.25  # [s] between two odometry messages, beyond which the way between them is not known
+
+
+class Frames(Protocol):
+    """Where frames stand to each other: a `TransformBuffer`."""
+
+    def lookup(self, target: str, source: str, stamp: float | None = None, tolerance: float = 0.0) -> Transform:
+        """The pose of `source` seen from `target`."""
+
+
+class Surroundings(NamedTuple):
+    """A costmap in the fixed frame, and when what it shows was seen [s]."""
+
+    costmap: Costmap
+    stamp: float
+
+
+class MeasurementRules(NamedTuple):
+    """What is believed, and how long.
+
+    Attributes:
+        fixed_frame: In which the robot is located.
+        base_frame: Of the robot.
+        transform_tolerance: An older transform of the two is none [s].
+        odom_tolerance: An older velocity is none [s].
+        costmap_timeout: An older costmap is none [s]; None: there is no costmap.
+        detection_timeout: An older detection is none [s].
+    """
+
+    fixed_frame: str
+    base_frame: str
+    transform_tolerance: float
+    odom_tolerance: float
+    costmap_timeout: float | None
+    detection_timeout: float
+
+
+class Measuring:
+    """What one task is told; made anew for every task, so that nothing of the last one is believed.
+
+    Args:
+        rules: What is believed.
+        frames: Where the robot is.
+        detect: Makes a detection of a message and of its frame as seen from the robot; None: nothing is detected.
+        contact: Says at a time [s] whether the dock is felt; None where nothing tells.
+
+    Attributes:
+        faults: What is missing now, and why: `transform`, `odometry`, `costmap`, `detection`.
+        detected: The last detection, as the robot saw it.
+    """
+
+    def __init__(
+        self,
+        rules: MeasurementRules,
+        frames: Frames,
+        detect: Callable[[Any, Transform], Detection] | None,
+        contact: Callable[[float], bool | None],
+    ) -> None:
+        self._rules, self._frames, self._detect, self._contact = rules, frames, detect, contact
+        self._odometry: deque[Any] = deque(maxlen=_QUEUED)
+        self._seen: deque[Any] = deque(maxlen=_QUEUED)
+        self._surroundings: Surroundings | None = None
+        self._reckoning: DeadReckoning | None = None
+        self._twist: tuple[float, Twist2] | None = None
+        self._pose_stamp = -math.inf
+        self.detected: Detection | None = None
+        self.faults: Mapping[str, str] = {}
+        self._now = -math.inf
+
+    @property
+    def detects(self) -> bool:
+        """Whether detections count."""
+        return self._detect is not None
+
+    def take_odometry(self, message: Any) -> None:
+        """A new one; from any thread."""
+        self._odometry.append(message)
+
+    def take_detection(self, message: Any) -> None:
+        """A new one; from any thread."""
+        self._seen.append(message)
+
+    def begin(self) -> None:
+        """The control loop begins: what was seen before it cannot be placed on the way that the robot makes."""
+        self._seen.clear()
+
+    def take_surroundings(self, surroundings: Surroundings) -> None:
+        """A new picture; from any thread."""
+        self._surroundings = surroundings
+
+    def measurements(self, now: float) -> Measurements:
+        """What is known at a time [s]; in the thread of the control loop."""
+        if now < self._now:  # whatever is stamped later than that would be believed for too long
+            self._reckoning = self._twist = None
+            self._pose_stamp = -math.inf
+        self._now = now
+        faults: dict[str, str] = {}
+        twist = self._velocity(now, faults)
+        pose = self._pose(now, twist, faults)
+        detections = self._detections(now, faults)
+        costmap = self._costmap(now, faults)
+        self.faults = faults
+        return Measurements(now, pose, twist or Twist2(), detections, self._contact(now), costmap)
+
+    def _velocity(self, now: float, faults: dict[str, str]) -> Twist2 | None:
+        """The newest body velocity; None where it is too old to be believed."""
+        while self._odometry:
+            message = self._odometry.popleft()
+            try:
+                told = ros.odometry(message)
+            except InvalidMessage as error:
+                faults["odometry"] = str(error)
+                continue
+            if told.stamp > now + _AHEAD:
+                faults["odometry"] = f"it is stamped {told.stamp - now:.3f} s ahead of this clock"
+                continue
+            self._reckon(told.stamp, told.twist)
+        if self._twist is None:
+            faults.setdefault("odometry", "none has come")
+            return None
+        age = now - self._twist[0]
+        if age > self._rules.odom_tolerance:
+            faults.setdefault("odometry", f"the last one is {age:.2f} s old")
+            return None
+        return self._twist[1]
+
+    def _reckon(self, stamp: float, twist: Twist2) -> None:
+        before = self._twist
+        if before is not None and stamp <= before[0]:
+            return  # delivered twice, or too late
+        if self._reckoning is None or before is None or stamp - before[0] > _STEP:
+            self._reckoning = DeadReckoning(stamp, twist)
+        else:
+            self._reckoning.advance(stamp, twist)
+        self._twist = stamp, twist
+
+    def _pose(self, now: float, twist: Twist2 | None, faults: dict[str, str]) -> Pose2 | None:
+        """Where the robot is now: where its newest transform says, and the way by odometry since then.
+
+        A transform that has been used says nothing new; a robot whose velocity nobody knows is nowhere.
+        """
+        rules = self._rules
+        try:
+            found = self._frames.lookup(rules.fixed_frame, rules.base_frame)
+            pose = found.planar()
+        except OptdockError as error:
+            faults["transform"] = str(error)
+            return None
+        age = now - found.stamp
+        if age > rules.transform_tolerance or age < -_AHEAD:
+            faults["transform"] = f"{rules.fixed_frame} <- {rules.base_frame}: the last one is {age:.3f} s old"
+            return None
+        if twist is None or found.stamp == self._pose_stamp:
+            return None
+        self._pose_stamp = found.stamp
+        return self._moved_on(pose, found.stamp, now, twist)
+
+    def _moved_on(self, pose: Pose2, stamp: float, now: float, twist: Twist2) -> Pose2:
+        assert self._twist is not None
+        until = self._twist[0]
+        then = self._reckoning.at(stamp) if self._reckoning is not None else None
+        if then is None or self._reckoning is None:  # from before the first velocity
+            return pose.moved(twist, max(0.0, now - stamp))
+        moved = pose @ (then.inverse() @ self._reckoning.pose) if stamp < until else pose
+        return moved.moved(twist, max(0.0, now - max(stamp, until)))
+
+    def _detections(self, now: float, faults: dict[str, str]) -> tuple[Detection, ...]:
+        if self._detect is None:
+            self._seen.clear()
+            return ()
+        found: list[Detection] = []
+        for _ in range(len(self._seen)):
+            message = self._seen.popleft()
+            try:
+                frame, stamp = message.header.frame_id, ros.seconds(message.header.stamp)
+                age = now - stamp
+                if age > self._rules.detection_timeout or age < -_AHEAD:
+                    faults["detection"] = f"it is {age:.3f} s old"
+                    continue
+                if not frame:
+                    faults["detection"] = "PoseStamped: header.frame_id: must be the name of a frame, got ''"
+                    continue
+                base = self._frames.lookup(self._rules.base_frame, frame, stamp)
+            except InvalidMessage as error:
+                faults["detection"] = str(error)
+                continue
+            except OptdockError as error:
+                if age < _TRANSFORM_WAIT:
+                    self._seen.append(message)  # its transform may be on its way
+                else:
+                    faults["detection"] = str(error)
+                continue
+            try:
+                found.append(self._detect(message, base))
+            except OptdockError as error:
+                faults["detection"] = str(error)
+        found.sort(key=lambda one: one.stamp)
+        if found:
+            self.detected = found[-1]
+        return tuple(found)
+
+    def _costmap(self, now: float, faults: dict[str, str]) -> Costmap | None:
+        """The surroundings, in every cycle as long as they are new enough: so their age is that of their stamp."""
+        timeout, seen = self._rules.costmap_timeout, self._surroundings
+        if timeout is None:
+            return None
+        if seen is None:
+            faults["costmap"] = "none has come"
+            return None
+        age = now - seen.stamp
+        if age > timeout or age < -timeout:
+            faults["costmap"] = f"the last one is {age:.2f} s old"
+            return None
+        return seen.costmap

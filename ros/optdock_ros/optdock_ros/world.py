@@ -1,0 +1,138 @@
+"""Costmaps of several topics as one picture in the frame in which is planned, with room for contact at the dock.
+
+What is not known counts as occupied, and a cell that another grid covers by parts takes the worst of them: what is
+certified in the picture holds in each of its sources.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING
+
+import numpy as np
+from scipy.ndimage import maximum_filter
+
+from optdock.costmap.costmap import FREE_SPACE, NO_INFORMATION, Costmap
+from optdock.dock import Dock, DockDirection
+from optdock.geometry.pose import Pose2, transform_points
+
+if TYPE_CHECKING:
+    from optdock.geometry.footprint import Footprint
+
+__all__ = ["Box", "joined", "moved", "with_contact_zone"]
+
+_ALIGNED = 1e-6  # [cells], [rad]: grids as near to each other are the same
+_TOUCHED = math.sqrt(0.5)  # of a cell's side: how far its corners are from its centre
+
+Box = tuple[float, float, float, float]  # least x and y, largest x and y [m]
+
+
+def moved(costmap: Costmap, frame: Pose2, box: Box | None = None) -> Costmap:
+    """A costmap in another frame.
+
+    Args:
+        costmap: In its own frame.
+        frame: That frame, seen from the other one.
+        box: What of it is wanted, in the other frame; None: all.
+
+    Returns:
+        A grid of the same resolution; where it covers several cells of the old one, it has the largest of their costs,
+        and beyond them NO_INFORMATION.
+    """
+    side = costmap.resolution
+    (x0, y0), (x1, y1) = costmap.lower, costmap.upper
+    corners = transform_points(frame.as_array()[None], np.array([[x0, y0], [x1, y0], [x1, y1], [x0, y1]]))[0]
+    low, high = corners.min(axis=0), corners.max(axis=0)
+    if box is not None:
+        low, high = np.maximum(low, box[:2]), np.minimum(high, box[2:])
+    low = np.floor(low / side) * side
+    columns, rows = np.maximum(1, np.ceil((high - low) / side - _ALIGNED)).astype(int)
+    if abs(frame.yaw) < _ALIGNED and _is_aligned(costmap, frame):
+        return _cropped(costmap, frame, (int(rows), int(columns)), (float(low[0]), float(low[1])))
+    worst = maximum_filter(costmap.data, size=2 * math.ceil(_TOUCHED) + 1, mode="constant", cval=NO_INFORMATION)
+    x, y = low[0] + (np.arange(columns) + 0.5) * side, low[1] + (np.arange(rows) + 0.5) * side
+    centres = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
+    back = transform_points(frame.inverse().as_array()[None], centres)[0]
+    costs = Costmap(worst, side, costmap.origin).cost_at(back).reshape(rows, columns)
+    return Costmap(costs, side, (float(low[0]), float(low[1])))
+
+
+def _is_aligned(costmap: Costmap, frame: Pose2) -> bool:
+    offset = (np.array(costmap.origin) + (frame.x, frame.y)) / costmap.resolution
+    return bool(np.abs(offset - np.round(offset)).max() < _ALIGNED)
+
+
+def _cropped(costmap: Costmap, frame: Pose2, shape: tuple[int, int], origin: tuple[float, float]) -> Costmap:
+    """The part of a grid that is not turned."""
+    shift = (np.array(origin) - (frame.x, frame.y) - costmap.origin) / costmap.resolution
+    i, j = np.round(shift).astype(int).tolist()
+    rows, columns = shape
+    data = np.full(shape, NO_INFORMATION, dtype=np.uint8)
+    part = costmap.data[max(j, 0) : j + rows, max(i, 0) : i + columns]
+    data[max(-j, 0) : max(-j, 0) + part.shape[0], max(-i, 0) : max(-i, 0) + part.shape[1]] = part
+    return Costmap(data, costmap.resolution, origin)
+
+
+def joined(wide: Costmap, local: Costmap) -> Costmap:
+    """A wide map with what is seen around the robot: in both the larger cost, but what is seen of the unknown.
+
+    Args:
+        wide: In the frame of `local`; its cells may lie elsewhere.
+        local: Its resolution and its cells are kept.
+    """
+    side = local.resolution
+    low = np.minimum(np.floor((np.array(wide.lower) - local.lower) / side + _ALIGNED), 0.0).astype(int)
+    high = np.maximum(
+        np.ceil((np.array(wide.upper) - local.lower) / side - _ALIGNED), (local.columns, local.rows)
+    ).astype(int)
+    columns, rows = (high - low).tolist()
+    origin = (local.origin[0] + low[0] * side, local.origin[1] + low[1] * side)
+    x, y = origin[0] + (np.arange(columns) + 0.5) * side, origin[1] + (np.arange(rows) + 0.5) * side
+    ratio = side / wide.resolution
+    offset = np.abs((np.array(origin) - wide.origin) / wide.resolution)
+    same = abs(ratio - 1.0) < _ALIGNED and bool(np.abs(offset - np.round(offset)).max() < _ALIGNED)
+    reach = 0 if same else math.ceil(0.5 * ratio)
+    worst = maximum_filter(wide.data, size=2 * reach + 1, mode="constant", cval=NO_INFORMATION) if reach else wide.data
+    centres = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
+    data = Costmap(worst, wide.resolution, wide.origin).cost_at(centres).reshape(rows, columns)
+    i, j = (-low).tolist()
+    window = data[j : j + local.rows, i : i + local.columns]
+    known = local.data != NO_INFORMATION
+    seen = np.where(window == NO_INFORMATION, local.data, np.maximum(window, local.data))
+    window[known] = seen[known]
+    return Costmap(data, side, origin)
+
+
+def with_contact_zone(costmap: Costmap, dock: Dock, footprint: Footprint, margin: float) -> Costmap:
+    """The costmap without the cells that the docked robot's front touches.
+
+    A dock that scanners see stands a cell or two too fat in a costmap: the docked robot would collide with what it is
+    to touch. Cells are freed within the margin, or a cell and a half, of the edge that touches, and nowhere else: what
+    stands in the robot's way still counts.
+
+    Args:
+        costmap: In the dock's frame.
+        dock: Where the robot stands docked, and its gear.
+        footprint: Of the robot.
+        margin: [m].
+    """
+    ahead = -1.0 if dock.direction is DockDirection.BACKWARD else 1.0
+    vertices = footprint.vertices
+    front, half = float((ahead * vertices[:, 0]).max()), float(np.abs(vertices[:, 1]).max())
+    reach = max(margin, 1.5 * costmap.resolution)
+    radius = math.hypot(front + reach, half + reach)
+    centre = np.array([dock.pose.x, dock.pose.y])
+    low = np.clip(costmap.cell_of([centre - radius])[0], 0, (costmap.columns, costmap.rows))
+    high = np.clip(costmap.cell_of([centre + radius])[0] + 1, 0, (costmap.columns, costmap.rows))
+    if np.any(high <= low):
+        return costmap
+    i, j = np.meshgrid(np.arange(low[0], high[0]), np.arange(low[1], high[1]))
+    cells = np.column_stack((i.ravel(), j.ravel()))
+    seen = transform_points(dock.pose.inverse().as_array()[None], costmap.centre_of(cells))[0]
+    touches = (np.abs(ahead * seen[:, 0] - front) <= reach) & (np.abs(seen[:, 1]) <= half + reach)
+    freed = cells[touches]
+    if not np.any(costmap.data[freed[:, 1], freed[:, 0]] != FREE_SPACE):
+        return costmap
+    data = costmap.data.copy()
+    data[freed[:, 1], freed[:, 0]] = FREE_SPACE
+    return Costmap(data, costmap.resolution, costmap.origin)

@@ -1,0 +1,169 @@
+"""Nav2's simple docks: parameters, what detections mean, contact and charge, docks by name."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING, Any
+
+import pytest
+from geometry_msgs.msg import PoseStamped, Quaternion
+from sensor_msgs.msg import BatteryState, JointState
+
+from optdock.dock import DockDirection
+from optdock.errors import DockNotInDB, DockNotValid, InvalidFile, InvalidMessage, InvalidValue
+from optdock.geometry.pose import Pose2
+from optdock_ros.dock_plugins import DockPlugin, SimpleChargingDock, SimpleNonChargingDock, Told, plugin_class
+from optdock_ros.docks import Docks, docks_of_parameters
+from optdock_ros.transforms import Transform
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+    from pathlib import Path
+
+CAMERA = Transform("base_link", "camera", 5.0, (0.2, 0.0, 0.4), (-0.5, 0.5, -0.5, 0.5))  # z ahead, x right, y down
+QUARTER = math.sin(0.25 * math.pi)
+EXACT = {"external_detection_rotation_roll": -0.5 * math.pi, "external_detection_rotation_pitch": 0.5 * math.pi}
+
+
+def seen(x: float, y: float, z: float, turn: tuple[float, float, float, float]) -> PoseStamped:
+    """A detection in the camera's frame."""
+    message = PoseStamped()
+    message.header.stamp.sec, message.header.frame_id = 5, "camera"
+    message.pose.position.x, message.pose.position.y, message.pose.position.z = x, y, z
+    message.pose.orientation = Quaternion(x=turn[0], y=turn[1], z=turn[2], w=turn[3])
+    return message
+
+
+# A marker that faces the camera, its z out of it and its y up: half a turn about the camera's x.
+FACING = (1.0, 0.0, 0.0, 0.0)
+
+
+def test_a_marker_ahead_is_a_docked_pose_ahead() -> None:
+    dock = SimpleNonChargingDock("dock", EXACT)
+    found = dock.detection(seen(0.1, -0.1, 1.3, FACING), CAMERA)
+    # 0.2 m before the camera's 1.3 m, and Nav2's 0.2 m before the marker; right of the axis is negative y.
+    assert found.pose.as_array() == pytest.approx([1.3, -0.1, 0.0], abs=1e-9)
+    assert found.stamp == 5.0
+    assert (found.position_sigma, found.yaw_sigma) == (0.005, 0.01)
+
+
+def test_nav2s_own_defaults_are_a_quarter_turn_but_for_their_rounding() -> None:
+    found = SimpleNonChargingDock("dock", {}).detection(seen(0.0, 0.0, 1.3, FACING), CAMERA)
+    assert found.pose.as_array() == pytest.approx([1.3, 0.0, 0.0], abs=2e-3)
+
+
+def test_a_robot_that_backs_in_stands_turned_round() -> None:
+    dock = SimpleNonChargingDock("dock", {**EXACT, "dock_direction": "backward", "staging_yaw_offset": math.pi})
+    found = dock.detection(seen(0.0, 0.0, 1.3, FACING), CAMERA)
+    assert found.pose.as_array()[:2] == pytest.approx([1.3, 0.0], abs=1e-9)
+    assert abs(found.pose.yaw) == pytest.approx(math.pi)
+    assert dock.direction is DockDirection.BACKWARD
+    stored = Pose2(3.0, 1.0, 0.5)
+    assert dock.stored_pose(dock.docked_pose(stored)).distance_to(stored) < 1e-12
+    # Staged before the dock on its axis, with the back to it: where the executor of the docked pose backs in from.
+    staging = dock.staging_pose(stored).in_frame_of(dock.docked_pose(stored))
+    assert staging.as_array() == pytest.approx([0.7, 0.0, 0.0], abs=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("message", "words"),
+    [
+        (seen(math.nan, 0.0, 1.0, FACING), "must be finite"),
+        (seen(0.0, 0.0, 1.0, (0.0, 0.0, 0.0, 0.0)), "must have the length 1"),
+        (seen(0.0, 0.0, 1.0, (QUARTER, 0.0, 0.0, QUARTER)), "steep; look at dock.external_detection_rotation_"),
+    ],
+)
+def test_detections_that_say_nothing_are_refused(message: PoseStamped, words: str) -> None:
+    with pytest.raises(InvalidMessage, match=words):
+        SimpleNonChargingDock("dock", EXACT).detection(message, CAMERA)
+
+
+@pytest.mark.parametrize(
+    ("parameters", "words"),
+    [
+        ({"staging_x_ofset": -1.0}, "did you mean staging_x_offset"),
+        ({"dock_direction": "forwards"}, "dock_direction"),
+        ({"rotate_to_dock": True}, "needs dock_direction: backward"),
+        ({"use_stall_detection": True}, "needs stall_joint_names"),
+        ({"docking_threshold": 0.0}, "docking_threshold"),
+        ({"use_battery_status": True}, "use_battery_status"),  # of the charging dock only
+    ],
+)
+def test_wrong_parameters_are_refused_by_name(parameters: Mapping[str, object], words: str) -> None:
+    with pytest.raises(InvalidValue, match=words):
+        SimpleNonChargingDock("dock", parameters)
+
+
+def test_other_classes_are_refused_by_name() -> None:
+    assert plugin_class("dock", "opennav_docking/SimpleChargingDock") is SimpleChargingDock
+    with pytest.raises(DockNotValid, match="no dock of the class mine::Dock"):
+        plugin_class("dock", "mine::Dock")
+    with pytest.raises(InvalidValue, match="dock.plugin: is required"):
+        plugin_class("dock", None)
+
+
+def told(message: Any, at: float = 10.0) -> Told:
+    """A message that came at a time."""
+    return Told(message, at)
+
+
+def test_a_current_above_the_threshold_charges_while_it_is_fresh() -> None:
+    dock = SimpleChargingDock("dock", {})
+    assert dock.waits_for_charge
+    assert dock.is_charging(None, 10.0) is False
+    assert dock.is_charging(told(BatteryState(current=0.6)), 10.5) is True
+    assert dock.is_charging(told(BatteryState(current=0.4)), 10.5) is False
+    assert dock.is_charging(told(BatteryState(current=math.nan)), 10.5) is False
+    assert dock.is_charging(told(BatteryState(current=0.6)), 30.0) is False
+    assert SimpleChargingDock("dock", {"use_battery_status": False}).is_charging(None, 10.0) is None
+    assert SimpleNonChargingDock("dock", {}).is_charging(told(BatteryState(current=9.0)), 10.0) is None
+
+
+def test_joints_that_push_and_do_not_turn_are_a_stall() -> None:
+    dock = SimpleNonChargingDock("dock", {"use_stall_detection": True, "stall_joint_names": ["left", "right"]})
+
+    def joints(velocity: float, effort: float) -> Told:
+        return told(
+            JointState(name=["arm", "left", "right"], velocity=[9.0, -velocity, velocity], effort=[0.0, effort, effort])
+        )
+
+    assert dock.is_stalled(joints(0.5, 2.0), 10.1)
+    assert not dock.is_stalled(joints(2.0, 2.0), 10.1)
+    assert not dock.is_stalled(joints(0.5, 0.5), 10.1)
+    assert not dock.is_stalled(joints(math.nan, 2.0), 10.1)
+    assert not dock.is_stalled(joints(0.5, 2.0), 11.0), "too old"
+    assert not dock.is_stalled(None, 10.0)
+    with pytest.raises(InvalidMessage, match="needs velocity and effort"):
+        dock.is_stalled(told(JointState(name=["left"])), 10.0)
+
+
+def docks(**entries: Mapping[str, object]) -> Docks:
+    """Of one type `bay`, and those of parameters."""
+    plugins: dict[str, DockPlugin] = {"bay": SimpleNonChargingDock("bay", {})}
+    return Docks(plugins, docks_of_parameters({"docks": list(entries), **entries}))
+
+
+def test_docks_are_found_by_name_and_faults_have_nav2s_codes(tmp_path: Path) -> None:
+    known = docks(home={"type": "bay", "pose": [1.0, 2.0, 0.5], "frame": "odom"}, lost={"type": "quay", "pose": [0, 0, 0]})
+    entry, plugin = known.find("home")
+    assert (entry.pose, entry.frame, plugin.name) == (Pose2(1.0, 2.0, 0.5), "odom", "bay")
+    with pytest.raises(DockNotInDB, match="'hoem'; did you mean home") as missing:
+        known.find("hoem")
+    assert missing.value.code == 901
+    with pytest.raises(DockNotValid, match="no dock type 'quay'") as invalid:
+        known.find("lost")
+    assert invalid.value.code == 902
+    assert known.plugin("", "").name == "bay", "the only one, as Nav2"
+    file = tmp_path / "docks.yaml"
+    file.write_text("docks: {other: {type: bay, pose: [0.0, 0.0, 0.0]}}")
+    known.reload(str(file))
+    assert list(known.entries) == ["other"]
+    with pytest.raises(InvalidFile):
+        known.reload(str(tmp_path / "nothing.yaml"))
+    assert list(known.entries) == ["other"], "they stay as they are"
+
+
+def test_faults_of_docks_in_parameters_name_the_parameter() -> None:
+    with pytest.raises(InvalidValue, match=r"(?s)^home.pose: must be \[x, y, yaw\].*away: must be a mapping"):
+        docks_of_parameters({"docks": ["home", "away"], "home": {"type": "bay", "pose": [1.0, 2.0]}})
+    assert docks_of_parameters({}) == {}

@@ -1,0 +1,178 @@
+"""What is believed of the newest messages, and what is not."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+from builtin_interfaces.msg import Time
+from geometry_msgs.msg import PoseStamped
+from nav_msgs.msg import Odometry
+
+from optdock.costmap.costmap import Costmap
+from optdock.geometry.pose import Pose2, Twist2
+from optdock.measurements import Detection
+from optdock_ros.measuring import MeasurementRules, Measuring, Surroundings
+from optdock_ros.transforms import Transform, TransformError
+
+RULES = MeasurementRules("odom", "base_link", 0.1, 0.3, 1.0, 1.0)
+
+
+class Frames:
+    """The robot on the x axis, at 0.2 m/s since 100 s, told at 50 Hz until `newest`; a camera of its own."""
+
+    newest = 100.0
+    tilted = False
+
+    def lookup(self, target: str, source: str, stamp: float | None = None, tolerance: float = 0.0) -> Transform:
+        """As a buffer does."""
+        assert tolerance == 0.0
+        if source == "camera":
+            return Transform(target, source, stamp or 0.0, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0))
+        at = self.newest if stamp is None else stamp
+        if at > self.newest:
+            raise TransformError("in the future")
+        rotation = (0.5, 0.5, 0.5, 0.5) if self.tilted else (0.0, 0.0, 0.0, 1.0)
+        x = 0.2 * (at - 100.0)
+        return Transform(target, source, at, (-x if target == "base_link" else x, 0.0, 0.0), rotation)
+
+
+def stamp(seconds: float) -> Time:
+    """A time."""
+    return Time(sec=int(seconds), nanosec=round(1e9 * (seconds - int(seconds))))
+
+
+def odometry(at: float, speed: float = 0.2) -> Odometry:
+    """The robot's velocity."""
+    message = Odometry(child_frame_id="base_link")
+    message.header.frame_id, message.header.stamp = "odom", stamp(at)
+    message.pose.pose.orientation.w = 1.0
+    message.twist.twist.linear.x = speed
+    return message
+
+
+def detected(at: float, frame: str = "camera") -> PoseStamped:
+    """The dock."""
+    message = PoseStamped()
+    message.header.frame_id, message.header.stamp = frame, stamp(at)
+    return message
+
+
+def measuring(frames: Frames, rules: MeasurementRules = RULES) -> Measuring:
+    """Detections are where their frame is."""
+
+    def detect(message: Any, base: Transform) -> Detection:
+        seconds = message.header.stamp.sec + 1e-9 * message.header.stamp.nanosec
+        return Detection(seconds, Pose2(base.translation[0], 0.0, 0.0), 0.001, 0.001)
+
+    return Measuring(rules, frames, detect, lambda _: None)
+
+
+def test_the_pose_is_brought_up_to_now_by_odometry() -> None:
+    frames = Frames()
+    told = measuring(frames)
+    for k in range(6):
+        told.take_odometry(odometry(100.0 + 0.02 * k))
+    found = told.measurements(100.1)
+    assert found.pose is not None
+    assert found.pose.x == pytest.approx(0.02, abs=1e-6), "0.1 s at 0.2 m/s after the transform"
+    assert found.twist == Twist2(0.2)
+    assert set(told.faults) == {"costmap"}
+    assert told.measurements(100.12).pose is None, "the same transform says nothing new"
+    frames.newest = 100.12
+    found = told.measurements(100.14)
+    assert found.pose is not None
+    assert found.pose.x == pytest.approx(0.028, abs=1e-6)
+
+
+def test_a_pose_that_is_old_tilted_or_from_the_future_is_none() -> None:
+    frames = Frames()
+    told = measuring(frames)
+    told.take_odometry(odometry(100.05))
+    assert told.measurements(100.05).pose is not None
+    for newest, tilted in ((99.9, False), (100.3, False), (100.06, True)):
+        frames.newest, frames.tilted = newest, tilted
+        told.take_odometry(odometry(100.06))
+        assert told.measurements(100.07).pose is None
+        assert "transform" in told.faults
+
+
+def test_a_velocity_that_is_old_is_none_and_neither_is_the_pose() -> None:
+    frames = Frames()
+    told = measuring(frames)
+    assert told.measurements(100.0).pose is None, "none has come"
+    told.take_odometry(odometry(100.0))
+    frames.newest = 100.2
+    assert told.measurements(100.2).twist == Twist2(0.2)
+    frames.newest = 100.4
+    found = told.measurements(100.4)
+    assert (found.twist, found.pose) == (Twist2(), None)
+    assert "0.40 s old" in told.faults["odometry"]
+
+
+@pytest.mark.parametrize("speed", [math.nan, math.inf])
+def test_a_velocity_that_is_no_number_is_not_taken(speed: float) -> None:
+    told = measuring(Frames())
+    told.take_odometry(odometry(100.0))
+    told.take_odometry(odometry(100.02, speed))
+    assert told.measurements(100.03).twist == Twist2(0.2)
+    assert "twist.twist" in told.faults["odometry"]
+
+
+def test_velocities_stamped_ahead_or_twice_are_not_taken() -> None:
+    told = measuring(Frames())
+    for at, speed in ((100.0, 0.2), (100.0, 0.9), (99.9, 0.9), (200.0, 0.9)):
+        told.take_odometry(odometry(at, speed))
+    assert told.measurements(100.02).twist == Twist2(0.2)
+    assert "ahead of this clock" in told.faults["odometry"]
+
+
+def test_a_clock_that_goes_back_lets_nothing_of_before_be_believed() -> None:
+    frames = Frames()
+    frames.newest = 105.0
+    told = measuring(frames)
+    told.take_odometry(odometry(105.0))
+    assert told.measurements(105.0).twist == Twist2(0.2)
+    frames.newest = 100.0
+    found = told.measurements(100.0)
+    assert (found.twist, found.pose) == (Twist2(), None)
+    told.take_odometry(odometry(100.01))
+    frames.newest = 100.01
+    assert told.measurements(100.02).pose is not None
+
+
+def test_a_detection_waits_for_its_transform_and_goes_when_it_is_old() -> None:
+    frames = Frames()
+    told = measuring(frames)
+    told.take_detection(detected(100.05, "odom"))
+    assert told.measurements(100.06).detections == ()
+    assert "detection" not in told.faults, "it may still come"
+    frames.newest = 100.1
+    (found,) = told.measurements(100.12).detections
+    assert found.pose.x == pytest.approx(-0.01)
+    told.take_detection(detected(100.2, "odom"))
+    assert told.measurements(100.5).detections == ()
+    assert "future" in told.faults["detection"]
+    assert told.measurements(100.52).detections == ()
+    told.take_detection(detected(99.0))
+    told.take_detection(detected(100.5, ""))
+    assert told.measurements(100.55).detections == ()
+    told.take_detection(detected(100.54))
+    told.take_detection(detected(100.50))
+    assert [one.stamp for one in told.measurements(100.56).detections] == [100.5, 100.54], "the oldest first"
+
+
+def test_a_costmap_is_told_as_long_as_it_is_new() -> None:
+    told = measuring(Frames())
+    grid = Costmap(np.zeros((2, 2), dtype=np.uint8), 0.1)
+    told.take_surroundings(Surroundings(grid, 100.0))
+    assert told.measurements(100.5).costmap is grid
+    assert told.measurements(100.9).costmap is grid
+    assert told.measurements(101.1).costmap is None
+    assert "1.10 s old" in told.faults["costmap"]
+    without = measuring(Frames(), RULES._replace(costmap_timeout=None))
+    without.take_surroundings(Surroundings(grid, 100.0))
+    assert without.measurements(100.5).costmap is None
+    assert "costmap" not in without.faults
