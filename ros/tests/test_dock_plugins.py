@@ -144,7 +144,9 @@ def docks(**entries: Mapping[str, object]) -> Docks:
 
 
 def test_docks_are_found_by_name_and_faults_have_nav2s_codes(tmp_path: Path) -> None:
-    known = docks(home={"type": "bay", "pose": [1.0, 2.0, 0.5], "frame": "odom"}, lost={"type": "quay", "pose": [0, 0, 0]})
+    known = docks(
+        home={"type": "bay", "pose": [1.0, 2.0, 0.5], "frame": "odom"}, lost={"type": "quay", "pose": [0, 0, 0]}
+    )
     entry, plugin = known.find("home")
     assert (entry.pose, entry.frame, plugin.name) == (Pose2(1.0, 2.0, 0.5), "odom", "bay")
     with pytest.raises(DockNotInDB, match="'hoem'; did you mean home") as missing:
