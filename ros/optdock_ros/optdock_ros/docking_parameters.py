@@ -65,7 +65,8 @@ class DockingParameters(ServerParameters):
     enable_stamped_cmd_vel: bool = Field(default=True, description="TwistStamped, as Nav2 since Kilted; else Twist")
 
     use_realtime_priority: bool = Field(
-        default=False, description="the kernel prefers this process while a task is at work; needs the right to (rtprio)"
+        default=False,
+        description="the kernel prefers this process while a task is at work; needs the right to (rtprio)",
     )
 
     stage_by_executor: bool = Field(
