@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from optdock.io.plan_file import CERTIFIED, PlanError, PlanFile, finite_or_null, strict_json
+from optdock.io.run_file import RUN_FORMAT
 from optdock.limits import LIMIT_UNITS, STEERING_UNITS
 from optdock.obstacles import in_words
 from optdock.plan import PartialPlan
@@ -26,7 +27,6 @@ if TYPE_CHECKING:
     from optdock.verification import Certificate
 
 __all__ = [
-    "RUN_FORMAT",
     "certificate_rows",
     "failed_plan_file",
     "limit_rows",
@@ -36,7 +36,6 @@ __all__ = [
     "table",
 ]
 
-RUN_FORMAT = "optdock-run/1"
 _WIDE = 78  # letters of a value on a line
 _NO_BREAK = "\N{NO-BREAK SPACE}"
 

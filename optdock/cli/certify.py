@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from optdock.path import Path as DockPath
     from optdock.problem import DockingProblem
     from optdock.trajectory import TimeLaw
-    from optdock.verification import Certificate, ImpossibilityProof, SampledMotionVerdict
+    from optdock.verification import Certificate, ImpossibilityProof, SampledMotionVerdict, Violation
 
 __all__ = ["certify"]
 
@@ -68,7 +68,9 @@ def _judged(plan: PlanFile, problem: DockingProblem) -> list[str]:
         return [f"the plan stands in frame {plan.frame!r}, the scenario in {problem.frame!r}; transform one of them"]
     certificate = certify_path(plan.path, problem)
     motion = _motion(plan, plan.path, problem)
-    faults = [*(violation.message for violation in certificate.violations), *motion.faults]
+    # A collision before all else.
+    broken = sorted(certificate.violations, key=lambda violation: violation.kind != "clearance")
+    faults = [*map(_said, broken), *motion.faults]
     claims, made_for = list(_false_claims(plan, certificate)), _proven_against(plan, certificate)
     rows = [
         ("verdict", "not certified" if faults else motion.verdict),
@@ -82,6 +84,14 @@ def _judged(plan: PlanFile, problem: DockingProblem) -> list[str]:
     for claim in claims:
         typer.echo(f"false claim: {claim}", err=True)
     return faults
+
+
+def _said(violation: Violation) -> str:
+    """What is broken, with the pose where one was found."""
+    from optdock.geometry.pose import Pose2
+
+    pose = violation.where.get("pose") if violation.kind == "clearance" else None
+    return f"{violation.message}, at {Pose2.from_sequence(pose).brief}" if isinstance(pose, list) else violation.message
 
 
 def _judged_impossible(proof: ImpossibilityProof, problem: DockingProblem) -> list[str]:

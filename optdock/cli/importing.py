@@ -1,24 +1,30 @@
-"""`optdock import tpcap | obca | nav2`: what others describe, as scenario files."""
+"""`optdock import tpcap | obca | nav2 | bag`: what others describe, as scenario files."""
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, TypeAlias
 
 import typer
 
-from optdock.cli.common import SECONDS, VerboseOption, checked_positive, reported, spare
+from optdock.cli.common import METRES, SECONDS, VerboseOption, checked_positive, reported, spare
 from optdock.errors import InvalidValue
 
 if TYPE_CHECKING:
+    from optdock.costmap.costs import OccupancyRule
+    from optdock.geometry.footprint import Footprint
     from optdock.io.parking_cases import ParkingCase
+    from optdock.problem import ClearanceRule
 
 __all__ = ["app"]
 
 # [s]: what a manoeuvre with cusps may take; a file can be changed.
 _BUDGET = 1.0
 
-app = typer.Typer(help="Make a scenario file of a public parking case, or of Nav2's files.", no_args_is_help=True)
+app = typer.Typer(
+    help="Make a scenario file of a public parking case, or of Nav2's files or recordings.", no_args_is_help=True
+)
 
 OutOption: TypeAlias = Annotated[
     Path, typer.Option("--out", "-o", help="Scenario file to write (YAML).", show_default=False)
@@ -116,6 +122,93 @@ def nav2(  # noqa: PLR0913 - one parameter per option
         typer.echo(table(found.costmap_rows))
         note = f"{nav2_params.name}, {map_.name}, dock {dock or 'the only one'}"
         _tell(save_scenario(out, dataclasses.replace(found, time_budget=time_budget), map_source=map_, note=note))
+
+
+@app.command()
+def bag(  # noqa: PLR0913 - one parameter per option
+    file: Annotated[Path, typer.Argument(help="Recording: .mcap, .db3, or the folder of one.", show_default=False)],
+    *,
+    out: Annotated[Path, typer.Option("--out", "-o", help="Folder to write into.", show_default=False)],
+    path_topic: Annotated[
+        str, typer.Option(metavar="TOPIC", help="Default: /docking_trajectory, else /plan_smoothed, else /plan.")
+    ] = "",
+    costmap_topic: Annotated[
+        str,
+        typer.Option(
+            metavar="TOPIC", help="Default: costmap_raw of /global_costmap, of /local_costmap, their costmap, or /map."
+        ),
+    ] = "",
+    footprint_topic: Annotated[
+        str, typer.Option(metavar="TOPIC", help="Default: published_footprint of /local_costmap or /global_costmap.")
+    ] = "",
+    odom_topic: Annotated[str, typer.Option(metavar="TOPIC", help="Default: /odom, else /odometry/filtered.")] = "",
+    base_frame: Annotated[str, typer.Option(help="The robot's frame; default: the odometry's child frame.")] = "",
+    footprint: Annotated[
+        str, typer.Option(help="Outline, a list of corners in Nav2's syntax; instead of the recording's.")
+    ] = "",
+    radius: Annotated[float | None, typer.Option(metavar=METRES, help="Of a round robot; likewise.")] = None,
+    clearance: Annotated[float, typer.Option(metavar=METRES, help="That path and drive must keep.")] = 0.0,
+    occupied_from: Annotated[
+        int, typer.Option(help="Occupancy from which a cell of an OccupancyGrid is occupied; of many SLAM maps 65.")
+    ] = 100,
+    since: Annotated[float, typer.Option(metavar=SECONDS, help="Leave out what was received earlier.")] = 0.0,
+    until: Annotated[
+        float | None, typer.Option(metavar=SECONDS, help="Leave out what was received later.", show_default=False)
+    ] = None,
+    verbose: VerboseOption = False,
+) -> None:
+    """A docking out of a robot's recording, for optdock certify: map, planned path and driven poses.
+
+    The last path, the last costmap and what was driven, in the costmap's frame. Which pose collides, where and by how
+    much: optdock import bag failed.mcap -o failed; optdock certify failed/path.json failed/path.yaml; the same for
+    failed/drive.json
+    """
+    with reported(verbose=verbose):
+        from optdock.report import table
+        from optdock.ros.bag import open_bag
+        from optdock.ros.field import FieldOptions, FieldTopics, field_docking
+        from optdock.ros.field_scenario import judged_poses, save_field_docking
+
+        end = math.inf if until is None else until
+        _check_stretch(since, end)
+        asked = {"path": path_topic, "costmap": costmap_topic, "footprint": footprint_topic, "odometry": odom_topic}
+        topics = FieldTopics().instead(asked)
+        rule, occupied = _rules(clearance, occupied_from)
+        outline = _outline(footprint, radius)
+        with open_bag(file) as recording:
+            options = FieldOptions(outline, base_frame, occupied, since, end)
+            found = field_docking(recording, topics, options)
+        judged, rows = judged_poses(found, rule)
+        written = save_field_docking(out, judged, found, file.name)
+        typer.echo(table([*found.rows, *rows]))
+        _tell(written)
+
+
+def _check_stretch(since: float, until: float) -> None:
+    if not 0.0 <= since < until:
+        raise InvalidValue(f"--since: must be >= 0 s and before --until, got {since} and {until}")
+
+
+def _rules(clearance: float, occupied_from: int) -> tuple[ClearanceRule, OccupancyRule]:
+    from optdock.costmap.costs import OccupancyRule
+    from optdock.problem import ClearanceRule
+
+    if not (math.isfinite(clearance) and clearance >= 0.0):
+        raise InvalidValue(f"--clearance: must be finite and >= 0 m, got {clearance}")
+    if not 1 <= occupied_from <= 100:
+        raise InvalidValue(f"--occupied-from: must be in 1..100, got {occupied_from}")
+    return ClearanceRule(clearance), OccupancyRule(lethal_cost_threshold=occupied_from)
+
+
+def _outline(text: str, radius: float | None) -> Footprint | None:
+    """The outline that was given; None where none was."""
+    from optdock.geometry.footprint import Footprint
+
+    if text and radius is not None:
+        raise InvalidValue("--radius: --footprint says the outline already")
+    if radius is not None:
+        return Footprint.from_radius(radius)
+    return Footprint.from_string(text) if text else None
 
 
 def _tell(written: tuple[Path, ...]) -> None:

@@ -140,7 +140,7 @@ def odometry(message: Message) -> Odometry:
             there is no frame.
     """
     frame, stamp = stamped_frame(message)
-    at = plain_pose(message, message.pose.pose, "pose.pose", MOST_TILTED)
+    at = plain_pose(message, message.pose.pose, "pose.pose")
     moves = _plain_twist(message, message.twist.twist, "twist.twist")
     return Odometry(frame, str(message.child_frame_id), stamp, at, moves)
 
@@ -188,7 +188,7 @@ def footprint(message: Message, at: Pose2 | None = None) -> StampedFootprint:
         refuse(message, "polygon", f"must be a simple polygon ({error})", f"{len(points)} points")
 
 
-def plain_pose(message: Message, value: Message, field: str, most_tilted: float) -> Pose2:
+def plain_pose(message: Message, value: Message, field: str, most_tilted: float = MOST_TILTED) -> Pose2:
     """The `geometry_msgs/Pose` in a field of a message, checked.
 
     Raises:

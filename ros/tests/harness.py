@@ -220,13 +220,19 @@ class Goal:
 
 
 class Client(Node):
-    """A node that spins in a thread of its own, and waits for things; `rclpy` must be initialised."""
+    """A node that spins in a thread of its own, and waits for things.
 
-    def __init__(self, name: str = "test_client") -> None:
-        super().__init__(name, start_parameter_services=False)
+    Args:
+        name: Of the node.
+        context: Initialised; None: the default one. A context of its own knows nothing of processes that were killed
+            before; others hold them for alive for 20 s, and a service for there.
+    """
+
+    def __init__(self, name: str = "test_client", context: rclpy.Context | None = None) -> None:
+        super().__init__(name, context=context, start_parameter_services=False)
         self._action_clients_by_name: dict[str, ActionClient[Any, Any, Any]] = {}
         self._clients_by_name: dict[str, Any] = {}
-        self._own_executor = SingleThreadedExecutor()
+        self._own_executor = SingleThreadedExecutor(context=self.context)
         self._own_executor.add_node(self)
         self._own_thread = threading.Thread(target=_spin, args=(self._own_executor,), name=name)
         self._own_thread.start()
@@ -334,6 +340,19 @@ def ros(domain: int) -> Iterator[None]:
         yield
     finally:
         rclpy.try_shutdown()
+
+
+@contextlib.contextmanager
+def stranger(domain: int) -> Iterator[Client]:
+    """A client that has met nobody yet: what to ask a server with that takes the place of a killed one."""
+    context = rclpy.Context()
+    rclpy.init(context=context, domain_id=domain, signal_handler_options=SignalHandlerOptions.NO)
+    client = Client("stranger", context)
+    try:
+        yield client
+    finally:
+        client.end()
+        context.try_shutdown()
 
 
 @contextlib.contextmanager

@@ -1,0 +1,96 @@
+"""Run files: what `optdock simulate` writes of a simulated drive, read back."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Literal, NamedTuple
+
+import numpy as np
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+
+from optdock.errors import InvalidFile
+
+if TYPE_CHECKING:
+    from optdock.geometry.arrays import FloatArray
+
+__all__ = ["RUN_FORMAT", "RunColumns", "load_run"]
+
+RUN_FORMAT = "optdock-run/1"
+
+_POSE, _TWIST = ("x", "y", "yaw"), ("speed", "yaw_rate")
+_NAMES = (
+    "t",
+    *(f"{of}{part}" for of in ("", "measured_", "planned_") for part in _POSE),
+    *(f"{of}{part}" for of in ("command_", "") for part in _TWIST),
+)
+_Column = list[Annotated[float, Field(ge=-1e9, le=1e9)]]
+
+
+class RunColumns(NamedTuple):
+    """A simulated drive: true, measured and planned poses, Shape (n, 3); commands and twists, Shape (n, 2).
+
+    Attributes:
+        times: Shape (n,), rising [s].
+        poses: Where the robot was.
+        measured: Where its controller was told that it is.
+        planned: Where it was meant to be.
+        commands: Speed and yaw rate asked for [m/s, rad/s].
+        twists: Speed and yaw rate driven.
+        docked: Whether it arrived.
+        reason: Why not.
+    """
+
+    times: FloatArray
+    poses: FloatArray
+    measured: FloatArray
+    planned: FloatArray
+    commands: FloatArray
+    twists: FloatArray
+    docked: bool
+    reason: str
+
+
+class _Model(BaseModel):
+    model_config = ConfigDict(strict=True, frozen=True, extra="ignore", allow_inf_nan=False)
+
+
+class _RunDocument(_Model):
+    format: Literal["optdock-run/1"]
+    docked: bool
+    reason: str = ""
+    columns: dict[str, _Column]
+
+
+def load_run(source: str | Path) -> RunColumns:
+    """Read a run file.
+
+    Raises:
+        InvalidFile: It cannot be read, is no run file, lacks a column, or its columns differ in length.
+    """
+    source = Path(source)
+    try:
+        document = _RunDocument.model_validate(json.loads(source.read_text(encoding="utf-8")))
+    except OSError as error:
+        raise InvalidFile(f"{source}: cannot be read: {error.strerror or error}") from error
+    except ValidationError as error:
+        first = error.errors(include_url=False)[0]
+        place = ".".join(str(part) for part in first["loc"])
+        raise InvalidFile(f"{source}: {place}: {first['msg']}") from error
+    except ValueError as error:
+        raise InvalidFile(f"{source}: is no run file: {error}") from error
+    columns, wanted = document.columns, len(document.columns.get("t", ()))
+    for name in _NAMES:
+        found = len(columns.get(name, ()))
+        if not found or found != wanted:
+            raise InvalidFile(
+                f"{source}: columns.{name}: must have as many values as columns.t = {wanted}, got {found}"
+            )
+    times = np.array(columns["t"])
+    if not np.all(np.diff(times) > 0.0):
+        raise InvalidFile(f"{source}: columns.t: must rise")
+    poses, measured, planned = (
+        np.column_stack([columns[f"{of}{part}"] for part in _POSE]) for of in ("", "measured_", "planned_")
+    )
+    commands, twists = (np.column_stack([columns[f"{of}{part}"] for part in _TWIST]) for of in ("command_", ""))
+    return RunColumns(times, poses, measured, planned, commands, twists, document.docked, document.reason)

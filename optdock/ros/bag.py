@@ -1,0 +1,289 @@
+"""Recordings of ROS 2, read and written by `rosbags` (extra `bag`), without ROS."""
+
+from __future__ import annotations
+
+import functools
+import os
+import secrets
+import shutil
+from collections import deque
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple
+
+from optdock.errors import InvalidFile, InvalidValue, MissingExtra
+
+if TYPE_CHECKING:
+    from collections.abc import Collection, Iterable, Iterator, Sequence
+
+    from rosbags.interfaces import Connection, MessageDefinition
+    from rosbags.rosbag2 import Reader
+    from rosbags.typesys.store import Typestore
+
+    from optdock.ros.messages import Message
+
+__all__ = ["BagMessage", "Recording", "bag_types", "open_bag", "write_bag"]
+
+# What rosbags does not bring: the fields of Nav2's costmap messages in their order, for recordings of releases that
+# wrote no definitions into them.
+_NAV2_FIELDS = {
+    "CostmapMetaData": (
+        "builtin_interfaces/Time map_load_time",
+        "builtin_interfaces/Time update_time",
+        "string layer",
+        "float32 resolution",
+        "uint32 size_x",
+        "uint32 size_y",
+        "geometry_msgs/Pose origin",
+    ),
+    "Costmap": ("std_msgs/Header header", "CostmapMetaData metadata", "uint8[] data"),
+    "CostmapUpdate": (
+        "std_msgs/Header header",
+        "uint32 x",
+        "uint32 y",
+        "uint32 size_x",
+        "uint32 size_y",
+        "uint8[] data",
+    ),
+}
+_VERSION: Literal[9] = 9  # of rosbag2's format, what Jazzy and Kilted write
+_LISTED = 20  # topics that a message lists
+
+
+class BagMessage(NamedTuple):
+    """A message to write.
+
+    Attributes:
+        topic: Its topic.
+        time: When it was received [s].
+        message: The message, of a class of `bag_types`.
+    """
+
+    topic: str
+    time: float
+    message: Message
+
+
+@functools.lru_cache(maxsize=1)
+def _store() -> Typestore:
+    """The message classes of a ROS distribution, and those of Nav2's costmaps.
+
+    Raises:
+        MissingExtra: rosbags is not installed.
+    """
+    try:
+        from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+    except ImportError as error:
+        raise MissingExtra("recordings need rosbags: pip install 'optdock[bag]'") from error
+    store = get_typestore(Stores.ROS2_KILTED)
+    for name, fields in _NAV2_FIELDS.items():
+        store.register(get_types_from_msg("\n".join(fields), f"nav2_msgs/msg/{name}"))
+    return store
+
+
+@functools.lru_cache(maxsize=64)
+def _store_of(kind: str, definition: MessageDefinition) -> Typestore:
+    """The classes that a type of message needs, as a recording defines them.
+
+    Of every type for itself: a definition that nobody can read is no obstacle to reading the others.
+    """
+    from rosbags.interfaces import MessageDefinitionFormat
+    from rosbags.typesys import Stores, get_types_from_idl, get_types_from_msg, get_typestore
+
+    if definition.format is MessageDefinitionFormat.NONE:
+        return _store()
+    store = get_typestore(Stores.EMPTY)
+    if definition.format is MessageDefinitionFormat.MSG:
+        store.register(get_types_from_msg(definition.data, kind))
+    else:
+        for part in filter(None, definition.data.split("=" * 80 + "\n")):
+            store.register(get_types_from_idl(part.partition("\n")[2] if part.startswith("IDL: ") else part))
+    return store
+
+
+def bag_types(name: str) -> type:
+    """The class of a message in recordings, `MessageTypes` of rosbags.
+
+    Args:
+        name: Such as `nav_msgs/msg/Path`.
+
+    Raises:
+        MissingExtra: rosbags is not installed.
+    """
+    return _store().types[name]
+
+
+def write_bag(target: str | Path, messages: Iterable[BagMessage], latched: Collection[str] = ()) -> None:
+    """Write a recording, whole or not at all: one file where the name ends in `.mcap`, else a folder as rosbag2's.
+
+    Args:
+        target: A file, which is replaced, or a folder that does not exist.
+        messages: What to write, in any order.
+        latched: Topics whose last message late subscribers get.
+
+    Raises:
+        InvalidFile: The folder exists, or the target cannot be written.
+        InvalidValue: The name ends in something else, or a message was received before 1970.
+        MissingExtra: rosbags is not installed.
+    """
+    target = Path(target)
+    if target.suffix not in (".mcap", ""):
+        raise InvalidValue(f"{target}: must end in .mcap, or name a folder without a suffix, got {target.suffix}")
+    if target.is_dir() or (target.exists() and not target.suffix):
+        raise InvalidFile(f"{target}: exists, and a recording replaces no folder; choose another name")
+    store, nanoseconds = _store(), 1_000_000_000
+    rows = sorted(messages, key=lambda one: one.time)
+    if rows and not rows[0].time >= 0.0:
+        raise InvalidValue(f"{rows[0].topic}: time must be >= 0 s, got {rows[0].time}")
+    from rosbags.rosbag2 import StoragePlugin, Writer
+
+    beside = target.parent / f".{target.stem}.{secrets.token_hex(4)}"
+    try:
+        beside.mkdir(parents=True)
+        inner = beside / target.stem
+        with Writer(inner, version=_VERSION, storage_plugin=StoragePlugin.MCAP) as writer:
+            known: dict[str, Connection] = {}
+            for topic, time, message in rows:
+                kind = message.__msgtype__
+                if topic not in known:
+                    offered = [_latched()] if topic in latched else []
+                    known[topic] = writer.add_connection(topic, kind, typestore=store, offered_qos_profiles=offered)
+                whole = int(time)
+                stamp = whole * nanoseconds + round((time - whole) * nanoseconds)
+                writer.write(known[topic], stamp, store.serialize_cdr(message, kind))
+        source = inner / f"{target.stem}.mcap" if target.suffix else inner
+        os.replace(source, target)  # noqa: PTH105 - the atomic replacement, by its well-known name
+    except OSError as error:
+        raise InvalidFile(f"{target}: cannot be written: {error.strerror or error}") from error
+    finally:
+        shutil.rmtree(beside, ignore_errors=True)
+
+
+def _latched() -> Any:  # noqa: ANN401 - a tuple of rosbags
+    """Quality of service of a topic whose last message late subscribers get."""
+    from rosbags.interfaces import Qos, QosDurability, QosHistory, QosLiveliness, QosReliability, QosTime
+
+    never = QosTime(0, 0)
+    return Qos(
+        QosHistory.KEEP_LAST,
+        1,
+        QosReliability.RELIABLE,
+        QosDurability.TRANSIENT_LOCAL,
+        never,
+        never,
+        QosLiveliness.SYSTEM_DEFAULT,
+        never,
+        avoid_ros_namespace_conventions=False,
+    )
+
+
+@contextmanager
+def open_bag(source: str | Path) -> Iterator[Recording]:
+    """A recording to read: an `.mcap` or `.db3` file, or the folder of one.
+
+    Raises:
+        InvalidFile: It cannot be read, is damaged, or holds no message.
+        MissingExtra: rosbags is not installed.
+    """
+    source = Path(source)
+    _store()
+    from rosbags.rosbag2 import Reader
+
+    if not source.exists():
+        raise InvalidFile(f"{source}: cannot be read: No such file or directory")
+    with _told(source):
+        reader = Reader(source)
+        reader.open()
+    try:
+        if not reader.message_count:
+            raise InvalidFile(f"{source}: holds no message")
+        yield Recording(source, reader)
+    finally:
+        reader.close()
+
+
+@contextmanager
+def _told(source: Path, topic: str = "") -> Iterator[None]:
+    """Whatever a library that reads foreign bytes raises is said with file and topic."""
+    try:
+        yield
+    except InvalidFile:
+        raise
+    except Exception as error:
+        where = f"{source}: {topic}" if topic else f"{source}"
+        reason = " ".join(str(error).split()) or type(error).__name__
+        raise InvalidFile(f"{where}: is damaged or no recording: {reason}") from error
+
+
+class Recording:
+    """An open recording.
+
+    Args:
+        source: Its file, for messages.
+        reader: Of rosbags.
+    """
+
+    def __init__(self, source: Path, reader: Reader) -> None:
+        self.source, self._reader = source, reader
+        self.begin = 1e-9 * reader.start_time
+        self.end = 1e-9 * reader.end_time
+
+    def find(self, topics: Sequence[str], kinds: Collection[str], option: str = "") -> str:
+        """The first of some topics that is there; empty where none is.
+
+        Args:
+            topics: What to look for, in this order.
+            kinds: Types of message that it may have.
+            option: Of the command, for messages; empty where there is none.
+
+        Raises:
+            InvalidFile: It is of another type.
+        """
+        known = {connection.topic: connection.msgtype for connection in self._reader.connections}
+        for topic in topics:
+            kind = known.get(topic)
+            if kind is None:
+                continue
+            if kind not in kinds:
+                other = f"; choose another by {option}" if option else ""
+                raise InvalidFile(f"{self.source}: {topic}: must be {' or '.join(kinds)}, is {kind}{other}")
+            return topic
+        return ""
+
+    def of_kind(self, kinds: Collection[str]) -> str:
+        """Which topics there are of some types of message, in words."""
+        found = sorted({c.topic for c in self._reader.connections if c.msgtype in kinds})
+        some = ", ".join(found[:_LISTED]) or "none"
+        return f"its topics of type {' or '.join(kinds)}: {some}"
+
+    def messages(self, topic: str, since: float, until: float) -> Iterator[tuple[float, Message]]:
+        """Times of reception [s] and messages of a topic, in order; nothing of an empty name.
+
+        Raises:
+            InvalidFile: One is damaged.
+        """
+        for time, kind, data in self._raw(topic, since, until):
+            yield time, self._read(topic, kind, data)
+
+    def last(self, topic: str, since: float, until: float) -> tuple[float, Message] | None:
+        """Time of reception [s] and message of the last one on a topic; None where there is none.
+
+        Raises:
+            InvalidFile: It is damaged.
+        """
+        found = deque(self._raw(topic, since, until), maxlen=1)
+        return (found[0][0], self._read(topic, *found[0][1:])) if found else None
+
+    def _raw(self, topic: str, since: float, until: float) -> Iterator[tuple[float, str, bytes]]:
+        connections = [c for c in self._reader.connections if c.topic == topic]
+        if not connections:
+            return
+        with _told(self.source, topic):
+            for connection, time, data in self._reader.messages(connections):
+                if since <= 1e-9 * time <= until:
+                    yield 1e-9 * time, connection.msgtype, data
+
+    def _read(self, topic: str, kind: str, data: bytes) -> Message:
+        with _told(self.source, topic):
+            definition = next(c.msgdef for c in self._reader.connections if c.msgtype == kind)
+            return _store_of(kind, definition).deserialize_cdr(data, kind)

@@ -1,0 +1,207 @@
+"""What recordings of plans, simulated runs and docking logs hold: paths, motion, transforms, markers, diagnostics."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+from optdock.errors import InvalidFile, InvalidValue
+from optdock.geometry.pose import Pose2, Twist2
+from optdock.obstacles import in_words
+from optdock.path import Path, may_be_one_frame
+from optdock.ros.bag import BagMessage, bag_types
+from optdock.ros.grids import occupancy_message
+from optdock.ros.markers import delete_markers, path_markers
+from optdock.ros.motion import (
+    diagnostics_message,
+    odometry_message,
+    path_message,
+    pose_message,
+    transforms_message,
+    twist_message,
+)
+from optdock.verification import certify_path
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Mapping
+
+    from optdock.executor.log import Cycle, DockingLog
+    from optdock.geometry.arrays import FloatArray
+    from optdock.io.plan_file import PlanFile
+    from optdock.io.run_file import RunColumns
+    from optdock.problem import DockingProblem
+
+__all__ = ["LATCHED", "Names", "log_messages", "plan_messages", "run_messages"]
+
+_PLAN, _TRAJECTORY, _REFERENCE = "/plan", "/docking_trajectory", "/reference_pose"
+_ODOM, _COMMAND, _TF, _MEASURED = "/odom", "/cmd_vel", "/tf", "/measured_pose"
+_MARKERS, _DIAGNOSTICS, _MAP, _COSTMAP = "/markers", "/diagnostics", "/map", "/local_costmap/costmap"
+_DETECTED = "/detected_dock_pose"
+LATCHED = (_PLAN, _TRAJECTORY, _MARKERS, _MAP)
+
+_SPACING = 0.02  # [m] between poses of a path, as in plan files
+
+
+class Names(NamedTuple):
+    """What a recording calls things, and when it begins.
+
+    Attributes:
+        frame: What the coordinate frame is called; empty: as in the file, or in the problem.
+        base: The robot's frame.
+        start: Added to all times [s]: the moment at which a plan or a simulated run begins.
+        stamped: Whether commands are `TwistStamped`.
+    """
+
+    frame: str = ""
+    base: str = "base_link"
+    start: float = 0.0
+    stamped: bool = True
+
+
+def plan_messages(plan: PlanFile, names: Names, problem: DockingProblem | None = None) -> Iterator[BagMessage]:
+    """A plan file: its paths at the beginning, then its motion as if driven exactly.
+
+    With the problem, its map, and markers of the outlines that are swept and of the closest point.
+
+    Raises:
+        InvalidFile: It holds no path and no motion.
+        InvalidValue: It stands in another frame than the problem.
+    """
+    if plan.path is None and plan.raw_path is None and plan.trajectory is None:
+        raise InvalidFile(f"the plan holds no path and no motion to record, its status is {plan.status}")
+    if problem is not None and not may_be_one_frame(plan.frame, problem.frame):
+        raise InvalidValue(f"the plan stands in frame {plan.frame!r}, the scenario in {problem.frame!r}")
+    frame, start = names.frame or plan.frame, names.start
+    yield from _world(problem, frame, start)
+    for topic, path in ((_PLAN, plan.raw_path), (_TRAJECTORY, plan.path)):
+        if path is not None:
+            yield BagMessage(topic, start, _path(path, frame, start))
+    if plan.path is not None:
+        yield BagMessage(_MARKERS, start, _markers(plan.path, problem, frame, start))
+    yield _diagnostics("plan", plan.status == "certified", plan.status, _claims(plan), start)
+    if plan.trajectory is not None:
+        motion = plan.trajectory
+        poses = np.column_stack((motion.x, motion.y, motion.yaw))
+        twists = np.column_stack((motion.speed, motion.yaw_rate))
+        yield from _driven(start + motion.t, poses, twists, names._replace(frame=frame))
+        yield from _commanded(start + motion.t, twists, names)
+
+
+def run_messages(run: RunColumns, names: Names, problem: DockingProblem | None = None) -> Iterator[BagMessage]:
+    """A simulated run: where the robot was, was told that it is, and was meant to be, and what was commanded."""
+    frame = names.frame or ("map" if problem is None else problem.frame)
+    named, times = names._replace(frame=frame), names.start + run.times
+    yield from _world(problem, frame, names.start)
+    planned = Path.from_poses(run.planned)
+    yield BagMessage(_TRAJECTORY, names.start, path_message(bag_types, run.planned, frame, names.start))
+    yield BagMessage(_MARKERS, names.start, _markers(planned, problem, frame, names.start))
+    yield from _driven(times, run.poses, run.twists, named)
+    yield from _commanded(times, run.commands, named)
+    for topic, poses in ((_MEASURED, run.measured), (_REFERENCE, run.planned)):
+        for time, pose in zip(times.tolist(), poses.tolist(), strict=True):
+            yield BagMessage(topic, time, pose_message(bag_types, Pose2(*pose), frame, time))
+    text = "docked" if run.docked else f"not docked: {run.reason}"
+    yield _diagnostics("run", run.docked, text, {"duration [s]": run.times[-1]}, float(times[-1]))
+
+
+def log_messages(log: DockingLog, names: Names) -> Iterator[BagMessage]:
+    """The log of a docking, on its own clock: what was measured, planned, commanded and said in every cycle."""
+    problem = log.task.problem
+    named = names._replace(frame=names.frame or problem.frame)
+    yield from _world(problem, named.frame, names.start + log.cycles[0].measurements.stamp)
+    for cycle in log.cycles:
+        yield from _cycle_messages(cycle, problem, named)
+
+
+def _cycle_messages(cycle: Cycle, problem: DockingProblem, names: Names) -> Iterator[BagMessage]:
+    measured, frame = cycle.measurements, names.frame
+    time = names.start + measured.stamp
+    for planned in cycle.planned:
+        if planned.trajectory is not None:
+            path = planned.trajectory.path
+            yield BagMessage(_TRAJECTORY, time, _path(path, frame, time))
+            yield BagMessage(_MARKERS, time, _markers(path, problem, frame, time, certified=False))
+    if measured.pose is not None:
+        row = np.array([[measured.pose.x, measured.pose.y, measured.pose.yaw]])
+        twist = measured.twist
+        yield from _driven(np.array([time]), row, np.array([[twist.linear, twist.angular, twist.lateral]]), names)
+    for seen in measured.detections:
+        at = names.start + seen.stamp
+        yield BagMessage(_DETECTED, time, pose_message(bag_types, seen.pose, names.base, at))
+    if measured.costmap is not None:
+        yield BagMessage(_COSTMAP, time, occupancy_message(bag_types, measured.costmap, frame, time))
+    command = np.array([[cycle.command.linear, cycle.command.angular]])
+    yield from _commanded(np.array([time]), command, names)
+    for event in cycle.events:
+        said = {"state": cycle.state.value, "detail": event.detail}
+        yield _diagnostics("docking", True, event.name, said, time)  # noqa: FBT003
+    if cycle.ending is not None:
+        ending = cycle.ending
+        values: dict[str, object] = {
+            "error code": ending.kind.code,
+            "retries": ending.num_retries,
+            "reason": ending.reason,
+        }
+        yield _diagnostics("docking", ending.kind.code == 0, ending.kind.value, values, time)
+        yield BagMessage(_MARKERS, time, delete_markers(bag_types, frame, time))
+
+
+def _world(problem: DockingProblem | None, frame: str, time: float) -> Iterator[BagMessage]:
+    if problem is not None and problem.costmap is not None:
+        yield BagMessage(_MAP, time, occupancy_message(bag_types, problem.costmap, frame, time))
+
+
+def _path(path: Path, frame: str, time: float) -> object:
+    samples = path.sample(_SPACING)
+    poses = np.column_stack((samples.x, samples.y, samples.yaw))
+    distinct = np.append(True, np.any(np.diff(poses, axis=0) != 0.0, axis=1))
+    return path_message(bag_types, poses[distinct], frame, time)
+
+
+def _markers(path: Path, problem: DockingProblem | None, frame: str, time: float, *, certified: bool = True) -> object:
+    nameless = Path(path.segments)  # what the recording calls the frame is up to whoever makes it
+    if problem is None:
+        return path_markers(bag_types, nameless, frame, time)
+    return path_markers(
+        bag_types,
+        nameless,
+        frame,
+        time,
+        footprint=problem.robot.footprint,
+        obstacles=problem.all_obstacles,
+        certificate=certify_path(nameless, problem) if certified else None,
+    )
+
+
+def _driven(times: FloatArray, poses: FloatArray, twists: FloatArray, names: Names) -> Iterator[BagMessage]:
+    frame, base = names.frame, names.base
+    for time, pose, twist in zip(times.tolist(), poses.tolist(), twists.tolist(), strict=True):
+        at = Pose2(*pose)
+        yield BagMessage(_ODOM, time, odometry_message(bag_types, at, Twist2(*twist), frame, base, time))
+        yield BagMessage(_TF, time, transforms_message(bag_types, [(frame, base, at)], time))
+
+
+def _commanded(times: FloatArray, commands: FloatArray, names: Names) -> Iterator[BagMessage]:
+    for time, command in zip(times.tolist(), commands.tolist(), strict=True):
+        message = twist_message(bag_types, Twist2(*command), names.base, time, stamped=names.stamped)
+        yield BagMessage(_COMMAND, time, message)
+
+
+def _claims(plan: PlanFile) -> Mapping[str, object]:
+    """What the file says of its certificate, and why there is none."""
+    claimed = plan.certificate or {}
+    told: dict[str, object] = {
+        name: claimed[name]
+        for name in ("min_clearance", "required_clearance", "at_s", "max_curvature", "length")
+        if isinstance(claimed.get(name), float | int)
+    }
+    nearest = claimed.get("nearest")
+    told |= {"nearest": in_words(nearest)} if isinstance(nearest, str) and nearest else {}
+    told |= {} if plan.error is None else {"error code": plan.error.code, "reason": plan.error.message}
+    return told | {f"{stage} [ms]": float(spent) for stage, spent in plan.timing_ms.items()}
+
+
+def _diagnostics(name: str, is_good: bool, text: str, values: Mapping[str, object], time: float) -> BagMessage:  # noqa: FBT001
+    message = diagnostics_message(bag_types, f"optdock: {name}", "ok" if is_good else "error", text, values, time)
+    return BagMessage(_DIAGNOSTICS, time, message)

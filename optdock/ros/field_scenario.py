@@ -1,0 +1,136 @@
+"""A recorded docking as scenarios and plan files: the certificate judges what was planned and what was driven."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+from optdock.config.scenario import Scenario
+from optdock.config.writing import save_scenario
+from optdock.dock import Dock
+from optdock.errors import InvalidPath, InvalidValue
+from optdock.geometry.pose import Pose2
+from optdock.io.maps import save_map
+from optdock.io.plan_file import PlanFile, save_plan
+from optdock.limits import LIMIT_UNITS, MotionLimits
+from optdock.obstacles import in_words
+from optdock.path import Path as DockPath
+from optdock.problem import ClearanceRule, DockingProblem
+from optdock.robot import Robot
+from optdock.verification.proximity import pose_clearances
+
+if TYPE_CHECKING:
+    from optdock.geometry.arrays import FloatArray
+    from optdock.ros.field import FieldDocking
+
+__all__ = ["JudgedPoses", "judged_poses", "save_field_docking"]
+
+_BLOCK = 512  # poses per round, bounds the memory
+
+
+class JudgedPoses(NamedTuple):
+    """What was planned or driven, as a problem that ends where it ended.
+
+    Attributes:
+        name: `path` or `drive`.
+        path: Through the poses.
+        problem: From its first pose to its last, among the costmap's cells.
+        closest: The smallest clearance of the poses, with its pose and obstacle, in words.
+    """
+
+    name: str
+    path: DockPath
+    problem: DockingProblem
+    closest: str
+
+
+def judged_poses(
+    found: FieldDocking, rule: ClearanceRule
+) -> tuple[tuple[JudgedPoses, ...], tuple[tuple[str, str], ...]]:
+    """What can be judged of a recorded docking, and what there is to say of it, in rows.
+
+    Its limits are `MotionLimits`'s own: a recording knows none.
+
+    Args:
+        found: The docking.
+        rule: What clearance path and drive must keep.
+    """
+    judged, rows = list[JudgedPoses](), list[tuple[str, str]]()
+    drive = found.drive
+    for name, poses, of_path in (
+        ("path", found.path, found.path),
+        ("drive", None if drive is None else drive.poses, None if drive is None else drive.poses[list(drive.kept)]),
+    ):
+        if poses is None or of_path is None:
+            rows.append((f"{name} to judge", "none"))
+            continue
+        try:
+            path = DockPath.from_poses(of_path, found.frame)
+        except InvalidPath as error:
+            rows.append((f"{name} to judge", f"none: {error}"))
+            continue
+        problem = DockingProblem(
+            path.start,
+            Dock(path.end),
+            Robot(found.footprint, MotionLimits()),
+            clearance=rule,
+            costmap=found.costmap,
+            frame=found.frame,
+        )
+        times = drive.times if drive is not None and name == "drive" else None
+        closest = _closest(poses, problem, times)
+        judged.append(JudgedPoses(name, path, problem, closest))
+        rows.append((f"{name} closest", closest))
+    return tuple(judged), tuple(rows)
+
+
+def _closest(poses: FloatArray, problem: DockingProblem, times: FloatArray | None) -> str:
+    """The pose of the least clearance, whatever lies between poses."""
+    if not len(problem.all_obstacles):
+        return "nothing is in the way"
+    footprint, obstacles = problem.robot.footprint, problem.all_obstacles
+    blocks = np.array_split(poses, -(-len(poses) // _BLOCK))
+    found = [pose_clearances(block, footprint, obstacles) for block in blocks]
+    distances, rows = (np.concatenate(columns) for columns in zip(*found, strict=True))
+    worst = int(np.argmin(distances))
+    what = in_words(obstacles.name_of(int(rows[worst])))
+    when = "" if times is None else f" at {times[worst]:.3f} s"
+    away = (
+        f"{distances[worst]:.4f} m from {what}" if distances[worst] >= 0.0 else f"{-distances[worst]:.4f} m into {what}"
+    )
+    return f"{away}, pose {worst} of {len(poses)}, {Pose2(*poses[worst].tolist()).brief}{when}"
+
+
+def save_field_docking(
+    folder: str | Path, judged: tuple[JudgedPoses, ...], found: FieldDocking, note: str
+) -> tuple[Path, ...]:
+    """Write `NAME.json`, a plan file, and `NAME.yaml`, a scenario, for each of them, and one map for all.
+
+    Args:
+        folder: Made where it is not there; files of these names are replaced.
+        judged: What to write.
+        found: Where it is from.
+        note: A line of comment for the scenarios.
+
+    Returns:
+        The files written.
+
+    Raises:
+        InvalidFile: A file cannot be written.
+        InvalidValue: There is nothing to write.
+    """
+    if not judged:
+        raise InvalidValue("neither path nor drive has two distinct poses; there is nothing to judge")
+    folder = Path(folder)
+    written = [*save_map(folder / "map.yaml", found.costmap)]
+    for one in judged:
+        plan = folder / f"{one.name}.json"
+        save_plan(plan, PlanFile(status="recorded", completed=True, frame=found.frame, path=one.path))
+        scenario = Scenario(one.problem, default_limits=frozenset(LIMIT_UNITS))
+        files = save_scenario(
+            plan.with_suffix(".yaml"), scenario, map_source=written[0], note=f"{note}, as {one.name} recorded"
+        )
+        written += [plan, *files]
+    return tuple(written)

@@ -1,0 +1,326 @@
+"""Dockings of the simulated robot through the `dock_robot` action: how many succeed, how exactly, at which rate.
+
+    make bench-ros ARGS='--count 100'          # in real time: 20 minutes
+    python ros/tests/bench_dockings.py --speed 4   # on a clock four times as fast, the server at four times its rate
+
+The worlds are those of the docking study, `experiments.docking`, with detections: a bay with posts about, the dock up
+to 10 cm and 5 degrees from where it is stored, lag and latency in the drive, noisy localization and pictures, of which
+some show nothing. Every second docking is backward, every second pair from further away. What counts is the true pose:
+within 10 mm, 10 mm and 1.5 degrees of the true dock, and nothing touched but the station.
+
+The rate is that of the stamps in cmd_vel (with a clock of its own: of their arrival). A command falls into the time of
+planning where the server's planning process used the processor since the one before.
+"""
+
+from __future__ import annotations
+
+import argparse
+import csv
+import math
+import os
+import sys
+import tempfile
+import threading
+import time
+from contextlib import suppress
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+from diagnostic_msgs.msg import DiagnosticArray
+from geometry_msgs.msg import TwistStamped
+from harness import Client, Lifecycle, Processes, free_domain, ros
+from nav2_msgs.action import DockRobot
+from rcl_interfaces.srv import SetParameters
+from rclpy.parameter import Parameter
+from std_srvs.srv import Trigger
+
+from experiments.docking.worlds import DETECTED, SPREADS, STATION, case_of
+from optdock.config import Scenario, save_scenario
+from optdock.dock import DockDirection
+from optdock.geometry.pose import Pose2
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from experiments.docking.worlds import Case
+
+ALONG, CROSS, YAW = 0.010, 0.010, math.radians(1.5)  # of a docking that counts [m], [m], [rad]
+OVERLAP = -0.0075  # [m] with the station, which is touched: the front corners of a robot turned by 1.5 degrees
+FREQUENCY = 50.0  # [Hz] of the server, on the simulated clock
+SAMPLING = 0.01  # [s]: the kernel counts processor time in such ticks
+LONGEST = 120.0  # [s] for one docking, of wall clock
+SETTLED = 0.5  # [s] after the end, until the report is believed
+
+
+class Docking(NamedTuple):
+    """What became of one."""
+
+    number: int
+    spread: str
+    direction: str
+    code: int
+    success: bool
+    retries: int
+    along: float
+    cross: float
+    yaw: float
+    clearance: float
+    station_clearance: float
+    duration: float
+    last_command_is_zero: bool
+    text: str
+
+    @property
+    def is_exact(self) -> bool:
+        """Whether the robot truly stands where it should."""
+        return abs(self.along) <= ALONG and abs(self.cross) <= CROSS and abs(self.yaw) <= YAW
+
+    @property
+    def collided(self) -> bool:
+        """Whether it touched anything that it must not."""
+        return self.clearance < 0.0 or self.station_clearance < OVERLAP
+
+
+class Processor:
+    """Samples the processor time of a server and of its planning process."""
+
+    def __init__(self, pid: int) -> None:
+        self.pid = pid
+        self.samples: list[tuple[float, float, float]] = []
+        self._ended = threading.Event()
+        self._thread = threading.Thread(target=self._run)
+        self._thread.start()
+
+    def end(self) -> None:
+        """Joins the thread."""
+        self._ended.set()
+        self._thread.join()
+
+    def _run(self) -> None:
+        while not self._ended.wait(SAMPLING):
+            with suppress(FileNotFoundError, ProcessLookupError):  # a child has just ended
+                inner = sum(spent(child) for child in children(self.pid))
+                self.samples.append((time.time(), spent(self.pid), inner))
+
+
+def children(pid: int) -> list[int]:
+    """Of a process."""
+    tasks = Path(f"/proc/{pid}/task").glob("*/children")
+    return [int(word) for task in tasks for word in task.read_text().split()]
+
+
+def spent(pid: int) -> float:
+    """Processor time [s]."""
+    words = Path(f"/proc/{pid}/stat").read_text().rsplit(")", 1)[1].split()
+    return (int(words[11]) + int(words[12])) / os.sysconf("SC_CLK_TCK")
+
+
+def text_of(vertices: Any) -> str:
+    """An outline in Nav2's syntax."""
+    return "[" + ", ".join(f"[{x:.6g}, {y:.6g}]" for x, y in vertices.tolist()) + "]"
+
+
+def server_parameters(speed: float) -> dict[str, object]:
+    """Of the docking server: two types of docks, for either gear; the docks come with the goals."""
+    dock, pose = DETECTED.dock, DETECTED.pose
+    assert dock is not None
+    kind = {
+        "plugin": "opennav_docking::SimpleChargingDock",
+        "use_external_detection_pose": True,
+        "external_detection_timeout": 1.0,
+        "detection_position_sigma": dock.position_sigma,
+        "detection_yaw_sigma": dock.yaw_sigma,
+        "staging_x_offset": -0.7,
+    }
+    return {
+        "use_sim_time": speed > 0.0,
+        "controller_frequency": FREQUENCY * (speed or 1.0),
+        "dock_plugins": ["forward", "backward"],
+        "forward": {**kind, "dock_direction": "forward", "dock": {"footprint": text_of(STATION.vertices)}},
+        "backward": {
+            **kind,
+            "dock_direction": "backward",
+            "staging_yaw_offset": math.pi,
+            "dock": {"footprint": text_of(-STATION.vertices)},
+        },
+        "executor": {"position_sigma": pose.position_sigma, "yaw_sigma": pose.yaw_sigma},
+        "clearance": {"required": 0.05, "at_dock": 0.0, "taper": 0.5},
+    }
+
+
+def robot_parameters(speed: float) -> dict[str, object]:
+    """Of the simulated robot: the study's world `detected`, and one picture in twenty that shows nothing."""
+    dock, pose, drive = DETECTED.dock, DETECTED.pose, DETECTED.actuation
+    assert dock is not None
+    return {
+        "speed": speed,
+        "actuation.linear_lag": drive.linear_lag,
+        "actuation.angular_lag": drive.angular_lag,
+        "actuation.latency": drive.latency,
+        "localization.position_sigma": pose.position_sigma,
+        "localization.yaw_sigma": pose.yaw_sigma,
+        "detection.rate": dock.rate,
+        "detection.latency": dock.latency,
+        "detection.position_sigma": dock.position_sigma,
+        "detection.yaw_sigma": dock.yaw_sigma,
+        "detection.drop_out": 0.05,
+        "detection.field_of_view": 2.0 * math.pi,
+        "costmap.size": 6.0,  # robot and dock in one window: what lies outside is not known to be free
+    }
+
+
+class Bench:
+    """Robot, server and a client, set up once.
+
+    Args:
+        client: Asks.
+        folder: For scenario files.
+    """
+
+    def __init__(self, client: Client, folder: Path) -> None:
+        self.client, self.folder = client, folder
+        self.commands: list[tuple[float, float, float, float]] = []
+        self.reports: list[DiagnosticArray] = client.heard(DiagnosticArray, "/simulated_robot/report")
+        client.create_subscription(TwistStamped, "cmd_vel", self._take, 200)
+
+    def _take(self, message: TwistStamped) -> None:
+        stamp = message.header.stamp.sec + 1e-9 * message.header.stamp.nanosec
+        self.commands.append((time.time(), stamp, message.twist.linear.x, message.twist.angular.z))
+
+    def place(self, case: Case) -> None:
+        """Put the robot before the dock of a case."""
+        file = self.folder / f"{case.seed}.yaml"
+        save_scenario(file, Scenario(case.problem))
+        offset = case.true_dock.in_frame_of(case.problem.goal)
+        values = {"scenario": str(file), "dock_offset": [offset.x, offset.y, offset.yaw], "seed": case.seed}
+        request = SetParameters.Request(
+            parameters=[Parameter(k, value=v).to_parameter_msg() for k, v in values.items()]
+        )
+        results = self.client.call(SetParameters, "/simulated_robot/set_parameters", request).results
+        assert all(result.successful for result in results), results
+        answer = self.client.call(Trigger, "/simulated_robot/reset")
+        assert answer.success, answer.message
+        time.sleep(SETTLED)
+
+    def dock(self, case: Case, spread: str) -> Docking:
+        """One docking."""
+        self.place(case)
+        backward = case.direction is DockDirection.BACKWARD
+        into = case.problem.goal @ Pose2(0.0, 0.0, math.pi if backward else 0.0)
+        goal = DockRobot.Goal(use_dock_id=False, dock_type=case.direction.value, navigate_to_staging_pose=False)
+        goal.dock_pose.header.frame_id = "map"
+        goal.dock_pose.pose.position.x, goal.dock_pose.pose.position.y = into.x, into.y
+        goal.dock_pose.pose.orientation.z = math.sin(0.5 * into.yaw)
+        goal.dock_pose.pose.orientation.w = math.cos(0.5 * into.yaw)
+        began = time.monotonic()
+        reply = self.client.send(DockRobot, "dock_robot", goal).reply(LONGEST)
+        duration = time.monotonic() - began
+        time.sleep(SETTLED)
+        told = {item.key: item.value for item in self.reports[-1].status[0].values}
+        numbers = (float(told[key]) for key in ("along", "cross", "yaw", "clearance", "station_clearance"))
+        result = reply.result
+        still = not self.commands or self.commands[-1][2:] == (0.0, 0.0)
+        return Docking(
+            case.seed, spread, case.direction.value, result.error_code, result.success, result.num_retries, *numbers,
+            duration, still, result.error_msg,
+        )  # fmt: skip
+
+
+def table(found: Sequence[Docking]) -> str:
+    """What became of them, in a few lines."""
+    good = [one for one in found if one.success and one.is_exact and not one.collided]
+    lines = [
+        f"{len(good)} of {len(found)} docked within 10 mm, 10 mm, 1.5 degrees; "
+        f"{sum(one.success for one in found)} reported as docked, {sum(one.collided for one in found)} collided, "
+        f"{sum(not one.last_command_is_zero for one in found)} left a command behind"
+    ]
+    docked = [one for one in found if one.success] or found
+    for name, values, unit in (
+        ("|along|", [1e3 * abs(one.along) for one in docked], "mm"),
+        ("|cross|", [1e3 * abs(one.cross) for one in docked], "mm"),
+        ("|yaw|", [math.degrees(abs(one.yaw)) for one in docked], "degrees"),
+        ("duration", [one.duration for one in docked], "s"),
+        ("retries", [one.retries for one in docked], ""),
+    ):
+        p50, p95 = np.percentile(values, [50, 95])
+        lines.append(f"{name:10} p50 {p50:.2f}  p95 {p95:.2f}  max {max(values):.2f} {unit}")
+    lines.append(f"clearance to obstacles, smallest: {1e3 * min(one.clearance for one in found):.0f} mm")
+    lines += [f"  {one.number} {one.spread} {one.direction}: {one}" for one in found if one not in good]
+    return "\n".join(lines)
+
+
+def rates(commands: Sequence[tuple[float, ...]], processor: Processor, speed: float) -> str:
+    """How evenly the commands came, while planning ran and else."""
+    times = np.array([row[0 if speed else 1] for row in commands])
+    samples = np.array(processor.samples)
+    period = 1.0 / (FREQUENCY * (speed or 1.0))
+    steps = np.diff(times)
+    within = steps < 10.0 * period  # longer: another docking
+    busy = np.diff(np.interp(times, samples[:, 0], samples[:, 2])) > 0.0
+    lines = []
+    for name, chosen in (("while planning", within & busy), ("else", within & ~busy)):
+        off = 1e3 * np.abs(steps[chosen] - period)
+        if off.size:
+            p50, p99 = np.percentile(off, [50, 99])
+            lines.append(
+                f"cmd_vel, {name}: {off.size} periods of {1e3 * period:.0f} ms, off by p50 {p50:.2f}  p99 {p99:.2f}  "
+                f"max {off.max():.2f} ms"
+            )
+    lines.append(f"gaps of 10 periods and more within a docking or between: {int(np.sum(~within))}")
+    wall = samples[-1, 0] - samples[0, 0]
+    server, planner = (float(np.ptp(samples[:, column])) / wall for column in (1, 2))
+    lines.append(f"processor: server {100 * server:.0f} %, its planning process {100 * planner:.0f} % of a core")
+    return "\n".join(lines)
+
+
+def docked(options: argparse.Namespace, folder: Path) -> tuple[list[Docking], str]:
+    """All dockings with one server, and the table of its rates."""
+    found: list[Docking] = []
+    processes, client = Processes(folder), Client()
+    try:
+        processes("simulated_robot", params=robot_parameters(options.speed))
+        server = processes("docking_server", params=server_parameters(options.speed))
+        bench = Bench(client, folder)
+        client.until(lambda: bench.reports)
+        Lifecycle(client, "docking_server").up()
+        processor = Processor(server.pid)
+        try:
+            for number in range(options.first, options.first + options.count):
+                spread = SPREADS["nav2" if number // 2 % 2 == 0 else "wider"]
+                found.append(bench.dock(case_of(number, spread, DETECTED), spread.name))
+                sys.stderr.write(f"{found[-1]}\n")
+        finally:
+            processor.end()
+        return found, rates(bench.commands, processor, options.speed)
+    finally:
+        client.end()
+        processes.end()
+        for process in processes.started:
+            (options.out / f"{process.name}.log").write_text(process.log())
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Dock, print; 1 where fewer than 98 in 100 succeed, or one collides."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--count", type=int, default=100, help="dockings (default: %(default)s)")
+    parser.add_argument("--first", type=int, default=0, help="number of the first one")
+    parser.add_argument("--speed", type=float, default=0.0, help="of the clock; 0: real time (default)")
+    parser.add_argument("--out", type=Path, default=Path("results") / "ros")
+    options = parser.parse_args(arguments)
+    options.out.mkdir(parents=True, exist_ok=True)
+    domain, keeper = free_domain()
+    with keeper, tempfile.TemporaryDirectory() as name:
+        ours = {"ROS_DOMAIN_ID": str(domain), "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST", "OMP_NUM_THREADS": "1"}
+        os.environ.update(ours, ROS_LOG_DIR=name)
+        with ros(domain):
+            found, told = docked(options, Path(name))
+    with (options.out / "dockings.csv").open("w", newline="", encoding="utf-8") as file:
+        csv.writer(file).writerows([Docking._fields, *found])
+    print(f"{table(found)}\n{told}")
+    good = sum(one.success and one.is_exact for one in found)
+    return 0 if good >= 0.98 * len(found) and not any(one.collided for one in found) else 1
+
+
+if __name__ == "__main__":
+    sys.exit(main())

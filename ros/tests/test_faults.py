@@ -1,0 +1,209 @@
+"""What happens to a moving robot when the server, or what it lives on, fails: the robot stops, and nothing is left.
+
+Times are those of the simulated robot: a base that stops 0.25 s after its last command, and slows down at 0.5 m/s^2
+where it is told to. They are bounds with room for a busy machine, not measurements.
+"""
+
+from __future__ import annotations
+
+import math
+import os
+import signal
+import time
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import pytest
+from action_msgs.msg import GoalStatus
+from diagnostic_msgs.msg import DiagnosticArray
+from geometry_msgs.msg import TwistStamped
+from harness import Client, Goal, Lifecycle, Process, Processes, stranger
+from launch_stand_in import PACKAGE
+from nav2_msgs.action import DockRobot
+from nav_msgs.msg import Odometry
+from rcl_interfaces.srv import SetParameters
+from rclpy.parameter import Parameter
+from std_srvs.srv import Trigger
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+WORLD = PACKAGE / "config" / "simulated_docking.yaml"
+MOVING = 0.08  # [m/s]: in mid-approach
+STILL = 2e-3  # [m/s]: the plant's lag leaves a thousandth
+DECELERATION = 0.5  # [m/s^2], the robot's limit in the world's file
+SLOWEST_STOP = 1.5  # [s] from full speed, jerk limit and lag included
+
+
+class World:
+    """Robot and server, and what they said."""
+
+    def __init__(self, client: Client, processes: Processes) -> None:
+        self.client, self.processes = client, processes
+        self.truth: list[Odometry] = client.heard(Odometry, "/simulated_robot/truth", 50)
+        self.reports: list[DiagnosticArray] = client.heard(DiagnosticArray, "/simulated_robot/report")
+        self.commands: list[tuple[float, float, float]] = []
+        client.create_subscription(TwistStamped, "cmd_vel", self._take, 100)
+        processes("simulated_robot", params=WORLD)
+        self.server = self.start()
+
+    def _take(self, message: TwistStamped) -> None:
+        self.commands.append((time.monotonic(), message.twist.linear.x, message.twist.angular.z))
+
+    def start(self) -> Process:
+        """A docking server, active."""
+        self.server = self.processes("docking_server", params=WORLD)
+        with stranger(int(os.environ["ROS_DOMAIN_ID"])) as client:
+            Lifecycle(client, "docking_server").up()
+        return self.server
+
+    def reset(self) -> None:
+        """The robot at its start, nothing broken."""
+        for name in ("transforms", "odometry", "detections", "costmap"):
+            self.fault(name, on=False)
+        assert self.client.call(Trigger, "/simulated_robot/reset").success
+        self.truth.clear()
+        self.client.until(lambda: self.truth)
+
+    def fault(self, name: str, *, on: bool) -> None:
+        """Switch a fault of the simulated robot."""
+        request = SetParameters.Request(parameters=[Parameter(f"faults.{name}", value=on).to_parameter_msg()])
+        (result,) = self.client.call(SetParameters, "/simulated_robot/set_parameters", request).results
+        assert result.successful, result.reason
+
+    @property
+    def speed(self) -> float:
+        """True, now [m/s]."""
+        twist = self.truth[-1].twist.twist
+        return max(abs(twist.linear.x), 0.3 * abs(twist.angular.z))
+
+    def send(self) -> Goal:
+        """Dock."""
+        goal = DockRobot.Goal(dock_id="bay", navigate_to_staging_pose=False)
+        return self.client.send(DockRobot, "dock_robot", goal)
+
+    def approach(self) -> Goal:
+        """Dock, until the robot moves."""
+        self.reset()
+        goal = self.send()
+        assert goal.is_accepted
+        self.client.until(lambda: self.speed > MOVING or goal.is_done, what="an approach")
+        assert not goal.is_done, goal.reply()
+        return goal
+
+    def stops(self, within: float) -> float:
+        """Wait until the robot stands, at most so long [s]; how long it took."""
+        began = time.monotonic()
+        self.client.until(lambda: self.speed < STILL, within, "a stop")
+        return time.monotonic() - began
+
+    def docks(self) -> None:
+        """A whole docking, from the start."""
+        self.reset()
+        reply = self.send().reply(60.0)
+        assert reply.status == GoalStatus.STATUS_SUCCEEDED, reply.result
+        time.sleep(0.3)
+        told = {item.key: item.value for item in self.reports[-1].status[0].values}
+        assert abs(float(told["along"])) < 0.01
+        assert abs(float(told["cross"])) < 0.01
+        assert abs(float(told["yaw"])) < math.radians(1.5)
+
+    def gentle_end(self) -> None:
+        """The commands came down within the robot's limits, and the last of them is zero."""
+        time.sleep(0.3)
+        assert self.commands[-1][1:] == (0.0, 0.0)
+        drops = [abs(a[1]) - abs(b[1]) for a, b in zip(self.commands[-60:], self.commands[-59:], strict=False)]
+        assert max(drops) < 2.5 * DECELERATION / 50.0  # a cycle that comes late may brake for longer
+
+
+@pytest.fixture(scope="module")
+def world(client_node: Client, module_process: Processes) -> World:
+    """One robot; the servers come and go."""
+    return World(client_node, module_process)
+
+
+@pytest.fixture(autouse=True)
+def _a_server_that_lives(world: World) -> Iterator[None]:
+    with stranger(int(os.environ["ROS_DOMAIN_ID"])) as client:
+        is_active = world.server.is_running and Lifecycle(client, "docking_server").state == "active"
+    if not is_active:
+        world.server.kill()
+        world.start()
+    yield
+    world.reset()
+
+
+def family(pid: int) -> list[int]:
+    """The processes that a process has started."""
+    return [int(word) for task in Path(f"/proc/{pid}/task").glob("*/children") for word in task.read_text().split()]
+
+
+def is_gone(pid: int) -> bool:
+    """Whether a process has ended; a zombie has."""
+    try:
+        return Path(f"/proc/{pid}/stat").read_text().rsplit(")", 1)[1].split()[0] == "Z"
+    except FileNotFoundError:
+        return True
+
+
+def test_a_killed_server_leaves_a_robot_that_stops_and_a_new_one_docks(world: World) -> None:
+    world.approach()
+    inner = family(world.server.pid)
+    assert inner, "plans are made in another process"
+    world.server.popen.kill()
+    world.server.popen.wait()
+    assert world.stops(within=SLOWEST_STOP) < SLOWEST_STOP
+    assert world.commands[-1][1:] != (0.0, 0.0)  # nobody said so: the base stopped by itself
+    world.client.until(lambda: all(is_gone(pid) for pid in inner), 5.0, "the end of the planning process")
+    world.start()
+    world.docks()
+
+
+@pytest.mark.parametrize("by", [signal.SIGINT, signal.SIGTERM])
+def test_an_interrupted_server_stops_the_robot_and_ends_well(world: World, by: signal.Signals) -> None:
+    world.approach()
+    assert world.server.stop(by) == 0
+    assert world.stops(within=0.5) < 0.5  # it stands before the process ends
+    world.gentle_end()
+
+
+@pytest.mark.parametrize("how", ["deactivate", "shutdown"])
+def test_a_transition_out_of_active_stops_the_robot_first(world: World, how: str) -> None:
+    goal = world.approach()
+    server = Lifecycle(world.client, "docking_server")
+    assert getattr(server, how)()
+    assert world.stops(within=0.5) < 0.5
+    world.gentle_end()
+    reply = goal.reply()
+    assert reply.status == GoalStatus.STATUS_ABORTED
+    if how == "deactivate":
+        assert not world.send().is_accepted
+        assert server.activate()
+        world.docks()
+    else:
+        assert server.state == "finalized"
+        assert world.server.stop() == 0
+
+
+@pytest.mark.parametrize(
+    ("fault", "within"),
+    [("transforms", SLOWEST_STOP), ("odometry", SLOWEST_STOP), ("costmap", 1.0 + 0.2 + SLOWEST_STOP)],
+)
+def test_what_is_not_renewed_stops_the_robot(world: World, fault: str, within: float) -> None:
+    """Transforms and odometry count for fractions of a second, a costmap for `costmap_timeout`, 1 s."""
+    goal = world.approach()
+    world.fault(fault, on=True)
+    world.stops(within)
+    world.fault(fault, on=False)
+    reply: Any = goal.reply(60.0)  # it goes on, or says what it missed
+    assert reply.status == GoalStatus.STATUS_SUCCEEDED or fault[:6] in reply.result.error_msg, reply
+
+
+def test_a_robot_that_never_gets_its_transforms_back_is_told_why(world: World) -> None:
+    goal = world.approach()
+    world.fault("transforms", on=True)
+    world.stops(SLOWEST_STOP)
+    reply = goal.reply(30.0)
+    assert reply.status == GoalStatus.STATUS_ABORTED
+    assert "transform" in reply.result.error_msg
+    world.gentle_end()

@@ -1,0 +1,79 @@
+"""The launch files start what they say they start; `ros2 launch` itself cannot be installed here and is not run."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import pytest
+import yaml
+from launch_stand_in import PACKAGE, Started, launched
+
+SERVERS = ["smoother_server", "planner_server", "docking_server"]
+
+
+def options(started: Started, flag: str) -> list[str]:
+    """The values of a repeated option."""
+    return [value for key, value in zip(started.arguments, started.arguments[1:], strict=False) if key == flag]
+
+
+def test_all_servers_with_the_default_file(tmp_path: Path) -> None:
+    found = launched("servers.launch.py", tmp_path)
+    assert [one.executable for one in found] == SERVERS
+    for one in found:
+        files = options(one, "--params-file")
+        assert Path(files[0]) == PACKAGE / "config" / "optdock.yaml"
+        assert yaml.safe_load(Path(files[1]).read_text())["/**"]["ros__parameters"] == {
+            "use_sim_time": False,
+            "autostart": False,
+        }
+        assert "cmd_vel:=cmd_vel" in options(one, "-r")
+
+
+def test_arguments_reach_the_nodes(tmp_path: Path) -> None:
+    found = launched(
+        "servers.launch.py",
+        tmp_path,
+        namespace="robot1",
+        use_sim_time="true",
+        autostart="True",
+        planner="false",
+        smoother="false",
+        cmd_vel_topic="cmd_vel_docking",
+        params_file="/etc/mine.yaml",
+        log_level="debug",
+    )
+    (docking,) = found
+    assert docking.executable == "docking_server"
+    assert options(docking, "--params-file")[0] == "/etc/mine.yaml"
+    values = yaml.safe_load(Path(options(docking, "--params-file")[1]).read_text())["/**"]["ros__parameters"]
+    assert values == {"use_sim_time": True, "autostart": True}
+    assert {"__node:=docking_server", "__ns:=/robot1", "cmd_vel:=cmd_vel_docking", "/tf:=tf"} <= {
+        *options(docking, "-r")
+    }
+    assert options(docking, "--log-level") == ["debug"]
+
+
+def test_a_misspelt_argument_of_a_node_is_seen_by_the_stand_in(tmp_path: Path) -> None:
+    broken = tmp_path / "broken.launch.py"
+    text = (PACKAGE / "launch" / "servers.launch.py").read_text()
+    broken.write_text(text.replace("executable=", "exec="))
+    with pytest.raises(TypeError, match="exec"):
+        launched(broken, tmp_path)
+
+
+def test_robot_and_server_in_the_simulated_world(tmp_path: Path) -> None:
+    robot, server = launched("simulated_docking.launch.py", tmp_path)
+    assert (robot.executable, server.executable) == ("simulated_robot", "docking_server")
+    file = PACKAGE / "config" / "simulated_docking.yaml"
+    assert {options(one, "--params-file")[0] for one in (robot, server)} == {str(file)}
+    assert set(yaml.safe_load(file.read_text())) == {"simulated_robot", "docking_server"}
+
+
+def test_everything_that_is_launched_is_installed() -> None:
+    """Executables of the launch files are console scripts; launch files and parameters are data files."""
+    setup = (PACKAGE / "setup.py").read_text()
+    scripts = re.findall(r'"(\w+) = optdock_ros', setup)
+    assert {*SERVERS, "simulated_robot"} == set(scripts)
+    assert {path.suffix for path in (PACKAGE / "config").iterdir()} == {".yaml"}
+    assert all(path.name.endswith(".launch.py") for path in (PACKAGE / "launch").glob("*.py"))
