@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import os
 import threading
 import time
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pytest
+from optdock_ros.control_loop import ControlLoop, Run, may_be_preferred
 
 from optdock.executor import Ending, EndingKind, Feedback, FeedbackState, State, Step
 from optdock.geometry.footprint import Footprint
@@ -15,13 +17,14 @@ from optdock.geometry.pose import Twist2
 from optdock.limits import MotionLimits
 from optdock.measurements import Measurements
 from optdock.robot import Robot
-from optdock_ros.control_loop import ControlLoop, Run, preferred
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
 PERIOD = 0.01
-LIMITS = MotionLimits(max_speed=0.5, max_acceleration=2.0, max_deceleration=2.0, max_jerk=20.0, max_yaw_acceleration=4.0)
+LIMITS = MotionLimits(
+    max_speed=0.5, max_acceleration=2.0, max_deceleration=2.0, max_jerk=20.0, max_yaw_acceleration=4.0
+)
 ROBOT = Robot(Footprint.rectangle(0.3, 0.3, 0.4), LIMITS)
 MOVING = Twist2(0.3, 0.2)
 
@@ -161,10 +164,17 @@ def test_times_tell_of_missed_deadlines() -> None:
     times = world.loop.times
     assert times.missed >= 8
     assert times.busy_max >= 0.1
-    assert times.count == len(world.seen)
+    assert times.cycles == len(world.seen)
 
 
 def test_realtime_is_given_back() -> None:
-    if not preferred(True):  # noqa: FBT003
+    if not may_be_preferred():
         pytest.skip("not permitted here")
-    assert preferred(False)  # noqa: FBT003
+    policies: list[int] = []
+    world = World(Driver(lambda _: policies.append(os.sched_getscheduler(0))))
+    world.loop = ControlLoop(ROBOT, PERIOD, time.monotonic, world.sent.append, realtime=True)
+    world.loop.start(world.run)
+    time.sleep(0.1)
+    world.loop.close("the end", 1.0)
+    assert set(policies) == {os.SCHED_RR | os.SCHED_RESET_ON_FORK}
+    assert os.sched_getscheduler(0) == os.SCHED_OTHER

@@ -7,7 +7,7 @@ import os
 import signal
 import time
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import pytest
@@ -93,7 +93,9 @@ class Bay:
         count = len(self.reports)
         self.client.until(lambda: len(self.reports) >= count + 2, what="a report")
         words = {"True": 1.0, "False": 0.0}
-        return {v.key: words[v.value] if v.value in words else float(v.value) for v in self.reports[-1].status[0].values}
+        return {
+            v.key: words[v.value] if v.value in words else float(v.value) for v in self.reports[-1].status[0].values
+        }
 
     def assert_stopped(self, *, in_limits: bool = True) -> None:
         """The robot stands, the last command is zero, and what led there kept the limits."""
@@ -162,6 +164,9 @@ def test_a_docking_and_an_undocking(bay: Bay) -> None:
     assert "busy p99 [ms]" in {item.key for item in said["docking_server: deadlines"].values}
     assert said["docking_server: state"].message == "idle"
 
+
+def test_what_is_docked_stays_and_undocks(bay: Bay) -> None:
+    """After the test before."""
     again = bay.dock().reply()
     assert (again.status, again.result.success) == (SUCCEEDED, True)
     assert "already" in again.result.error_msg
@@ -368,10 +373,12 @@ def test_sigterm_in_motion_leaves_zero_and_no_process(bay: Bay) -> None:
 
 
 def test_kill_in_motion_is_the_watchdogs_and_a_restart_docks_again(bay: Bay) -> None:
+    if bay.server.is_running:
+        bay.server.stop()
     bay.server = bay.processes("docking_server", params=SERVER | {"autostart": True})
     bay.server.wait_for("ready for goals")
     bay.reset()
-    goal = bay.dock()
+    bay.dock()
     bay.driving()
     planners = children(bay.server)
     os.kill(bay.server.pid, signal.SIGKILL)

@@ -10,10 +10,11 @@ import gc
 import logging
 import os
 import threading
-from contextlib import suppress
 import time
 from collections import deque
+from contextlib import suppress
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -29,7 +30,7 @@ if TYPE_CHECKING:
     from optdock.measurements import Measurements
     from optdock.robot import Robot
 
-__all__ = ["ControlLoop", "CycleTimes", "Run", "preferred"]
+__all__ = ["ControlLoop", "CycleTimes", "Run", "may_be_preferred"]
 
 logger = logging.getLogger(__name__)
 
@@ -38,6 +39,7 @@ _LONGEST_RAMP = 10.0  # [s]: no robot brakes for longer; then the command falls 
 _SLACK = 0.5  # [s] for cycles that are late while a robot brakes
 _KEPT = 3000  # cycles whose times are kept: a minute at 50 Hz
 _PRIORITY = 1  # the least of them: beyond everything that is not realtime, below whatever else is
+_REALTIME = os.SCHED_RR | os.SCHED_RESET_ON_FORK
 _NEVER = 1e-9  # [m/s], [rad/s]: slower is at rest, left by rounding
 
 
@@ -45,7 +47,7 @@ class CycleTimes(NamedTuple):
     """How well the loop kept its rate, over the last minute or so.
 
     Attributes:
-        count: Cycles since the task began.
+        cycles: Since the task began.
         missed: Deadlines that passed before the cycle began.
         period: Wanted [s].
         late_p99: 99th percentile of how late a command was sent, against its deadline [s].
@@ -54,7 +56,7 @@ class CycleTimes(NamedTuple):
         busy_max: The longest [s].
     """
 
-    count: int
+    cycles: int
     missed: int
     period: float
     late_p99: float
@@ -179,9 +181,9 @@ class ControlLoop:
         # Nothing that exists now will be garbage within this task: a collection in mid-motion need not walk over it.
         gc.collect()
         gc.freeze()
-        if self._realtime:
-            preferred(True)
         try:
+            if self._realtime:
+                prefer(_REALTIME, _PRIORITY)
             run.ending = self._drive(run)
         except Exception as error:  # whatever it is, the robot must come to rest
             logger.exception("the control loop stops the robot")
@@ -190,7 +192,7 @@ class ControlLoop:
         finally:
             gc.unfreeze()
             if self._realtime:
-                preferred(False)
+                prefer(os.SCHED_OTHER, 0)
             if not self._silent:
                 self._put(Twist2())
             run.done.set()
@@ -256,21 +258,25 @@ class ControlLoop:
             self._send(command)
 
 
-def preferred(wanted: bool) -> bool:  # noqa: FBT001 - on or off
-    """Have the kernel prefer all threads of this process to those of others, or not any more.
+def prefer(policy: int, priority: int) -> None:
+    """Have the kernel schedule all threads of this process so.
 
     All of them, because a thread that holds the interpreter and is not preferred lets the one that waits for it wait
     for everybody. Threads and processes that are started meanwhile are as any other.
 
-    Returns:
-        Whether that is permitted.
+    Raises:
+        PermissionError: The user may not.
     """
-    policy = os.SCHED_RR | os.SCHED_RESET_ON_FORK if wanted else os.SCHED_OTHER
-    parameters = os.sched_param(_PRIORITY if wanted else 0)
-    for name in os.listdir("/proc/self/task"):
+    for thread in Path("/proc/self/task").iterdir():
         with suppress(ProcessLookupError):  # it has just ended
-            try:
-                os.sched_setscheduler(int(name), policy, parameters)
-            except PermissionError:
-                return False
+            os.sched_setscheduler(int(thread.name), policy, os.sched_param(priority))
+
+
+def may_be_preferred() -> bool:
+    """Whether this user's processes may be realtime ones."""
+    try:
+        os.sched_setscheduler(0, _REALTIME, os.sched_param(_PRIORITY))
+        os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
+    except PermissionError:
+        return False
     return True
