@@ -19,7 +19,17 @@ if TYPE_CHECKING:
     from mkdocs.structure.files import Files
     from mkdocs.structure.pages import Page
 
-__all__ = ["MAPPED", "PACKAGES", "ROOT", "SHOWN", "defined_in", "link_to_map", "link_to_source", "on_files", "on_page_content"]
+__all__ = [
+    "MAPPED",
+    "PACKAGES",
+    "ROOT",
+    "SHOWN",
+    "defined_in",
+    "link_to_map",
+    "link_to_source",
+    "on_files",
+    "on_page_content",
+]
 
 ROOT = Path(__file__).resolve().parents[2]
 PACKAGES = ("optdock", "smoothers", "checkers")
