@@ -32,7 +32,9 @@ def bag(  # noqa: PLR0913 - one parameter per option
         Path | None,
         typer.Option(help="Scenario of a plan or run: for its map, the swept outlines and the closest point."),
     ] = None,
-    frame: Annotated[str, typer.Option(help="Coordinate frame; default: the file's, or the scenario's.")] = "",
+    frame: Annotated[
+        str, typer.Option(help="What to call the coordinate frame; default: as the file or the scenario does.")
+    ] = "",
     base_frame: Annotated[str, typer.Option(help="The robot's frame.")] = "base_link",
     start: Annotated[
         float, typer.Option(metavar=SECONDS, help="Time at which it begins, since 1970; of a log: added to its own.")
@@ -94,7 +96,7 @@ def _messages(source: Path, names: Names, problem: DockingProblem | None) -> Ite
 
         try:
             yield from plan_messages(load_plan(source), names, problem)
-        except InvalidFile as error:
+        except (InvalidFile, InvalidValue) as error:
             said = str(error)
             raise InvalidFile(said if said.startswith(str(source)) else f"{source}: {said}") from error
 

@@ -6,9 +6,10 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from optdock.errors import InvalidFile
+from optdock.errors import InvalidFile, InvalidValue
 from optdock.geometry.pose import Pose2, Twist2
 from optdock.obstacles import in_words
+from optdock.path import Path, may_be_one_frame
 from optdock.ros.bag import BagMessage, bag_types
 from optdock.ros.grids import occupancy_message
 from optdock.ros.markers import delete_markers, path_markers
@@ -29,7 +30,6 @@ if TYPE_CHECKING:
     from optdock.geometry.arrays import FloatArray
     from optdock.io.plan_file import PlanFile
     from optdock.io.run_file import RunColumns
-    from optdock.path import Path
     from optdock.problem import DockingProblem
 
 __all__ = ["LATCHED", "Names", "log_messages", "plan_messages", "run_messages"]
@@ -47,7 +47,7 @@ class Names(NamedTuple):
     """What a recording calls things, and when it begins.
 
     Attributes:
-        frame: The coordinate frame; empty: that of the problem.
+        frame: What the coordinate frame is called; empty: as in the file, or in the problem.
         base: The robot's frame.
         start: Added to all times [s]: the moment at which a plan or a simulated run begins.
         stamped: Whether commands are `TwistStamped`.
@@ -66,10 +66,12 @@ def plan_messages(plan: PlanFile, names: Names, problem: DockingProblem | None =
 
     Raises:
         InvalidFile: It holds no path and no motion.
-        InvalidPath: It stands in another frame than the problem.
+        InvalidValue: It stands in another frame than the problem.
     """
     if plan.path is None and plan.raw_path is None and plan.trajectory is None:
         raise InvalidFile(f"the plan holds no path and no motion to record, its status is {plan.status}")
+    if problem is not None and not may_be_one_frame(plan.frame, problem.frame):
+        raise InvalidValue(f"the plan stands in frame {plan.frame!r}, the scenario in {problem.frame!r}")
     frame, start = names.frame or plan.frame, names.start
     yield from _world(problem, frame, start)
     for topic, path in ((_PLAN, plan.raw_path), (_TRAJECTORY, plan.path)):
@@ -87,17 +89,11 @@ def plan_messages(plan: PlanFile, names: Names, problem: DockingProblem | None =
 
 
 def run_messages(run: RunColumns, names: Names, problem: DockingProblem | None = None) -> Iterator[BagMessage]:
-    """A simulated run: where the robot was, was told that it is, and was meant to be, and what was commanded.
-
-    Raises:
-        InvalidPath: It stands in another frame than the problem.
-    """
-    from optdock.path import Path as DockPath
-
+    """A simulated run: where the robot was, was told that it is, and was meant to be, and what was commanded."""
     frame = names.frame or ("map" if problem is None else problem.frame)
     named, times = names._replace(frame=frame), names.start + run.times
     yield from _world(problem, frame, names.start)
-    planned = DockPath.from_poses(run.planned, frame)
+    planned = Path.from_poses(run.planned)
     yield BagMessage(_TRAJECTORY, names.start, path_message(bag_types, run.planned, frame, names.start))
     yield BagMessage(_MARKERS, names.start, _markers(planned, problem, frame, names.start))
     yield from _driven(times, run.poses, run.twists, named)
@@ -164,16 +160,17 @@ def _path(path: Path, frame: str, time: float) -> object:
 
 
 def _markers(path: Path, problem: DockingProblem | None, frame: str, time: float, *, certified: bool = True) -> object:
+    nameless = Path(path.segments)  # what the recording calls the frame is up to whoever makes it
     if problem is None:
-        return path_markers(bag_types, path, frame, time)
+        return path_markers(bag_types, nameless, frame, time)
     return path_markers(
         bag_types,
-        path,
+        nameless,
         frame,
         time,
         footprint=problem.robot.footprint,
         obstacles=problem.all_obstacles,
-        certificate=certify_path(path.with_frame(problem.frame), problem) if certified else None,
+        certificate=certify_path(nameless, problem) if certified else None,
     )
 
 

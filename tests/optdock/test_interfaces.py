@@ -204,6 +204,7 @@ OWN = {
     "CertificationFailed": 503,
     "FailedToTimePath": 600,
     "InvalidFile": 0,
+    "InvalidMessage": 0,
     "InvalidValue": 0,
     "LifecycleError": 0,
     "MissingExtra": 0,

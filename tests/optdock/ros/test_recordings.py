@@ -128,8 +128,9 @@ def test_a_plan_is_recorded_with_its_true_times(planned, out):
 
 def test_without_the_scenario_outlines_are_deleted_and_the_path_is_shown(planned):
     folder, _ = planned
-    assert run("bag", folder / "plan.json", "plan.mcap", "--unstamped").exit_code == 0
+    assert run("bag", folder / "plan.json", "plan.mcap", "--unstamped", "--frame", "hall").exit_code == 0
     found = recorded("plan.mcap")
+    assert {found[topic][0][1].header.frame_id for topic in ("/plan", "/docking_trajectory", "/odom")} == {"hall"}
     actions = {(one.ns, one.id): one.action for one in found["/markers"][0][1].markers}
     assert {name for name, action in actions.items() if action == 0} == {("path", 0), ("goal", 0)}
     assert set(actions.values()) == {0, 2}
@@ -208,6 +209,10 @@ def test_a_recording_is_replaced_whole_or_not_at_all(planned):
         (("plan.json", "a.mcap", "--base-frame", ""), "--base-frame: must be the name of a coordinate frame, got ''"),
         (("run.json", "a.mcap"), "run.json: columns.yaw: must have as many values as columns.t = 2, got 1"),
         (("dock.log", "a.mcap", "--scenario", "bay.yaml"), "--scenario: is for plans and runs; the log of a docking"),
+        (
+            ("plan.json", "a.mcap", "--scenario", "odom.yaml"),
+            "plan.json: the plan stands in frame 'map', the scenario in",
+        ),
         (("plan.json", "file/a.mcap"), "file/a.mcap: cannot be written: Not a directory"),
     ],
 )
@@ -215,6 +220,7 @@ def test_what_cannot_be_recorded_is_refused(planned, arguments, message):
     folder, _ = planned
     for name in ("plan.json", "dock.log", "bay.yaml"):
         Path(name).write_bytes((folder / name).read_bytes())
+    Path("odom.yaml").write_text("frame: odom\n" + Path("bay.yaml").read_text())
     Path("folder").mkdir()
     Path("file").touch()
     columns = json.loads((folder / "run.json").read_text())["columns"]
