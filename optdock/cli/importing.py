@@ -180,8 +180,7 @@ def bag(  # noqa: PLR0913 - one parameter per option
 
         end = math.inf if until is None else until
         _check_stretch(since, end)
-        if contact is not None and not (math.isfinite(contact) and contact >= 0.0):
-            raise InvalidValue(f"--contact: must be finite and >= 0 m, got {contact}")
+        _check_distance("--contact", contact)
         asked = {"path": path_topic, "costmap": costmap_topic, "footprint": footprint_topic, "odometry": odom_topic}
         topics = FieldTopics().instead(asked)
         rule, occupied = _rules(clearance, occupied_from)
@@ -200,12 +199,16 @@ def _check_stretch(since: float, until: float) -> None:
         raise InvalidValue(f"--since: must be >= 0 s and before --until, got {since} and {until}")
 
 
+def _check_distance(option: str, value: float | None) -> None:
+    if value is not None and not (math.isfinite(value) and value >= 0.0):
+        raise InvalidValue(f"{option}: must be finite and >= 0 m, got {value}")
+
+
 def _rules(clearance: float, occupied_from: int) -> tuple[ClearanceRule, OccupancyRule]:
     from optdock.costmap.costs import OccupancyRule
     from optdock.problem import ClearanceRule
 
-    if not (math.isfinite(clearance) and clearance >= 0.0):
-        raise InvalidValue(f"--clearance: must be finite and >= 0 m, got {clearance}")
+    _check_distance("--clearance", clearance)
     if not 1 <= occupied_from <= 100:
         raise InvalidValue(f"--occupied-from: must be in 1..100, got {occupied_from}")
     return ClearanceRule(clearance), OccupancyRule(lethal_cost_threshold=occupied_from)
