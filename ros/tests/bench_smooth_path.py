@@ -13,11 +13,15 @@ import os
 import tempfile
 import time
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 from hall import Surroundings, message, raw_path
 from harness import Client, Lifecycle, Processes, free_domain, ros
 from nav2_msgs.action import SmoothPath
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
 
 BARS = {"round trip p50": 25.0, "round trip p99": 60.0, "cancel": 20.0, "growth": 5.0}
 
@@ -99,17 +103,22 @@ def measure(client: Client, pid: int, asked: argparse.Namespace) -> None:
     cancels = np.array([_cancel(0.001 * (n % 15)) for n in range(60)])
     print(f"  {'cancel p50':24s} {np.percentile(cancels, 50):8.1f} ms")
     tell("cancel", float(cancels.max()), "ms at most")
+    leaks(_round_trip, pid, asked.goals)
+
+
+def leaks(round_trip: Callable[[], float], pid: int, goals: int) -> None:
+    """Memory and threads over many goals."""
     # Results are kept for 10 s: only then does what comes equal what goes.
     end = time.monotonic() + 13.0
     while time.monotonic() < end:
-        _round_trip()
+        round_trip()
     before, used = memory(pid), threads(pid)
     middle = 0.0
-    for n in range(asked.goals):
-        _round_trip()
-        middle = memory(pid) if n == asked.goals // 2 else middle
+    for n in range(goals):
+        round_trip()
+        middle = memory(pid) if n == goals // 2 else middle
     after = memory(pid)
-    print(f"  {'memory':24s} {before:.1f} MB, after {asked.goals // 2}: {middle:.1f}, after {asked.goals}: {after:.1f}")
+    print(f"  {'memory':24s} {before:.1f} MB, after {goals // 2}: {middle:.1f}, after {goals}: {after:.1f}")
     tell("growth", after - before, "MB")
     print(f"  {'threads':24s} {used} before, {threads(pid)} after")
 

@@ -7,14 +7,14 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 from geometry_msgs.msg import PoseStamped, Quaternion
+from optdock_ros.dock_plugins import DockPlugin, SimpleChargingDock, SimpleNonChargingDock, Told, plugin_class
+from optdock_ros.docks import Docks, docks_of_parameters
+from optdock_ros.transforms import Transform
 from sensor_msgs.msg import BatteryState, JointState
 
 from optdock.dock import DockDirection
 from optdock.errors import DockNotInDB, DockNotValid, InvalidFile, InvalidMessage, InvalidValue
 from optdock.geometry.pose import Pose2
-from optdock_ros.dock_plugins import DockPlugin, SimpleChargingDock, SimpleNonChargingDock, Told, plugin_class
-from optdock_ros.docks import Docks, docks_of_parameters
-from optdock_ros.transforms import Transform
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -98,7 +98,7 @@ def test_other_classes_are_refused_by_name() -> None:
     assert plugin_class("dock", "opennav_docking/SimpleChargingDock") is SimpleChargingDock
     with pytest.raises(DockNotValid, match="no dock of the class mine::Dock"):
         plugin_class("dock", "mine::Dock")
-    with pytest.raises(InvalidValue, match="dock.plugin: is required"):
+    with pytest.raises(InvalidValue, match=r"dock\.plugin: is required"):
         plugin_class("dock", None)
 
 
@@ -144,7 +144,9 @@ def docks(**entries: Mapping[str, object]) -> Docks:
 
 
 def test_docks_are_found_by_name_and_faults_have_nav2s_codes(tmp_path: Path) -> None:
-    known = docks(home={"type": "bay", "pose": [1.0, 2.0, 0.5], "frame": "odom"}, lost={"type": "quay", "pose": [0, 0, 0]})
+    known = docks(
+        home={"type": "bay", "pose": [1.0, 2.0, 0.5], "frame": "odom"}, lost={"type": "quay", "pose": [0, 0, 0]}
+    )
     entry, plugin = known.find("home")
     assert (entry.pose, entry.frame, plugin.name) == (Pose2(1.0, 2.0, 0.5), "odom", "bay")
     with pytest.raises(DockNotInDB, match="'hoem'; did you mean home") as missing:

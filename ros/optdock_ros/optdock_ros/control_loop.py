@@ -8,10 +8,13 @@ from __future__ import annotations
 
 import gc
 import logging
+import os
 import threading
 import time
 from collections import deque
+from contextlib import suppress
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -27,13 +30,16 @@ if TYPE_CHECKING:
     from optdock.measurements import Measurements
     from optdock.robot import Robot
 
-__all__ = ["ControlLoop", "CycleTimes", "Run"]
+__all__ = ["ControlLoop", "CycleTimes", "Run", "may_be_preferred"]
 
 logger = logging.getLogger(__name__)
 
 _STANDSTILL = 0.5  # [s] of wall clock in which the clock of the measurements stands still: nothing can be timed by it
 _LONGEST_RAMP = 10.0  # [s]: no robot brakes for longer; then the command falls to zero
+_SLACK = 0.5  # [s] for cycles that are late while a robot brakes
 _KEPT = 3000  # cycles whose times are kept: a minute at 50 Hz
+_PRIORITY = 1  # the least of them: beyond everything that is not realtime, below whatever else is
+_REALTIME = os.SCHED_RR | os.SCHED_RESET_ON_FORK
 _NEVER = 1e-9  # [m/s], [rad/s]: slower is at rest, left by rounding
 
 
@@ -95,17 +101,27 @@ class ControlLoop:
         period: Of the cycles [s].
         now: The clock of the measurements [s].
         send: Sends a command; called in the thread of the loop alone.
+        realtime: Whether the kernel prefers the threads of this process to those of others while a task is at work.
     """
 
-    def __init__(self, robot: Robot, period: float, now: Callable[[], float], send: Callable[[Twist2], None]) -> None:
-        self._robot, self.period, self._now, self._send = robot, period, now, send
+    def __init__(
+        self,
+        robot: Robot,
+        period: float,
+        now: Callable[[], float],
+        send: Callable[[Twist2], None],
+        *,
+        realtime: bool = False,
+    ) -> None:
+        self._robot, self.period, self._now, self._send, self._realtime = robot, period, now, send, realtime
         self._sent = Twist2()
         self._late: deque[float] = deque(maxlen=_KEPT)
         self._busy: deque[float] = deque(maxlen=_KEPT)
         self._count = self._missed = 0
+        self._sending = threading.Lock()
         self._thread: threading.Thread | None = None
         self._run: Run | None = None
-        self._aborted = False
+        self._aborted = self._silent = False
 
     @property
     def run(self) -> Run | None:
@@ -149,9 +165,14 @@ class ControlLoop:
         run.stop(reason)
         in_time = run.done.wait(patience)
         self._aborted = True
-        thread.join(patience)
-        if not run.done.is_set():  # it hangs in a cycle; nobody else sends any more
-            self._put(Twist2())
+        limits = self._robot.limits
+        thread.join(limits.max_speed / limits.max_deceleration + limits.max_deceleration / limits.max_jerk + _SLACK)
+        if not run.done.is_set():  # it hangs in a cycle; whatever that gives when it comes back is not sent
+            is_free = self._sending.acquire(timeout=_SLACK)  # or it hangs in a middleware that takes nothing
+            self._silent = True
+            self._send(Twist2())
+            if is_free:
+                self._sending.release()
             run.ending = run.ending or Ending(EndingKind.UNKNOWN, f"{reason}; the control loop hangs", 0, self._now())
             run.done.set()
         return in_time
@@ -161,14 +182,19 @@ class ControlLoop:
         gc.collect()
         gc.freeze()
         try:
+            if self._realtime:
+                prefer(_REALTIME, _PRIORITY)
             run.ending = self._drive(run)
         except Exception as error:  # whatever it is, the robot must come to rest
             logger.exception("the control loop stops the robot")
-            run.ending = Ending(EndingKind.UNKNOWN, f"{type(error).__name__}: {error}", 0, self._now())
+            run.ending = run.ending or Ending(EndingKind.UNKNOWN, f"{type(error).__name__}: {error}", 0, self._now())
             self._ramp_down()
         finally:
             gc.unfreeze()
-            self._put(Twist2())
+            if self._realtime:
+                prefer(os.SCHED_OTHER, 0)
+            if not self._silent:
+                self._put(Twist2())
             run.done.set()
 
     def _drive(self, run: Run) -> Ending:
@@ -225,5 +251,32 @@ class ControlLoop:
             logger.exception("no ramp; the command falls to zero")
 
     def _put(self, command: Twist2) -> None:
-        self._sent = command
-        self._send(command)
+        with self._sending:
+            if self._silent:
+                raise RuntimeError("the control loop has been given up")
+            self._sent = command
+            self._send(command)
+
+
+def prefer(policy: int, priority: int) -> None:
+    """Have the kernel schedule all threads of this process so.
+
+    All of them, because a thread that holds the interpreter and is not preferred lets the one that waits for it wait
+    for everybody. Threads and processes that are started meanwhile are as any other.
+
+    Raises:
+        PermissionError: The user may not.
+    """
+    for thread in Path("/proc/self/task").iterdir():
+        with suppress(ProcessLookupError):  # it has just ended
+            os.sched_setscheduler(int(thread.name), policy, os.sched_param(priority))
+
+
+def may_be_preferred() -> bool:
+    """Whether this user's processes may be realtime ones."""
+    try:
+        os.sched_setscheduler(0, _REALTIME, os.sched_param(_PRIORITY))
+        os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
+    except PermissionError:
+        return False
+    return True

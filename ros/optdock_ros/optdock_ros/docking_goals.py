@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
     from optdock_ros.control_loop import Run
 
-__all__ = ["UNKNOWN", "Goal", "GoalQueue", "Outcome"]
+__all__ = ["UNKNOWN", "Goal", "GoalQueue", "Outcome", "done", "failed"]
 
 UNKNOWN = 999
 """Nav2's error code for what has no other."""
@@ -45,6 +45,16 @@ class Outcome(NamedTuple):
     code: int = 0
     text: str = ""
     retries: int = 0
+
+
+def done(text: str) -> Outcome:
+    """The goal was reached."""
+    return Outcome(success=True, text=text)
+
+
+def failed(code: int, text: str, retries: int = 0) -> Outcome:
+    """The goal was not reached; code 0 where nothing went wrong."""
+    return Outcome(success=False, code=code, text=text, retries=retries)
 
 
 class Goal:
@@ -139,7 +149,7 @@ class GoalQueue:
             waiting, self._waiting = list(self._waiting.values()), {}
             current = self._current
         for goal in waiting:
-            self._answer(goal, Outcome(False, UNKNOWN, reason))
+            self._answer(goal, failed(UNKNOWN, reason))
         if current is not None:
             current.end(reason)
 
@@ -164,7 +174,7 @@ class GoalQueue:
             for goal in gone:
                 del self._waiting[goal.kind]
         for goal in gone:
-            self._answer(goal, Outcome(False, 0, "cancelled before it began"))
+            self._answer(goal, failed(0, "cancelled before it began"))
 
     def _accept(self, kind: Any, handle: ServerGoalHandle[Any, Any, Any]) -> None:
         goal = Goal(kind, handle)
@@ -183,9 +193,9 @@ class GoalQueue:
                 if self._current.kind is kind:
                     self._current.end("preempted by a newer goal")
         if refused is not None:
-            self._answer(refused, Outcome(False, UNKNOWN, "the server is not active"))
+            self._answer(refused, failed(UNKNOWN, "the server is not active"))
         if replaced is not None:
-            self._answer(replaced, Outcome(False, UNKNOWN, "replaced by a newer goal before it began"))
+            self._answer(replaced, failed(UNKNOWN, "replaced by a newer goal before it began"))
 
     def _cancel(self, handle: ServerGoalHandle[Any, Any, Any]) -> CancelResponse:
         with self._lock:
@@ -208,7 +218,7 @@ class GoalQueue:
                 outcome = self._actions[goal.kind][1](goal)
             except Exception as error:  # the work has stopped the robot, whatever it was
                 self._node.get_logger().error(f"{self._actions[goal.kind][0]}: {type(error).__name__}: {error}")
-                outcome = Outcome(False, UNKNOWN, f"{type(error).__name__}: {error}")
+                outcome = failed(UNKNOWN, f"{type(error).__name__}: {error}")
             self._answer(goal, outcome)
             with self._lock:
                 following = self._waiting.pop(goal.kind, None)

@@ -64,6 +64,11 @@ class DockingParameters(ServerParameters):
     docks: list[str] = Field(default=[], description="names of the docks; each has a block")
     enable_stamped_cmd_vel: bool = Field(default=True, description="TwistStamped, as Nav2 since Kilted; else Twist")
 
+    use_realtime_priority: bool = Field(
+        default=False,
+        description="the kernel prefers this process while a task is at work; needs the right to (rtprio)",
+    )
+
     stage_by_executor: bool = Field(
         default=False, description="drive to the staging pose here, certified, instead of asking navigate_to_pose"
     )

@@ -11,43 +11,43 @@ from __future__ import annotations
 import dataclasses
 import math
 import sys
+import threading
 import time
 from collections import deque
-from contextlib import suppress
+from contextlib import ExitStack, closing, contextmanager, suppress
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple, TypeVar
 
-from action_msgs.msg import GoalStatus
+import numpy as np
 from geometry_msgs.msg import PoseStamped, Twist, TwistStamped
-from nav2_msgs.action import DockRobot, NavigateToPose, UndockRobot
+from nav2_msgs.action import DockRobot, UndockRobot
 from nav2_msgs.srv import ReloadDockDatabase
 from nav_msgs.msg import Odometry
-from rclpy.action import ActionClient
 from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
 from rclpy.duration import Duration
 from sensor_msgs.msg import BatteryState, JointState
+from std_srvs.srv import Trigger
 
 from optdock import ros
-from optdock.errors import DockNotValid, InvalidMessage, OptdockError
+from optdock.errors import DockNotValid, InvalidMessage, InvalidValue, OptdockError
 from optdock.executor import DockingExecutor, EndingKind, PlanningProcess, State, ThreadPlanning
 from optdock.geometry.pose import Pose2, Twist2
 from optdock.problem import DockingProblem
-from optdock_ros.control_loop import ControlLoop, Run
+from optdock_ros.control_loop import ControlLoop, Run, may_be_preferred
 from optdock_ros.dock_plugins import Told
-from optdock_ros.docking_goals import UNKNOWN, Goal, GoalQueue, Outcome
+from optdock_ros.docking_goals import UNKNOWN, Goal, GoalQueue, Outcome, done, failed
 from optdock_ros.docking_parameters import NOT_READ, DockingParameters, DockingSettings, docking_settings
 from optdock_ros.docking_reports import Reports
 from optdock_ros.docks import Docks
 from optdock_ros.measuring import MeasurementRules, Measuring, Surroundings
+from optdock_ros.navigator import Navigator
 from optdock_ros.server import Server, run
 from optdock_ros.surroundings import CostmapTopic, FootprintTopic, SurroundingsError, nav2_footprint
 from optdock_ros.transforms import TransformBuffer
 from optdock_ros.world import joined, moved, with_contact_zone
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    from rclpy.task import Future
+    from collections.abc import Callable, Iterator
 
     from optdock.costmap.costmap import Costmap
     from optdock.executor import Event, ExecutorSettings, Step
@@ -55,8 +55,8 @@ if TYPE_CHECKING:
     from optdock.geometry.footprint import Footprint
     from optdock.measurements import Measurements
     from optdock.nav2.docks import DockEntry
-    from optdock_ros.dock_plugins import DockPlugin
     from optdock.ros import StampedCostmap
+    from optdock_ros.dock_plugins import DockPlugin
     from optdock_ros.world import Box
 
 __all__ = ["DockingServer", "main"]
@@ -67,9 +67,10 @@ _LOOK = 0.05  # [s] between two looks at costmaps, cancellations and what there 
 _FIRST_MESSAGES = 2.0  # [s]: a costmap comes at 1 Hz at least, a footprint and transforms with it
 _WARM = 60.0  # [s] for the planning process to start, once, on a slow computer
 _STOPPING = 5.0  # [s]: robots of these limits stop within two seconds; longer, and the command falls to zero
-_NAVIGATOR = 2.0  # [s] for navigate_to_pose to be there and to accept, each
 _SWITCH = 0.0005  # [s]: another thread gives the interpreter up so soon; Python's 5 ms would be jitter of cmd_vel
+_DETECTIONS = "detected_dock_pose"
 _TELL, _REPORT = 0.1, 0.5  # [s] between two feedbacks, and two reports on /diagnostics, where nothing changes
+_LOOKS = 15  # detections for a dock that is not seen any more on the way: their median errs by a third of one
 _PRESSES = (State.APPROACHING, State.PRESSING)
 _AROUND = 3.0  # [m] around robot and dock: beyond, a map is not looked at
 
@@ -131,101 +132,110 @@ class DockingServer(Server[DockingSettings]):
     def set_up(self) -> None:
         """Subscriptions, publishers, services, actions, and the process that plans."""
         settings = self.settings
-        if settings.not_read:
-            self.get_logger().info(f"parameters that mean nothing here: {', '.join(settings.not_read)}")
-        if not settings.docks:
-            self.get_logger().warning(
-                "there is neither dock_database nor docks: goals must give the dock's pose, or reload_database be called"
-            )
-        controller = settings.controller
+        if settings.own.use_realtime_priority and not may_be_preferred():
+            raise InvalidValue("use_realtime_priority: is not permitted; set rtprio in /etc/security/limits.conf")
+        self._say_what_is_missing()
         self._docks = Docks(settings.plugins, settings.docks)
-        self._frames = TransformBuffer(self)
         self._measuring: Measuring | None = None
         self._battery: Told | None = None
         self._joints: Told | None = None
         self._docked: _Docked | None = None
-        self._kept: list[Any] = []
-        self._costmap = self._map = self._footprint = None
-        if controller.use_collision_detection:
-            self._costmap = CostmapTopic(self, controller.costmap_topic)
-            self._map = CostmapTopic(self, controller.map_topic) if controller.map_topic else None
-            self._footprint = FootprintTopic(
-                self, controller.footprint_topic, self._frames, settings.own.base_frame, controller.transform_tolerance
-            )
-        else:
-            self.get_logger().warning("controller.use_collision_detection is false: the robot sees no obstacles")
-        group = MutuallyExclusiveCallbackGroup()
-        self._kept = [
-            self.create_subscription(Odometry, settings.own.odom_topic, self._take_odometry, 10, callback_group=group)
-        ]
-        plugins = list(settings.plugins.values())
-        if any(p.parameters.use_external_detection_pose and not p.parameters.subscribe_toggle for p in plugins):
-            self._kept.append(self._detections())
-        if any(p.waits_for_charge for p in plugins):
-            self._kept.append(
-                self.create_subscription(BatteryState, "battery_state", self._take_battery, 1, callback_group=group)
-            )
-        if any(p.parameters.use_stall_detection for p in plugins):
-            self._kept.append(
-                self.create_subscription(JointState, "joint_states", self._take_joints, 10, callback_group=group)
-            )
+        self._loop: ControlLoop | None = None
+        self._parts = parts = ExitStack()
+        self._planner = parts.enter_context(closing(PlanningProcess()))
+        self._frames = parts.enter_context(closing(TransformBuffer(self)))
+        self._reports = parts.enter_context(closing(Reports(self, settings.own.fixed_frame)))
         stamped = settings.own.enable_stamped_cmd_vel
         self._command = self.create_publisher(TwistStamped if stamped else Twist, "cmd_vel", 1)
-        self._reports = Reports(self, settings.own.fixed_frame)
-        self._service = self.create_service(ReloadDockDatabase, "~/reload_database", self._reload)
-        self._navigator = (
-            None if settings.own.stage_by_executor else ActionClient(self, NavigateToPose, "navigate_to_pose")
+        parts.callback(self.destroy_publisher, self._command)
+        self._see()
+        self._listen()
+        self._navigator: Navigator | None = None
+        if not settings.own.stage_by_executor:
+            self._navigator = parts.enter_context(closing(Navigator(self)))
+        service = self.create_service(ReloadDockDatabase, "~/reload_database", self._reload)
+        parts.callback(self.destroy_service, service)
+        work = {DockRobot: ("dock_robot", self._dock), UndockRobot: ("undock_robot", self._undock)}
+        self._goals = GoalQueue(self, work)
+        parts.callback(self._goals.destroy)
+
+    def _say_what_is_missing(self) -> None:
+        settings = self.settings
+        if settings.not_read:
+            self.get_logger().info(f"parameters that mean nothing here: {', '.join(settings.not_read)}")
+        if not settings.docks:
+            self.get_logger().warning(
+                "there is neither dock_database nor docks: goals must give a dock's pose, or reload_database be called"
+            )
+        if not settings.controller.use_collision_detection:
+            self.get_logger().warning("controller.use_collision_detection is false: the robot sees no obstacles")
+
+    def _see(self) -> None:
+        """Subscribe to what the robot must not touch, and to what it is."""
+        own, controller, parts = self.settings.own, self.settings.controller, self._parts
+        self._costmap: CostmapTopic | None = None
+        self._map: CostmapTopic | None = None
+        self._footprint: FootprintTopic | None = None
+        if not controller.use_collision_detection:
+            return
+        self._costmap = parts.enter_context(closing(CostmapTopic(self, controller.costmap_topic)))
+        if controller.map_topic:
+            self._map = parts.enter_context(closing(CostmapTopic(self, controller.map_topic)))
+        outline = FootprintTopic(
+            self, controller.footprint_topic, self._frames, own.base_frame, controller.transform_tolerance
         )
-        self._goals = GoalQueue(
-            self, {DockRobot: ("dock_robot", self._dock), UndockRobot: ("undock_robot", self._undock)}
-        )
-        self._planner = PlanningProcess()
-        self._loop: ControlLoop | None = None
+        self._footprint = parts.enter_context(closing(outline))
+
+    def _listen(self) -> None:
+        """Subscribe to what the robot does and feels, as far as a type of dock asks for it."""
+        types = [plugin.parameters for plugin in self.settings.plugins.values()]
+        self._subscribe(Odometry, self.settings.own.odom_topic, self._take_odometry, 10)
+        if any(of_type.use_external_detection_pose and not of_type.subscribe_toggle for of_type in types):
+            self._subscribe(PoseStamped, _DETECTIONS, self._take_detection, 10)
+        if any(plugin.waits_for_charge for plugin in self.settings.plugins.values()):
+            self._subscribe(BatteryState, "battery_state", self._take_battery, 1)
+        if any(of_type.use_stall_detection for of_type in types):
+            self._subscribe(JointState, "joint_states", self._take_joints, 10)
+        names = {of_type.detector_service_name for of_type in types} - {""}
+        self._detectors = {name: self.create_client(Trigger, name) for name in names}
+        for client in self._detectors.values():
+            self._parts.callback(self.destroy_client, client)
+
+    def _subscribe(self, kind: Any, topic: str, take: Callable[[Any], None], depth: int) -> None:
+        group = MutuallyExclusiveCallbackGroup()
+        subscription = self.create_subscription(kind, topic, take, depth, callback_group=group)
+        self._parts.callback(self.destroy_subscription, subscription)
 
     def start(self) -> None:
         """Accept goals."""
         self._goals.open()
+        docks = self._docks
+        self.get_logger().info(f"ready for goals: {len(docks.plugins)} dock types, {len(docks.entries)} docks")
+
+    def changed(self, before: DockingSettings) -> None:  # noqa: ARG002 - the base class's
+        """What is changed counts from the next goal on."""
+        self._docks.plugins = dict(self.settings.plugins)
 
     def stop(self) -> None:
         """Stop the robot, end all goals; the last command is zero."""
-        self._goals.close("the server is being deactivated")
-        loop = self._loop
-        if loop is not None:
-            loop.close("the server is being deactivated", _STOPPING)
+        reason = "the server is being deactivated"
+        self._goals.close(reason)
+        if self._loop is not None and not self._loop.close(reason, _STOPPING):
+            self.get_logger().error("the robot was not stopped by the executor")
         if not self._goals.join(_STOPPING):
-            self.get_logger().error("a goal's thread goes on; it commands nothing any more")
-        self._send(Twist2())
+            self.get_logger().error("the thread of a goal goes on; it commands nothing any more")
         self._reports.idle(self._now())
 
     def tear_down(self) -> None:
         """Give everything back."""
-        for name in ("_frames", "_costmap", "_map", "_footprint", "_reports", "_planner"):
-            part = self.__dict__.pop(name, None)
-            if part is not None:
-                part.close()
-        goals = self.__dict__.pop("_goals", None)
-        if goals is not None:
-            goals.close()
-            goals.join(_STOPPING)
-            goals.destroy()
-        for subscription in self.__dict__.pop("_kept", ()):
-            self.destroy_subscription(subscription)
-        publisher, service, navigator = (self.__dict__.pop(n, None) for n in ("_command", "_service", "_navigator"))
-        if publisher is not None:
-            self.destroy_publisher(publisher)
-        if service is not None:
-            self.destroy_service(service)
-        if navigator is not None:
-            navigator.destroy()
-        self._loop = None
+        parts = self.__dict__.pop("_parts", None)
+        if parts is not None:
+            parts.close()
 
     # Messages.
 
     def _now(self) -> float:
         return float(self.get_clock().now().nanoseconds) * 1e-9
-
-    def _detections(self) -> Any:
-        return self.create_subscription(PoseStamped, "detected_dock_pose", self._take_detection, 10)
 
     def _take_odometry(self, message: Odometry) -> None:
         if self._measuring is not None:
@@ -281,7 +291,7 @@ class DockingServer(Server[DockingSettings]):
         except _Ended as ended:
             outcome = ended.outcome
         except OptdockError as error:
-            outcome = Outcome(False, error.code or UNKNOWN, str(error))
+            outcome = failed(error.code or UNKNOWN, str(error))
         finally:
             self._measuring = None
             self._reports.idle(self._now())
@@ -296,7 +306,7 @@ class DockingServer(Server[DockingSettings]):
         entry, plugin = self._wanted(request)
         dock = self._in_fixed_frame(goal, entry)
         if plugin.is_charger and self._is_in_dock(plugin, [plugin.docked_pose(dock)]):
-            return Outcome(True, text="the robot is docked or charging already")
+            return done("the robot is docked or charging already")
         stages = bool(request.navigate_to_staging_pose)
         if stages and not own.stage_by_executor:
             self._navigate(goal, entry, plugin, dock)
@@ -305,7 +315,11 @@ class DockingServer(Server[DockingSettings]):
         settings = self.settings.executor_settings(
             plugin, navigate_to_staging_pose=stages, max_staging_time=staging_time
         )
-        task = self._task(goal, plugin, plugin.docked_pose(dock), settings, "dock")
+        docked = plugin.docked_pose(dock)
+        if plugin.parameters.rotate_to_dock and settings.use_detections:
+            docked = self._seen_at_rest(goal, plugin, settings)
+            settings = settings.model_copy(update={"use_detections": False})
+        task = self._task(goal, plugin, docked, settings, "dock")
         ending = self._carry_out(goal, task)
         if ending.success:
             self._docked = _Docked(task.executor.dock, plugin.name)
@@ -319,7 +333,7 @@ class DockingServer(Server[DockingSettings]):
         known = [plugin.docked_pose(pose) for pose in self._stored(plugin)]
         known += [self._docked.pose] if self._docked is not None else []
         if plugin.is_charger and not self._is_in_dock(plugin, known):
-            return Outcome(True, text="the robot is in no dock, there is nothing to undock from")
+            return done("the robot is in no dock, there is nothing to undock from")
         limit = max(float(request.max_undocking_time), self.settings.period)
         settings = self.settings.executor_settings(
             plugin, use_detections=False, wait_for_charge=False, max_undocking_time=limit, timeout=limit
@@ -333,7 +347,7 @@ class DockingServer(Server[DockingSettings]):
         while plugin.is_charging(self._battery, self._now()) and time.monotonic() < until and not goal.ending:
             goal.changed.wait(_LOOK)
         if plugin.is_charging(self._battery, self._now()):
-            return Outcome(False, UndockRobot.Result.FAILED_TO_CONTROL, "the battery still charges at the staging pose")
+            return failed(UndockRobot.Result.FAILED_TO_CONTROL, "the battery still charges at the staging pose")
         return ending
 
     def _wanted(self, request: DockRobot.Goal) -> tuple[DockEntry, DockPlugin]:
@@ -393,7 +407,7 @@ class DockingServer(Server[DockingSettings]):
     @staticmethod
     def _stopped_goal(goal: Goal, where: str = "", retries: int = 0) -> Outcome:
         code = 0 if goal.ending == "cancelled" else UNKNOWN
-        return Outcome(False, code, f"{goal.ending}{where and ' '}{where}", retries)
+        return failed(code, f"{goal.ending}{where and ' '}{where}", retries)
 
     def _stored(self, plugin: DockPlugin) -> list[Pose2]:
         """The docks of a type whose frames are known, in the fixed frame."""
@@ -416,10 +430,8 @@ class DockingServer(Server[DockingSettings]):
             return False
         return any(robot.distance_to(pose) < plugin.parameters.docking_threshold for pose in docked)
 
-    # The way to the staging pose, by Nav2.
-
     def _navigate(self, goal: Goal, entry: DockEntry, plugin: DockPlugin, dock: Pose2) -> None:
-        """Have the robot navigated to the staging pose, where it is far from it; two attempts, as Nav2's.
+        """Have the robot navigated to the staging pose, where it is far from it.
 
         Raises:
             _Ended: It did not get there.
@@ -429,52 +441,20 @@ class DockingServer(Server[DockingSettings]):
         gap = self._robot_pose(goal).in_frame_of(staging)
         if math.sqrt(gap.x**2 + gap.y**2 + gap.yaw**2) < own.dock_prestaging_tolerance:
             return
-        until = time.monotonic() + float(goal.request.max_staging_time)
-        wanted = NavigateToPose.Goal(behavior_tree=own.navigator_bt_xml)
-        stamp = self._now()
-        wanted.pose = ros.pose_message(ros.imported, plugin.staging_pose(entry.pose), entry.frame, stamp)
-        reason = ""
-        for _ in range(2):
-            reason = self._navigated(goal, wanted, until)
-            if not reason:
-                return
-            self.get_logger().warning(f"navigate_to_pose: {reason}")
-        raise _Ended(Outcome(False, DockRobot.Result.FAILED_TO_STAGE, f"navigate_to_pose: {reason}"))
+        assert self._navigator is not None
+        pose = ros.pose_message(ros.imported, plugin.staging_pose(entry.pose), entry.frame, self._now())
 
-    def _navigated(self, goal: Goal, wanted: NavigateToPose.Goal, until: float) -> str:
-        """One attempt; why it failed, or nothing."""
-        client = self._navigator
-        assert client is not None
-        if not client.wait_for_server(_NAVIGATOR):
-            return "there is no such server"
-        sent = client.send_goal_async(wanted)
-        if not self._came(goal, sent, min(until, time.monotonic() + _NAVIGATOR)):
-            sent.add_done_callback(_cancel_when_accepted)
-            self._check_end(goal)
-            return "it does not answer"
-        handle = sent.result()
-        if handle is None or not handle.accepted:
-            return "it does not accept the goal"
-        result = handle.get_result_async()
-        if not self._came(goal, result, until):
-            handle.cancel_goal_async()
-            self._check_end(goal)
-            return f"not there after {goal.request.max_staging_time:.1f} s"
-        found = result.result()
-        if found.status == GoalStatus.STATUS_SUCCEEDED and getattr(found.result, "error_code", 0) == 0:
-            return ""
-        return f"it ended with status {found.status}, code {getattr(found.result, 'error_code', 0)}"
-
-    def _came(self, goal: Goal, future: Future[Any], until: float) -> bool:
-        """Whether a result came in time, and before the goal was to end."""
-        while not future.done():
+        def is_over() -> bool:
             self._goals.tidy()
-            if goal.ending or time.monotonic() > until:
-                return False
             self._tell(goal, DockRobot.Feedback.NAV_TO_STAGING_POSE, 0)
             goal.changed.wait(_LOOK)
             goal.changed.clear()
-        return True
+            return bool(goal.ending)
+
+        fault = self._navigator.go(pose, own.navigator_bt_xml, float(goal.request.max_staging_time), is_over)
+        self._check_end(goal)
+        if fault:
+            raise _Ended(failed(DockRobot.Result.FAILED_TO_STAGE, f"navigate_to_pose: {fault}"))
 
     # The executor's part.
 
@@ -486,9 +466,11 @@ class DockingServer(Server[DockingSettings]):
         Raises:
             _Ended: What the robot must see or know has not come.
         """
-        own, controller = self.settings.own, self.settings.controller
+        own = self.settings.own
         outline = self._outline(goal)
         robot = self.settings.robot.robot(outline)
+        if plugin.parameters.rotate_to_dock:
+            robot = dataclasses.replace(robot, turns_in_place=True)
         dock = self.settings.dock_parameters[plugin.name].dock(plugin, docked)
         problem = DockingProblem(
             self._robot_pose(goal), dock, robot, clearance=self.settings.clearance, frame=own.fixed_frame
@@ -502,7 +484,14 @@ class DockingServer(Server[DockingSettings]):
             goal_checker=self.settings.goal_checker,
             planning=planning,
         )
-        rules = MeasurementRules(
+        detect = plugin.detection if settings.use_detections else None
+        task = _Task(goal, plugin, problem, executor, planning)
+        task.measuring = Measuring(self._rules(plugin), self._frames, detect, lambda now: self._contact(task, now))
+        return task
+
+    def _rules(self, plugin: DockPlugin) -> MeasurementRules:
+        own, controller = self.settings.own, self.settings.controller
+        return MeasurementRules(
             own.fixed_frame,
             own.base_frame,
             controller.transform_tolerance,
@@ -510,10 +499,6 @@ class DockingServer(Server[DockingSettings]):
             controller.costmap_timeout if controller.use_collision_detection else None,
             plugin.parameters.external_detection_timeout,
         )
-        detect = plugin.detection if settings.use_detections else None
-        task = _Task(goal, plugin, problem, executor, planning)
-        task.measuring = Measuring(rules, self._frames, detect, lambda now: self._contact(task, now))
-        return task
 
     def _outline(self, goal: Goal) -> Footprint:
         """The robot's, from the block `robot`, the topic, or the parameters of Nav2's costmaps.
@@ -530,7 +515,7 @@ class DockingServer(Server[DockingSettings]):
         try:
             return self._waited(goal, lambda: topic.newest()[0])
         except OptdockError as error:
-            raise _Ended(Outcome(False, DockRobot.Result.FAILED_TO_CONTROL, str(error))) from error
+            raise _Ended(failed(DockRobot.Result.FAILED_TO_CONTROL, str(error))) from error
 
     def _contact(self, task: _Task, now: float) -> bool | None:
         """What tells of contact: the current, and the joints until the robot has stopped."""
@@ -549,32 +534,31 @@ class DockingServer(Server[DockingSettings]):
 
     def _carry_out(self, goal: Goal, task: _Task) -> Outcome:
         """Drive; returns when the robot stands."""
-        settings, toggled = self.settings, None
-        self._measuring = task.measuring
-        of_type = task.plugin.parameters
-        if task.measuring.detects and of_type.subscribe_toggle:
-            toggled = self._detections()
+        settings = self.settings
         try:
-            self._switch_detector(goal, task, on=True)
-            self._see_first(goal, task)
-            if not self._planner.wait_until_warm(_WARM):
-                raise _Ended(Outcome(False, UNKNOWN, "the planning process does not start"))
-            self._check_end(goal)
-            loop = self._loop = ControlLoop(task.problem.robot, settings.period, self._now, self._send)
-            run = Run(task.executor, task.measuring.measurements, task.observe)
-            goal.start(run)
-            task.measuring.begin()
-            loop.start(run)
-            while not run.done.is_set():
-                goal.changed.wait(_LOOK)
-                goal.changed.clear()
+            with self._detecting(task.plugin, task.measuring):
+                self._see_first(goal, task)
+                if not self._planner.wait_until_warm(_WARM):
+                    raise _Ended(failed(UNKNOWN, "the planning process does not start"))
+                self._check_end(goal)
+                loop = self._loop = ControlLoop(
+                    task.problem.robot,
+                    settings.period,
+                    self._now,
+                    self._send,
+                    realtime=settings.own.use_realtime_priority,
+                )
+                run = Run(task.executor, task.measuring.measurements, task.observe)
+                goal.start(run)
+                task.measuring.begin()
+                loop.start(run)
+                while not run.done.is_set():
+                    goal.changed.wait(_LOOK)
+                    goal.changed.clear()
+                    self._look_after(goal, task, loop)
                 self._look_after(goal, task, loop)
-            self._look_after(goal, task, loop)
         finally:
             task.planning.close()
-            if toggled is not None:
-                self.destroy_subscription(toggled)
-            self._switch_detector(goal, task, on=False)
         ending = run.ending
         assert ending is not None
         if ending.kind is EndingKind.CANCELLED and goal.ending:
@@ -596,7 +580,7 @@ class DockingServer(Server[DockingSettings]):
         try:
             self._waited(goal, lambda: self._refresh(task, is_first=True))
         except OptdockError as error:
-            raise _Ended(Outcome(False, DockRobot.Result.FAILED_TO_CONTROL, str(error))) from error
+            raise _Ended(failed(DockRobot.Result.FAILED_TO_CONTROL, str(error))) from error
 
     def _look_after(self, goal: Goal, task: _Task, loop: ControlLoop) -> None:
         """Everything beside the control loop; nothing here may end the goal."""
@@ -672,8 +656,75 @@ class DockingServer(Server[DockingSettings]):
             return seen.costmap
         return moved(seen.costmap, self._frames.lookup(fixed, seen.frame).planar(), box)
 
-    def _switch_detector(self, goal: Goal, task: _Task, *, on: bool) -> None:
-        """Have the detector switched on or off, where the type of dock names its service."""
+    def _switched(self, plugin: DockPlugin, *, on: bool) -> str:
+        """Have the detector switched on or off, where the type of dock names its service; why that failed."""
+        service = self._detectors.get(plugin.parameters.detector_service_name)
+        if service is None:
+            return ""
+        timeout = plugin.parameters.detector_service_timeout
+        what = f"{service.srv_name}: the detector is not switched {'on' if on else 'off'}"
+        if not service.wait_for_service(timeout):
+            return f"{what}: there is no such service"
+        answered = threading.Event()
+        future = service.call_async(Trigger.Request())
+        future.add_done_callback(lambda _: answered.set())
+        if not answered.wait(timeout):
+            return f"{what}: no answer within {timeout:g} s"
+        answer = future.result()
+        return "" if answer is not None and answer.success else f"{what}: {answer and answer.message}"
+
+    @contextmanager
+    def _detecting(self, plugin: DockPlugin, measuring: Measuring) -> Iterator[None]:
+        """The detector at work, messages on their way to where they are wanted.
+
+        Raises:
+            _Ended: It does not begin.
+        """
+        of_type, subscription = plugin.parameters, None
+        self._measuring = measuring
+        if measuring.detects:
+            fault = self._switched(plugin, on=True)
+            if fault:
+                raise _Ended(failed(DockRobot.Result.FAILED_TO_DETECT_DOCK, fault))
+            if of_type.subscribe_toggle:
+                subscription = self.create_subscription(PoseStamped, _DETECTIONS, self._take_detection, 10)
+        try:
+            yield
+        finally:
+            self._measuring = None
+            if subscription is not None:
+                self.destroy_subscription(subscription)
+            fault = self._switched(plugin, on=False) if measuring.detects else ""
+            if fault:
+                self.get_logger().error(fault)
+
+    def _seen_at_rest(self, goal: Goal, plugin: DockPlugin, settings: ExecutorSettings) -> Pose2:
+        """Where the docked robot would stand, by what is seen before a robot turns its back to the dock.
+
+        Raises:
+            _Ended: It is not seen.
+        """
+        own = self.settings.own
+        measuring = Measuring(self._rules(plugin), self._frames, plugin.detection, lambda _: None)
+        seen: list[Pose2] = []
+        with self._detecting(plugin, measuring):
+            until = time.monotonic() + settings.initial_perception_timeout
+            enough = max(settings.least_detections, _LOOKS)
+            while len(seen) < enough and time.monotonic() < until:
+                self._check_end(goal)
+                self._tell(goal, DockRobot.Feedback.INITIAL_PERCEPTION, 0)
+                goal.changed.wait(_LOOK)
+                for detection in measuring.measurements(self._now()).detections:
+                    with suppress(OptdockError):
+                        robot = self._frames.lookup(own.fixed_frame, own.base_frame, detection.stamp).planar()
+                        seen.append(robot @ detection.pose)
+        if len(seen) < settings.least_detections:
+            text = f"{len(seen)} detections in {settings.initial_perception_timeout:g} s {measuring.faults or ''}"
+            raise _Ended(failed(DockRobot.Result.FAILED_TO_DETECT_DOCK, text))
+        # The medians: some of them may be somewhere else altogether.
+        first = seen[0]
+        gaps = np.array([pose.in_frame_of(first).as_array() for pose in seen])
+        return first @ Pose2(*np.median(gaps, axis=0).tolist())
 
 
 @dataclass(eq=False)
@@ -702,13 +753,6 @@ class _Task:
         self.events.extend(step.events)
         if before is None or step.state is not before.state or step.events:
             self.goal.changed.set()
-
-
-def _cancel_when_accepted(future: Future[Any]) -> None:
-    """A goal that was accepted too late is nobody's."""
-    handle = future.result()
-    if handle is not None and handle.accepted:
-        handle.cancel_goal_async()
 
 
 def main() -> None:

@@ -11,7 +11,7 @@ import threading
 from collections import deque
 from typing import TYPE_CHECKING, Any
 
-from rclpy.action import ActionServer, CancelResponse, GoalResponse
+from rclpy.action.server import ActionServer, CancelResponse, GoalResponse
 from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.task import Future
 
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from rclpy.action.server import ServerGoalHandle
     from rclpy.node import Node
 
-__all__ = ["GoalAction", "Job", "JobEnded", "Worker"]
+__all__ = ["GoalAction", "Job", "JobEnded", "Worker", "answer_of"]
 
 _JOIN = 5.0  # [s] that a job has to end once it is asked to; ours poll every 5 ms, plugins of others may be slower
 
@@ -156,6 +156,25 @@ class Worker:
                 self._now = None
 
 
+def answer_of(job: Job, node: Node) -> Future[None]:
+    """Something to wait for in a callback, done when the job is; the executor does other things meanwhile.
+
+    Args:
+        job: The worker's.
+        node: In whose executor that is.
+    """
+    executor = node.executor
+    done: Future[None] = Future(executor=executor)
+
+    def _tell() -> None:
+        done.set_result(None)
+        if executor is not None:
+            executor.wake()  # a future alone does not end its wait
+
+    job.then(_tell)
+    return done
+
+
 class GoalAction:
     """An action server whose goals a worker does, one at a time.
 
@@ -204,13 +223,13 @@ class GoalAction:
     def _accept(self, _goal: Any) -> GoalResponse:
         return GoalResponse.ACCEPT if self._is_open() else GoalResponse.REJECT
 
-    def _cancel(self, handle: ServerGoalHandle) -> CancelResponse:
+    def _cancel(self, handle: ServerGoalHandle[Any, Any, Any]) -> CancelResponse:
         job = self._jobs.get(bytes(handle.goal_id.uuid))
         if job is not None:
             job.end("the goal was cancelled")
         return CancelResponse.ACCEPT
 
-    async def _execute(self, handle: ServerGoalHandle) -> Any:
+    async def _execute(self, handle: ServerGoalHandle[Any, Any, Any]) -> Any:
         """In the executor's thread: hand the goal to the worker, come back when it is done, and answer."""
         if self._newest is not None:
             self._newest.end("a newer goal has come")
@@ -219,22 +238,13 @@ class GoalAction:
         self._jobs[key] = job
         if handle.is_cancel_requested:
             job.end("the goal was cancelled")
-        executor = self._node.executor
-        done: Future[None] = Future(executor=executor)
-
-        def _tell() -> None:
-            done.set_result(None)
-            if executor is not None:
-                executor.wake()  # a future alone does not end its wait
-
-        job.then(_tell)
-        await done
+        await answer_of(job, self._node)
         del self._jobs[key]
         if self._newest is job:
             self._newest = None
         return self._answer(handle, job)
 
-    def _answer(self, handle: ServerGoalHandle, job: Job) -> Any:
+    def _answer(self, handle: ServerGoalHandle[Any, Any, Any], job: Job) -> Any:
         if job.error is None:
             result, succeeded = job.result
         else:

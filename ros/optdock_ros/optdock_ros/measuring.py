@@ -107,7 +107,8 @@ class Measuring:
 
     def take_detection(self, message: Any) -> None:
         """A new one; from any thread."""
-        self._seen.append(message)
+        if self._detect is not None:
+            self._seen.append(message)
 
     def begin(self) -> None:
         """The control loop begins: what was seen before it cannot be placed on the way that the robot makes."""
@@ -194,39 +195,43 @@ class Measuring:
         return moved.moved(twist, max(0.0, now - max(stamp, until)))
 
     def _detections(self, now: float, faults: dict[str, str]) -> tuple[Detection, ...]:
-        if self._detect is None:
-            self._seen.clear()
-            return ()
+        """New ones, the oldest first."""
         found: list[Detection] = []
         for _ in range(len(self._seen)):
             message = self._seen.popleft()
             try:
-                frame, stamp = message.header.frame_id, ros.seconds(message.header.stamp)
-                age = now - stamp
-                if age > self._rules.detection_timeout or age < -_AHEAD:
-                    faults["detection"] = f"it is {age:.3f} s old"
-                    continue
-                if not frame:
-                    faults["detection"] = "PoseStamped: header.frame_id: must be the name of a frame, got ''"
-                    continue
-                base = self._frames.lookup(self._rules.base_frame, frame, stamp)
-            except InvalidMessage as error:
-                faults["detection"] = str(error)
-                continue
-            except OptdockError as error:
-                if age < _TRANSFORM_WAIT:
-                    self._seen.append(message)  # its transform may be on its way
-                else:
-                    faults["detection"] = str(error)
-                continue
-            try:
-                found.append(self._detect(message, base))
+                detection = self._detection(message, now)
             except OptdockError as error:
                 faults["detection"] = str(error)
+                continue
+            if detection is None:
+                self._seen.append(message)
+            else:
+                found.append(detection)
         found.sort(key=lambda one: one.stamp)
-        if found:
-            self.detected = found[-1]
+        self.detected = found[-1] if found else self.detected
         return tuple(found)
+
+    def _detection(self, message: Any, now: float) -> Detection | None:
+        """What a message says; None where its transform may be on its way.
+
+        Raises:
+            OptdockError: It is too old, or wrong.
+        """
+        stamp, frame = ros.seconds(message.header.stamp), message.header.frame_id
+        age = now - stamp
+        if age > self._rules.detection_timeout or age < -_AHEAD:
+            raise InvalidMessage(f"PoseStamped: it is {age:.3f} s old")
+        if not frame:
+            raise InvalidMessage("PoseStamped: header.frame_id: must be the name of a frame, got ''")
+        try:
+            base = self._frames.lookup(self._rules.base_frame, frame, stamp)
+        except OptdockError:
+            if age < _TRANSFORM_WAIT:
+                return None
+            raise
+        assert self._detect is not None
+        return self._detect(message, base)
 
     def _costmap(self, now: float, faults: dict[str, str]) -> Costmap | None:
         """The surroundings, in every cycle as long as they are new enough: so their age is that of their stamp."""

@@ -14,7 +14,7 @@ from enum import Enum
 from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
-from pydantic import Field, ValidationError
+from pydantic import BaseModel, Field, ValidationError
 from rcl_interfaces.msg import ParameterDescriptor
 from rclpy.parameter import Parameter
 
@@ -27,7 +27,6 @@ from optdock.robot import Robot
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Sequence
 
-    from pydantic import BaseModel
     from rclpy.node import Node
 
     from optdock.geometry.footprint import Footprint
@@ -249,8 +248,8 @@ def _validated(model: type[BaseModel], block: object, owner: str) -> Any:
         place: type[BaseModel] | None = model
         for part in key:
             field = place.model_fields.get(str(part)) if place else None
-            inner = field.annotation if field else None
-            place = inner if isinstance(inner, type) and hasattr(inner, "model_fields") else None
+            inner: Any = field.annotation if field else None
+            place = inner if isinstance(inner, type) and issubclass(inner, BaseModel) else None
         return tuple(place.model_fields) if place else ()
 
     try:

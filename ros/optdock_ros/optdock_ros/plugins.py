@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Generic, TypeVar
 
-from optdock.errors import InvalidValue
+from optdock.errors import OptdockError
 from optdock.lifecycle import Plugin
 from optdock.nav2.params import Nav2Params
 from optdock.nav2.plugin_lists import PluginInstance
@@ -87,19 +87,20 @@ def named_plugins(
             continue
         rest = {key: value for key, value in own.items() if key != "plugin"}
         answer = provided(PluginInstance(node, kind, name, nav2_class, rest, (name,), 0), params)
-        if answer.plugin is None:
+        is_ours = not {":", "/"} & set(nav2_class)
+        refused = _refused(interface, nav2_class, name, rest) if is_ours and (answer.unknown or answer.refused) else []
+        faults += refused
+        if answer.plugin is None and not refused:
             faults.append(f"Failed to create {kind} {name} of type {nav2_class}: {answer.outcome}")
-        elif answer.unknown and not {":", "/"} & set(nav2_class):
-            faults += _refused(answer.plugin, name, rest)
-        else:
+        elif not refused:
             found[name] = NamedPlugin(name, interface, PluginChoice(nav2_class, dict(answer.taken)), answer.unknown)
     return found, faults
 
 
-def _refused(plugin: Plugin, name: str, parameters: Mapping[str, object]) -> list[str]:
-    """What the plugin's own model says of all its parameters."""
+def _refused(interface: type[Plugin], plugin: str, name: str, parameters: Mapping[str, object]) -> list[str]:
+    """What a plugin's own model says of all its parameters."""
     try:
-        parse_parameters(plugin.Parameters, parameters, name)
-    except InvalidValue as error:
+        parse_parameters(load_plugin(interface, plugin).Parameters, parameters, name)
+    except OptdockError as error:
         return str(error).splitlines()
     return []

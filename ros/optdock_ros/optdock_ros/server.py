@@ -1,8 +1,8 @@
 """What all servers share: life cycle, parameters, one goal at a time, and the way a process ends.
 
-A server's parameters are judged as a whole, into one frozen value (`Server.settings`), before anything is made of them:
-at configure, where all faults are told at once, and at every change afterwards, which holds wholly or not at all. Who is
-at work has taken the value before and goes on with it.
+A server's parameters are judged as a whole, into one frozen value (`Server.settings`), before anything is made of
+them: at configure, where all faults are told at once, and at every change afterwards, which holds wholly or not at all.
+Who is at work has taken the value before and goes on with it.
 
 Callbacks are short: goals are worked on in threads of their own, and the executor's thread only takes messages and
 answers. An error in a callback is told and does not end the node.
@@ -19,6 +19,7 @@ import rclpy
 from rcl_interfaces.msg import SetParametersResult
 from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
+from rclpy.logging import get_logger
 from rclpy.signals import SignalHandlerOptions
 
 from optdock.errors import InvalidValue, OptdockError
@@ -43,6 +44,9 @@ if TYPE_CHECKING:
 __all__ = ["Server", "run"]
 
 S = TypeVar("S")
+
+# A goal that ended is answered in the executor: its callback comes back, then its result is set, then it is sent.
+_STEPS_OF_AN_ANSWER = 3
 
 _PATIENCE = 10.0  # [s] for the last transitions of a process that was asked to end; a lifecycle manager waits as long
 
@@ -215,10 +219,14 @@ class Server(LifecycleNode, Generic[S]):
         self.end()
         return super().on_error(state)
 
-    def end(self) -> None:
-        """End all work and give everything back, in whatever state; nothing to do where it has been done."""
+    def halt(self) -> None:
+        """End all work, in whatever state; nothing to do where none is done."""
         if self._is_started:
             self._stopped()
+
+    def end(self) -> None:
+        """End all work and give everything back, in whatever state; nothing to do where it has been done."""
+        self.halt()
         self._torn_down()
 
     def _stopped(self) -> None:
@@ -283,15 +291,20 @@ class Server(LifecycleNode, Generic[S]):
 
 def spin(executor: Executor, ended: threading.Event) -> None:
     """Run an executor until the end; an error that a callback lets through is told, and the others go on."""
-    while not ended.is_set():
-        try:
-            executor.spin()
-        except ExternalShutdownException:
-            return
-        except Exception:
-            rclpy.logging.get_logger("optdock_ros").error(f"in a callback: {traceback.format_exc()}")
-        else:
-            return
+    while not ended.is_set() and _spun(executor):
+        pass
+
+
+def _spun(executor: Executor) -> bool:
+    """Run an executor until a callback lets an error through; False where it has ended."""
+    try:
+        executor.spin()
+    except ExternalShutdownException:
+        return False
+    except Exception:
+        get_logger("optdock_ros").error(f"in a callback: {traceback.format_exc()}")
+        return True
+    return False
 
 
 def run(make: Callable[[], Server[Any]], args: Sequence[str] | None = None) -> int:
@@ -315,7 +328,7 @@ def run(make: Callable[[], Server[Any]], args: Sequence[str] | None = None) -> i
     try:
         server = make()
     except Exception:
-        rclpy.logging.get_logger("optdock_ros").fatal(traceback.format_exc())
+        get_logger("optdock_ros").fatal(traceback.format_exc())
         rclpy.try_shutdown()
         return 1
     executor = SingleThreadedExecutor()
@@ -327,8 +340,10 @@ def run(make: Callable[[], Server[Any]], args: Sequence[str] | None = None) -> i
     while not ended.wait(1.0) and thread.is_alive():
         pass
     failed = not ended.is_set()
+    _in_executor(executor, thread, server.halt)
+    for _ in range(_STEPS_OF_AN_ANSWER):
+        _in_executor(executor, thread, lambda: None)
     _in_executor(executor, thread, server.end)
-    _in_executor(executor, thread, lambda: None)  # what the end has queued, the last answers, comes before this
     ended.set()
     executor.shutdown()
     thread.join(_PATIENCE)

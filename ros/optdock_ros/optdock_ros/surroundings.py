@@ -14,12 +14,17 @@ from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
 from rclpy.qos import DurabilityPolicy, QoSProfile
 
 from optdock import ros
+from optdock.costmap.costs import LETHAL
 from optdock.errors import InvalidValue, OptdockError
 from optdock.geometry.footprint import Footprint
+from optdock.geometry.pose import transform_points
+from optdock.nav2.layers.raster import cells_of_lines
 
 if TYPE_CHECKING:
     from rclpy.node import Node
 
+    from optdock.costmap.costmap import Costmap
+    from optdock.geometry.arrays import FloatArray
     from optdock.ros import StampedCostmap
     from optdock_ros.transforms import TransformBuffer
 
@@ -27,6 +32,7 @@ __all__ = [
     "CostmapTopic",
     "FootprintTopic",
     "SurroundingsError",
+    "first_collision",
     "nav2_footprint",
     "now",
 ]
@@ -228,6 +234,30 @@ def _update_type(*, raw: bool) -> type | None:
         return ros.imported("nav2_msgs/msg/CostmapUpdate" if raw else "map_msgs/msg/OccupancyGridUpdate")
     except ImportError:
         return None
+
+
+def first_collision(poses: FloatArray, footprint: Footprint, costmap: Costmap) -> int:
+    """The first pose whose outline's edges meet a lethal or unknown cell or one off the map, or -1.
+
+    Args:
+        poses: Shape (n, 3).
+        footprint: The outline.
+        costmap: Where to look.
+    """
+    corners = transform_points(poses, footprint.vertices)
+    count = corners.shape[1]
+    starts = costmap.cell_of(corners.reshape(-1, 2))
+    ends = costmap.cell_of(np.roll(corners, -1, axis=1).reshape(-1, 2))
+    on_map = costmap.has_cell(starts).reshape(-1, count).all(axis=1)
+    if not on_map.all():
+        # Cells are looked up where all corners are on the map; a line between two such is there too.
+        inside = np.flatnonzero(on_map)
+        first_off = int(np.flatnonzero(~on_map)[0])
+        before = first_collision(poses[inside[inside < first_off]], footprint, costmap) if first_off else -1
+        return before if before >= 0 else first_off
+    cells, owner = cells_of_lines(starts, ends)
+    hit = owner[costmap.data[cells[:, 1], cells[:, 0]] >= LETHAL]
+    return int(hit.min() // count) if hit.size else -1
 
 
 def nav2_footprint(footprint: str, robot_radius: float, padding: float) -> Footprint:

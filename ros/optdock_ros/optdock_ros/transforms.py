@@ -154,10 +154,10 @@ class TransformBuffer:
         # Best effort takes from publishers of either kind; what is lost is told again a moment later.
         moving = QoSProfile(depth=_DEPTH, reliability=ReliabilityPolicy.BEST_EFFORT)
         fixed = QoSProfile(depth=_DEPTH, durability=DurabilityPolicy.TRANSIENT_LOCAL)
-        self._subscriptions = (
+        self._subscriptions = [
             node.create_subscription(TFMessage, "/tf", self._take_moving, moving, callback_group=group),
             node.create_subscription(TFMessage, "/tf_static", self._take_fixed, fixed, callback_group=group),
-        )
+        ]
         backwards = JumpThreshold(min_forward=None, min_backward=Duration(nanoseconds=-1), on_clock_change=True)
         self._jumps = node.get_clock().create_jump_callback(backwards, post_callback=lambda _: self.forget())
 
@@ -165,7 +165,7 @@ class TransformBuffer:
         """End the subscriptions; what is known stays."""
         for subscription in self._subscriptions:
             self._node.destroy_subscription(subscription)
-        self._subscriptions = ()
+        self._subscriptions = []
         self._jumps.unregister()
 
     def forget(self) -> None:

@@ -58,7 +58,7 @@ def moved(costmap: Costmap, frame: Pose2, box: Box | None = None) -> Costmap:
 
 
 def _is_aligned(costmap: Costmap, frame: Pose2) -> bool:
-    offset = (np.array(costmap.origin) + (frame.x, frame.y)) / costmap.resolution
+    offset = np.add(costmap.origin, (frame.x, frame.y)) / costmap.resolution
     return bool(np.abs(offset - np.round(offset)).max() < _ALIGNED)
 
 

@@ -1,0 +1,85 @@
+"""Parameter files start the servers: ours, complete and right, and Nav2's own, unchanged."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import pytest
+import yaml
+from harness import Client, Lifecycle, Processes
+from launch_stand_in import PACKAGE
+from rcl_interfaces.srv import ListParameters
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+OURS = PACKAGE / "config" / "optdock.yaml"
+STOCK = Path(os.environ.get("OPTDOCK_DATA", "/nowhere")) / "nav2" / "params"
+SHARED = ("use_sim_time", "start_type_description_service", "qos_overrides")
+
+
+def names_in(block: dict[str, object], prefix: str = "") -> set[str]:
+    """Dotted names of a parameter file."""
+    found: set[str] = set()
+    for name, value in block.items():
+        found |= names_in(value, f"{prefix}{name}.") if isinstance(value, dict) else {f"{prefix}{name}"}
+    return found
+
+
+@pytest.mark.parametrize("server", ["smoother_server", "docking_server"])
+def test_our_file_starts_the_servers_and_names_every_parameter(
+    process: Processes, client_node: Client, lifecycle: Callable[[str], Lifecycle], server: str
+) -> None:
+    started = process(server, params=OURS)
+    life = lifecycle(server)
+    assert life.configure(), started.log()
+    listed = client_node.call(ListParameters, f"/{server}/list_parameters").result.names
+    block = yaml.safe_load(OURS.read_text())[server]["ros__parameters"]
+    known = {name for name in listed if name.partition(".")[0] not in SHARED}
+    of_short_blocks = ("simple_non_charging_dock.", "tracker.", "goal_checker.", "executor.", "robot.", "map.")
+    assert sorted(name for name in known - names_in(block) if not name.startswith(of_short_blocks)) == []
+    assert life.activate()
+    assert life.shutdown()
+    assert started.stop() == 0
+    assert "not read" not in started.log().replace("filter_coef", "")
+
+
+def stock(name: str) -> Path:
+    """One of Nav2's own files, which are no part of the project."""
+    file = STOCK / name
+    if not file.is_file():
+        pytest.skip(f"Nav2's own {name} is not at {file} (set OPTDOCK_DATA)")
+    return file
+
+
+@pytest.mark.parametrize(
+    ("server", "file"),
+    [
+        ("smoother_server", "nav2_params.yaml"),
+        ("docking_server", "nav2_params.yaml"),
+        ("docking_server", "docking_params.yaml"),
+    ],
+)
+def test_stock_files_of_nav2_start_the_servers(
+    process: Processes, lifecycle: Callable[[str], Lifecycle], server: str, file: str
+) -> None:
+    started = process(server, params=stock(file))
+    life = lifecycle(server)
+    assert life.configure(), started.log()
+    assert life.activate(), started.log()
+    assert life.state == "active"
+    assert life.deactivate()
+    assert life.cleanup()
+    assert started.stop() == 0
+
+
+def test_a_stock_file_with_a_plugin_of_nav2_that_is_not_here_is_refused_by_name(
+    process: Processes, lifecycle: Callable[[str], Lifecycle]
+) -> None:
+    started = process("planner_server", params=stock("nav2_params.yaml"))
+    assert not lifecycle("planner_server").configure()
+    assert "nav2_navfn_planner::NavfnPlanner" in started.log()
+    assert started.is_running
+    assert lifecycle("planner_server").state == "unconfigured"

@@ -1,0 +1,180 @@
+"""The control loop stops the robot, whatever happens; the last command is zero."""
+
+from __future__ import annotations
+
+import os
+import threading
+import time
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pytest
+from optdock_ros.control_loop import ControlLoop, Run, may_be_preferred
+
+from optdock.executor import Ending, EndingKind, Feedback, FeedbackState, State, Step
+from optdock.geometry.footprint import Footprint
+from optdock.geometry.pose import Twist2
+from optdock.limits import MotionLimits
+from optdock.measurements import Measurements
+from optdock.robot import Robot
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+PERIOD = 0.01
+LIMITS = MotionLimits(
+    max_speed=0.5, max_acceleration=2.0, max_deceleration=2.0, max_jerk=20.0, max_yaw_acceleration=4.0
+)
+ROBOT = Robot(Footprint.rectangle(0.3, 0.3, 0.4), LIMITS)
+MOVING = Twist2(0.3, 0.2)
+
+
+class Driver:
+    """Stands for an executor that drives on and on, and stops at once when it is cancelled."""
+
+    def __init__(self, cycle: Callable[[int], None] = lambda _: None) -> None:
+        self.cycles, self.cancelled, self._cycle = 0, False, cycle
+
+    def cancel(self) -> None:
+        """As an executor."""
+        self.cancelled = True
+
+    def step(self, measurements: Measurements) -> Step:
+        """As an executor."""
+        self.cycles += 1
+        self._cycle(self.cycles)
+        ending = Ending(EndingKind.CANCELLED, "", 0, measurements.stamp) if self.cancelled else None
+        feedback = Feedback(FeedbackState.CONTROLLING, 0, 1.0, 0.0)
+        return Step(Twist2() if self.cancelled else MOVING, State.APPROACHING, feedback, ending)
+
+
+class World:
+    """A loop, what it sends, and what it is told of time."""
+
+    def __init__(self, driver: Any, now: Callable[[], float] = time.monotonic) -> None:
+        self.sent: list[Twist2] = []
+        self.seen: list[Step] = []
+        self.loop = ControlLoop(ROBOT, PERIOD, now, self.sent.append)
+        self.run = Run(driver, lambda stamp: Measurements(stamp, None), lambda _, step: self.seen.append(step))
+
+    def end(self, timeout: float = 5.0) -> Ending:
+        """Wait for it."""
+        assert self.run.done.wait(timeout)
+        assert self.run.ending is not None
+        assert self.sent[-1] == Twist2(), "the last command is zero"
+        return self.run.ending
+
+    def assert_ramp(self) -> None:
+        """From moving to rest within the limits, the rounding of periods apart."""
+        speeds = np.array([command.linear for command in self.sent])
+        last = int(np.flatnonzero(speeds == MOVING.linear)[-1])
+        ramp = np.diff(speeds[last:]) / PERIOD
+        assert ramp.min() >= -1.001 * LIMITS.max_deceleration
+        assert np.all(speeds[last:] >= 0.0)
+        assert len(ramp) > 10, "no jump"
+
+
+def broken(cycle: int) -> None:
+    """In the twentieth cycle."""
+    if cycle == 20:
+        raise ZeroDivisionError("by a plugin")
+
+
+def test_what_is_raised_in_a_cycle_ends_in_a_ramp() -> None:
+    world = World(Driver(broken))
+    world.loop.start(world.run)
+    ending = world.end()
+    assert (ending.kind, ending.reason) == (EndingKind.UNKNOWN, "ZeroDivisionError: by a plugin")
+    world.assert_ramp()
+
+
+def test_what_measuring_raises_ends_in_a_ramp_too() -> None:
+    world = World(Driver())
+
+    def measure(stamp: float) -> Measurements:
+        if len(world.sent) > 20:
+            raise MemoryError
+        return Measurements(stamp, None)
+
+    world.run.measure = measure
+    world.loop.start(world.run)
+    assert world.end().kind is EndingKind.UNKNOWN
+    world.assert_ramp()
+
+
+def test_a_clock_that_stands_still_ends_in_a_ramp() -> None:
+    began = time.monotonic()
+    world = World(Driver(), now=lambda: min(time.monotonic(), began + 0.2))
+    world.loop.start(world.run)
+    assert "the clock stands still" in world.end().reason
+    world.assert_ramp()
+
+
+def test_a_slow_clock_repeats_commands_and_steps_nothing_twice() -> None:
+    driver = Driver()
+    world = World(driver, now=lambda: round(time.monotonic(), 1))
+    world.loop.start(world.run)
+    time.sleep(0.55)
+    assert world.loop.close("the end", 1.0)
+    assert len(world.sent) > 3 * driver.cycles
+
+
+def test_closing_stops_by_the_executor() -> None:
+    world = World(Driver())
+    world.loop.start(world.run)
+    time.sleep(0.1)
+    assert world.loop.close("deactivated", 1.0)
+    assert world.run.stopping == "deactivated"
+    assert world.end().kind is EndingKind.CANCELLED
+    assert not world.loop.is_running
+    assert world.loop.close("again", 1.0)
+
+
+def test_an_executor_that_does_not_stop_is_stopped() -> None:
+    driver = Driver()
+    driver.cancel = lambda: None  # type: ignore[method-assign]
+    world = World(driver)
+    world.loop.start(world.run)
+    time.sleep(0.1)
+    assert not world.loop.close("deactivated", 0.2), "not in time"
+    assert world.end().reason == "deactivated"
+    world.assert_ramp()
+
+
+def test_a_cycle_that_hangs_leaves_zero_and_a_name() -> None:
+    free = threading.Event()
+    driver = Driver(lambda cycle: None if cycle < 10 else bool(free.wait(5.0)) and None)
+    driver.cancel = lambda: None  # type: ignore[method-assign] # it would drive on
+    world = World(driver)
+    world.loop.start(world.run)
+    time.sleep(0.3)
+    assert not world.loop.close("deactivated", 0.2)
+    assert "hangs" in world.end().reason
+    count = len(world.sent)
+    free.set()
+    time.sleep(0.3)
+    assert world.sent[count:] == [], "whoever hung commands nothing any more"
+
+
+def test_times_tell_of_missed_deadlines() -> None:
+    world = World(Driver(lambda cycle: time.sleep(0.1) if cycle == 10 else None))
+    world.loop.start(world.run)
+    time.sleep(0.5)
+    world.loop.close("the end", 1.0)
+    times = world.loop.times
+    assert times.missed >= 8
+    assert times.busy_max >= 0.1
+    assert times.count == len(world.seen)
+
+
+def test_realtime_is_given_back() -> None:
+    if not may_be_preferred():
+        pytest.skip("not permitted here")
+    policies: list[int] = []
+    world = World(Driver(lambda _: policies.append(os.sched_getscheduler(0))))
+    world.loop = ControlLoop(ROBOT, PERIOD, time.monotonic, world.sent.append, realtime=True)
+    world.loop.start(world.run)
+    time.sleep(0.1)
+    world.loop.close("the end", 1.0)
+    assert set(policies) == {os.SCHED_RR | os.SCHED_RESET_ON_FORK}
+    assert os.sched_getscheduler(0) == os.SCHED_OTHER
