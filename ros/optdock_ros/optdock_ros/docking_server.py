@@ -197,7 +197,7 @@ class DockingServer(Server[DockingSettings]):
         if any(of_type.use_stall_detection for of_type in types):
             self._subscribe(JointState, "joint_states", self._take_joints, 10)
         names = {of_type.detector_service_name for of_type in types} - {""}
-        self._detectors = {name: self.create_client(Trigger, name) for name in names}
+        self._detectors: dict[str, Any] = {name: self.create_client(Trigger, name) for name in names}
         for client in self._detectors.values():
             self._parts.callback(self.destroy_client, client)
 
