@@ -10,7 +10,9 @@ answers. An error in a callback is told and does not end the node.
 
 from __future__ import annotations
 
+import gc
 import signal
+import sys
 import threading
 import traceback
 from typing import TYPE_CHECKING, Any, ClassVar, Generic, TypeVar
@@ -45,6 +47,8 @@ __all__ = ["Server", "run"]
 
 S = TypeVar("S")
 
+# [s], instead of Python's 5 ms: a thread that calculates gives way to the one that answers, or commands, within this.
+_SWITCH = 0.0005
 # A goal that ended is answered in the executor: its callback comes back, then its result is set, then it is sent.
 _STEPS_OF_AN_ANSWER = 3
 
@@ -65,6 +69,7 @@ class Server(LifecycleNode, Generic[S]):
 
     Attributes:
         settings: What `check` made of the parameters; there from configure to cleanup.
+        owns_process: Whether nobody else lives in this process; `run` sets it.
     """
 
     Parameters: ClassVar[type[ServerParameters]] = ServerParameters
@@ -87,6 +92,7 @@ class Server(LifecycleNode, Generic[S]):
         super().__init__(name, parameter_overrides=given, context=context, allow_undeclared_parameters=True)
         declare_overrides(self, given)
         declare(self, self.Parameters)
+        self.owns_process = False
         self._is_configured = False
         self._is_started = False
         self._told: frozenset[str] = frozenset()
@@ -197,6 +203,10 @@ class Server(LifecycleNode, Generic[S]):
         self._is_started = True
         if self._bond is not None:
             self._bond.start()
+        if self.owns_process:
+            # What is loaded by now stays; later collections, which stop all threads, need not look at it.
+            gc.collect()
+            gc.freeze()
         return super().on_activate(state)
 
     def on_deactivate(self, state: LifecycleState) -> TransitionCallbackReturn:
@@ -321,16 +331,23 @@ def run(make: Callable[[], Server[Any]], args: Sequence[str] | None = None) -> i
         The exit code, 0 after a signal.
     """
     ended = threading.Event()
+
+    def _end(number: int, _frame: object) -> None:
+        ended.set()
+        signal.signal(number, signal.SIG_DFL)  # who asks twice does not want to wait
+
     # Handlers of our own: rclpy's take the context down at once, and the stop command with it.
     rclpy.init(args=list(args) if args is not None else None, signal_handler_options=SignalHandlerOptions.NO)
     for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, lambda *_: ended.set())
+        signal.signal(number, _end)
+    sys.setswitchinterval(_SWITCH)
     try:
         server = make()
     except Exception:
         get_logger("optdock_ros").fatal(traceback.format_exc())
         rclpy.try_shutdown()
         return 1
+    server.owns_process = True
     executor = SingleThreadedExecutor()
     executor.add_node(server)
     thread = threading.Thread(target=spin, args=(executor, ended), name="executor")
