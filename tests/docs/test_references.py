@@ -234,6 +234,33 @@ def test_steps_of_the_planner_are_explained():
     assert {"beyond_c", "direction"} <= steps <= TOLD
 
 
+def test_every_parameter_of_the_ros_servers_is_on_their_page():
+    page = (DOCS / "reference" / "ros2.md").read_text(encoding="utf-8")
+    heads = re.findall(r"^\| `([\w.]+)` \|", generated.on_page_markdown(page), re.MULTILINE)
+    models = {
+        value for path in ROS.glob("[!_]*.py") for value in generated.ros_models(path.stem).values()
+        if inspect.isclass(value) and value.__module__.startswith("optdock_ros.") and hasattr(value, "model_fields")
+    }  # fmt: skip
+    assert len(models) > 8
+    told = {*heads, *(head.rpartition(".")[2] for head in heads)}
+    assert {name for model in models for name in model.model_fields} - told == set()
+    assert set(generated.ros_models("simulated_robot")["PARAMETERS"]) <= set(heads)
+
+
+def test_the_topics_of_recordings_are_on_their_page():
+    from optdock.ros.field import FieldTopics
+
+    page = (DOCS / "howto" / "bags.md").read_text(encoding="utf-8")
+    written = {
+        node.value
+        for node in ast.walk(parsed(ROOT / "optdock" / "ros" / "contents.py"))
+        if isinstance(node, ast.Constant) and isinstance(node.value, str) and re.fullmatch(r"/\w[\w/]*", node.value)
+    }
+    assert {"/plan", "/cmd_vel", "/map"} <= written
+    assert {topic for topic in written if f"`{topic}`" not in page} == set()
+    assert {topic for topic in FieldTopics().path if f"`{topic}`" not in page} == set()
+
+
 def test_everything_at_the_front_door_is_on_the_page_of_the_library():
     page = (DOCS / "reference" / "api.md").read_text()
     shown = {name for names in re.findall(r"<!-- made: api ([^\n]+) -->", page) for name in names.split()}
