@@ -42,7 +42,8 @@ PLUGINS = {
     "casadi": {"plugin": "CasadiSmoother"},
     "savitzky_golay": {"plugin": "nav2_smoother::SavitzkyGolaySmoother"},
     "slow": SLOW,
-    "costmap_timeout": 1.0,
+    "costmap_timeout": 5.0,
+    "transform_tolerance": 1.0,  # these tests share their cores with others
 }
 NODE = "/smoother_server"
 MIDDLE = CELLS // 2
@@ -141,9 +142,9 @@ def test_unknown_frame(client_node: Client) -> None:
 
 
 def test_stale_costmap(fresh: Surroundings, client_node: Client) -> None:
-    fresh.costmap(age=2.5)
+    fresh.costmap(age=10.0)
     time.sleep(0.1)
-    refused(client_node, SmoothPath.Result.UNKNOWN, "more than costmap_timeout = 1 s")
+    refused(client_node, SmoothPath.Result.UNKNOWN, "more than costmap_timeout = 5 s")
 
 
 @pytest.mark.parametrize("asked", ["nobody", ""])
@@ -328,9 +329,7 @@ def test_inactive_takes_no_goal_and_deactivation_ends_one(
     assert send(client_node, check=True).reply().result.error_code == 0
 
 
-def test_limits_and_clearance_of_the_robot(
-    process: Processes, client_node: Client, lifecycle: Callable[[str], Lifecycle], world: Surroundings
-) -> None:
+def test_limits_and_clearance_of_the_robot(process: Processes, client_node: Client, world: Surroundings) -> None:
     """With `robot` and `clearance` what is returned keeps them, and one smoother needs no name."""
     outline = str(OUTLINE.vertices.tolist())
     parameters = {
@@ -342,10 +341,14 @@ def test_limits_and_clearance_of_the_robot(
         "footprint_topic": "",
     }
     started = process("smoother_server", parameters, args=["-r", "__node:=second", "-r", "smooth_path:=second_path"])
-    client_node.until(lambda: lifecycle("second").state == "active")
+    started.wait_for("[second]: active")
     world.costmap()
-    time.sleep(0.2)
-    reply = client_node.send(SmoothPath, "second_path", goal_of(smoother="", check=True)).reply()
+
+    def _reply() -> Any:
+        found = client_node.send(SmoothPath, "second_path", goal_of(smoother="", check=True)).reply()
+        return None if "no costmap yet" in found.result.error_msg else found
+
+    reply = client_node.until(_reply, what="a costmap")
     assert reply.result.error_code == 0, reply.result.error_msg
     poses = ros.path_poses(reply.result.path).poses
     steps = np.hypot(*np.diff(poses[:, :2], axis=0).T)
@@ -358,13 +361,12 @@ def test_limits_and_clearance_of_the_robot(
     del running
 
 
-def test_ends_in_good_order_with_a_goal_at_work(
-    process: Processes, client_node: Client, lifecycle: Callable[[str], Lifecycle]
-) -> None:
+def test_ends_in_good_order_with_a_goal_at_work(process: Processes, client_node: Client) -> None:
     parameters = {"smoother_plugins": ["slow"], "slow": SLOW, "autostart": True, "costmap_topic": ""}
     started = process("smoother_server", parameters, args=["-r", "__node:=third", "-r", "smooth_path:=third_path"])
-    client_node.until(lambda: lifecycle("third").state == "active")
+    started.wait_for("[third]: active")
     running = client_node.send(SmoothPath, "third_path", goal_of(smoother="", seconds=60.0))
+    time.sleep(0.2)  # until it is asked for its result
     assert started.stop(signal.SIGINT) == 0
     reply = running.reply()
     assert reply.status == GoalStatus.STATUS_ABORTED
