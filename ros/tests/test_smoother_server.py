@@ -13,7 +13,10 @@ from action_msgs.msg import GoalStatus
 from hall import CELLS, ORIGIN, OUTLINE, RESOLUTION, Surroundings, hall, message, raw_path
 from nav2_msgs.action import SmoothPath
 from nav_msgs.msg import Path as PathMessage
+from optdock_ros.parameters import flattened
+from optdock_ros.smoother_server import SmootherServer
 from rcl_interfaces.srv import GetParameters, ListParameters, SetParametersAtomically
+from rclpy.lifecycle import TransitionCallbackReturn
 from rclpy.parameter import Parameter
 
 from optdock import ros
@@ -391,24 +394,23 @@ def test_ends_in_good_order_with_a_goal_at_work(process: Processes, client_node:
                 "transform_tolerance": -1.0,
                 "robot": {"radius": -1.0},
                 "clearance": {"required": "x"},
-                "footprint_topik": "",
+                "footprint_topik": "x",
             },
             ["transform_tolerance", "robot.radius", "clearance.required", "did you mean footprint_topic?"],
         ),
     ],
 )
-def test_configure_names_every_fault(
-    process: Processes,
-    lifecycle: Callable[[str], Lifecycle],
-    parameters: dict[str, object],
-    words: list[str],
-) -> None:
-    started = process("smoother_server", parameters, args=["-r", "__node:=faulty", "-r", "smooth_path:=faulty_path"])
-    node = lifecycle("faulty")
-    assert not node.configure()
-    assert node.state == "unconfigured"
-    for word in words:
-        started.wait_for(word)
+def test_configure_names_every_fault(context: None, parameters: dict[str, object], words: list[str]) -> None:  # noqa: ARG001
+    overrides = [Parameter(name, value=value or None) for name, value in flattened(parameters).items()]
+    node = SmootherServer("faulty", parameter_overrides=overrides)
+    said: list[str] = []
+    node.say = lambda error, what: said.append(f"{what}: {error}")  # type: ignore[method-assign]
+    try:
+        assert node.trigger_configure() == TransitionCallbackReturn.FAILURE
+        for word in ["configure failed", *words]:
+            assert word in said[0]
+    finally:
+        node.destroy_node()
 
 
 def test_a_file_as_nav2_ships_it(process: Processes, lifecycle: Callable[[str], Lifecycle]) -> None:
