@@ -14,6 +14,7 @@ import gc
 import signal
 import sys
 import threading
+import time
 import traceback
 from typing import TYPE_CHECKING, Any, ClassVar, Generic, TypeVar
 
@@ -49,8 +50,8 @@ S = TypeVar("S")
 
 # [s], instead of Python's 5 ms: a thread that calculates gives way to the one that answers, or commands, within this.
 _SWITCH = 0.0005
-# A goal that ended is answered in the executor: its callback comes back, then its result is set, then it is sent.
-_STEPS_OF_AN_ANSWER = 3
+# [s] between the end of the work and that of the node: clients ask for the results of goals that ended just now.
+_ANSWERS = 0.1
 
 _PATIENCE = 10.0  # [s] for the last transitions of a process that was asked to end; a lifecycle manager waits as long
 
@@ -201,6 +202,7 @@ class Server(LifecycleNode, Generic[S]):
             self._stopped()
             return TransitionCallbackReturn.FAILURE
         self._is_started = True
+        self.get_logger().info("active")
         if self._bond is not None:
             self._bond.start()
         if self.owns_process:
@@ -358,8 +360,7 @@ def run(make: Callable[[], Server[Any]], args: Sequence[str] | None = None) -> i
         pass
     failed = not ended.is_set()
     _in_executor(executor, thread, server.halt)
-    for _ in range(_STEPS_OF_AN_ANSWER):
-        _in_executor(executor, thread, lambda: None)
+    time.sleep(_ANSWERS)
     _in_executor(executor, thread, server.end)
     ended.set()
     executor.shutdown()
