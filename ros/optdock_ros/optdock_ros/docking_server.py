@@ -550,7 +550,7 @@ class DockingServer(Server[DockingSettings]):
                 )
                 run = Run(task.executor, task.measuring.measurements, task.observe)
                 goal.start(run)
-                task.measuring.begin()
+                task.measuring.begin(self._now())
                 loop.start(run)
                 while not run.done.is_set():
                     goal.changed.wait(_LOOK)
