@@ -164,7 +164,7 @@ def test_times_tell_of_missed_deadlines() -> None:
     times = world.loop.times
     assert times.missed >= 8
     assert times.busy_max >= 0.1
-    assert times.count == len(world.seen)
+    assert times.cycles == len(world.seen)
 
 
 def test_realtime_is_given_back() -> None:

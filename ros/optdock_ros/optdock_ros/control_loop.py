@@ -47,7 +47,7 @@ class CycleTimes(NamedTuple):
     """How well the loop kept its rate, over the last minute or so.
 
     Attributes:
-        count: Cycles since the task began.
+        cycles: Since the task began.
         missed: Deadlines that passed before the cycle began.
         period: Wanted [s].
         late_p99: 99th percentile of how late a command was sent, against its deadline [s].
@@ -56,7 +56,7 @@ class CycleTimes(NamedTuple):
         busy_max: The longest [s].
     """
 
-    count: int
+    cycles: int
     missed: int
     period: float
     late_p99: float

@@ -178,17 +178,18 @@ class GoalQueue:
 
     def _accept(self, kind: Any, handle: ServerGoalHandle[Any, Any, Any]) -> None:
         goal = Goal(kind, handle)
+        refused: Goal | None = None
+        replaced: Goal | None = None
         with self._lock:
             if not self._is_open:
-                refused, replaced = goal, None
+                refused = goal
             elif self._current is None:
-                refused = replaced = None
                 self._current = goal
                 before = self._thread
                 self._thread = threading.Thread(target=self._work, args=(goal, before), name="docking-goal")
                 self._thread.start()
             else:
-                refused, replaced = None, self._waiting.get(kind)
+                replaced = self._waiting.get(kind)
                 self._waiting[kind] = goal
                 if self._current.kind is kind:
                     self._current.end("preempted by a newer goal")

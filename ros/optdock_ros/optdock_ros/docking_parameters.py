@@ -15,6 +15,7 @@ from optdock.executor import ExecutorSettings
 from optdock.geometry.footprint import Footprint
 from optdock.geometry.pose import Pose2
 from optdock.interfaces import Controller, GoalChecker
+from optdock.nav2.docks import DockEntry
 from optdock.parameters import PluginParameters, parse_parameters
 from optdock.plugins import PluginChoice, plugin_from
 from optdock.problem import ClearanceRule
@@ -27,7 +28,6 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterable
 
     from optdock.lifecycle import Plugin
-    from optdock.nav2.docks import DockEntry
     from optdock_ros.parameters import RobotParameters
 
 __all__ = ["ControllerParameters", "DockParameters", "DockingParameters", "DockingSettings", "docking_settings"]
@@ -295,7 +295,7 @@ def docking_settings(block: Mapping[str, object], own: DockingParameters) -> Doc
     controller = read.checked(
         lambda: parse_parameters(ControllerParameters, given, "controller"), ControllerParameters()
     )
-    executor = read.checked(lambda: _executor(read.inner("executor")), {})
+    executor: Mapping[str, object] = read.checked(lambda: _executor(read.inner("executor")), dict[str, object]())
     robot = read.checked(lambda: robot_parameters(_robot(read, controller)), robot_parameters({}))
     clearance = read.checked(lambda: clearance_parameters(block.get("clearance", {})), ClearanceRule())
     tracker = _choice(read, Controller, "tracker", "TrackingController")
@@ -307,7 +307,7 @@ def docking_settings(block: Mapping[str, object], own: DockingParameters) -> Doc
     of_docks: dict[str, DockParameters] = {}
     for name in own.dock_plugins:
         _read_type(read, name, plugins, of_docks)
-    docks = read.checked(lambda: docks_of_parameters(block), {})
+    docks = read.checked(lambda: docks_of_parameters(block), dict[str, DockEntry]())
     read.not_read.extend(f"{dock.name}.{key}" for dock in docks.values() for key in dock.unknown)
     if read.faults:
         raise InvalidValue("\n".join(dict.fromkeys(read.faults)))

@@ -115,7 +115,7 @@ class Reports:
             self._deadlines(times, now)
 
     def _deadlines(self, times: CycleTimes, now: float) -> None:
-        text = f"{times.count} cycles of {1e3 * times.period:.1f} ms, {times.missed} missed"
+        text = f"{times.cycles} cycles of {1e3 * times.period:.1f} ms, {times.missed} missed"
         values = {
             "missed": times.missed,
             "late p99 [ms]": 1e3 * times.late_p99,

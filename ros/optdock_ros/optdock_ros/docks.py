@@ -97,7 +97,8 @@ def docks_of_parameters(block: Mapping[str, object]) -> dict[str, DockEntry]:
     names = block.get("docks") or []
     if not (isinstance(names, list) and all(isinstance(name, str) for name in names)):
         raise InvalidValue(f"docks: must be a list of names, got {names!r}")
-    document, faults = _Parameters(Path(), block, {}), []
+    faults: list[str] = []
+    document = _Parameters(Path(), block, {})
     entries = [read_dock(document, (name,), faults) for name in dict.fromkeys(names)]
     if faults:
         raise InvalidValue("\n".join(faults))

@@ -32,7 +32,7 @@ class Navigator:
 
     def __init__(self, node: Node) -> None:
         self._node = node
-        self._client = ActionClient(
+        self._client: ActionClient[Any, Any, Any] = ActionClient(
             node, NavigateToPose, "navigate_to_pose", callback_group=MutuallyExclusiveCallbackGroup()
         )
 
