@@ -29,7 +29,7 @@ def names_in(block: dict[str, object], prefix: str = "") -> set[str]:
     return found
 
 
-@pytest.mark.parametrize("server", ["smoother_server", "docking_server"])
+@pytest.mark.parametrize("server", ["smoother_server", "planner_server", "docking_server"])
 def test_our_file_starts_the_servers_and_names_every_parameter(
     process: Processes, client_node: Client, lifecycle: Callable[[str], Lifecycle], server: str
 ) -> None:
