@@ -14,7 +14,7 @@ from optdock.costmap.costmap import Costmap
 from optdock.lifecycle import Plugin
 from optdock.path import Path, PolylineSegment
 from optdock.problem import ClearanceRule
-from optdock_ros.goals import GoalAction, Worker
+from optdock_ros.goals import GoalAction, JobEnded, Worker
 from optdock_ros.parameters import (
     Faults,
     RobotParameters,
@@ -146,12 +146,21 @@ class PluginServer(Server[Settings[P]], Generic[P]):
         def _ended(why: str) -> Any:
             return failed(kind.Result(), why, 0)
 
+        def _work(goal: Any, job: Job) -> tuple[Any, bool]:
+            try:
+                return work(goal, job)
+            except JobEnded:
+                raise
+            except Exception as error:  # foreign code may raise anything
+                self.say(error, name)
+                return failed(kind.Result(), f"{type(error).__name__}: {error}", kind.Result.UNKNOWN), False
+
         action = GoalAction(
             self,
             kind,
             name,
             worker=self.worker,
-            work=work,
+            work=_work,
             ended=_ended,
             is_open=lambda: self.is_active,
             result_timeout=self.settings.parameters.action_server_result_timeout,
