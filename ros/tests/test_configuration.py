@@ -16,7 +16,8 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
 OURS = PACKAGE / "config" / "optdock.yaml"
-STOCK = Path(os.environ.get("OPTDOCK_DATA", "/nowhere")) / "nav2" / "params"
+ROOT = Path(__file__).resolve().parents[2]
+STOCK = Path(os.environ.get("OPTDOCK_DATA", ROOT.parent / "shared" / "data")) / "nav2" / "params"
 SHARED = ("use_sim_time", "start_type_description_service", "qos_overrides")
 
 

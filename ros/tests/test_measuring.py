@@ -99,13 +99,21 @@ def test_a_pose_that_is_old_tilted_or_from_the_future_is_none() -> None:
         assert "transform" in told.faults
 
 
+def test_a_robot_that_stands_begins_at_rest() -> None:
+    told = measuring(Frames())
+    told.take_odometry(odometry(100.0, 0.004))
+    assert told.measurements(100.0).twist == Twist2()
+    assert told.measurements(100.02).twist == Twist2(0.004)
+
+
 def test_a_velocity_that_is_old_is_none_and_neither_is_the_pose() -> None:
     frames = Frames()
     told = measuring(frames)
     assert told.measurements(100.0).pose is None, "none has come"
     told.take_odometry(odometry(100.0))
     frames.newest = 100.2
-    assert told.measurements(100.2).twist == Twist2(0.2)
+    found = told.measurements(100.2)
+    assert (found.twist, found.pose) == (Twist2(0.2), None), "held, but no new pose is made of it"
     frames.newest = 100.4
     found = told.measurements(100.4)
     assert (found.twist, found.pose) == (Twist2(), None)
@@ -159,6 +167,8 @@ def test_a_detection_waits_for_its_transform_and_goes_when_it_is_old() -> None:
     told.take_detection(detected(99.0))
     told.take_detection(detected(100.5, ""))
     assert told.measurements(100.55).detections == ()
+    told.begin(100.49)
+    told.take_detection(detected(100.48))
     told.take_detection(detected(100.54))
     told.take_detection(detected(100.50))
     assert [one.stamp for one in told.measurements(100.56).detections] == [100.5, 100.54], "the oldest first"

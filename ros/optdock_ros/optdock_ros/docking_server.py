@@ -345,7 +345,7 @@ class DockingServer(Server[DockingSettings]):
         self._docked = None
         until = time.monotonic() + _FIRST_MESSAGES  # batteries tell once a second
         while plugin.is_charging(self._battery, self._now()) and time.monotonic() < until and not goal.ending:
-            goal.changed.wait(_LOOK)
+            time.sleep(_LOOK)
         if plugin.is_charging(self._battery, self._now()):
             return failed(UndockRobot.Result.FAILED_TO_CONTROL, "the battery still charges at the staging pose")
         return ending
@@ -396,7 +396,7 @@ class DockingServer(Server[DockingSettings]):
             except OptdockError:
                 if time.monotonic() > until:
                     raise
-            goal.changed.wait(_LOOK)
+            time.sleep(_LOOK)
 
     def _check_end(self, goal: Goal) -> None:
         """End here where the goal is to end."""
@@ -534,29 +534,11 @@ class DockingServer(Server[DockingSettings]):
 
     def _carry_out(self, goal: Goal, task: _Task) -> Outcome:
         """Drive; returns when the robot stands."""
-        settings = self.settings
         try:
             with self._detecting(task.plugin, task.measuring):
                 self._see_first(goal, task)
-                if not self._planner.wait_until_warm(_WARM):
-                    raise _Ended(failed(UNKNOWN, "the planning process does not start"))
-                self._check_end(goal)
-                loop = self._loop = ControlLoop(
-                    task.problem.robot,
-                    settings.period,
-                    self._now,
-                    self._send,
-                    realtime=settings.own.use_realtime_priority,
-                )
-                run = Run(task.executor, task.measuring.measurements, task.observe)
-                goal.start(run)
-                task.measuring.begin()
-                loop.start(run)
-                while not run.done.is_set():
-                    goal.changed.wait(_LOOK)
-                    goal.changed.clear()
-                    self._look_after(goal, task, loop)
-                self._look_after(goal, task, loop)
+                self._wait_for_planner(goal)
+                run = self._driven(goal, task)
         finally:
             task.planning.close()
         ending = run.ending
@@ -568,6 +550,39 @@ class DockingServer(Server[DockingSettings]):
         if not ending.kind.succeeded and missing:
             text += f" ({missing})"
         return Outcome(ending.kind.succeeded, ending.kind.code, text, ending.num_retries)
+
+    def _wait_for_planner(self, goal: Goal) -> None:
+        """Until the process that plans is warm, some seconds after configure.
+
+        Raises:
+            _Ended: It does not start, or the goal is to end.
+        """
+        until = time.monotonic() + _WARM
+        while not self._planner.wait_until_warm(_LOOK):
+            self._check_end(goal)
+            if time.monotonic() > until:
+                raise _Ended(failed(UNKNOWN, "the planning process does not start"))
+
+    def _driven(self, goal: Goal, task: _Task) -> Run:
+        """The task, done; the robot stands, also where something fails here."""
+        self._check_end(goal)
+        own, settings = self.settings.own, self.settings
+        loop = self._loop = ControlLoop(
+            task.problem.robot, settings.period, self._now, self._send, realtime=own.use_realtime_priority
+        )
+        run = Run(task.executor, task.measuring.measurements, task.observe)
+        goal.start(run)
+        task.measuring.begin(self._now())
+        loop.start(run)
+        try:
+            while not run.done.is_set():
+                goal.changed.wait(_LOOK)
+                goal.changed.clear()
+                self._look_after(goal, task, loop)
+            self._look_after(goal, task, loop)
+        finally:
+            loop.close("the thread of the goal has failed", _STOPPING)  # nothing to do but then
+        return run
 
     def _see_first(self, goal: Goal, task: _Task) -> None:
         """Wait for the surroundings.
@@ -589,6 +604,13 @@ class DockingServer(Server[DockingSettings]):
             self._refresh(task)
         except OptdockError as error:
             self.get_logger().error(str(error), throttle_duration_sec=1.0)
+        try:
+            self._report(goal, task, loop)
+        except Exception as error:  # a report that fails must not leave the robot alone
+            self.say(error, "a report failed")
+
+    def _report(self, goal: Goal, task: _Task, loop: ControlLoop) -> None:
+        """What has happened since the last time."""
         step, now = task.step, self._now()
         if step is None:
             return
@@ -713,7 +735,7 @@ class DockingServer(Server[DockingSettings]):
             while len(seen) < enough and time.monotonic() < until:
                 self._check_end(goal)
                 self._tell(goal, DockRobot.Feedback.INITIAL_PERCEPTION, 0)
-                goal.changed.wait(_LOOK)
+                time.sleep(_LOOK)
                 for detection in measuring.measurements(self._now()).detections:
                     with suppress(OptdockError):
                         robot = self._frames.lookup(own.fixed_frame, own.base_frame, detection.stamp).planar()

@@ -27,6 +27,7 @@ __all__ = ["Frames", "MeasurementRules", "Measuring", "Surroundings"]
 _QUEUED = 200  # messages between two cycles: at most 4 s of odometry at 50 Hz are worth having
 _AHEAD = 0.1  # [s] that a stamp may lie ahead of this clock: two computers agree better than that, or not at all
 _TRANSFORM_WAIT = 0.2  # [s] that a detection waits for its transform, as Nav2's
+_AT_REST = 0.01  # [m/s], [rad/s] by encoders: a robot that stands
 _STEP = 0.25  # [s] between two odometry messages, beyond which the way between them is not known
 
 
@@ -94,7 +95,8 @@ class Measuring:
         self._pose_stamp = -math.inf
         self.detected: Detection | None = None
         self.faults: Mapping[str, str] = {}
-        self._now = -math.inf
+        self._now = self._began = -math.inf
+        self._is_first = True
 
     @property
     def detects(self) -> bool:
@@ -110,9 +112,9 @@ class Measuring:
         if self._detect is not None:
             self._seen.append(message)
 
-    def begin(self) -> None:
-        """The control loop begins: what was seen before it cannot be placed on the way that the robot makes."""
-        self._seen.clear()
+    def begin(self, now: float) -> None:
+        """The control loop begins: what was seen before cannot be placed on the way that the robot makes."""
+        self._began = now
 
     def take_surroundings(self, surroundings: Surroundings) -> None:
         """A new picture; from any thread."""
@@ -130,6 +132,9 @@ class Measuring:
         detections = self._detections(now, faults)
         costmap = self._costmap(now, faults)
         self.faults = faults
+        if self._is_first and twist is not None and max(abs(twist.linear), abs(twist.angular)) < _AT_REST:
+            twist = Twist2()  # encoders are never quite at rest; a robot that stands is commanded nothing to begin with
+        self._is_first = False
         return Measurements(now, pose, twist or Twist2(), detections, self._contact(now), costmap)
 
     def _velocity(self, now: float, faults: dict[str, str]) -> Twist2 | None:
@@ -182,6 +187,9 @@ class Measuring:
             return None
         if twist is None or found.stamp == self._pose_stamp:
             return None
+        assert self._twist is not None
+        if now - self._twist[0] > rules.transform_tolerance:
+            return None  # the way since then is not known well enough
         self._pose_stamp = found.stamp
         return self._moved_on(pose, found.stamp, now, twist)
 
@@ -199,6 +207,8 @@ class Measuring:
         found: list[Detection] = []
         for _ in range(len(self._seen)):
             message = self._seen.popleft()
+            if ros.seconds(message.header.stamp) < self._began:
+                continue
             try:
                 detection = self._detection(message, now)
             except OptdockError as error:

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from scipy.ndimage import maximum_filter
 
-from optdock.costmap.costmap import FREE_SPACE, NO_INFORMATION, Costmap
+from optdock.costmap.costmap import FREE_SPACE, LETHAL, NO_INFORMATION, Costmap
 from optdock.dock import Dock, DockDirection
 from optdock.geometry.pose import Pose2, transform_points
 
@@ -22,6 +22,8 @@ if TYPE_CHECKING:
 __all__ = ["Box", "joined", "moved", "with_contact_zone"]
 
 _ALIGNED = 1e-6  # [cells], [rad]: grids as near to each other are the same
+_RANK = np.arange(256, dtype=np.uint8)  # costs in the order of what is worse; it is its own inverse
+_RANK[[LETHAL, NO_INFORMATION]] = NO_INFORMATION, LETHAL
 _TOUCHED = math.sqrt(0.5)  # of a cell's side: how far its corners are from its centre
 
 Box = tuple[float, float, float, float]  # least x and y, largest x and y [m]
@@ -36,8 +38,8 @@ def moved(costmap: Costmap, frame: Pose2, box: Box | None = None) -> Costmap:
         box: What of it is wanted, in the other frame; None: all.
 
     Returns:
-        A grid of the same resolution; where it covers several cells of the old one, it has the largest of their costs,
-        and beyond them NO_INFORMATION.
+        A grid of the same resolution; where a cell covers several of the old ones it has the worst of their costs, and
+        beyond them NO_INFORMATION.
     """
     side = costmap.resolution
     (x0, y0), (x1, y1) = costmap.lower, costmap.upper
@@ -49,11 +51,10 @@ def moved(costmap: Costmap, frame: Pose2, box: Box | None = None) -> Costmap:
     columns, rows = np.maximum(1, np.ceil((high - low) / side - _ALIGNED)).astype(int)
     if abs(frame.yaw) < _ALIGNED and _is_aligned(costmap, frame):
         return _cropped(costmap, frame, (int(rows), int(columns)), (float(low[0]), float(low[1])))
-    worst = maximum_filter(costmap.data, size=2 * math.ceil(_TOUCHED) + 1, mode="constant", cval=NO_INFORMATION)
     x, y = low[0] + (np.arange(columns) + 0.5) * side, low[1] + (np.arange(rows) + 0.5) * side
     centres = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
     back = transform_points(frame.inverse().as_array()[None], centres)[0]
-    costs = Costmap(worst, side, costmap.origin).cost_at(back).reshape(rows, columns)
+    costs = _spread(costmap, math.ceil(_TOUCHED)).cost_at(back).reshape(rows, columns)
     return Costmap(costs, side, (float(low[0]), float(low[1])))
 
 
@@ -92,15 +93,27 @@ def joined(wide: Costmap, local: Costmap) -> Costmap:
     offset = np.abs((np.array(origin) - wide.origin) / wide.resolution)
     same = abs(ratio - 1.0) < _ALIGNED and bool(np.abs(offset - np.round(offset)).max() < _ALIGNED)
     reach = 0 if same else math.ceil(0.5 * ratio)
-    worst = maximum_filter(wide.data, size=2 * reach + 1, mode="constant", cval=NO_INFORMATION) if reach else wide.data
     centres = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
-    data = Costmap(worst, wide.resolution, wide.origin).cost_at(centres).reshape(rows, columns)
+
+    data = _spread(wide, reach).cost_at(centres).reshape(rows, columns)
     i, j = (-low).tolist()
-    window = data[j : j + local.rows, i : i + local.columns]
-    known = local.data != NO_INFORMATION
-    seen = np.where(window == NO_INFORMATION, local.data, np.maximum(window, local.data))
-    window[known] = seen[known]
+    window = data[j : j + local.rows, i : i + local.columns]  # a view
+    is_seen = local.data != NO_INFORMATION
+    before = np.where(window == NO_INFORMATION, FREE_SPACE, window)
+    window[is_seen] = np.maximum(before, local.data)[is_seen]
     return Costmap(data, side, origin)
+
+
+def _spread(costmap: Costmap, reach: int) -> Costmap:
+    """Every cell with the worst within so many cells around it; what is occupied is worse than what is unknown.
+
+    One cell beyond its edges belongs to it, for cells of another grid that lie half beyond.
+    """
+    edge = reach + 1
+    padded = np.pad(_RANK[costmap.data], edge, constant_values=int(_RANK[NO_INFORMATION]))
+    spread = maximum_filter(padded, size=2 * reach + 1, mode="nearest") if reach else padded
+    x, y = (value - edge * costmap.resolution for value in costmap.origin)
+    return Costmap(_RANK[spread], costmap.resolution, (x, y))
 
 
 def with_contact_zone(costmap: Costmap, dock: Dock, footprint: Footprint, margin: float) -> Costmap:

@@ -1,0 +1,87 @@
+"""Costmaps of several frames and topics as one: nothing that any of them shows is lost, but at the dock."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from optdock_ros.world import joined, moved, with_contact_zone
+
+from optdock.costmap.costmap import FREE_SPACE, LETHAL, NO_INFORMATION, Costmap
+from optdock.dock import Dock, DockDirection
+from optdock.geometry.footprint import Footprint
+from optdock.geometry.pose import Pose2, transform_points
+
+
+def scattered(seed: int, side: float = 0.05, origin: tuple[float, float] = (0.3, -0.7)) -> Costmap:
+    """A grid of 40 x 30 cells, some of them occupied or unknown."""
+    random = np.random.default_rng(seed)
+    data = random.choice([FREE_SPACE, 100, LETHAL, NO_INFORMATION], p=[0.9, 0.05, 0.03, 0.02], size=(30, 40))
+    return Costmap(data.astype(np.uint8), side, origin)
+
+
+def points_within(costmap: Costmap, count: int = 20000) -> np.ndarray:
+    """Random points on a grid."""
+    return np.random.default_rng(1).uniform(costmap.lower, costmap.upper, size=(count, 2))
+
+
+@pytest.mark.parametrize(
+    "frame", [Pose2(0.0, 0.0, 0.0), Pose2(0.35, -0.2, 0.0), Pose2(0.013, 0.02, 0.0), Pose2(1.0, 2.0, 0.7)]
+)
+def test_a_moved_costmap_is_nowhere_cheaper(frame: Pose2) -> None:
+    before = scattered(0)
+    after = moved(before, frame)
+    points = points_within(before)
+    there = transform_points(frame.as_array()[None], points)[0]
+    costs, found = before.cost_at(points), after.cost_at(there)
+    assert np.all(found[costs == LETHAL] == LETHAL), "also beside the unknown"
+    assert np.all(found[costs == NO_INFORMATION] >= LETHAL)
+    assert np.all(found >= np.minimum(costs, LETHAL))
+    # And it is not all occupied: what is free with a cell and a half of room around stays free.
+    far = 0.0 if frame.yaw == 0.0 and frame.x != 0.013 else 1.5 * before.resolution * math.sqrt(2.0)
+    around = [[0.0, 0.0], *([[far * math.cos(a), far * math.sin(a)] for a in np.linspace(0.0, 2.0 * math.pi, 32)])]
+    free = np.all([before.cost_at(points + offset) == FREE_SPACE for offset in around], axis=0)
+    if far == 0.0:
+        assert np.all(after.cost_at(there)[free] == FREE_SPACE)
+    else:
+        assert np.mean(after.cost_at(there)[free] == FREE_SPACE) > 0.5
+
+
+def test_only_what_is_wanted_is_moved() -> None:
+    after = moved(scattered(0), Pose2(0.0, 0.0, 0.5), box=(0.5, 0.0, 1.0, 0.4))
+    assert after.lower[0] >= 0.45
+    assert after.upper[0] <= 1.06
+    assert after.columns * after.rows <= 12 * 10
+
+
+@pytest.mark.parametrize("side", [0.05, 0.1, 0.02])
+@pytest.mark.parametrize("origin", [(0.3, -0.7), (0.31, -0.72), (-0.5, -1.0)])
+def test_both_costmaps_count_where_they_are_joined(side: float, origin: tuple[float, float]) -> None:
+    wide, local = scattered(2, side, origin), scattered(3, 0.05, (0.5, -0.5))
+    both = joined(wide, local)
+    for one in (wide, local):
+        points = points_within(one)
+        costs, found = one.cost_at(points), both.cost_at(points)
+        assert np.all(found[costs == LETHAL] == LETHAL)
+    points = points_within(both)
+    unknown = both.cost_at(points) == NO_INFORMATION
+    assert np.all(local.cost_at(points[unknown]) == NO_INFORMATION), "what is seen is known"
+    seen = (wide.cost_at(points) == LETHAL) & (local.cost_at(points) == FREE_SPACE)
+    assert np.all(both.cost_at(points[seen]) == LETHAL), "a wall that the robot does not see is a wall"
+
+
+@pytest.mark.parametrize("direction", [DockDirection.FORWARD, DockDirection.BACKWARD])
+def test_cells_are_free_where_the_robot_touches_and_nowhere_else(direction: DockDirection) -> None:
+    robot = Footprint.rectangle(0.3, 0.25, 0.4)  # 0.3 m ahead, 0.25 m behind, 0.4 m wide
+    full = Costmap(np.full((60, 60), LETHAL, dtype=np.uint8), 0.05, (-1.5, -1.5))
+    dock = Dock(Pose2(0.2, -0.1, 0.4), direction=direction)
+    freed = with_contact_zone(full, dock, robot, 0.05)
+    cells = np.argwhere(freed.data == FREE_SPACE)[:, ::-1]
+    seen = transform_points(dock.pose.inverse().as_array()[None], freed.centre_of(cells))[0]
+    front = 0.3 if direction is DockDirection.FORWARD else -0.25
+    assert len(cells) > 10
+    assert np.abs(seen[:, 0] - front).max() <= 0.076
+    assert np.abs(seen[:, 1]).max() <= 0.2 + 0.076
+    elsewhere = Dock(Pose2(9.0, 9.0, 0.0), direction=direction)
+    assert with_contact_zone(full, elsewhere, robot, 0.05) is full
