@@ -66,7 +66,7 @@ T = TypeVar("T")
 _LOOK = 0.05  # [s] between two looks at costmaps, cancellations and what there is to report
 _FIRST_MESSAGES = 2.0  # [s]: a costmap comes at 1 Hz at least, a footprint and transforms with it
 _WARM = 60.0  # [s] for the planning process to start, once, on a slow computer
-_STOPPING = 5.0  # [s]: robots of these limits stop within two seconds; longer, and the command falls to zero
+_STOPPING = 2.0  # [s] beyond what braking takes, until a stop counts as failed, or a thread that ends as hanging
 _SWITCH = 0.0005  # [s]: another thread gives the interpreter up so soon; Python's 5 ms would be jitter of cmd_vel
 _DETECTIONS = "detected_dock_pose"
 _TELL, _REPORT = 0.1, 0.5  # [s] between two feedbacks, and two reports on /diagnostics, where nothing changes
@@ -220,7 +220,9 @@ class DockingServer(Server[DockingSettings]):
         """Stop the robot, end all goals; the last command is zero."""
         reason = "the server is being deactivated"
         self._goals.close(reason)
-        if self._loop is not None and not self._loop.close(reason, _STOPPING):
+        limits = self.settings.robot.document.limits
+        braking = limits.max_speed / limits.max_deceleration + limits.max_deceleration / limits.max_jerk
+        if self._loop is not None and not self._loop.close(reason, braking + _STOPPING):
             self.get_logger().error("the robot was not stopped by the executor")
         if not self._goals.join(_STOPPING):
             self.get_logger().error("the thread of a goal goes on; it commands nothing any more")
@@ -672,11 +674,13 @@ class DockingServer(Server[DockingSettings]):
         task.measuring.take_surroundings(Surroundings(costmap, local.stamp))
 
     def _in_frame(self, seen: StampedCostmap, box: Box) -> Costmap:
-        """A costmap in the fixed frame; what of it is far from robot and dock is left out where it must be moved."""
+        """A costmap in the fixed frame; what of it is far from robot and dock is left out."""
         fixed = self.settings.own.fixed_frame
         if seen.frame.lstrip("/") == fixed.lstrip("/"):
-            return seen.costmap
-        return moved(seen.costmap, self._frames.lookup(fixed, seen.frame).planar(), box)
+            frame = Pose2(0.0, 0.0, 0.0)
+        else:
+            frame = self._frames.lookup(fixed, seen.frame).planar()
+        return moved(seen.costmap, frame, box)
 
     def _switched(self, plugin: DockPlugin, *, on: bool) -> str:
         """Have the detector switched on or off, where the type of dock names its service; why that failed."""
