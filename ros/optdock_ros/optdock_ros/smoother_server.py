@@ -122,7 +122,8 @@ class SmootherServer(PluginServer[Smoother]):
         back = task.seen.inverse().poses(poses)
         result.path = ros.path_message(ros.imported, back, task.seen.source, began)
         result.was_completed = bool(found.completed)
-        self._plan_publisher.publish(result.path)
+        if self._plan_publisher.get_subscription_count():  # half a millisecond for nobody
+            self._plan_publisher.publish(result.path)
         if goal.check_for_collisions:
             task.check_collisions(poses, found)
         if not result.was_completed:
