@@ -223,7 +223,7 @@ def _described(dotted: str) -> str:
     module, _, name = dotted.rpartition(".")
     home = importlib.import_module(module) if module else optdock if hasattr(optdock, dotted) else interfaces
     value = getattr(home, name)
-    where = Path(inspect.getfile(value)).relative_to(ROOT).as_posix()
+    where = Path(inspect.getfile(inspect.unwrap(value))).relative_to(ROOT).as_posix()
     where = f"`{where}`: `{value.__name__}`"
     imported = "" if home is optdock else f"`from {home.__name__} import {name}`\n\n"
     head = f"### {name}\n\n{imported}{_signature(name, value)}\n\n{_docstring(value)}\n\n<small>{where}</small>"
