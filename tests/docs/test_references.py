@@ -247,6 +247,27 @@ def test_every_parameter_of_the_ros_servers_is_on_their_page():
     assert set(generated.ros_models("simulated_robot")["PARAMETERS"]) <= set(heads)
 
 
+def test_the_stops_of_a_robot_are_told_with_the_defaults():
+    page = (DOCS / "howto" / "ros2.md").read_text(encoding="utf-8")
+    stops = page[page.index("## What stops the robot") : page.index("## What it says")]
+    models = generated.ros_models("docking_parameters")
+    own, controller, executor = models["DockingParameters"](), models["ControllerParameters"](), ExecutorSettings()
+    cycles = max(0.1, 5.0 / own.controller_frequency)
+    told = {
+        "no new transform": f"{controller.transform_tolerance} + {executor.pose_patience} s",
+        "no new odometry": f"{own.odom_duration} + {executor.pose_patience} s",
+        "no new local costmap": f"{controller.costmap_timeout} + {cycles} s",
+        "something new": f"{executor.obstacle_patience:g} s",
+        "the dock is not seen": f"{executor.detection_patience:g} s",
+        "the drive does not follow": f"{executor.progress_time:g} s",
+        "cycles that come": f"{executor.longest_tick} s",
+    }
+    rows = {what: next(row for row in stops.splitlines() if row.startswith(f"| {what}")) for what in told}
+    assert {what: row for what, row in rows.items() if told[what] not in row} == {}
+    assert f"{executor.localization_timeout:g} s at rest" in rows["no new transform"]
+    assert f"{executor.costmap_timeout:g} s at rest" in rows["no new local costmap"]
+
+
 def test_the_topics_of_recordings_are_on_their_page():
     from optdock.ros.field import FieldTopics
 
