@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from action_msgs.msg import GoalStatus
 from hall import CELLS, ORIGIN, OUTLINE, RESOLUTION, Surroundings, hall, message, raw_path
+from harness import Lifecycle, spinning
 from nav2_msgs.action import SmoothPath
 from nav_msgs.msg import Path as PathMessage
 from optdock_ros.parameters import flattened
@@ -23,11 +24,12 @@ from optdock import ros
 from optdock.costmap import Costmap as Grid
 from optdock.costmap.costs import LETHAL
 from optdock.geometry.pose import Pose2
+from smoothers import SimpleSmoother
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from harness import Client, Goal, Lifecycle, Process, Processes
+    from harness import Client, Goal, Process, Processes
 
 SIMPLE = "nav2_smoother::SimpleSmoother"
 # Sweeps so small that they come to nothing within hours.
@@ -376,6 +378,27 @@ def test_ends_in_good_order_with_a_goal_at_work(process: Processes, client_node:
     assert "Traceback" not in started.log()
 
 
+def test_a_plugin_that_raises_anything(client_node: Client, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Nav2's server answers UNKNOWN to whatever it does not know; so does this one, and lives."""
+
+    def _raises(*_: Any, **__: Any) -> Any:
+        raise ZeroDivisionError("in a plugin")
+
+    monkeypatch.setattr(SimpleSmoother, "smooth", _raises)
+    given = {"costmap_topic": "", "footprint_topic": ""}
+    overrides = [Parameter(name, value=value) for name, value in given.items()]
+    node = SmootherServer("raising", namespace="apart", parameter_overrides=overrides)
+    assert node.trigger_configure() == TransitionCallbackReturn.SUCCESS
+    assert node.trigger_activate() == TransitionCallbackReturn.SUCCESS
+    with spinning(node):
+        for _ in range(2):
+            reply = client_node.send(SmoothPath, "/apart/smooth_path", goal_of(smoother="")).reply()
+            assert reply.status == GoalStatus.STATUS_ABORTED
+            assert reply.result.error_code == SmoothPath.Result.UNKNOWN
+            assert reply.result.error_msg == "ZeroDivisionError: in a plugin"
+        assert Lifecycle(client_node, "apart/raising").shutdown()
+
+
 @pytest.mark.parametrize(
     ("parameters", "words"),
     [
@@ -413,7 +436,7 @@ def test_configure_names_every_fault(context: None, parameters: dict[str, object
         node.destroy_node()
 
 
-def test_a_file_as_nav2_ships_it(process: Processes, lifecycle: Callable[[str], Lifecycle]) -> None:
+def test_a_file_as_nav2_ships_it(context: None) -> None:  # noqa: ARG001
     """Two smoothers of Nav2's class, with parameters of Nav2's; names of every Nav2 node are no fault."""
     block = {"plugin": SIMPLE, "tolerance": 1.0e-10, "max_its": 1000, "do_refinement": True}
     parameters = {
@@ -424,6 +447,15 @@ def test_a_file_as_nav2_ships_it(process: Processes, lifecycle: Callable[[str], 
         "bond_heartbeat_period": 0.1,
         "introspection_mode": "disabled",
     }
-    started = process("smoother_server", parameters, args=["-r", "__node:=stock", "-r", "smooth_path:=stock_path"])
-    lifecycle("stock").up()
-    assert "Created smoother: route_smoother of type nav2_smoother::SimpleSmoother" in started.log()
+    overrides = [Parameter(name, value=value) for name, value in flattened(parameters).items()]
+    node = SmootherServer("stock", namespace="stock", parameter_overrides=overrides)
+    try:
+        assert node.trigger_configure() == TransitionCallbackReturn.SUCCESS
+        assert node.trigger_activate() == TransitionCallbackReturn.SUCCESS
+        assert {name: one.not_read for name, one in node.settings.plugins.items()} == {
+            "simple_smoother": (),
+            "route_smoother": (),
+        }
+        node.end()
+    finally:
+        node.destroy_node()

@@ -65,6 +65,7 @@ class Server(LifecycleNode, Generic[S]):
 
     Args:
         name: Name of the node.
+        namespace: Of the node, where the command line gives none.
         parameter_overrides: Values beside those of the command line, for tests and composition.
         context: rclpy's; None for the default one.
 
@@ -85,15 +86,23 @@ class Server(LifecycleNode, Generic[S]):
         self,
         name: str,
         *,
+        namespace: str | None = None,
         parameter_overrides: Sequence[Parameter[Any]] | None = None,
         context: Context | None = None,
     ) -> None:
         given = list(parameter_overrides or ())
         # Undeclared ones may be set: a plugin that is named later brings parameters that nobody knows yet.
-        super().__init__(name, parameter_overrides=given, context=context, allow_undeclared_parameters=True)
+        super().__init__(
+            name,
+            namespace=namespace,
+            parameter_overrides=given,
+            context=context,
+            allow_undeclared_parameters=True,
+        )
         declare_overrides(self, given)
         declare(self, self.Parameters)
         self.owns_process = False
+        self._has_begun = False  # there is something to tear down
         self._is_configured = False
         self._is_started = False
         self._told: frozenset[str] = frozenset()
@@ -184,9 +193,10 @@ class Server(LifecycleNode, Generic[S]):
         try:
             block = self.parameters_block()
             self.settings = self.check(block)
-            self._is_configured = True
+            self._has_begun = True
             self.set_up()
             self._form_bond(block)
+            self._is_configured = True
         except Exception as error:  # a subclass, a plugin or rclpy: none may end the node
             self.say(error, "configure failed")
             self._torn_down()
@@ -261,9 +271,9 @@ class Server(LifecycleNode, Generic[S]):
             self.get_logger().info("no package bond: set bond_timeout: 0.0 at the lifecycle manager")
 
     def _torn_down(self) -> None:
-        if not self._is_configured:
+        if not self._has_begun:
             return
-        self._is_configured = False
+        self._has_begun = self._is_configured = False
         try:
             self.tear_down()
         except Exception as error:
@@ -365,6 +375,7 @@ def run(make: Callable[[], Server[Any]], args: Sequence[str] | None = None) -> i
     ended.set()
     executor.shutdown()
     thread.join(_PATIENCE)
+    gc.unfreeze()  # what is frozen is not given back at the end, and others would take this node for alive for 20 s
     server.destroy_node()
     rclpy.try_shutdown()
     return int(failed)
@@ -381,8 +392,10 @@ def _in_executor(executor: Executor, thread: threading.Thread, work: Callable[[]
 
     def _once() -> None:
         if begun.acquire(blocking=False):
-            work()
-            done.set()
+            try:
+                work()
+            finally:
+                done.set()
 
     if thread.is_alive():
         executor.create_task(_once)
