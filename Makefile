@@ -5,6 +5,7 @@ SECONDS := 600
 SEED := 1
 JOBS := 1
 ARGS :=
+BENCHES := conversions smooth_path dockings
 BIN := $(VENV)/bin
 ROS_VENV := .venv-ros
 ROS_BIN := $(ROS_VENV)/bin
@@ -22,7 +23,7 @@ help:
 	@echo "make bench-manoeuvres  from anywhere into the dock, tables on stdout, results/manoeuvres/; ARGS='--every 20'"
 	@echo "make bench-docking  1,000 dockings to contact in each world, tables on stdout, results/docking/; ARGS='--count 50'"
 	@echo "make test-ros     the ROS 2 package with a real rclpy, in an environment of its own (.venv-ros)"
-	@echo "make bench-ros    the ROS 2 servers measured: round trips, dockings of the simulated robot; ARGS='--count 20'"
+	@echo "make bench-ros    the ROS 2 servers measured: round trips, 100 dockings; BENCHES=dockings ARGS='--count 20'"
 	@echo "make experiments  every numbered script in experiments/, results in results/; on Nav2's maps too with OPTDOCK_DATA"
 
 $(STAMP): pyproject.toml
@@ -80,10 +81,10 @@ ros-env: $(ROS_STAMP)
 
 test-ros: ros-env
 	$(ROS_BIN)/mypy --config-file ros/mypy.ini
-	$(ROS_BIN)/python -m pytest -q -c ros/tests/pytest.ini ros/tests
+	$(ROS_BIN)/python -m pytest -q -n 2 --dist loadfile -c ros/tests/pytest.ini ros/tests
 
 bench-ros: ros-env
-	for script in ros/tests/bench_*.py; do $(ROS_BIN)/python $$script $(ARGS) || exit 1; done
+	for bench in $(BENCHES); do $(ROS_BIN)/python ros/tests/bench_$$bench.py $(ARGS) || exit 1; done
 
 experiments: $(STAMP)
 	failed=0; \

@@ -148,6 +148,15 @@ def bag(  # noqa: PLR0913 - one parameter per option
     ] = "",
     radius: Annotated[float | None, typer.Option(metavar=METRES, help="Of a round robot; likewise.")] = None,
     clearance: Annotated[float, typer.Option(metavar=METRES, help="That path and drive must keep.")] = 0.0,
+    contact: Annotated[
+        float | None,
+        typer.Option(
+            metavar=METRES,
+            help="Occupied cells so near to the edge of the outline where the path ends are the dock that it touches, "
+            "and free; default: the diagonal of a cell. 0: none.",
+            show_default=False,
+        ),
+    ] = None,
     occupied_from: Annotated[
         int, typer.Option(help="Occupancy from which a cell of an OccupancyGrid is occupied; of many SLAM maps 65.")
     ] = 100,
@@ -171,6 +180,7 @@ def bag(  # noqa: PLR0913 - one parameter per option
 
         end = math.inf if until is None else until
         _check_stretch(since, end)
+        _check_distance("--contact", contact)
         asked = {"path": path_topic, "costmap": costmap_topic, "footprint": footprint_topic, "odometry": odom_topic}
         topics = FieldTopics().instead(asked)
         rule, occupied = _rules(clearance, occupied_from)
@@ -178,7 +188,7 @@ def bag(  # noqa: PLR0913 - one parameter per option
         with open_bag(file) as recording:
             options = FieldOptions(outline, base_frame, occupied, since, end)
             found = field_docking(recording, topics, options)
-        judged, rows = judged_poses(found, rule)
+        judged, rows = judged_poses(found, rule, contact)
         written = save_field_docking(out, judged, found, file.name)
         typer.echo(table([*found.rows, *rows]))
         _tell(written)
@@ -189,12 +199,16 @@ def _check_stretch(since: float, until: float) -> None:
         raise InvalidValue(f"--since: must be >= 0 s and before --until, got {since} and {until}")
 
 
+def _check_distance(option: str, value: float | None) -> None:
+    if value is not None and not (math.isfinite(value) and value >= 0.0):
+        raise InvalidValue(f"{option}: must be finite and >= 0 m, got {value}")
+
+
 def _rules(clearance: float, occupied_from: int) -> tuple[ClearanceRule, OccupancyRule]:
     from optdock.costmap.costs import OccupancyRule
     from optdock.problem import ClearanceRule
 
-    if not (math.isfinite(clearance) and clearance >= 0.0):
-        raise InvalidValue(f"--clearance: must be finite and >= 0 m, got {clearance}")
+    _check_distance("--clearance", clearance)
     if not 1 <= occupied_from <= 100:
         raise InvalidValue(f"--occupied-from: must be in 1..100, got {occupied_from}")
     return ClearanceRule(clearance), OccupancyRule(lethal_cost_threshold=occupied_from)

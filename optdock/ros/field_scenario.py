@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
+import shapely
 
 from optdock.config.scenario import Scenario
 from optdock.config.writing import save_scenario
+from optdock.costmap.costs import FREE_SPACE, LETHAL
 from optdock.dock import Dock
 from optdock.errors import InvalidPath, InvalidValue
-from optdock.geometry.pose import Pose2
+from optdock.geometry.pose import Pose2, transform_points
 from optdock.io.maps import save_map
 from optdock.io.plan_file import PlanFile, save_plan
 from optdock.limits import LIMIT_UNITS, MotionLimits
@@ -22,6 +25,7 @@ from optdock.robot import Robot
 from optdock.verification.proximity import pose_clearances
 
 if TYPE_CHECKING:
+    from optdock.costmap.costmap import Costmap
     from optdock.geometry.arrays import FloatArray
     from optdock.ros.field import FieldDocking
 
@@ -47,7 +51,7 @@ class JudgedPoses(NamedTuple):
 
 
 def judged_poses(
-    found: FieldDocking, rule: ClearanceRule
+    found: FieldDocking, rule: ClearanceRule, contact: float | None = None
 ) -> tuple[tuple[JudgedPoses, ...], tuple[tuple[str, str], ...]]:
     """What can be judged of a recorded docking, and what there is to say of it, in rows.
 
@@ -56,9 +60,12 @@ def judged_poses(
     Args:
         found: The docking.
         rule: What clearance path and drive must keep.
+        contact: Where the path ends the robot is to touch its dock, which marks whole cells: those that come this near
+            to the edge of the outline there, and reach no deeper into it, count as free [m]; None: the diagonal of a
+            cell, by which a cell may reach beyond what marks it.
     """
-    judged, rows = list[JudgedPoses](), list[tuple[str, str]]()
-    drive = found.drive
+    judged, drive = list[JudgedPoses](), found.drive
+    known, rows = _without_contact(found, contact)
     for name, poses, of_path in (
         ("path", found.path, found.path),
         ("drive", None if drive is None else drive.poses, None if drive is None else drive.poses[list(drive.kept)]),
@@ -76,7 +83,7 @@ def judged_poses(
             Dock(path.end),
             Robot(found.footprint, MotionLimits()),
             clearance=rule,
-            costmap=found.costmap,
+            costmap=known,
             frame=found.frame,
         )
         times = drive.times if drive is not None and name == "drive" else None
@@ -84,6 +91,26 @@ def judged_poses(
         judged.append(JudgedPoses(name, path, problem, closest))
         rows.append((f"{name} closest", closest))
     return tuple(judged), tuple(rows)
+
+
+def _without_contact(found: FieldDocking, contact: float | None) -> tuple[Costmap, list[tuple[str, str]]]:
+    """The costmap without the cells that the robot touches where the path ends, and what to say of them."""
+    grid, near = found.costmap, math.sqrt(2.0) * found.costmap.resolution if contact is None else contact
+    if found.path is None or near == 0.0:
+        return grid, []
+    outline = shapely.Polygon(transform_points(found.path[-1:], found.footprint.vertices)[0])
+    rows, columns = np.nonzero(grid.data >= LETHAL)
+    centres, half = grid.centre_of(np.column_stack((columns, rows))), 0.5 * grid.resolution
+    squares = shapely.box(*(centres - half).T, *(centres + half).T)
+    touched = shapely.intersects(squares, outline.buffer(near)) & ~shapely.intersects(squares, outline.buffer(-near))
+    if not touched.any():
+        return grid, []
+    data = grid.data.copy()
+    data[rows[touched], columns[touched]] = FREE_SPACE
+    said = (
+        f"{np.count_nonzero(touched)} occupied cells at the edge of the outline, to within {near:.3f} m, taken as free"
+    )
+    return grid.with_data(data), [("path's end", said)]
 
 
 def _closest(poses: FloatArray, problem: DockingProblem, times: FloatArray | None) -> str:
@@ -124,7 +151,7 @@ def save_field_docking(
     if not judged:
         raise InvalidValue("neither path nor drive has two distinct poses; there is nothing to judge")
     folder = Path(folder)
-    written = [*save_map(folder / "map.yaml", found.costmap)]
+    written = [*save_map(folder / "map.yaml", judged[0].problem.costmap or found.costmap)]
     for one in judged:
         plan = folder / f"{one.name}.json"
         save_plan(plan, PlanFile(status="recorded", completed=True, frame=found.frame, path=one.path))

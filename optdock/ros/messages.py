@@ -156,7 +156,7 @@ def made(types: MessageTypes, name: str, /, **values: object) -> Message:
 
 def column(types: MessageTypes, name: str, values: NDArray[np.uint8] | NDArray[np.int8]) -> array[int] | NDArray[Any]:
     """Bytes as a message of this name holds them: `rclpy` an array of the standard library, `rosbags` one of numpy."""
-    flat = np.ascontiguousarray(values).reshape(-1)
+    flat = np.array(values).reshape(-1)  # a copy: the message is the caller's, to write into
     if _is_dataclass(types(name)):
         return flat
     found = array("b" if flat.dtype == np.int8 else "B")

@@ -16,7 +16,7 @@ import sys
 import threading
 import time
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
 
 import rclpy
 import yaml
@@ -138,7 +138,8 @@ class Process:
 class Processes:
     """All processes of a test or a module; called, it starts one. Arguments as `Process`."""
 
-    everywhere: list[Processes] = []  # noqa: RUF012 - of the whole run, for the report of a failure
+    everywhere: ClassVar[list[Processes]] = []  # of the whole run, for the report of a failure
+    grace: ClassVar[float] = 5.0  # [s] between an interrupt and a kill, at the end
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder
@@ -162,7 +163,7 @@ class Processes:
         for process in self.started:
             if process.is_running:
                 process.popen.send_signal(signal.SIGINT)
-        end = time.monotonic() + 5.0
+        end = time.monotonic() + self.grace
         for process in self.started:
             with contextlib.suppress(subprocess.TimeoutExpired):
                 process.popen.wait(max(0.0, end - time.monotonic()))

@@ -56,11 +56,11 @@ SERVER: dict[str, object] = {
     "max_retries": 0,
     "initial_perception_timeout": 1.0,
     "wait_charge_timeout": 1.5,
-    "executor": {"localization_timeout": 1.0, "costmap_timeout": 1.0, "obstacle_patience": 1.0},
+    "executor": {"localization_timeout": 1.5, "costmap_timeout": 1.0, "obstacle_patience": 1.0},
     "controller": {"costmap_timeout": 0.8},
 }
 NEAR = [2.45, 1.02, 0.05]  # the robot, before the dock at [3, 1, 0]
-MOST_CHANGE = 0.06  # [m/s] from one command to the next: 0.5 m/s^2 over 0.02 s are 0.01, on a busy machine over 0.1 s
+MOST_CHANGE = 0.1  # [m/s] from one command to the next: 0.5 m/s^2 over 0.02 s are 0.01, on a busy machine over 0.1 s
 
 
 class Bay:

@@ -11,7 +11,7 @@ import os
 import signal
 import time
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import pytest
 from action_msgs.msg import GoalStatus
@@ -78,10 +78,10 @@ class World:
         twist = self.truth[-1].twist.twist
         return max(abs(twist.linear.x), 0.3 * abs(twist.angular.z))
 
-    def send(self) -> Goal:
+    def send(self, client: Client | None = None) -> Goal:
         """Dock."""
         goal = DockRobot.Goal(dock_id="bay", navigate_to_staging_pose=False)
-        self.goal = self.client.send(DockRobot, "dock_robot", goal)
+        self.goal = (client or self.client).send(DockRobot, "dock_robot", goal)
         return self.goal
 
     def leave(self) -> None:
@@ -94,11 +94,17 @@ class World:
     def approach(self) -> Goal:
         """Dock, until the robot moves."""
         self.reset()
-        goal = self.send()
-        assert goal.is_accepted
-        self.client.until(lambda: self.speed > MOVING or goal.is_done, what="an approach")
-        assert not goal.is_done, goal.reply()
-        return goal
+        until = time.monotonic() + 10.0
+        while True:
+            goal = self.send()
+            assert goal.is_accepted
+            self.client.until(lambda goal=goal: self.speed > MOVING or goal.is_done, what="an approach")
+            if not goal.is_done:
+                return goal
+            # A server that has just been started may not have heard of the robot's frames.
+            assert goal.reply().result.error_code == DockRobot.Result.DOCK_NOT_VALID, goal.reply()
+            assert time.monotonic() < until, goal.reply()
+            time.sleep(0.2)
 
     def stops(self, within: float) -> float:
         """Wait until the robot stands, at most so long [s]; how long it took."""
@@ -106,10 +112,10 @@ class World:
         self.client.until(lambda: self.speed < STILL, within, "a stop")
         return time.monotonic() - began
 
-    def docks(self) -> None:
+    def docks(self, client: Client) -> None:
         """A whole docking, from the start."""
         self.reset()
-        reply = self.send().reply(60.0)
+        reply = self.send(client).reply(60.0)
         assert reply.status == GoalStatus.STATUS_SUCCEEDED, reply.result
         time.sleep(0.3)
         told = {item.key: item.value for item in self.reports[-1].status[0].values}
@@ -165,8 +171,10 @@ def test_a_killed_server_leaves_a_robot_that_stops_and_a_new_one_docks(world: Wo
     assert world.stops(within=SLOWEST_STOP) < SLOWEST_STOP
     assert world.commands[-1][1:] != (0.0, 0.0)  # nobody said so: the base stopped by itself
     world.client.until(lambda: all(is_gone(pid) for pid in inner), 5.0, "the end of the planning process")
+    world.goal = None  # nobody answers for it any more
     world.start()
-    world.docks()
+    with stranger(int(os.environ["ROS_DOMAIN_ID"])) as client:
+        world.docks(client)
 
 
 @pytest.mark.parametrize("by", [signal.SIGINT, signal.SIGTERM])
@@ -188,7 +196,7 @@ def test_a_transition_out_of_active_stops_the_robot_first(world: World, how: str
         assert goal.reply().status == GoalStatus.STATUS_ABORTED
         assert not world.send().is_accepted
         assert server.activate()
-        world.docks()
+        world.approach()
     else:
         assert server.state == "finalized"
         assert world.server.stop() == 0
@@ -207,8 +215,8 @@ def test_what_is_not_renewed_stops_the_robot(world: World, fault: str, within: f
     world.fault(fault, on=True)
     world.stops(within)
     world.fault(fault, on=False)
-    reply: Any = goal.reply(60.0)  # it goes on, or says what it missed
-    assert reply.status == GoalStatus.STATUS_SUCCEEDED or fault[:6] in reply.result.error_msg, reply
+    world.client.until(lambda: world.speed > MOVING or goal.is_done, 30.0, "going on")
+    assert not goal.is_done, goal.reply()
 
 
 def test_a_robot_that_never_gets_its_transforms_back_is_told_why(world: World) -> None:

@@ -39,7 +39,7 @@ def inner_run(folder: Path, then: str) -> subprocess.Popen[str]:
     sleeper.write_text(SLEEPER.format(python=sys.executable))
     sleeper.chmod(0o755)
     (folder / "test_inner.py").write_text(textwrap.dedent(TEST.format(folder=str(folder), then=then)))
-    (folder / "conftest.py").write_text("from conftest_of_ours import *\n")
+    (folder / "conftest.py").write_text("from conftest_of_ours import *\n\nProcesses.grace = 0.5\n")
     ours = Path(__file__).parent
     (folder / "conftest_of_ours.py").write_text((ours / "conftest.py").read_text())
     command = [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", f"--rootdir={folder}", str(folder)]

@@ -14,6 +14,7 @@ from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
 
 if TYPE_CHECKING:
     from rclpy.lifecycle import LifecycleNode
+    from rclpy.timer import Timer
 
 __all__ = ["Bond"]
 
@@ -39,7 +40,7 @@ class Bond:
         self._node, self._period = node, period
         self._status = Status(id=node.get_name(), heartbeat_timeout=TIMEOUT, heartbeat_period=period)
         self._publisher = node.create_publisher(Status, TOPIC, 10)
-        self._timer = None
+        self._timer: Timer | None = None
         self._group = MutuallyExclusiveCallbackGroup()  # no other callback delays the heartbeat
 
     def start(self) -> None:

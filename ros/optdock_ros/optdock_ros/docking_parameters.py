@@ -295,7 +295,7 @@ def docking_settings(block: Mapping[str, object], own: DockingParameters) -> Doc
     controller = read.checked(
         lambda: parse_parameters(ControllerParameters, given, "controller"), ControllerParameters()
     )
-    executor: Mapping[str, object] = read.checked(lambda: _executor(read.inner("executor")), dict[str, object]())
+    executor = _executor(read)
     robot = read.checked(lambda: robot_parameters(_robot(read, controller)), robot_parameters({}))
     clearance = read.checked(lambda: clearance_parameters(block.get("clearance", {})), ClearanceRule())
     tracker = _choice(read, Controller, "tracker", "TrackingController")
@@ -317,19 +317,17 @@ def docking_settings(block: Mapping[str, object], own: DockingParameters) -> Doc
     )
 
 
-def _executor(given: Mapping[str, object]) -> dict[str, object]:
-    """The executor's own settings.
-
-    Raises:
-        InvalidValue: One is unknown or wrong, or is said elsewhere.
-    """
-    elsewhere = [
-        f"executor.{name}: is {_SAID_ELSEWHERE[name]} of this server" for name in given if name in _SAID_ELSEWHERE
-    ]
-    if elsewhere:
-        raise InvalidValue("\n".join(elsewhere))
-    parse_parameters(ExecutorSettings, given, "executor")
-    return dict(given)
+def _executor(read: _Reader) -> dict[str, object]:
+    """The executor's own settings; those that are said elsewhere are faults here."""
+    given = read.inner("executor")
+    twice = [name for name in given if name in _SAID_ELSEWHERE]
+    read.faults.extend(f"executor.{name}: is {_SAID_ELSEWHERE[name]} of this server" for name in twice)
+    own = {name: value for name, value in given.items() if name not in twice}
+    try:
+        ExecutorSettings(**own)
+    except InvalidValue as error:
+        read.faults.extend(str(error).replace(f"{ExecutorSettings.__name__}.", "executor.").splitlines())
+    return own
 
 
 def _robot(read: _Reader, controller: ControllerParameters) -> dict[str, object]:

@@ -7,8 +7,10 @@ and when the work ends is the worker's part: it polls.
 
 from __future__ import annotations
 
+import contextlib
+import queue
 import threading
-from collections import deque
+import time
 from typing import TYPE_CHECKING, Any
 
 from rclpy.action.server import ActionServer, CancelResponse, GoalResponse
@@ -84,7 +86,8 @@ class Job:
             self.is_done.set()
             told, self._told = self._told, []
         for tell in told:
-            tell()
+            with contextlib.suppress(Exception):  # an executor that is gone needs no answer
+                tell()
 
 
 class Worker:
@@ -95,20 +98,16 @@ class Worker:
     """
 
     def __init__(self, name: str) -> None:
-        self._jobs: deque[Job | None] = deque()
-        self._wake = threading.Semaphore(0)
-        self._now: Job | None = None
-        self._lock = threading.Lock()
-        # A plugin that never returns must not keep a process from ending.
-        self._thread = threading.Thread(target=self._loop, name=name, daemon=True)
-        self._thread.start()
+        self._name = name
+        self._lock = threading.Lock()  # held for list operations only
+        self._begin_thread()
 
     def begin(self, work: Callable[[Job], Any]) -> Job:
         """Do this after whatever is begun already."""
         job = Job(work)
         with self._lock:
-            self._jobs.append(job)
-        self._wake.release()
+            self._open.append(job)
+        self._jobs.put(job)
         return job
 
     def do(self, work: Callable[[], Any]) -> Any:
@@ -123,37 +122,43 @@ class Worker:
         """Ask for the end of everything that is begun, and wait for it.
 
         Returns:
-            Whether all of it has ended.
+            Whether all of it has ended. Where foreign code does not come back its thread is left to itself, and a new
+            one takes the place.
         """
         with self._lock:
-            jobs = [job for job in (self._now, *self._jobs) if job is not None]
+            jobs = list(self._open)
         for job in jobs:
             job.end(why)
-        return all(job.is_done.wait(_JOIN) for job in jobs)
+        end = time.monotonic() + _JOIN
+        ended = all(job.is_done.wait(max(0.0, end - time.monotonic())) for job in jobs)
+        if not ended:
+            self._jobs.put(None)
+            self._begin_thread()
+        return ended
 
     def close(self) -> bool:
         """End all, and the thread.
 
         Returns:
-            Whether it has ended; one that hangs in foreign code does not keep the process.
+            Whether everything has ended.
         """
-        self.end_all("the server shuts down")
-        with self._lock:
-            self._jobs.append(None)
-        self._wake.release()
+        ended = self.end_all("the server shuts down")
+        self._jobs.put(None)
         self._thread.join(_JOIN)
-        return not self._thread.is_alive()
+        return ended and not self._thread.is_alive()
 
-    def _loop(self) -> None:
-        while True:
-            self._wake.acquire()
-            with self._lock:
-                job = self._now = self._jobs.popleft()
-            if job is None:
-                return
+    def _begin_thread(self) -> None:
+        self._jobs: queue.SimpleQueue[Job | None] = queue.SimpleQueue()
+        self._open: list[Job] = []
+        # Code that never comes back must not keep a process from ending.
+        self._thread = threading.Thread(target=self._loop, args=(self._jobs, self._open), name=self._name, daemon=True)
+        self._thread.start()
+
+    def _loop(self, jobs: queue.SimpleQueue[Job | None], begun: list[Job]) -> None:
+        while (job := jobs.get()) is not None:
             job.run()
             with self._lock:
-                self._now = None
+                begun.remove(job)
 
 
 def answer_of(job: Job, node: Node) -> Future[None]:

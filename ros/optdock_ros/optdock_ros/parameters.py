@@ -173,7 +173,7 @@ def declare_overrides(node: Node, given: Sequence[Parameter[Any]] = ()) -> None:
 
 
 def declare(node: Node, model: type[BaseModel], prefix: str = "") -> None:
-    """Declare the fields of a model that nobody has given, with their defaults, so that they can be listed and set.
+    """Declare the fields of a model, described, and with their defaults where nobody has given them.
 
     A default that ROS has no type for, such as none at all, cannot be declared; it can be set all the same.
 
@@ -185,10 +185,11 @@ def declare(node: Node, model: type[BaseModel], prefix: str = "") -> None:
     for name, spec in model.model_fields.items():
         full, default = f"{prefix}{spec.alias or name}", spec.get_default(call_default_factory=True)
         value = default.value if isinstance(default, Enum) else default
-        if node.has_parameter(full) or not _fits(value):
-            continue
         descriptor = ParameterDescriptor(name=full, description=spec.description or "", dynamic_typing=True)
-        node.declare_parameter(full, list(value) if isinstance(value, tuple) else value, descriptor)
+        if node.has_parameter(full):
+            node.set_descriptor(full, descriptor)
+        elif _fits(value):
+            node.declare_parameter(full, list(value) if isinstance(value, tuple) else value, descriptor)
 
 
 def _fits(value: object) -> bool:

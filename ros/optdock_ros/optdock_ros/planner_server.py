@@ -36,7 +36,15 @@ from optdock.interfaces import GlobalPlanner, PluginContext
 from optdock.problem import ClearanceRule, DockingProblem
 from optdock.verification import pose_clearances
 from optdock_ros.goals import Job, JobEnded, answer_of
-from optdock_ros.plugin_server import PluginServer, PluginServerParameters, Settings, cropped, failed, poses_of
+from optdock_ros.plugin_server import (
+    PluginServer,
+    PluginServerParameters,
+    Settings,
+    compact_path,
+    cropped,
+    failed,
+    poses_of,
+)
 from optdock_ros.server import run
 from optdock_ros.surroundings import SurroundingsError, now
 
@@ -158,8 +166,9 @@ class PlannerServer(PluginServer[GlobalPlanner]):
         poses = poses_of(found, _SPACING)
         if not len(poses):
             raise NoValidPathCouldBeFound(f"{planner.name} generated a empty path")
-        message = ros.path_message(ros.imported, poses, problem.frame, now(self))
-        self._plan_publisher.publish(message)
+        message = compact_path(poses, problem.frame, now(self))
+        if self._plan_publisher.get_subscription_count():
+            self._plan_publisher.publish(message)
         return message
 
     def _problem(

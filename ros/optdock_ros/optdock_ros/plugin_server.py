@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, ClassVar, Generic, TypeVar
+from typing import TYPE_CHECKING, Any, ClassVar, Generic, TypeVar, overload
 
 import numpy as np
 from nav_msgs.msg import Path as PathMessage
@@ -14,7 +15,7 @@ from optdock.costmap.costmap import Costmap
 from optdock.lifecycle import Plugin
 from optdock.path import Path, PolylineSegment
 from optdock.problem import ClearanceRule
-from optdock_ros.goals import GoalAction, Worker
+from optdock_ros.goals import GoalAction, JobEnded, Worker
 from optdock_ros.parameters import (
     Faults,
     RobotParameters,
@@ -29,14 +30,14 @@ from optdock_ros.surroundings import CostmapTopic, FootprintTopic, SurroundingsE
 from optdock_ros.transforms import TransformBuffer
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping
+    from collections.abc import Callable, Iterator, Mapping
 
     from optdock.geometry.arrays import FloatArray
     from optdock.geometry.footprint import Footprint
     from optdock.robot import Robot
     from optdock_ros.goals import Job
 
-__all__ = ["PluginServer", "PluginServerParameters", "Settings", "cropped", "failed", "poses_of"]
+__all__ = ["PluginServer", "PluginServerParameters", "Settings", "compact_path", "cropped", "failed", "poses_of"]
 
 P = TypeVar("P", bound=Plugin)
 
@@ -146,12 +147,21 @@ class PluginServer(Server[Settings[P]], Generic[P]):
         def _ended(why: str) -> Any:
             return failed(kind.Result(), why, 0)
 
+        def _work(goal: Any, job: Job) -> tuple[Any, bool]:
+            try:
+                return work(goal, job)
+            except JobEnded:
+                raise
+            except Exception as error:  # foreign code may raise anything
+                self.say(error, name)
+                return failed(kind.Result(), f"{type(error).__name__}: {error}", kind.Result.UNKNOWN), False
+
         action = GoalAction(
             self,
             kind,
             name,
             worker=self.worker,
-            work=work,
+            work=_work,
             ended=_ended,
             is_open=lambda: self.is_active,
             result_timeout=self.settings.parameters.action_server_result_timeout,
@@ -243,6 +253,50 @@ def failed(result: Any, why: str, code: int) -> Any:
     if hasattr(result, "error_msg"):
         result.error_msg = why
     return result
+
+
+class _Poses(Sequence[Any]):
+    """Poses of a message that are made when they are looked at.
+
+    An action server keeps every result for seconds. As messages, 200 poses are 800 objects, and collections of garbage
+    that look at all of them stop all threads for tens of milliseconds; as numbers they are one.
+    """
+
+    def __init__(self, poses: FloatArray, frame: str, stamp: float) -> None:
+        self._poses, self._frame, self._stamp = poses, frame, stamp
+
+    def __len__(self) -> int:
+        return len(self._poses)
+
+    @overload
+    def __getitem__(self, index: int) -> Any: ...
+    @overload
+    def __getitem__(self, index: slice) -> list[Any]: ...
+    def __getitem__(self, index: int | slice) -> Any:
+        return self._made()[index]
+
+    def __iter__(self) -> Iterator[Any]:
+        return iter(self._made())
+
+    def _made(self) -> list[Any]:
+        made: list[Any] = ros.path_message(ros.imported, self._poses, self._frame, self._stamp).poses
+        return made
+
+
+def compact_path(poses: FloatArray, frame: str, stamp: float) -> PathMessage:
+    """A nav_msgs/Path for the result of an action, which is kept for a while.
+
+    Args:
+        poses: Shape (n, 3).
+        frame: In which they stand.
+        stamp: Of all of them [s].
+
+    Raises:
+        InvalidValue: As `optdock.ros.path_message`.
+    """
+    message: PathMessage = ros.path_message(ros.imported, poses[:0], frame, stamp)
+    message.poses = _Poses(poses, frame, stamp)
+    return message
 
 
 def poses_of(path: Path, spacing: float) -> FloatArray:

@@ -10,8 +10,11 @@ answers. An error in a callback is told and does not end the node.
 
 from __future__ import annotations
 
+import gc
 import signal
+import sys
 import threading
+import time
 import traceback
 from typing import TYPE_CHECKING, Any, ClassVar, Generic, TypeVar
 
@@ -45,8 +48,10 @@ __all__ = ["Server", "run"]
 
 S = TypeVar("S")
 
-# A goal that ended is answered in the executor: its callback comes back, then its result is set, then it is sent.
-_STEPS_OF_AN_ANSWER = 3
+# [s], instead of Python's 5 ms: a thread that calculates gives way to the one that answers, or commands, within this.
+_SWITCH = 0.0005
+# [s] between the end of the work and that of the node: clients ask for the results of goals that ended just now.
+_ANSWERS = 0.1
 
 _PATIENCE = 10.0  # [s] for the last transitions of a process that was asked to end; a lifecycle manager waits as long
 
@@ -60,11 +65,13 @@ class Server(LifecycleNode, Generic[S]):
 
     Args:
         name: Name of the node.
+        namespace: Of the node, where the command line gives none.
         parameter_overrides: Values beside those of the command line, for tests and composition.
         context: rclpy's; None for the default one.
 
     Attributes:
         settings: What `check` made of the parameters; there from configure to cleanup.
+        owns_process: Whether nobody else lives in this process; `run` sets it.
     """
 
     Parameters: ClassVar[type[ServerParameters]] = ServerParameters
@@ -79,14 +86,23 @@ class Server(LifecycleNode, Generic[S]):
         self,
         name: str,
         *,
+        namespace: str | None = None,
         parameter_overrides: Sequence[Parameter[Any]] | None = None,
         context: Context | None = None,
     ) -> None:
         given = list(parameter_overrides or ())
         # Undeclared ones may be set: a plugin that is named later brings parameters that nobody knows yet.
-        super().__init__(name, parameter_overrides=given, context=context, allow_undeclared_parameters=True)
+        super().__init__(
+            name,
+            namespace=namespace,
+            parameter_overrides=given,
+            context=context,
+            allow_undeclared_parameters=True,
+        )
         declare_overrides(self, given)
         declare(self, self.Parameters)
+        self.owns_process = False
+        self._has_begun = False  # there is something to tear down
         self._is_configured = False
         self._is_started = False
         self._told: frozenset[str] = frozenset()
@@ -177,9 +193,10 @@ class Server(LifecycleNode, Generic[S]):
         try:
             block = self.parameters_block()
             self.settings = self.check(block)
-            self._is_configured = True
+            self._has_begun = True
             self.set_up()
             self._form_bond(block)
+            self._is_configured = True
         except Exception as error:  # a subclass, a plugin or rclpy: none may end the node
             self.say(error, "configure failed")
             self._torn_down()
@@ -195,8 +212,13 @@ class Server(LifecycleNode, Generic[S]):
             self._stopped()
             return TransitionCallbackReturn.FAILURE
         self._is_started = True
+        self.get_logger().info("active")
         if self._bond is not None:
             self._bond.start()
+        if self.owns_process:
+            # What is loaded by now stays; later collections, which stop all threads, need not look at it.
+            gc.collect()
+            gc.freeze()
         return super().on_activate(state)
 
     def on_deactivate(self, state: LifecycleState) -> TransitionCallbackReturn:
@@ -249,9 +271,9 @@ class Server(LifecycleNode, Generic[S]):
             self.get_logger().info("no package bond: set bond_timeout: 0.0 at the lifecycle manager")
 
     def _torn_down(self) -> None:
-        if not self._is_configured:
+        if not self._has_begun:
             return
-        self._is_configured = False
+        self._has_begun = self._is_configured = False
         try:
             self.tear_down()
         except Exception as error:
@@ -321,16 +343,23 @@ def run(make: Callable[[], Server[Any]], args: Sequence[str] | None = None) -> i
         The exit code, 0 after a signal.
     """
     ended = threading.Event()
+
+    def _end(number: int, _frame: object) -> None:
+        ended.set()
+        signal.signal(number, signal.SIG_DFL)  # who asks twice does not want to wait
+
     # Handlers of our own: rclpy's take the context down at once, and the stop command with it.
     rclpy.init(args=list(args) if args is not None else None, signal_handler_options=SignalHandlerOptions.NO)
     for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, lambda *_: ended.set())
+        signal.signal(number, _end)
+    sys.setswitchinterval(_SWITCH)
     try:
         server = make()
     except Exception:
         get_logger("optdock_ros").fatal(traceback.format_exc())
         rclpy.try_shutdown()
         return 1
+    server.owns_process = True
     executor = SingleThreadedExecutor()
     executor.add_node(server)
     thread = threading.Thread(target=spin, args=(executor, ended), name="executor")
@@ -341,12 +370,12 @@ def run(make: Callable[[], Server[Any]], args: Sequence[str] | None = None) -> i
         pass
     failed = not ended.is_set()
     _in_executor(executor, thread, server.halt)
-    for _ in range(_STEPS_OF_AN_ANSWER):
-        _in_executor(executor, thread, lambda: None)
+    time.sleep(_ANSWERS)
     _in_executor(executor, thread, server.end)
     ended.set()
     executor.shutdown()
     thread.join(_PATIENCE)
+    gc.unfreeze()  # what is frozen is not given back at the end, and others would take this node for alive for 20 s
     server.destroy_node()
     rclpy.try_shutdown()
     return int(failed)
@@ -363,8 +392,10 @@ def _in_executor(executor: Executor, thread: threading.Thread, work: Callable[[]
 
     def _once() -> None:
         if begun.acquire(blocking=False):
-            work()
-            done.set()
+            try:
+                work()
+            finally:
+                done.set()
 
     if thread.is_alive():
         executor.create_task(_once)

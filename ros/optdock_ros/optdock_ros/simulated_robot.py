@@ -368,6 +368,8 @@ class SimulatedRobot:
         period = 1.0 / self._world.values["rate"]
         pace = self._world.values["speed"] or 1.0
         origin, ticks = time.monotonic(), 0
+        if self._topics.clock is None:  # what it took to come here would be how old every stamp is
+            self._epoch = 1e-9 * self.node.get_clock().now().nanoseconds
         try:
             while not self._ended.is_set():
                 pause = origin + (ticks + 1) * period / pace - time.monotonic()
@@ -375,9 +377,10 @@ class SimulatedRobot:
                     self._ended.wait(pause)
                 late = max(0, math.floor(-pause * pace / period))
                 if self._topics.clock is not None or late * period > CATCH_UP:
-                    origin, late = origin + late * period / pace, 0  # a clock of its own waits for a busy machine
+                    skipped, late = late * period, 0
+                    origin += skipped / pace  # a clock of its own waits for a busy machine
                     if self._topics.clock is None:
-                        self._epoch += late * period
+                        self._epoch += skipped
                 ticks += 1 + late
                 with self._lock:
                     self._step((1 + late) * period)

@@ -27,7 +27,15 @@ from optdock.plugins import create_plugin
 from optdock.problem import ClearanceRule, DockingProblem
 from optdock.verification import certify_path
 from optdock_ros.goals import Job, JobEnded
-from optdock_ros.plugin_server import PluginServer, PluginServerParameters, Settings, cropped, failed, poses_of
+from optdock_ros.plugin_server import (
+    PluginServer,
+    PluginServerParameters,
+    Settings,
+    compact_path,
+    cropped,
+    failed,
+    poses_of,
+)
 from optdock_ros.server import run
 from optdock_ros.surroundings import SurroundingsError, first_collision, now
 from optdock_ros.transforms import Transform
@@ -120,9 +128,10 @@ class SmootherServer(PluginServer[Smoother]):
         job.look()
         poses = poses_of(found.path, task.spacing)
         back = task.seen.inverse().poses(poses)
-        result.path = ros.path_message(ros.imported, back, task.seen.source, began)
+        result.path = compact_path(back, task.seen.source, began)
         result.was_completed = bool(found.completed)
-        self._plan_publisher.publish(result.path)
+        if self._plan_publisher.get_subscription_count():  # half a millisecond for nobody
+            self._plan_publisher.publish(result.path)
         if goal.check_for_collisions:
             task.check_collisions(poses, found)
         if not result.was_completed:

@@ -270,6 +270,9 @@ class TransformBuffer:
         """
         parent, child = message.header.frame_id.lstrip("/"), message.child_frame_id.lstrip("/")
         fault, sample = _sample(message)
+        if sample is not None and not is_static and 0.0 < self._now() < sample.stamp - _HISTORY:
+            # As the newest it would stand for ever, and everything before it would be forgotten.
+            fault = f"is dated {sample.stamp - self._now():.1f} s into the future"
         if not fault and (not parent or not child or parent == child):
             fault = "needs two different frames"
         if not fault and child in _to_root(self._tracks, parent):

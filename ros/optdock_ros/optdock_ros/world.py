@@ -17,6 +17,7 @@ from optdock.dock import Dock, DockDirection
 from optdock.geometry.pose import Pose2, transform_points
 
 if TYPE_CHECKING:
+    from optdock.geometry.arrays import FloatArray
     from optdock.geometry.footprint import Footprint
 
 __all__ = ["Box", "joined", "moved", "with_contact_zone"]
@@ -41,16 +42,16 @@ def moved(costmap: Costmap, frame: Pose2, box: Box | None = None) -> Costmap:
         A grid of the same resolution; where a cell covers several of the old ones it has the worst of their costs, and
         beyond them NO_INFORMATION.
     """
-    side = costmap.resolution
-    (x0, y0), (x1, y1) = costmap.lower, costmap.upper
-    corners = transform_points(frame.as_array()[None], np.array([[x0, y0], [x1, y0], [x1, y1], [x0, y1]]))[0]
-    low, high = corners.min(axis=0), corners.max(axis=0)
+    side, (ox, oy) = costmap.resolution, costmap.origin
+    if abs(frame.yaw) < _ALIGNED:
+        shifted = Costmap(costmap.data, side, (ox + frame.x, oy + frame.y))
+        return shifted if box is None else _cropped(shifted, box)
+    low, high = _bounds(frame, (*costmap.lower, *costmap.upper))
     if box is not None:
-        low, high = np.maximum(low, box[:2]), np.minimum(high, box[2:])
-    low = np.floor(low / side) * side
+        low, high = np.maximum(low, box[:2]), np.maximum(np.minimum(high, box[2:]), np.maximum(low, box[:2]) + side)
+        around = np.concatenate(_bounds(frame.inverse(), (*low, *high))) + 2.0 * side * np.array([-1, -1, 1, 1])
+        costmap = _cropped(costmap, tuple(around.tolist()))
     columns, rows = np.maximum(1, np.ceil((high - low) / side - _ALIGNED)).astype(int)
-    if abs(frame.yaw) < _ALIGNED and _is_aligned(costmap, frame):
-        return _cropped(costmap, frame, (int(rows), int(columns)), (float(low[0]), float(low[1])))
     x, y = low[0] + (np.arange(columns) + 0.5) * side, low[1] + (np.arange(rows) + 0.5) * side
     centres = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
     back = transform_points(frame.inverse().as_array()[None], centres)[0]
@@ -58,20 +59,21 @@ def moved(costmap: Costmap, frame: Pose2, box: Box | None = None) -> Costmap:
     return Costmap(costs, side, (float(low[0]), float(low[1])))
 
 
-def _is_aligned(costmap: Costmap, frame: Pose2) -> bool:
-    offset = np.add(costmap.origin, (frame.x, frame.y)) / costmap.resolution
-    return bool(np.abs(offset - np.round(offset)).max() < _ALIGNED)
+def _bounds(frame: Pose2, box: Box) -> tuple[FloatArray, FloatArray]:
+    """What a box covers in another frame, in which its own stands at `frame`: least and largest x and y."""
+    x0, y0, x1, y1 = box
+    corners = transform_points(frame.as_array()[None], np.array([[x0, y0], [x1, y0], [x1, y1], [x0, y1]]))[0]
+    return corners.min(axis=0), corners.max(axis=0)
 
 
-def _cropped(costmap: Costmap, frame: Pose2, shape: tuple[int, int], origin: tuple[float, float]) -> Costmap:
-    """The part of a grid that is not turned."""
-    shift = (np.array(origin) - (frame.x, frame.y) - costmap.origin) / costmap.resolution
-    i, j = np.round(shift).astype(int).tolist()
-    rows, columns = shape
-    data = np.full(shape, NO_INFORMATION, dtype=np.uint8)
-    part = costmap.data[max(j, 0) : j + rows, max(i, 0) : i + columns]
-    data[max(-j, 0) : max(-j, 0) + part.shape[0], max(-i, 0) : max(-i, 0) + part.shape[1]] = part
-    return Costmap(data, costmap.resolution, origin)
+def _cropped(costmap: Costmap, box: Box) -> Costmap:
+    """The cells that a box meets, at least one."""
+    first, last = costmap.cell_of([box[:2], box[2:]])
+    size = (costmap.columns, costmap.rows)
+    (i, j), (i_end, j_end) = np.clip(first, 0, np.subtract(size, 1)), np.clip(last + 1, 1, size)
+    part = costmap.data[j : max(j_end, j + 1), i : max(i_end, i + 1)]
+    side = costmap.resolution
+    return Costmap(part, side, (costmap.origin[0] + int(i) * side, costmap.origin[1] + int(j) * side))
 
 
 def joined(wide: Costmap, local: Costmap) -> Costmap:

@@ -358,6 +358,7 @@ WRONG_RECORDINGS = [
 WRONG_OPTIONS = [
     ("--since 2 --until 1", "--since: must be >= 0 s and before --until, got 2.0 and 1.0"),
     ("--radius 0.1 --footprint [[0,0],[1,0],[0,1]]", "--radius: --footprint says the outline already"),
+    ("--contact nan", "--contact: must be finite and >= 0 m, got nan"),
     ("--clearance -1", "--clearance: must be finite and >= 0 m, got -1.0"),
     ("--occupied-from 0", "--occupied-from: must be in 1..100, got 0"),
 ]
@@ -434,6 +435,23 @@ def test_a_collision_is_said_before_all_else():
     verdict = run("certify", "field/drive.json", "field/drive.yaml")
     assert verdict.stderr.startswith("not certified: the footprint overlaps map at s = ")
     assert re.search("violation +the path slips sideways", verdict.stdout)
+
+
+@pytest.mark.parametrize(
+    ("depth", "options", "refused"), [(0.04, (), False), (0.04, ("--contact", "0"), True), (0.2, (), True)]
+)
+def test_a_dock_that_is_touched_marks_whole_cells(depth, options, refused):
+    """Where the path ends, cells that reach into the outline by a cell's diagonal are the dock; deeper ones are not."""
+    messages = field_messages()
+    grid = next(message.message for message in messages[1:] if message.topic == "/local_costmap/costmap_raw")
+    column = int((2.3 - depth + 3.0) / 0.05 + 1e-9)
+    for row in range(58, 62):
+        grid.data[160 * row + column] = 254
+    write_bag("field.mcap", messages)
+    result = run("import", "bag", "field.mcap", "-o", "field", *options)
+    assert ("path's end" in result.stdout) == (depth < 0.1 and not refused)
+    assert (run("certify", "field/path.json", "field/path.yaml").exit_code != 0) == refused
+    assert (run("certify", "field/drive.json", "field/drive.yaml").exit_code != 0) == refused
 
 
 def test_a_costmap_is_taken_with_its_updates():

@@ -54,6 +54,19 @@ def test_a_perfect_one_tells_the_truth_and_records_what_it_told():
     assert told[-1].contact is None
 
 
+def test_what_is_forgotten_changes_nothing_that_follows():
+    kept, told = driven(NOISY, seed=3)
+    robot, before = driven(NOISY, seed=3, periods=PERIODS[:20])
+    robot.forget()
+    after = [robot.advance(BENT, period) for period in PERIODS[20:]]
+    assert [*before, *after] == told
+    whole, rest = kept.record(), robot.record()
+    assert np.array_equal(rest.poses, whole.poses[20:])
+    assert np.array_equal(rest.commands, whole.commands[20:])
+    assert 0 < len(rest.detections) < len(whole.detections)
+    assert rest.detections == whole.detections[-len(rest.detections) :]
+
+
 def test_equal_seeds_give_equal_runs_and_others_do_not():
     first, again, other = (driven(NOISY, seed=seed)[1] for seed in (3, 3, 4))
     assert first == again
