@@ -29,7 +29,7 @@ def names_in(block: dict[str, object], prefix: str = "") -> set[str]:
     return found
 
 
-@pytest.mark.parametrize("server", ["smoother_server", "docking_server"])
+@pytest.mark.parametrize("server", ["smoother_server", "planner_server", "docking_server"])
 def test_our_file_starts_the_servers_and_names_every_parameter(
     process: Processes, client_node: Client, lifecycle: Callable[[str], Lifecycle], server: str
 ) -> None:
@@ -45,6 +45,8 @@ def test_our_file_starts_the_servers_and_names_every_parameter(
     assert life.shutdown()
     assert started.stop() == 0
     assert "not read" not in started.log().replace("filter_coef", "")
+    # One that ends without a word is taken for alive for 20 s, and its successor's clients talk to it.
+    client_node.until(lambda: server not in client_node.get_node_names(), 5.0, "the end of the node")
 
 
 def stock(name: str) -> Path:

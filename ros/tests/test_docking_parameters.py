@@ -68,7 +68,7 @@ def test_everything_that_is_wrong_is_said_at_once() -> None:
         settings(
             bay={**CHARGER, "docking_treshold": 0.05, "staging_x_offset": "far"},
             controller={"transform_tolerence": 0.1, "costmap_timeout": 0.0},
-            executor={"max_retries": 1, "time_budgt": 1.0},
+            executor={"max_retries": 1, "time_budgett": 1.0},
             robot={"limits": {"max_sped": 1.0}},
             clearance={"required": -0.1},
             tracker={"plugin": "TrackingContoller"},
@@ -84,7 +84,7 @@ def test_everything_that_is_wrong_is_said_at_once() -> None:
         "controller.transform_tolerence: unknown parameter; did you mean transform_tolerance?",
         "controller.costmap_timeout",
         "executor.max_retries: is max_retries of this server",
-        "executor.time_budgt: unknown parameter; did you mean time_budget?",
+        "executor.time_budgett: unknown parameter; did you mean time_budget?",
         "max_sped",
         "clearance.required",
         "TrackingContoller",

@@ -18,7 +18,8 @@ def options(started: Started, flag: str) -> list[str]:
 
 
 def test_all_servers_with_the_default_file(tmp_path: Path) -> None:
-    found = launched("servers.launch.py", tmp_path)
+    assert [one.executable for one in launched("servers.launch.py", tmp_path)] == ["smoother_server", "docking_server"]
+    found = launched("servers.launch.py", tmp_path, planner="true")
     assert [one.executable for one in found] == SERVERS
     for one in found:
         files = options(one, "--params-file")
@@ -37,7 +38,6 @@ def test_arguments_reach_the_nodes(tmp_path: Path) -> None:
         namespace="robot1",
         use_sim_time="true",
         autostart="True",
-        planner="false",
         smoother="false",
         cmd_vel_topic="cmd_vel_docking",
         params_file="/etc/mine.yaml",

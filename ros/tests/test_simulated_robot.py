@@ -212,6 +212,25 @@ def test_wrong_parameters_are_refused_by_name(robot: Client) -> None:
         assert words in result.reason
 
 
+def test_after_a_stall_its_stamps_are_those_of_the_clock_again(process: Processes, client_node: Client) -> None:
+    """A process that was stopped, or swapped out, must not tell of now as if it were then."""
+    started = process("simulated_robot", args=("-r", "__ns:=/stalled", "-r", "/tf:=tf"))
+    ages: list[float] = []
+
+    def take(message: Odometry) -> None:
+        ages.append(time.time() - message.header.stamp.sec - 1e-9 * message.header.stamp.nanosec)
+
+    client_node.create_subscription(Odometry, "/stalled/odom", take, 10)
+    client_node.until(lambda: len(ages) > 5)
+    started.popen.send_signal(signal.SIGSTOP)
+    time.sleep(1.0)
+    started.popen.send_signal(signal.SIGCONT)
+    time.sleep(0.5)
+    ages.clear()
+    client_node.until(lambda: len(ages) > 20)
+    assert min(ages) < 0.1
+
+
 @pytest.mark.parametrize(("params", "words"), [({"ratee": 1.0}, "ratee: no such parameter; did you mean rate?")])
 def test_it_does_not_start_with_a_parameter_that_means_nothing(
     process: Processes, params: Mapping[str, object], words: str

@@ -1,9 +1,9 @@
 """The servers of optdock, in place of Nav2's of the same names.
 
-    ros2 launch optdock_ros servers.launch.py params_file:=/path/to/nav2_params.yaml planner:=false
+    ros2 launch optdock_ros servers.launch.py params_file:=/path/to/nav2_params.yaml
 
 With a lifecycle manager, as in a Nav2 bringup, leave `autostart` false and the names in its `node_names`; without one
-set it true.
+set it true. A planner server is only started where `planner` is true: beside Nav2's there can be no second one.
 """
 
 from launch import LaunchDescription
@@ -14,7 +14,7 @@ from launch_ros.actions import Node
 from launch_ros.parameter_descriptions import ParameterValue
 from launch_ros.substitutions import FindPackageShare
 
-SERVERS = ("smoother", "planner", "docking")
+SERVERS = {"smoother": "true", "planner": "false", "docking": "true"}  # whether it is started where nobody says
 SWITCHES = ("use_sim_time", "autostart")
 
 
@@ -28,7 +28,10 @@ def generate_launch_description() -> LaunchDescription:
         DeclareLaunchArgument("autostart", default_value="false", description="active without a lifecycle manager"),
         DeclareLaunchArgument("cmd_vel_topic", default_value="cmd_vel", description="where the docking server drives"),
         DeclareLaunchArgument("log_level", default_value="info", description="debug, info, warn or error"),
-        *(DeclareLaunchArgument(name, default_value="true", description=f"start {name}_server") for name in SERVERS),
+        *(
+            DeclareLaunchArgument(name, default_value=starts, description=f"start {name}_server")
+            for name, starts in SERVERS.items()
+        ),
     ]
     given = {name: ParameterValue(LaunchConfiguration(name), value_type=bool) for name in SWITCHES}
     # As in Nav2's bringup: a robot in a namespace has its own transforms.

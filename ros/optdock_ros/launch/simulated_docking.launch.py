@@ -22,12 +22,7 @@ def generate_launch_description() -> LaunchDescription:
     params_file = LaunchConfiguration("params_file")
     docking = IncludeLaunchDescription(
         PythonLaunchDescriptionSource(PathJoinSubstitution([share, "launch", "servers.launch.py"])),
-        launch_arguments={
-            "params_file": params_file,
-            "autostart": "true",
-            "smoother": "false",
-            "planner": "false",
-        }.items(),
+        launch_arguments={"params_file": params_file, "autostart": "true", "smoother": "false"}.items(),
     )
     robot = Node(package="optdock_ros", executable="simulated_robot", parameters=[params_file], output="screen")
     return LaunchDescription(

@@ -323,7 +323,10 @@ def _executor(read: _Reader) -> dict[str, object]:
     twice = [name for name in given if name in _SAID_ELSEWHERE]
     read.faults.extend(f"executor.{name}: is {_SAID_ELSEWHERE[name]} of this server" for name in twice)
     own = {name: value for name, value in given.items() if name not in twice}
-    read.checked(lambda: parse_parameters(ExecutorSettings, own, "executor"), ExecutorSettings())
+    try:
+        ExecutorSettings(**own)
+    except InvalidValue as error:
+        read.faults.extend(str(error).replace(f"{ExecutorSettings.__name__}.", "executor.").splitlines())
     return own
 
 

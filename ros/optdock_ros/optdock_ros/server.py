@@ -375,6 +375,7 @@ def run(make: Callable[[], Server[Any]], args: Sequence[str] | None = None) -> i
     ended.set()
     executor.shutdown()
     thread.join(_PATIENCE)
+    gc.unfreeze()  # what is frozen is not given back at the end, and others would take this node for alive for 20 s
     server.destroy_node()
     rclpy.try_shutdown()
     return int(failed)
