@@ -11,7 +11,7 @@ from hall import COSTMAP, FOOTPRINT, OUTLINE, Surroundings
 from harness import LATCHED, spinning
 from nav_msgs.msg import OccupancyGrid
 from optdock_ros.surroundings import CostmapTopic, FootprintTopic, SurroundingsError, first_collision, nav2_footprint
-from optdock_ros.transforms import TransformBuffer, TransformError
+from optdock_ros.transforms import TransformBuffer
 from rclpy.node import Node
 
 from optdock import ros
@@ -19,6 +19,7 @@ from optdock.costmap import Costmap as Grid
 from optdock.costmap.costs import LETHAL, NO_INFORMATION
 from optdock.geometry.footprint import Footprint
 from optdock.geometry.pose import Pose2
+from optdock.ros.transforms import TransformError
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

@@ -16,7 +16,7 @@ from optdock.errors import DockNotValid, InvalidMessage, InvalidValue
 from optdock.geometry.pose import Pose2
 from optdock.measurements import Detection
 from optdock.parameters import PluginParameters, closest, parse_parameters
-from optdock_ros.transforms import Transform
+from optdock.ros.transforms import Transform
 
 if TYPE_CHECKING:
     from collections.abc import Mapping

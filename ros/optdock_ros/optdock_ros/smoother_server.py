@@ -25,6 +25,7 @@ from optdock.interfaces import PluginContext, Smoother
 from optdock.path import Path
 from optdock.plugins import create_plugin
 from optdock.problem import ClearanceRule, DockingProblem
+from optdock.ros.transforms import Transform
 from optdock.verification import certify_path
 from optdock_ros.goals import Job, JobEnded
 from optdock_ros.plugin_server import (
@@ -38,7 +39,6 @@ from optdock_ros.plugin_server import (
 )
 from optdock_ros.server import run
 from optdock_ros.surroundings import SurroundingsError, first_collision, now
-from optdock_ros.transforms import Transform
 
 if TYPE_CHECKING:
     from nav_msgs.msg import Path as PathMessage
