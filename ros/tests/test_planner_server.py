@@ -12,6 +12,10 @@ from hall import CELLS, ORIGIN, RESOLUTION, Surroundings
 from nav2_msgs.action import ComputePathToPose
 from nav_msgs.msg import Path as PathMessage
 from nav_msgs.srv import GetPlan
+from optdock_ros.parameters import flattened
+from optdock_ros.planner_server import PlannerServer
+from rclpy.lifecycle import TransitionCallbackReturn
+from rclpy.parameter import Parameter
 
 from optdock import ros
 from optdock.costmap import Costmap as Grid
@@ -191,7 +195,7 @@ def test_get_plan(process: Processes, client_node: Client, world: Surroundings) 
     assert not nothing.poses
 
 
-def test_a_file_as_nav2_ships_it_is_refused_by_name(process: Processes, lifecycle: Callable[[str], Lifecycle]) -> None:
+def test_a_file_as_nav2_ships_it_is_refused_by_name(context: None) -> None:  # noqa: ARG001
     grid = {"plugin": "nav2_navfn_planner::NavfnPlanner", "tolerance": 0.5, "use_astar": False, "allow_unknown": True}
     parameters = {
         "planner_plugins": ["GridBased"],
@@ -201,9 +205,16 @@ def test_a_file_as_nav2_ships_it_is_refused_by_name(process: Processes, lifecycl
         "costmap_update_timeout": 1.0,
         "introspection_mode": "disabled",
     }
-    started = process("planner_server", parameters, args=["-r", "__node:=stock"])
-    node = lifecycle("stock")
-    assert not node.configure()
-    assert node.state == "unconfigured"
-    words = "Failed to create planner GridBased of type nav2_navfn_planner::NavfnPlanner: not provided: optdock has no"
-    started.wait_for(words)
+    overrides = [Parameter(name, value=value) for name, value in flattened(parameters).items()]
+    node = PlannerServer("stock", namespace="stock", parameter_overrides=overrides)
+    said: list[str] = []
+    node.say = lambda error, what: said.append(f"{what}: {error}")  # type: ignore[method-assign]
+    try:
+        assert node.trigger_configure() == TransitionCallbackReturn.FAILURE
+    finally:
+        node.destroy_node()
+    refused = (
+        "Failed to create planner GridBased of type nav2_navfn_planner::NavfnPlanner: not provided"
+    )
+    assert said[0].startswith(f"configure failed: {refused}")
+    assert len(said[0].splitlines()) == 1

@@ -436,7 +436,7 @@ def test_configure_names_every_fault(context: None, parameters: dict[str, object
         node.destroy_node()
 
 
-def test_a_file_as_nav2_ships_it(process: Processes, lifecycle: Callable[[str], Lifecycle]) -> None:
+def test_a_file_as_nav2_ships_it(context: None) -> None:  # noqa: ARG001
     """Two smoothers of Nav2's class, with parameters of Nav2's; names of every Nav2 node are no fault."""
     block = {"plugin": SIMPLE, "tolerance": 1.0e-10, "max_its": 1000, "do_refinement": True}
     parameters = {
@@ -447,6 +447,15 @@ def test_a_file_as_nav2_ships_it(process: Processes, lifecycle: Callable[[str], 
         "bond_heartbeat_period": 0.1,
         "introspection_mode": "disabled",
     }
-    started = process("smoother_server", parameters, args=["-r", "__node:=stock", "-r", "smooth_path:=stock_path"])
-    lifecycle("stock").up()
-    assert "Created smoother: route_smoother of type nav2_smoother::SimpleSmoother" in started.log()
+    overrides = [Parameter(name, value=value) for name, value in flattened(parameters).items()]
+    node = SmootherServer("stock", namespace="stock", parameter_overrides=overrides)
+    try:
+        assert node.trigger_configure() == TransitionCallbackReturn.SUCCESS
+        assert node.trigger_activate() == TransitionCallbackReturn.SUCCESS
+        assert {name: one.not_read for name, one in node.settings.plugins.items()} == {
+            "simple_smoother": (),
+            "route_smoother": (),
+        }
+        node.end()
+    finally:
+        node.destroy_node()
