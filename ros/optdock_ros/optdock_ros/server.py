@@ -338,6 +338,23 @@ def _spun(executor: Executor) -> bool:
     return False
 
 
+def _end_at_signals(ended: threading.Event) -> None:
+    """Have SIGINT and SIGTERM set `ended`; asked again when all should be over, they kill."""
+    asked = math.inf
+
+    def _end(number: int, _frame: object) -> None:
+        nonlocal asked
+        now = time.monotonic()
+        asked = min(asked, now)
+        if now - asked > _PATIENCE:  # by then the robot stands; an impatient second ctrl-C must not end its ramp
+            signal.signal(number, signal.SIG_DFL)
+            os.kill(os.getpid(), number)
+        ended.set()
+
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, _end)
+
+
 def run(make: Callable[[], Server[Any]], args: Sequence[str] | None = None) -> int:
     """The life of a server's process: made, spun in a thread, and ended by SIGINT or SIGTERM in good order.
 
@@ -353,21 +370,9 @@ def run(make: Callable[[], Server[Any]], args: Sequence[str] | None = None) -> i
     """
     ended = threading.Event()
 
-    asked = math.inf
-
-    def _end(number: int, _frame: object) -> None:
-        nonlocal asked
-        now = time.monotonic()
-        asked = min(asked, now)
-        if now - asked > _PATIENCE:  # by then the robot stands; who asks again does not want to wait
-            signal.signal(number, signal.SIG_DFL)
-            os.kill(os.getpid(), number)
-        ended.set()
-
     # Handlers of our own: rclpy's take the context down at once, and the stop command with it.
     rclpy.init(args=list(args) if args is not None else None, signal_handler_options=SignalHandlerOptions.NO)
-    for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, _end)
+    _end_at_signals(ended)
     sys.setswitchinterval(_SWITCH)
     try:
         server = make()
