@@ -217,6 +217,7 @@ class Server(LifecycleNode, Generic[S]):
             self._bond.start()
         if self.owns_process:
             # What is loaded by now stays; later collections, which stop all threads, need not look at it.
+            gc.unfreeze()  # of what an earlier activation left, some is garbage by now
             gc.collect()
             gc.freeze()
         return super().on_activate(state)
