@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, NamedTuple
@@ -11,7 +12,7 @@ import numpy as np
 from optdock.errors import InvalidFile, InvalidValue
 from optdock.geometry.arrays import FloatArray, readonly
 from optdock.geometry.footprint import Footprint
-from optdock.geometry.pose import Pose2, unwrap_yaw
+from optdock.geometry.pose import Pose2, transform_poses, unwrap_yaw
 from optdock.ros.grids import costmap, patched
 from optdock.ros.messages import seconds
 from optdock.ros.motion import footprint, odometry, path_poses
@@ -39,6 +40,7 @@ _TRANSFORMS = ("tf2_msgs/msg/TFMessage",)
 _APART, _TURNED = 0.05, 0.1  # [m], [rad]
 _REVERSED = 0.01  # [m] that a robot comes back before that is a gear of its own
 _OUTLINES = 200  # footprint messages that are compared, and up to twice as many
+_AT_ONCE = 100  # updates of a costmap that cost one copy of it
 _AROUND = 1.0  # [s] of transforms beside the stretch, for times between them
 # [s] by which a transform may be asked for beyond what is known of it: localization sends one in ten control cycles.
 _REACH = 0.2
@@ -229,9 +231,10 @@ class _Reader:
             known = costmap(message, self._options.rule)
         updates, count = f"{topic}_updates", 0
         if self._bag.find((updates,), _UPDATE):
-            for _, update in self._bag.messages(updates, received, self._stretch[1]):
+            parts = (update for _, update in self._bag.messages(updates, received, self._stretch[1]))
+            while some := tuple(itertools.islice(parts, _AT_ONCE)):
                 with self._said_of(updates):
-                    known, count = patched(known, update, self._options.rule), count + 1
+                    known, count = patched(known, *some, rule=self._options.rule), count + len(some)
         grid, frame = known.costmap, known.frame.lstrip("/")
         more = f" and {count} updates" if count else ""
         cells = f"{grid.columns} x {grid.rows} cells of {grid.resolution:g} m in {frame!r}"
@@ -251,7 +254,7 @@ class _Reader:
             stamp = found.stamp or (self._times[-1][1] if self._times else 0.0)
             moved = self._in_frame(frame, found.frame.lstrip("/"), stamp)
         self._rows.append(("path", f"{topic}: {len(found.poses)} poses, received at {self._ago(last[0])}"))
-        return readonly(np.array([(moved @ Pose2(*pose)).as_array() for pose in found.poses.tolist()]))
+        return readonly(transform_poses(moved, found.poses))
 
     def _drive(self, topic: str, frame: str) -> Drive:
         """Where the robot was at the times of the odometry, as far as transforms reach."""

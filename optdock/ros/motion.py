@@ -226,7 +226,7 @@ def checked_yaws(message: Message, table: FloatArray, field: str, most_tilted: f
         names = *(f"position.{axis}" for axis in "xyz"), *(f"orientation.{axis}" for axis in "xyzw")
         refuse(message, f"{field.format(row)}.{names[part]}", "must be finite", table[row, part])
     x, y, z, w = table[:, 3:].T
-    length = np.sqrt(x * x + y * y + z * z + w * w)
+    length = np.hypot(np.hypot(x, y), np.hypot(z, w))  # which does not overflow
     off = np.flatnonzero(~(np.abs(length - 1.0) <= QUATERNION_NORM))
     if off.size:
         row = int(off[0])

@@ -12,8 +12,6 @@ from bisect import bisect_left
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, NamedTuple, TypeAlias
 
-import numpy as np
-
 from optdock.errors import InvalidMessage, OptdockError
 from optdock.geometry.pose import Pose2
 from optdock.ros.messages import seconds
@@ -22,9 +20,6 @@ from optdock.ros.motion import MOST_TILTED, QUATERNION_NORM
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    from numpy.typing import ArrayLike
-
-    from optdock.geometry.arrays import FloatArray
     from optdock.ros.messages import Message
 
 __all__ = ["Transform", "TransformError", "TransformTree"]
@@ -78,24 +73,6 @@ class Transform:
             )
         yaw = math.atan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))
         return Pose2(self.translation[0], self.translation[1], yaw)
-
-    def poses(self, poses: ArrayLike) -> FloatArray:
-        """Planar poses of the source frame seen from the target frame.
-
-        Args:
-            poses: Shape (n, 3) [m, m, rad].
-
-        Returns:
-            Shape (n, 3); yaws are turned by one angle, not normalized, so that continuous ones stay so.
-
-        Raises:
-            TransformError: As `planar`.
-        """
-        given, frame = np.asarray(poses, dtype=np.float64).reshape(-1, 3), self.planar()
-        c, s = math.cos(frame.yaw), math.sin(frame.yaw)
-        x, y, yaw = given.T
-        moved: FloatArray = np.column_stack((frame.x + c * x - s * y, frame.y + s * x + c * y, frame.yaw + yaw))
-        return moved
 
     def __matmul__(self, other: Transform) -> Transform:
         moved = _rotated(self.rotation, other.translation)

@@ -32,7 +32,7 @@ REFERENCE = (ROOT / "docs" / "reference" / "ros2.md").read_text(encoding="utf-8"
 FENCE = re.compile(
     r"^```(?P<language>\w+)(?: title=\"(?P<title>[^\"]+)\")?\n(?P<body>.*?)^```$", re.MULTILINE | re.DOTALL
 )
-SPEED = 1.0  # of the simulated world: as in truth, but a clock of its own waits for a busy machine
+SPEED = 2.0  # of the simulated world, whose clock of its own waits for a busy machine
 
 
 def section(page: str, title: str) -> str:

@@ -107,9 +107,6 @@ def test_planar_transforms_are_poses(buffer: TransformBuffer) -> None:
     buffer.insert(told("odom", "base", (second.x, second.y, 0.3), about_z(second.yaw)))
     assert buffer.lookup("map", "base").planar().gap_to(first @ second) < 1e-12
     assert buffer.lookup("/map", "/base").planar().gap_to(first @ second) < 1e-12
-    poses = np.array([[0.0, 0.0, 0.0], [1.0, 2.0, 3.0]])
-    moved = buffer.lookup("map", "odom").poses(poses)
-    assert Pose2(*moved[1]).gap_to(first @ Pose2(1.0, 2.0, 3.0)) < 1e-12
 
 
 def test_between_messages_it_is_interpolated_the_short_way(buffer: TransformBuffer) -> None:

@@ -135,6 +135,10 @@ def test_an_update_changes_its_window_and_nothing_else(grid, x, y, wide, high):
     assert np.array_equal(found.costmap.data, expected)
     occupied = update("grid", x, y, (wide, high), np.full(wide * high, 100, dtype=np.int8))
     assert np.array_equal(ros.patched(known, occupied).costmap.data, expected)
+    again = update("costmap", 0, 0, (1, 1), [7])
+    one_by_one, at_once = ros.patched(ros.patched(known, message), again), ros.patched(known, message, again)
+    assert np.array_equal(one_by_one.costmap.data, at_once.costmap.data)
+    assert ros.patched(known) is known
 
 
 @laws
