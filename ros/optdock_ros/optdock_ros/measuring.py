@@ -76,7 +76,6 @@ class Measuring:
 
     Attributes:
         faults: What is missing now, and why: `transform`, `odometry`, `costmap`, `detection`.
-        detected: The last detection, as the robot saw it.
     """
 
     def __init__(
@@ -93,7 +92,6 @@ class Measuring:
         self._reckoning: DeadReckoning | None = None
         self._twist: tuple[float, Twist2] | None = None
         self._pose_stamp = -math.inf
-        self.detected: Detection | None = None
         self.faults: Mapping[str, str] = {}
         self._now = -math.inf
         self._began: float | None = None
@@ -216,7 +214,6 @@ class Measuring:
             else:
                 found.append(detection)
         found.sort(key=lambda one: one.stamp)
-        self.detected = found[-1] if found else self.detected
         return tuple(found)
 
     def _detection(self, message: Any, now: float) -> Detection | None:
