@@ -33,6 +33,7 @@ from optdock.errors import DockNotValid, InvalidMessage, InvalidValue, OptdockEr
 from optdock.executor import DockingExecutor, EndingKind, PlanningProcess, State, ThreadPlanning
 from optdock.geometry.pose import Pose2, Twist2
 from optdock.problem import DockingProblem
+from optdock.ros.transforms import TransformError
 from optdock_ros.control_loop import ControlLoop, Run, may_be_preferred
 from optdock_ros.dock_plugins import Told
 from optdock_ros.docking_goals import UNKNOWN, Goal, GoalQueue, Outcome, done, failed
@@ -43,7 +44,7 @@ from optdock_ros.measuring import MeasurementRules, Measuring, Surroundings
 from optdock_ros.navigator import Navigator
 from optdock_ros.server import Server, run
 from optdock_ros.surroundings import CostmapTopic, FootprintTopic, SurroundingsError, nav2_footprint
-from optdock_ros.transforms import TransformBuffer, TransformError
+from optdock_ros.transforms import TransformBuffer
 from optdock_ros.world import joined, moved, with_contact_zone
 
 if TYPE_CHECKING:
