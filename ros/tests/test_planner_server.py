@@ -213,8 +213,6 @@ def test_a_file_as_nav2_ships_it_is_refused_by_name(context: None) -> None:  # n
         assert node.trigger_configure() == TransitionCallbackReturn.FAILURE
     finally:
         node.destroy_node()
-    refused = (
-        "Failed to create planner GridBased of type nav2_navfn_planner::NavfnPlanner: not provided"
-    )
+    refused = "Failed to create planner GridBased of type nav2_navfn_planner::NavfnPlanner: not provided"
     assert said[0].startswith(f"configure failed: {refused}")
     assert len(said[0].splitlines()) == 1
