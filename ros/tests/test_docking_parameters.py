@@ -36,6 +36,9 @@ def test_nav2s_names_reach_the_executor() -> None:
     assert (made.use_detections, made.wait_for_charge, made.contact) == (True, True, "distance")
     assert (made.replanning, made.navigate_to_staging_pose, made.max_staging_time) == (False, False, 9.0)
     assert made.costmap_patience is not None
+    felt = {**CHARGER, "use_stall_detection": True, "stall_joint_names": ["left"]}
+    assert settings(bay=felt).plugins["bay"].contact == "touch"
+    assert settings(bay={**felt, "contact": "distance"}).plugins["bay"].contact == "distance"
     blind = settings(controller={"use_collision_detection": False})
     assert blind.executor_settings(blind.plugins["bay"]).costmap_patience is None
 

@@ -56,11 +56,11 @@ SERVER: dict[str, object] = {
     "max_retries": 0,
     "initial_perception_timeout": 1.0,
     "wait_charge_timeout": 1.5,
-    "executor": {"localization_timeout": 1.0, "costmap_timeout": 1.0, "obstacle_patience": 1.0},
+    "executor": {"localization_timeout": 1.5, "costmap_timeout": 1.0, "obstacle_patience": 1.0},
     "controller": {"costmap_timeout": 0.8},
 }
 NEAR = [2.45, 1.02, 0.05]  # the robot, before the dock at [3, 1, 0]
-MOST_CHANGE = 0.06  # [m/s] from one command to the next: 0.5 m/s^2 over 0.02 s are 0.01, on a busy machine over 0.1 s
+MOST_CHANGE = 0.1  # [m/s] beyond 0.5 m/s^2 times the time between commands: what a busy machine sends late
 
 
 class Bay:
@@ -118,7 +118,8 @@ class Bay:
         assert (last.linear.x, last.angular.z) == (0.0, 0.0)
         if in_limits:
             speeds = [command.twist.linear.x for command in self.commands]
-            assert np.abs(np.diff(speeds)).max() < MOST_CHANGE
+            stamps = [c.header.stamp.sec + 1e-9 * c.header.stamp.nanosec for c in self.commands]
+            assert np.all(np.abs(np.diff(speeds)) < MOST_CHANGE + 0.5 * np.diff(stamps))
 
 
 def set_parameters(client: Client, node: str, **values: object) -> list[Any]:
@@ -379,11 +380,13 @@ def children(process: Process) -> list[int]:
 
 
 def test_a_planning_process_that_is_killed_is_replaced(bay: Bay) -> None:
+    assert set_parameters(bay.client, "docking_server", max_retries=2)[0].successful
     bay.reset()
     goal = bay.dock()
     bay.driving()
     (planner,) = [pid for pid in children(bay.server) if b"spawn_main" in Path(f"/proc/{pid}/cmdline").read_bytes()]
     os.kill(planner, signal.SIGKILL)
-    reply = goal.reply(40.0)
+    reply = goal.reply(60.0)
+    assert set_parameters(bay.client, "docking_server", max_retries=0)[0].successful
     assert reply.status == SUCCEEDED, reply.result
     bay.assert_stopped()

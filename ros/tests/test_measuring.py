@@ -154,6 +154,7 @@ def test_a_clock_that_goes_back_lets_nothing_of_before_be_believed() -> None:
 def test_a_detection_waits_for_its_transform_and_goes_when_it_is_old() -> None:
     frames = Frames()
     told = measuring(frames)
+    told.measurements(100.0)
     told.take_detection(detected(100.05, "odom"))
     assert told.measurements(100.06).detections == ()
     assert "detection" not in told.faults, "it may still come"
@@ -164,14 +165,25 @@ def test_a_detection_waits_for_its_transform_and_goes_when_it_is_old() -> None:
     assert told.measurements(100.5).detections == ()
     assert "future" in told.faults["detection"]
     assert told.measurements(100.52).detections == ()
-    told.take_detection(detected(99.0))
-    told.take_detection(detected(100.5, ""))
-    assert told.measurements(100.55).detections == ()
-    told.begin(100.49)
-    told.take_detection(detected(100.48))
+    wrong = detected(100.5)
+    wrong.header.stamp.sec = -1
+    for message in (detected(100.5, ""), wrong):
+        told.take_detection(message)
+        assert told.measurements(100.55).detections == ()
+        assert "PoseStamped" in told.faults["detection"] or "sec" in told.faults["detection"]
     told.take_detection(detected(100.54))
     told.take_detection(detected(100.50))
     assert [one.stamp for one in told.measurements(100.56).detections] == [100.5, 100.54], "the oldest first"
+
+
+def test_what_was_seen_before_the_robot_was_followed_is_left_out() -> None:
+    told = measuring(Frames())
+    told.take_detection(detected(99.95))
+    assert told.measurements(100.0).detections == ()
+    told.take_detection(detected(99.99))
+    told.take_detection(detected(100.01))
+    assert [one.stamp for one in told.measurements(100.05).detections] == [100.01]
+    assert "detection" not in told.faults
 
 
 def test_a_costmap_is_told_as_long_as_it_is_new() -> None:

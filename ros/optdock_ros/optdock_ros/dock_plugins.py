@@ -71,6 +71,10 @@ class SimpleNonChargingDockParameters(PluginParameters):
     )
     detection_yaw_sigma: float = Field(default=0.01, gt=0.0, description="as above, of its yaw; ours [rad]")
 
+    contact: Literal["", "distance", "touch"] = Field(
+        default="",
+        description="docked by the estimate, or pressing on until it is felt; empty: felt with stall detection; ours",
+    )
     use_stall_detection: bool = Field(default=False, description="contact is felt: joints that push and do not turn")
     stall_joint_names: list[str] = Field(default=[], description="which joints; the mean of them counts")
     stall_velocity_threshold: float = Field(default=1.0, ge=0.0, description="slower is a stall [rad/s]")
@@ -137,6 +141,12 @@ class DockPlugin:
         """Where the approach to a dock begins."""
         p = self.parameters
         return dock @ Pose2(p.staging_x_offset, 0.0, p.staging_yaw_offset)
+
+    @property
+    def contact(self) -> Literal["distance", "touch"]:
+        """What counts as docked."""
+        p = self.parameters
+        return p.contact or ("touch" if p.use_stall_detection else "distance")
 
     @property
     def direction(self) -> DockDirection:

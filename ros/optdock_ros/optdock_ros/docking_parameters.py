@@ -168,7 +168,7 @@ _SAID_ELSEWHERE: Mapping[str, str] = {
     "staging_distance": "<dock type>.staging_x_offset",
     "use_detections": "<dock type>.use_external_detection_pose",
     "wait_for_charge": "<dock type>.use_battery_status",
-    "contact": "<dock type>.use_stall_detection",
+    "contact": "<dock type>.contact",
     "costmap_patience": "controller.costmap_timeout",
     "navigate_to_staging_pose": "navigate_to_staging_pose of the goal",
     "max_staging_time": "max_staging_time of the goal",
@@ -236,7 +236,7 @@ class DockingSettings:
             "staging_distance": abs(of_type.staging_x_offset) or None,
             "use_detections": of_type.use_external_detection_pose,
             "wait_for_charge": plugin.waits_for_charge,
-            "contact": "touch" if of_type.use_stall_detection else "distance",
+            "contact": plugin.contact,
             **of_goal,
         }
         if self.controller.use_collision_detection:

@@ -125,10 +125,10 @@ class Reports:
         }
         self._say("deadlines", "ok" if times.missed == 0 else "warn", text, values, now)
 
-    def idle(self, now: float) -> None:
-        """Nothing is being done."""
+    def idle(self, now: float, trouble: str = "") -> None:
+        """Nothing is being done, perhaps because of some trouble."""
         self._told = None
-        self._say("state", "ok", "idle", {}, now)
+        self._say("state", "warn" if trouble else "ok", f"idle{trouble and '; '}{trouble}", {}, now)
 
     def _say(self, name: str, level: Any, text: str, values: Mapping[str, object], now: float) -> None:
         full = f"{self._node.get_name()}: {name}"

@@ -43,7 +43,7 @@ from optdock_ros.measuring import MeasurementRules, Measuring, Surroundings
 from optdock_ros.navigator import Navigator
 from optdock_ros.server import Server, run
 from optdock_ros.surroundings import CostmapTopic, FootprintTopic, SurroundingsError, nav2_footprint
-from optdock_ros.transforms import TransformBuffer
+from optdock_ros.transforms import TransformBuffer, TransformError
 from optdock_ros.world import joined, moved, with_contact_zone
 
 if TYPE_CHECKING:
@@ -68,10 +68,12 @@ _FIRST_MESSAGES = 2.0  # [s]: a costmap comes at 1 Hz at least, a footprint and 
 _WARM = 60.0  # [s] for the planning process to start, once, on a slow computer
 _STOPPING = 2.0  # [s] beyond what braking takes, until a stop counts as failed, or a thread that ends as hanging
 _SWITCH = 0.0005  # [s]: another thread gives the interpreter up so soon; Python's 5 ms would be jitter of cmd_vel
+_CODES = range(901, 908)  # of Nav2's docking actions
 _DETECTIONS = "detected_dock_pose"
 _TELL, _REPORT = 0.1, 0.5  # [s] between two feedbacks, and two reports on /diagnostics, where nothing changes
 _LOOKS = 15  # detections for a dock that is not seen any more on the way: their median errs by a third of one
 _PRESSES = (State.APPROACHING, State.PRESSING)
+_FRESH = 0.5  # [s] at least that a pose is good for before the robot moves
 _AROUND = 3.0  # [m] around robot and dock: beyond, a map is not looked at
 
 
@@ -96,13 +98,11 @@ class _WatchedPlanning(ThreadPlanning):
     def __init__(self, process: PlanningProcess) -> None:
         super().__init__(process.planned)
         self.motion: Motion | None = None
-        self.results: list[PlanResult] = []
 
     def poll(self, stamp: float) -> PlanResult | None:
         """The result, once it is there."""
         result = super().poll(stamp)
         if result is not None:
-            self.results.append(result)
             self.motion = result.motion or self.motion
         return result
 
@@ -293,21 +293,24 @@ class DockingServer(Server[DockingSettings]):
         except _Ended as ended:
             outcome = ended.outcome
         except OptdockError as error:
-            outcome = failed(error.code or UNKNOWN, str(error))
+            outcome = failed(error.code if error.code in _CODES else UNKNOWN, str(error))
         finally:
             self._measuring = None
             self._reports.idle(self._now())
         if outcome.success:
             self.get_logger().info(f"done{outcome.text and ': '}{outcome.text}")
         else:
-            self.get_logger().error(f"failed ({outcome.code}): {outcome.text}")
+            text = f"failed ({outcome.code}): {outcome.text}"
+            self.get_logger().error(text)
+            self._reports.idle(self._now(), f"the last goal {text}")
         return outcome
 
     def _dock_at(self, goal: Goal) -> Outcome:
         request, own = goal.request, self.settings.own
         entry, plugin = self._wanted(request)
         dock = self._in_fixed_frame(goal, entry)
-        if plugin.is_charger and self._is_in_dock(plugin, [plugin.docked_pose(dock)]):
+        stands_there = [] if plugin.waits_for_charge else [plugin.docked_pose(dock)]  # else the current alone tells
+        if plugin.is_charger and self._is_in_dock(plugin, stands_there):
             return done("the robot is docked or charging already")
         stages = bool(request.navigate_to_staging_pose)
         if stages and not own.stage_by_executor:
@@ -380,9 +383,26 @@ class DockingServer(Server[DockingSettings]):
             raise DockNotValid(f"{entry.name}.frame: {error}") from error
         return frame @ entry.pose
 
-    def _robot_pose(self, goal: Goal, frame: str = "") -> Pose2:
+    def _robot_pose(self, goal: Goal) -> Pose2:
+        """Where the robot is in the fixed frame, or will have been a moment later.
+
+        Raises:
+            TransformError: Nobody tells.
+        """
+        return self._waited(goal, self._located)
+
+    def _located(self) -> Pose2:
+        """Where the robot is in the fixed frame.
+
+        Raises:
+            TransformError: Nobody has told for too long.
+        """
         own = self.settings.own
-        return self._waited(goal, lambda: self._frames.lookup(frame or own.fixed_frame, own.base_frame).planar())
+        found = self._frames.lookup(own.fixed_frame, own.base_frame)
+        age = self._now() - found.stamp
+        if age > max(_FRESH, self.settings.controller.transform_tolerance):
+            raise TransformError(f"{own.fixed_frame} <- {own.base_frame}: the last one is {age:.2f} s old")
+        return found.planar()
 
     def _waited(self, goal: Goal, ask: Callable[[], T]) -> T:
         """What may come with the first messages.
@@ -425,9 +445,8 @@ class DockingServer(Server[DockingSettings]):
         """Whether the battery charges, or the robot stands where it would stand docked."""
         if plugin.is_charging(self._battery, self._now()):
             return True
-        own = self.settings.own
         try:
-            robot = self._frames.lookup(own.fixed_frame, own.base_frame).planar()
+            robot = self._located()
         except OptdockError:
             return False
         return any(robot.distance_to(pose) < plugin.parameters.docking_threshold for pose in docked)
@@ -574,7 +593,6 @@ class DockingServer(Server[DockingSettings]):
         )
         run = Run(task.executor, task.measuring.measurements, task.observe)
         goal.start(run)
-        task.measuring.begin(self._now())
         loop.start(run)
         try:
             while not run.done.is_set():

@@ -76,7 +76,6 @@ class Measuring:
 
     Attributes:
         faults: What is missing now, and why: `transform`, `odometry`, `costmap`, `detection`.
-        detected: The last detection, as the robot saw it.
     """
 
     def __init__(
@@ -93,10 +92,9 @@ class Measuring:
         self._reckoning: DeadReckoning | None = None
         self._twist: tuple[float, Twist2] | None = None
         self._pose_stamp = -math.inf
-        self.detected: Detection | None = None
         self.faults: Mapping[str, str] = {}
-        self._now = self._began = -math.inf
-        self._is_first = True
+        self._now = -math.inf
+        self._began: float | None = None
 
     @property
     def detects(self) -> bool:
@@ -112,10 +110,6 @@ class Measuring:
         if self._detect is not None:
             self._seen.append(message)
 
-    def begin(self, now: float) -> None:
-        """The control loop begins: what was seen before cannot be placed on the way that the robot makes."""
-        self._began = now
-
     def take_surroundings(self, surroundings: Surroundings) -> None:
         """A new picture; from any thread."""
         self._surroundings = surroundings
@@ -125,16 +119,17 @@ class Measuring:
         if now < self._now:  # whatever is stamped later than that would be believed for too long
             self._reckoning = self._twist = None
             self._pose_stamp = -math.inf
-        self._now = now
+        self._now, is_first = now, self._began is None
+        if self._began is None:
+            self._began = now  # what was seen before cannot be placed on the way that the robot makes from now on
         faults: dict[str, str] = {}
         twist = self._velocity(now, faults)
         pose = self._pose(now, twist, faults)
         detections = self._detections(now, faults)
         costmap = self._costmap(now, faults)
         self.faults = faults
-        if self._is_first and twist is not None and max(abs(twist.linear), abs(twist.angular)) < _AT_REST:
+        if is_first and twist is not None and max(abs(twist.linear), abs(twist.angular)) < _AT_REST:
             twist = Twist2()  # encoders are never quite at rest; a robot that stands is commanded nothing to begin with
-        self._is_first = False
         return Measurements(now, pose, twist or Twist2(), detections, self._contact(now), costmap)
 
     def _velocity(self, now: float, faults: dict[str, str]) -> Twist2 | None:
@@ -207,9 +202,9 @@ class Measuring:
         found: list[Detection] = []
         for _ in range(len(self._seen)):
             message = self._seen.popleft()
-            if ros.seconds(message.header.stamp) < self._began:
-                continue
             try:
+                if self._began is not None and ros.seconds(message.header.stamp) < self._began:
+                    continue
                 detection = self._detection(message, now)
             except OptdockError as error:
                 faults["detection"] = str(error)
@@ -219,7 +214,6 @@ class Measuring:
             else:
                 found.append(detection)
         found.sort(key=lambda one: one.stamp)
-        self.detected = found[-1] if found else self.detected
         return tuple(found)
 
     def _detection(self, message: Any, now: float) -> Detection | None:
