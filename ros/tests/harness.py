@@ -23,6 +23,7 @@ import yaml
 from lifecycle_msgs.msg import State, Transition
 from lifecycle_msgs.srv import ChangeState, GetState
 from rclpy.action.client import ActionClient
+from rclpy.exceptions import InvalidHandle
 from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
@@ -32,7 +33,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping, Sequence
 
 PROGRAMS = Path(sys.prefix) / "bin"
-DOMAINS = 101  # ids above take ports that Linux hands out to others
+DOMAINS = range(80, 102)  # ids above take ports that Linux hands out to others; people who choose one choose low
 LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL, reliability=ReliabilityPolicy.RELIABLE)
 PATIENCE = 20.0  # [s] for anything that a process should do at once: two cores may be busy with other tests
 _PR_SET_PDEATHSIG = 1
@@ -44,8 +45,8 @@ def free_domain() -> tuple[int, socket.socket]:
 
     `ROS_DOMAIN_ID` of the environment is not looked at: it may be that of a robot, which these tests would drive.
     """
-    for offset in range(DOMAINS):
-        domain = 1 + (os.getpid() + offset) % DOMAINS
+    for offset in range(len(DOMAINS)):
+        domain = DOMAINS[(os.getpid() + offset) % len(DOMAINS)]
         keeper = socket.socket(socket.AF_UNIX)
         try:
             keeper.bind(f"\0optdock-ros-domain-{domain}")
@@ -53,7 +54,7 @@ def free_domain() -> tuple[int, socket.socket]:
             keeper.close()
         else:
             return domain, keeper
-    raise RuntimeError(f"{DOMAINS} runs of these tests hold all domain ids")
+    raise RuntimeError(f"{len(DOMAINS)} runs of these tests hold all domain ids")
 
 
 class Process:
@@ -85,14 +86,14 @@ class Process:
                 file = folder / f"{number:02d}-{Path(name).name}.yaml"
                 file.write_text(yaml.safe_dump({"/**": {"ros__parameters": dict(params)}}))
             command += ["--params-file", str(file)]
-        surroundings = {**os.environ, "PYTHONUNBUFFERED": "1", "RCUTILS_COLORIZED_OUTPUT": "0", **(env or {})}
+        ours = {"PYTHONUNBUFFERED": "1", "PYTHONFAULTHANDLER": "1", "RCUTILS_COLORIZED_OUTPUT": "0"}
         with self.log_file.open("wb") as log:
             self.popen = subprocess.Popen(
                 command,
                 stdin=subprocess.DEVNULL,
                 stdout=log,
                 stderr=subprocess.STDOUT,
-                env=surroundings,
+                env={**os.environ, **ours, **(env or {})},
                 start_new_session=True,
                 preexec_fn=_die_with_parent,  # noqa: PLW1509 - one system call, no lock is taken
             )
@@ -126,7 +127,10 @@ class Process:
         try:
             return self.popen.wait(timeout)
         except subprocess.TimeoutExpired:
-            raise AssertionError(f"{self.name} still runs {timeout} s after {by.name}") from None
+            self.popen.send_signal(signal.SIGABRT)  # the log then shows where every thread of it stands
+            with contextlib.suppress(subprocess.TimeoutExpired):
+                self.popen.wait(2.0)
+            raise AssertionError(f"{self.name} still ran {timeout} s after {by.name}") from None
 
     def kill(self) -> None:
         """Kill -9 it and all that it started; harmless where nothing runs."""
@@ -374,5 +378,11 @@ def spinning(*nodes: Node, executor: Any = None) -> Iterator[None]:
 
 
 def _spin(executor: Any) -> None:
-    with contextlib.suppress(ExternalShutdownException):
-        executor.spin()
+    while True:
+        try:
+            executor.spin()
+        except InvalidHandle:  # something was destroyed while it was about to be waited for
+            continue
+        except ExternalShutdownException:
+            pass
+        return

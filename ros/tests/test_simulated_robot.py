@@ -72,7 +72,6 @@ def drive(client: Client, linear: float, angular: float, seconds: float) -> None
     while time.monotonic() < end:
         publisher.publish(message)
         time.sleep(0.02)
-    client.destroy_publisher(publisher)
 
 
 @pytest.fixture(scope="module")
@@ -88,7 +87,7 @@ def test_the_watchdog_stops_it_when_commands_end(robot: Client) -> None:
     reset(robot, start=[1.0, 1.0, 0.0])
     heard = robot.heard(Odometry, "odom")
     drive(robot, 0.2, 0.0, 0.6)
-    assert max(message.twist.twist.linear.x for message in heard) > 0.15
+    assert max(message.twist.twist.linear.x for message in heard) > 0.1
     robot.until(lambda: abs(heard[-1].twist.twist.linear.x) < 1e-3, 5.0, "a stop")
     assert report(robot)["watchdog_stops"] == 1.0
 
@@ -101,6 +100,7 @@ def test_transforms_and_detections_say_where_the_dock_is(robot: Client) -> None:
     seen = robot.heard(PoseStamped, "detected_dock_pose")
     robot.until(lambda: static and len(seen) >= 3 and len(kept) >= 8)
     frames = {found.child_frame_id: found for message in [*static, *kept] for found in message.transforms}
+    assert set(frames) == {"odom", "base_link", "camera_optical_frame"}
     matrix = np.eye(4)
     for name in ("odom", "base_link", "camera_optical_frame"):
         found = frames[name].transform
@@ -256,6 +256,6 @@ def test_its_own_clock_goes_faster_and_twist_without_a_stamp(process: Processes,
         publisher.publish(command)
         time.sleep(0.01)
     went = heard[-1].clock.sec - first.sec + 1e-9 * (heard[-1].clock.nanosec - first.nanosec)
-    assert 1.5 < went < 4.5  # slower where the machine is busy, never faster
+    assert 1.2 < went < 4.5  # slower where the machine is busy, never faster
     assert odom[-1].pose.pose.position.x > 0.05
     assert started.stop(signal.SIGINT) == 0
