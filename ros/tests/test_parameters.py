@@ -64,6 +64,8 @@ def test_names_that_nobody_reads() -> None:
     faults, ignored = unknown_names(block, ("costmap_topic", "ours"), ("odd",))
     assert faults == ["costmap_topik: unknown parameter; did you mean costmap_topic?"]
     assert ignored == ["FollowPath", "odd"]
+    for theirs in ("odom_topic", "map_topic", "local_costmap_topic", "costmap_update_timeout", "bond_timeout"):
+        assert unknown_names({theirs: 1}, ("costmap_topic", "costmap_timeout")) == ([], [theirs])
 
 
 def test_faults_are_told_at_once() -> None:
@@ -264,6 +266,13 @@ def test_an_error_in_a_callback_does_not_end_the_server(client_node: Client, con
         executor.shutdown()
         thread.join()
         made.destroy_node()
+
+
+def test_a_parameter_that_is_unset_has_its_default(server: Tried) -> None:
+    for name in ("bond_heartbeat_period", "speed", "names"):
+        assert server.set_parameters_atomically([Parameter(name)]).successful
+    assert server.trigger_configure() == SUCCESS
+    assert server.settings.own == Told()
 
 
 def test_transitions_by_services(client_node: Client, context: None) -> None:  # noqa: ARG001

@@ -17,7 +17,7 @@ from optdock.geometry.pose import Pose2
 from optdock.measurements import Detection
 from optdock.nav2.docks import docked_pose
 from optdock.parameters import PluginParameters, closest, parse_parameters
-from optdock_ros.transforms import Transform
+from optdock.ros.transforms import Transform
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
