@@ -156,8 +156,11 @@ class Reference:
         self._joints.append(_Joint.of(shown, at, trajectory))
 
     def look_ahead(self, preview: float, *, at_once: bool = False) -> None:
-        """Let the commands be `preview` seconds ahead from now on, without a jump of theirs unless `at_once`."""
-        if self.time + self._preview > 0.0 and not at_once:
+        """Let the commands be `preview` seconds ahead from now on, without a jump of theirs unless `at_once`.
+
+        At the end there is nothing ahead that could jump; a reference that has come there stays.
+        """
+        if self.time + self._preview > 0.0 and not at_once and not self.finished:
             self.time -= (self.rate if self.time > 0.0 else 1.0) * (preview - self._preview)
         self._preview = preview
 

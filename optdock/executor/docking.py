@@ -150,11 +150,13 @@ class DockingExecutor:
         instance(Measurements, measurements, "measurements")
         finite_number(measurements.stamp, "measurements.stamp")
         self._events.clear()
+        robot = self.problem.robot
         if self._began is None:
-            robot = self.problem.robot
             self._limiter.restart(admissible(measurements.twist, robot.limits, robot.drive))
         self._watch_log()
         tick = self._tick(measurements.stamp)
+        if tick.passed > tick.of_commands:  # bases stop by themselves when they are told nothing for long
+            self._limiter.restart(admissible(measurements.twist, robot.limits, robot.drive))
         now = max(self._perception.stamp, measurements.stamp + self._offset)  # sums of large numbers are rounded
         self._perception.update(measurements, now, self._offset)
         command = self._command(tick.of_commands)
@@ -190,7 +192,7 @@ class DockingExecutor:
         if period > longest:
             self._offset += longest - period
             self._interrupt("no cycle for long", f"{period:.3f} s passed since the last one")
-            return _Tick(longest, usual)  # whatever has passed, the drive has not been told anything else
+            return _Tick(longest, usual)
         if self._cycle_count == 1:
             self._usual_period = period
         elif period > max(self.settings.late_tick, _LATE * usual):

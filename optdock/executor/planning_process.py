@@ -54,9 +54,16 @@ class PlanningProcess:
         return self._worker.process.pid if not self._closed else None
 
     def wait_until_warm(self, timeout: float = _WARM_UP_TIME) -> bool:
-        """Wait until libraries are loaded and caches filled; whether they are [s]."""
+        """Wait until libraries are loaded and caches filled; whether they are [s].
+
+        A process that has died meanwhile is replaced, and becomes warm later.
+        """
         with self._lock:
-            return self._worker.wait_until_warm(timeout)
+            if self._closed or self._worker.wait_until_warm(timeout):
+                return not self._closed
+            if not self._worker.process.is_alive():
+                self._replace("it has ended before it was warm")
+            return False
 
     def planned(self, job: Job) -> PlanResult:
         """Do a job, or say why not; it takes about as long as its budget allows.
@@ -69,17 +76,23 @@ class PlanningProcess:
             result = self._worker.ask(job)
             if isinstance(result, PlanResult):
                 return result
-            logger.error("the planning process is started anew: %s", result)
-            self._worker.end()
-            self._worker = _Worker.start()
+            self._replace(result)
             return PlanResult(job.number, Outcome.FAILED, reason=result)
 
     def close(self) -> None:
         """End the process; a job at work fails."""
         self._closed = True
-        self._worker.process.terminate()  # whoever waits for an answer holds the lock
+        with contextlib.suppress(ValueError):  # it is being replaced just now
+            self._worker.process.terminate()  # whoever waits for an answer holds the lock
         with self._lock:
             self._worker.end()
+
+    def _replace(self, reason: str) -> None:
+        if self._closed:
+            return
+        logger.error("the planning process is started anew: %s", reason)
+        self._worker.end()
+        self._worker = _Worker.start()
 
 
 class _Worker(NamedTuple):
@@ -101,10 +114,12 @@ class _Worker(NamedTuple):
 
     def wait_until_warm(self, timeout: float) -> bool:
         if not self.is_warm.is_set():
-            with contextlib.suppress(EOFError, OSError):
+            try:
                 if self.line.poll(timeout):
                     self.line.recv_bytes()
                     self.is_warm.set()
+            except (EOFError, OSError):  # the other end is gone, and the process all but
+                self.process.join(_END_TIME)
         return self.is_warm.is_set()
 
     def ask(self, job: Job) -> PlanResult | str:

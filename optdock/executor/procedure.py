@@ -636,7 +636,8 @@ class _Drive:
         self._next_goal: tuple[float, Pose2] | None = None  # from when on [s]
         self._job: Job | None = None
         self._is_urgent = self._is_stop = False
-        self._costmap = owner._perception.costmap
+        self._costmap = motion.problem.costmap  # a newer one is looked at in the first cycle
+        self._blocked = math.inf, ""  # when the motion meets what was not there when it was planned, and what that is
         self._looked_at, self._where = -math.inf, ""
         self._submitted_at, self._pause = -math.inf, owner._settings.replan_pause
         self._finished_since: float | None = None
@@ -691,6 +692,7 @@ class _Drive:
                 raise _AttemptFailed(EndingKind.FAILED_TO_CONTROL, reason)
             raise _Failed(_LATE_ENDINGS.get(owner.state, EndingKind.FAILED_TO_CONTROL), reason)
         self._look_around()
+        self._stop_in_time()
         self._watch_place()
         return self._is_finished()
 
@@ -779,11 +781,17 @@ class _Drive:
         time, _ = self._reference
         verdict = owner._planning.still_holds(self.motion, costmap, max(0.0, time))
         if verdict.holds:
+            self._blocked = math.inf, ""
             return
         owner._report("motion does not hold any more", verdict.reason)
-        if verdict.at_time - time < owner._braking_time + _STALE_STOP:
-            raise _Interrupted("obstacle ahead", verdict.reason)
+        self._blocked = verdict.at_time, verdict.reason
         self._is_urgent, self._job = True, None
+
+    def _stop_in_time(self) -> None:
+        """Whoever plans the way round what is ahead may take his time; the robot does not."""
+        at_time, reason = self._blocked
+        if at_time - self._reference[0] < self.owner._braking_time + _STALE_STOP:
+            raise _Interrupted("obstacle ahead", reason)
 
     def _watch_place(self) -> None:
         """Where on its path the robot is, and whether it is within the tube that was proven around it."""
@@ -896,3 +904,4 @@ class _Drive:
         self._give(result.motion, start)
         self._next_goal = start, result.motion.problem.goal
         self._become(result.motion)
+        self._costmap, self._blocked = result.motion.problem.costmap, (math.inf, "")  # a newer one: in the next cycle

@@ -102,6 +102,44 @@ def test_what_measuring_raises_ends_in_a_ramp_too() -> None:
     world.assert_ramp()
 
 
+def test_who_waits_for_the_end_learns_of_it_even_if_nothing_can_be_sent() -> None:
+    world = World(Driver())
+
+    def send(_: Twist2) -> None:
+        raise RuntimeError("the publisher is gone")
+
+    world.loop = ControlLoop(ROBOT, PERIOD, time.monotonic, send)
+    world.loop.start(world.run)
+    assert world.run.done.wait(5.0)
+    assert world.run.ending is not None
+    assert world.run.ending.reason == "RuntimeError: the publisher is gone"
+
+
+def test_what_was_decided_before_a_pause_is_not_sent_after_it() -> None:
+    """The process was stopped in the middle of a cycle; bases stop by themselves meanwhile."""
+    world = World(Driver(lambda cycle: time.sleep(0.7) if cycle == 10 else None))
+    world.loop.start(world.run)
+    time.sleep(0.5)
+    count = len(world.sent)
+    time.sleep(0.4)
+    world.loop.close("the end", 1.0)
+    assert len(world.seen) > count + 5
+    moving = sum(command != Twist2() for command in world.sent)
+    assert moving == len(world.seen) - 2, "without that one, and the last one, which stops"
+
+
+def test_no_ramp_begins_after_a_pause() -> None:
+    def broken_after_a_pause(cycle: int) -> None:
+        if cycle == 10:
+            time.sleep(0.7)
+            raise ZeroDivisionError
+
+    world = World(Driver(broken_after_a_pause))
+    world.loop.start(world.run)
+    assert world.end().kind is EndingKind.UNKNOWN
+    assert [command for command in world.sent if command != MOVING] == [Twist2()]
+
+
 def test_a_clock_that_stands_still_ends_in_a_ramp() -> None:
     began = time.monotonic()
     world = World(Driver(), now=lambda: min(time.monotonic(), began + 0.2))

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import gc
 import logging
+import math
 import os
 import threading
 import time
@@ -38,6 +39,7 @@ logger = logging.getLogger(__name__)
 # times between commands.
 _PHASE = 0.25
 _STANDSTILL = 0.5  # [s] of wall clock in which the clock of the measurements stands still: nothing can be timed by it
+_PAUSE = 0.5  # [s] without a command, after which bases have stopped by themselves; the executor's `longest_tick`
 _LONGEST_RAMP = 10.0  # [s]: no robot brakes for longer; then the command falls to zero
 _SLACK = 0.5  # [s] for cycles that are late while a robot brakes
 _KEPT = 3000  # cycles whose times are kept: a minute at 50 Hz
@@ -117,7 +119,7 @@ class ControlLoop:
         realtime: bool = False,
     ) -> None:
         self._robot, self.period, self._now, self._send, self._realtime = robot, period, now, send, realtime
-        self._sent = Twist2()
+        self._sent, self._sent_at, self._stamp = Twist2(), -math.inf, 0.0
         self._late: deque[float] = deque(maxlen=_KEPT)
         self._busy: deque[float] = deque(maxlen=_KEPT)
         self._count = self._missed = 0
@@ -173,12 +175,18 @@ class ControlLoop:
         if not run.done.is_set():  # it hangs in a cycle; whatever that gives when it comes back is not sent
             is_free = self._sending.acquire(timeout=_SLACK)  # or it hangs in a middleware that takes nothing
             self._silent = True
-            self._send(Twist2())
+            try:
+                self._send(Twist2())
+            except Exception:
+                logger.exception("the last command, zero, cannot be sent")
             if is_free:
                 self._sending.release()
-            run.ending = run.ending or Ending(EndingKind.UNKNOWN, f"{reason}; the control loop hangs", 0, self._now())
+            run.ending = run.ending or self._failed(f"{reason}; the control loop hangs")
             run.done.set()
         return in_time
+
+    def _failed(self, reason: str) -> Ending:
+        return Ending(EndingKind.UNKNOWN, reason, 0, self._stamp)
 
     def _work(self, run: Run) -> None:
         # Nothing that exists now will be garbage within this task: a collection in mid-motion need not walk over it.
@@ -190,21 +198,30 @@ class ControlLoop:
             run.ending = self._drive(run)
         except Exception as error:  # whatever it is, the robot must come to rest
             logger.exception("the control loop stops the robot")
-            run.ending = run.ending or Ending(EndingKind.UNKNOWN, f"{type(error).__name__}: {error}", 0, self._now())
+            run.ending = run.ending or self._failed(f"{type(error).__name__}: {error}")
             self._ramp_down()
         finally:
+            self._end(run)
+
+    def _end(self, run: Run) -> None:
+        """The last command is zero; whoever waits for the end learns of it, whatever fails here."""
+        try:
+            if not self._silent:
+                self._put(Twist2())
+        except Exception:
+            logger.exception("the last command, zero, cannot be sent")
+        try:
             gc.unfreeze()
             if self._realtime:
                 prefer(os.SCHED_OTHER, 0)
-            if not self._silent:
-                self._put(Twist2())
+        finally:
             run.done.set()
 
     def _drive(self, run: Run) -> Ending:
         deadline, before, moved_at = time.monotonic(), -1.0, time.monotonic()
         while True:
             began = time.monotonic()
-            now = self._now()
+            now = self._stamp = self._now()
             if now != before:
                 before, moved_at = now, began
                 measurements = run.measure(now)
@@ -212,7 +229,8 @@ class ControlLoop:
                 self._busy.append(time.monotonic() - began)
                 due = deadline + _PHASE * self.period
                 time.sleep(max(0.0, due - time.monotonic()))
-                self._put(step.command)
+                if time.monotonic() - began < _PAUSE:  # else the next cycle begins anew, and decides for then
+                    self._put(step.command)
                 self._count += 1
                 self._late.append(time.monotonic() - due)
                 run.observe(measurements, step)
@@ -220,12 +238,12 @@ class ControlLoop:
                     return step.ending
             elif began - moved_at > _STANDSTILL:
                 self._ramp_down()
-                return Ending(EndingKind.UNKNOWN, f"the clock stands still at {now:.3f} s", 0, now)
+                return self._failed(f"the clock stands still at {now:.3f} s")
             else:
                 self._put(self._sent)  # a simulated clock ticks more slowly than this loop
             if self._aborted:
                 self._ramp_down()
-                return Ending(EndingKind.UNKNOWN, run.stopping, 0, now)
+                return self._failed(run.stopping)
             deadline = self._sleep_until(deadline + self.period)
 
     def _sleep_until(self, deadline: float) -> float:
@@ -240,7 +258,13 @@ class ControlLoop:
         return deadline
 
     def _ramp_down(self) -> None:
-        """From the last command to rest within the robot's limits, or at once where even that fails."""
+        """From the last command to rest within the robot's limits.
+
+        It falls to zero at once where that fails, and where nothing has been sent for so long that the base has stopped
+        by itself: a ramp would throw a robot forward that stands.
+        """
+        if time.monotonic() - self._sent_at > _PAUSE:
+            return
         try:
             limiter, robot = CommandLimiter(), self._robot
             limiter.restart(self._sent)
@@ -259,7 +283,7 @@ class ControlLoop:
         with self._sending:
             if self._silent:
                 raise RuntimeError("the control loop has been given up")
-            self._sent = command
+            self._sent, self._sent_at = command, time.monotonic()
             self._send(command)
 
 

@@ -220,7 +220,10 @@ class GoalQueue:
             except Exception as error:  # the work has stopped the robot, whatever it was
                 self._node.get_logger().error(f"{self._actions[goal.kind][0]}: {type(error).__name__}: {error}")
                 outcome = failed(UNKNOWN, f"{type(error).__name__}: {error}")
-            self._answer(goal, outcome)
+            try:
+                self._answer(goal, outcome)
+            except Exception as error:  # the node may be gone; the next goal must not wait for ever
+                self._node.get_logger().error(f"an answer cannot be sent: {type(error).__name__}: {error}")
             with self._lock:
                 following = self._waiting.pop(goal.kind, None)
                 if following is None and self._waiting:

@@ -11,6 +11,8 @@ answers. An error in a callback is told and does not end the node.
 from __future__ import annotations
 
 import gc
+import math
+import os
 import signal
 import sys
 import threading
@@ -20,6 +22,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, Generic, TypeVar
 
 import rclpy
 from rcl_interfaces.msg import SetParametersResult
+from rclpy.clock import Clock, ClockType
 from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
 from rclpy.logging import get_logger
@@ -233,8 +236,14 @@ class Server(LifecycleNode, Generic[S]):
         return super().on_cleanup(state)
 
     def on_shutdown(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """End all work, and give everything back."""
-        self.end()
+        """End all work at once, and give everything back once clients have had the results of their goals."""
+        self.halt()
+
+        def _end() -> None:
+            self.destroy_timer(timer)
+            self.end()
+
+        timer = self.create_timer(_ANSWERS, _end, clock=Clock(clock_type=ClockType.STEADY_TIME))
         return super().on_shutdown(state)
 
     def on_error(self, state: LifecycleState) -> TransitionCallbackReturn:
@@ -332,6 +341,23 @@ def _spun(executor: Executor) -> bool:
     return False
 
 
+def _end_at_signals(ended: threading.Event) -> None:
+    """Have SIGINT and SIGTERM set `ended`; asked again when all should be over, they kill."""
+    asked = math.inf
+
+    def _end(number: int, _frame: object) -> None:
+        nonlocal asked
+        now = time.monotonic()
+        asked = min(asked, now)
+        if now - asked > _PATIENCE:  # by then the robot stands; an impatient second ctrl-C must not end its ramp
+            signal.signal(number, signal.SIG_DFL)
+            os.kill(os.getpid(), number)
+        ended.set()
+
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, _end)
+
+
 def run(make: Callable[[], Server[Any]], args: Sequence[str] | None = None) -> int:
     """The life of a server's process: made, spun in a thread, and ended by SIGINT or SIGTERM in good order.
 
@@ -347,14 +373,9 @@ def run(make: Callable[[], Server[Any]], args: Sequence[str] | None = None) -> i
     """
     ended = threading.Event()
 
-    def _end(number: int, _frame: object) -> None:
-        ended.set()
-        signal.signal(number, signal.SIG_DFL)  # who asks twice does not want to wait
-
     # Handlers of our own: rclpy's take the context down at once, and the stop command with it.
     rclpy.init(args=list(args) if args is not None else None, signal_handler_options=SignalHandlerOptions.NO)
-    for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, _end)
+    _end_at_signals(ended)
     sys.setswitchinterval(_SWITCH)
     try:
         server = make()

@@ -254,3 +254,14 @@ def test_new_plans_in_motion_do_not_hide_a_robot_that_stands():
         except NoValidControl as error:
             refusals += "does not follow" in str(error)
     assert refusals >= 1
+
+
+def test_a_reference_at_its_end_stays_there_however_the_period_jitters():
+    """On a real machine no period is as long as the one before; whoever waits for the end must see it once for all."""
+    reference = Reference(straight_drive(START))
+    reference.time = reference.trajectory.duration
+    for period in (0.020, 0.0201, 0.0199, 0.035, 0.02):
+        reference.advance(reference.state(), period, 1.0, ROBOT.limits, 0.2)
+        reference.look_ahead(0.06 + 0.5 * period)
+        assert reference.finished
+        assert reference.progress.time == reference.trajectory.duration

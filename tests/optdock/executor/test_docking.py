@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from optdock.costmap.costmap import Costmap
-from optdock.executor import EndingKind, ExecutorSettings, FeedbackState, State
+from optdock.executor import EndingKind, ExecutorSettings, FeedbackState, InlinePlanning, State
 from optdock.executor.log import LogWriter, read_log
 from optdock.executor.replay import replay
 from optdock.geometry.pose import Pose2, Twist2
@@ -84,11 +84,11 @@ def grid_with(box):
     return Costmap(cells, 0.05, (-5.0, -3.0))
 
 
-def put(half_width):
-    """An obstacle across the robot's way, half a metre before it."""
+def put(half_width, ahead=0.85):
+    """An obstacle across the robot's way, so far before its origin; half a metre before its front."""
 
     def act(executor, world, measurements):
-        centre = world.state.pose @ Pose2(0.85, 0.0, 0.0)
+        centre = world.state.pose @ Pose2(ahead, 0.0, 0.0)
         box = centre.x - 0.02, centre.y - half_width, centre.x + 0.02, centre.y + half_width
         corners = [[box[0], box[1]], [box[2], box[1]], [box[2], box[3]], [box[0], box[3]]]
         world.put(ObstacleSet.from_polygons([corners]), grid_with(box))
@@ -108,6 +108,44 @@ def test_wall_across_the_way_ends_the_task_at_rest(lawful):
     assert lawful(docking).kind is EndingKind.FAILED_TO_CONTROL
     assert State.WAITING_FOR_OBSTACLE in docking.states
     assert docking.world.clearance() > 0.05
+
+
+class Hanging(InlinePlanning):
+    """Gives one plan, and then none any more."""
+
+    def poll(self, stamp):
+        """The first result."""
+        result = super().poll(stamp) if not hasattr(self, "given") else None
+        if result is not None:
+            self.given = True
+        return result
+
+
+def test_a_planner_that_hangs_lets_no_robot_drive_into_what_came_into_its_way():
+    """The picture comes once and stays the same: the robot stops before the box all the same."""
+    settings = ExecutorSettings(navigate_to_staging_pose=False)
+    docking = run(
+        simulated(Pose2(-3.0, 0.3, 0.0)), settings=settings, before=put(4.0, 1.6), planning=Hanging(), timeout=8.0
+    )
+    assert docking.said("obstacle ahead")
+    assert docking.world.clearance() > 0.05
+
+
+@pytest.mark.parametrize("watchdog", [True, False])
+def test_after_a_pause_commands_begin_at_what_the_robot_does(watchdog):
+    """A process that was stopped for 2 s: the base has stopped too, or has gone on as it was told."""
+    paused = []
+
+    def pause(executor, world, measurements):
+        paused.append(executor.step(measurements).command)
+        return world.advance(Twist2() if watchdog else world.last, 1.0)
+
+    docking = run(simulated(Pose2(-3.0, 0.3, 0.0)), before=once(lambda e, world: world.state.twist.linear > 0.3, pause))
+    after = [step for step in docking.steps if any(event.name == "no cycle for long" for event in step.events)]
+    assert len(after) == 1
+    first = docking.steps.index(after[0])
+    commands = [step.command.linear for step in docking.steps[first : first + 5]]
+    assert max(commands) < 0.02 if watchdog else min(commands) > 0.2, commands
 
 
 def test_localization_that_jumps_does_not_matter(lawful):

@@ -61,3 +61,16 @@ def test_a_process_that_is_killed_fails_its_job_and_is_replaced(process):
     planning.submit(job(5))
     assert planning._result.result(timeout=60.0).outcome is Outcome.NEW
     planning.close()
+
+
+def test_a_process_that_dies_before_it_is_warm_is_replaced():
+    process = PlanningProcess()
+    try:
+        before = process.pid
+        os.kill(before, signal.SIGKILL)
+        assert not process.wait_until_warm()
+        assert process.wait_until_warm()
+        assert process.pid != before
+    finally:
+        process.close()
+    assert not process.wait_until_warm(0.0)
