@@ -43,8 +43,8 @@ from optdock_ros.measuring import MeasurementRules, Measuring, Surroundings
 from optdock_ros.navigator import Navigator
 from optdock_ros.server import Server, run
 from optdock_ros.surroundings import CostmapTopic, FootprintTopic, SurroundingsError, nav2_footprint
-from optdock_ros.transforms import TransformBuffer
-from optdock_ros.world import joined, moved, with_contact_zone
+from optdock_ros.transforms import TransformBuffer, TransformError
+from optdock_ros.world import contact_reach, joined, moved, with_contact_zone
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -653,7 +653,15 @@ class DockingServer(Server[DockingSettings]):
             self._reports.state("ok", step.state.value, step, task.measuring.faults, loop.times, now)
         motion = task.planning.motion
         if motion is not None:
-            self._reports.motion(motion, now)
+            self._reports.motion(motion, self._exempt(task), now)
+
+    def _exempt(self, task: _Task) -> str:
+        """What no certificate of this task counts."""
+        if task.local is None:
+            return "any obstacle but the station's outline: controller.use_collision_detection is false"
+        margin = self.settings.dock_parameters[task.plugin.name].contact_margin
+        reach = contact_reach(task.local.costmap, margin)
+        return f"cells of the costmap within {reach:.3f} m of the docked robot's front, which touches"
 
     def _tell(self, goal: Goal, state: int, retries: int) -> None:
         passed = Duration(nanoseconds=int(1e9 * (time.monotonic() - goal.began))).to_msg()

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from optdock.geometry.arrays import FloatArray
     from optdock.geometry.footprint import Footprint
 
-__all__ = ["Box", "joined", "moved", "with_contact_zone"]
+__all__ = ["Box", "contact_reach", "joined", "moved", "with_contact_zone"]
 
 _ALIGNED = 1e-6  # [cells], [rad]: grids as near to each other are the same
 _RANK = np.arange(256, dtype=np.uint8)  # costs in the order of what is worse; it is its own inverse
@@ -118,6 +118,11 @@ def _spread(costmap: Costmap, reach: int) -> Costmap:
     return Costmap(_RANK[spread], costmap.resolution, (x, y))
 
 
+def contact_reach(costmap: Costmap, margin: float) -> float:
+    """How far around the edge that touches `with_contact_zone` frees cells, by their centres [m]."""
+    return max(margin, 1.5 * costmap.resolution)
+
+
 def with_contact_zone(costmap: Costmap, dock: Dock, footprint: Footprint, margin: float) -> Costmap:
     """The costmap without the cells that the docked robot's front touches.
 
@@ -134,7 +139,7 @@ def with_contact_zone(costmap: Costmap, dock: Dock, footprint: Footprint, margin
     ahead = -1.0 if dock.direction is DockDirection.BACKWARD else 1.0
     vertices = footprint.vertices
     front, half = float((ahead * vertices[:, 0]).max()), float(np.abs(vertices[:, 1]).max())
-    reach = max(margin, 1.5 * costmap.resolution)
+    reach = contact_reach(costmap, margin)
     radius = math.hypot(front + reach, half + reach)
     centre = np.array([dock.pose.x, dock.pose.y])
     low = np.clip(costmap.cell_of([centre - radius])[0], 0, (costmap.columns, costmap.rows))

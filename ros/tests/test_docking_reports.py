@@ -1,0 +1,57 @@
+"""What the docking server says of its plans is true: a certificate names what it does not count."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from optdock_ros.docking_reports import Reports
+
+from optdock.costmap.costmap import Costmap
+from optdock.dock import Dock
+from optdock.executor.planning import Motion
+from optdock.geometry.footprint import Footprint
+from optdock.geometry.pose import Pose2
+from optdock.limits import MotionLimits
+from optdock.pipeline import plan_dock
+from optdock.problem import DockingProblem
+from optdock.robot import Robot
+
+
+class Ears:
+    """Stands for a node: what is published is kept."""
+
+    def __init__(self) -> None:
+        self.said: list[Any] = []
+
+    def create_publisher(self, *_: object) -> Ears:
+        """All publishers are this one."""
+        return self
+
+    def publish(self, message: Any) -> None:
+        """Keep it."""
+        self.said.append(message)
+
+    def get_name(self) -> str:
+        """Of the node."""
+        return "docking_server"
+
+
+@pytest.mark.parametrize(
+    ("costmap", "level"),
+    [
+        (Costmap(np.zeros((60, 60), dtype=np.uint8), 0.1, (-3.0, -3.0)), DiagnosticStatus.OK),
+        (None, DiagnosticStatus.WARN),
+    ],
+)
+def test_a_certificate_without_a_costmap_says_so(costmap: Costmap | None, level: bytes) -> None:
+    robot = Robot(Footprint.rectangle(0.3, 0.3, 0.5), MotionLimits())
+    problem = DockingProblem(Pose2(-1.2, 0.1, 0.0), Dock(Pose2(0.0, 0.0, 0.0)), robot, costmap=costmap)
+    ears = Ears()
+    Reports(ears, "odom").motion(Motion.of(plan_dock(problem)), "what is not seen", 1.0)  # type: ignore[arg-type]
+    (told,) = [one for message in ears.said if isinstance(message, DiagnosticArray) for one in message.status]
+    assert told.level == level
+    assert {item.value for item in told.values if item.key == "does not count"} == {"what is not seen"}
+    assert ("what is not seen" in told.message) == (costmap is None)
