@@ -56,6 +56,7 @@ _SWITCH = 0.0005
 # [s] between the end of the work and that of the node: clients ask for the results of goals that ended just now.
 _ANSWERS = 0.1
 
+_LOOK = 1.0  # [s] between two looks whether all is over, where nothing wakes the executor
 _PATIENCE = 10.0  # [s] for the last transitions of a process that was asked to end; a lifecycle manager waits as long
 
 
@@ -324,21 +325,24 @@ class Server(LifecycleNode, Generic[S]):
 
 
 def spin(executor: Executor, ended: threading.Event) -> None:
-    """Run an executor until the end; an error that a callback lets through is told, and the others go on."""
+    """Run an executor until the end; an error that a callback lets through is told, and the others go on.
+
+    It is not to be shut down before: rclpy's executor that is shut down between two waits begins another one, in which
+    nothing wakes it any more.
+    """
     while not ended.is_set() and _spun(executor):
         pass
 
 
 def _spun(executor: Executor) -> bool:
-    """Run an executor until a callback lets an error through; False where it has ended."""
+    """One callback, or none for a while; False where the executor has ended."""
     try:
-        executor.spin()
+        executor.spin_once(timeout_sec=_LOOK)
     except ExternalShutdownException:
         return False
     except Exception:
         get_logger("optdock_ros").error(f"in a callback: {traceback.format_exc()}")
-        return True
-    return False
+    return True
 
 
 def _end_at_signals(ended: threading.Event) -> None:
@@ -397,8 +401,9 @@ def run(make: Callable[[], Server[Any]], args: Sequence[str] | None = None) -> i
     time.sleep(_ANSWERS)
     _in_executor(executor, thread, server.end)
     ended.set()
-    executor.shutdown()
+    executor.wake()
     thread.join(_PATIENCE)
+    executor.shutdown()
     gc.unfreeze()  # what is frozen is not given back at the end, and others would take this node for alive for 20 s
     server.destroy_node()
     rclpy.try_shutdown()
