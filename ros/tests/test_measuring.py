@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import time
 from typing import Any
 
 import numpy as np
@@ -106,7 +107,7 @@ def test_a_robot_that_stands_begins_at_rest() -> None:
     assert told.measurements(100.02).twist == Twist2(0.004)
 
 
-def test_a_velocity_that_is_old_is_none_and_neither_is_the_pose() -> None:
+def test_a_velocity_that_is_old_is_none_and_neither_is_the_pose(monkeypatch: pytest.MonkeyPatch) -> None:
     frames = Frames()
     told = measuring(frames)
     assert told.measurements(100.0).pose is None, "none has come"
@@ -116,8 +117,12 @@ def test_a_velocity_that_is_old_is_none_and_neither_is_the_pose() -> None:
     assert (found.twist, found.pose) == (Twist2(0.2), None), "held, but no new pose is made of it"
     frames.newest = 100.4
     found = told.measurements(100.4)
-    assert (found.twist, found.pose) == (Twist2(), None)
+    assert (found.twist, found.pose) == (Twist2(0.2), None), "heard just now: a clock that was set lets no command fall"
     assert "0.40 s old" in told.faults["odometry"]
+    later = time.monotonic() + 0.4
+    monkeypatch.setattr("optdock_ros.measuring.monotonic", lambda: later)
+    told.take_odometry(odometry(100.4, math.nan))
+    assert told.measurements(100.4).twist == Twist2()
 
 
 @pytest.mark.parametrize("speed", [math.nan, math.inf])
@@ -145,7 +150,7 @@ def test_a_clock_that_goes_back_lets_nothing_of_before_be_believed() -> None:
     assert told.measurements(105.0).twist == Twist2(0.2)
     frames.newest = 100.0
     found = told.measurements(100.0)
-    assert (found.twist, found.pose) == (Twist2(), None)
+    assert (found.twist, found.pose) == (Twist2(0.2), None)
     told.take_odometry(odometry(100.01))
     frames.newest = 100.01
     assert told.measurements(100.02).pose is not None

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
+from time import monotonic
 from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
 
 from optdock import ros
@@ -91,6 +92,7 @@ class Measuring:
         self._surroundings: Surroundings | None = None
         self._reckoning: DeadReckoning | None = None
         self._twist: tuple[float, Twist2] | None = None
+        self._heard, self._heard_at = Twist2(), -math.inf
         self._pose_stamp = -math.inf
         self.faults: Mapping[str, str] = {}
         self._now = -math.inf
@@ -103,7 +105,7 @@ class Measuring:
 
     def take_odometry(self, message: Any) -> None:
         """A new one; from any thread."""
-        self._odometry.append(message)
+        self._odometry.append((monotonic(), message))
 
     def take_detection(self, message: Any) -> None:
         """A new one; from any thread."""
@@ -130,17 +132,22 @@ class Measuring:
         self.faults = faults
         if is_first and twist is not None and max(abs(twist.linear), abs(twist.angular)) < _AT_REST:
             twist = Twist2()  # encoders are never quite at rest; a robot that stands is commanded nothing to begin with
-        return Measurements(now, pose, twist or Twist2(), detections, self._contact(now), costmap)
+        if twist is None:
+            # Stamps of another clock, or a clock that was set, place nothing; but what has just been heard is what the
+            # robot does, and what a stop must begin with.
+            twist = self._heard if monotonic() - self._heard_at <= self._rules.odom_tolerance else Twist2()
+        return Measurements(now, pose, twist, detections, self._contact(now), costmap)
 
     def _velocity(self, now: float, faults: dict[str, str]) -> Twist2 | None:
         """The newest body velocity; None where it is too old to be believed."""
         while self._odometry:
-            message = self._odometry.popleft()
+            heard_at, message = self._odometry.popleft()
             try:
                 told = ros.odometry(message)
             except InvalidMessage as error:
                 faults["odometry"] = str(error)
                 continue
+            self._heard, self._heard_at = told.twist, heard_at
             if told.stamp > now + _AHEAD:
                 faults["odometry"] = f"it is stamped {told.stamp - now:.3f} s ahead of this clock"
                 continue
