@@ -43,7 +43,7 @@ from optdock_ros.measuring import MeasurementRules, Measuring, Surroundings
 from optdock_ros.navigator import Navigator
 from optdock_ros.server import Server, run
 from optdock_ros.surroundings import CostmapTopic, FootprintTopic, SurroundingsError, nav2_footprint
-from optdock_ros.transforms import TransformBuffer, TransformError
+from optdock_ros.transforms import TransformBuffer
 from optdock_ros.world import contact_reach, joined, moved, with_contact_zone
 
 if TYPE_CHECKING:
