@@ -48,7 +48,7 @@ class Ears:
 )
 def test_a_certificate_without_a_costmap_says_so(costmap: Costmap | None, level: bytes) -> None:
     robot = Robot(Footprint.rectangle(0.3, 0.3, 0.5), MotionLimits())
-    problem = DockingProblem(Pose2(-1.2, 0.1, 0.0), Dock(Pose2(0.0, 0.0, 0.0)), robot, costmap=costmap)
+    problem = DockingProblem(Pose2(-1.2, 0.1, 0.0), Dock(Pose2(0.0, 0.0, 0.0)), robot, costmap=costmap, frame="odom")
     ears = Ears()
     Reports(ears, "odom").motion(Motion.of(plan_dock(problem)), "what is not seen", 1.0)  # type: ignore[arg-type]
     (told,) = [one for message in ears.said if isinstance(message, DiagnosticArray) for one in message.status]

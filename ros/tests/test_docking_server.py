@@ -33,8 +33,9 @@ BAY = {
     "detection_yaw_sigma": 0.005,
 }
 SERVER: dict[str, object] = {
-    "dock_plugins": ["bay", "quay", "blind", "felt"],
+    "dock_plugins": ["bay", "quay", "blind", "felt", "watched"],
     "bay": BAY,
+    "watched": {**BAY, "detector_service_name": "detector", "detector_service_timeout": 3.0},
     "quay": {"plugin": "opennav_docking::SimpleNonChargingDock"},
     "blind": {
         "plugin": "opennav_docking::SimpleNonChargingDock",
@@ -226,6 +227,7 @@ def pose(frame: str, x: float = 3.0, y: float = 1.0, w: float = 1.0) -> PoseStam
         ({"dock_id": "hom"}, 901, "did you mean home"),
         ({"dock_id": "odd"}, 902, "no dock type 'unheard_of'"),
         ({"dock_id": "moon"}, 902, "moon"),
+        ({"dock_id": "home", "max_staging_time": math.nan}, 999, "max_staging_time"),
         ({"use_dock_id": False, "dock_type": "bay", "dock_pose": pose("")}, 902, "frame"),
         ({"use_dock_id": False, "dock_type": "bay", "dock_pose": pose("map", x=math.nan)}, 902, "finite"),
         ({"use_dock_id": False, "dock_type": "bay", "dock_pose": pose("map", w=0.0)}, 902, "orientation"),
@@ -313,10 +315,23 @@ def test_a_newer_goal_preempts_and_another_action_waits(bay: Bay) -> None:
 
 
 def test_deactivation_stops_the_robot_and_says_why(bay: Bay) -> None:
+    """The detector is switched off as well, and nobody waits for its answer: those who could hear it are stopping."""
     bay.reset()
-    goal = bay.dock()
+    asked: list[int] = []
+
+    def switch(_: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        asked.append(1)
+        response.success = True
+        return response
+
+    service = bay.client.create_service(Trigger, "detector", switch)
+    goal = bay.dock(use_dock_id=False, dock_type="watched", dock_pose=pose("map"))
     bay.driving()
+    assert len(asked) == 1
     assert bay.life.deactivate()
+    bay.client.until(lambda: len(asked) == 2, what="off")
+    bay.client.destroy_service(service)
+    assert "the thread of a goal goes on" not in bay.server.log()
     reply = goal.reply()
     assert (reply.status, reply.result.error_code) == (ABORTED, 999)
     assert "deactivated" in reply.result.error_msg

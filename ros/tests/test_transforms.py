@@ -208,6 +208,7 @@ def test_topics_late_static_ones_and_a_clock_that_jumps_back(node: Node, client_
         found = late.lookup("odom", "camera")
         assert found.planar().gap_to(Pose2(1.3, 0.0, 0.0)) < 1e-12
         assert abs(world.now() - found.stamp) < 5.0
+        assert abs(world.now() - late.lookup("base", "camera").stamp) < 5.0
         late.forget()
         assert late.frames == {"camera": "base"}
     finally:

@@ -11,7 +11,6 @@ from __future__ import annotations
 import dataclasses
 import math
 import sys
-import threading
 import time
 from collections import deque
 from contextlib import ExitStack, closing, contextmanager, suppress
@@ -48,6 +47,8 @@ from optdock_ros.world import contact_reach, joined, moved, with_contact_zone
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
+
+    from rclpy.task import Future
 
     from optdock.costmap.costmap import Costmap
     from optdock.executor import Event, ExecutorSettings, Step
@@ -307,6 +308,7 @@ class DockingServer(Server[DockingSettings]):
 
     def _dock_at(self, goal: Goal) -> Outcome:
         request, own = goal.request, self.settings.own
+        staging_time = self._limit(request.max_staging_time, "max_staging_time")
         entry, plugin = self._wanted(request)
         dock = self._in_fixed_frame(goal, entry)
         stands_there = [] if plugin.waits_for_charge else [plugin.docked_pose(dock)]  # else the current alone tells
@@ -314,9 +316,8 @@ class DockingServer(Server[DockingSettings]):
             return done("the robot is docked or charging already")
         stages = bool(request.navigate_to_staging_pose)
         if stages and not own.stage_by_executor:
-            self._navigate(goal, entry, plugin, dock)
+            self._navigate(goal, entry, plugin, dock, staging_time)
             dock, stages = self._in_fixed_frame(goal, entry), False
-        staging_time = max(float(request.max_staging_time), self.settings.period)
         settings = self.settings.executor_settings(
             plugin, navigate_to_staging_pose=stages, max_staging_time=staging_time
         )
@@ -339,7 +340,7 @@ class DockingServer(Server[DockingSettings]):
         known += [self._docked.pose] if self._docked is not None else []
         if plugin.is_charger and not self._is_in_dock(plugin, known):
             return done("the robot is in no dock, there is nothing to undock from")
-        limit = max(float(request.max_undocking_time), self.settings.period)
+        limit = self._limit(request.max_undocking_time, "max_undocking_time")
         settings = self.settings.executor_settings(
             plugin, use_detections=False, wait_for_charge=False, max_undocking_time=limit, timeout=limit
         )
@@ -354,6 +355,16 @@ class DockingServer(Server[DockingSettings]):
         if plugin.is_charging(self._battery, self._now()):
             return failed(UndockRobot.Result.FAILED_TO_CONTROL, "the battery still charges at the staging pose")
         return ending
+
+    def _limit(self, seconds: float, name: str) -> float:
+        """A time limit of a goal [s], one period at least.
+
+        Raises:
+            _Ended: It is no number: nothing would ever be later than that.
+        """
+        if not math.isfinite(seconds):
+            raise _Ended(failed(UNKNOWN, f"{name}: must be a finite number of seconds, got {seconds}"))
+        return max(float(seconds), self.settings.period)
 
     def _wanted(self, request: DockRobot.Goal) -> tuple[DockEntry, DockPlugin]:
         """The dock that a goal means.
@@ -451,7 +462,7 @@ class DockingServer(Server[DockingSettings]):
             return False
         return any(robot.distance_to(pose) < plugin.parameters.docking_threshold for pose in docked)
 
-    def _navigate(self, goal: Goal, entry: DockEntry, plugin: DockPlugin, dock: Pose2) -> None:
+    def _navigate(self, goal: Goal, entry: DockEntry, plugin: DockPlugin, dock: Pose2, limit: float) -> None:
         """Have the robot navigated to the staging pose, where it is far from it.
 
         Raises:
@@ -472,7 +483,7 @@ class DockingServer(Server[DockingSettings]):
             goal.changed.clear()
             return bool(goal.ending)
 
-        fault = self._navigator.go(pose, own.navigator_bt_xml, float(goal.request.max_staging_time), is_over)
+        fault = self._navigator.go(pose, own.navigator_bt_xml, limit, is_over)
         self._check_end(goal)
         if fault:
             raise _Ended(failed(DockRobot.Result.FAILED_TO_STAGE, f"navigate_to_pose: {fault}"))
@@ -556,7 +567,7 @@ class DockingServer(Server[DockingSettings]):
     def _carry_out(self, goal: Goal, task: _Task) -> Outcome:
         """Drive; returns when the robot stands."""
         try:
-            with self._detecting(task.plugin, task.measuring):
+            with self._detecting(goal, task.plugin, task.measuring):
                 self._see_first(goal, task)
                 self._wait_for_planner(goal)
                 run = self._driven(goal, task)
@@ -708,36 +719,59 @@ class DockingServer(Server[DockingSettings]):
             frame = self._frames.lookup(fixed, seen.frame).planar()
         return moved(seen.costmap, frame, box)
 
-    def _switched(self, plugin: DockPlugin, *, on: bool) -> str:
-        """Have the detector switched on or off, where the type of dock names its service; why that failed."""
+    def _switch_on(self, goal: Goal, plugin: DockPlugin) -> None:
+        """Have the detector switched on, where the type of dock names its service.
+
+        Raises:
+            _Ended: It is not, or the goal is to end.
+        """
         service = self._detectors.get(plugin.parameters.detector_service_name)
         if service is None:
-            return ""
-        timeout = plugin.parameters.detector_service_timeout
-        what = f"{service.srv_name}: the detector is not switched {'on' if on else 'off'}"
-        if not service.wait_for_service(timeout):
-            return f"{what}: there is no such service"
-        answered = threading.Event()
-        future = service.call_async(Trigger.Request())
-        future.add_done_callback(lambda _: answered.set())
-        if not answered.wait(timeout):
-            return f"{what}: no answer within {timeout:g} s"
-        answer = future.result()
-        return "" if answer is not None and answer.success else f"{what}: {answer and answer.message}"
+            return
+        timeout, answer = plugin.parameters.detector_service_timeout, None
+        until = time.monotonic() + timeout
+        while answer is None or not answer.done():
+            self._check_end(goal)
+            if time.monotonic() > until:
+                why = "there is no such service" if answer is None else f"no answer within {timeout:g} s"
+                fault = f"{service.srv_name}: the detector is not switched on: {why}"
+                raise _Ended(failed(DockRobot.Result.FAILED_TO_DETECT_DOCK, fault))
+            if answer is None and service.service_is_ready():
+                answer = service.call_async(Trigger.Request())
+            time.sleep(_LOOK)
+        told = answer.result()
+        if told is None or not told.success:
+            fault = f"{service.srv_name}: the detector is not switched on: {told and told.message}"
+            raise _Ended(failed(DockRobot.Result.FAILED_TO_DETECT_DOCK, fault))
+
+    def _switch_off(self, plugin: DockPlugin) -> None:
+        """As above; nobody waits for the answer, least of all a server that is being deactivated."""
+        service = self._detectors.get(plugin.parameters.detector_service_name)
+        if service is None:
+            return
+        what = f"{service.srv_name}: the detector is not switched off"
+
+        def answered(answer: Future[Any]) -> None:
+            told = answer.result()
+            if told is None or not told.success:
+                self.get_logger().error(f"{what}: {told and told.message}")
+
+        if service.service_is_ready():
+            service.call_async(Trigger.Request()).add_done_callback(answered)
+        else:
+            self.get_logger().error(f"{what}: there is no such service")
 
     @contextmanager
-    def _detecting(self, plugin: DockPlugin, measuring: Measuring) -> Iterator[None]:
+    def _detecting(self, goal: Goal, plugin: DockPlugin, measuring: Measuring) -> Iterator[None]:
         """The detector at work, messages on their way to where they are wanted.
 
         Raises:
-            _Ended: It does not begin.
+            _Ended: It does not begin, or the goal is to end.
         """
         of_type, subscription = plugin.parameters, None
         self._measuring = measuring
         if measuring.detects:
-            fault = self._switched(plugin, on=True)
-            if fault:
-                raise _Ended(failed(DockRobot.Result.FAILED_TO_DETECT_DOCK, fault))
+            self._switch_on(goal, plugin)
             if of_type.subscribe_toggle:
                 subscription = self.create_subscription(PoseStamped, _DETECTIONS, self._take_detection, 10)
         try:
@@ -746,9 +780,8 @@ class DockingServer(Server[DockingSettings]):
             self._measuring = None
             if subscription is not None:
                 self.destroy_subscription(subscription)
-            fault = self._switched(plugin, on=False) if measuring.detects else ""
-            if fault:
-                self.get_logger().error(fault)
+            if measuring.detects:
+                self._switch_off(plugin)
 
     def _seen_at_rest(self, goal: Goal, plugin: DockPlugin, settings: ExecutorSettings) -> Pose2:
         """Where the docked robot would stand, by what is seen before a robot turns its back to the dock.
@@ -759,7 +792,7 @@ class DockingServer(Server[DockingSettings]):
         own = self.settings.own
         measuring = Measuring(self._rules(plugin), self._frames, plugin.detection, lambda _: None)
         seen: list[Pose2] = []
-        with self._detecting(plugin, measuring):
+        with self._detecting(goal, plugin, measuring):
             until = time.monotonic() + settings.initial_perception_timeout
             enough = max(settings.least_detections, _LOOKS)
             while len(seen) < enough and time.monotonic() < until:
