@@ -413,7 +413,7 @@ class DockingServer(Server[DockingSettings]):
         found = self._frames.lookup(own.fixed_frame, own.base_frame)
         age = self._now() - found.stamp
         if age > max(_FRESH, self.settings.controller.transform_tolerance):
-            raise TransformError(f"{own.fixed_frame} <- {own.base_frame}: the last one is {age:.2f} s old")
+            raise ros.TransformError(f"{own.fixed_frame} <- {own.base_frame}: the last one is {age:.2f} s old")
         return found.planar()
 
     def _waited(self, goal: Goal, ask: Callable[[], T]) -> T:
