@@ -32,7 +32,6 @@ from optdock.errors import DockNotValid, InvalidMessage, InvalidValue, OptdockEr
 from optdock.executor import DockingExecutor, EndingKind, PlanningProcess, State, ThreadPlanning
 from optdock.geometry.pose import Pose2, Twist2
 from optdock.problem import DockingProblem
-from optdock.ros.transforms import TransformError
 from optdock_ros.control_loop import ControlLoop, Run, may_be_preferred
 from optdock_ros.dock_plugins import Told
 from optdock_ros.docking_goals import UNKNOWN, Goal, GoalQueue, Outcome, done, failed
