@@ -81,7 +81,7 @@ ros-env: $(ROS_STAMP)
 
 test-ros: ros-env
 	$(ROS_BIN)/mypy --config-file ros/mypy.ini
-	$(ROS_BIN)/python -m pytest -q -n 2 --dist loadfile -c ros/tests/pytest.ini ros/tests
+	$(ROS_BIN)/python -m pytest -q -n 3 --dist loadfile -c ros/tests/pytest.ini ros/tests
 
 bench-ros: ros-env
 	for bench in $(BENCHES); do $(ROS_BIN)/python ros/tests/bench_$$bench.py $(ARGS) || exit 1; done

@@ -44,13 +44,18 @@ class PluginParameters(BaseModel):
 P = TypeVar("P", bound=PluginParameters)
 
 
-def closest(name: str, known: Iterable[str]) -> str:
+def closest(name: str, known: Iterable[str], likeness: float = 0.6) -> str:
     """`; did you mean ...?` for a misspelt name, or the empty string.
+
+    Args:
+        name: What was written.
+        known: What could have been meant.
+        likeness: The least ratio of `difflib` that counts, 1 for the same name.
 
     >>> closest("toleranse", ["tolerance", "step"])
     '; did you mean tolerance?'
     """
-    found = difflib.get_close_matches(name, list(known), n=1)
+    found = difflib.get_close_matches(name, list(known), n=1, cutoff=likeness)
     return f"; did you mean {found[0]}?" if found else ""
 
 

@@ -14,11 +14,16 @@ from typing import TYPE_CHECKING, Any
 import matplotlib as mpl
 import numpy as np
 import shapely
+from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
 
 import optdock as od
+from optdock.executor import InlinePlanning
 from optdock.geometry.pose import transform_points
 from optdock.plotting.canvas import COLOURS
+from optdock.ros import plan_markers
+from optdock.ros.bag import bag_types
+from optdock.simulation import Actuation, DifferentialDrive, DockSensor, PoseSensor, Sensors, SimulatedRobot
 from optdock.timing.forward_backward import forward_backward_pass
 from optdock.timing.motion import State
 from optdock.timing.path_limits import ReferenceBounds, limits_along
@@ -29,6 +34,7 @@ if TYPE_CHECKING:
 
     from matplotlib.axes import Axes
 
+    from optdock.executor.planning import PlanResult
     from optdock.geometry.arrays import FloatArray
 
 ASSETS = Path(__file__).resolve().parents[1] / "assets"
@@ -179,12 +185,79 @@ def draw_no_way(axes: Axes, plan: od.DockPlan) -> None:  # noqa: ARG001 - there 
     axes.legend(**{**_LEGEND, "ncols": 2})
 
 
+class _Watched(InlinePlanning):
+    """Remembers the plans."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.plans: list[od.DockPlan] = []
+
+    def poll(self, stamp: float) -> PlanResult | None:
+        """The result, once it is there."""
+        result = super().poll(stamp)
+        if result is not None and result.motion is not None and result.motion.plan is not None:
+            self.plans.append(result.motion.plan)
+        return result
+
+
+def draw_markers(axes: Axes, plan: od.DockPlan) -> None:  # noqa: ARG001 - has a problem of its own
+    """A docking in the world of `simulated_robot`: where the dock is stored, is and is seen, and the plan's markers."""
+    given = od.load_scenario(ASSETS.parents[1] / "ros" / "optdock_ros" / "optdock_ros" / "simulated_bay.yaml").problem
+    dock, planning = given.goal @ od.Pose2(0.03, -0.04, 0.05), _Watched()
+    settings = od.ExecutorSettings(navigate_to_staging_pose=False)
+    sensors = Sensors(
+        PoseSensor(settings.position_sigma, settings.yaw_sigma), dock=DockSensor(position_sigma=0.003, yaw_sigma=0.005)
+    )
+    drive = DifferentialDrive(given.robot, Actuation(linear_lag=0.1, angular_lag=0.1, latency=0.06))
+    world = SimulatedRobot(drive, given.start, dock, sensors)
+    executor = od.DockingExecutor(given, settings, planning=planning)
+    step, track, seen = executor.step(world.measurements), [], []
+    while step.ending is None:
+        told = world.advance(step.command, 0.02)
+        track.append(world.state.pose.as_array())
+        seen += [(world.state.pose @ one.pose).as_array() for one in told.detections]
+        step = executor.step(told)
+    if not step.ending.kind.succeeded:
+        raise ValueError(str(step.ending))
+    for shape in given.obstacles.vertices:
+        axes.fill(*shape.T, color="#888888", linewidth=0)
+    station = given.dock.footprint
+    assert station is not None
+    for pose, style, label in ((given.goal, ":", "station, as stored"), (dock, "-", "station, as it is")):
+        outline = transform_points(pose.as_array()[None], station.vertices)[0]
+        axes.plot(*np.vstack((outline, outline[:1])).T, style, color="#888888", linewidth=1.2, label=label)
+    axes.plot(*np.array(seen)[:, :2].T, ".", color=COLOURS["goal"], markersize=3, label="detected: docked pose")
+    axes.plot(*np.array(track)[:, :2].T, color=COLOURS["raw"], linewidth=5.0, alpha=0.6, label="driven")
+    for marker in plan_markers(bag_types, planning.plans[0], given.frame, 0.0).markers:
+        _draw_marker(axes, marker)
+    axes.set(aspect="equal", xlabel="x [m]", ylabel="y [m]", xlim=(1.4, 3.6), ylim=(0.3, 1.75))
+    axes.legend(**_LEGEND)
+
+
+def _draw_marker(axes: Axes, marker: Any) -> None:
+    """Lines and text as RViz draws them."""
+    ends = np.array([(point.x, point.y) for point in marker.points]).reshape(-1, 2, 2)
+    inks = [(ink.r, ink.g, ink.b, ink.a) for ink in marker.colors[::2]] or [
+        (marker.color.r, marker.color.g, marker.color.b, marker.color.a)
+    ]
+    if len(ends):
+        said = "" if marker.ns in axes.get_legend_handles_labels()[1] else marker.ns
+        width = 80.0 * marker.scale.x  # [pt] of the picture's scale
+        axes.add_collection(LineCollection(list(ends), colors=inks, linewidths=width, zorder=3, label=said))
+    if marker.text:
+        place = marker.pose.position
+        axes.annotate(marker.text, (place.x, place.y), (-6.0, -46.0), color=inks[0], ha="right", **_BESIDE)
+
+
+_BESIDE: dict[str, Any] = {"textcoords": "offset points", "arrowprops": {"arrowstyle": "-", "color": "#888888"}}
+
 FIGURES: dict[str, tuple[Callable[[Axes, od.DockPlan], None], float]] = {
     "taper": (draw_taper, 2.5),
     "swept": (draw_swept, 3.4),
     "speed": (draw_speed, 2.8),
     "behind": (draw_behind, 3.6),
     "no-way": (draw_no_way, 4.2),
+    "markers": (draw_markers, 4.9),
 }
 """What is drawn, and how high it is [inch]."""
 

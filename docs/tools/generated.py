@@ -6,7 +6,9 @@ A line `<!-- made: NAME ARGUMENT -->` in a page is replaced by what `NAME` makes
 from __future__ import annotations
 
 import ast
+import contextlib
 import dataclasses
+import functools
 import html
 import importlib
 import inspect
@@ -135,6 +137,74 @@ def _settings(dotted: str) -> str:
     return _table(_reference(getattr(importlib.import_module(module), name)))
 
 
+# The ROS 2 package: its modules cannot be imported without rclpy, but the models of its parameters can be read.
+
+_ROS = ROOT / "ros" / "optdock_ros" / "optdock_ros"
+
+
+@functools.cache
+def ros_models(module: str) -> dict[str, Any]:
+    """The parameter models of a module of the ROS 2 package by name, made of their source, and the names they use.
+
+    Of a module only literals, classes of parameters and the imports that succeed are executed; a model's methods, which
+    check and convert, are left out.
+    """
+    known: dict[str, Any] = {"__name__": f"optdock_ros.{module}"}
+    for node in ast.parse((_ROS / f"{module}.py").read_text(encoding="utf-8")).body:
+        if isinstance(node, ast.ImportFrom) and (node.module or "").startswith("optdock_ros."):
+            known |= ros_models(str(node.module).partition(".")[2])
+        elif isinstance(node, ast.Import | ast.ImportFrom) and getattr(node, "module", "") != "__future__":
+            with contextlib.suppress(ImportError):
+                _execute(node, known)
+        elif isinstance(node, ast.ClassDef) and any(_is_model(known.get(ast.unparse(base))) for base in node.bases):
+            node.body = [part for part in node.body if not isinstance(part, ast.FunctionDef)]
+            _execute(node, known)
+        elif isinstance(node, ast.Assign | ast.AnnAssign) and node.value is not None:
+            with contextlib.suppress(ValueError):
+                ast.literal_eval(node.value)
+                _execute(node, known)
+    return known
+
+
+def _is_model(value: object) -> bool:
+    from pydantic import BaseModel
+
+    return inspect.isclass(value) and issubclass(value, BaseModel)
+
+
+def _execute(node: ast.stmt, known: dict[str, Any]) -> None:
+    exec(compile(ast.Module([node], []), known["__name__"], "exec", dont_inherit=True), known)  # our own source
+
+
+def _ros(dotted: str) -> str:
+    """The parameters of a model of the ROS 2 package."""
+    from optdock.config.reference import _reference
+
+    module, _, name = dotted.partition(".")
+    return _table(_reference(ros_models(module)[name]))
+
+
+def _ros_defaults(names: str) -> str:
+    """Mappings of names to defaults, in words."""
+    found = [(ros_models(module)[name]) for module, _, name in (dotted.partition(".") for dotted in names.split())]
+    return "; ".join(", ".join(f"`{key}: {value:g}`" for key, value in one.items()) for one in found) + "."
+
+
+def _ros_table(dotted: str) -> str:
+    """A mapping of names to default and description."""
+    module, _, name = dotted.partition(".")
+    rows = [_told(key, default, says) for key, (default, says) in ros_models(module)[name].items()]
+    return "| parameter | what it is | unit | default |\n|---|---|---|---|\n" + "\n".join(rows)
+
+
+def _told(key: str, default: object, says: str) -> str:
+    from optdock.config.reference import _UNIT
+
+    unit = _UNIT.search(says)
+    words = (says[: unit.start()] + says[unit.end() :]).strip(" ;") if unit else says
+    return f"| `{key}` | {words} | {unit[1] if unit else ''} | `{json.dumps(default)}` |"
+
+
 # The library: signatures and docstrings.
 
 _SECTION = re.compile(r"^(Args|Attributes|Returns|Raises|Yields):$", re.MULTILINE)
@@ -153,7 +223,7 @@ def _described(dotted: str) -> str:
     module, _, name = dotted.rpartition(".")
     home = importlib.import_module(module) if module else optdock if hasattr(optdock, dotted) else interfaces
     value = getattr(home, name)
-    where = Path(inspect.getfile(value)).relative_to(ROOT).as_posix()
+    where = Path(inspect.getfile(inspect.unwrap(value))).relative_to(ROOT).as_posix()
     where = f"`{where}`: `{value.__name__}`"
     imported = "" if home is optdock else f"`from {home.__name__} import {name}`\n\n"
     head = f"### {name}\n\n{imported}{_signature(name, value)}\n\n{_docstring(value)}\n\n<small>{where}</small>"
@@ -295,6 +365,9 @@ _MAKERS: dict[str, Callable[[str], str]] = {
     "commands": _commands,
     "map": _map,
     "plugins": _plugins,
+    "ros": _ros,
+    "ros_defaults": _ros_defaults,
+    "ros_table": _ros_table,
     "scenario": _scenario,
     "settings": _settings,
 }

@@ -19,11 +19,22 @@ if TYPE_CHECKING:
     from mkdocs.structure.files import Files
     from mkdocs.structure.pages import Page
 
-__all__ = ["PACKAGES", "ROOT", "SHOWN", "defined_in", "link_to_map", "link_to_source", "on_files", "on_page_content"]
+__all__ = [
+    "MAPPED",
+    "PACKAGES",
+    "ROOT",
+    "SHOWN",
+    "defined_in",
+    "link_to_map",
+    "link_to_source",
+    "on_files",
+    "on_page_content",
+]
 
 ROOT = Path(__file__).resolve().parents[2]
 PACKAGES = ("optdock", "smoothers", "checkers")
-SHOWN = (*PACKAGES, "examples", "experiments")
+MAPPED = (*PACKAGES, "ros/optdock_ros/optdock_ros")
+SHOWN = (*PACKAGES, "examples", "experiments", "ros")
 _NAMED = re.compile(
     r'(?<!">)<code>(?P<path>(?:' + "|".join(SHOWN) + r")/[\w/]+\.py)</code>"
     r"(?P<names>(?:: <code>[\w.]+</code>(?:, <code>[\w.]+</code>)*)?)"
@@ -66,7 +77,7 @@ def _relative(target: str, page: str) -> str:
 
 
 def _is_in_map(path: str) -> bool:
-    return path.startswith(tuple(f"{package}/" for package in PACKAGES))
+    return path.startswith(tuple(f"{package}/" for package in MAPPED))
 
 
 def link_to_map(path: str, page: str) -> str:

@@ -382,7 +382,8 @@ class Procedure:
             if driven >= self._settings.back_out_distance or self._now - begun > limit:
                 break
             twist = Twist2(direction * _BACK_OUT_SPEED)
-            if free_motion(footprint, near, robot, twist, _BACK_OUT_LOOK).free < _BACK_OUT_LOOK:
+            deepest = self._reach_of_contact  # by estimates and bumpers that yield, or pressed in by late commands
+            if free_motion(footprint, near, robot, twist, _BACK_OUT_LOOK, overlap=deepest).free < _BACK_OUT_LOOK:
                 self._report("backing out is blocked", f"after {driven:.3f} m")
                 break
             yield from self._cycle(twist)

@@ -207,6 +207,21 @@ def transform_points(poses: FloatArray, points: FloatArray) -> FloatArray:
     return np.stack((x, y), axis=-1)
 
 
+def transform_poses(frame: Pose2, poses: FloatArray) -> FloatArray:
+    """Poses that are told in a frame, as they are seen from where the frame is seen.
+
+    Args:
+        frame: Pose of the frame.
+        poses: Shape (n, 3).
+
+    Returns:
+        Shape (n, 3); yaws are turned by one angle, not normalized, so that continuous ones stay so.
+    """
+    places = transform_points(frame.as_array()[None], poses[:, :2])[0]
+    seen: FloatArray = np.column_stack((places, frame.yaw + poses[:, 2]))
+    return seen
+
+
 def pose_errors(poses: FloatArray, references: FloatArray) -> FloatArray:
     """Poses seen from their references, yaw in (-pi, pi]. Shape (n, 3) each."""
     delta = poses - references

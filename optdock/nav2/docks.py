@@ -6,6 +6,7 @@ are reported at once.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
@@ -24,9 +25,17 @@ if TYPE_CHECKING:
 
     from optdock.io.yaml_lines import Document, Keys
 
-__all__ = ["DockEntry", "DockType", "load_dock_database", "read_dock", "read_dock_type"]
+__all__ = ["DockEntry", "DockType", "docked_pose", "load_dock_database", "read_dock", "read_dock_type"]
 
 _DIRECTIONS = (DockDirection.FORWARD.value, DockDirection.BACKWARD.value)
+
+
+def docked_pose(dock: Pose2, direction: DockDirection) -> Pose2:
+    """Where the robot stands when docked: the x axis of Nav2's docks points into them, also for a robot that backs in.
+
+    Half a turn is its own inverse, so this also gives the dock's pose of a robot that stands docked.
+    """
+    return dock @ Pose2(0.0, 0.0, math.pi) if direction is DockDirection.BACKWARD else dock
 
 
 @dataclass(frozen=True)
@@ -46,6 +55,10 @@ class DockType:
     staging_x_offset: float = -0.7
     staging_yaw_offset: float = 0.0
     docking_threshold: float = 0.05
+
+    def docked_pose(self, dock: Pose2) -> Pose2:
+        """Where the robot stands when docked; see the function of this name."""
+        return docked_pose(dock, self.dock_direction)
 
     def staging_pose(self, dock: Pose2) -> Pose2:
         """Where Nav2 would begin the approach to `dock`."""
@@ -83,7 +96,8 @@ class DockEntry:
     Args:
         name: Its name.
         type: Name of the dock plugin instance that knows how to dock there.
-        pose: Where the robot stands when docked, in `frame`.
+        pose: Of the dock, in `frame`: where a robot stands that has driven in forwards; one that has backed in stands
+            the other way round.
         frame: Name of the coordinate frame.
         id: What detectors call it, or None.
         unknown: Keys that Nav2 does not read.

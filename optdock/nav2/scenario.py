@@ -91,7 +91,10 @@ def nav2_scenario(
     dock_type, pose = _type_of(dock, params), _start(start)
     zone = _approach(params, dock_type)
     station = Dock(
-        dock.pose, direction=dock_type.dock_direction, approach_speed=zone.speed, approach_distance=zone.distance
+        dock_type.docked_pose(dock.pose),
+        direction=dock_type.dock_direction,
+        approach_speed=zone.speed,
+        approach_distance=zone.distance,
     )
     built = file_costmap(params, costmap_params, load_map(map_source), pose, station)
     problem = DockingProblem(

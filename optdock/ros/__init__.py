@@ -32,6 +32,7 @@ from optdock.ros.motion import (
     twist,
     twist_message,
 )
+from optdock.ros.transforms import Transform, TransformError, TransformTree
 
 __all__ = [
     "MOST_TILTED",
@@ -44,6 +45,9 @@ __all__ = [
     "StampedPose",
     "StampedPoses",
     "StampedTwist",
+    "Transform",
+    "TransformError",
+    "TransformTree",
     "costmap",
     "costmap_message",
     "delete_markers",

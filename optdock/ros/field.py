@@ -2,20 +2,21 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from optdock.errors import InvalidFile, InvalidMessage, InvalidValue
+from optdock.errors import InvalidFile, InvalidValue
 from optdock.geometry.arrays import FloatArray, readonly
 from optdock.geometry.footprint import Footprint
-from optdock.geometry.pose import Pose2, unwrap_yaw
+from optdock.geometry.pose import Pose2, transform_poses, unwrap_yaw
 from optdock.ros.grids import costmap, patched
 from optdock.ros.messages import seconds
 from optdock.ros.motion import footprint, odometry, path_poses
-from optdock.ros.transforms import RecordedTransforms
+from optdock.ros.transforms import TransformError, TransformTree
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
@@ -23,6 +24,7 @@ if TYPE_CHECKING:
     from optdock.costmap.costmap import Costmap
     from optdock.costmap.costs import OccupancyRule
     from optdock.ros.bag import Recording
+    from optdock.ros.messages import Message
 
 __all__ = ["Drive", "FieldDocking", "FieldOptions", "FieldTopics", "field_docking", "kept_poses"]
 
@@ -37,8 +39,11 @@ _TRANSFORMS = ("tf2_msgs/msg/TFMessage",)
 # between them is straight to a millimetre.
 _APART, _TURNED = 0.05, 0.1  # [m], [rad]
 _REVERSED = 0.01  # [m] that a robot comes back before that is a gear of its own
-_OUTLINES = 200  # footprint messages that are compared
+_OUTLINES = 200  # footprint messages that are compared, and up to twice as many
+_AT_ONCE = 100  # updates of a costmap that cost one copy of it
 _AROUND = 1.0  # [s] of transforms beside the stretch, for times between them
+# [s] by which a transform may be asked for beyond what is known of it: localization sends one in ten control cycles.
+_REACH = 0.2
 _BASE = "base_link"  # Nav2's default
 
 
@@ -139,7 +144,7 @@ class _Reader:
         self._bag, self._topics, self._options, self._base = bag, topics, options, options.base_frame
         self._stretch = bag.begin + options.since, bag.begin + options.until
         self._rows: list[tuple[str, str]] = []
-        self._transforms = RecordedTransforms()
+        self._transforms = TransformTree(reach=_REACH)
         self._times: list[tuple[float, float]] = []  # of the odometry: received, stamp
         self._out_of_reach = ""
 
@@ -177,7 +182,7 @@ class _Reader:
         """Whatever is wrong with a message is said with file and topic."""
         try:
             yield
-        except InvalidValue as error:
+        except (InvalidValue, TransformError) as error:
             raise InvalidFile(f"{self._bag.source}: {topic}: {error}") from error
 
     def _nothing(self, topic: str, what: str = "no message") -> InvalidFile:
@@ -195,8 +200,8 @@ class _Reader:
         for topic, since, always in ((self._topics.tf_static, 0.0, True), (self._topics.tf, begin - _AROUND, False)):
             if self._bag.find((topic,), _TRANSFORMS):
                 for _, message in self._bag.messages(topic, since, end + _AROUND):
-                    with self._said_of(topic):
-                        self._transforms.add(message, always=always)
+                    for one in message.transforms:
+                        self._transforms.insert(one, is_static=always)
 
     def _note_odometry(self, topic: str) -> None:
         """Its times; and its poses where no transform says the same."""
@@ -206,9 +211,11 @@ class _Reader:
                 found = odometry(message)
             child = found.child_frame.lstrip("/") or self._base or _BASE
             if is_needed is None:
-                is_needed, self._base = not self._transforms.knows(child), self._base or child
+                is_needed, self._base = child not in self._transforms.frames, self._base or child
             if is_needed:
-                self._transforms.add_pose(found.frame.lstrip("/"), child, found.stamp, message.pose.pose)
+                at, turn = message.pose.pose.position, message.pose.pose.orientation
+                place, turned = (at.x, at.y, at.z), (turn.x, turn.y, turn.z, turn.w)
+                self._transforms.put(found.frame, child, found.stamp, place, turned)
             self._times.append((received - self._bag.begin, found.stamp))
         if topic and not self._times:
             raise self._nothing(topic)
@@ -224,9 +231,10 @@ class _Reader:
             known = costmap(message, self._options.rule)
         updates, count = f"{topic}_updates", 0
         if self._bag.find((updates,), _UPDATE):
-            for _, update in self._bag.messages(updates, received, self._stretch[1]):
+            parts = (update for _, update in self._bag.messages(updates, received, self._stretch[1]))
+            while some := tuple(itertools.islice(parts, _AT_ONCE)):
                 with self._said_of(updates):
-                    known, count = patched(known, update, self._options.rule), count + 1
+                    known, count = patched(known, *some, rule=self._options.rule), count + len(some)
         grid, frame = known.costmap, known.frame.lstrip("/")
         more = f" and {count} updates" if count else ""
         cells = f"{grid.columns} x {grid.rows} cells of {grid.resolution:g} m in {frame!r}"
@@ -246,7 +254,7 @@ class _Reader:
             stamp = found.stamp or (self._times[-1][1] if self._times else 0.0)
             moved = self._in_frame(frame, found.frame.lstrip("/"), stamp)
         self._rows.append(("path", f"{topic}: {len(found.poses)} poses, received at {self._ago(last[0])}"))
-        return readonly(np.array([(moved @ Pose2(*pose)).as_array() for pose in found.poses.tolist()]))
+        return readonly(transform_poses(moved, found.poses))
 
     def _drive(self, topic: str, frame: str) -> Drive:
         """Where the robot was at the times of the odometry, as far as transforms reach."""
@@ -265,17 +273,30 @@ class _Reader:
         return Drive(readonly(np.array(table[:, 0])), poses, kept_poses(poses))
 
     def _in_frame(self, target: str, source: str, stamp: float) -> Pose2:
-        return Pose2(0.0, 0.0, 0.0) if target == source else self._transforms.lookup(target, source, stamp)
+        if target == source:
+            return Pose2(0.0, 0.0, 0.0)
+        return self._transforms.lookup(target, source, stamp).planar()
 
     def _placed(self, target: str, source: str, stamp: float) -> Pose2 | None:
         """As `_in_frame`; None where transforms do not reach, and why is kept."""
         try:
-            return self._in_frame(target, source, stamp)
-        except InvalidMessage as error:
-            raise InvalidFile(f"{self._bag.source}: {self._topics.tf}: {error}") from error
-        except InvalidValue as error:
+            found = self._transforms.lookup(target, source, stamp)
+        except TransformError as error:
             self._out_of_reach = f"{self._bag.source}: {self._topics.tf}: {error}"
             return None
+        with self._said_of(self._topics.tf):
+            return found.planar()
+
+    def _some(self, topic: str) -> list[Message]:
+        """Messages of a topic, evenly spread over the stretch: `_OUTLINES` to twice as many, or all of fewer."""
+        found: list[Message] = []
+        every = 1
+        for number, (_, message) in enumerate(self._bag.messages(topic, *self._stretch)):
+            if number % every == 0:
+                found.append(message)
+            if len(found) == 2 * _OUTLINES:
+                found, every = found[::2], 2 * every
+        return found
 
     def _footprint(self) -> Footprint:
         """The outline in the robot's frame: the median of many, as each is only where the robot was to a tick."""
@@ -285,11 +306,11 @@ class _Reader:
                 self._none_of(self._topics.footprint, _POLYGON, "--footprint-topic")
                 + "; or give the outline by --footprint or --radius"
             )
-        messages = [message for _, message in self._bag.messages(topic, *self._stretch)]
+        messages = self._some(topic)
         if not messages:
             raise self._nothing(topic)
         outlines = []
-        for message in messages[:: max(1, len(messages) // _OUTLINES)]:
+        for message in messages:
             with self._said_of(topic):
                 stamp = seconds(message.header.stamp)
             stood = self._placed(message.header.frame_id.lstrip("/"), self._base, stamp)

@@ -66,28 +66,28 @@ def judged_poses(
     """
     judged, drive = list[JudgedPoses](), found.drive
     known, rows = _without_contact(found, contact)
-    for name, poses, of_path in (
-        ("path", found.path, found.path),
-        ("drive", None if drive is None else drive.poses, None if drive is None else drive.poses[list(drive.kept)]),
-    ):
-        if poses is None or of_path is None:
+    for name, poses in (("path", found.path), ("drive", None if drive is None else drive.poses)):
+        if poses is None:
             rows.append((f"{name} to judge", "none"))
             continue
-        try:
-            path = DockPath.from_poses(of_path, found.frame)
-        except InvalidPath as error:
-            rows.append((f"{name} to judge", f"none: {error}"))
-            continue
         problem = DockingProblem(
-            path.start,
-            Dock(path.end),
+            Pose2(*poses[0].tolist()),
+            Dock(Pose2(*poses[-1].tolist())),
             Robot(found.footprint, MotionLimits()),
             clearance=rule,
             costmap=known,
             frame=found.frame,
         )
-        times = drive.times if drive is not None and name == "drive" else None
-        closest = _closest(poses, problem, times)
+        distance, worst, closest = _closest(poses, problem)
+        if drive is not None and name == "drive":
+            closest += f" at {drive.times[worst]:.3f} s"
+            # A swing that is too short to be kept, and touches something, is what there is to be judged.
+            poses = poses[sorted({*drive.kept, worst} if distance < rule.required else drive.kept)]  # noqa: PLW2901
+        try:
+            path = DockPath.from_poses(poses, found.frame)
+        except InvalidPath as error:
+            rows.append((f"{name} to judge", f"none: {error}"))
+            continue
         judged.append(JudgedPoses(name, path, problem, closest))
         rows.append((f"{name} closest", closest))
     return tuple(judged), tuple(rows)
@@ -113,21 +113,18 @@ def _without_contact(found: FieldDocking, contact: float | None) -> tuple[Costma
     return grid.with_data(data), [("path's end", said)]
 
 
-def _closest(poses: FloatArray, problem: DockingProblem, times: FloatArray | None) -> str:
-    """The pose of the least clearance, whatever lies between poses."""
+def _closest(poses: FloatArray, problem: DockingProblem) -> tuple[float, int, str]:
+    """The least clearance of poses [m], the row of its pose, and both in words; what lies between is not seen."""
     if not len(problem.all_obstacles):
-        return "nothing is in the way"
+        return math.inf, 0, "nothing is in the way"
     footprint, obstacles = problem.robot.footprint, problem.all_obstacles
     blocks = np.array_split(poses, -(-len(poses) // _BLOCK))
     found = [pose_clearances(block, footprint, obstacles) for block in blocks]
     distances, rows = (np.concatenate(columns) for columns in zip(*found, strict=True))
     worst = int(np.argmin(distances))
-    what = in_words(obstacles.name_of(int(rows[worst])))
-    when = "" if times is None else f" at {times[worst]:.3f} s"
-    away = (
-        f"{distances[worst]:.4f} m from {what}" if distances[worst] >= 0.0 else f"{-distances[worst]:.4f} m into {what}"
-    )
-    return f"{away}, pose {worst} of {len(poses)}, {Pose2(*poses[worst].tolist()).brief}{when}"
+    least, what = float(distances[worst]), in_words(obstacles.name_of(int(rows[worst])))
+    away = f"{least:.4f} m from {what}" if least >= 0.0 else f"{-least:.4f} m into {what}"
+    return least, worst, f"{away}, pose {worst} of {len(poses)}, {Pose2(*poses[worst].tolist()).brief}"
 
 
 def save_field_docking(

@@ -62,32 +62,34 @@ def costmap(message: Message, rule: OccupancyRule | None = None) -> StampedCostm
     return StampedCostmap(frame, time, Costmap(costs, resolution, (corner.x, corner.y)))
 
 
-def patched(known: StampedCostmap, update: Message, rule: OccupancyRule | None = None) -> StampedCostmap:
-    """A costmap with one of its parts new: `nav2_msgs/CostmapUpdate` or `map_msgs/OccupancyGridUpdate`.
+def patched(known: StampedCostmap, *updates: Message, rule: OccupancyRule | None = None) -> StampedCostmap:
+    """A costmap with parts of it new: `nav2_msgs/CostmapUpdate` or `map_msgs/OccupancyGridUpdate`.
 
     Args:
         known: Of the last whole message.
-        update: What has changed; its stamp becomes that of the whole.
+        *updates: What has changed, in order; the stamp of the last becomes that of the whole. Many cost one copy.
         rule: As for `costmap`.
 
     Raises:
-        InvalidMessage: It is in another frame, reaches beyond the costmap, has another number of cells than it says,
+        InvalidMessage: One is in another frame, reaches beyond the costmap, has another number of cells than it says,
             or an occupancy is outside -1..100.
     """
-    frame, time = stamped_frame(update)
-    if frame != known.frame:
-        refuse(update, "header.frame_id", f"must be the costmap's, {known.frame!r}", repr(frame))
-    is_costmap = hasattr(update, "size_x")
-    wide, high = ("size_x", "size_y") if is_costmap else ("width", "height")
-    columns, rows = int(getattr(update, wide)), int(getattr(update, high))
-    x, y, grid = int(update.x), int(update.y), known.costmap
-    if not (0 <= x <= x + columns <= grid.columns and 0 <= y <= y + rows <= grid.rows):
-        told = f"{columns} x {rows} from ({x}, {y})"
-        refuse(update, wide, f"must lie within the {grid.columns} x {grid.rows} cells of the costmap", told)
-    costs = _costs_of(update, columns, rows, None if is_costmap else rule or OccupancyRule())
-    data = grid.data.copy()
-    data[y : y + rows, x : x + columns] = costs
-    return StampedCostmap(frame, time, Costmap(data, grid.resolution, grid.origin))
+    frame, stamp, grid = known
+    data = grid.data.copy() if updates else grid.data
+    for update in updates:
+        frame, stamp = stamped_frame(update)
+        if frame != known.frame:
+            refuse(update, "header.frame_id", f"must be the costmap's, {known.frame!r}", repr(frame))
+        is_costmap = hasattr(update, "size_x")
+        wide, high = ("size_x", "size_y") if is_costmap else ("width", "height")
+        columns, rows = int(getattr(update, wide)), int(getattr(update, high))
+        x, y = int(update.x), int(update.y)
+        if not (0 <= x <= x + columns <= grid.columns and 0 <= y <= y + rows <= grid.rows):
+            told = f"{columns} x {rows} from ({x}, {y})"
+            refuse(update, wide, f"must lie within the {grid.columns} x {grid.rows} cells of the costmap", told)
+        costs = _costs_of(update, columns, rows, None if is_costmap else rule or OccupancyRule())
+        data[y : y + rows, x : x + columns] = costs
+    return StampedCostmap(frame, stamp, grid.with_data(data)) if updates else known
 
 
 def costmap_message(

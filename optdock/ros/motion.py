@@ -23,6 +23,7 @@ if TYPE_CHECKING:
 
 __all__ = [
     "MOST_TILTED",
+    "QUATERNION_NORM",
     "Odometry",
     "StampedFootprint",
     "StampedPose",
@@ -48,7 +49,9 @@ __all__ = [
 # [rad] of roll and pitch together. What localization in three dimensions says of a robot on a floor, ramps included,
 # is less; what is more comes from a frame whose z axis does not point up, and its yaw means nothing here.
 MOST_TILTED = 0.1
-_NORM = 0.01  # of a quaternion's length from 1: what ROS's own transforms accept; a zero quaternion is far outside
+QUATERNION_NORM = (
+    0.01  # of a quaternion's length from 1: what ROS's own transforms accept; a zero quaternion is far outside
+)
 
 _Level = Literal["ok", "warn", "error", "stale"]
 _LEVELS: Mapping[_Level, int] = {"ok": 0, "warn": 1, "error": 2, "stale": 3}
@@ -198,7 +201,7 @@ def plain_pose(message: Message, value: Message, field: str, most_tilted: float 
     x, y, z, w = turn.x, turn.y, turn.z, turn.w
     length = math.sqrt(x * x + y * y + z * z + w * w)
     finite = math.isfinite(at.x) and math.isfinite(at.y) and math.isfinite(at.z)
-    if finite and abs(length - 1.0) <= _NORM and _tilt(x, y, length) <= most_tilted:
+    if finite and abs(length - 1.0) <= QUATERNION_NORM and _tilt(x, y, length) <= most_tilted:
         return Pose2(float(at.x), float(at.y), math.atan2(2.0 * (w * z + x * y), w * w + x * x - y * y - z * z))
     row = np.array([[at.x, at.y, at.z, x, y, z, w]], dtype=np.float64)
     checked_yaws(message, row, field, most_tilted)
@@ -223,12 +226,12 @@ def checked_yaws(message: Message, table: FloatArray, field: str, most_tilted: f
         names = *(f"position.{axis}" for axis in "xyz"), *(f"orientation.{axis}" for axis in "xyzw")
         refuse(message, f"{field.format(row)}.{names[part]}", "must be finite", table[row, part])
     x, y, z, w = table[:, 3:].T
-    length = np.sqrt(x * x + y * y + z * z + w * w)
-    off = np.flatnonzero(~(np.abs(length - 1.0) <= _NORM))
+    length = np.hypot(np.hypot(x, y), np.hypot(z, w))  # which does not overflow
+    off = np.flatnonzero(~(np.abs(length - 1.0) <= QUATERNION_NORM))
     if off.size:
         row = int(off[0])
         told = f"{length[row]:.4g} for {_listed(table[row, 3:])}"
-        refuse(message, f"{field.format(row)}.orientation", f"must be of length 1 within {_NORM}", told)
+        refuse(message, f"{field.format(row)}.orientation", f"must be of length 1 within {QUATERNION_NORM}", told)
     leans = 2.0 * np.arcsin(np.minimum(np.hypot(x, y) / length, 1.0))
     off = np.flatnonzero(leans > most_tilted)
     if off.size:

@@ -1,132 +1,352 @@
-"""Recorded transforms: where one frame was in another at any moment of a recording."""
+"""Where frames stand to each other, as messages tell it: live, or out of a recording.
+
+A transform `target <- source` is the pose of the source frame seen from the target frame. Transforms are full 3-D,
+interpolated between two messages, and never carried on beyond what is known by more than was asked for.
+"""
 
 from __future__ import annotations
 
-import bisect
 import math
-from typing import TYPE_CHECKING
+from array import array
+from bisect import bisect_left
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, NamedTuple, TypeAlias
 
-from optdock.errors import InvalidValue
-from optdock.geometry.pose import Pose2, normalize_angle
-from optdock.ros.messages import refuse, seconds
-from optdock.ros.motion import plain_pose
+from optdock.errors import InvalidMessage, OptdockError
+from optdock.geometry.pose import Pose2
+from optdock.ros.messages import seconds
+from optdock.ros.motion import MOST_TILTED, QUATERNION_NORM
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping
+
     from optdock.ros.messages import Message
 
-__all__ = ["RecordedTransforms"]
+__all__ = ["Transform", "TransformError", "TransformTree"]
 
-# [s] by which a transform may be asked for beyond what is known of it: localization sends one in ten control cycles.
-_LATE = 0.2
-_DEEPEST = 50  # frames above one another; more are a loop
+_Vector: TypeAlias = tuple[float, float, float]
+_Quaternion: TypeAlias = tuple[float, float, float, float]
 
-
-class _Edge:
-    """A frame in its parent: poses over time, or one that always holds."""
-
-    def __init__(self, parent: str, *, always: bool) -> None:
-        self.parent, self.always = parent, always
-        self.times: list[float] = []
-        self.values: list[Message] = []
+_LONGEST_CHAIN = 100  # frames: more than any robot has; frames in a circle are noticed
+# [s]: stamps are nanoseconds, and seconds since 1970 as a float resolve 2.4e-7 s.
+_SAME_TIME = 1e-6
+_WIDTH = 7  # numbers of a sample: place and turn
 
 
-class _Upright:
-    """The fields of a `geometry_msgs/Transform` under the names of a `geometry_msgs/Pose`."""
-
-    __msgtype__ = "tf2_msgs/msg/TFMessage"  # what messages call it
-
-    def __init__(self, transform: Message) -> None:
-        self.position, self.orientation = transform.translation, transform.rotation
+class TransformError(OptdockError):
+    """A transform cannot be told: a frame is unknown, two are not connected, or what is known is too old or too new."""
 
 
-class RecordedTransforms:
-    """A tree of frames over time, in the plane.
+@dataclass(frozen=True)
+class Transform:
+    """The pose of one frame seen from another.
 
-    Transforms between frames that are never asked for may lean as they like: of the others the rule of poses holds.
+    Args:
+        target: The frame that looks.
+        source: The frame that is seen.
+        stamp: When that holds [s], on the clock of the messages; of frames that never move, when it was asked for, and
+            inf where no time was asked for.
+        translation: Origin of the source frame in the target frame [m].
+        rotation: Unit quaternion x, y, z, w.
     """
 
-    def __init__(self) -> None:
-        self._edges: dict[str, _Edge] = {}
+    target: str
+    source: str
+    stamp: float
+    translation: _Vector
+    rotation: _Quaternion
 
-    def add(self, message: Message, *, always: bool = False) -> None:
-        """Note a `tf2_msgs/TFMessage`; `always` for one of `/tf_static`.
+    def planar(self) -> Pose2:
+        """The pose in the plane.
 
         Raises:
-            InvalidMessage: A stamp is none, or a frame has no name.
+            TransformError: The source frame leans by more than `MOST_TILTED`: a plane says nothing about it.
         """
-        for one in message.transforms:
-            frame, child = one.header.frame_id.lstrip("/"), one.child_frame_id.lstrip("/")
-            if not (frame and child):
-                refuse(message, "transforms", "must name both frames", f"{frame!r}, {child!r}")
-            self._note(frame, child, seconds(one.header.stamp), _Upright(one.transform), always=always)
+        x, y, z, w = self.rotation
+        # The angle between the two z axes.
+        tilt = 2.0 * math.asin(min(math.hypot(x, y), 1.0))
+        if tilt > MOST_TILTED:
+            raise TransformError(
+                f"{self.target} <- {self.source}: leans by {tilt:.3f} rad, more than {MOST_TILTED} rad of roll and "
+                f"pitch; it is no pose in the plane",
+                where={"target": self.target, "source": self.source, "tilt": tilt},
+            )
+        yaw = math.atan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))
+        return Pose2(self.translation[0], self.translation[1], yaw)
 
-    def add_pose(self, frame: str, child: str, time: float, pose: Message) -> None:
-        """Note where a frame was, as a `geometry_msgs/Pose`, such as that of odometry."""
-        self._note(frame, child, time, pose, always=False)
+    def __matmul__(self, other: Transform) -> Transform:
+        moved = _rotated(self.rotation, other.translation)
+        (ax, ay, az), (bx, by, bz) = self.translation, moved
+        rotation = _product(self.rotation, other.rotation)
+        stamp = min(self.stamp, other.stamp)
+        return Transform(self.target, other.source, stamp, (ax + bx, ay + by, az + bz), rotation)
 
-    def knows(self, child: str) -> bool:
-        """Whether anything says where this frame is."""
-        return child in self._edges
+    def inverse(self) -> Transform:
+        """The pose of the target frame seen from the source frame."""
+        x, y, z, w = self.rotation
+        back = (-x, -y, -z, w)
+        tx, ty, tz = _rotated(back, self.translation)
+        return Transform(self.source, self.target, self.stamp, (-tx, -ty, -tz), back)
 
-    def _note(self, frame: str, child: str, time: float, value: Message, *, always: bool) -> None:
-        edge = self._edges.get(child)
-        if edge is None or edge.parent != frame:
-            edge = self._edges[child] = _Edge(frame, always=always)
-        if edge.times and time <= edge.times[-1]:
-            place = bisect.bisect_left(edge.times, time)
-            if edge.times[place] == time:
-                return
-            edge.times.insert(place, time)
-            edge.values.insert(place, value)
+
+class _Sample(NamedTuple):
+    translation: _Vector
+    rotation: _Quaternion
+
+
+class _Track:
+    """What is known of one frame: its parent, and where it stood when.
+
+    Samples are numbers in two arrays, 64 bytes each: recordings have millions. Both only grow, the times last, so that
+    readers in other threads see whole samples; whatever else changes makes a new track.
+    """
+
+    __slots__ = ("is_static", "parent", "times", "values")
+
+    def __init__(self, parent: str, *, is_static: bool, times: array[float], values: array[float]) -> None:
+        self.parent, self.is_static, self.times, self.values = parent, is_static, times, values
+
+    def sample(self, row: int) -> _Sample:
+        x, y, z, qx, qy, qz, qw = self.values[_WIDTH * row : _WIDTH * row + _WIDTH]
+        return _Sample((x, y, z), (qx, qy, qz, qw))
+
+    def append(self, time: float, sample: array[float]) -> None:
+        self.values.extend(sample)
+        self.times.append(time)
+
+    def inserted(self, time: float, sample: array[float], first: int) -> _Track:
+        """A track with one more sample, and without those before `first`; of one time the last told counts."""
+        row = bisect_left(self.times, time)
+        after = row + (row < len(self.times) and self.times[row] == time)
+        times = self.times[first:row] + array("d", [time]) + self.times[after:]
+        values = self.values[_WIDTH * first : _WIDTH * row] + sample + self.values[_WIDTH * after :]
+        return _Track(self.parent, is_static=False, times=times, values=values)
+
+
+class TransformTree:
+    """Frames over time.
+
+    Messages are stored by one thread at a time; lookups from any thread take what is there and never wait. A frame
+    that gets another parent forgets what it was to the one before.
+
+    Args:
+        history: How long transforms are kept [s].
+        reach: A frame is taken to stand still for this long before the first and after the last message about it [s].
+            0: it is not known then.
+    """
+
+    def __init__(self, history: float = math.inf, reach: float = 0.0) -> None:
+        self._history, self._reach = history, reach
+        self._tracks: dict[str, _Track] = {}
+        self.refused: dict[tuple[str, str], str] = {}
+        """Parent and child of transforms that could not be stored, and why the first of each was not."""
+
+    @property
+    def frames(self) -> Mapping[str, str]:
+        """The parent of every frame that is known."""
+        return {name: track.parent for name, track in list(self._tracks.items())}
+
+    def forget(self) -> None:
+        """Forget the frames that move."""
+        self._tracks = {name: track for name, track in list(self._tracks.items()) if track.is_static}
+
+    def insert(self, message: Message, *, is_static: bool = False) -> bool:
+        """Store a geometry_msgs/TransformStamped.
+
+        Args:
+            message: The message.
+            is_static: Whether it holds at all times.
+
+        Returns:
+            Whether it was stored; `refused` says why not.
+        """
+        parent, child = message.header.frame_id.lstrip("/"), message.child_frame_id.lstrip("/")
+        t, q = message.transform.translation, message.transform.rotation
+        try:
+            stamp = seconds(message.header.stamp)
+        except InvalidMessage as error:
+            return self.refuse(parent, child, str(error))
+        return self.put(parent, child, stamp, (t.x, t.y, t.z), (q.x, q.y, q.z, q.w), is_static=is_static)
+
+    def put(
+        self, parent: str, child: str, stamp: float, place: _Vector, turn: _Quaternion, *, is_static: bool = False
+    ) -> bool:
+        """Store where a frame stands in another.
+
+        Args:
+            parent: The frame in which it stands.
+            child: The frame.
+            stamp: When [s].
+            place: Its origin [m].
+            turn: Its rotation, x, y, z, w.
+            is_static: Whether it holds at all times.
+
+        Returns:
+            Whether it was stored; `refused` says why not.
+        """
+        parent, child = parent.lstrip("/"), child.lstrip("/")
+        norm = math.hypot(*turn)
+        fault = ""
+        if not (math.isfinite(norm) and all(map(math.isfinite, place))):
+            fault = f"must be finite, got {place}, {turn}"
+        elif abs(norm - 1.0) > QUATERNION_NORM:
+            fault = f"its quaternion must be of length 1 within {QUATERNION_NORM}, got {norm:.4g}"
+        elif not parent or not child or parent == child:
+            fault = "needs two different frames"
+        elif child in _to_root(self._tracks, parent):
+            fault = f"would close a circle: {child} is above {parent} already"
+        if fault:
+            return self.refuse(parent, child, fault)
+        sample = array("d", (*place, *(part / norm for part in turn)))
+        known = self._tracks.get(child)
+        if known is None or known.parent != parent or is_static or known.is_static:
+            self._tracks[child] = _Track(parent, is_static=is_static, times=array("d", [stamp]), values=sample)
         else:
-            edge.times.append(time)
-            edge.values.append(value)
+            self._add(child, known, stamp, sample)
+        return True
 
-    def lookup(self, target: str, source: str, time: float) -> Pose2:
-        """The pose of frame `source` in frame `target`, between the moments at which it is known.
+    def _add(self, child: str, known: _Track, stamp: float, sample: array[float]) -> None:
+        """Store one more sample of a frame that moves."""
+        first, last = known.times[0], known.times[-1]
+        if stamp > last and stamp - first <= 2.0 * self._history:  # what is too old goes a whole history at a time
+            known.append(stamp, sample)
+        elif stamp >= last - self._history:
+            oldest = bisect_left(known.times, max(stamp, last) - self._history)
+            self._tracks[child] = known.inserted(stamp, sample, oldest)
+
+    def refuse(self, parent: str, child: str, why: str) -> bool:
+        """Note that a transform is not stored, and why; False."""
+        self.refused.setdefault((parent, child), why)
+        return False
+
+    def lookup(self, target: str, source: str, stamp: float | None = None, tolerance: float = 0.0) -> Transform:
+        """The pose of the frame `source` seen from the frame `target`.
+
+        Args:
+            target: The frame that looks.
+            source: The frame that is seen.
+            stamp: When [s]; None: the newest time for which everything between the two is known.
+            tolerance: How much older than `stamp` the newest message may be [s]; the frames are then where they were
+                at that message, and the transform has its stamp. It is never guessed where they went.
 
         Raises:
-            InvalidValue: Nothing joins the frames, or a transform on the way is not known at that time.
-            InvalidMessage: A transform on the way is no turn about the vertical.
+            TransformError: One of them is unknown, they are not connected, or nothing is known for `stamp`.
         """
-        above_source, above_target = self._above(source), self._above(target)
-        common = next((frame for frame in above_source if frame in above_target), None)
+        target, source = target.lstrip("/"), source.lstrip("/")
+        tracks = self._tracks
+        seen, seeing = _to_root(tracks, source), _to_root(tracks, target)
+        common = next((frame for frame in seen if frame in seeing), None)
         if common is None:
-            known = ", ".join(sorted({*self._edges, *(edge.parent for edge in self._edges.values())})) or "none"
-            raise InvalidValue(f"no transform from {source!r} to {target!r}; frames known: {known}")
-        return self._pose_in(common, target, time).inverse() @ self._pose_in(common, source, time)
+            raise self._unconnected(target, source)
+        down, up = seen[: seen.index(common)], seeing[: seeing.index(common)]
+        newest = min(
+            ((tracks[f].times[-1], f) for f in (*down, *up) if not tracks[f].is_static), default=(math.inf, "")
+        )
+        at = newest[0] if stamp is None else stamp
+        if at > newest[0] + self._reach + _SAME_TIME:
+            at = _held(target, source, at, newest, tolerance)
+        from_source, from_target = self._along(tracks, down, source, at), self._along(tracks, up, target, at)
+        found = from_target.inverse() @ from_source
+        return Transform(target, source, at, found.translation, found.rotation)
 
-    def _above(self, frame: str) -> list[str]:
-        """A frame and all those that it stands in."""
-        found = [frame]
-        while found[-1] in self._edges and len(found) < _DEEPEST:
-            found.append(self._edges[found[-1]].parent)
+    def _along(self, tracks: Mapping[str, _Track], chain: list[str], frame: str, at: float) -> Transform:
+        """The pose of `frame` seen from the end of the chain of its parents."""
+        found = Transform(frame, frame, at, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0))
+        for name in chain:
+            place, turn = self._at(name, tracks[name], at)
+            found = Transform(tracks[name].parent, name, at, place, turn) @ found
         return found
 
-    def _pose_in(self, ancestor: str, frame: str, time: float) -> Pose2:
-        pose = Pose2(0.0, 0.0, 0.0)
-        while frame != ancestor:
-            edge = self._edges[frame]
-            pose = self._at(edge, frame, time) @ pose
-            frame = edge.parent
-        return pose
+    def _at(self, name: str, track: _Track, at: float) -> _Sample:
+        """Where a frame stood; later than the last time it is where it was then, whoever asks has seen to that."""
+        times, count = track.times, len(track.times)
+        if track.is_static or at >= times[count - 1]:
+            return track.sample(count - 1)
+        first = bisect_left(times, times[count - 1] - self._history, 0, count)
+        row = bisect_left(times, at, first, count)
+        if times[row] == at:
+            return track.sample(row)
+        if row == first:
+            if times[first] - at <= self._reach + _SAME_TIME:
+                return track.sample(first)
+            raise TransformError(
+                f"{track.parent} <- {name}: asked for {at:.3f} s, but the oldest known is {times[first] - at:.3f} s "
+                f"newer",
+                where={"frame": name, "stamp": at, "before": times[first] - at},
+            )
+        share = (at - times[row - 1]) / (times[row] - times[row - 1])
+        before, after = track.sample(row - 1), track.sample(row)
+        (ax, ay, az), (bx, by, bz) = before.translation, after.translation
+        moved = (ax + share * (bx - ax), ay + share * (by - ay), az + share * (bz - az))
+        return _Sample(moved, _between(before.rotation, after.rotation, share))
 
-    def _at(self, edge: _Edge, frame: str, time: float) -> Pose2:
-        name = f"{edge.parent} -> {frame}"
-        if edge.always:
-            return _planar(edge.values[-1], name)
-        first, last = edge.times[0], edge.times[-1]
-        if not first - _LATE <= time <= last + _LATE:
-            raise InvalidValue(f"{name}: not known at {time:.3f} s, only from {first:.3f} s to {last:.3f} s")
-        after = bisect.bisect_left(edge.times, time)
-        if after in (0, len(edge.times)):
-            return _planar(edge.values[min(after, len(edge.times) - 1)], name)
-        low, high = _planar(edge.values[after - 1], name), _planar(edge.values[after], name)
-        share = (time - edge.times[after - 1]) / (edge.times[after] - edge.times[after - 1])
-        turn = normalize_angle(high.yaw - low.yaw)
-        x, y = low.x + share * (high.x - low.x), low.y + share * (high.y - low.y)
-        return Pose2(x, y, math.remainder(low.yaw + share * turn, 2.0 * math.pi))
+    def said_of(self, newest: float) -> str:
+        """How messages call the stamp of the newest transform of a frame."""
+        return f"until {newest:.3f} s"
+
+    def _unconnected(self, target: str, source: str) -> TransformError:
+        tracks = dict(self._tracks)
+        heard = {*tracks, *(track.parent for track in tracks.values())}
+        unknown = [frame for frame in dict.fromkeys((target, source)) if frame not in heard]
+        what = f"nobody has told of {' or '.join(map(repr, unknown))}" if unknown else "they are not connected"
+        known = [
+            f"{track.parent} <- {name} ({'static' if track.is_static else self.said_of(track.times[-1])})"
+            for name, track in sorted(tracks.items(), key=lambda item: (item[1].parent, item[0]))
+        ]
+        refused = [f"{parent} <- {child} ({why})" for (parent, child), why in list(self.refused.items())]
+        more = f"; refused: {', '.join(refused)}" if refused else ""
+        return TransformError(
+            f"{target} <- {source}: {what}; known: {', '.join(known) or 'nothing'}{more}",
+            where={"target": target, "source": source, "unknown": unknown},
+        )
 
 
-def _planar(value: Message, name: str) -> Pose2:
-    return plain_pose(value, value, name)
+def _held(target: str, source: str, at: float, newest: tuple[float, str], tolerance: float) -> float:
+    """The stamp of the newest message where it is near enough."""
+    stamp, frame = newest
+    if at - stamp <= tolerance:
+        return stamp
+    raise TransformError(
+        f"{target} <- {source}: asked for {at:.3f} s, but the newest of {frame} is {at - stamp:.3f} s older, more "
+        f"than {tolerance:g} s",
+        where={"target": target, "source": source, "frame": frame, "stamp": at, "behind": at - stamp},
+    )
+
+
+def _to_root(tracks: Mapping[str, _Track], frame: str) -> list[str]:
+    """The frame, its parent, the parent's parent..."""
+    chain = [frame]
+    while (track := tracks.get(chain[-1])) is not None and len(chain) < _LONGEST_CHAIN:
+        chain.append(track.parent)
+    return chain
+
+
+def _product(a: _Quaternion, b: _Quaternion) -> _Quaternion:
+    ax, ay, az, aw = a
+    bx, by, bz, bw = b
+    return (
+        aw * bx + ax * bw + ay * bz - az * by,
+        aw * by - ax * bz + ay * bw + az * bx,
+        aw * bz + ax * by - ay * bx + az * bw,
+        aw * bw - ax * bx - ay * by - az * bz,
+    )
+
+
+def _rotated(q: _Quaternion, v: _Vector) -> _Vector:
+    x, y, z, _w = _product(_product(q, (*v, 0.0)), (-q[0], -q[1], -q[2], q[3]))
+    return x, y, z
+
+
+def _between(a: _Quaternion, b: _Quaternion, share: float) -> _Quaternion:
+    """The rotation between two, the short way at constant speed."""
+    dot = sum(p * q for p, q in zip(a, b, strict=True))
+    sign = -1.0 if dot < 0.0 else 1.0
+    angle = math.acos(min(1.0, abs(dot)))
+    if angle < 1e-6:  # [rad]: a straight line is as good and divides by nothing
+        first, second = 1.0 - share, sign * share
+    else:
+        first = math.sin((1.0 - share) * angle) / math.sin(angle)
+        second = sign * math.sin(share * angle) / math.sin(angle)
+    x, y, z, w = (first * p + second * q for p, q in zip(a, b, strict=True))
+    norm = math.hypot(x, y, z, w)
+    return x / norm, y / norm, z / norm, w / norm

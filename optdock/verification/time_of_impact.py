@@ -44,13 +44,19 @@ class Sweep(NamedTuple):
     row: int
 
 
-def free_motion(
-    footprint: Footprint, obstacles: ObstacleSet, pose: Pose2, twist: Twist2, duration: float, clearance: float = 0.0
+def free_motion(  # noqa: PLR0913, PLR0917 - what moves where, among what, and how near it may be
+    footprint: Footprint,
+    obstacles: ObstacleSet,
+    pose: Pose2,
+    twist: Twist2,
+    duration: float,
+    clearance: float = 0.0,
+    overlap: float = _SHALLOW,
 ) -> Sweep:
     """How long the footprint keeps its clearance from every obstacle, everywhere along the continuous motion.
 
-    An obstacle that is closer than `clearance` at the start, or overlaps by up to 1 cm, must not come any closer
-    instead: a robot in its dock may leave. With a deeper overlap nothing is free.
+    An obstacle that is closer than `clearance` at the start, or overlaps by up to `overlap`, must not come any
+    closer instead: a robot in its dock may leave. With a deeper overlap nothing is free.
 
     Args:
         footprint: The robot's outline.
@@ -59,6 +65,7 @@ def free_motion(
         twist: Its body velocity, constant.
         duration: How long to look [s].
         clearance: Distance to keep [m].
+        overlap: How deep it may be in something at the start [m].
     """
     reach = footprint.circumscribed_radius + math.hypot(twist.linear, twist.lateral) * duration + clearance + TOLERANCE
     centre = np.array([pose.x, pose.y])
@@ -67,7 +74,7 @@ def free_motion(
         return Sweep(duration, -1)
     scene = obstacles.subset(near)
     start = _distances(footprint.bodies, scene, pose)
-    if float(start.min()) < -_SHALLOW:
+    if float(start.min()) < -overlap:
         return Sweep(0.0, int(near[int(np.argmin(start))]))
     pieces = _Group(footprint.bodies, scene, np.minimum(clearance, start))
     may_touch = float(start.min()) < _APART

@@ -86,14 +86,14 @@ class Process:
                 file = folder / f"{number:02d}-{Path(name).name}.yaml"
                 file.write_text(yaml.safe_dump({"/**": {"ros__parameters": dict(params)}}))
             command += ["--params-file", str(file)]
-        surroundings = {**os.environ, "PYTHONUNBUFFERED": "1", "RCUTILS_COLORIZED_OUTPUT": "0", **(env or {})}
+        ours = {"PYTHONUNBUFFERED": "1", "PYTHONFAULTHANDLER": "1", "RCUTILS_COLORIZED_OUTPUT": "0"}
         with self.log_file.open("wb") as log:
             self.popen = subprocess.Popen(
                 command,
                 stdin=subprocess.DEVNULL,
                 stdout=log,
                 stderr=subprocess.STDOUT,
-                env=surroundings,
+                env={**os.environ, **ours, **(env or {})},
                 start_new_session=True,
                 preexec_fn=_die_with_parent,  # noqa: PLW1509 - one system call, no lock is taken
             )
@@ -127,7 +127,10 @@ class Process:
         try:
             return self.popen.wait(timeout)
         except subprocess.TimeoutExpired:
-            raise AssertionError(f"{self.name} still runs {timeout} s after {by.name}") from None
+            self.popen.send_signal(signal.SIGABRT)  # the log then shows where every thread of it stands
+            with contextlib.suppress(subprocess.TimeoutExpired):
+                self.popen.wait(2.0)
+            raise AssertionError(f"{self.name} still ran {timeout} s after {by.name}") from None
 
     def kill(self) -> None:
         """Kill -9 it and all that it started; harmless where nothing runs."""

@@ -9,12 +9,12 @@ import pytest
 from geometry_msgs.msg import PoseStamped, Quaternion
 from optdock_ros.dock_plugins import DockPlugin, SimpleChargingDock, SimpleNonChargingDock, Told, plugin_class
 from optdock_ros.docks import Docks, docks_of_parameters
-from optdock_ros.transforms import Transform
 from sensor_msgs.msg import BatteryState, JointState
 
 from optdock.dock import DockDirection
 from optdock.errors import DockNotInDB, DockNotValid, InvalidFile, InvalidMessage, InvalidValue
 from optdock.geometry.pose import Pose2
+from optdock.ros.transforms import Transform
 
 if TYPE_CHECKING:
     from collections.abc import Mapping

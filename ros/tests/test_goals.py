@@ -60,11 +60,15 @@ def test_code_that_does_not_come_back_is_left_behind(worker: Worker, monkeypatch
     monkeypatch.setattr(goals, "_JOIN", 0.05)
     begun, release = threading.Event(), threading.Event()
     stuck = worker.begin(lambda _: begun.set() or release.wait(10.0))
+    waiting = worker.begin(until_asked)
     assert begun.wait(5.0)
     assert not worker.end_all("enough")
+    for job in (stuck, waiting):  # who waits for them is told so
+        assert job.is_done.is_set()
+        assert str(job.error) == "enough"
     assert worker.do(lambda: 7) == 7
     release.set()
-    assert stuck.is_done.wait(5.0)
+    assert isinstance(stuck.error, JobEnded)
 
 
 def test_results_are_kept_for_a_while_and_then_gone(client_node: Client, worker: Worker) -> None:

@@ -91,6 +91,23 @@ def test_a_killed_run_takes_its_processes_with_it(tmp_path: Path) -> None:
     os.kill(child, signal.SIGKILL)  # of a program that leaves its own children alone
 
 
+def test_a_process_that_does_not_end_shows_where_it_stands(tmp_path: Path) -> None:
+    stubborn = tmp_path / "stubborn"
+    stubborn.write_text(
+        SLEEPER.format(python=sys.executable).replace("child.wait()", "def here():\n    child.wait()\nhere()")
+    )
+    stubborn.chmod(0o755)
+    processes = Processes(tmp_path)
+    try:
+        process = processes(str(stubborn))
+        process.wait_for("ready")
+        with pytest.raises(AssertionError, match="still ran"):
+            process.stop(timeout=0.2)
+        assert "in here" in process.log()
+    finally:
+        processes.end()
+
+
 def test_two_runs_at_once_have_different_domains(domain: int) -> None:
     found = [free_domain() for _ in range(3)]
     numbers = [number for number, _ in found]

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import os
 import re
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -68,6 +71,16 @@ def test_robot_and_server_in_the_simulated_world(tmp_path: Path) -> None:
     file = PACKAGE / "config" / "simulated_docking.yaml"
     assert {options(one, "--params-file")[0] for one in (robot, server)} == {str(file)}
     assert set(yaml.safe_load(file.read_text())) == {"simulated_robot", "docking_server"}
+
+
+@pytest.mark.parametrize(("given", "found"), [(None, "1"), ("2", "2")])
+def test_a_server_has_one_thread_of_linear_algebra_unless_told(given: str | None, found: str) -> None:
+    """Said before NumPy is loaded, which reads it once."""
+    code = "import sys, optdock_ros, os; assert 'numpy' not in sys.modules; print(os.environ['OMP_NUM_THREADS'])"
+    env = {name: value for name, value in os.environ.items() if name != "OMP_NUM_THREADS"}
+    env |= {} if given is None else {"OMP_NUM_THREADS": given}
+    ended = subprocess.run([sys.executable, "-c", code], env=env, capture_output=True, text=True, check=True)
+    assert ended.stdout.strip() == found
 
 
 def test_everything_that_is_launched_is_installed() -> None:

@@ -12,11 +12,11 @@ from builtin_interfaces.msg import Time
 from geometry_msgs.msg import PoseStamped
 from nav_msgs.msg import Odometry
 from optdock_ros.measuring import MeasurementRules, Measuring, Surroundings
-from optdock_ros.transforms import Transform, TransformError
 
 from optdock.costmap.costmap import Costmap
 from optdock.geometry.pose import Pose2, Twist2
 from optdock.measurements import Detection
+from optdock.ros.transforms import Transform, TransformError
 
 RULES = MeasurementRules("odom", "base_link", 0.1, 0.3, 1.0, 1.0)
 

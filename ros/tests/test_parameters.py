@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import array
 import threading
-import time
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -64,6 +63,8 @@ def test_names_that_nobody_reads() -> None:
     faults, ignored = unknown_names(block, ("costmap_topic", "ours"), ("odd",))
     assert faults == ["costmap_topik: unknown parameter; did you mean costmap_topic?"]
     assert ignored == ["FollowPath", "odd"]
+    for theirs in ("odom_topic", "map_topic", "local_costmap_topic", "costmap_update_timeout", "bond_timeout"):
+        assert unknown_names({theirs: 1}, ("costmap_topic", "costmap_timeout")) == ([], [theirs])
 
 
 def test_faults_are_told_at_once() -> None:
@@ -207,7 +208,7 @@ def test_shutdown_while_active_stops_first(server: Tried) -> None:
     server.trigger_configure()
     server.trigger_activate()
     assert server.trigger_shutdown() == SUCCESS
-    assert server.diary[-2:] == ["stop", "tear_down"]
+    assert server.diary[-1] == "stop", "what was made is given back when clients have had their results"
     server.end()
     assert server.diary[-2:] == ["stop", "tear_down"]
     assert server.diary.count("stop") == 1
@@ -266,6 +267,13 @@ def test_an_error_in_a_callback_does_not_end_the_server(client_node: Client, con
         made.destroy_node()
 
 
+def test_a_parameter_that_is_unset_has_its_default(server: Tried) -> None:
+    for name in ("bond_heartbeat_period", "speed", "names"):
+        assert server.set_parameters_atomically([Parameter(name)]).successful
+    assert server.trigger_configure() == SUCCESS
+    assert server.settings.own == Told()
+
+
 def test_transitions_by_services(client_node: Client, context: None) -> None:  # noqa: ARG001
     made = Tried("walked")
     with spinning(made):
@@ -274,5 +282,5 @@ def test_transitions_by_services(client_node: Client, context: None) -> None:  #
         assert life.state == "active"
         assert life.shutdown()
         assert life.state == "finalized"
-        time.sleep(0.0)
+        client_node.until(lambda: made.diary[-1] == "tear_down", 5.0, "the end")
     assert made.diary == ["set_up", "start", "stop", "tear_down"]

@@ -142,6 +142,16 @@ def test_refusals(client_node: Client, code: int, words: str, asked: dict[str, A
     refused(client_node, code, words, **asked)
 
 
+def test_a_plan_through_a_wall_is_none(fresh: Surroundings, client_node: Client) -> None:
+    """The dock planner's is raw: what lies between start and goal is a smoother's to go round."""
+    data = np.array(room().data)
+    column = CELLS // 2 - 20
+    data[:, column : column + 2] = LETHAL
+    fresh.costmap(Grid(data, RESOLUTION, ORIGIN))
+    time.sleep(0.05)
+    refused(client_node, CODES.NO_VALID_PATH, "dock: the footprint overlaps map at s = ", planner="dock")
+
+
 def test_old_costmap(fresh: Surroundings, client_node: Client) -> None:
     fresh.costmap(room(), age=10.0)
     time.sleep(0.05)

@@ -5,25 +5,32 @@ from __future__ import annotations
 import math
 import signal
 import time
+from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pytest
 from action_msgs.msg import GoalStatus
+from geometry_msgs.msg import TransformStamped
 from hall import CELLS, ORIGIN, OUTLINE, RESOLUTION, Surroundings, hall, message, raw_path
 from harness import Lifecycle, spinning
 from nav2_msgs.action import SmoothPath
 from nav_msgs.msg import Path as PathMessage
+from optdock_ros import smoother_server
 from optdock_ros.parameters import flattened
 from optdock_ros.smoother_server import SmootherServer
 from rcl_interfaces.srv import GetParameters, ListParameters, SetParametersAtomically
 from rclpy.lifecycle import TransitionCallbackReturn
 from rclpy.parameter import Parameter
+from tf2_msgs.msg import TFMessage
 
 from optdock import ros
 from optdock.costmap import Costmap as Grid
 from optdock.costmap.costs import LETHAL
+from optdock.errors import SmootherException
 from optdock.geometry.pose import Pose2
+from optdock.outcomes import SmoothingResult
+from optdock.path import Path
 from smoothers import SimpleSmoother
 
 if TYPE_CHECKING:
@@ -134,6 +141,19 @@ def test_a_path_in_another_frame_is_transformed_and_comes_back_in_it(fresh: Surr
     assert np.abs(again[:, :2] - poses[:, :2]).max() < 1e-3
 
 
+def test_a_frame_that_leans_is_there_and_back_the_same(fresh: Surroundings, client_node: Client) -> None:
+    """The plane in it is not the plane in its inverse: a metre up and 0.05 rad are 50 mm."""
+    seen = TransformStamped(child_frame_id="leaning")
+    seen.header.frame_id, seen.transform.translation.z = "map", 1.0
+    seen.transform.rotation.x, seen.transform.rotation.w = math.sin(0.025), math.cos(0.025)
+    fresh._static.publish(TFMessage(transforms=[seen]))
+    time.sleep(0.1)
+    reply = send(client_node, message(raw_path(), "leaning")).reply()
+    assert reply.result.error_code == 0, reply.result.error_msg
+    poses = ros.path_poses(reply.result.path).poses
+    assert np.abs(poses[[0, -1], :2] - raw_path()[[0, -1], :2]).max() < 1e-9
+
+
 def refused(client: Client, code: int, words: str, *args: Any, **kwargs: Any) -> None:
     reply = send(client, *args, **kwargs).reply()
     assert (reply.result.error_code, reply.status) == (code, GoalStatus.STATUS_ABORTED), reply.result.error_msg
@@ -146,10 +166,11 @@ def test_unknown_frame(client_node: Client) -> None:
     refused(client_node, SmoothPath.Result.UNKNOWN, "nobody has told of 'nowhere'", message(raw_path(), "nowhere"))
 
 
-def test_stale_costmap(fresh: Surroundings, client_node: Client) -> None:
-    fresh.costmap(age=10.0)
+@pytest.mark.parametrize(("age", "words"), [(10.0, "s old"), (-30.0, "s into the future")])
+def test_stale_costmap(fresh: Surroundings, client_node: Client, age: float, words: str) -> None:
+    fresh.costmap(age=age)
     time.sleep(0.1)
-    refused(client_node, SmoothPath.Result.UNKNOWN, "more than costmap_timeout = 5 s")
+    refused(client_node, SmoothPath.Result.UNKNOWN, f"{words}, more than costmap_timeout = 5 s")
 
 
 @pytest.mark.parametrize("asked", ["nobody", ""])
@@ -459,3 +480,40 @@ def test_a_file_as_nav2_ships_it(context: None) -> None:  # noqa: ARG001
         node.end()
     finally:
         node.destroy_node()
+
+
+def test_another_class_takes_the_place_of_a_plugin(context: None) -> None:  # noqa: ARG001
+    """After a cleanup; what was declared of the one before is no unknown parameter of it."""
+    parameters = {"smoother_plugins": ["one"], "one.plugin": SIMPLE, "one.tolerance": 1e-6}
+    overrides = [Parameter(name, value=value) for name, value in parameters.items()]
+    node = SmootherServer("swapped", namespace="swapped", parameter_overrides=overrides)
+    try:
+        assert node.trigger_configure() == TransitionCallbackReturn.SUCCESS
+        assert node.has_parameter("one.w_data")
+        assert node.trigger_cleanup() == TransitionCallbackReturn.SUCCESS
+        assert node.has_parameter("one.tolerance")
+        change = [Parameter("one.plugin", value="CasadiSmoother"), Parameter("one.tolerance")]
+        assert node.set_parameters_atomically(change).successful
+        assert node.trigger_configure() == TransitionCallbackReturn.SUCCESS
+        assert node.has_parameter("one.clearance")
+        node.end()
+    finally:
+        node.destroy_node()
+
+
+@pytest.mark.parametrize(
+    ("answer", "words"),
+    [
+        (lambda _: None, "returned no smoothed path"),
+        (lambda path: path, "returned no smoothed path"),
+        (lambda path: SmoothingResult(Path(path.segments, "elsewhere")), "returned a path in 'elsewhere'"),
+        (lambda path: SmoothingResult(Path.from_poses(path.poses[:-5], "map")), r"ends 0\.\d+ m off"),
+    ],
+)
+def test_what_no_smoother_may_return(answer: Callable[[Any], Any], words: str) -> None:
+    path = Path.from_poses(raw_path(), "map")
+    poses = SimpleNamespace(segments=path.segments, poses=raw_path())
+    task = smoother_server._Task(path, None, None, None, None, "map", Pose2(0.0, 0.0, 0.0), 0.05)
+    with pytest.raises(SmootherException, match=words):
+        task.check_answer(answer(poses), "odd")
+    task.check_answer(SmoothingResult(path), "even")

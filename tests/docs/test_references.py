@@ -21,7 +21,8 @@ from optdock.testing.families import FAMILIES, instance
 ROOT = Path(__file__).resolve().parents[2]
 DOCS = ROOT / "docs"
 PACKAGES = ("optdock", "smoothers", "checkers")
-CODE = sorted(path for package in PACKAGES for path in (ROOT / package).rglob("*.py"))
+ROS = ROOT / "ros" / "optdock_ros" / "optdock_ros"
+CODE = sorted(path for folder in (*(ROOT / package for package in PACKAGES), ROS) for path in folder.rglob("*.py"))
 WRITTEN = [ROOT / "README.md", *sorted(DOCS.rglob("*.md"))]
 KEY = re.compile(r"\[([A-Z][A-Za-z]+\d{4}[a-z]?)\](?!\()")
 EQUATION = re.compile(
@@ -88,7 +89,7 @@ def test_every_reference_to_an_equation_has_one():
     assert referred - known == set()
 
 
-NAMED = re.compile(r"`((?:optdock|smoothers|checkers|examples|tests|experiments|docs)[/.][\w/.]*\w)/?`")
+NAMED = re.compile(r"`((?:optdock|smoothers|checkers|examples|tests|experiments|docs|ros)[/.][\w/.]*\w)/?`")
 
 
 def exists(name):
@@ -231,6 +232,54 @@ def test_steps_of_the_planner_are_explained():
         if isinstance(key, ast.Constant) and key.value == "step" and isinstance(value, ast.Constant)
     }
     assert {"beyond_c", "direction"} <= steps <= TOLD
+
+
+def test_every_parameter_of_the_ros_servers_is_on_their_page():
+    page = (DOCS / "reference" / "ros2.md").read_text(encoding="utf-8")
+    heads = re.findall(r"^\| `([\w.]+)` \|", generated.on_page_markdown(page), re.MULTILINE)
+    models = {
+        value for path in ROS.glob("[!_]*.py") for value in generated.ros_models(path.stem).values()
+        if inspect.isclass(value) and value.__module__.startswith("optdock_ros.") and hasattr(value, "model_fields")
+    }  # fmt: skip
+    assert len(models) > 8
+    told = {*heads, *(head.rpartition(".")[2] for head in heads)}
+    assert {name for model in models for name in model.model_fields} - told == set()
+    assert set(generated.ros_models("simulated_robot")["PARAMETERS"]) <= set(heads)
+
+
+def test_the_stops_of_a_robot_are_told_with_the_defaults():
+    page = (DOCS / "howto" / "ros2.md").read_text(encoding="utf-8")
+    stops = page[page.index("## What stops the robot") : page.index("## What it says")]
+    models = generated.ros_models("docking_parameters")
+    own, controller, executor = models["DockingParameters"](), models["ControllerParameters"](), ExecutorSettings()
+    cycles = max(0.1, 5.0 / own.controller_frequency)
+    told = {
+        "no new transform": f"{controller.transform_tolerance} + {executor.pose_patience} s",
+        "no new odometry": f"{own.odom_duration} + {executor.pose_patience} s",
+        "no new local costmap": f"{controller.costmap_timeout} + {cycles} s",
+        "something new": f"{executor.obstacle_patience:g} s",
+        "the dock is not seen": f"{executor.detection_patience:g} s",
+        "the drive does not follow": f"{executor.progress_time:g} s",
+        "cycles that come": f"{executor.longest_tick} s",
+    }
+    rows = {what: next(row for row in stops.splitlines() if row.startswith(f"| {what}")) for what in told}
+    assert {what: row for what, row in rows.items() if told[what] not in row} == {}
+    assert f"{executor.localization_timeout:g} s at rest" in rows["no new transform"]
+    assert f"{executor.costmap_timeout:g} s at rest" in rows["no new local costmap"]
+
+
+def test_the_topics_of_recordings_are_on_their_page():
+    from optdock.ros.field import FieldTopics
+
+    page = (DOCS / "howto" / "bags.md").read_text(encoding="utf-8")
+    written = {
+        node.value
+        for node in ast.walk(parsed(ROOT / "optdock" / "ros" / "contents.py"))
+        if isinstance(node, ast.Constant) and isinstance(node.value, str) and re.fullmatch(r"/\w[\w/]*", node.value)
+    }
+    assert {"/plan", "/cmd_vel", "/map"} <= written
+    assert {topic for topic in written if f"`{topic}`" not in page} == set()
+    assert {topic for topic in FieldTopics().path if f"`{topic}`" not in page} == set()
 
 
 def test_everything_at_the_front_door_is_on_the_page_of_the_library():

@@ -10,7 +10,9 @@ import pytest
 from tests.docs.snippets import PAGES, ROOT, blocks_of, run_page
 
 EXAMPLES = sorted((ROOT / "examples").glob("[0-9]*.py"))
-LANGUAGES = {"python", "sh", "yaml", "toml", "text"}
+# `sh` is run here; `bash` needs ROS, and what of it needs no robot is run with the tests of the ROS 2 package.
+LANGUAGES = {"python", "sh", "yaml", "toml", "text", "xml", "bash"}
+WITH_ROS = {"ros2.md", "bags.md"}
 RUN = [page for page in PAGES if any(block.language in {"python", "sh"} for block in blocks_of(page))]
 
 
@@ -38,6 +40,11 @@ def test_every_block_says_what_it_is():
     assert {
         page.name: block.line for page in PAGES for block in blocks_of(page) if block.language not in LANGUAGES
     } == {}
+
+
+def test_commands_that_need_ros_stand_on_the_pages_about_ros():
+    pages = {page.name for page in PAGES for block in blocks_of(page) if block.language in {"bash", "xml"}}
+    assert pages == WITH_ROS
 
 
 def test_few_blocks_are_not_run_and_each_says_why():

@@ -15,8 +15,9 @@ from optdock.dock import DockDirection
 from optdock.errors import DockNotValid, InvalidMessage, InvalidValue
 from optdock.geometry.pose import Pose2
 from optdock.measurements import Detection
+from optdock.nav2.docks import docked_pose
 from optdock.parameters import PluginParameters, closest, parse_parameters
-from optdock_ros.transforms import Transform
+from optdock.ros.transforms import Transform
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -36,7 +37,6 @@ _UNIT = 1e-3  # of a quaternion's length: rounded by hand, still meant as a rota
 _STEEP = 0.5  # [rad] of the docked robot's x axis against the floor: beyond, its yaw is made of noise
 _STALL_AGE = 0.5  # [s]: joint states come at 10 Hz at least; older ones say nothing of now
 _CHARGE_AGE = 10.0  # [s]: battery states may come once in some seconds
-_BEHIND = Pose2(0.0, 0.0, math.pi)
 
 
 class SimpleNonChargingDockParameters(PluginParameters):
@@ -130,8 +130,8 @@ class DockPlugin:
         )
 
     def docked_pose(self, dock: Pose2) -> Pose2:
-        """Where the robot stands when docked: a dock's x axis points into it, also for a robot that backs in."""
-        return dock @ _BEHIND if self.parameters.dock_direction == "backward" else dock
+        """Where the robot stands when docked."""
+        return docked_pose(dock, self.direction)
 
     def stored_pose(self, docked: Pose2) -> Pose2:
         """The dock's pose as Nav2 writes it, of a robot that stands docked."""

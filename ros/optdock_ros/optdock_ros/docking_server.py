@@ -42,7 +42,7 @@ from optdock_ros.measuring import MeasurementRules, Measuring, Surroundings
 from optdock_ros.navigator import Navigator
 from optdock_ros.server import Server, run
 from optdock_ros.surroundings import CostmapTopic, FootprintTopic, SurroundingsError, nav2_footprint
-from optdock_ros.transforms import TransformBuffer, TransformError
+from optdock_ros.transforms import TransformBuffer
 from optdock_ros.world import contact_reach, joined, moved, with_contact_zone
 
 if TYPE_CHECKING:
@@ -412,7 +412,7 @@ class DockingServer(Server[DockingSettings]):
         found = self._frames.lookup(own.fixed_frame, own.base_frame)
         age = self._now() - found.stamp
         if age > max(_FRESH, self.settings.controller.transform_tolerance):
-            raise TransformError(f"{own.fixed_frame} <- {own.base_frame}: the last one is {age:.2f} s old")
+            raise ros.TransformError(f"{own.fixed_frame} <- {own.base_frame}: the last one is {age:.2f} s old")
         return found.planar()
 
     def _waited(self, goal: Goal, ask: Callable[[], T]) -> T:

@@ -77,12 +77,23 @@ class Job:
 
     def run(self) -> None:
         """Do it; what goes wrong is kept."""
+        result, error = None, None
         try:
             self.look()
-            self.result = self._work(self)
-        except BaseException as error:
-            self.error = error
+            result = self._work(self)
+        except BaseException as raised:
+            error = raised
+        self._finish(result, error)
+
+    def give_up(self) -> None:
+        """Its work does not come back: who waits for it is told now, and what it makes later is not looked at."""
+        self._finish(None, JobEnded(self.why_end))
+
+    def _finish(self, result: Any, error: BaseException | None) -> None:
         with self._lock:
+            if self.is_done.is_set():
+                return
+            self.result, self.error = result, error
             self.is_done.set()
             told, self._told = self._told, []
         for tell in told:
@@ -107,7 +118,7 @@ class Worker:
         job = Job(work)
         with self._lock:
             self._open.append(job)
-        self._jobs.put(job)
+            self._jobs.put(job)
         return job
 
     def do(self, work: Callable[[], Any]) -> Any:
@@ -122,8 +133,8 @@ class Worker:
         """Ask for the end of everything that is begun, and wait for it.
 
         Returns:
-            Whether all of it has ended. Where foreign code does not come back its thread is left to itself, and a new
-            one takes the place.
+            Whether all of it has ended. Where foreign code does not come back its thread is left to itself, a new one
+            takes the place, and what was begun is given up.
         """
         with self._lock:
             jobs = list(self._open)
@@ -132,8 +143,11 @@ class Worker:
         end = time.monotonic() + _JOIN
         ended = all(job.is_done.wait(max(0.0, end - time.monotonic())) for job in jobs)
         if not ended:
-            self._jobs.put(None)
-            self._begin_thread()
+            with self._lock:
+                self._jobs.put(None)
+                self._begin_thread()
+            for job in jobs:
+                job.give_up()
         return ended
 
     def close(self) -> bool:

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
 
     from optdock.costmap.costmap import Costmap
-    from optdock_ros.transforms import Transform
+    from optdock.ros.transforms import Transform
 
 __all__ = ["Frames", "MeasurementRules", "Measuring", "Surroundings"]
 

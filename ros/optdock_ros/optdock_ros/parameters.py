@@ -47,6 +47,7 @@ __all__ = [
     "parameters_of",
     "plain",
     "robot_parameters",
+    "undeclare",
     "unknown_names",
 ]
 
@@ -66,6 +67,11 @@ OF_EVERY_NODE = frozenset(
         *("service_introspection_mode", "action_introspection_mode", "allow_parameter_qos_overrides"),
     }
 )
+
+
+# Of difflib: one letter in ten. Below it are names of Nav2's own, which may stand in a block for all nodes: `map_topic`
+# is like `costmap_topic` by 0.82, `local_footprint_topic` like `footprint_topic` by 0.83.
+_MISSPELT = 0.86
 
 
 class Faults:
@@ -172,7 +178,7 @@ def declare_overrides(node: Node, given: Sequence[Parameter[Any]] = ()) -> None:
             node.declare_parameter(name, None, ParameterDescriptor(dynamic_typing=True))
 
 
-def declare(node: Node, model: type[BaseModel], prefix: str = "") -> None:
+def declare(node: Node, model: type[BaseModel], prefix: str = "") -> dict[str, object]:
     """Declare the fields of a model, described, and with their defaults where nobody has given them.
 
     A default that ROS has no type for, such as none at all, cannot be declared; it can be set all the same.
@@ -181,7 +187,11 @@ def declare(node: Node, model: type[BaseModel], prefix: str = "") -> None:
         node: The node.
         model: Whose fields.
         prefix: Before every name, with its dot.
+
+    Returns:
+        Names and values of those that nobody had given.
     """
+    added: dict[str, object] = {}
     for name, spec in model.model_fields.items():
         full, default = f"{prefix}{spec.alias or name}", spec.get_default(call_default_factory=True)
         value = default.value if isinstance(default, Enum) else default
@@ -189,7 +199,15 @@ def declare(node: Node, model: type[BaseModel], prefix: str = "") -> None:
         if node.has_parameter(full):
             node.set_descriptor(full, descriptor)
         elif _fits(value):
-            node.declare_parameter(full, list(value) if isinstance(value, tuple) else value, descriptor)
+            added[full] = node.declare_parameter(full, plain(value), descriptor).value
+    return added
+
+
+def undeclare(node: Node, added: Mapping[str, object]) -> None:
+    """Take back what `declare` added, but for what somebody has changed meanwhile."""
+    for name, value in added.items():
+        if node.has_parameter(name) and node.get_parameter(name).value == value:
+            node.undeclare_parameter(name)
 
 
 def _fits(value: object) -> bool:
@@ -230,7 +248,7 @@ def unknown_names(
     for name in block:
         if name in ours:
             continue
-        hint = closest(name, ours - others) if name not in others else ""
+        hint = closest(name, ours - others, _MISSPELT) if name not in others else ""
         if hint:
             faults.append(f"{name}: unknown parameter{hint}")
         elif name not in OF_EVERY_NODE:

@@ -7,6 +7,7 @@ Nav2's own server. Parameters, topics, action and error codes are those of Nav2'
 
 from __future__ import annotations
 
+import dataclasses
 import sys
 import time
 from typing import TYPE_CHECKING, Any, ClassVar
@@ -33,8 +34,9 @@ from optdock.errors import (
     StartOutsideMapBounds,
 )
 from optdock.interfaces import GlobalPlanner, PluginContext
+from optdock.path import Path
 from optdock.problem import ClearanceRule, DockingProblem
-from optdock.verification import pose_clearances
+from optdock.verification import certify_path, pose_clearances
 from optdock_ros.goals import Job, JobEnded, answer_of
 from optdock_ros.plugin_server import (
     PluginServer,
@@ -61,6 +63,7 @@ __all__ = ["PlannerServer", "PlannerServerParameters", "main"]
 _AROUND = 10.0
 _SPACING = 0.05  # [m] of the poses taken from a curve: the usual cell
 _TOUCHES = 1e-6  # [m]: as the certificate's; contact is none
+_NO_PLAN = {"frame", "start", "goal", "clearance", "unproven"}  # rules of the certificate that every plan must keep
 _WAIT = 0.01  # [s] between two looks for a costmap
 
 
@@ -72,6 +75,7 @@ class PlannerServerParameters(PluginServerParameters):
     costmap_update_timeout: float = Field(1.0, ge=0, description="how long a costmap is waited for [s]")
     transform_tolerance: float = Field(0.3, ge=0, description="how old a transform may be [s]")
     max_planning_time: float = Field(5.0, gt=0, description="of a planner [s]")
+    check_for_collisions: bool = Field(default=True, description="refuse plans that touch something, as raw ones may")
 
 
 class InvalidPlanner(PlannerException):
@@ -155,21 +159,37 @@ class PlannerServer(PluginServer[GlobalPlanner]):
             raise InvalidPlanner(f"Invalid Planner: {planner_id!r}; available: {', '.join(settings.plugins)}")
         problem = self._problem(start, goal, settings, job)
         deadline = Deadline(settings.parameters.max_planning_time, time.monotonic, job.should_end)
-        plugin = planner.made(PluginContext(planner.name, problem=problem))
-        try:
-            found = plugin.create_plan(problem.start, problem.goal, deadline.passed)
-        except Cancelled as error:
-            job.look()
-            raise PlannerTimedOut(f"{planner.name}: no plan within {deadline.seconds:g} s: {error}") from error
-        plugin.shutdown()
+        with planner.made(PluginContext(planner.name, problem=problem)) as plugin:
+            try:
+                found = plugin.create_plan(problem.start, problem.goal, deadline.passed)
+            except Cancelled as error:
+                job.look()
+                raise PlannerTimedOut(f"{planner.name}: no plan within {deadline.seconds:g} s: {error}") from error
         job.look()
+        if not isinstance(found, Path):
+            raise NoValidPathCouldBeFound(f"{planner.name}: generated no path, but {found!r}")
+        self._check_plan(found, planner.name, problem, settings, job)
         poses = poses_of(found, _SPACING)
-        if not len(poses):
-            raise NoValidPathCouldBeFound(f"{planner.name} generated a empty path")
         message = compact_path(poses, problem.frame, now(self))
         if self._plan_publisher.get_subscription_count():
             self._plan_publisher.publish(message)
         return message
+
+    def _check_plan(
+        self, plan: Path, name: str, problem: DockingProblem, settings: Settings[GlobalPlanner], job: Job
+    ) -> None:
+        """Nav2's planners return no path through anything; ours may be raw ones, for a smoother to mend.
+
+        Raises:
+            NoValidPathCouldBeFound: It touches something, or leads elsewhere.
+        """
+        bare = dataclasses.replace(problem, clearance=ClearanceRule(0.0, 0.0, 0.0))
+        if not settings.parameters.check_for_collisions:
+            bare = dataclasses.replace(bare, costmap=None)
+        for broken in certify_path(plan, bare, is_late=job.should_end).violations:
+            if broken.kind in _NO_PLAN:
+                job.look()
+                raise NoValidPathCouldBeFound(f"{name}: {broken.message}", where={"s": broken.s, **broken.where})
 
     def _problem(
         self, start: PoseStamped | None, goal: PoseStamped, settings: Settings[GlobalPlanner], job: Job

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import TYPE_CHECKING, Any, ClassVar, Generic, TypeVar, overload
 
 import numpy as np
@@ -23,6 +24,7 @@ from optdock_ros.parameters import (
     clearance_parameters,
     declare,
     robot_parameters,
+    undeclare,
 )
 from optdock_ros.plugins import NamedPlugin, named_plugins
 from optdock_ros.server import Server
@@ -37,7 +39,15 @@ if TYPE_CHECKING:
     from optdock.robot import Robot
     from optdock_ros.goals import Job
 
-__all__ = ["PluginServer", "PluginServerParameters", "Settings", "compact_path", "cropped", "failed", "poses_of"]
+__all__ = [
+    "PluginServer",
+    "PluginServerParameters",
+    "Settings",
+    "compact_path",
+    "cropped",
+    "failed",
+    "poses_of",
+]
 
 P = TypeVar("P", bound=Plugin)
 
@@ -88,7 +98,7 @@ class PluginServer(Server[Settings[P]], Generic[P]):
     default_plugins: ClassVar[tuple[str, ...]]
     default_class: ClassVar[str]
     """Of the default plugins where the parameters name none, as Nav2 has it."""
-    fixed = frozenset({"costmap_topic", "footprint_topic", "robot_base_frame"})
+    fixed = frozenset({"costmap_topic", "footprint_topic", "robot_base_frame", "action_server_result_timeout"})
 
     transforms: TransformBuffer
     worker: Worker
@@ -123,7 +133,9 @@ class PluginServer(Server[Settings[P]], Generic[P]):
         """Subscribe, and make the worker; whatever is made is noted, to be given back."""
         told = self.settings.parameters
         for plugin in self.settings.plugins.values():
-            declare(self, plugin.plugin_class.Parameters, f"{plugin.name}.")
+            added = declare(self, plugin.plugin_class.Parameters, f"{plugin.name}.")
+            # Or they would be unknown parameters of another class that takes its place after a cleanup.
+            self._ends.append(partial(undeclare, self, added))
             self.get_logger().info(f"Created {self.kind}: {plugin.name} of type {plugin.choice.name}")
             if plugin.not_read:
                 self.get_logger().info(f"{plugin.name}: not read: {', '.join(plugin.not_read)}")
@@ -141,6 +153,11 @@ class PluginServer(Server[Settings[P]], Generic[P]):
         self.worker = Worker(f"{self.get_name()} goals")
         self._ends.append(self._close_worker)
 
+    def changed(self, before: Settings[P]) -> None:  # noqa: ARG002 - whatever it was
+        """What was made at configure reads the new settings; the rest is read by every goal."""
+        if self._footprint is not None:
+            self._footprint.tolerance = self.settings.parameters.transform_tolerance
+
     def offer(self, kind: Any, name: str, work: Callable[[Any, Job], tuple[Any, bool]]) -> None:
         """Offer an action, whose goals the worker does."""
 
@@ -152,7 +169,7 @@ class PluginServer(Server[Settings[P]], Generic[P]):
                 return work(goal, job)
             except JobEnded:
                 raise
-            except Exception as error:  # foreign code may raise anything
+            except BaseException as error:  # foreign code may raise anything, SystemExit too
                 self.say(error, name)
                 return failed(kind.Result(), f"{type(error).__name__}: {error}", kind.Result.UNKNOWN), False
 
@@ -240,11 +257,11 @@ class PluginServer(Server[Settings[P]], Generic[P]):
 
     def _check_age(self, topic: str, stamp: float, settings: Settings[P]) -> None:
         age, most = now(self) - stamp, settings.parameters.costmap_timeout
-        if 0.0 < most < age:
-            raise SurroundingsError(
-                f"{topic}: is {age:.2f} s old, more than costmap_timeout = {most:g} s",
-                where={"topic": topic, "age": age},
-            )
+        if 0.0 < most < abs(age):
+            # One from the future would count as new for as long as the clocks differ.
+            said = f"is {age:.2f} s old" if age > 0.0 else f"is dated {-age:.2f} s into the future"
+            where = {"topic": topic, "age": age}
+            raise SurroundingsError(f"{topic}: {said}, more than costmap_timeout = {most:g} s", where=where)
 
 
 def failed(result: Any, why: str, code: int) -> Any:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Generic, TypeVar
@@ -15,7 +16,7 @@ from optdock.parameters import parse_parameters
 from optdock.plugins import PluginChoice, create_plugin, load_plugin
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Iterator, Mapping
 
     from optdock.lifecycle import PluginContext
 
@@ -48,16 +49,20 @@ class NamedPlugin(Generic[P]):
         """Its class."""
         return load_plugin(self.interface, self.choice.name)
 
-    def made(self, context: PluginContext) -> P:
-        """The plugin, configured and active.
+    @contextmanager
+    def made(self, context: PluginContext) -> Iterator[P]:
+        """The plugin, configured and active; shut down afterwards, however its work ends.
 
         Raises:
             OptdockError: It refuses its surroundings.
         """
         plugin = create_plugin(self.interface, self.choice.name, self.choice.parameters)
-        plugin.configure(context)
-        plugin.activate()
-        return plugin
+        try:
+            plugin.configure(context)
+            plugin.activate()
+            yield plugin
+        finally:
+            plugin.shutdown()
 
 
 def named_plugins(

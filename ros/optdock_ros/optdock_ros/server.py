@@ -220,6 +220,7 @@ class Server(LifecycleNode, Generic[S]):
             self._bond.start()
         if self.owns_process:
             # What is loaded by now stays; later collections, which stop all threads, need not look at it.
+            gc.unfreeze()  # of what an earlier activation left, some is garbage by now
             gc.collect()
             gc.freeze()
         return super().on_activate(state)
@@ -271,7 +272,8 @@ class Server(LifecycleNode, Generic[S]):
 
     def _form_bond(self, block: dict[str, object]) -> None:
         """What a lifecycle manager listens for, where its messages are installed."""
-        period = parse_parameters(ServerParameters, {"bond_heartbeat_period": block["bond_heartbeat_period"]}, "bond")
+        own = {name: block[name] for name in ServerParameters.model_fields if name in block}
+        period = parse_parameters(ServerParameters, own, self.get_name())
         if self._bond is not None or period.bond_heartbeat_period == 0.0:
             return
         try:
@@ -304,7 +306,8 @@ class Server(LifecycleNode, Generic[S]):
         return SetParametersResult(successful=True)
 
     def _check_fixed(self, parameter: Parameter[Any]) -> None:
-        name = next((n for n in self.fixed if parameter.name == n or parameter.name.startswith(f"{n}.")), None)
+        fixed = self.fixed | ServerParameters.model_fields.keys()
+        name = next((n for n in fixed if parameter.name == n or parameter.name.startswith(f"{n}.")), None)
         if name is None and not parameter.name.endswith(".plugin"):
             return
         if parameter.value != self.get_parameter_or(parameter.name).value:

@@ -21,8 +21,10 @@ from rclpy.duration import Duration
 from optdock import ros
 from optdock.dock import Dock
 from optdock.errors import Cancelled, InvalidPath, InvalidValue, OptdockError, SmootherException
+from optdock.geometry.pose import Pose2, transform_poses
 from optdock.interfaces import PluginContext, Smoother
-from optdock.path import Path
+from optdock.outcomes import SmoothingResult
+from optdock.path import Path, may_be_one_frame
 from optdock.plugins import create_plugin
 from optdock.problem import ClearanceRule, DockingProblem
 from optdock.verification import certify_path
@@ -38,7 +40,6 @@ from optdock_ros.plugin_server import (
 )
 from optdock_ros.server import run
 from optdock_ros.surroundings import SurroundingsError, first_collision, now
-from optdock_ros.transforms import Transform
 
 if TYPE_CHECKING:
     from nav_msgs.msg import Path as PathMessage
@@ -46,7 +47,6 @@ if TYPE_CHECKING:
     from optdock.costmap.costmap import Costmap
     from optdock.geometry.arrays import FloatArray
     from optdock.geometry.footprint import Footprint
-    from optdock.outcomes import SmoothingResult
 
 __all__ = ["SmootherServer", "SmootherServerParameters", "main"]
 
@@ -54,6 +54,7 @@ __all__ = ["SmootherServer", "SmootherServerParameters", "main"]
 # decimetres; what would leave this part is refused.
 _AROUND = 2.0
 _SPACINGS = 0.01, 0.1  # [m]: of the poses taken from a curve, in which the input's own spacing counts
+_ELSEWHERE = 1e-3  # [m]: more than rounding, less than anybody minds
 _NO_HEADING = 1.0  # [rad] off the travel: more than any raw path slips in one step
 
 
@@ -122,13 +123,12 @@ class SmootherServer(PluginServer[Smoother]):
         task = self._task(goal.path, settings)
         goal.path.poses = []  # read; the request is kept for as long as its result
         seconds = goal.max_smoothing_duration.sec + 1e-9 * goal.max_smoothing_duration.nanosec
-        plugin = smoother.made(PluginContext(smoother.name, task.costmap, task.footprint))
-        found = plugin.smooth(task.path, seconds, problem=task.problem, cancel_checker=job.should_end)
-        plugin.shutdown()
+        with smoother.made(PluginContext(smoother.name, task.costmap, task.footprint)) as plugin:
+            found = plugin.smooth(task.path, seconds, problem=task.problem, cancel_checker=job.should_end)
         job.look()
+        task.check_answer(found, smoother.name)
         poses = poses_of(found.path, task.spacing)
-        back = task.seen.inverse().poses(poses)
-        result.path = compact_path(back, task.seen.source, began)
+        result.path = compact_path(transform_poses(task.seen.inverse(), poses), task.frame, began)
         result.was_completed = bool(found.completed)
         if self._plan_publisher.get_subscription_count():  # half a millisecond for nobody
             self._plan_publisher.publish(result.path)
@@ -153,11 +153,11 @@ class SmootherServer(PluginServer[Smoother]):
             raise InvalidPath(str(error)) from error
         known = self.newest_costmap(settings)
         frame = given.frame if known is None else known.frame
-        seen = Transform(frame, given.frame, given.stamp, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0))
+        seen = Pose2(0.0, 0.0, 0.0)
         if frame.lstrip("/") != given.frame.lstrip("/"):
             tolerance = settings.parameters.transform_tolerance
-            seen = self.transforms.lookup(frame, given.frame, now(self), tolerance)
-        poses = _with_headings(seen.poses(given.poses))
+            seen = self.transforms.lookup(frame, given.frame, now(self), tolerance).planar()
+        poses = _with_headings(transform_poses(seen, given.poses))
         path, footprint = Path.from_poses(poses, frame), self.outline(settings)
         rule = settings.clearance if settings.clearance is not None else ClearanceRule(0.0, 0.0, 0.0)
         reach = _AROUND + rule.required + (footprint.circumscribed_radius if footprint is not None else 0.0)
@@ -169,7 +169,7 @@ class SmootherServer(PluginServer[Smoother]):
             robot = settings.robot(footprint)
             problem = DockingProblem(path.start, Dock(path.end), robot, (), rule, costmap=near, frame=frame)
         whole = None if known is None else known.costmap
-        return _Task(path, problem, footprint, near, whole, seen, _spacing(poses))
+        return _Task(path, problem, footprint, near, whole, given.frame, seen, _spacing(poses))
 
 
 @dataclass(frozen=True, eq=False)
@@ -182,7 +182,8 @@ class _Task:
         footprint: The robot's outline, where it is known.
         costmap: The part of it around the path.
         whole: All of it.
-        seen: The frame of the goal's path, seen from the costmap's.
+        frame: Of the goal's path.
+        seen: That frame seen from the costmap's, in the plane: there and back is the same place, also where it leans.
         spacing: Of the poses to return of a curve [m].
     """
 
@@ -191,8 +192,23 @@ class _Task:
     footprint: Footprint | None
     costmap: Costmap | None
     whole: Costmap | None
-    seen: Transform
+    frame: str
+    seen: Pose2
     spacing: float
+
+    def check_answer(self, found: SmoothingResult, name: str) -> None:
+        """Refuse what no smoother may return.
+
+        Raises:
+            SmootherException: It is none, stands in another frame, or begins or ends elsewhere.
+        """
+        if not (isinstance(found, SmoothingResult) and isinstance(found.path, Path)):
+            raise SmootherException(f"{name}: returned no smoothed path, but {found!r}")
+        if not may_be_one_frame(found.path.frame, self.path.frame):
+            raise SmootherException(f"{name}: returned a path in {found.path.frame!r}, not in {self.path.frame!r}")
+        away = max(found.path.start.distance_to(self.path.start), found.path.end.distance_to(self.path.end))
+        if away > _ELSEWHERE:
+            raise SmootherException(f"{name}: returned a path that begins or ends {away:.3g} m off the one to smooth")
 
     def check_collisions(self, poses: FloatArray, found: SmoothingResult) -> None:
         """Refuse a result that touches something.

@@ -6,6 +6,7 @@ Subscriptions only store what arrives; it is converted, and judged, when somebod
 from __future__ import annotations
 
 import threading
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -21,6 +22,8 @@ from optdock.geometry.pose import transform_points
 from optdock.nav2.layers.raster import cells_of_lines
 
 if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
+
     from rclpy.node import Node
 
     from optdock.costmap.costmap import Costmap
@@ -39,8 +42,10 @@ __all__ = [
 
 # Updates that nobody has asked for are patched in at this number: more would only be kept, and patched at once later.
 _MOST_UPDATES = 32
-# [m]: an outline that comes back from the map's frame as float32 wanders by some micrometres; it is the same outline.
+# [m]: an outline that comes back from the map's frame as float32, by an interpolated transform, wanders by micrometres,
+# 4 of them 100 m from the origin; it is the same outline. Contact forgives 2 of them, so it is rounded too.
 _SAME_OUTLINE = 1e-4
+_DIGITS = 4  # after the point: a tenth of a millimetre
 
 
 class SurroundingsError(OptdockError):
@@ -71,6 +76,7 @@ class CostmapTopic:
         self._whole: Any = None
         self._updates: list[Any] = []
         self._known: StampedCostmap | None = None
+        self._fault = f"{topic}: no costmap yet"
         self._converting = threading.Lock()
         group = MutuallyExclusiveCallbackGroup()
         kept = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
@@ -103,36 +109,24 @@ class CostmapTopic:
                 whole, updates = self._whole, self._updates
                 self._whole, self._updates = None, []
             if whole is not None:
-                self._known = None
-                self._known = self._converted(whole)
-            for update in updates:
-                self._known = self._patched(update)
-            known = self._known
+                self._known = self._converted(self.topic, partial(ros.costmap, whole))
+            if self._known is not None and updates:
+                self._known = self._converted(f"{self.topic}_updates", partial(_updated, self._known, updates))
+            known, fault = self._known, self._fault
         if known is None:
-            raise SurroundingsError(f"{self.topic}: no costmap yet", where={"topic": self.topic})
+            raise SurroundingsError(fault, where={"topic": self.topic})
         return known
 
-    def _converted(self, message: Any) -> StampedCostmap:
-        try:
-            return ros.costmap(message)
-        except InvalidValue as error:
-            raise SurroundingsError(f"{self.topic}: {error}", where={"topic": self.topic}) from error
+    def _converted(self, topic: str, convert: Callable[[], StampedCostmap]) -> StampedCostmap | None:
+        """A costmap; None, and why is kept, where what came is none or does not fit what is known.
 
-    def _patched(self, message: Any) -> StampedCostmap | None:
-        """The costmap with one part replaced; a part of an older one changes nothing.
-
-        Raises:
-            SurroundingsError: The part does not fit: what is known is not what there is, so it is forgotten until the
-                next whole costmap.
+        What was known is then not what there is, until the next whole costmap.
         """
-        known = self._known
         try:
-            if known is None or ros.seconds(message.header.stamp) < known.stamp:
-                return known
-            return ros.patched(known, message)
+            return convert()
         except InvalidValue as error:
-            self._known = None
-            raise SurroundingsError(f"{self.topic}_updates: {error}", where={"topic": self.topic}) from error
+            self._fault = f"{topic}: {error}"
+            return None
 
     def _take_whole(self, message: Any) -> None:
         with self._lock:
@@ -168,7 +162,7 @@ class FootprintTopic:
         self, node: Node, topic: str, transforms: TransformBuffer, base_frame: str, tolerance: float = 0.0
     ) -> None:
         self.topic = topic
-        self._node, self._transforms, self._base, self._tolerance = node, transforms, base_frame, tolerance
+        self._node, self._transforms, self._base, self.tolerance = node, transforms, base_frame, tolerance
         self._newest: PolygonStamped | None = None
         self._known: tuple[Footprint, float] | None = None
         self._converting = threading.Lock()
@@ -188,7 +182,7 @@ class FootprintTopic:
     def newest(self) -> tuple[Footprint, float]:
         """The outline in the robot's frame, and its stamp [s].
 
-        An outline that differs from the one before by less than 0.1 mm is the one before.
+        It is rounded to a tenth of a millimetre; one that differs from the one before by less is the one before.
 
         Raises:
             SurroundingsError: Nothing has come yet, or it is no outline.
@@ -214,8 +208,8 @@ class FootprintTopic:
             frame, stamp = message.header.frame_id.lstrip("/"), ros.seconds(message.header.stamp)
             stood = None
             if frame and frame != self._base.lstrip("/"):
-                stood = self._transforms.lookup(frame, self._base, stamp, self._tolerance).planar()
-            outline = ros.footprint(message, at=stood).footprint
+                stood = self._transforms.lookup(frame, self._base, stamp, self.tolerance).planar()
+            outline = Footprint(np.round(ros.footprint(message, at=stood).footprint.vertices, _DIGITS))
         except InvalidValue as error:
             raise SurroundingsError(f"{self.topic}: {error}", where={"topic": self.topic}) from error
         known = self._known[0] if self._known is not None else None
@@ -226,6 +220,21 @@ class FootprintTopic:
 
     def _take(self, message: PolygonStamped) -> None:
         self._newest = message
+
+
+def _updated(known: StampedCostmap, updates: Sequence[Any]) -> StampedCostmap:
+    """A costmap with the parts that came after it; a part that is older than what is known changes nothing.
+
+    Raises:
+        InvalidMessage: A part does not fit.
+    """
+    newer, newest = [], known.stamp
+    for update in updates:
+        stamp = ros.seconds(update.header.stamp)
+        if stamp >= newest:
+            newer.append(update)
+            newest = stamp
+    return ros.patched(known, *newer)
 
 
 def _update_type(*, raw: bool) -> type | None:

@@ -171,6 +171,14 @@ def test_robot_that_is_pushed_aside_comes_again(lawful):
     assert abs(docking.world.error.y) <= 0.006
 
 
+@pytest.mark.parametrize("deep", [0.005, 0.018, 0.04])
+def test_robot_that_was_pressed_too_deep_into_its_dock_leaves_it(lawful, deep):
+    """Commands that came late, a bumper that yields, an estimate that is off: the way out is free all the same."""
+    docking = run(simulated(Pose2(deep, 0.0, 0.0), sensors=PERFECT), problem_with(), task="undock")
+    assert lawful(docking, touch=deep + 1e-3).kind is EndingKind.UNDOCKED
+    assert not docking.said("backing out is blocked")
+
+
 def test_stuck_wheel_ends_the_task(lawful):
     wheels = Wheels(0.4, stuck=(StuckWheel("left", 1.5),))
     plant = DifferentialDrive(ROBOT, Actuation(0.1, 0.1, 0.06), wheels=wheels)

@@ -99,6 +99,18 @@ def test_the_staging_pose_lies_behind_the_dock_in_its_own_frame():
     np.testing.assert_allclose(staging.as_array(), [1.0, 1.3, 1.5 * math.pi], atol=1e-12)
 
 
+@pytest.mark.parametrize("direction", list(DockDirection)[:2])
+def test_a_robot_comes_into_its_dock_from_the_staging_pose_in_its_gear(direction):
+    """Nav2's docks look the way in, whichever end of the robot goes in first."""
+    kind = DockType("d", direction)
+    dock = Pose2(1.0, 2.0, 0.4)
+    seen = kind.staging_pose(dock).in_frame_of(kind.docked_pose(dock))
+    gear = 1.0 if direction is DockDirection.FORWARD else -1.0
+    np.testing.assert_allclose((seen.x, seen.y), (-0.7 * gear, 0.0), atol=1e-12)
+    back = kind.docked_pose(kind.docked_pose(dock))
+    np.testing.assert_allclose((back.x, back.y, math.remainder(back.yaw, math.tau)), (1.0, 2.0, 0.4), atol=1e-12)
+
+
 def test_a_namespace_before_the_node_is_kept(tmp_path):
     params = loaded(tmp_path, "robot1:\n  planner_server:\n    ros__parameters: {tolerance: 0.5}\n")
     assert dict(params.nodes) == {"robot1/planner_server": {"tolerance": 0.5}}

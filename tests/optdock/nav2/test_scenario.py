@@ -29,7 +29,7 @@ docking_server:
     dock_plugins: [charger]
     charger: {plugin: "opennav_docking::SimpleChargingDock", staging_x_offset: -0.6, dock_direction: backward}
     docks: [home]
-    home: {type: charger, pose: [1.0, 2.0, 0.0]}
+    home: {type: charger, pose: [1.0, 2.0, -3.141592653589793]}
 """
 
 
@@ -42,7 +42,8 @@ def files(tmp_path):
         "image: hall.png\nresolution: 0.05\norigin: [0, 0, 0]\nnegate: 0\noccupied_thresh: 0.65\nfree_thresh: 0.196\n"
     )
     (tmp_path / "docks.yaml").write_text(
-        "docks:\n  left: {type: charger, pose: [1.0, 2.5, 0.0]}\n  right: {type: chargr, pose: [5.0, 2.0, 0.0]}\n"
+        "docks:\n  left: {type: charger, pose: [1.0, 2.5, 3.141592653589793]}\n"
+        "  right: {type: chargr, pose: [5.0, 2.0, 0.0]}\n"
         "  far: {type: charger, pose: [0, 0, 0], frame: odom}\n"
     )
     return tmp_path
@@ -177,7 +178,7 @@ def test_plan_runs_from_nav2s_own_parameters_and_map(tmp_path, real_data, dock, 
     (tmp_path / "params.yaml").write_text(listed.replace("    # Dock instances\n", rear, 1))
     (tmp_path / "docks.yaml").write_text(
         "docks:\n  nose: {type: simple_charging_dock, pose: [-14.5, 0.24, 3.14159265358979], id: tag}\n"
-        "  tail: {type: rear, pose: [-14.5, 0.24, 0.0]}\n"
+        "  tail: {type: rear, pose: [-14.5, 0.24, 3.14159265358979]}\n"
     )
     files = [
         "--nav2-params",

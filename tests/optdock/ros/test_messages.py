@@ -2,6 +2,7 @@
 
 import copy
 import math
+import tracemalloc
 from types import SimpleNamespace
 
 import numpy as np
@@ -16,7 +17,7 @@ from optdock.errors import InvalidMessage, InvalidValue
 from optdock.geometry.footprint import Footprint
 from optdock.geometry.pose import Pose2, Twist2, normalize_angle
 from optdock.ros.bag import bag_types as types
-from optdock.ros.transforms import RecordedTransforms
+from optdock.ros.transforms import TransformError, TransformTree
 
 coordinates = st.floats(-1e4, 1e4)
 yaws = st.floats(-math.pi, math.pi)
@@ -134,6 +135,10 @@ def test_an_update_changes_its_window_and_nothing_else(grid, x, y, wide, high):
     assert np.array_equal(found.costmap.data, expected)
     occupied = update("grid", x, y, (wide, high), np.full(wide * high, 100, dtype=np.int8))
     assert np.array_equal(ros.patched(known, occupied).costmap.data, expected)
+    again = update("costmap", 0, 0, (1, 1), [7])
+    one_by_one, at_once = ros.patched(ros.patched(known, message), again), ros.patched(known, message, again)
+    assert np.array_equal(one_by_one.costmap.data, at_once.costmap.data)
+    assert ros.patched(known) is known
 
 
 @laws
@@ -254,15 +259,35 @@ def test_diagnostics_say_level_text_and_values():
 
 
 def test_recorded_transforms_are_joined_and_interpolated():
-    tree = RecordedTransforms()
+    tree = TransformTree(reach=0.2)
     for time, x in ((1.0, 0.0), (2.0, 1.0)):
-        tree.add(ros.transforms_message(types, [("odom", "base_link", Pose2(x, 0.0, 3.1 * x))], time))
-    tree.add(ros.transforms_message(types, [("map", "odom", Pose2(10.0, 0.0, math.pi / 2))], 1.0), always=True)
-    at = tree.lookup("map", "base_link", 1.5)
+        (moving,) = ros.transforms_message(types, [("odom", "base_link", Pose2(x, 0.0, 3.1 * x))], time).transforms
+        assert tree.insert(moving)
+    (fixed,) = ros.transforms_message(types, [("map", "odom", Pose2(10.0, 0.0, math.pi / 2))], 1.0).transforms
+    assert tree.insert(fixed, is_static=True)
+    at = tree.lookup("map", "base_link", 1.5).planar()
     assert (at.x, at.y, at.yaw) == pytest.approx((10.0, 0.5, math.pi / 2 + 1.55))
-    back = tree.lookup("base_link", "map", 1.5) @ at
+    back = tree.lookup("base_link", "map", 1.5).planar() @ at
     assert (back.x, back.y, back.yaw) == pytest.approx((0.0, 0.0, 0.0), abs=1e-12)
-    with pytest.raises(InvalidValue, match=r"odom -> base_link: not known at 3\.000 s, only from 1\.000 s to 2\.000 s"):
+    for beyond in (0.85, 2.15):
+        assert tree.lookup("odom", "base_link", beyond).planar().x == round(beyond - 1.0)
+    with pytest.raises(TransformError, match=r"asked for 3\.000 s, but the newest of base_link is 1\.000 s older"):
         tree.lookup("map", "base_link", 3.0)
-    with pytest.raises(InvalidValue, match="no transform from 'camera' to 'map'; frames known: base_link, map, odom"):
+    with pytest.raises(TransformError, match=r"asked for 0\.500 s, but the oldest known is 0\.500 s newer"):
+        tree.lookup("map", "base_link", 0.5)
+    assert not tree.put("base_link", "camera", 1.0, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 0.0))
+    known = r"map <- odom \(static\), odom <- base_link \(until 2\.000 s\); refused: base_link <- camera \(its quat"
+    with pytest.raises(TransformError, match=f"map <- camera: nobody has told of 'camera'; known: {known}"):
         tree.lookup("map", "camera", 1.5)
+
+
+def test_a_million_transforms_take_64_bytes_each():
+    """Recordings of an hour have millions, most of them of frames that nobody asks for."""
+    tree, count = TransformTree(), 20_000
+    tracemalloc.start()
+    for n in range(count):
+        tree.put("odom", "base_link", 0.01 * n, (1e-3 * n, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0))
+    size, _ = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    assert size / count < 80
+    assert tree.lookup("odom", "base_link", 0.5).translation[0] == pytest.approx(0.05)

@@ -349,11 +349,15 @@ WRONG_RECORDINGS = [
     (instead("/plan", STRANGE), "", "/plan: must be nav_msgs/msg/Path, is geometry_msgs/msg/PoseStamped; choose anoth"),
     (instead("/plan", EMPTY_PATH), "", "/plan: holds no path with poses from 0.000 s"),
     (instead("/plan", NOT_FINITE), "", "/plan: nav_msgs/msg/Path: poses[1].pose.position.y: must be finite, got nan"),
-    (instead("/plan", ELSEWHERE), "", "/plan: no transform from 'moon' to 'odom'; frames known: base_link, map, odom"),
+    (
+        instead("/plan", ELSEWHERE),
+        "",
+        "/plan: odom <- moon: nobody has told of 'moon'; known: map <- odom (static), odom",
+    ),
     (without(), "--since 0.01 --until 0.04", "/odom: holds no message from 0.010 s to 0.040 s of 2.000 s (--since, "),
     (without(), "--since 0.11 --until 0.3", "/local_costmap/costmap_raw: holds no message from 0.110 s to 0.300 s"),
-    (UNJOINED, "", "/plan: no transform from 'odom' to 'map'; frames known: base_link, odom"),
-    ([*UNJOINED, BagMessage("/tf_static", BEGIN, LEANING)], "", "/plan: tf2_msgs/msg/TFMessage: map -> odom.orientat"),
+    (UNJOINED, "", "/plan: map <- odom: nobody has told of 'map'; known: odom <- base_link (until"),
+    ([*UNJOINED, BagMessage("/tf_static", BEGIN, LEANING)], "", "/plan: map <- odom: leans by 0.600 rad, more than"),
 ]
 WRONG_OPTIONS = [
     ("--since 2 --until 1", "--since: must be >= 0 s and before --until, got 2.0 and 1.0"),
@@ -435,6 +439,26 @@ def test_a_collision_is_said_before_all_else():
     verdict = run("certify", "field/drive.json", "field/drive.yaml")
     assert verdict.stderr.startswith("not certified: the footprint overlaps map at s = ")
     assert re.search("violation +the path slips sideways", verdict.stdout)
+
+
+def test_a_swing_between_the_poses_that_are_kept_is_judged():
+    """The robot turns by 0.09 rad and back where it stands, and a corner of it touches something meanwhile."""
+    messages = field_messages()
+    grid = next(message.message for message in messages[1:] if message.topic == "/local_costmap/costmap_raw")
+    turned = od.Pose2(1.0, 0.0, 0.09)
+    x, y = transform_points(turned.as_array()[None], FOOTPRINT.vertices)[0].max(axis=0).tolist()
+    grid.data[160 * int((y - 0.001 + 3.0) / 0.05) + int((x - 0.05 + 3.0) / 0.05)] = 254
+    for time, pose in ((1.01, od.Pose2(1.0, 0.0, 0.0)), (1.02, turned), (1.03, od.Pose2(1.0, 0.0, 0.0))):
+        at, tree = BEGIN + time, [("odom", "base_link", pose)]
+        odometry = ros.odometry_message(bag_types, pose, od.Twist2(), "odom", "base_link", at)
+        messages += [
+            BagMessage("/tf", at, ros.transforms_message(bag_types, tree, at)),
+            BagMessage("/odom", at, odometry),
+        ]
+    write_bag("field.mcap", messages)
+    result = run("import", "bag", "field.mcap", "-o", "field")
+    assert re.search(r"drive closest +0\.\d+ m into map, pose 22 of 44, \(1, 0, 0\.09\) at 1\.020 s", result.stdout)
+    assert run("certify", "field/drive.json", "field/drive.yaml").stderr.startswith("not certified: the footprint over")
 
 
 @pytest.mark.parametrize(

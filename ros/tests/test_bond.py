@@ -1,0 +1,77 @@
+"""The bond, as the other side sees it: a stand-in of the lifecycle manager's half, by the rules of `bondcpp`."""
+
+from __future__ import annotations
+
+import time
+from typing import TYPE_CHECKING
+
+import pytest
+from bond.msg import Status
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from harness import Client, Lifecycle, Processes
+
+SERVERS = {
+    "smoother_server": {},
+    "docking_server": {"dock_plugins": ["bay"], "bay.plugin": "opennav_docking::SimpleNonChargingDock"},
+}
+PERIOD = 0.1  # [s], the servers' default
+
+
+class Manager:
+    """The half that waits for a bond to form and watches it: other instances under one id are its sister."""
+
+    def __init__(self, client: Client, name: str) -> None:
+        self.name, self.heard = name, list[tuple[float, Status]]()
+        self._publisher = client.create_publisher(Status, "bond", 10)
+        client.create_subscription(Status, "bond", self._take, 10)
+        client.create_timer(PERIOD, self._beat)
+
+    def _beat(self) -> None:
+        self._publisher.publish(
+            Status(id=self.name, instance_id="manager", active=True, heartbeat_timeout=4.0, heartbeat_period=PERIOD)
+        )
+
+    def _take(self, status: Status) -> None:
+        if status.id == self.name and status.instance_id != "manager":
+            self.heard.append((time.monotonic(), status))
+
+    @property
+    def sister(self) -> str:
+        """The instance that was heard last; empty where it has said that it ends."""
+        return self.heard[-1][1].instance_id if self.heard and self.heard[-1][1].active else ""
+
+
+@pytest.mark.parametrize("server", sorted(SERVERS))
+def test_a_bond_forms_lives_and_ends_with_the_server(
+    process: Processes, client_node: Client, lifecycle: Callable[[str], Lifecycle], server: str
+) -> None:
+    started, life, manager = process(server, params=SERVERS[server]), lifecycle(server), Manager(client_node, server)
+    assert life.configure()
+    time.sleep(3.0 * PERIOD)
+    assert manager.heard == [], "a bond is formed by activate"
+    assert life.activate()
+    client_node.until(lambda: len(manager.heard) > 10, what="ten heartbeats")
+    first = manager.sister
+    assert first
+    assert manager.heard[-1][1].heartbeat_period == pytest.approx(PERIOD)
+    gaps = [b - a for (a, _), (b, _) in zip(manager.heard, manager.heard[1:], strict=False)]
+    assert max(gaps) < manager.heard[-1][1].heartbeat_timeout
+    assert life.deactivate()
+    client_node.until(lambda: manager.sister == "", 2.0, "the end of the bond")
+    assert life.activate()
+    client_node.until(lambda: manager.sister not in {"", first}, 2.0, "a bond of another instance")
+    assert started.stop() == 0
+    assert manager.sister == "", "who ends says so: else the manager would wait for the timeout"
+
+
+def test_no_bond_where_none_is_wanted(
+    process: Processes, client_node: Client, lifecycle: Callable[[str], Lifecycle]
+) -> None:
+    process("smoother_server", params={"bond_heartbeat_period": 0.0})
+    manager = Manager(client_node, "smoother_server")
+    lifecycle("smoother_server").up()
+    time.sleep(5.0 * PERIOD)
+    assert manager.heard == []

@@ -1,0 +1,225 @@
+"""What the pages on ROS 2 say: their commands, files and tables, tried and compared with the nodes themselves."""
+
+from __future__ import annotations
+
+import re
+import shlex
+import sys
+import xml.etree.ElementTree as ET
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import pytest
+import yaml
+from action_msgs.msg import GoalStatus
+from diagnostic_msgs.msg import DiagnosticArray
+from harness import Client, Lifecycle, Processes
+from launch_stand_in import launched
+from nav2_msgs.action import ComputePathToPose, DockRobot, SmoothPath, UndockRobot
+from optdock_ros import dock_plugins, docking_parameters, planner_server, smoother_server
+from rcl_interfaces.srv import SetParameters
+from rclpy.parameter import Parameter
+
+from optdock import ros
+from optdock.config.reference import _reference
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+ROOT = Path(__file__).parents[2]
+HOWTO = (ROOT / "docs" / "howto" / "ros2.md").read_text(encoding="utf-8")
+REFERENCE = (ROOT / "docs" / "reference" / "ros2.md").read_text(encoding="utf-8")
+FENCE = re.compile(
+    r"^```(?P<language>\w+)(?: title=\"(?P<title>[^\"]+)\")?\n(?P<body>.*?)^```$", re.MULTILINE | re.DOTALL
+)
+SPEED = 2.0  # of the simulated world, whose clock of its own waits for a busy machine
+
+
+def section(page: str, title: str) -> str:
+    """The text under a heading, to the next one of its kind."""
+    level = re.search(rf"^(#+) {re.escape(title)}$", page, re.MULTILINE)
+    assert level is not None, title
+    following = re.search(rf"^#{{1,{len(level[1])}}} ", page[level.end() :], re.MULTILINE)
+    return page[level.end() :][: following.start() if following else None]
+
+
+def blocks(text: str, language: str) -> Iterator[tuple[str, str]]:
+    """Title and text of every code block of a language."""
+    return ((found["title"] or "", found["body"]) for found in FENCE.finditer(text) if found["language"] == language)
+
+
+def commands(text: str) -> list[list[str]]:
+    """The commands of the text that begin with `ros2`, in words without that one."""
+    lines = (line for _, body in blocks(text, "bash") for line in body.splitlines())
+    return [shlex.split(line)[1:] for line in lines if line.startswith("ros2 ")]
+
+
+def file_of(title: str, folder: Path) -> Path:
+    """A file that the page shows."""
+    (body,) = (body for language in ("yaml", "python") for found, body in blocks(HOWTO, language) if found == title)
+    path = folder / title
+    path.write_text(body)
+    return path
+
+
+def message(kind: Any, text: str) -> Any:
+    """A message of a type with the fields that YAML says."""
+    made = kind()
+    for name, value in (yaml.safe_load(text) or {}).items():
+        setattr(made, name, value)
+    return made
+
+
+class Shell:
+    """Does what `ros2` would do."""
+
+    def __init__(self, client: Client, process: Processes, folder: Path) -> None:
+        self.client, self.process, self.folder = client, process, folder
+
+    def __call__(self, words: list[str]) -> Any:
+        """A command, without its `ros2`."""
+        words = [word for word in words if word not in {"--feedback", "--once"}]
+        return getattr(self, "_".join(words[: 1 if words[0] in {"launch", "run"} else 2]))(*words[2:])
+
+    def launch(self, file: str) -> None:
+        """Start what the launch file starts, in a world with a clock of its own."""
+        for one in launched(file, self.folder):
+            clock = ["-p", f"speed:={SPEED}"] if one.executable == "simulated_robot" else ["-p", "use_sim_time:=true"]
+            self.process(one.executable, args=(*one.arguments, "--ros-args", *clock))
+        self.topic_echo("/odom")  # a person is slower than a process
+
+    def run(self, executable: str, *arguments: str) -> Any:
+        """Start one process."""
+        return self.process(executable, args=[str(self.folder / w) if w.endswith(".yaml") else w for w in arguments])
+
+    def action_send_goal(self, name: str, kind: str, goal: str) -> Any:
+        """Send a goal, and what became of it."""
+        found = ros.imported(kind)
+        return self.client.send(found, name, message(found.Goal, goal)).reply(60.0)
+
+    def topic_echo(self, topic: str) -> Any:
+        """The next message."""
+        kinds = self.client.until(
+            lambda: dict(self.client.get_topic_names_and_types()).get(topic), what=f"the topic {topic}"
+        )
+        heard = self.client.heard(ros.imported(kinds[0]), topic)
+        return self.client.until(lambda: heard, what=topic)[0]
+
+    def service_call(self, name: str, kind: str) -> Any:
+        """Call a service that asks for nothing."""
+        return self.client.call(ros.imported(kind), name)
+
+    def param_set(self, node: str, name: str, value: str) -> Any:
+        """Set a parameter."""
+        request = SetParameters.Request(parameters=[Parameter(name, value=yaml.safe_load(value)).to_parameter_msg()])
+        return self.client.call(SetParameters, f"{node}/set_parameters", request).results[0]
+
+
+def test_the_simulated_docking_of_the_page(client_node: Client, process: Processes, tmp_path: Path) -> None:
+    shell = Shell(client_node, process, tmp_path)
+    launch, dock, echo, undock, reset, fault = commands(section(HOWTO, "Try it without a robot"))
+    shell(launch)
+    docked = shell(dock)
+    assert (docked.status, docked.result.error_code) == (GoalStatus.STATUS_SUCCEEDED, 0), docked.result
+    report = shell(echo)
+    assert isinstance(report, DiagnosticArray)
+    told = {item.key: item.value for item in report.status[0].values}
+    assert max(abs(float(told[name])) for name in ("along", "cross", "yaw")) < 0.01
+    undocked = shell(undock)
+    assert undocked.status == GoalStatus.STATUS_SUCCEEDED, undocked.result
+    assert shell(reset).success
+    assert shell(fault).successful
+
+
+def test_the_file_of_the_page_starts_both_servers(client_node: Client, process: Processes, tmp_path: Path) -> None:
+    file = file_of("nav2_params.yaml", tmp_path)
+    for name, parameters in yaml.safe_load(file.read_text()).items():
+        server = process(name, params=file)
+        Lifecycle(client_node, name).up()
+        assert "ERROR" not in server.log()
+        assert topics_of(client_node, name, parameters["ros__parameters"]) - told_topics(name) == set()
+
+
+# Every node has these.
+OF_RCLPY = re.compile(
+    r"/rosout|/parameter_events|/_action/|transition_event|/\w+_server/(get|set|list|describe|change)_"
+)
+
+
+def topics_of(client: Client, node: str, parameters: dict[str, Any]) -> set[str]:
+    """What a node publishes, listens to and serves; by the parameter where one says it, as tables name it."""
+    asks = (
+        client.get_publisher_names_and_types_by_node,
+        client.get_subscriber_names_and_types_by_node,
+        client.get_service_names_and_types_by_node,
+    )
+    found = {name for ask in asks for name, _ in client.until(lambda ask=ask: ask(node, "/"), what="topics")}  # type: ignore[misc]
+    names = {name.removeprefix("/").removesuffix("_updates") for name in found if not OF_RCLPY.search(name)}
+    assert len(names) > 4
+    controller = {f"controller.{key}": value for key, value in parameters.get("controller", {}).items()}
+    spoken = {value: key for key, value in {**parameters, **controller}.items() if key.endswith("_topic")}
+    spoken |= {"global_costmap/costmap_raw": "costmap_topic"} if node == "smoother_server" else {"odom": "odom_topic"}
+    spoken |= {"global_costmap/published_footprint": "footprint_topic"} if node == "smoother_server" else {}
+    return {spoken.get(name, name.replace(f"{node}/", "~/")) for name in names}
+
+
+def told_topics(node: str) -> set[str]:
+    """The names in the first column of a section's tables."""
+    rows = re.findall(r"^\| ([^|]+) \|", section(REFERENCE, node), re.MULTILINE)
+    bond = {"bond"}  # told of all servers
+    return bond | {name.removeprefix("/") for row in rows for name in re.findall(r"`([^`]+)`", row)}
+
+
+def test_a_server_beside_nav2s(client_node: Client, process: Processes, tmp_path: Path) -> None:
+    file_of("beside.yaml", tmp_path)
+    (run,) = (words for words in commands(HOWTO) if words[0] == "run" and words[1] == "optdock_ros")
+    Shell(client_node, process, tmp_path)(run)
+    goal = SmoothPath.Goal(smoother_id="certified")
+    reply = client_node.send(SmoothPath, "optdock/smooth_path", goal).reply()
+    assert reply.result.error_code == SmoothPath.Result.INVALID_PATH  # it has no poses; the smoother is known
+    (tree,) = blocks(HOWTO, "xml")
+    assert ET.fromstring(tree[1]).get("smoother_id") == "certified"
+    assert 'server_name="optdock/smooth_path"' in HOWTO
+
+
+def test_the_launch_file_of_the_page(tmp_path: Path) -> None:
+    started = launched(file_of("servers_of_optdock.launch.py", tmp_path), tmp_path)
+    assert [one.executable for one in started] == ["smoother_server", "docking_server"]
+
+
+@pytest.mark.parametrize(
+    ("model", "module"),
+    [
+        (docking_parameters.DockingParameters, "docking_parameters"),
+        (docking_parameters.ControllerParameters, "docking_parameters"),
+        (docking_parameters.DockParameters, "docking_parameters"),
+        (dock_plugins.SimpleChargingDockParameters, "dock_plugins"),
+        (smoother_server.SmootherServerParameters, "smoother_server"),
+        (planner_server.PlannerServerParameters, "planner_server"),
+    ],
+)
+def test_what_the_tables_are_made_of_are_the_parameters(model: Any, module: str) -> None:
+    """The pages are made without rclpy, from the source; here is rclpy, and the models themselves."""
+    sys.path.insert(0, str(ROOT / "docs" / "tools"))
+    import generated
+
+    sys.path.pop(0)
+    assert _reference(generated.ros_models(module)[model.__name__]) == _reference(model)
+    assert f"<!-- made: ros {module}.{model.__name__} -->" in REFERENCE
+
+
+def codes(text: str) -> set[int]:
+    """The codes in the first column of a section's tables."""
+    return {int(code) for row in re.findall(r"^\| (\d+(?:, \d+)*) \|", text, re.MULTILINE) for code in row.split(", ")}
+
+
+@pytest.mark.parametrize(
+    ("action", "where"),
+    [(SmoothPath, "smoother_server"), (ComputePathToPose, "planner_server"), (DockRobot, "docking_server"),
+     (UndockRobot, "docking_server")],
+)  # fmt: skip
+def test_every_code_of_an_action_is_explained(action: Any, where: str) -> None:
+    names = [name for name in vars(type(action.Result)) | vars(action.Result) if name.isupper()]
+    known = {value for name in names if type(value := getattr(action.Result, name)) is int}
+    assert len(known) > 3
+    assert known <= codes(section(REFERENCE, where))
