@@ -165,6 +165,17 @@ def is_gone(pid: int) -> bool:
         return True
 
 
+def test_a_server_that_was_suspended_does_not_throw_a_standing_robot_forward(world: World) -> None:
+    """The base has stopped by itself; what the server wanted before says nothing any more."""
+    world.approach()
+    os.kill(world.server.pid, signal.SIGSTOP)
+    world.stops(within=SLOWEST_STOP)
+    count = len(world.commands)
+    os.kill(world.server.pid, signal.SIGCONT)
+    world.client.until(lambda: len(world.commands) >= count + 8, what="commands again")
+    assert max(abs(linear) for _, linear, _ in world.commands[count : count + 8]) < 0.5 * MOVING
+
+
 @pytest.mark.parametrize("by", [signal.SIGINT, signal.SIGTERM])
 def test_an_interrupted_server_stops_the_robot_and_ends_well(world: World, by: signal.Signals) -> None:
     world.approach()
@@ -180,8 +191,8 @@ def test_a_transition_out_of_active_stops_the_robot_first(world: World, how: str
     assert getattr(server, how)()
     assert world.stops(within=0.5) < 0.5
     world.gentle_end()
+    assert goal.reply().status == GoalStatus.STATUS_ABORTED
     if how == "deactivate":
-        assert goal.reply().status == GoalStatus.STATUS_ABORTED
         assert not world.send().is_accepted
         assert server.activate()
         world.approach()
