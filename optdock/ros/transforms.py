@@ -22,10 +22,10 @@ if TYPE_CHECKING:
 
     from optdock.ros.messages import Message
 
-__all__ = ["Transform", "TransformError", "TransformTree"]
+__all__ = ["Quaternion", "Transform", "TransformError", "TransformTree", "quaternion_product", "rotated"]
 
-_Vector: TypeAlias = tuple[float, float, float]
-_Quaternion: TypeAlias = tuple[float, float, float, float]
+Vector: TypeAlias = tuple[float, float, float]
+Quaternion: TypeAlias = tuple[float, float, float, float]
 
 _LONGEST_CHAIN = 100  # frames: more than any robot has; frames in a circle are noticed
 # [s]: stamps are nanoseconds, and seconds since 1970 as a float resolve 2.4e-7 s.
@@ -53,8 +53,8 @@ class Transform:
     target: str
     source: str
     stamp: float
-    translation: _Vector
-    rotation: _Quaternion
+    translation: Vector
+    rotation: Quaternion
 
     def planar(self) -> Pose2:
         """The pose in the plane.
@@ -75,9 +75,9 @@ class Transform:
         return Pose2(self.translation[0], self.translation[1], yaw)
 
     def __matmul__(self, other: Transform) -> Transform:
-        moved = _rotated(self.rotation, other.translation)
+        moved = rotated(self.rotation, other.translation)
         (ax, ay, az), (bx, by, bz) = self.translation, moved
-        rotation = _product(self.rotation, other.rotation)
+        rotation = quaternion_product(self.rotation, other.rotation)
         stamp = min(self.stamp, other.stamp)
         return Transform(self.target, other.source, stamp, (ax + bx, ay + by, az + bz), rotation)
 
@@ -85,13 +85,13 @@ class Transform:
         """The pose of the target frame seen from the source frame."""
         x, y, z, w = self.rotation
         back = (-x, -y, -z, w)
-        tx, ty, tz = _rotated(back, self.translation)
+        tx, ty, tz = rotated(back, self.translation)
         return Transform(self.source, self.target, self.stamp, (-tx, -ty, -tz), back)
 
 
 class _Sample(NamedTuple):
-    translation: _Vector
-    rotation: _Quaternion
+    translation: Vector
+    rotation: Quaternion
 
 
 class _Track:
@@ -169,7 +169,7 @@ class TransformTree:
         return self.put(parent, child, stamp, (t.x, t.y, t.z), (q.x, q.y, q.z, q.w), is_static=is_static)
 
     def put(
-        self, parent: str, child: str, stamp: float, place: _Vector, turn: _Quaternion, *, is_static: bool = False
+        self, parent: str, child: str, stamp: float, place: Vector, turn: Quaternion, *, is_static: bool = False
     ) -> bool:
         """Store where a frame stands in another.
 
@@ -321,7 +321,8 @@ def _to_root(tracks: Mapping[str, _Track], frame: str) -> list[str]:
     return chain
 
 
-def _product(a: _Quaternion, b: _Quaternion) -> _Quaternion:
+def quaternion_product(a: Quaternion, b: Quaternion) -> Quaternion:
+    """Hamilton's product of x, y, z, w: the rotation `b`, seen from the frame that `a` is seen from."""
     ax, ay, az, aw = a
     bx, by, bz, bw = b
     return (
@@ -332,12 +333,13 @@ def _product(a: _Quaternion, b: _Quaternion) -> _Quaternion:
     )
 
 
-def _rotated(q: _Quaternion, v: _Vector) -> _Vector:
-    x, y, z, _w = _product(_product(q, (*v, 0.0)), (-q[0], -q[1], -q[2], q[3]))
+def rotated(q: Quaternion, v: Vector) -> Vector:
+    """A vector, turned by a quaternion x, y, z, w."""
+    x, y, z, _w = quaternion_product(quaternion_product(q, (*v, 0.0)), (-q[0], -q[1], -q[2], q[3]))
     return x, y, z
 
 
-def _between(a: _Quaternion, b: _Quaternion, share: float) -> _Quaternion:
+def _between(a: Quaternion, b: Quaternion, share: float) -> Quaternion:
     """The rotation between two, the short way at constant speed."""
     dot = sum(p * q for p, q in zip(a, b, strict=True))
     sign = -1.0 if dot < 0.0 else 1.0

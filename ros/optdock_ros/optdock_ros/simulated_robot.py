@@ -69,6 +69,7 @@ from optdock.geometry.pose import Pose2, Twist2, arc_end, transform_points
 from optdock.obstacles import ObstacleSet
 from optdock.parameters import closest
 from optdock.robot import Drive
+from optdock.ros.transforms import quaternion_product, rotated
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -78,6 +79,7 @@ if TYPE_CHECKING:
     from optdock.geometry.arrays import FloatArray
     from optdock.measurements import Detection
     from optdock.problem import DockingProblem
+    from optdock.ros.transforms import Quaternion as Rotation
     from optdock.simulation import Plant
 
 __all__ = ["PARAMETERS", "SimulatedRobot", "main"]
@@ -162,7 +164,6 @@ DEFAULT_TRACK = 0.4  # [m], where the scenario's limits name none
 CHARGED = 0.8  # [1], what the battery says of itself
 ROLLING_TORQUE = 0.3  # [N m] of a wheel that is not held
 LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
-Rotation = tuple[float, float, float, float]  # x, y, z, w
 CAMERA_LOOKS = (-0.5, 0.5, -0.5, 0.5)  # z forward, x right, y down, seen from a frame with x forward, z up
 MARKER_FACES = (0.5, -0.5, -0.5, 0.5)  # z towards who drives into the dock, y up, x to the right as the camera sees it
 
@@ -223,7 +224,7 @@ class World:
     def camera(self) -> tuple[tuple[float, float, float], Rotation]:
         """Position and orientation of the camera's frame on the robot."""
         x, y, z = self.numbers("camera.pose")
-        return (x, y, z), product(about_z(0.0 if self.gear > 0.0 else math.pi), CAMERA_LOOKS)
+        return (x, y, z), quaternion_product(about_z(0.0 if self.gear > 0.0 else math.pi), CAMERA_LOOKS)
 
     def robot(self) -> simulation.SimulatedRobot:
         """The robot at its start, at rest."""
@@ -469,11 +470,14 @@ class SimulatedRobot:
         into = about_z(marker.yaw + (0.0 if world.gear > 0.0 else math.pi))
         position, rotation = world.camera
         back = (-rotation[0], -rotation[1], -rotation[2], rotation[3])
-        seen = rotated(back, np.subtract((marker.x, marker.y, world.values["marker.height"]), position))
+        seen = rotated(
+            back,
+            (marker.x - position[0], marker.y - position[1], world.values["marker.height"] - position[2]),
+        )
         message = PoseStamped()
         message.header.stamp = self._stamp(self._began + detection.stamp)
         message.header.frame_id = world.values["camera.frame"]
-        message.pose = pose_message(seen, product(back, product(into, MARKER_FACES)))
+        message.pose = pose_message(seen, quaternion_product(back, quaternion_product(into, MARKER_FACES)))
         return message
 
     def _joint_states(self, stamp: Time) -> JointState:
@@ -626,25 +630,6 @@ class SimulatedRobot:
 def about_z(angle: float) -> Rotation:
     """Turned by an angle [rad] about the vertical."""
     return 0.0, 0.0, math.sin(0.5 * angle), math.cos(0.5 * angle)
-
-
-def product(first: Rotation, second: Rotation) -> Rotation:
-    """`second`, seen from the frame that `first` is seen from."""
-    a, b, c, d = first
-    x, y, z, w = second
-    return (
-        d * x + a * w + b * z - c * y,
-        d * y - a * z + b * w + c * x,
-        d * z + a * y - b * x + c * w,
-        d * w - a * x - b * y - c * z,
-    )
-
-
-def rotated(rotation: Rotation, vector: FloatArray) -> tuple[float, float, float]:
-    """A vector, turned."""
-    x, y, z = vector.tolist()
-    back = (-rotation[0], -rotation[1], -rotation[2], rotation[3])
-    return product(product(rotation, (x, y, z, 0.0)), back)[:3]
 
 
 def points_along(outlines: FloatArray, step: float) -> FloatArray:
