@@ -239,13 +239,13 @@ class Client(Node):
         self._clients_by_name: dict[str, Any] = {}
         self._own_executor = SingleThreadedExecutor(context=self.context)
         self._own_executor.add_node(self)
-        self._ended = threading.Event()
-        self._own_thread = threading.Thread(target=_spin, args=(self._own_executor, self._ended), name=name)
+        self._own_thread = threading.Thread(target=_spin, args=(self._own_executor,), name=name)
         self._own_thread.start()
 
     def end(self) -> None:
         """Join the thread, then the node goes: the other way round aborts the interpreter."""
-        _join(self._own_executor, self._own_thread, self._ended)
+        self._own_executor.shutdown()
+        self._own_thread.join()
         self.destroy_node()
 
     def wait(self, future: Any, timeout: float = PATIENCE) -> Any:
@@ -366,27 +366,23 @@ def spinning(*nodes: Node, executor: Any = None) -> Iterator[None]:
     executor = executor or SingleThreadedExecutor()
     for node in nodes:
         executor.add_node(node)
-    ended = threading.Event()
-    thread = threading.Thread(target=_spin, args=(executor, ended), name="spinning")
+    thread = threading.Thread(target=_spin, args=(executor,), name="spinning")
     thread.start()
     try:
         yield
     finally:
-        _join(executor, thread, ended)
+        executor.shutdown()
+        thread.join()
         for node in nodes:
             node.destroy_node()
 
 
-def _spin(executor: Any, ended: threading.Event) -> None:
-    """As the servers do; an executor that is shut down between two of its waits would wait for ever."""
-    with contextlib.suppress(ExternalShutdownException):
-        while not ended.is_set():
-            with contextlib.suppress(InvalidHandle):  # something was destroyed while it was about to be waited for
-                executor.spin_once(timeout_sec=1.0)
-
-
-def _join(executor: Any, thread: threading.Thread, ended: threading.Event) -> None:
-    ended.set()
-    executor.wake()
-    thread.join()
-    executor.shutdown()
+def _spin(executor: Any) -> None:
+    while True:
+        try:
+            executor.spin()
+        except InvalidHandle:  # something was destroyed while it was about to be waited for
+            continue
+        except ExternalShutdownException:
+            pass
+        return

@@ -237,10 +237,10 @@ def test_changes_hold_wholly_or_not_at_all(server: Tried) -> None:
 
 
 def test_an_error_in_a_callback_does_not_end_the_server(client_node: Client, context: None) -> None:  # noqa: ARG001
-    from optdock_ros.server import spin
+    from optdock_ros.server import leave, spin
     from rclpy.executors import SingleThreadedExecutor
 
-    made, executor, ended = Tried("erring"), SingleThreadedExecutor(), threading.Event()
+    made, executor = Tried("erring"), SingleThreadedExecutor()
 
     def _fails(_: Empty) -> None:
         made.heard.set()
@@ -248,7 +248,7 @@ def test_an_error_in_a_callback_does_not_end_the_server(client_node: Client, con
 
     made.create_subscription(Empty, "trouble", _fails, 10)
     executor.add_node(made)
-    thread = threading.Thread(target=spin, args=(executor, ended))
+    thread = threading.Thread(target=spin, args=(executor,))
     thread.start()
     try:
         publisher = client_node.create_publisher(Empty, "trouble", 10)
@@ -261,9 +261,9 @@ def test_an_error_in_a_callback_does_not_end_the_server(client_node: Client, con
         names = DescribeParameters.Request(names=["speed"])
         assert client_node.call(DescribeParameters, "/erring/describe_parameters", names).descriptors
     finally:
-        ended.set()
-        executor.shutdown()
+        executor.create_task(leave)
         thread.join()
+        executor.shutdown()
         made.destroy_node()
 
 

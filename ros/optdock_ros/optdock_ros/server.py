@@ -56,7 +56,6 @@ _SWITCH = 0.0005
 # [s] between the end of the work and that of the node: clients ask for the results of goals that ended just now.
 _ANSWERS = 0.1
 
-_LOOK = 1.0  # [s] between two looks whether all is over, where nothing wakes the executor
 _PATIENCE = 10.0  # [s] for the last transitions of a process that was asked to end; a lifecycle manager waits as long
 
 
@@ -324,24 +323,34 @@ class Server(LifecycleNode, Generic[S]):
             self.say(error, "a change of parameters failed")
 
 
-def spin(executor: Executor, ended: threading.Event) -> None:
-    """Run an executor until the end; an error that a callback lets through is told, and the others go on.
+class _Left(Exception):
+    """The executor's thread is to leave."""
+
+
+def leave() -> None:
+    """A task for an executor that runs by `spin`: its last one."""
+    raise _Left
+
+
+def spin(executor: Executor) -> None:
+    """Run an executor until `leave` is its task; an error that a callback lets through is told, and the others go on.
 
     It is not to be shut down before: rclpy's executor that is shut down between two waits begins another one, in which
     nothing wakes it any more.
     """
-    while not ended.is_set() and _spun(executor):
+    while not _has_left(executor):
         pass
 
 
-def _spun(executor: Executor) -> bool:
-    """One callback, or none for a while; False where the executor has ended."""
+def _has_left(executor: Executor) -> bool:
+    """Callbacks until one raises; whether that was `leave`."""
     try:
-        executor.spin_once(timeout_sec=_LOOK)
-    except ExternalShutdownException:
-        return False
+        executor.spin()
+    except (_Left, ExternalShutdownException):
+        return True
     except Exception:
         get_logger("optdock_ros").error(f"in a callback: {traceback.format_exc()}")
+        return False
     return True
 
 
@@ -390,7 +399,7 @@ def run(make: Callable[[], Server[Any]], args: Sequence[str] | None = None) -> i
     server.owns_process = True
     executor = SingleThreadedExecutor()
     executor.add_node(server)
-    thread = threading.Thread(target=spin, args=(executor, ended), name="executor")
+    thread = threading.Thread(target=spin, args=(executor,), name="executor", daemon=True)
     thread.start()
     if server.get_parameter("autostart").value is True:
         executor.create_task(_autostart, server)
@@ -400,8 +409,7 @@ def run(make: Callable[[], Server[Any]], args: Sequence[str] | None = None) -> i
     _in_executor(executor, thread, server.halt)
     time.sleep(_ANSWERS)
     _in_executor(executor, thread, server.end)
-    ended.set()
-    executor.wake()
+    executor.create_task(leave)
     thread.join(_PATIENCE)
     executor.shutdown()
     gc.unfreeze()  # what is frozen is not given back at the end, and others would take this node for alive for 20 s
