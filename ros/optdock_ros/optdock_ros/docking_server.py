@@ -68,7 +68,6 @@ _LOOK = 0.05  # [s] between two looks at costmaps, cancellations and what there 
 _FIRST_MESSAGES = 2.0  # [s]: a costmap comes at 1 Hz at least, a footprint and transforms with it
 _WARM = 60.0  # [s] for the planning process to start, once, on a slow computer
 _STOPPING = 2.0  # [s] beyond what braking takes, until a stop counts as failed, or a thread that ends as hanging
-_SWITCH = 0.0005  # [s]: another thread gives the interpreter up so soon; Python's 5 ms would be jitter of cmd_vel
 _CODES = range(901, 908)  # of Nav2's docking actions
 _DETECTIONS = "detected_dock_pose"
 _TELL, _REPORT = 0.1, 0.5  # [s] between two feedbacks, and two reports on /diagnostics, where nothing changes
@@ -842,5 +841,4 @@ class _Task:
 
 def main() -> None:
     """The process."""
-    sys.setswitchinterval(_SWITCH)
     sys.exit(run(lambda: DockingServer("docking_server")))

@@ -218,7 +218,7 @@ class PlannerServer(PluginServer[GlobalPlanner]):
             if not on_map[1]:
                 raise GoalOutsideMapBounds(f"Goal {end.brief} lies off the costmap")
             near = cropped(known.costmap, ends, _AROUND)
-        rule = settings.clearance if settings.clearance is not None else ClearanceRule(0.0, 0.0, 0.0)
+        rule = settings.rule
         robot = settings.robot(footprint)
         problem = DockingProblem(begin, Dock(end), robot, (), rule, costmap=near, frame=frame)
         depth, _ = pose_clearances(ends, footprint, problem.all_obstacles, within=0.0)

@@ -79,6 +79,11 @@ class Settings(Generic[P]):
     limits: RobotParameters | None
     clearance: ClearanceRule | None
 
+    @property
+    def rule(self) -> ClearanceRule:
+        """The clearance to be kept; none where the parameters name none."""
+        return self.clearance if self.clearance is not None else ClearanceRule(0.0, 0.0, 0.0)
+
     def robot(self, footprint: Footprint) -> Robot:
         """The robot with this outline."""
         return (self.limits or robot_parameters({})).robot(footprint)

@@ -26,7 +26,7 @@ from optdock.interfaces import PluginContext, Smoother
 from optdock.outcomes import SmoothingResult
 from optdock.path import Path, may_be_one_frame
 from optdock.plugins import create_plugin
-from optdock.problem import ClearanceRule, DockingProblem
+from optdock.problem import DockingProblem
 from optdock.verification import certify_path
 from optdock_ros.goals import Job, JobEnded
 from optdock_ros.plugin_server import (
@@ -159,7 +159,7 @@ class SmootherServer(PluginServer[Smoother]):
             seen = self.transforms.lookup(frame, given.frame, now(self), tolerance).planar()
         poses = _with_headings(transform_poses(seen, given.poses))
         path, footprint = Path.from_poses(poses, frame), self.outline(settings)
-        rule = settings.clearance if settings.clearance is not None else ClearanceRule(0.0, 0.0, 0.0)
+        rule = settings.rule
         reach = _AROUND + rule.required + (footprint.circumscribed_radius if footprint is not None else 0.0)
         near = None if known is None else cropped(known.costmap, poses, reach)
         problem = None
