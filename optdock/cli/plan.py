@@ -271,12 +271,15 @@ def _scenarios_among(sources: list[Path]) -> list[Path]:
 
 def _is_scenario(source: Path) -> bool:
     """Whether a file says so, or cannot be read, which reading it will explain."""
+    from optdock.io.guarded_file import MostBytes, read_bytes
+
     if source.is_dir():
         return False
     try:
-        return re.search(rb"^\W*format\W*:\W*optdock-scenario/", source.read_bytes(), re.MULTILINE) is not None
-    except OSError:
+        content = read_bytes(source, MostBytes.YAML)
+    except InvalidFile:
         return True
+    return re.search(rb"^\W*format\W*:\W*optdock-scenario/", content, re.MULTILINE) is not None
 
 
 def _compared(scenario: Scenario, picture: Path) -> list[PathFigures]:

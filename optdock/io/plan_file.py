@@ -7,7 +7,7 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path as FilePath
-from typing import TYPE_CHECKING, Annotated, Literal, NamedTuple, NoReturn, TypeAlias, TypeVar
+from typing import TYPE_CHECKING, Annotated, Literal, NamedTuple, TypeAlias, TypeVar
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, JsonValue, ValidationError
@@ -16,8 +16,10 @@ from optdock.errors import InvalidFile, InvalidPath, InvalidValue
 from optdock.geometry.arrays import frozen_array
 from optdock.geometry.checked import number
 from optdock.io.atomic_file import write_text
+from optdock.io.faults import listed
+from optdock.io.guarded_file import MostBytes, parse_json, read_text
 from optdock.io.path_columns import Number, PathColumns, path_columns, path_from_columns
-from optdock.io.yaml_lines import printable
+from optdock.io.quoting import shortened, shown
 from optdock.trajectory import TimeLaw
 from optdock.verification import ImpossibilityProof, SampledMotion
 
@@ -43,8 +45,7 @@ PLAN_FORMAT = "optdock-plan/1"
 DEFAULT_SPACING = 0.02
 DEFAULT_PERIOD = 0.02
 CERTIFIED = "certified"
-MAX_SAMPLES = 1_000_000  # of a path or a trajectory in a file, about 100 MB
-MAX_FAULTS = 20  # that a message lists
+MAX_SAMPLES = 50_000  # of a path or a trajectory: 1 km, 1000 s; two paths and a trajectory of so many have 22 MB
 MAX_PHASES = 10_000  # of a time law; ours have some ten per gear
 
 T = TypeVar("T")
@@ -264,13 +265,7 @@ def load_plan(source: str | FilePath) -> PlanFile:
         InvalidFile: The file cannot be read, is not strict JSON, or breaks the format; the message lists every fault.
     """
     source = FilePath(source)
-    try:
-        text = source.read_text(encoding="utf-8")
-    except OSError as error:
-        raise InvalidFile(f"{source}: cannot be read: {error.strerror or error}") from error
-    except ValueError as error:
-        raise InvalidFile(f"{source}: not a plan file: {error}") from error
-    return parse_plan(text, str(source))
+    return parse_plan(read_text(source, MostBytes.JSON), str(source))
 
 
 def parse_plan(text: str, source: str) -> PlanFile:
@@ -327,31 +322,24 @@ def _path(columns: PathColumns | None, name: str) -> Path | None:
 
 def _parsed(text: str, source: str) -> _PlanDocument:
     try:
-        return _PlanDocument.model_validate(json.loads(text, parse_constant=_refuse_constant))
+        return _PlanDocument.model_validate(parse_json(text))
     except json.JSONDecodeError as error:
         raise InvalidFile(f"{source}:{error.lineno}: not JSON: {error.msg}") from error
     except ValidationError as error:
         raise InvalidFile(_faults(source, error)) from error
-    except (ValueError, RecursionError) as error:
-        raise InvalidFile(f"{source}: not a plan file: {error}") from error
-
-
-def _refuse_constant(name: str) -> NoReturn:
-    raise ValueError(f"{name} is not JSON; numbers must be finite")
+    except ValueError as error:
+        raise InvalidFile(f"{source}: not a plan file: {shortened(str(error))}") from error
 
 
 def _faults(source: str, error: ValidationError) -> str:
-    """One line each, and how many more there are: a column may hold a million wrong values."""
-    items = error.errors(include_url=False)
-    more = [f"{source}: and {len(items) - MAX_FAULTS} more faults"] if len(items) > MAX_FAULTS else []
-    return "\n".join([*(_fault(source, item) for item in items[:MAX_FAULTS]), *more])
+    return listed(source, [_fault(source, item) for item in error.errors(include_url=False)])
 
 
 def _fault(source: str, item: Mapping[str, object]) -> str:
     path = item["loc"]
     place = ".".join(str(part) for part in path) if isinstance(path, tuple) else str(path)
-    got = "" if item["type"] == "missing" else f", got {item['input']!r}"
-    return f"{source}: {printable(place) or 'top level'}: {item['msg']}{got if len(got) < 80 else ''}"
+    got = "" if item["type"] == "missing" or isinstance(item["input"], dict | list) else f", got {shown(item['input'])}"
+    return f"{source}: {shortened(place) or 'top level'}: {shortened(str(item['msg']))}{got}"
 
 
 def _trajectory(document: _TrajectoryDocument | None) -> TrajectoryColumns | None:
