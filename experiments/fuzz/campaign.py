@@ -41,7 +41,8 @@ _SHARE = {
     "plans": 0.15,
     "replans": 0.13,
     "impossibilities": 0.1,
-    "files": 0.08,
+    "files": 0.06,
+    "damaged_files": 0.02,
     "values": 0.05,
 }
 

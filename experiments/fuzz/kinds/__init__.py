@@ -4,7 +4,17 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, NamedTuple
 
-from experiments.fuzz.kinds import files, impossibilities, paths, plans, replans, timings, trajectories, values
+from experiments.fuzz.kinds import (
+    damaged_files,
+    files,
+    impossibilities,
+    paths,
+    plans,
+    replans,
+    timings,
+    trajectories,
+    values,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -31,5 +41,6 @@ KINDS: dict[str, Kind] = {
     "replans": Kind(replans.draw, replans.judge),
     "impossibilities": Kind(impossibilities.draw, impossibilities.judge),
     "files": Kind(files.draw, files.judge),
+    "damaged_files": Kind(damaged_files.draw, damaged_files.judge),
     "values": Kind(values.draw, values.judge),
 }
