@@ -186,7 +186,7 @@ def _said(violation: Violation) -> str:
 def _not_judged(plan: PlanFile, parts: tuple[str, ...]) -> list[tuple[str, str]]:
     """One row of what nobody can judge; none where the file holds nothing of that."""
     held = [name for name in ("timing_ms", "tried", "error") if getattr(plan, name)]
-    named = [*parts, *held, *(f"{key} (unknown)" for key in plan.unknown_keys)]
+    named = [*parts, *held, *plan.unjudged]
     return [("not judged", ", ".join(named))] if named else []
 
 
