@@ -26,7 +26,7 @@ from optdock.problem import DockingProblem
 from optdock.replanning import DriveState, ReplanOutcome, replan, still_holds
 from optdock.robot import Robot
 from optdock.testing.families import instance
-from optdock.verification import certify_path
+from optdock.verification import prove_motion
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
@@ -254,7 +254,7 @@ def _mapped(plan: DockPlan, rng: np.random.Generator) -> tuple[DockPlan, Costmap
     later = Costmap(grids[1].astype(np.uint8), 0.05, origin)
     other = Costmap(grids[1].astype(np.uint8), 0.05, (origin[0] + 0.02, origin[1] - 0.03))
     problem = dataclasses.replace(plan.problem, costmap=walls)
-    return dataclasses.replace(plan, problem=problem, certificate=certify_path(plan.path, problem)), later, other
+    return dataclasses.replace(plan, motion=prove_motion(plan.trajectory, problem)), later, other
 
 
 def _other_polygons(plan: DockPlan, rng: np.random.Generator) -> ObstacleSet:

@@ -8,23 +8,23 @@ from __future__ import annotations
 
 import math
 from concurrent.futures import Future, ThreadPoolExecutor
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from enum import Enum
 from typing import TYPE_CHECKING, NamedTuple, Protocol
 
 from optdock.errors import InvalidValue, OptdockError
-from optdock.geometry.checked import finite_number
+from optdock.geometry.checked import exactly, finite_number
 from optdock.pipeline import plan_dock
+from optdock.plan import DockPlan
 from optdock.replanning import DriveState, ReplanOutcome, replan, still_holds
-from optdock.trajectory import Trajectory
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
     from optdock.costmap.costmap import Costmap
     from optdock.geometry.pose import Pose2
-    from optdock.plan import DockPlan
     from optdock.problem import DockingProblem
+    from optdock.trajectory import Trajectory
 
 __all__ = ["InlinePlanning", "Job", "Motion", "Outcome", "PlanResult", "Planning", "ThreadPlanning", "Verdict"]
 
@@ -45,8 +45,11 @@ class Motion:
     Args:
         trajectory: When to be where.
         problem: From where to where, among what.
-        plan: With its certificates; None where it comes out of a log, or brakes only.
+        plan: The plan whose motion that is; None where it comes out of a log, or brakes only.
         start_relief: Of its certificate, see `Tube` [m].
+
+    Raises:
+        InvalidValue: `plan` is no `DockPlan`, or its motion is another one.
     """
 
     trajectory: Trajectory
@@ -54,9 +57,18 @@ class Motion:
     plan: DockPlan | None = None
     start_relief: float = 0.0
 
+    def __post_init__(self) -> None:
+        if self.plan is None:
+            return
+        exactly(DockPlan, self.plan, "motion.plan")
+        proven = self.plan.motion
+        if self.trajectory is not proven.trajectory or self.problem is not proven.problem:
+            raise InvalidValue("motion: trajectory and problem must be those that its plan was proven for")
+
     @classmethod
     def of(cls, plan: DockPlan) -> Motion:
         """That of a plan."""
+        exactly(DockPlan, plan, "plan")
         return cls(plan.trajectory, plan.problem, plan, plan.certificate.start_relief)
 
 
@@ -73,6 +85,8 @@ class Job(NamedTuple):
         rate: How fast that runs [1].
         pose: Of the robot, measured.
         lead: How far ahead of that time the new motion takes over [s].
+        moved: What the running motion has been moved by as a whole, because the robot steers by a dock that it sees
+            elsewhere now; None: nothing.
     """
 
     number: int
@@ -84,6 +98,7 @@ class Job(NamedTuple):
     rate: float = 1.0
     pose: Pose2 | None = None
     lead: float = 0.05
+    moved: Pose2 | None = None
 
 
 class PlanResult(NamedTuple):
@@ -150,29 +165,20 @@ def _from_rest(job: Job) -> PlanResult:
 
 
 def _replanned(job: Job) -> PlanResult:
-    """The running plan, moved as a whole to where the robot truly is, goes over into one that ends at the dock.
+    """A motion that takes over from the running one, from where the robot truly is.
 
     So the new path begins where the robot will be, to the millimetre, and the feedback has nothing left to correct.
     """
     assert job.running is not None
     plan = job.running.plan
     if plan is None:
-        return PlanResult(job.number, Outcome.KEPT, reason="what is being driven is no plan")
-    if job.pose is not None:
-        reference = plan.trajectory.at(job.time).pose
-        plan = _moved(plan, job.pose @ reference.inverse())
-    found = replan(plan, job.problem, DriveState(job.time, job.rate), job.budget, lead=job.lead)
+        return PlanResult(job.number, Outcome.FAILED, reason="what is being driven is no plan, so nothing follows it")
+    found = replan(plan, job.problem, DriveState(job.time, job.rate, job.pose, job.moved), job.budget, lead=job.lead)
     if found.outcome is ReplanOutcome.KEPT:
         return PlanResult(job.number, Outcome.KEPT, reason=found.reason)
     motion = Motion(found.trajectory, job.problem) if found.plan is None else Motion.of(found.plan)
     outcome = Outcome.NEW if found.outcome is ReplanOutcome.NEW else Outcome.STOP
     return PlanResult(job.number, outcome, motion, found.starts_at, found.reason)
-
-
-def _moved(plan: DockPlan, by: Pose2) -> DockPlan:
-    path = plan.path.moved(by)
-    trajectory = Trajectory(path, plan.trajectory.time_law)
-    return replace(plan, path=path, trajectory=trajectory)
 
 
 def holds(motion: Motion, costmap: Costmap, from_time: float) -> Verdict:

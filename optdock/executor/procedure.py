@@ -848,7 +848,13 @@ class _Drive:
         self._submitted_at = owner._now
         budget = owner._settings.replan_budget
         self._job = owner._job(problem, budget)._replace(
-            running=self.motion, time=time, rate=rate, pose=owner._perception.robot, lead=budget + _LEAD
+            running=self.motion,
+            time=time,
+            rate=rate,
+            pose=owner._perception.robot,
+            lead=budget + _LEAD,
+            # The controller is told where the robot is relative to the dock, so it follows the motion there.
+            moved=owner._perception.dock @ self._goal.inverse() if self.is_approach else None,
         )
         owner._planning.submit(self._job)
 

@@ -11,7 +11,7 @@ if TYPE_CHECKING:
 
     from optdock.fingerprint import ProblemFingerprint
 
-__all__ = ["SHARPNESS", "TOLERANCE", "Certificate", "TrajectoryCertificate", "Violation"]
+__all__ = ["SHARPNESS", "TOLERANCE", "Certificate", "TrajectoryCertificate", "Violation", "where_broken"]
 
 # What every rule accepts beyond its bound: [m], [rad], [m/s], [m/s^2], [1/m], and relative to limits. It must cover the
 # rounding of arithmetic over kilometres (1e-9) and of files with six decimals, and what a solver leaves of an equation
@@ -172,6 +172,12 @@ class TrajectoryCertificate:
             "path": self.path,
             "violations": _rows(self.violations),
         }
+
+
+def where_broken(verdict: Certificate | TrajectoryCertificate) -> Mapping[str, object]:
+    """What an error says about the first violation of a verdict."""
+    first = verdict.violations[0]
+    return {"kind": first.kind, "s": first.s, "amount": first.amount, **first.where}
 
 
 def _plain(value: float) -> float | None:
