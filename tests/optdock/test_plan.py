@@ -51,9 +51,7 @@ def test_a_saved_plan_is_the_same_plan_when_it_is_loaded(plan, tmp_path, kind):
 def test_a_loaded_plan_is_proven_for_the_problem_at_hand(plan, tmp_path):
     plan.save(tmp_path / "plan.json")
     blocked = dataclasses.replace(PROBLEM, obstacles=[[(-1.2, -0.1), (-1.0, -0.1), (-1.0, 0.1), (-1.2, 0.1)]])
-    with pytest.raises(
-        CertificationFailed, match="for this problem the path is not certified: .*obstacles"
-    ) as caught:
+    with pytest.raises(CertificationFailed, match="for this problem the path is not certified: .*obstacles") as caught:
         DockPlan.load(tmp_path / "plan.json", blocked)
     assert caught.value.where["kind"] == "clearance"
     slower = dataclasses.replace(LIMITS, max_speed=0.1)

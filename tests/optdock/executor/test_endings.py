@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from optdock.errors import InvalidValue, PluginError
 from optdock.executor import DockingExecutor, EndingKind, ExecutorSettings, InlinePlanning, State, ThreadPlanning
-from optdock.executor.planning import Motion, Outcome, PlanResult, Verdict
+from optdock.executor.planning import Motion, Outcome, PlanResult, RecordedPlanning, Verdict
 from optdock.geometry.pose import Pose2, Twist2
 from optdock.measurements import Detection, Measurements
 from optdock.simulation import Actuation, Station
@@ -30,10 +30,14 @@ def perfect(start=AHEAD, **kwargs):
     return simulated(start, sensors=PERFECT, actuation=Actuation(), **kwargs)
 
 
-class StraightPlanning:
-    """Plans that cost nothing: straight on for so many metres, from wherever the job begins; or none at all."""
+class StraightPlanning(RecordedPlanning):
+    """Plans that cost nothing: straight on for so many metres, from wherever the job begins; or none at all.
+
+    Nobody proves them, so the executor takes them from a log only.
+    """
 
     def __init__(self, length=0.8, reason=""):
+        super().__init__()
         self.length, self.reason, self.job = length, reason, None
 
     def submit(self, job):
@@ -243,3 +247,25 @@ def test_a_mistake_of_a_part_ends_the_task_under_its_name(lawful):
     docking = run(perfect(), problem_with(), planning=Broken())
     assert lawful(docking).kind is EndingKind.UNKNOWN
     assert docking.ending.reason == "ZeroDivisionError: oh"
+
+
+class Unproven(InlinePlanning):
+    """Straight on, and this is no log."""
+
+    def __init__(self):
+        super().__init__()
+        self.inner = StraightPlanning()
+
+    def submit(self, job):
+        self.inner.submit(job)
+
+    def poll(self, stamp):
+        return self.inner.poll(stamp)
+
+
+def test_a_motion_that_nobody_proved_is_not_driven(lawful):
+    docking = run(perfect(), problem_with(), ExecutorSettings(**QUICK), planning=Unproven())
+    ending = lawful(docking)
+    assert ending.kind is EndingKind.UNKNOWN
+    assert "a motion that is not proven" in ending.reason
+    assert all(step.command == Twist2() for step in docking.steps)
