@@ -550,12 +550,15 @@ class _Replanning:
         """Whether the rest of the path is clear for a robot beside it, by the rule that the plan is proven by."""
         pose, relief = self.state.pose, self.plan.certificate.start_relief
         assert pose is not None
-        place = Tube(path, dataclasses.replace(world, start=path.start), relief).deviations(
-            pose.as_array()[None], self.now.s
-        )
-        rest = path.piece(min(float(place.s[0]), max(0.0, path.length - _NO_WAY)))
+        now = min(self.now.s, max(0.0, path.length - _NO_WAY))
+        tube = Tube(path, dataclasses.replace(world, start=path.start), relief)
+        nearest = float(tube.deviations(pose.as_array()[None], now).s[0])
+        gears = np.searchsorted(path.segment_starts, [now, nearest], side="right")
+        if gears[0] != gears[1]:  # legs of a cusp overlap: the robot is on the one that its clock shows
+            nearest = now
+        begin = min(now, nearest)
         begun = Begun(path.start, end_clearances(self.plan.problem).start)
-        return prove_way(rest, world, pose, begun=begun, start_relief=relief)
+        return prove_way(path.piece(begin), world, pose, at=nearest - begin, begun=begun, start_relief=relief)
 
     def _keeps_limits(self) -> bool:
         """Whether the running plan keeps every rule of the world now but clearance."""

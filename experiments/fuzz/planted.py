@@ -50,6 +50,10 @@ def _centimetre_more(honest: Callable[..., Any]) -> Callable[..., Any]:
     return lambda *arguments: honest(*arguments) + 0.01
 
 
+def _nowhere_off(honest: Callable[..., Any]) -> Callable[..., Any]:
+    return lambda *arguments: 0.0 * honest(*arguments)
+
+
 def _one_obstacle_less(honest: Callable[..., Any]) -> Callable[..., Any]:
     def mistaken(path: Any, problem: Any, *rest: Any) -> Any:  # noqa: ANN401
         return honest(path, _without(problem, range(len(problem.all_obstacles))), *rest)
@@ -108,6 +112,9 @@ PLANTS: dict[str, Plant] = {
     "dropped_map_cell": Plant(certify, "prove_clearance", _one_map_cell_less),
     "dropped_new_obstacle": Plant(
         importlib.import_module("optdock.changed_world"), "prove_clearance", _one_new_obstacle_less
+    ),
+    "dropped_measured_pose": Plant(
+        importlib.import_module("optdock.verification.proven_motion"), "displacement", _nowhere_off
     ),
     "dropped_path_cell": Plant(motion_bounds.PathMotion, "cells", _middle_cell_less),
     "dropped_time_cell": Plant(trajectory_rules, "_initial_cells", _middle_cell_less),

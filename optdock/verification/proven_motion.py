@@ -234,6 +234,7 @@ def prove_way(
     problem: DockingProblem,
     pose: Pose2 | None = None,
     *,
+    at: float = 0.0,
     begun: Begun | None = None,
     start_relief: float = 0.0,
 ) -> WayVerdict:
@@ -250,24 +251,27 @@ def prove_way(
         path: What is driven, from its start on.
         problem: The robot, the obstacles and the rule of clearance; its start plays no part.
         pose: Where the robot is; None: at the start of the path.
+        at: The place of the path that `pose` belongs to, in its first gear [m].
         begun: Where the drive set off of which this is the rest; None: here, so that a robot that is too close to
             something has to leave it only.
         start_relief: Of the rule where `begun` is given, see `ClearanceRule.required_at` [m].
     """
-    start, footprint = path.start, problem.robot.footprint
+    start, place, footprint = path.start, path.pose_at(at), problem.robot.footprint
     reliefs = [start_relief]
     if begun is None:
         begun = Begun(start, pose_clearance(start, footprint, problem.all_obstacles)[0])
         reliefs = [0.0, problem.start_run] if begun.clearance < problem.path_clearance.required else [0.0]
     off = 0.0
     if pose is not None:
-        turned = normalize_angle(pose.yaw - start.yaw)
-        off = float(displacement(pose.distance_to(start), turned, footprint.circumscribed_radius))
-    width = float(problem.tube_widths(start.as_array()[None], begun.start, begun.clearance, start_relief)[0])
+        turned = normalize_angle(pose.yaw - place.yaw)
+        off = float(displacement(pose.distance_to(place), turned, footprint.circumscribed_radius))
+    width = float(problem.tube_widths(place.as_array()[None], begun.start, begun.clearance, start_relief)[0])
     if off <= width + TOLERANCE:
         reasons = [_not_clear(path, problem, begun, relief) for relief in reliefs]
     else:
-        reasons = [_not_clear_by(off, path, problem, pose or start, begun, start_relief)]
+        seen, accepted = (pose or place).in_frame_of(place), problem.dock.tolerances
+        is_docked = abs(seen.x) <= accepted.along and abs(seen.y) <= accepted.cross and abs(seen.yaw) <= accepted.yaw
+        reasons = [_not_clear_by(off, path, problem, begun, start_relief, spares_station=is_docked)]
     if "" not in reasons:
         return WayVerdict(None, reasons[-1])
     return WayVerdict(_kept_way(_Way(path, pose or start, problem)))
@@ -289,9 +293,10 @@ def _not_clear(path: Path, problem: DockingProblem, begun: Begun, relief: float)
     return f"{clearance:.4f} m from {in_words(near.name_of(int(row)))} after {s:.3f} m, required {required:.4f} m"
 
 
-def _not_clear_by(more: float, path: Path, problem: DockingProblem, pose: Pose2, begun: Begun, relief: float) -> str:
-    """Likewise of `more` than `problem.clearance` [m], for a robot at `pose`; the station may be spared that."""
-    spares_station = _is_docked(pose, path.start, problem)
+def _not_clear_by(
+    more: float, path: Path, problem: DockingProblem, begun: Begun, relief: float, *, spares_station: bool
+) -> str:
+    """Likewise of `more` than `problem.clearance` [m]; of a station that is spared, what the path must keep."""
     rule, dock, robot = problem.clearance, problem.dock, replace(problem.robot, tracking=TrackingTube())
     raised = replace(
         problem,
@@ -304,12 +309,6 @@ def _not_clear_by(more: float, path: Path, problem: DockingProblem, pose: Pose2,
         return blocked and f"{blocked} with the {more:.4f} m that the robot is off with its outline"
     alone = replace(problem, robot=robot, obstacles=ObstacleSet.empty(), costmap=None)
     return _not_clear(path, alone, begun, relief)
-
-
-def _is_docked(pose: Pose2, reference: Pose2, problem: DockingProblem) -> bool:
-    """Whether a robot so far off counts as docked at the dock."""
-    seen, accepted = pose.in_frame_of(reference), problem.dock.tolerances
-    return abs(seen.x) <= accepted.along and abs(seen.y) <= accepted.cross and abs(seen.yaw) <= accepted.yaw
 
 
 def proven_way(motion: ProvenMotion) -> ProvenWay:

@@ -29,6 +29,8 @@ KINDS: dict[str, Kind] = {
     "timings": Kind(timings.draw, timings.judge),
     "plans": Kind(plans.draw, plans.judge),
     "replans": Kind(replans.draw, replans.judge),
+    "measured": Kind(replans.draw_measured, replans.judge),
+    "decisions": Kind(replans.draw_decision, replans.judge),
     "impossibilities": Kind(impossibilities.draw, impossibilities.judge),
     "files": Kind(files.draw, files.judge),
     "values": Kind(values.draw, values.judge),
