@@ -41,7 +41,7 @@ from optdock.errors import (
 )
 from optdock.geometry.checked import exactly, finite_number, instance, number
 from optdock.geometry.clothoid import ClothoidSpline
-from optdock.geometry.pose import Pose2
+from optdock.geometry.pose import Pose2, displacement, normalize_angle
 from optdock.geometry.separation import separation
 from optdock.interfaces import Smoother, TimeParameterizer, never_cancelled
 from optdock.limits import SpeedZone
@@ -64,6 +64,7 @@ from optdock.verification import (
     certify_path,
     certify_trajectory,
     end_clearances,
+    pose_clearance,
     prove_way,
     proven_way,
     unchanged_way,
@@ -109,15 +110,18 @@ class DriveState(NamedTuple):
     Attributes:
         time: Of the reference, on the trajectory's own clock [s].
         rate: How fast that clock runs, 1 where the robot keeps up [1].
-        pose: Where the robot was measured then; None: on the trajectory.
+        pose: Where the robot was measured then; None: on the trajectory. Within the tube around the running path
+            feedback owns the error, and a new plan begins on that path; else it begins where the robot is.
         moved: What the whole trajectory has been moved by since it was planned, so that every pose p of it became
             `moved @ p`: for a robot that steers by a dock which it sees elsewhere now. None: nothing.
+        is_filtered: Whether `pose` is an estimate that is good enough for a new plan to begin there in any case.
     """
 
     time: float
     rate: float = 1.0
     pose: Pose2 | None = None
     moved: Pose2 | None = None
+    is_filtered: bool = False
 
 
 class ReplanOutcome(str, Enum):
@@ -237,7 +241,8 @@ def _checked(state: DriveState) -> DriveState:
     for name, pose in (("pose", state.pose), ("moved", state.moved)):
         if pose is not None:
             exactly(Pose2, pose, f"state.{name}")
-    return DriveState(time, rate, state.pose, state.moved)
+    instance(bool, state.is_filtered, "state.is_filtered")
+    return DriveState(time, rate, state.pose, state.moved, state.is_filtered)
 
 
 def _world(plan: DockPlan, target: DockingProblem | Pose2) -> DockingProblem:
@@ -299,7 +304,11 @@ class _Joint(NamedTuple):
 
 @dataclass(eq=False)
 class _Replanning:
-    """One call of `replan`."""
+    """One call of `replan`.
+
+    `ahead`: the running path, or that path moved as a whole to where the robot is: what is ahead of the robot. `now`:
+    its state there.
+    """
 
     plan: DockPlan
     world: DockingProblem
@@ -311,13 +320,22 @@ class _Replanning:
     timing_ms: dict[str, float] = field(default_factory=dict)
     tried: list[Attempt] = field(default_factory=list)
     failure: OptdockError | None = None
+    ahead: Path = field(init=False)
+    now: _Joint = field(init=False)
 
     def __post_init__(self) -> None:
         self.deadline = Deadline(self.budget)
+        self.ahead = self.path
+        self.now = self._joint(0.0)
+        if not self.is_on_the_path and (self.state.is_filtered or not self._is_in_tube(self.reference)):
+            self._move_ahead()
 
     def answer(self, delay: float, plugins: _Plugins) -> Replanned:
         """New, kept or stop."""
         joint = self._joint(self.lead, at_a_rest=True)
+        if not self.is_on_the_path and self.ahead is self.path and not self._is_in_tube(joint.pose):
+            self._move_ahead()
+            joint = self._joint(self.lead, at_a_rest=True)
         until = self._until(joint)
         if until is not None and until.way is None:
             why = f"the way until a new plan could take over is not clear: {until.reason}"
@@ -371,7 +389,7 @@ class _Replanning:
     def _new(self, joint: _Joint, until: ProvenWay | None, plan: DockPlan) -> Replanned:
         tried, timing = (*self.tried, *plan.tried), self._timing()
         plan = dataclasses.replace(plan, tried=tried, timing_ms=timing)
-        way = until or proven_way(plan.motion)
+        way = until or proven_way(plan.motion, self.state.pose)
         return Replanned(ReplanOutcome.NEW, plan.trajectory, joint.time, plan, way=way, tried=tried, timing_ms=timing)
 
     def _is_on_the_straight(self, rest: Path) -> bool:
@@ -418,33 +436,37 @@ class _Replanning:
         return {**self.timing_ms, "total": 1e3 * self.deadline.elapsed}
 
     @functools.cached_property
-    def now(self) -> _Joint:
-        """Where the robot is."""
-        return self._joint(0.0)
-
-    @functools.cached_property
     def path(self) -> Path:
         """The running path, where it is being followed."""
         path, moved = self.plan.path, self.state.moved
         return path if moved is None else path.moved(moved)
 
-    @functools.cached_property
-    def ahead(self) -> Path:
-        """The running path, moved as a whole to where the robot was measured: it stands on that one."""
-        if self.is_on_the_path:
-            return self.path
+    def _move_ahead(self) -> None:
+        """Take the running path, moved as a whole to where the robot was measured, for what is ahead of it."""
         assert self.state.pose is not None
-        return self.path.moved(self.state.pose @ self._reference.inverse())
+        self.ahead = self.path.moved(self.state.pose @ self.reference.inverse())
+        self.now = self._joint(0.0)
+
+    @functools.cached_property
+    def reference(self) -> Pose2:
+        """Where the running trajectory has the robot."""
+        return self.path.pose_at(float(self.plan.trajectory.sample_at(self.state.time).s[0]))
 
     @functools.cached_property
     def is_on_the_path(self) -> bool:
-        """Whether the robot is where the running trajectory has it."""
-        return self.state.pose is None or self.state.pose.gap_to(self._reference) <= TOLERANCE
+        """Whether the robot is there."""
+        return self.state.pose is None or self.state.pose.gap_to(self.reference) <= TOLERANCE
 
-    @functools.cached_property
-    def _reference(self) -> Pose2:
-        s = float(self.plan.trajectory.sample_at(self.state.time).s[0])
-        return self.path.pose_at(s)
+    def _is_in_tube(self, place: Pose2) -> bool:
+        """Whether the tube around a drive that sets off at a place of the path covers the robot."""
+        pose, footprint = self.state.pose, self.world.robot.footprint
+        assert pose is not None
+        turned = normalize_angle(pose.yaw - self.reference.yaw)
+        off = displacement(pose.distance_to(self.reference), turned, footprint.circumscribed_radius)
+        if not off <= self.world.robot.tracking.width(footprint):
+            return False
+        clearance = pose_clearance(place, footprint, self.world.all_obstacles)[0]
+        return bool(off <= self.world.tube_widths(place.as_array()[None], place, clearance)[0])
 
     def _joint(self, lead: float, *, at_a_rest: bool = False) -> _Joint:
         """Where the robot will be in `lead` seconds; in a turn in place, or just before a rest, at that rest."""
@@ -494,11 +516,11 @@ class _Replanning:
         now = self.now
         if now.rest is None or joint.s - now.s <= _NO_WAY:
             return None
-        if self.ahead is self.plan.path:
+        if self.ahead is self.plan.path and self.is_on_the_path:
             known = unchanged_way(self.plan.motion, now.s, joint.s, self.world)
             if known is not None:
                 return WayVerdict(known)
-        return prove_way(now.rest.piece(0.0, joint.s - now.s), self.world)
+        return prove_way(now.rest.piece(0.0, joint.s - now.s), self.world, self.state.pose)
 
     def _attempt(self, stage: str, guess: Path, make: Callable[[PartialPlan], DockPlan]) -> DockPlan | None:
         began = self.deadline.elapsed
@@ -581,7 +603,7 @@ class _Replanning:
             now = self.now
             before, driven = joint.s - now.s, trajectory.path.length
             way = trajectory.path if now.rest is None else now.rest.piece(0.0, max(before + driven, _NO_WAY))
-            clear = prove_way(way, self.world)
+            clear = prove_way(way, self.world, self.state.pose)
             reason = why if clear else f"{why}; the stop is not proven: {clear.reason}"
             if not motion.certified:
                 reason += f"; the stop breaks a limit: {motion.reason}"

@@ -185,7 +185,8 @@ def _replanned(job: Job) -> PlanResult:
     plan = job.running.plan
     if plan is None:
         return PlanResult(job.number, Outcome.FAILED, reason="what is being driven is no plan, so nothing follows it")
-    found = replan(plan, job.problem, DriveState(job.time, job.rate, job.pose, job.moved), job.budget, lead=job.lead)
+    state = DriveState(job.time, job.rate, job.pose, job.moved, is_filtered=True)
+    found = replan(plan, job.problem, state, job.budget, lead=job.lead)
     if found.outcome is ReplanOutcome.KEPT:
         return PlanResult(job.number, Outcome.KEPT, reason=found.reason)
     motion = Motion(found.trajectory, job.problem) if found.plan is None else Motion.of(found.plan)

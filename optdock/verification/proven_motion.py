@@ -22,7 +22,7 @@ from optdock.verification.certificate import TOLERANCE, Certificate, TrajectoryC
 from optdock.verification.certify import certify_motion, certify_path
 from optdock.verification.conservative_advancement import Begun, prove_clearance
 from optdock.verification.memo import Memo
-from optdock.verification.proximity import pose_clearance
+from optdock.verification.proximity import end_clearances, pose_clearance
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -261,10 +261,7 @@ def prove_way(
     if begun is None:
         begun = Begun(start, pose_clearance(start, footprint, problem.all_obstacles)[0])
         reliefs = [0.0, problem.start_run] if begun.clearance < problem.path_clearance.required else [0.0]
-    off = 0.0
-    if pose is not None:
-        turned = normalize_angle(pose.yaw - place.yaw)
-        off = float(displacement(pose.distance_to(place), turned, footprint.circumscribed_radius))
+    off = 0.0 if pose is None else _displaced(pose, place, problem)
     width = float(problem.tube_widths(place.as_array()[None], begun.start, begun.clearance, start_relief)[0])
     if off <= width + TOLERANCE:
         reasons = [_not_clear(path, problem, begun, relief) for relief in reliefs]
@@ -311,9 +308,26 @@ def _not_clear_by(
     return _not_clear(path, alone, begun, relief)
 
 
-def proven_way(motion: ProvenMotion) -> ProvenWay:
-    """The way of a robot that is at the start of a proven motion."""
-    return _kept_way(_Way(motion.trajectory.path, motion.pose, motion.problem))
+def proven_way(motion: ProvenMotion, pose: Pose2 | None = None) -> ProvenWay | None:
+    """The way of a robot that is about to drive a proven motion; None where the tube around it does not cover the pose.
+
+    Args:
+        motion: What is driven, from its start on.
+        pose: Where the robot is; None: at the start.
+    """
+    problem, start, path = motion.problem, motion.pose, motion.trajectory.path
+    if pose is not None:
+        relief, clearance = motion.certificate.start_relief, end_clearances(problem).start
+        width = float(problem.tube_widths(start.as_array()[None], start, clearance, relief)[0])
+        if not _displaced(pose, start, problem) <= width + TOLERANCE:
+            return None
+    return _kept_way(_Way(path, pose or start, problem))
+
+
+def _displaced(pose: Pose2, place: Pose2, problem: DockingProblem) -> float:
+    """Bound of how far a point of the robot's outline is from where it would be at `place` [m]."""
+    turned, radius = normalize_angle(pose.yaw - place.yaw), problem.robot.footprint.circumscribed_radius
+    return float(displacement(pose.distance_to(place), turned, radius))
 
 
 def unchanged_way(motion: ProvenMotion, begin: float, end: float, problem: DockingProblem) -> ProvenWay | None:

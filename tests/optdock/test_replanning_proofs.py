@@ -245,3 +245,26 @@ def test_an_answer_cannot_say_that_it_is_proven():
             dataclasses.replace(found, **claim)
     with pytest.raises(InvalidValue, match="cannot be constructed"):
         ProvenWay()
+
+
+def test_within_its_tube_feedback_owns_the_error_and_beyond_it_the_new_plan_does():
+    plan = straight_plan([], ClearanceRule(0.02, 0.02, 0.0), TrackingTube(0.03))
+    target = plan.problem.goal @ Pose2(0.0, 0.01, 0.0)
+    for aside, is_filtered, on_path in ((0.029, False, True), (0.031, False, False), (0.029, True, False)):
+        measured = Pose2(0.8, aside, 0.0)
+        found = asked(plan, 0.8, measured, target, budget=30.0, is_filtered=is_filtered)
+        assert found.outcome is ReplanOutcome.NEW
+        assert found.proven
+        assert found.way.pose.gap_to(measured) <= 1e-6
+        assert found.trajectory.path.start.y == pytest.approx(0.0 if on_path else aside, abs=1e-6)
+
+
+def test_a_tube_covers_no_robot_where_something_new_stands_in_it():
+    """2 cm beside the path, where the robot is 3 cm to that side: the tube about the reference is narrower now."""
+    plan = straight_plan([], ClearanceRule(0.02, 0.02, 0.0), TrackingTube(0.05))
+    post = [[0.7, 0.27], [0.8, 0.27], [0.8, 0.3], [0.7, 0.3]]
+    world = dataclasses.replace(plan.problem, obstacles=[post])
+    assert not asked(plan, 0.8, Pose2(0.8, 0.03, 0.0), world, budget=5.0).proven
+    away = asked(plan, 0.8, Pose2(0.8, -0.03, 0.0), world, budget=5.0)
+    assert away.outcome is not ReplanOutcome.KEPT
+    assert away.way is None or away.trajectory.path.start.y == pytest.approx(-0.03, abs=1e-6)

@@ -266,6 +266,14 @@ def _about_the_answer(
         return "failed", None
     measured = None if pose is None else pose.as_array()
     this = _Now(now, case["rate"], measured, driven, ahead, case, scene, world, plan)
+    if pose is not None and case["question"] == "replan" and found.outcome is not ReplanOutcome.KEPT:
+        on_the_path = this._replace(ahead=driven)
+        begins = motion_of(path_spec(found.trajectory.path)).start
+        if gap(begins, this.pose_at(found.starts_at)) > _SAME >= gap(begins, on_the_path.pose_at(found.starts_at)):
+            this = on_the_path
+            wrong = _in_tube(this, found)
+            if wrong is not None:
+                return found.outcome.value, wrong
     word = found.outcome.value if found.proven else _UNPROVEN
     checks = {ReplanOutcome.NEW: _new, ReplanOutcome.KEPT: _kept, ReplanOutcome.STOP: _stop}
     wrong = _instant(this, found) or checks[found.outcome](this, found)
@@ -383,20 +391,32 @@ def _kept(this: _Now, found: _Answer) -> Verdict | None:
     start = _standing_start(this)
     world = {**start, "dock": {**this.world["dock"], "pose": end.tolist()}}
     if this.pose is not None and gap(this.pose, motion_of(cut(this.driven, this.s_at(this.time))).start) > _SAME:
-        return _beside(this, world)
+        begun, relief = start_clearance(this.scene, World.of(this.scene)), this.plan.certificate.start_relief
+        world = {**world, "start": motion_of(this.driven).start.tolist()}
+        return _beside(this, "KEPT", world, cut(this.driven, this.s_at(this.time)), begun, relief)
     rest = cut(this.driven, this.s_at(this.time))
     return _way(this, "KEPT", rest, world) or _limits(this, "KEPT", this.time)
 
 
-def _beside(this: _Now, world: Case) -> Verdict | None:
+def _in_tube(this: _Now, found: _Answer) -> Verdict | None:
+    """Whether a robot that is left beside its path is within the tube around it, until something new begins."""
+    if not found.proven:
+        return None
+    world = _standing_start(this)
+    begun = start_clearance(world, World.of(world))
+    return _beside(this, found.outcome.value, world, _until(this, found.starts_at), begun, start_run(world))
+
+
+def _beside(
+    this: _Now, what: str, world: Case, rest_of_path: list[Case], begun: float, relief: float
+) -> Verdict | None:
     """Whether a robot beside its path, and every pose between it and the path, keeps what is required.
 
     That is the clearance without the tube, at the place of the path that it is nearest to. The station is left out for
     poses that count as docked. Within the tube no pose is looked at that is farther off than the tube is wide there.
     """
     assert this.pose is not None
-    plain = {**world, "tracking": [0.0, 0.0], "start": motion_of(this.driven).start.tolist()}
-    begun, relief = start_clearance(this.scene, World.of(this.scene)), this.plan.certificate.start_relief
+    plain = {**world, "tracking": [0.0, 0.0]}
     solid = World.of(plain)
     now = this.s_at(this.time)
     poses = _poses_along(_leg(this.driven, now), 1500)
@@ -416,8 +436,8 @@ def _beside(this: _Now, world: Case) -> Verdict | None:
     least = float(required_at(plain, poses[places], begun, relief).min())
     short = least - float(solid.clearances(this.pose[None])[0])
     if short > _FORGIVEN:
-        return Verdict("false proof", f"KEPT beside: {short:.4g} m short where the robot is, {this.pose.tolist()}")
-    rest = _poses_along(motion_of(cut(this.driven, now)), 80)
+        return Verdict("false proof", f"{what} beside: {short:.4g} m short where the robot is, {this.pose.tolist()}")
+    rest = _poses_along(motion_of(rest_of_path), 80)
     needed = required_at(plain, rest, begun, relief)
     most = np.full(len(rest), max(0.0, float(off[best]) - _NEAREST))
     if is_covered:
@@ -430,7 +450,7 @@ def _beside(this: _Now, world: Case) -> Verdict | None:
         k = int(np.argmin(margins))
         if margins[k] < -_FORGIVEN:
             text = f"{-margins[k]:.4g} m short {share} of the way off, {between[k].tolist()}"
-            return Verdict("false proof", f"KEPT beside: {text}")
+            return Verdict("false proof", f"{what} beside: {text}")
     return None
 
 
