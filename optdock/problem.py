@@ -190,8 +190,7 @@ class DockingProblem(FrozenArrays):
         self._check_parts()
         everything = self.obstacles
         if self.costmap is not None:
-            # A grid that can be written could change under the proof.
-            known = self.costmap.frozen() if self.costmap.data.flags.writeable else self.costmap
+            known = self.costmap.frozen()  # one that layers write into could change under the proof
             object.__setattr__(self, "costmap", known)
             mapped = mapped_obstacles(known, unknown_is_obstacle=self.unknown_is_obstacle)
             everything = (everything + mapped).distinct() if len(everything) else mapped

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from optdock.geometry.arrays import FloatArray, frozen_array, readonly
+from optdock.geometry.arrays import FloatArray, FrozenArrays, frozen_array, readonly
 from optdock.geometry.pose import pose_errors
 from optdock.geometry.separation import separation
 
@@ -26,7 +26,7 @@ _BLOCK = 256  # poses per round, bounds the memory
 
 
 @dataclass(frozen=True, eq=False)
-class Run:
+class Run(FrozenArrays):
     """One closed-loop run; row k is the state at `times[k]` and the command given there.
 
     Args:

@@ -38,6 +38,7 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from optdock.errors import InvalidFile
 from optdock.fingerprint import ProblemFingerprint
+from optdock.geometry.arrays import FrozenArrays
 from optdock.obstacles import in_words
 from optdock.verification.proximity import end_clearances
 
@@ -107,7 +108,7 @@ class Bottleneck:
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class ImpossibilityProof:
+class ImpossibilityProof(FrozenArrays):
     """Cells around one end of a problem, whose rim is blocked, and where the widest way out is too narrow.
 
     Args:
