@@ -109,7 +109,7 @@ class SmoothingResult:
 
 
 class TimingStatus(IntEnum):
-    """How a time parameterization ended; physics is an outcome, not an exception."""
+    """How a time parameterization ended; physics is an outcome, not an exception. OK alone counts as true."""
 
     OK = 0
     START_INFEASIBLE = 1
@@ -117,6 +117,9 @@ class TimingStatus(IntEnum):
     BAD_START = 3
     FAIL = 4
     TIMED_OUT = 5
+
+    def __bool__(self) -> bool:
+        return self is TimingStatus.OK
 
 
 @dataclass(frozen=True, repr=False)
@@ -170,6 +173,9 @@ class TimingResult:
         why = f", {self.reason}" if self.reason else ""
         return f"<TimingResult {self.status.name}{lasts}{why}, {self.report!r}>"
 
+    def __bool__(self) -> bool:
+        return bool(self.status)
+
     def failure(self) -> FailedToTimePath:
         """The error that says why this is not OK."""
         where: dict[str, object] = {"status": self.status.name}
@@ -192,20 +198,26 @@ class CostmapInfoType(IntEnum):
 
 
 class BehaviorStatus(IntEnum):
-    """How a behavior stands."""
+    """How a behavior stands; SUCCEEDED alone counts as true."""
 
     SUCCEEDED = 1
     FAILED = 2
     RUNNING = 3
 
+    def __bool__(self) -> bool:
+        return self is BehaviorStatus.SUCCEEDED
+
 
 @dataclass(frozen=True)
 class BehaviorResult:
-    """Status, Nav2 error code (0 for none) and message of a behavior's cycle."""
+    """Status, Nav2 error code (0 for none) and message of a behavior's cycle; true where it has succeeded."""
 
     status: BehaviorStatus
     error_code: int = 0
     error_msg: str = ""
+
+    def __bool__(self) -> bool:
+        return bool(self.status)
 
 
 class Bounds(NamedTuple):

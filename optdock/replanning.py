@@ -134,7 +134,7 @@ class ReplanOutcome(str, Enum):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Replanned:
-    """What `replan` returns.
+    """What `replan` returns; it counts as true where it is proven.
 
     Args:
         outcome: What to do.
@@ -160,6 +160,9 @@ class Replanned:
     motion: TrajectoryCertificate | None = None
     tried: tuple[Attempt, ...] = ()
     timing_ms: dict[str, float] = field(default_factory=dict)
+
+    def __bool__(self) -> bool:
+        return self.proven
 
     def __post_init__(self) -> None:
         if self.way is not None:

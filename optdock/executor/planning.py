@@ -114,7 +114,7 @@ class Job(NamedTuple):
 
 
 class PlanResult(NamedTuple):
-    """What became of a job.
+    """What became of a job; it counts as true unless it failed.
 
     Attributes:
         number: Of the job.
@@ -132,9 +132,12 @@ class PlanResult(NamedTuple):
     reason: str = ""
     code: int = 0
 
+    def __bool__(self) -> bool:
+        return self.outcome is not Outcome.FAILED
+
 
 class Verdict(NamedTuple):
-    """Whether the rest of a motion still keeps its clearance.
+    """Whether the rest of a motion still keeps its clearance; it counts as true where it does.
 
     Attributes:
         holds: In a word.
@@ -145,6 +148,9 @@ class Verdict(NamedTuple):
     holds: bool
     reason: str = ""
     at_time: float = math.inf
+
+    def __bool__(self) -> bool:
+        return self.holds
 
 
 class Planning(Protocol):

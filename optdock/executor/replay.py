@@ -18,7 +18,7 @@ __all__ = ["Replay", "replay"]
 
 
 class Replay(NamedTuple):
-    """What came of a replay.
+    """What came of a replay; it counts as true where every command is the same.
 
     Attributes:
         cycles: Number of them.
@@ -33,6 +33,9 @@ class Replay(NamedTuple):
     command: Twist2 | None
     off_path: tuple[float, float]
     estimates: FloatArray
+
+    def __bool__(self) -> bool:
+        return self.differs_at is None
 
 
 def replay(log: DockingLog) -> Replay:

@@ -27,7 +27,9 @@ _BLOCK = 256  # poses per round, bounds the memory
 
 @dataclass(frozen=True, eq=False)
 class Run(FrozenArrays):
-    """One closed-loop run; row k is the state at `times[k]` and the command given there.
+    """One closed-loop run; it counts as true where it docked.
+
+    Row k is the state at `times[k]` and the command given there.
 
     Args:
         times: Shape (n,) [s].
@@ -72,6 +74,9 @@ class Run(FrozenArrays):
         object.__setattr__(self, "errors", readonly(pose_errors(self.poses, self.references)))
         last = pose_errors(self.poses[-1:], self.goal.as_array()[None])[0]
         object.__setattr__(self, "final_error", type(self.goal)(*last.tolist()))
+
+    def __bool__(self) -> bool:
+        return self.docked
 
     @property
     def collided(self) -> bool:

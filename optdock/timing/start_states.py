@@ -98,7 +98,7 @@ class Braking:
 
 
 class StartVerdict(NamedTuple):
-    """What full braking says of a moving start.
+    """What full braking says of a moving start; it counts as true where it does not refuse.
 
     Args:
         refusal: Why no motion from it keeps every limit; None where one may.
@@ -107,6 +107,9 @@ class StartVerdict(NamedTuple):
 
     refusal: SegmentPlan | None
     ways_on: tuple[tuple[Phases, State], ...] = ()
+
+    def __bool__(self) -> bool:
+        return self.refusal is None
 
 
 def judge_start(limits: PathLimits, start: State) -> StartVerdict:

@@ -45,7 +45,7 @@ class Violation:
 
 @dataclass(frozen=True, repr=False)
 class Certificate:
-    """The verdict on a path.
+    """The verdict on a path; it counts as true where it is certified.
 
     Args:
         violations: Every broken rule; empty when certified.
@@ -95,6 +95,9 @@ class Certificate:
         relieved = f", no more required than at the start for {self.start_relief:.2f} m" if self.start_relief else ""
         return f"<Certificate: {self.length:.3f} m certified, closest {closest}{relieved}>"
 
+    def __bool__(self) -> bool:
+        return self.certified
+
     @property
     def certified(self) -> bool:
         """Whether every rule was proven."""
@@ -132,7 +135,7 @@ class Certificate:
 
 @dataclass(frozen=True, repr=False)
 class TrajectoryCertificate:
-    """The verdict on a trajectory's motion limits.
+    """The verdict on a trajectory's motion limits; it counts as true where it is certified.
 
     Args:
         violations: Every broken rule; empty when certified.
@@ -151,6 +154,9 @@ class TrajectoryCertificate:
             return f"<TrajectoryCertificate: not certified, {self.reason}>"
         name, ratio = max(self.ratios.items(), key=lambda item: item[1], default=("nothing", 0.0))
         return f"<TrajectoryCertificate: {self.duration:.3f} s certified, {name} at {100.0 * ratio:.1f} % of its limit>"
+
+    def __bool__(self) -> bool:
+        return self.certified
 
     @property
     def certified(self) -> bool:

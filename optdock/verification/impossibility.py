@@ -284,7 +284,7 @@ def least_required(
 
 
 class ImpossibilityVerdict(NamedTuple):
-    """Whether a proof holds, and if not why.
+    """Whether a proof holds, and if not why; it counts as true where it does.
 
     `proven`: it does. `reason`: why not, empty if it does. `cells`: how many are on the rim and were judged.
     """
@@ -292,6 +292,9 @@ class ImpossibilityVerdict(NamedTuple):
     proven: bool
     reason: str
     cells: int
+
+    def __bool__(self) -> bool:
+        return self.proven
 
 
 def check_impossibility(proof: ImpossibilityProof, problem: DockingProblem) -> ImpossibilityVerdict:

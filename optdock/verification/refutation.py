@@ -86,7 +86,7 @@ _FEWEST = 4  # steps
 
 @dataclass(frozen=True)
 class SampledMotionVerdict:
-    """What the samples of a motion say.
+    """What the samples of a motion say; it counts as true where they do not refute it, which is no proof of it.
 
     Args:
         violations: Every broken rule; empty when the samples do not refute the motion.
@@ -107,6 +107,9 @@ class SampledMotionVerdict:
     def off_path(self) -> bool:
         """Whether poses lie beside the path, so that it takes its clearance to cover them."""
         return max(self.offset) > ON_PATH
+
+    def __bool__(self) -> bool:
+        return not self.refuted
 
     @property
     def refuted(self) -> bool:
