@@ -49,7 +49,7 @@ if TYPE_CHECKING:
     from optdock.problem import DockingProblem
     from optdock.verification import Certificate, ProvenMotion, TrajectoryCertificate
 
-__all__ = ["Cancellation", "Refinement", "Stopwatch", "at_work", "in_ms", "plain", "returned"]
+__all__ = ["Cancellation", "Refinement", "Stopwatch", "at_work", "plain", "ran_out_of_time", "returned"]
 
 logger = logging.getLogger(__name__)
 
@@ -174,9 +174,8 @@ class Refinement:
 
     def _smoothed(self, raw: Path, most: float, so_far: PartialPlan, *, is_given: bool) -> SmoothingResult:
         smoother, left = self.smoother, self.deadline.left
-        kept = f"of {in_ms(self.budget)}; {in_ms(self.reserve)} are kept back for timing and proof"
         if left <= self.reserve:
-            raise SmootherTimedOut(f"no time is left for smoothing: {in_ms(max(left, 0.0))} are left {kept}")
+            raise SmootherTimedOut(ran_out_of_time("smoothing", self.budget))
         try:
             with at_work(smoother, self.problem, self.cancelled):
                 try:
@@ -192,7 +191,8 @@ class Refinement:
                         raise FailedToSmoothPath(f"the given {error}") from error
                     raise
         except SmootherTimedOut as error:
-            raise SmootherTimedOut(f"{error}, the smoother's share {kept}", where=error.where) from error
+            message = ran_out_of_time(type(smoother).__name__, self.budget)
+            raise SmootherTimedOut(message, where=error.where) from error
         except SmootherException as error:
             so_far.path = PartialPlan.left_by(error).path
             raise
@@ -225,6 +225,10 @@ class Refinement:
     def _proven_motion(self, method: TimeParameterizer, path: Path) -> tuple[ProvenMotion, TimingReport]:
         with self.watch.timed("time"):
             result = self._timing(method, path)
+        if result.status is TimingStatus.TIMED_OUT:
+            failure = result.failure()
+            message = ran_out_of_time(type(method).__name__, self.budget)
+            raise TimingTimedOut(message, where=failure.where) from failure
         if result.status is not TimingStatus.OK:
             raise result.failure()
         trajectory = returned(result.trajectory, Trajectory, method, "the trajectory of its result")
@@ -240,7 +244,7 @@ class Refinement:
     def _timing(self, method: TimeParameterizer, path: Path) -> TimingResult:
         allowance = self.deadline.left - _PROOF
         if allowance <= 0.0:
-            raise TimingTimedOut(f"nothing is left of the time budget of {self.budget:.3g} s for timing")
+            raise TimingTimedOut(ran_out_of_time("timing", self.budget))
         limits, zone = self.problem.robot.limits, self.problem.dock.approach
         speed, acceleration = self.problem.start_state(int(path.segments[0].direction))
         with at_work(method, self.problem, self.cancelled):
@@ -273,7 +277,7 @@ class Refinement:
             if self.cancelled():
                 raise cancelled(f"cancelled while the {what} was proven", where=where)
             if self.deadline.passed():
-                raise late(f"the proof of the {what} was cut short: {verdict.reason}", where=where)
+                raise late(ran_out_of_time(f"the proof of the {what}", self.budget), where=where)
         raise CertificationFailed(f"the {what} is not certified: {verdict.reason}", where=where)
 
 
@@ -313,9 +317,13 @@ def at_work(plugin: Plugin, problem: DockingProblem, cancelled: Cancellation) ->
         raise cancelled.raised
 
 
-def in_ms(seconds: float) -> str:
-    """A duration for a message."""
-    return f"{1e3 * seconds:.0f} ms" if seconds >= 0.1 else f"{1e3 * seconds:.3g} ms"
+def ran_out_of_time(what: str, budget: float) -> str:
+    """The message of a time-out: who needed more, and which option gives it.
+
+    >>> ran_out_of_time("ManoeuvrePlanner", 0.05)
+    'ManoeuvrePlanner ran out of time; raise time_budget, which is 0.05 s'
+    """
+    return f"{what} ran out of time; raise time_budget, which is {budget:.3g} s"
 
 
 def returned(value: object, kind: type[_T], plugin: Plugin, part: str = "") -> _T:

@@ -50,7 +50,7 @@ from optdock.pipeline import DEFAULT_PLANNERS, DEFAULT_SMOOTHER, DEFAULT_TIMING,
 from optdock.plan import Attempt, DockPlan, PartialPlan
 from optdock.plugins import plugin_from
 from optdock.problem import DockingProblem
-from optdock.refinement import Cancellation, Refinement, Stopwatch, in_ms
+from optdock.refinement import Cancellation, Refinement, Stopwatch, ran_out_of_time
 from optdock.segments import SAME_POSITION, TURN_RADIUS, ClothoidSegment
 from optdock.timing.motion import DriveBounds, State
 from optdock.timing.start_states import full_stop
@@ -376,7 +376,7 @@ class _Replanning:
         if kept is not None:
             return kept
         if deadline.left <= 0.0:
-            raise self.failure or SmootherTimedOut(f"{why}; the time budget of {in_ms(self.budget)} is used up")
+            raise self.failure or SmootherTimedOut(f"{why}; {ran_out_of_time('planning anew', self.budget)}")
         plan = plan_dock(
             problem,
             time_budget=deadline.left,
