@@ -473,10 +473,7 @@ def test_a_profile_and_an_animation_are_drawn_when_asked_for(tmp_path):
 def test_no_time_at_all_is_a_named_failure_with_what_exists():
     result = run("plan", write(), "--out", "out.json", "--time-budget", "1e-6")
     assert result.exit_code == 3
-    assert (
-        result.stderr
-        == "PlannerTimedOut: the search for a first guess ran out of time; raise time_budget, which is 1e-06 s\n"
-    )
+    assert result.stderr == "PlannerTimedOut: DockPlanner ran out of time; raise time_budget, which is 1e-06 s\n"
     assert load_plan("out.json").status == "PlannerTimedOut"
 
 

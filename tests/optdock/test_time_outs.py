@@ -9,6 +9,7 @@ import time
 
 import pytest
 
+from optdock import pipeline
 from optdock.dock import Dock, DockDirection
 from optdock.errors import (
     FailedToSmoothPath,
@@ -181,6 +182,13 @@ def test_guesses_that_nobody_had_time_to_make_make_it_a_time_out():
     assert isinstance(found, TimedOut)
     assert "the search for other guesses ran out of time; raise time_budget, which is 0.05 s" in str(found)
     assert str(found).endswith("until then FailedToSmoothPath: clearance: 0.01 m from a rock")
+
+
+def test_a_planner_whose_share_is_used_up_between_two_guesses_ran_out_of_time(monkeypatch):
+    monkeypatch.setattr(pipeline, "_LAST_PROOF", 1.0)  # nothing is left for the last of several
+    found = refusal((Offers(AHEAD), Offers(AROUND)), Says(shut()))
+    assert type(found) is PlannerTimedOut
+    assert [attempt.stage for attempt in found.partial.tried] == ["offer 0", "Offers"]
 
 
 class Odd(FailedToSmoothPath):
