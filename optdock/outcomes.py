@@ -66,6 +66,7 @@ class SmoothingReport:
         total_s: Seconds of the call.
         certificate: Of the path, where the smoother proved it; nobody has to believe it.
         extra: Whatever else a plugin has to say.
+        warning: What whoever drives the result should know; empty: nothing.
     """
 
     status: SmoothingStatus | None = None
@@ -78,6 +79,7 @@ class SmoothingReport:
     total_s: float | None = None
     certificate: Certificate | None = None
     extra: Mapping[str, object] = field(default_factory=dict)
+    warning: str = ""
 
     def __repr__(self) -> str:
         said = [self.status.value] if self.status is not None else []
@@ -86,6 +88,7 @@ class SmoothingReport:
         said += [f"{1e3 * self.total_s:.1f} ms"] if self.total_s is not None else []
         if self.certificate is not None:
             said.append("certified" if self.certificate.certified else "not certified")
+        said += [f"warning: {self.warning}"] if self.warning else []
         return f"<SmoothingReport {', '.join(said) or 'empty'}>"
 
 
