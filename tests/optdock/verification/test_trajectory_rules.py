@@ -419,15 +419,15 @@ def test_second_derivatives_stay_within_their_bounds(seed):
     """Of every quantity that depends on curvature; where some of v, a, j, k and r are none, single terms are left."""
     for which in range(1, 32):
         rng = np.random.default_rng([seed, which])
-        sizes = np.where([which >> i & 1 for i in range(5)], 10.0 ** rng.uniform(-1.0, 1.0, 5), 0.0)
-        v, a, j, k, r = (sizes * [1, *rng.choice([-1, 1], 4)]).tolist()
+        scales = np.where([which >> i & 1 for i in range(5)], 10.0 ** rng.uniform(-1.0, 1.0, 5), 0.0)
+        v, a, j, k, r = (scales * [1, *rng.choice([-1, 1], 4)]).tolist()
         width, h = 1e-2, 1e-3
         if v + a * width + 0.5 * j * width**2 < 0.0:
             continue
         drive = MotionLimits(track_width=0.7, wheelbase=1.3, max_steering_rate=1.0)
         columns = (0.0, width, 0.0, v, a, j, k, r, -np.inf, np.inf)
         first = trajectory_rules._Cells(*(np.array([value]) for value in columns))
-        bound = trajectory_rules._bend(first, first.advanced(first.width), drive)
+        sizes = trajectory_rules._Sizes.over(first, first.advanced(first.width))
         t = np.arange(0.0, width + 0.5 * h, h)
         along = first.rows(np.zeros(t.size, dtype=int)).advanced(t)
         signed = {
@@ -437,6 +437,9 @@ def test_second_derivatives_stay_within_their_bounds(seed):
             "wheel_speed": along.v * (1.0 + 0.35 * along.k),
             "steering_rate": 1.3 * along.r * along.v / (1.0 + (1.3 * along.k) ** 2),
         }
-        for name, values in signed.items():
+        for name, rule in trajectory_rules._TURNING_RULES.items():
+            values = signed[name.removeprefix("max_")]
             bent = np.max(np.abs(np.diff(values, 2))) / h**2
-            assert bent <= float(bound[name][0]) * (1.0 + 1e-9) + 1e-6, name
+            assert bent <= float(rule.bend(sizes, drive)[0]) * (1.0 + 1e-9) + 1e-6, name
+            either = np.abs(2.0 * along.v - values) if name == "max_wheel_speed" else 0.0  # the other wheel
+            assert rule.size(along, drive) == pytest.approx(np.maximum(np.abs(values), either)), name
