@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, fields
 from enum import Enum
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple, Protocol
 
 import numpy as np
 
@@ -17,6 +17,8 @@ from optdock.errors import InvalidValue
 from optdock.geometry.checked import number
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from optdock.geometry.arrays import FloatArray
 
 __all__ = [
@@ -29,6 +31,7 @@ __all__ = [
     "MotionLimits",
     "SpeedZone",
     "TurnLimits",
+    "TurningMotion",
     "check_steering",
     "finite_limits",
 ]
@@ -45,29 +48,54 @@ class LimitKind(str, Enum):
     PATH = "path"
 
 
+class TurningMotion(Protocol):
+    """Instants of a motion along a curve, Shape (n,) each."""
+
+    @property
+    def v(self) -> FloatArray:
+        """Speed along the travel [m/s]."""
+
+    @property
+    def a(self) -> FloatArray:
+        """Acceleration along the travel [m/s^2]."""
+
+    @property
+    def k(self) -> FloatArray:
+        """Curvature [1/m]."""
+
+    @property
+    def r(self) -> FloatArray:
+        """Its rate [1/m^2]."""
+
+
 class Limit(NamedTuple):
     """One bound of `MotionLimits`.
 
     Attributes:
         name: Field of `MotionLimits`.
         unit: SI.
-        quantity: What is bounded, by its name in ratios and violations of certificates.
         kind: On what the quantity depends.
         formula: The bounded quantity: speed v, its rates a and j, curvature k and its rate k' per metre, track width b,
             wheelbase L; empty where the words say it.
         words: What it is, for references.
+        size: Of `LimitKind.TURNING`: the bounded quantity, without its sign, at instants of a motion. Shape (n,).
         steered: Whether only robots that steer their wheels have it.
         finite: Whether it must be finite.
     """
 
     name: str
     unit: str
-    quantity: str
     kind: LimitKind
     formula: str
     words: str
+    size: Callable[[TurningMotion, MotionLimits], FloatArray] | None = None
     steered: bool = False
     finite: bool = False
+
+    @property
+    def quantity(self) -> str:
+        """What is bounded, by its name in ratios and violations of certificates; both gears have a speed."""
+        return "speed" if self.name == "max_reverse_speed" else self.name.removeprefix("max_")
 
     @property
     def label(self) -> str:
@@ -79,24 +107,47 @@ _LAW, _TURNING, _PATH = LimitKind.TIME_LAW, LimitKind.TURNING, LimitKind.PATH
 LIMITS: dict[str, Limit] = {
     limit.name: limit
     for limit in (
-        Limit("max_speed", "m/s", "speed", _LAW, "v", "largest speed forward", finite=True),
-        Limit("max_reverse_speed", "m/s", "speed", _LAW, "v", "largest speed in reverse", finite=True),
-        Limit("max_acceleration", "m/s^2", "acceleration", _LAW, "a", "speeding up, in either gear", finite=True),
-        Limit("max_deceleration", "m/s^2", "deceleration", _LAW, "-a", "slowing down, in either gear", finite=True),
-        Limit("max_jerk", "m/s^3", "jerk", _LAW, "|j|", "change of acceleration", finite=True),
-        Limit("max_yaw_rate", "rad/s", "yaw_rate", _TURNING, "|v k|", "turning left or right"),
+        Limit("max_speed", "m/s", _LAW, "v", "largest speed forward", finite=True),
+        Limit("max_reverse_speed", "m/s", _LAW, "v", "largest speed in reverse", finite=True),
+        Limit("max_acceleration", "m/s^2", _LAW, "a", "speeding up, in either gear", finite=True),
+        Limit("max_deceleration", "m/s^2", _LAW, "-a", "slowing down, in either gear", finite=True),
+        Limit("max_jerk", "m/s^3", _LAW, "|j|", "change of acceleration", finite=True),
         Limit(
-            "max_yaw_acceleration", "rad/s^2", "yaw_acceleration", _TURNING, "|a k + v^2 k'|", "change of the yaw rate"
+            "max_yaw_rate",
+            "rad/s",
+            _TURNING,
+            "|v k|",
+            "turning left or right",
+            lambda at, _: np.abs(at.v * at.k),
         ),
         Limit(
-            "max_lateral_acceleration", "m/s^2", "lateral_acceleration", _TURNING, "v^2 |k|", "speed^2 * |curvature|"
+            "max_yaw_acceleration",
+            "rad/s^2",
+            _TURNING,
+            "|a k + v^2 k'|",
+            "change of the yaw rate",
+            lambda at, _: np.abs(at.a * at.k + at.v * at.v * at.r),
         ),
-        Limit("max_wheel_speed", "m/s", "wheel_speed", _TURNING, "|v| (1 + b |k| / 2)", "rim speed of either wheel"),
-        Limit("max_curvature", "1/m", "curvature", _PATH, "|k|", "1 / smallest turning radius"),
+        Limit(
+            "max_lateral_acceleration",
+            "m/s^2",
+            _TURNING,
+            "v^2 |k|",
+            "speed^2 * |curvature|",
+            lambda at, _: at.v * at.v * np.abs(at.k),
+        ),
+        Limit(
+            "max_wheel_speed",
+            "m/s",
+            _TURNING,
+            "|v| (1 + b |k| / 2)",
+            "rim speed of either wheel",
+            lambda at, drive: np.abs(at.v) * (1.0 + 0.5 * drive.track_width * np.abs(at.k)),
+        ),
+        Limit("max_curvature", "1/m", _PATH, "|k|", "1 / smallest turning radius"),
         Limit(
             "max_curvature_rate",
             "1/m^2",
-            "curvature_rate",
             _PATH,
             "|k'|",
             "|d curvature / ds|: how fast the steering turns along the path",
@@ -104,7 +155,6 @@ LIMITS: dict[str, Limit] = {
         Limit(
             "max_steering_angle",
             "rad",
-            "steering_angle",
             _PATH,
             "|atan(L k)|",
             "of the wheels, |atan(wheelbase * curvature)|; bounds the curvature beside max_curvature",
@@ -113,10 +163,10 @@ LIMITS: dict[str, Limit] = {
         Limit(
             "max_steering_rate",
             "rad/s",
-            "steering_rate",
             _TURNING,
             "L |k' v| / (1 + (L k)^2)",
             "at which the wheels turn, also at rest between two gears",
+            lambda at, drive: np.abs(drive.wheelbase * at.r * at.v) / (1.0 + (drive.wheelbase * at.k) ** 2),
             steered=True,
         ),
     )

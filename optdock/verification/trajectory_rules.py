@@ -90,7 +90,7 @@ def trajectory_violations(
     stretches, judge = _segment_limits(path, limits, zone), _Judge(limits)
     borders = stretches[:, :2].ravel()
     with np.errstate(over="ignore", invalid="ignore"):
-        pieces = _path_pieces(path) if judge.limits else None
+        pieces = _path_pieces(path) if judge.rules else None
         asked = borders if pieces is None else np.concatenate((borders, pieces.begin[1:]))
         reached = _crossings(law, asked)  # one bisection for all places that are asked for
         if pieces is not None:
@@ -570,16 +570,6 @@ class _Sizes(NamedTuple):
         return cls(v, a, np.abs(first.j), k, np.abs(first.r))
 
 
-class _TurningRule(NamedTuple):
-    """A quantity f that depends on curvature, of `LimitKind.TURNING`.
-
-    `size`: |f| at the first instant of cells; `bend`: a bound of |f''| over cells.
-    """
-
-    size: Callable[[_Cells, MotionLimits], FloatArray]
-    bend: Callable[[_Sizes, MotionLimits], FloatArray]
-
-
 def _yaw_rate_bend(b: _Sizes) -> FloatArray:
     return b.j * b.k + 3.0 * b.a * b.v * b.r
 
@@ -590,33 +580,38 @@ def _steering_rate_bend(b: _Sizes, drive: MotionLimits) -> FloatArray:
     return steepest * b.j + 2.0 * turned * steepest * b.a + 2.0 * turned**3
 
 
-_TURNING_RULES = {
-    "max_yaw_rate": _TurningRule(lambda at, _: np.abs(at.v * at.k), lambda b, _: _yaw_rate_bend(b)),
-    "max_lateral_acceleration": _TurningRule(
-        lambda at, _: at.v * at.v * np.abs(at.k),
-        lambda b, _: 2.0 * b.a * b.a * b.k + 2.0 * b.v * b.j * b.k + 5.0 * b.v * b.v * b.a * b.r,
+# Bounds of |f''| over cells, of quantities f of `LimitKind.TURNING`, by the names of their limits.
+_BENDS: dict[str, Callable[[_Sizes, MotionLimits], FloatArray]] = {
+    "max_yaw_rate": lambda b, _: _yaw_rate_bend(b),
+    "max_lateral_acceleration": lambda b, _: (
+        2.0 * b.a * b.a * b.k + 2.0 * b.v * b.j * b.k + 5.0 * b.v * b.v * b.a * b.r
     ),
-    "max_yaw_acceleration": _TurningRule(
-        lambda at, _: np.abs(at.a * at.k + at.v * at.v * at.r),
-        lambda b, _: 4.0 * b.j * b.v * b.r + 3.0 * b.a * b.a * b.r,
-    ),
-    "max_wheel_speed": _TurningRule(
-        lambda at, drive: np.abs(at.v) * (1.0 + 0.5 * drive.track_width * np.abs(at.k)),
-        lambda b, drive: b.j + 0.5 * drive.track_width * _yaw_rate_bend(b),
-    ),
-    "max_steering_rate": _TurningRule(
-        lambda at, drive: np.abs(drive.wheelbase * at.r * at.v) / (1.0 + (drive.wheelbase * at.k) ** 2),
-        _steering_rate_bend,
-    ),
+    "max_yaw_acceleration": lambda b, _: 4.0 * b.j * b.v * b.r + 3.0 * b.a * b.a * b.r,
+    "max_wheel_speed": lambda b, drive: b.j + 0.5 * drive.track_width * _yaw_rate_bend(b),
+    "max_steering_rate": _steering_rate_bend,
 }
-_PLAIN_RULES = {"max_speed", "max_reverse_speed", "max_acceleration", "max_deceleration", "max_jerk"}
+_EXTREMES = {"max_speed", "max_reverse_speed", "max_acceleration", "max_deceleration", "max_jerk"}  # exact: `_rates`
+
+
+class _TurningRule(NamedTuple):
+    """How a finite limit is proven: its value, |f| at the first instant of cells, and a bound of |f''| over cells."""
+
+    limit: float
+    size: Callable[[_Cells, MotionLimits], FloatArray]
+    bend: Callable[[_Sizes, MotionLimits], FloatArray]
+
+
+def _turning_rules(limits: MotionLimits) -> dict[str, _TurningRule]:
+    """Of every finite limit that depends on curvature, by its name in `LIMITS`."""
+    found = {name: (value, LIMITS[name].size) for name, value in finite_limits(limits).items() if name in _BENDS}
+    return {name: _TurningRule(value, size, _BENDS[name]) for name, (value, size) in found.items() if size}
 
 
 def _without_rule(limits: MotionLimits) -> Iterator[Violation]:
     """Finite limits that nothing here proves; those of `LimitKind.PATH` are left to the path certificate."""
+    proven = _EXTREMES | _turning_rules(limits).keys()
     for name, value in finite_limits(limits).items():
-        of_path = name in LIMITS and LIMITS[name].kind is LimitKind.PATH
-        if not (of_path or name in _PLAIN_RULES or name in _TURNING_RULES):
+        if not (name in proven or (name in LIMITS and LIMITS[name].kind is LimitKind.PATH)):
             yield Violation("unproven", f"no rule proves {name} = {value:.4g}", 0.0, np.inf)
 
 
@@ -650,10 +645,8 @@ class _Judge:
 
     def __init__(self, drive: MotionLimits) -> None:
         self.drive = drive
-        limited = {name: value for name, value in finite_limits(drive).items() if name in _TURNING_RULES}
-        self.limits = {LIMITS[name].quantity: value for name, value in limited.items()}
-        self.rules = {LIMITS[name].quantity: _TURNING_RULES[name] for name in limited}
-        self.ratios = dict.fromkeys(self.limits, 0.0)
+        self.rules = {LIMITS[name].quantity: rule for name, rule in _turning_rules(drive).items()}
+        self.ratios = dict.fromkeys(self.rules, 0.0)
         self.found: dict[str, Violation] = {}
 
     def look_at(self, cells: _Cells) -> IntArray:
@@ -661,12 +654,11 @@ class _Judge:
         last = cells.advanced(cells.width)
         most = _Sizes.over(cells, last)
         open_cells = np.zeros(cells.t.size, dtype=np.bool_)
-        for kind, limit in self.limits.items():
-            rule = self.rules[kind]
-            at_ends = rule.size(cells, self.drive), rule.size(last, self.drive)
+        for kind, (limit, size, bend) in self.rules.items():
+            at_ends = size(cells, self.drive), size(last, self.drive)
             # What is no number proves nothing: it counts as infinite where it arises.
             seen = np.nan_to_num(np.maximum(*at_ends), nan=np.inf, posinf=np.inf)
-            stray = np.where(cells.width > 0.0, rule.bend(most, self.drive) * cells.width**2 / 8.0, 0.0)
+            stray = np.where(cells.width > 0.0, bend(most, self.drive) * cells.width**2 / 8.0, 0.0)
             proven = np.nan_to_num(seen + stray, nan=np.inf, posinf=np.inf)
             broken = seen > limit * (1.0 + TOLERANCE)
             cleared = proven <= limit * (1.0 + TOLERANCE)
@@ -680,7 +672,7 @@ class _Judge:
 
     def give_up(self, cells: _Cells) -> None:
         """Nothing is known of these cells."""
-        for kind in self.limits:
+        for kind in self.rules:
             self._raise_ratio(kind, np.inf)
         k = int(np.argmin(cells.t))
         message = f"the limits on turning near t = {cells.t[k]:.3f} s, s = {cells.s[k]:.3f} m are not proven"
@@ -688,10 +680,10 @@ class _Judge:
 
     def violations(self) -> Iterator[Violation]:
         """The worst of each quantity that breaks its limit, and of what is not proven."""
-        return (self.found[kind] for kind in (*self.limits, "unproven") if kind in self.found)
+        return (self.found[kind] for kind in (*self.rules, "unproven") if kind in self.found)
 
     def _raise_ratio(self, kind: str, value: float) -> None:
-        self.ratios[kind] = max(self.ratios[kind], value / self.limits[kind])
+        self.ratios[kind] = max(self.ratios[kind], value / self.rules[kind].limit)
 
     def _note(self, kind: str, violation: Violation) -> None:
         if kind not in self.found or violation.amount > self.found[kind].amount:

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from optdock.geometry.clothoid import ClothoidSpline
 from optdock.geometry.pose import Pose2
-from optdock.limits import MotionLimits, SpeedZone
+from optdock.limits import LIMITS, MotionLimits, SpeedZone
 from optdock.path import ClothoidSegment, Path, PolylineSegment, TurnSegment
 from optdock.trajectory import TimeLaw, Trajectory
 from optdock.verification import certify_trajectory, trajectory_rules
@@ -437,9 +437,9 @@ def test_second_derivatives_stay_within_their_bounds(seed):
             "wheel_speed": along.v * (1.0 + 0.35 * along.k),
             "steering_rate": 1.3 * along.r * along.v / (1.0 + (1.3 * along.k) ** 2),
         }
-        for name, rule in trajectory_rules._TURNING_RULES.items():
-            values = signed[name.removeprefix("max_")]
+        for name, bend in trajectory_rules._BENDS.items():
+            values = signed[LIMITS[name].quantity]
             bent = np.max(np.abs(np.diff(values, 2))) / h**2
-            assert bent <= float(rule.bend(sizes, drive)[0]) * (1.0 + 1e-9) + 1e-6, name
+            assert bent <= float(bend(sizes, drive)[0]) * (1.0 + 1e-9) + 1e-6, name
             either = np.abs(2.0 * along.v - values) if name == "max_wheel_speed" else 0.0  # the other wheel
-            assert rule.size(along, drive) == pytest.approx(np.maximum(np.abs(values), either)), name
+            assert LIMITS[name].size(along, drive) == pytest.approx(np.maximum(np.abs(values), either)), name
