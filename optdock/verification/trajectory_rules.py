@@ -603,8 +603,9 @@ class _TurningRule(NamedTuple):
 
 def _turning_rules(limits: MotionLimits) -> dict[str, _TurningRule]:
     """Of every finite limit that depends on curvature, by its name in `LIMITS`."""
-    found = {name: (value, LIMITS[name].size) for name, value in finite_limits(limits).items() if name in _BENDS}
-    return {name: _TurningRule(value, size, _BENDS[name]) for name, (value, size) in found.items() if size}
+    finite = finite_limits(limits)
+    found = ((name, LIMITS[name].size) for name in _BENDS if name in finite)
+    return {name: _TurningRule(finite[name], size, _BENDS[name]) for name, size in found if size is not None}
 
 
 def _without_rule(limits: MotionLimits) -> Iterator[Violation]:
