@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, fields
 from enum import Enum
+from types import MappingProxyType
 from typing import TYPE_CHECKING, NamedTuple, Protocol
 
 import numpy as np
@@ -17,7 +18,7 @@ from optdock.errors import InvalidValue
 from optdock.geometry.checked import number
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Mapping
 
     from optdock.geometry.arrays import FloatArray
 
@@ -104,73 +105,71 @@ class Limit(NamedTuple):
 
 
 _LAW, _TURNING, _PATH = LimitKind.TIME_LAW, LimitKind.TURNING, LimitKind.PATH
-LIMITS: dict[str, Limit] = {
-    limit.name: limit
-    for limit in (
-        Limit("max_speed", "m/s", _LAW, "v", "largest speed forward", finite=True),
-        Limit("max_reverse_speed", "m/s", _LAW, "v", "largest speed in reverse", finite=True),
-        Limit("max_acceleration", "m/s^2", _LAW, "a", "speeding up, in either gear", finite=True),
-        Limit("max_deceleration", "m/s^2", _LAW, "-a", "slowing down, in either gear", finite=True),
-        Limit("max_jerk", "m/s^3", _LAW, "|j|", "change of acceleration", finite=True),
-        Limit(
-            "max_yaw_rate",
-            "rad/s",
-            _TURNING,
-            "|v k|",
-            "turning left or right",
-            lambda at, _: np.abs(at.v * at.k),
-        ),
-        Limit(
-            "max_yaw_acceleration",
-            "rad/s^2",
-            _TURNING,
-            "|a k + v^2 k'|",
-            "change of the yaw rate",
-            lambda at, _: np.abs(at.a * at.k + at.v * at.v * at.r),
-        ),
-        Limit(
-            "max_lateral_acceleration",
-            "m/s^2",
-            _TURNING,
-            "v^2 |k|",
-            "speed^2 * |curvature|",
-            lambda at, _: at.v * at.v * np.abs(at.k),
-        ),
-        Limit(
-            "max_wheel_speed",
-            "m/s",
-            _TURNING,
-            "|v| (1 + b |k| / 2)",
-            "rim speed of either wheel",
-            lambda at, drive: np.abs(at.v) * (1.0 + 0.5 * drive.track_width * np.abs(at.k)),
-        ),
-        Limit("max_curvature", "1/m", _PATH, "|k|", "1 / smallest turning radius"),
-        Limit(
-            "max_curvature_rate",
-            "1/m^2",
-            _PATH,
-            "|k'|",
-            "|d curvature / ds|: how fast the steering turns along the path",
-        ),
-        Limit(
-            "max_steering_angle",
-            "rad",
-            _PATH,
-            "|atan(L k)|",
-            "of the wheels, |atan(wheelbase * curvature)|; bounds the curvature beside max_curvature",
-            steered=True,
-        ),
-        Limit(
-            "max_steering_rate",
-            "rad/s",
-            _TURNING,
-            "L |k' v| / (1 + (L k)^2)",
-            "at which the wheels turn, also at rest between two gears",
-            lambda at, drive: np.abs(drive.wheelbase * at.r * at.v) / (1.0 + (drive.wheelbase * at.k) ** 2),
-            steered=True,
-        ),
-    )
-}
+_TABLE = (
+    Limit("max_speed", "m/s", _LAW, "v", "largest speed forward", finite=True),
+    Limit("max_reverse_speed", "m/s", _LAW, "v", "largest speed in reverse", finite=True),
+    Limit("max_acceleration", "m/s^2", _LAW, "a", "speeding up, in either gear", finite=True),
+    Limit("max_deceleration", "m/s^2", _LAW, "-a", "slowing down, in either gear", finite=True),
+    Limit("max_jerk", "m/s^3", _LAW, "|j|", "change of acceleration", finite=True),
+    Limit(
+        "max_yaw_rate",
+        "rad/s",
+        _TURNING,
+        "|v k|",
+        "turning left or right",
+        lambda at, _: np.abs(at.v * at.k),
+    ),
+    Limit(
+        "max_yaw_acceleration",
+        "rad/s^2",
+        _TURNING,
+        "|a k + v^2 k'|",
+        "change of the yaw rate",
+        lambda at, _: np.abs(at.a * at.k + at.v * at.v * at.r),
+    ),
+    Limit(
+        "max_lateral_acceleration",
+        "m/s^2",
+        _TURNING,
+        "v^2 |k|",
+        "speed^2 * |curvature|",
+        lambda at, _: at.v * at.v * np.abs(at.k),
+    ),
+    Limit(
+        "max_wheel_speed",
+        "m/s",
+        _TURNING,
+        "|v| (1 + b |k| / 2)",
+        "rim speed of either wheel",
+        lambda at, drive: np.abs(at.v) * (1.0 + 0.5 * drive.track_width * np.abs(at.k)),
+    ),
+    Limit("max_curvature", "1/m", _PATH, "|k|", "1 / smallest turning radius"),
+    Limit(
+        "max_curvature_rate",
+        "1/m^2",
+        _PATH,
+        "|k'|",
+        "|d curvature / ds|: how fast the steering turns along the path",
+    ),
+    Limit(
+        "max_steering_angle",
+        "rad",
+        _PATH,
+        "|atan(L k)|",
+        "of the wheels, |atan(wheelbase * curvature)|; bounds the curvature beside max_curvature",
+        steered=True,
+    ),
+    Limit(
+        "max_steering_rate",
+        "rad/s",
+        _TURNING,
+        "L |k' v| / (1 + (L k)^2)",
+        "at which the wheels turn, also at rest between two gears",
+        lambda at, drive: np.abs(drive.wheelbase * at.r * at.v) / (1.0 + (drive.wheelbase * at.k) ** 2),
+        steered=True,
+    ),
+)
+LIMITS: Mapping[str, Limit] = MappingProxyType({limit.name: limit for limit in _TABLE})
 LIMIT_UNITS = {name: limit.unit for name, limit in LIMITS.items() if not limit.steered}
 STEERING_UNITS = {name: limit.unit for name, limit in LIMITS.items() if limit.steered}
 DIMENSIONS = {

@@ -35,11 +35,7 @@ _LIMITED = ("max_curvature", "max_curvature_rate", "max_steering_angle")  # `Mot
 
 def path_violations(path: Path, problem: DockingProblem) -> tuple[Violation, ...]:
     """Every broken rule but clearance, in driving order of the rules below."""
-    rules = (
-        *(_frame, _ends, _joints, _gears, _turns, _slip, _drift, _creep),
-        *(_curvature, _winding, _curvature_rate, _start_curvature, _final_straight, _without_rule),
-    )
-    return tuple(violation for rule in rules for violation in rule(path, problem))
+    return tuple(violation for rule in _RULES for violation in rule(path, problem))
 
 
 def _without_rule(path: Path, problem: DockingProblem) -> Iterator[Violation]:  # noqa: ARG001 - one shape for all rules
@@ -369,3 +365,9 @@ def _straight_error(poses: FloatArray, goal: Pose2) -> FloatArray:
     turn = np.abs(np.remainder(poses[:, 2] - goal.yaw + np.pi, 2.0 * np.pi) - np.pi)
     error: FloatArray = np.maximum(cross, turn)
     return error
+
+
+_RULES = (
+    *(_frame, _ends, _joints, _gears, _turns, _slip, _drift, _creep),
+    *(_curvature, _winding, _curvature_rate, _start_curvature, _final_straight, _without_rule),
+)
