@@ -136,6 +136,14 @@ _TABLE = (
         lambda at, _: at.v * at.v * np.abs(at.k),
     ),
     Limit(
+        "max_lateral_jerk",
+        "m/s^3",
+        _TURNING,
+        "|2 v a k + v^3 k'|",
+        "change of the lateral acceleration",
+        lambda at, _: np.abs(at.v * (2.0 * at.a * at.k + at.v * at.v * at.r)),
+    ),
+    Limit(
         "max_wheel_speed",
         "m/s",
         _TURNING,
@@ -210,6 +218,8 @@ class MotionLimits:
         wheelbase: Distance between the axles of a robot that steers its wheels [m]; needed by the two below.
         max_steering_angle: Of the wheels, |atan(wheelbase * curvature)| [rad].
         max_steering_rate: At which they turn [rad/s], at rest too: where the curvature jumps the robot waits for them.
+        max_lateral_jerk: Change of the lateral acceleration, |d/dt (speed^2 * curvature)| [m/s^3] [UN79]; none at rest
+            and in turns in place, where there is no speed.
 
     Raises:
         InvalidValue: A bound is not > 0, NaN, or speeds, accelerations or jerk are infinite; a steering angle of a
@@ -231,6 +241,7 @@ class MotionLimits:
     wheelbase: float = 0.0
     max_steering_angle: float = math.inf
     max_steering_rate: float = math.inf
+    max_lateral_jerk: float = math.inf
 
     def __post_init__(self) -> None:
         for spec in fields(self):

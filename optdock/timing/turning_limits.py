@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 __all__ = ["TurningLimit", "turning_limits", "turning_ratio"]
 
-_ORDERS = {"max_yaw_acceleration": 1}
+_ORDERS = {"max_yaw_acceleration": 1, "max_lateral_jerk": 2}
 _HUGE = 1e12  # stands for a larger bound: products with it stay numbers
 
 

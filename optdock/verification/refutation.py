@@ -10,7 +10,7 @@ a = v', jerk |a'| <= J, -D <= a <= A, and samples h apart:
     speed, acceleration  |v1 - v0 - h (a0 + a1) / 2| <= J h^2 / 4               (trapezoid of a function of slope J)
     speed, jerk          |(v2 - v1) / h1 - (v1 - v0) / h0| <= J (h0 + h1) / 2   (means of a over neighbours)
     place, speed         |s1 - s0 - h (v0 + v1) / 2 + h^2 (a1 - a0) / 12| <= J h^3 sqrt(3) / 54, see `step_lengths`
-    yaw rates            |w1 - w0| <= limit * h
+    yaw rates            |w1 - w0| <= limit * h,  and |v1 w1 - v0 w0| <= limit * h of the lateral jerk
 
 They are asked of neighbours and of samples 2, 4, 8, ... apart, where the rounding of the numbers weighs less. At one
 instant the path, whose curvature k and its rate r are known, ties the columns: w = v k, w' = a k + v^2 r. And a robot
@@ -529,13 +529,16 @@ def _curved(judged: _Judged, limits: MotionLimits, bends: _Bends, v: FloatArray)
     # Of a polyline the curvature is a difference quotient: as for time laws, 5 % beyond a limit are accepted.
     k = np.where(exact, k, np.maximum(k - _noise(judged), 0.0) / (1.0 + STEP_RTOL))
     stated = np.abs(motion.yaw_acceleration) - rounding.yaw_acceleration
-    low, high = _yaw_accelerations(judged, bends)
+    low, high = _turning_rates(judged, bends)
     by_path = np.where(exact, np.maximum(np.maximum(low, -high), 0.0), 0.0)
+    least, most_of_it = _turning_rates(judged, bends, 2)
+    sideways = np.where(exact, v * np.maximum(np.maximum(least, -most_of_it), 0.0), 0.0)
     rate, most = np.min(np.abs(bends.rate), axis=0), np.max(np.abs(bends.curvature), axis=0)
     values = {
         "max_yaw_rate": np.maximum(np.abs(motion.yaw_rate) - rounding.yaw_rate, v * k),
         "max_yaw_acceleration": np.maximum(stated, by_path),
         "max_lateral_acceleration": v**2 * k,
+        "max_lateral_jerk": sideways,
         "max_wheel_speed": v * (1.0 + 0.5 * limits.track_width * k),
         "max_steering_rate": np.where(exact, v * _steering_rate(limits, most, rate), 0.0),
     }
@@ -548,12 +551,15 @@ def _steering_rate(limits: MotionLimits, curvature: FloatArray, rate: FloatArray
     return per_metre
 
 
-def _yaw_accelerations(judged: _Judged, bends: _Bends) -> tuple[FloatArray, FloatArray]:
-    """The smallest and the largest a k + v^2 r that path and numbers allow, k and r to 1e-6. Shape (n,) each."""
-    k, r, v, rounding = bends.curvature, bends.rate, judged.v, judged.rounding
-    rough = rounding.acceleration * np.abs(k) + (2.0 * np.abs(v) + rounding.speed) * rounding.speed * np.abs(r)
-    rough = rough + judged.slack * np.abs(judged.a * r) + EXACT * (np.abs(judged.a) + v**2)
-    value = judged.a * k + v**2 * r
+def _turning_rates(judged: _Judged, bends: _Bends, order: int = 1) -> tuple[FloatArray, FloatArray]:
+    """The smallest and the largest n a k + v^2 r that path and numbers allow, k and r to 1e-6. Shape (n,) each.
+
+    Of order n = 1 that is the yaw acceleration; of order 2, times v, the lateral jerk.
+    """
+    k, r, v, a, rounding = bends.curvature, bends.rate, judged.v, order * judged.a, judged.rounding
+    rough = order * rounding.acceleration * np.abs(k) + (2.0 * np.abs(v) + rounding.speed) * rounding.speed * np.abs(r)
+    rough = rough + judged.slack * np.abs(a * r) + EXACT * (np.abs(a) + v**2)
+    value = a * k + v**2 * r
     return (value - rough).min(axis=0), (value + rough).max(axis=0)
 
 
@@ -566,7 +572,7 @@ def _ties(judged: _Judged, bends: _Bends) -> Iterator[Violation]:
     ends = np.array([v * k for v in (judged.v - rounding.speed, judged.v + rounding.speed) for k in (low, high)])
     off = np.maximum(ends.min(axis=0) - motion.yaw_rate, motion.yaw_rate - ends.max(axis=0)) - rounding.yaw_rate
     yield from _worst(judged, "yaw rate off speed times curvature [rad/s]", off, 0.0)
-    least, most = _yaw_accelerations(judged, bends)
+    least, most = _turning_rates(judged, bends)
     off = np.maximum(least - motion.yaw_acceleration, motion.yaw_acceleration - most) - rounding.yaw_acceleration
     off = np.where(_on_clothoids(judged), off, 0.0)
     yield from _worst(judged, "yaw acceleration off the path's [rad/s^2]", off, 0.0)
@@ -662,10 +668,13 @@ def _means(judged: _Judged, limits: MotionLimits, rows: IntArray, lag: int) -> I
     bent, both = np.abs(gain[lag:] - gain[:-lag]), rough[lag:] + rough[:-lag]
     apart = 0.5 * (t[lag:] + t[:-lag])
     yield from _limited(judged, limits, {"max_jerk": bent / apart}, "{} of the speeds", both / apart, at)
+    top, turning = float(np.max(np.abs(motion.speed))), float(np.max(np.abs(motion.yaw_rate)))
+    sideways = (top + rounding.speed) * rounding.yaw_rate + turning * rounding.speed
     for name, column, rounded in (
         ("max_jerk", judged.a, rounding.acceleration),
         ("max_yaw_acceleration", motion.yaw_rate, rounding.yaw_rate),
         ("max_yaw_rate", judged.sums.yaw, rounding.yaw),
+        ("max_lateral_jerk", motion.speed * motion.yaw_rate, sideways),
     ):
         if np.isfinite(slope := getattr(limits, name)):
             gain, rough = mean(column, rounded, slope)
@@ -733,6 +742,7 @@ def _at_knots(judged: _Judged, problem: DockingProblem) -> Iterator[Violation]:
             "max_yaw_rate": v * k,
             "max_yaw_acceleration": v**2 * rate - a * k,
             "max_lateral_acceleration": v**2 * k,
+            "max_lateral_jerk": v * (v**2 * rate - 2.0 * a * k),
             "max_wheel_speed": v * (1.0 + 0.5 * limits.track_width * k),
             "max_steering_rate": v * _steering_rate(limits, k, rate),
         }

@@ -9,6 +9,8 @@ and r its rate per metre:
     yaw rate v k          f'' = j k + 3 a v r
     lateral v^2 k         f'' = 2 a^2 k + 2 v j k + 5 v^2 a r
     yaw acc. a k + v^2 r  f'' = 4 j v r + 3 a^2 r
+    lateral jerk          f'' = 6 a j k + 12 v a^2 r + 7 v^2 j r
+     2 v a k + v^3 r
     wheel v (1 +- b k/2)  f'' = j +- b/2 (j k + 3 a v r)
 
 and of steered wheels, at wheelbase L, the steering angle atan(u), u = L k, turns at f = u' / (1 + u^2), so that
@@ -587,6 +589,7 @@ _BENDS: dict[str, Callable[[_Sizes, MotionLimits], FloatArray]] = {
         2.0 * b.a * b.a * b.k + 2.0 * b.v * b.j * b.k + 5.0 * b.v * b.v * b.a * b.r
     ),
     "max_yaw_acceleration": lambda b, _: 4.0 * b.j * b.v * b.r + 3.0 * b.a * b.a * b.r,
+    "max_lateral_jerk": lambda b, _: 6.0 * b.a * b.j * b.k + 12.0 * b.v * b.a * b.a * b.r + 7.0 * b.v * b.v * b.j * b.r,
     "max_wheel_speed": lambda b, drive: b.j + 0.5 * drive.track_width * _yaw_rate_bend(b),
     "max_steering_rate": _steering_rate_bend,
 }

@@ -20,8 +20,13 @@ if TYPE_CHECKING:
     from experiments.fuzz.case import Case
     from experiments.fuzz.oracle.motion import Floats, Ints, Motion
 
-__all__ = ["Judgement", "State", "judged", "state_at", "turn_limits"]
+__all__ = ["LIMITED", "Judgement", "State", "judged", "state_at", "turn_limits"]
 
+LIMITED = (
+    *("speed", "acceleration", "deceleration", "jerk", "yaw_rate", "lateral_acceleration", "yaw_acceleration"),
+    *("lateral_jerk", "wheel_speed", "steering_rate"),
+)
+"""The quantities whose ratios are judged."""
 _PER_PHASE = 24  # samples
 _BISECTIONS = 60
 _REST = 1e-6  # [m], [m/s], [m/s^2]
@@ -231,6 +236,7 @@ def _driving_ratios(case: Case, motion: Motion, law: _Law, instants: _Instants) 
         "yaw_rate": np.abs(v * k),
         "lateral_acceleration": v * v * np.abs(k),
         "yaw_acceleration": np.abs(a * k + v * v * r),
+        "lateral_jerk": np.abs(2.0 * v * a * k + v**3 * r),
         "wheel_speed": speed * (1.0 + 0.5 * track * np.abs(k)),
         "steering_rate": wheelbase * np.abs(r) * speed / (1.0 + (wheelbase * k) ** 2),
     }
