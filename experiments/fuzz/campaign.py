@@ -37,8 +37,9 @@ _REPORT = 15.0  # [s] between lines of progress
 _SHARE = {
     "paths": 0.25,
     "trajectories": 0.12,
-    "timings": 0.12,
-    "plans": 0.15,
+    "timings": 0.1,
+    "limits": 0.05,
+    "plans": 0.12,
     "replans": 0.13,
     "impossibilities": 0.1,
     "files": 0.08,

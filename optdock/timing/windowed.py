@@ -46,7 +46,7 @@ class WindowedParameters(PluginParameters):
         default=WINDOWED.yaw_share,
         gt=0.0,
         lt=1.0,
-        description="share of the yaw acceleration for speed^2 * rate",
+        description="share of yaw acceleration and lateral jerk for the curvature rate",
     )
 
 

@@ -148,13 +148,15 @@ def _on_path(law: _Law, motion: Motion, phase: Ints, dt: Floats) -> _Instants:
 
 
 def _places(law: _Law, motion: Motion) -> _Instants:
-    """Entry, middle and exit of every piece of the path.
+    """Entry, middle and exit of every piece of the path, and where it goes straight on: there wheels turn fastest.
 
     Distance counts from the start of each phase: beside a spike of curvature one unit in the last place of a metre is
     much of the way that the speed has for a change.
     """
-    n = motion.h.size
-    piece, share = np.repeat(np.arange(n), 3), np.tile([0.0, 0.5, 1.0], n)
+    n, half = motion.h.size, np.full(motion.h.size, 0.5)
+    crosses = motion.k0 * motion.k1 < 0.0
+    straight = np.divide(motion.k0, motion.k0 - motion.k1, out=half.copy(), where=crosses)
+    piece, share = np.repeat(np.arange(n), 4), np.column_stack((0.0 * half, half, straight, 2.0 * half)).ravel()
     wanted = motion.s_at(piece, share)
     phase = np.clip(np.searchsorted(np.maximum.accumulate(law.s), wanted) - 1, 0, law.width.size - 1)
     low, high = np.zeros(wanted.size), law.width[phase]
