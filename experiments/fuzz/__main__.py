@@ -14,6 +14,7 @@ ALL = (
     "paths",
     "trajectories",
     "timings",
+    "limits",
     "plans",
     "replans",
     "measured",
