@@ -1,5 +1,6 @@
 """The portfolio of `plan_dock`: which guesses are tried, which plan is chosen, and how a search ends."""
 
+import collections
 import dataclasses
 import itertools
 import json
@@ -8,6 +9,7 @@ import math
 import numpy as np
 import pytest
 
+from optdock.deadline import Deadline
 from optdock.dock import Dock, DockDirection
 from optdock.errors import (
     Cancelled,
@@ -17,6 +19,7 @@ from optdock.errors import (
     NoMotionExists,
     NoValidPathCouldBeFound,
     OptdockError,
+    PlannerCancelled,
     PluginError,
     TimedOut,
 )
@@ -26,7 +29,7 @@ from optdock.interfaces import GlobalPlanner, never_cancelled
 from optdock.limits import MotionLimits
 from optdock.outcomes import Guess
 from optdock.path import Path
-from optdock.pipeline import plan_dock
+from optdock.pipeline import plan_dock, warm_up
 from optdock.plan import DockPlan
 from optdock.planners.dock_planner import DockPlanner
 from optdock.planners.manoeuvres.price import CUSP_PRICE
@@ -227,6 +230,94 @@ def test_what_is_neither_found_nor_proven_claims_no_proof():
 def test_a_budget_too_short_for_a_search_is_a_time_out(budget):
     with pytest.raises(TimedOut):
         plan_dock(problem((6.5, 1.0, math.pi)), time_budget=budget)
+
+
+class Clock:
+    """A clock that stands still until somebody sets it on: how busy the machine is has no part in a test."""
+
+    def __init__(self):
+        self.now = 0.0
+
+    def __call__(self):
+        return self.now
+
+
+@pytest.fixture
+def clock(monkeypatch):
+    """The clock of the deadlines of `plan_dock`."""
+    warm_up(planner="DockPlanner")
+    found = Clock()
+    monkeypatch.setattr("optdock.pipeline.Deadline", lambda seconds: Deadline(seconds, found))
+    monkeypatch.setattr("optdock.pipeline._WAITS", collections.deque(maxlen=9))
+    return found
+
+
+class Dawdling(Several):
+    """Offers one path, and lets so many seconds pass before it looks for another one."""
+
+    def __init__(self, path, clock, seconds):
+        super().__init__(path)
+        self.clock, self.seconds = clock, seconds
+
+    def create_plans(self, start, goal, cancel_checker=never_cancelled, better_than=lambda: math.inf):
+        yield Guess(self.paths[0], "offer")
+        self.clock.now += self.seconds
+
+
+@pytest.mark.parametrize(("seconds", "completed"), [(0.0, True), (0.9, True), (1.1, False)])
+def test_a_plan_is_completed_where_every_guess_was_tried_before_the_deadline(clock, seconds, completed):
+    """What was found in time is certified all the same; a search that was cut short may have missed a better one."""
+    task = problem()
+    planner = Dawdling(raw(task), clock, seconds * BUDGET)
+    plan = plan_dock(task, time_budget=BUDGET, planner=planner)
+    assert plan.certificate.certified
+    assert plan.completed is completed
+
+
+class Insatiable(GlobalPlanner):
+    """Searches in vain for as long as it is let; `stopped_at` tells when that ended."""
+
+    def __init__(self, clock):
+        super().__init__()
+        self.clock, self.stopped_at = clock, math.nan
+
+    def create_plan(self, start, goal, cancel_checker=never_cancelled):
+        while not cancel_checker():
+            self.clock.now += 1e-3 * BUDGET
+        self.stopped_at = self.clock.now
+        raise PlannerCancelled("asked to stop")
+
+
+class Helpless(GlobalPlanner):
+    """Has nothing to offer."""
+
+    def create_plan(self, start, goal, cancel_checker=never_cancelled):
+        raise NoValidPathCouldBeFound("nothing")
+
+
+BAY = [
+    [[-3.0, -0.4], [-0.47, -0.4], [-0.47, 1.2], [-3.0, 1.2]],
+    [[0.47, -0.4], [3.0, -0.4], [3.0, 1.2], [0.47, 1.2]],
+    [[-3.0, -0.5], [3.0, -0.5], [3.0, -0.4], [-3.0, -0.4]],
+]
+
+
+def test_the_last_planner_leaves_time_for_a_proof(clock):
+    """A fifth of what is left, where it is the last of several.
+
+    A bay 4 cm longer than the robot, which lies along its bottom and would have to leave it sideways: its largest disc
+    leaves it easily, so that nothing is proven before the planner has had its time.
+    """
+    task = DockingProblem(Pose2(0.0, 2.0, 0.0), Dock(Pose2(0.0, 0.0, 0.0)), ROBOT, BAY)
+    last = Insatiable(clock)
+    with pytest.raises(NoMotionExists):
+        plan_dock(task, time_budget=BUDGET, planner=(Helpless(), last))
+    assert last.stopped_at == pytest.approx(0.8 * BUDGET, abs=2e-3 * BUDGET)
+    alone = Insatiable(clock)
+    began = clock.now
+    with pytest.raises(TimedOut):
+        plan_dock(task, time_budget=BUDGET, planner=alone)
+    assert alone.stopped_at - began == pytest.approx(BUDGET, abs=2e-3 * BUDGET)
 
 
 def test_the_same_problem_has_the_same_plan():

@@ -1,5 +1,6 @@
 """Every ending can be reached, every state can be cancelled; whatever is measured, the commands stay lawful."""
 
+import dataclasses
 import math
 import time
 
@@ -13,10 +14,13 @@ from optdock.executor import DockingExecutor, EndingKind, ExecutorSettings, Inli
 from optdock.executor.planning import Motion, Outcome, PlanResult, RecordedPlanning, Verdict
 from optdock.geometry.pose import Pose2, Twist2
 from optdock.measurements import Detection, Measurements
+from optdock.obstacles import ObstacleSet
+from optdock.problem import ClearanceRule
 from optdock.simulation import Actuation, Station
 from optdock.testing.drives import clothoid, rest_to_rest
+from optdock.verification import pose_clearance
 
-from .conftest import PERFECT, TRUE_DOCK, assert_lawful, problem_with, run, simulated
+from .conftest import PERFECT, ROBOT, STATION, TRUE_DOCK, assert_lawful, problem_with, run, simulated
 
 QUICK = {"initial_perception_timeout": 0.5, "localization_timeout": 0.5, "wait_charge_timeout": 0.3}
 QUICK |= {"obstacle_patience": 0.1, "time_budget": 0.2, "settling_time": 0.5}
@@ -147,6 +151,78 @@ def test_cancel_in_every_state(state, lawful):
     assert seen
     assert ending.kind is EndingKind.CANCELLED
     assert world.time - ending.stamp < 0.2
+
+
+class Recording(StraightPlanning):
+    """Keeps every job that it is given."""
+
+    def __init__(self, **kwargs):
+        super().__init__(**kwargs)
+        self.jobs = []
+
+    def submit(self, job):
+        self.jobs.append(job)
+        super().submit(job)
+
+
+@pytest.mark.parametrize("state", [State.STAGING, State.RETURNING, State.UNDOCKING], ids=lambda state: state.name)
+def test_every_way_to_the_staging_pose_is_planned_around_the_station(state):
+    """It is an obstacle like any other, with the whole clearance: nothing is touched at that pose."""
+    way = dict(WAYS[state])
+    start, task = way.pop("start", AHEAD), way.pop("task", "dock")
+    post = ObstacleSet.from_polygons([[[-1.0, 2.0], [-0.8, 2.0], [-0.8, 2.2], [-1.0, 2.2]]])
+    problem = dataclasses.replace(problem_with(obstacles=post), clearance=ClearanceRule(0.03, 0.0, 0.4))
+    planning, asked = Recording(), []
+
+    def before(executor, world, measurements):
+        if executor.state is state:  # its way has been planned
+            asked.append(planning.jobs[-1].problem)
+            executor.cancel()
+
+    chosen = ExecutorSettings(**(QUICK | way))
+    run(perfect(start), problem, chosen, rate=10.0, task=task, before=before, planning=planning)
+    assert asked
+    obstacles = asked[0].all_obstacles
+    assert asked[0].goal.x < -0.6, "the staging pose, not the docked one"
+    assert pose_clearance(Pose2(0.5, 0.0, 0.0), ROBOT.footprint, obstacles)[0] < -0.1, "inside the station"
+    assert pose_clearance(Pose2(-0.9, 2.1, 0.0), ROBOT.footprint, obstacles)[0] < 0.0, "inside the post"
+    rule = asked[0].clearance
+    assert rule.required == rule.at_dock == 0.03
+
+
+def test_a_station_that_is_seen_elsewhere_is_an_obstacle_where_it_is_seen():
+    """Stored 20 cm to the left: the way back from a charge that failed leads around the true one."""
+    planning, asked, stored = Recording(), [], Pose2(0.0, 0.2, 0.0)
+
+    def before(executor, world, measurements):
+        if executor.state is State.RETURNING:
+            asked.append(planning.jobs[-1].problem)
+            executor.cancel()
+
+    chosen = ExecutorSettings(**(QUICK | {"wait_for_charge": True, "wait_charge_timeout": 0.1}))
+    run(perfect(), problem_with(stored), chosen, rate=10.0, before=before, planning=planning)
+    beside = Pose2(0.45, 0.7, 0.0)
+    clearance = {
+        place: pose_clearance(beside, ROBOT.footprint, ObstacleSet.from_footprint(STATION, place, "dock"))[0]
+        for place in (TRUE_DOCK, stored)
+    }
+    assert asked
+    found = pose_clearance(beside, ROBOT.footprint, asked[0].all_obstacles)[0]
+    assert found == pytest.approx(clearance[TRUE_DOCK], abs=5e-3)
+    assert clearance[TRUE_DOCK] - clearance[stored] > 0.1
+
+
+@pytest.mark.parametrize(("sigma", "is_within"), [(0.06, True), (0.04, False)])
+def test_contact_counts_as_far_away_as_the_estimate_may_be_wrong(sigma, is_within):
+    """0.2 m before a dock that nobody has seen: within 0.05 m and three standard deviations, or beyond them."""
+    chosen = ExecutorSettings(**(QUICK | {"stored_position_sigma": sigma, "contact_range": 0.05}))
+    for task, kind, before in (
+        ("dock", EndingKind.ALREADY_DOCKED, lambda e, w, m: signal(e, w, lose(e, w, m))),
+        ("undock", EndingKind.UNDOCKED, lose),
+    ):
+        world = perfect(Pose2(-0.2, 0.0, 0.0))
+        docking = run(world, problem_with(), chosen, rate=10.0, task=task, before=before)
+        assert (docking.ending.kind is kind) is is_within, docking.ending
 
 
 def test_nothing_moves_before_the_first_pose_and_after_the_end():

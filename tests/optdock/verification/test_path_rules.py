@@ -98,6 +98,26 @@ def test_a_kink_of_curvature_inside_the_final_straight_is_seen():
     assert kinds(path, problem(path, final_straight=0.5)) == ["final_straight"]
 
 
+@pytest.mark.parametrize("share", [0.25, 0.5, 0.75, 0.999, 1.0, 1.001])
+@pytest.mark.parametrize("sampled", [False, True])
+def test_the_final_straight_is_driven_in_one_gear(share, sampled):
+    """Straight on is not enough: back first and only a part of it into the dock is too short, wherever it begins."""
+    back = spline((0.0, 1.0), (0.0, 0.0), Pose2(0.0, 0.0, 0.0), sign=-1)
+    path = path_of(back, spline((0.0, 0.5 * share), (0.0, 0.0), back.end))
+    if sampled:
+        path = Path(tuple(PolylineSegment(part.poses_at(np.linspace(0.0, part.length, 9)), part.direction)
+                          for part in path.segments))  # fmt: skip
+    expected = [] if share >= 1.0 else ["final_straight"]
+    violations = certify_path(path, problem(path, final_straight=0.5)).violations
+    assert [violation.kind for violation in violations] == expected
+    assert all(violation.amount == pytest.approx(0.5 * (1.0 - share)) for violation in violations)
+
+
+def test_a_turn_in_place_is_no_final_straight():
+    path = Path((*polyline(np.linspace(0.0, 1.0, 9), np.zeros(9)).segments, TurnSegment(Pose2(1.0, 0.0, 0.0), 0.5)))
+    assert "final_straight" in kinds(path, problem(path, MotionLimits(), final_straight=0.5))
+
+
 def test_the_gear_into_the_dock_is_the_one_asked_for():
     backward = path_of(spline(sign=-1))
     assert kinds(backward, problem(backward, direction=DockDirection.BACKWARD)) == []
