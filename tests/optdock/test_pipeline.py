@@ -573,19 +573,21 @@ class Raising:
 )
 @pytest.mark.parametrize("error", [Interrupted("mine"), KeyboardInterrupt(), InvalidValue("mine")], ids=repr)
 def test_a_plugin_that_swallows_what_the_cancel_checker_raises_does_not_hide_it(role, kind, method, error):
-    checker = Raising(error)
+    checker, swallowing = Raising(error), kind()
+    honest = getattr(swallowing, method)
 
-    def work(self, *arguments, cancel_checker=never_cancelled, **named):
+    def work(*arguments, cancel_checker=None, **named):
         checker.is_armed = True
         with contextlib.suppress(BaseException):
-            cancel_checker()
-        return getattr(kind, method)(self, *arguments, **named)
+            (cancel_checker or arguments[-1])()
+        return honest(*arguments, **named)
 
-    swallowing = type("Swallowing", (kind,), {method: work})()
+    setattr(swallowing, method, work)
     plugins = {"planner": DockPlanner(), "timing": "Windowed", role: swallowing}
     with pytest.raises(type(error)) as caught:
         plan_dock(problem(), time_budget=BUDGET, cancel_checker=checker, **plugins)
     assert caught.value is error
+    assert not checker.is_armed
     assert swallowing.state is LifecycleState.UNCONFIGURED
 
 
