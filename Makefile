@@ -13,11 +13,13 @@ ROS_STAMP := $(ROS_VENV)/.installed-$(shell $(PYTHON) --version | cat - pyprojec
 	ros/optdock_ros/setup.py | sha256sum | cut -c 1-16)
 STAMP := $(VENV)/.installed
 
-.PHONY: help demo test check unit docs fuzz bench bench-manoeuvres bench-docking experiments ros-env test-ros bench-ros clean
+.PHONY: help demo test check unit docs figures fuzz bench bench-manoeuvres bench-docking experiments ros-env test-ros bench-ros clean
 help:
 	@echo "make demo         built-in docking scenario, start to finish, pictures in demo/"
 	@echo "make test         the whole check: ruff, mypy, import-linter, pytest with doctests"
 	@echo "make docs         the documentation, warnings are errors; open site/index.html"
+	@echo "make figures      the measured tables of the documentation against what their commands print now: hours;"
+	@echo "                  ARGS='contact' those of commands with that word in them, ARGS='contact --write' puts new figures in"
 	@echo "make fuzz         random problems against an independent oracle; SECONDS=600 SEED=1 JOBS=1, failures in results/fuzz/"
 	@echo "make bench        benchmarks, tables on stdout"
 	@echo "make bench-manoeuvres  from anywhere into the dock, tables on stdout, results/manoeuvres/; ARGS='--every 20'"
@@ -52,6 +54,9 @@ docs: $(STAMP)
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check -e '.[docs]'
 	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --quiet --strict
 	@echo "open site/index.html"
+
+figures: $(STAMP)
+	$(BIN)/python docs/tools/measured.py $(ARGS)
 
 fuzz: $(STAMP)
 	$(BIN)/python -m experiments.fuzz --seconds $(SECONDS) --seed $(SEED) --jobs $(JOBS)
