@@ -84,11 +84,10 @@ $(ROS_STAMP):
 ros-env: $(ROS_STAMP)
 	$(ROS_BIN)/python ros/interfaces/build.py
 
+# Robots drive in real time: what failed beside other tests, five of them at most, must pass alone.
 test-ros: ros-env
 	$(ROS_BIN)/mypy --config-file ros/mypy.ini
-	$(ROS_BIN)/python -m pytest -q -n 3 --dist loadfile -c ros/tests/pytest.ini ros/tests || { \
-	echo "Robots drive in real time: what failed beside other tests must pass alone."; \
-	$(ROS_BIN)/python -m pytest -q --last-failed --last-failed-no-failures none -c ros/tests/pytest.ini ros/tests; }
+	$(ROS_BIN)/python .ci/retry.py --beside "-n 3 --dist loadfile" -- -q -c ros/tests/pytest.ini ros/tests
 
 bench-ros: ros-env
 	for bench in $(BENCHES); do $(ROS_BIN)/python ros/tests/bench_$$bench.py $(ARGS) || exit 1; done

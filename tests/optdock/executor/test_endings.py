@@ -9,6 +9,7 @@ import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
+from optdock.costmap.costmap import Costmap
 from optdock.errors import InvalidValue, PluginError
 from optdock.executor import DockingExecutor, EndingKind, ExecutorSettings, InlinePlanning, State, ThreadPlanning
 from optdock.executor.planning import Motion, Outcome, PlanResult, RecordedPlanning, Verdict
@@ -223,6 +224,65 @@ def test_contact_counts_as_far_away_as_the_estimate_may_be_wrong(sigma, is_withi
         world = perfect(Pose2(-0.2, 0.0, 0.0))
         docking = run(world, problem_with(), chosen, rate=10.0, task=task, before=before)
         assert (docking.ending.kind is kind) is is_within, docking.ending
+
+
+def stands_at(distance):
+    """From so far before the dock on nothing moves, and the odometry says so."""
+
+    def before(executor, world, measurements):
+        if world.state.pose.x > -distance:
+            world.state = world.state._replace(pose=Pose2(-distance, 0.0, 0.0))
+            return world.measurements._replace(twist=Twist2(), pose=world.state.pose)
+        return None
+
+    return before
+
+
+@pytest.mark.parametrize(("distance", "kind"), [(0.03, "DOCKED_BY_STALL"), (0.4, "FAILED_TO_CONTROL")])
+def test_a_stall_is_contact_near_the_dock_only(distance, kind):
+    """Whatever else stops a robot far from its dock is no dock."""
+    chosen = ExecutorSettings(**QUICK, contact="touch", max_retries=0, progress_time=1.0, use_detections=False)
+    docking = run(perfect(), problem_with(), chosen, rate=10.0, before=stands_at(distance), planning=StraightPlanning())
+    assert docking.ending.kind is EndingKind[kind], docking.ending
+
+
+@pytest.mark.parametrize("overrun", [0.02, 0.05])
+def test_a_robot_that_feels_nothing_presses_on_no_farther_than_it_may(overrun, lawful):
+    chosen = ExecutorSettings(**QUICK, contact="touch", contact_overrun=overrun, max_retries=0)
+    docking = run(perfect(), problem_with(), chosen, rate=25.0, before=deaf, planning=StraightPlanning())
+    assert lawful(docking, touch=overrun + 0.01).kind is EndingKind.FAILED_TO_CONTROL
+    assert docking.ending.reason.startswith("no contact: ")
+    deepest = docking.world.record().poses[:, 0].max()
+    assert overrun - 0.005 <= deepest <= overrun + 0.01
+
+
+def deaf(executor, world, measurements):
+    return measurements._replace(contact=None)
+
+
+@pytest.mark.parametrize("distance", [0.01, 0.025])
+def test_a_robot_backs_out_no_farther_than_it_may(distance, lawful):
+    """Pressed in deeper than that it is still in contact then, and plans from there."""
+    chosen = ExecutorSettings(**QUICK, back_out_distance=distance, use_detections=False)
+    planning = Recording(reason="a wall")
+    start = Pose2(0.04, 0.0, 0.0)
+    docking = run(perfect(start), problem_with(), chosen, rate=25.0, task="undock", planning=planning)
+    assert lawful(docking, touch=0.05).kind is EndingKind.FAILED_TO_STAGE
+    assert distance <= start.x - docking.world.error.x <= distance + 0.01, "and the way of braking"
+    assert planning.jobs
+
+
+def test_a_robot_backs_out_into_nothing_that_the_costmap_shows(lawful):
+    """A box 2 mm behind it, which no map had, is as much in its way as a wall."""
+    cells = np.zeros((80, 80), dtype=np.uint8)
+    cells[34:46, 33:34] = 254  # x from -0.35 to -0.3 m: the robot's rear is at -0.298 m
+    box = ObstacleSet.from_polygons([[[-0.35, -0.3], [-0.3, -0.3], [-0.3, 0.3], [-0.35, 0.3]]])
+    world = perfect(Pose2(0.002, 0.0, 0.0))
+    world.put(box, Costmap(cells, 0.05, (-2.0, -2.0)))
+    planning = StraightPlanning(reason="a wall")
+    docking = run(world, problem_with(), ExecutorSettings(**QUICK), rate=25.0, task="undock", planning=planning)
+    assert lawful(docking).kind is EndingKind.FAILED_TO_STAGE
+    assert docking.said("backing out is blocked")
 
 
 def test_nothing_moves_before_the_first_pose_and_after_the_end():
