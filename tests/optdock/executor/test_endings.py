@@ -17,11 +17,12 @@ from optdock.geometry.pose import Pose2, Twist2
 from optdock.measurements import Detection, Measurements
 from optdock.obstacles import ObstacleSet
 from optdock.problem import ClearanceRule
+from optdock.robot import TrackingTube
 from optdock.simulation import Actuation, Station
 from optdock.testing.drives import clothoid, rest_to_rest
 from optdock.verification import pose_clearance
 
-from .conftest import PERFECT, ROBOT, STATION, TRUE_DOCK, assert_lawful, problem_with, run, simulated
+from .conftest import PERFECT, ROBOT, STATION, TRUE_DOCK, assert_lawful, once, problem_with, run, simulated
 
 QUICK = {"initial_perception_timeout": 0.5, "localization_timeout": 0.5, "wait_charge_timeout": 0.3}
 QUICK |= {"obstacle_patience": 0.1, "time_budget": 0.2, "settling_time": 0.5}
@@ -283,6 +284,110 @@ def test_a_robot_backs_out_into_nothing_that_the_costmap_shows(lawful):
     docking = run(world, problem_with(), ExecutorSettings(**QUICK), rate=25.0, task="undock", planning=planning)
     assert lawful(docking).kind is EndingKind.FAILED_TO_STAGE
     assert docking.said("backing out is blocked")
+
+
+class Answering(Recording):
+    """Answers plans in motion too: so many polls later, as the rest of a drive that begins so much later or earlier."""
+
+    def __init__(self, polls=1, begins=0.2):
+        super().__init__()
+        self.polls, self.begins, self.waiting, self.judged = polls, begins, [], []
+
+    def poll(self, stamp):
+        job = self.job
+        if job is None or job.running is None:
+            return super().poll(stamp)
+        self.waiting.append(job)
+        if len(self.waiting) < self.polls:
+            return None
+        self.job, self.waiting = None, []
+        motion = Motion(job.running.trajectory, job.problem)
+        return PlanResult(job.number, Outcome.NEW, motion, job.time + self.begins)
+
+    def still_holds(self, motion, costmap, from_time):
+        self.judged.append((motion, costmap))
+        return Verdict(holds=True)
+
+
+def with_tube(problem):
+    return dataclasses.replace(problem, robot=dataclasses.replace(ROBOT, tracking=TrackingTube(0.02, 0.05)))
+
+
+def staged(planning, before, **chosen):
+    """A drive to the staging pose, straight on, by a robot whose tube is 2 cm wide."""
+    settings, world = ExecutorSettings(**QUICK, **chosen), perfect(Pose2(-2.0, 0.0, 0.0))
+    return run(world, with_tube(problem_with()), settings, timeout=8.0, before=before, planning=planning)
+
+
+def push(executor, world, measurements):
+    world.state = world.state._replace(pose=world.state.pose @ Pose2(0.0, 0.06, 0.0))
+
+
+def driving(speed):
+    return lambda executor, world: executor.state is State.STAGING and world.state.twist.linear > speed
+
+
+@pytest.mark.parametrize("pushed", [True, False])
+def test_a_robot_that_leaves_its_tube_is_planned_for_again_at_once(pushed):
+    """On the way to the staging pose too, where nothing else asks for another plan."""
+    planning = Answering()
+    docking = staged(planning, once(driving(0.25), push) if pushed else None)
+    assert bool(docking.said("tube left")) is pushed
+    assert any(job.running is not None for job in planning.jobs) is pushed
+
+
+@pytest.mark.parametrize(("begins", "is_late"), [(0.2, False), (-0.2, True)])
+def test_a_plan_that_should_have_taken_over_before_now_is_not_driven(begins, is_late):
+    """Its reference would jump; another one is asked for."""
+    planning = Answering(begins=begins)
+    docking = staged(planning, once(driving(0.25), push))
+    assert bool(docking.said("plan came too late")) is is_late
+    assert len([job for job in planning.jobs if job.running is not None]) > 1
+
+
+def test_a_plan_made_before_the_newest_costmap_is_judged_by_that_one_too():
+    """It came while the plan was made: the motion before and the new one must both hold among its cells."""
+    planning, newest = Answering(polls=6), Costmap(np.zeros((40, 40), dtype=np.uint8), 0.1, (-2.0, -2.0))
+    pushed = once(driving(0.25), push)
+
+    def before(executor, world, measurements):
+        pushed(executor, world, measurements)
+        return measurements._replace(costmap=newest) if len(planning.waiting) >= 2 else None
+
+    docking = staged(planning, before)
+    assert docking.said("plan new")
+    motions = [motion for motion, costmap in planning.judged if costmap is newest]
+    assert len(motions) == len({id(motion) for motion in motions}) == 2
+
+
+@pytest.mark.parametrize(("sigma", "stops"), [(0.1, True), (1e-6, False)])
+def test_a_dock_whose_place_has_become_too_uncertain_is_looked_for_again(sigma, stops):
+    """Long before the patience is over, where odometry is so bad that the tolerances are not kept without detections."""
+    chosen = ExecutorSettings(**QUICK, odometry_sigma=sigma, detection_patience=60.0)
+    lost = []
+
+    def before(executor, world, measurements):
+        lost.extend([True] if executor.state is State.APPROACHING else [])
+        return lose(executor, world, measurements) if lost else None
+
+    docking = run(perfect(), problem_with(), chosen, rate=25.0, before=before, planning=StraightPlanning(), timeout=8.0)
+    assert bool(docking.said("detection missing")) is stops
+
+
+@pytest.mark.parametrize("side", [1.0, -1.0])
+def test_a_dock_that_may_be_entered_in_either_gear_is_staged_for_on_the_robots_side(side):
+    problem = problem_with()
+    either = dataclasses.replace(problem, dock=dataclasses.replace(problem.dock, direction="auto", footprint=None))
+    planning = Recording()
+    run(
+        perfect(Pose2(2.0 * side, 0.0, 0.0)),
+        either,
+        ExecutorSettings(**QUICK),
+        rate=10.0,
+        timeout=1.5,
+        planning=planning,
+    )
+    assert side * planning.jobs[0].problem.goal.x > 0.6
 
 
 def test_nothing_moves_before_the_first_pose_and_after_the_end():
