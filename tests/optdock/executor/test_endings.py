@@ -362,7 +362,7 @@ def test_a_plan_made_before_the_newest_costmap_is_judged_by_that_one_too():
 
 @pytest.mark.parametrize(("sigma", "stops"), [(0.1, True), (1e-6, False)])
 def test_a_dock_whose_place_has_become_too_uncertain_is_looked_for_again(sigma, stops):
-    """Long before the patience is over, where odometry is so bad that the tolerances are not kept without detections."""
+    """Long before the patience is over, where odometry is so bad that without detections no tolerance is kept."""
     chosen = ExecutorSettings(**QUICK, odometry_sigma=sigma, detection_patience=60.0)
     lost = []
 
