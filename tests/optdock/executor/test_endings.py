@@ -374,6 +374,25 @@ def test_a_dock_whose_place_has_become_too_uncertain_is_looked_for_again(sigma, 
     assert bool(docking.said("detection missing")) is stops
 
 
+@pytest.mark.parametrize("start", [AHEAD, AFAR])
+def test_what_is_planned_at_rest_begins_at_rest_whatever_the_problem_says_of_its_start(start):
+    moving = dataclasses.replace(problem_with(), start_speed=0.2, start_acceleration=0.1, start_curvature=0.5)
+    planning = Recording()
+    run(perfect(start), moving, ExecutorSettings(**QUICK), rate=10.0, timeout=1.5, planning=planning)
+    asked = planning.jobs[0].problem
+    assert (asked.start_speed, asked.start_acceleration, asked.start_curvature) == (0.0, 0.0, None)
+
+
+def test_a_second_late_cycle_is_late_too():
+    """One long period is no new rate: the loop runs at 50 Hz, and twice 0.1 s pass."""
+    executor, stamp, late = DockingExecutor(problem_with(), planning=StraightPlanning()), 0.0, []
+    for period in (*[0.02] * 20, 0.1, 0.1, *[0.02] * 5):
+        stamp += period
+        step = executor.step(Measurements(stamp, AHEAD))
+        late += [period for event in step.events if event.name == "late cycle"]
+    assert late == [0.1, 0.1]
+
+
 @pytest.mark.parametrize("side", [1.0, -1.0])
 def test_a_dock_that_may_be_entered_in_either_gear_is_staged_for_on_the_robots_side(side):
     problem = problem_with()
