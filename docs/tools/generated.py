@@ -340,6 +340,14 @@ def _commands(_: str) -> str:
     return "\n\n".join(_command(name, command) for name, command in _leaves(typer.main.get_command(app)))
 
 
+def _exit_statuses(_: str) -> str:
+    """What every exit status means."""
+    from optdock.cli.exit_status import EXIT_STATUSES
+
+    rows = (f"| {status:d} | {meaning} |" for status, meaning in EXIT_STATUSES.items())
+    return "| exit status | meaning |\n|---|---|\n" + "\n".join(rows)
+
+
 def _leaves(group: Any, above: str = "") -> Iterator[tuple[str, Any]]:
     """Every command by all of its words; groups are no commands."""
     for name in group.list_commands(None):
@@ -382,6 +390,7 @@ _MAKERS: dict[str, Callable[[str], str]] = {
     "about": _about,
     "api": _api,
     "commands": _commands,
+    "exit_statuses": _exit_statuses,
     "limits": _limits,
     "map": _map,
     "plugins": _plugins,

@@ -21,6 +21,7 @@ ALL = (
     "decisions",
     "impossibilities",
     "files",
+    "damaged_files",
     "values",
 )
 

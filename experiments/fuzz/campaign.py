@@ -44,7 +44,8 @@ _SHARE = {
     "measured": 0.05,
     "decisions": 0.03,
     "impossibilities": 0.1,
-    "files": 0.08,
+    "files": 0.06,
+    "damaged_files": 0.02,
     "values": 0.05,
 }
 

@@ -34,7 +34,8 @@ from optdock.errors import InvalidValue
 from optdock.geometry.footprint import Footprint
 from optdock.geometry.polygon import simple_polygon
 from optdock.geometry.pose import Pose2
-from optdock.io.numbers import check_outline, check_speed, check_yaw, is_number
+from optdock.io.numbers import MOST_POLYGONS, check_outline, check_speed, check_vertices, check_yaw, is_number
+from optdock.io.quoting import shown
 from optdock.limits import DIMENSIONS, LIMITS, MotionLimits
 from optdock.pipeline import DEFAULT_PLANNERS, DEFAULT_TIME_BUDGET
 from optdock.problem import ClearanceRule
@@ -62,9 +63,9 @@ SECTIONS = ("planner", "smoother", "timing", "controller", "goal_checker")
 
 def _pose(value: object) -> Pose2:
     if not (isinstance(value, list) and len(value) == 3 and all(map(is_number, value))):
-        raise InvalidValue(f"must be [x, y, yaw] in m, m, rad, got {value!r}")
+        raise InvalidValue(f"must be [x, y, yaw] in m, m, rad, got {shown(value)}")
     if any(math.isfinite(part) and abs(part) > _FARTHEST for part in value):
-        raise InvalidValue(f"must be within +-{_FARTHEST:g} m, got {value!r}")
+        raise InvalidValue(f"must be within +-{_FARTHEST:g} m, got {shown(value)}")
     pose = Pose2.from_sequence(value)
     check_yaw(pose.yaw)
     return pose
@@ -87,13 +88,21 @@ def _footprint(value: object) -> Footprint:
     if isinstance(value, dict) and set(value) == {"radius"} and is_number(value["radius"]):
         return Footprint.from_radius(float(value["radius"]))
     if not isinstance(value, list):
-        raise InvalidValue(f"must be a list of points [x, y], a text like it, or {{radius: r}}, got {value!r}")
+        raise InvalidValue(f"must be a list of points [x, y], a text like it, or {{radius: r}}, got {shown(value)}")
+    check_vertices(value)
     return Footprint(value)  # type: ignore[arg-type]  # Footprint checks and converts what it is given
 
 
 def _polygon(value: object) -> list[list[float]]:
+    check_vertices(value)
     polygon: list[list[float]] = simple_polygon(value, "polygon").tolist()  # type: ignore[arg-type]  # checks it itself
     return polygon
+
+
+def _not_too_many(polygons: object) -> object:
+    if isinstance(polygons, list) and len(polygons) > MOST_POLYGONS:
+        raise InvalidValue(f"must be at most {MOST_POLYGONS} polygons, got {len(polygons)}; draw them into the map")
+    return polygons
 
 
 def _distance(value: float) -> float:
@@ -403,7 +412,9 @@ class ScenarioDocument(_Part):
         None,
         absent="only the obstacles below count",
     )
-    obstacles: list[PolygonValue] = _key("polygons, convex or not, in either orientation [m]", [], absent="none")
+    obstacles: Annotated[list[PolygonValue], BeforeValidator(_not_too_many)] = _key(
+        "polygons, convex or not, in either orientation [m]", [], absent="none"
+    )
     robot: RobotDocument = _key("outline, drive and limits")
     dock: DockDocument = _key("where the robot must end, and how")
     start: StartDocument = _key("where and how the robot begins")

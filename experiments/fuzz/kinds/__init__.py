@@ -4,7 +4,18 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, NamedTuple
 
-from experiments.fuzz.kinds import files, impossibilities, limits, paths, plans, replans, timings, trajectories, values
+from experiments.fuzz.kinds import (
+    damaged_files,
+    files,
+    impossibilities,
+    limits,
+    paths,
+    plans,
+    replans,
+    timings,
+    trajectories,
+    values,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -34,5 +45,6 @@ KINDS: dict[str, Kind] = {
     "decisions": Kind(replans.draw_decision, replans.judge),
     "impossibilities": Kind(impossibilities.draw, impossibilities.judge),
     "files": Kind(files.draw, files.judge),
+    "damaged_files": Kind(damaged_files.draw, damaged_files.judge),
     "values": Kind(values.draw, values.judge),
 }
