@@ -8,7 +8,6 @@ import types
 from importlib.metadata import entry_points
 from pathlib import Path
 
-import numpy as np
 import pytest
 
 try:
@@ -32,15 +31,6 @@ def wrong_exports(name):
     if exported is None:
         return [n for n, value in vars(module).items() if n[0] != "_" and getattr(value, "__module__", "") == name]
     return [n for n in exported if exported.count(n) > 1 or not hasattr(module, n)]
-
-
-def test_what_all_share_nobody_can_write_into():
-    """Constants that are arrays: one that a solver could write into would be another in the proof."""
-    names = [module_name(path) for path in SOURCES if path.stem != "__main__"]
-    modules = [importlib.import_module(name) for name in names if not name.startswith("optdock.testing.")]
-    constants = [(m.__name__, n, v) for m in modules for n, v in vars(m).items() if isinstance(v, np.ndarray)]
-    assert constants
-    assert [(module, name) for module, name, value in constants if value.flags.writeable] == []
 
 
 def test_exports_are_exactly_what_exists():

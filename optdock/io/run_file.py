@@ -51,6 +51,9 @@ class RunColumns(NamedTuple):
     docked: bool
     reason: str
 
+    def __bool__(self) -> bool:
+        return self.docked
+
 
 class _Model(BaseModel):
     model_config = ConfigDict(strict=True, frozen=True, extra="ignore", allow_inf_nan=False)

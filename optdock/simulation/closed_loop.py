@@ -14,6 +14,7 @@ from optdock.geometry.pose import Pose2, Twist2
 from optdock.path import PathSamples
 from optdock.simulation.plant import Actuation, DifferentialDrive, PlantState
 from optdock.simulation.run import Run, executed_clearance
+from optdock.verification import proven_for
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -187,7 +188,7 @@ class _Loop:
 
 def _differences(trajectory: Trajectory, robot: Robot, obstacles: ObstacleSet | None) -> tuple[str, ...]:
     """In what the world of a run is not the one that the trajectory was certified for."""
-    proven = trajectory.certified_for
+    proven = proven_for(trajectory)
     if proven is None:
         return ()
     here = robot.fingerprint._asdict() | ({} if obstacles is None else {"obstacles": obstacles.digest})

@@ -46,7 +46,7 @@ class WindowedParameters(PluginParameters):
         default=WINDOWED.yaw_share,
         gt=0.0,
         lt=1.0,
-        description="share of the yaw acceleration for speed^2 * rate",
+        description="share of yaw acceleration and lateral jerk for the curvature rate",
     )
 
 
@@ -140,8 +140,9 @@ def _windows(limits: PathLimits, settings: WindowedSettings, deadline: Deadline)
     slowness, bend, rate = (np.maximum.reduceat(column, cuts[:-1]) for column in (slowness, bend, limits.steepest))
     drive, used = limits.drive, 1.0 - settings.margin
     speed = used / slowness
-    spare = (drive.max_yaw_acceleration - speed * speed * rate) * used
-    ceiling = np.divide(spare, bend, out=np.full(bend.size, np.inf), where=bend > 0.0)
+    ceiling = np.full(bend.size, np.inf)
+    for limit in limits.turning:
+        ceiling = np.minimum(ceiling, limit.acceleration_beside(speed, bend, rate, used))
     rise, fall = np.minimum(drive.max_acceleration, ceiling), np.minimum(drive.max_deceleration, ceiling)
     columns = (limits.s[cuts[:-1]], limits.s[cuts[1:]], speed, rise, fall)
     return [

@@ -462,7 +462,7 @@ def test_a_profile_and_an_animation_are_drawn_when_asked_for(tmp_path):
 def test_no_time_at_all_is_a_named_failure_with_what_exists():
     result = run("plan", write(), "--out", "out.json", "--time-budget", "1e-6")
     assert result.exit_code == 5
-    assert result.stderr == "PlannerTimedOut: the time budget of 1e-06 s is too short for a first guess\n"
+    assert result.stderr == "PlannerTimedOut: DockPlanner ran out of time; raise time_budget, which is 1e-06 s\n"
     assert load_plan("out.json").status == "PlannerTimedOut"
 
 
