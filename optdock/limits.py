@@ -13,6 +13,7 @@ from optdock.geometry.checked import number
 
 if TYPE_CHECKING:
     from optdock.geometry.arrays import FloatArray
+    from optdock.path import Path
 
 __all__ = ["LIMIT_UNITS", "STEERING_UNITS", "MotionLimits", "SpeedZone", "TurnLimits", "check_steering"]
 
@@ -47,7 +48,8 @@ class MotionLimits:
         max_curvature_rate: |d curvature / ds| [1/m^2].
         wheelbase: Distance between the axles of a robot that steers its wheels [m]; needed by the two below.
         max_steering_angle: Of the wheels, |atan(wheelbase * curvature)| [rad].
-        max_steering_rate: At which they turn [rad/s], at rest too: where the curvature jumps the robot waits for them.
+        max_steering_rate: At which they turn [rad/s], at rest too: the robot waits for them where the curvature jumps,
+            and at a start from rest where nobody knows their angle.
 
     Raises:
         InvalidValue: A bound is not > 0, NaN, or speeds, accelerations or jerk are infinite; a steering angle of a
@@ -108,6 +110,20 @@ class MotionLimits:
         """How long the wheels take to turn between curvatures as driven forward, Shape (n, 2) [1/m]. Shape (n,) [s]."""
         turned: FloatArray = np.abs(np.diff(self.steering_angle(curvatures), axis=1)[:, 0])
         return turned / self.max_steering_rate
+
+    def start_wait(self, path: Path) -> float:
+        """How long a robot whose wheels may stand at any angle rests at the start of `path` until they are turned [s].
+
+        The farthest angle is `max_steering_angle`; where that is unlimited, the one of `max_curvature`, or else a
+        quarter turn. 0 where `max_steering_rate` is unlimited.
+        """
+        if not math.isfinite(self.max_steering_rate):
+            return 0.0
+        first = path.segments[0]
+        begins = abs(int(first.direction)) * math.atan(self.wheelbase * abs(float(first.curvature_at(0.0)[0])))
+        is_limited = math.isfinite(self.max_steering_angle)
+        farthest = self.max_steering_angle if is_limited else math.atan(self.wheelbase * self.max_curvature)
+        return (farthest + begins) / self.max_steering_rate
 
 
 LIMIT_UNITS = {

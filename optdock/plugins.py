@@ -182,6 +182,7 @@ def timed_by(
     zone: SpeedZone | None = None,
     start_speed: float = 0.0,
     start_acceleration: float = 0.0,
+    start_wait: float = 0.0,
 ) -> Trajectory:
     """The motion along a path by a time parameterizer, under the limits of a problem; nothing proves it here.
 
@@ -192,6 +193,7 @@ def timed_by(
         zone: Slow stretch at the end; None: that of the problem's dock.
         start_speed: Along the travel, >= 0 in either gear [m/s].
         start_acceleration: Likewise [m/s^2].
+        start_wait: How long it rests at the start, because steered wheels are turned there [s].
 
     Raises:
         FailedToTimePath: The method has no motion from this start that keeps the limits.
@@ -209,6 +211,7 @@ def timed_by(
             approach if zone is None else zone,
             start_speed=start_speed,
             start_acceleration=start_acceleration,
+            **({"start_wait": start_wait} if start_wait > 0.0 else {}),
         )
     finally:
         parameterizer.cleanup()

@@ -253,6 +253,7 @@ class Refinement:
             raise TimingTimedOut(f"nothing is left of the time budget of {self.budget:.3g} s for timing")
         limits, zone = self.problem.robot.limits, self.problem.dock.approach
         speed, acceleration = self.problem.start_state(int(path.segments[0].direction))
+        wait = self.problem.start_wait(path)
         with at_work(method, self.problem, self.cancelled):
             result = method.parameterize(
                 path,
@@ -262,6 +263,7 @@ class Refinement:
                 start_acceleration=acceleration,
                 max_time=allowance,
                 cancel_checker=self.cancelled,
+                **({"start_wait": wait} if wait > 0.0 else {}),
             )
         returned(result, TimingResult, method)
         returned(result.status, TimingStatus, method, "the status of its result")

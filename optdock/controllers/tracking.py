@@ -297,9 +297,12 @@ class TrackingController(Controller):
     def _timed(self, path: Path) -> Trajectory:
         from optdock.plugins import timed_by
 
+        problem, timing = self.context.problem, self.parameters.time_parameterizer
         moving = max(0.0, path.segments[0].direction * self._limiter.command.linear)
+        # Of a robot that stands nobody knows how its wheels do.
+        wait = problem.robot.limits.start_wait(path) if problem is not None and moving == 0.0 else 0.0
         try:
-            return timed_by(self.parameters.time_parameterizer, path, self.context.problem, start_speed=moving)
+            return timed_by(timing, path, problem, start_speed=moving, start_wait=wait)
         except FailedToTimePath as error:
             raise ControllerInvalidPath(f"TrackingController: {error}") from error
 

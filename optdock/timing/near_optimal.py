@@ -77,18 +77,20 @@ class NearOptimal(TimeParameterizer):
         *,
         start_speed: float = 0.0,
         start_acceleration: float = 0.0,
+        start_wait: float = 0.0,
         max_time: float = math.inf,
         cancel_checker: Callable[[], bool] = never_cancelled,
     ) -> TimingResult:
         """See `TimeParameterizer.parameterize`.
 
         Raises:
-            InvalidValue: The start state is not finite, or `max_time` is NaN.
+            InvalidValue: The start state or `start_wait` is not finite, the wait negative, or `max_time` is NaN.
             PluginError: The package ruckig is not installed.
             TimingCancelled: `cancel_checker` returned True.
         """
         deadline = Deadline(max_time, stop=cancel_checker)
-        return time_path(path, limits, zone, (start_speed, start_acceleration), self._plans, deadline)
+        start = start_speed, start_acceleration
+        return time_path(path, limits, zone, start, self._plans, deadline, start_wait=start_wait)
 
     def _plans(self, limits: PathLimits, start: State, deadlines: Deadlines) -> Iterator[SegmentPlan]:
         chosen = self.parameters
