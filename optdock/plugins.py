@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from functools import cache
 from importlib.metadata import EntryPoint, entry_points
-from typing import TYPE_CHECKING, NamedTuple, TypeVar
+from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
 
 from optdock.errors import InvalidValue, OptdockError, PluginError
 from optdock.geometry.checked import instance
@@ -203,6 +203,7 @@ def timed_by(
     """
     parameterizer = plugin_from(TimeParameterizer, timing, "timing")
     limits, approach = (problem.robot.limits, problem.dock.approach) if problem else (MotionLimits(), SpeedZone())
+    waits: dict[str, Any] = {"start_wait": start_wait} if start_wait > 0.0 else {}
     parameterizer.configure(PluginContext(name=parameterizer.name, problem=problem))
     try:
         result = parameterizer.parameterize(
@@ -211,7 +212,7 @@ def timed_by(
             approach if zone is None else zone,
             start_speed=start_speed,
             start_acceleration=start_acceleration,
-            **({"start_wait": start_wait} if start_wait > 0.0 else {}),
+            **waits,
         )
     finally:
         parameterizer.cleanup()

@@ -299,6 +299,7 @@ class TrackingController(Controller):
 
         problem, timing = self.context.problem, self.parameters.time_parameterizer
         moving = max(0.0, path.segments[0].direction * self._limiter.command.linear)
+        moving = moving if moving > _CREEP else 0.0
         # Of a robot that stands nobody knows how its wheels do.
         wait = problem.robot.limits.start_wait(path) if problem is not None and moving == 0.0 else 0.0
         try:

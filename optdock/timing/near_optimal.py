@@ -30,7 +30,7 @@ from optdock.timing.reference_program import solve_reference, spline_phases
 from optdock.timing.ruckig_moves import Move, load_ruckig, move, split_into_moves
 from optdock.timing.settings import NEAR_OPTIMAL, NearOptimalSettings
 from optdock.timing.start_states import Braking
-from optdock.timing.strategy import time_path
+from optdock.timing.strategy import Start, time_path
 from optdock.timing.windowed import windowed_plans
 
 if TYPE_CHECKING:
@@ -89,8 +89,8 @@ class NearOptimal(TimeParameterizer):
             TimingCancelled: `cancel_checker` returned True.
         """
         deadline = Deadline(max_time, stop=cancel_checker)
-        start = start_speed, start_acceleration
-        return time_path(path, limits, zone, start, self._plans, deadline, start_wait=start_wait)
+        start = Start(start_speed, start_acceleration, start_wait)
+        return time_path(path, limits, zone, start, self._plans, deadline)
 
     def _plans(self, limits: PathLimits, start: State, deadlines: Deadlines) -> Iterator[SegmentPlan]:
         chosen = self.parameters

@@ -50,7 +50,7 @@ if TYPE_CHECKING:
     from optdock.timing.start_states import StartVerdict
     from optdock.verification import Violation
 
-__all__ = ["NO_DEADLINES", "Deadlines", "SegmentPlanner", "best_of", "segment_plans", "time_path"]
+__all__ = ["NO_DEADLINES", "Deadlines", "SegmentPlanner", "Start", "best_of", "segment_plans", "time_path"]
 
 
 class Deadlines(NamedTuple):
@@ -87,15 +87,21 @@ status FAIL, which says why there is none.
 """
 
 
+class Start(NamedTuple):
+    """How a motion begins: speed [m/s], acceleration [m/s^2]; how long it rests first while wheels turn [s]."""
+
+    speed: float
+    acceleration: float
+    wait: float = 0.0
+
+
 def time_path(
     path: Path,
     drive: MotionLimits,
     zone: SpeedZone,
-    start: tuple[float, float],
+    start: Start,
     method: SegmentPlanner,
     deadline: Deadline | None = None,
-    *,
-    start_wait: float = 0.0,
 ) -> TimingResult:
     """The time law of a path, segment by segment. What it calls OK is proven: `certify_trajectory` decides.
 
@@ -103,17 +109,16 @@ def time_path(
         path: Where to drive.
         drive: What the drive can do.
         zone: Slow stretch at the end of the path.
-        start: Speed [m/s] and acceleration [m/s^2] at the start.
+        start: How it begins.
         method: Plans one segment.
         deadline: For all of it, and whether to stop; None: no deadline.
-        start_wait: How long the robot rests first, because its wheels are turned [s].
 
     Raises:
         InvalidValue: The start state or the wait is not finite, the wait negative, or the deadline is NaN.
         TimingCancelled: The deadline was asked to stop.
     """
     whole = deadline or Deadline()
-    result = _timed(path, _Asked(drive, zone, start, start_wait), method, whole)
+    result = _timed(path, _Asked(drive, zone, start), method, whole)
     if result.status is TimingStatus.TIMED_OUT and whole.stopped:
         raise TimingCancelled("timing was cancelled")
     return result
@@ -124,16 +129,15 @@ class _Asked(NamedTuple):
 
     drive: MotionLimits
     zone: SpeedZone
-    start: tuple[float, float]
-    start_wait: float
+    start: Start
 
 
 def _timed(path: Path, asked: _Asked, method: SegmentPlanner, whole: Deadline) -> TimingResult:
-    drive, zone, start, start_wait = asked
-    _check_numbers(asked, whole)
+    drive, zone, start = asked
+    _check_numbers(start, whole)
     fault = _undrivable(path)
-    if not fault and start_wait > _NO_WAIT and start != (0.0, 0.0):
-        fault = f"the wheels may take {start_wait:.4g} s to turn at the start, where the robot does not rest"
+    if not fault and start.wait > _NO_WAIT and (start.speed, start.acceleration) != (0.0, 0.0):
+        fault = f"the wheels may take {start.wait:.4g} s to turn at the start, where the robot does not rest"
     if fault:
         return TimingResult(TimingStatus.FAIL, None, math.inf, reason=fault)
     if whole.passed():
@@ -143,7 +147,7 @@ def _timed(path: Path, asked: _Asked, method: SegmentPlanner, whole: Deadline) -
     # Of two clocks the smaller: one counts while the machine does something else, the other may tick coarsely.
     deadlines = Deadlines.of(whole, min(whole.elapsed - began[0], time.thread_time() - began[1]))
     waiting, plans = [], []
-    state = State(0.0, *start)
+    state = State(0.0, start.speed, start.acceleration)
     for segment, begin, limits in zip(path.segments, path.segment_starts.tolist(), segments, strict=False):
         if isinstance(segment, TurnSegment):
             waiting.append(turn_plans(segment, drive, state, begin))
@@ -164,7 +168,7 @@ def _proven(
     whole: Deadline,
 ) -> TimingResult:
     """The result once every refused segment has another plan, or none is left."""
-    (drive, zone, start, start_wait), (plans, waiting) = asked, segments
+    (drive, zone, start), (plans, waiting) = asked, segments
     while True:
         result = _result(path, asked, plans)
         if result.status is not TimingStatus.OK or result.trajectory is None:
@@ -173,9 +177,9 @@ def _proven(
             result.trajectory,
             drive,
             zone,
-            start_speed=start[0],
-            start_acceleration=start[1],
-            start_wait=start_wait,
+            start_speed=start.speed,
+            start_acceleration=start.acceleration,
+            start_wait=start.wait,
             is_late=whole.passed,
         )
         if proof.certified:
@@ -188,11 +192,11 @@ def _proven(
         plans[i] = best_of(itertools.chain(waiting[i], [_refused(plans[i], first)]))
 
 
-def _check_numbers(asked: _Asked, whole: Deadline) -> None:
-    if not all(math.isfinite(value) for value in asked.start):
-        raise InvalidValue(f"timing: start_speed and start_acceleration must be finite, got {asked.start}")
-    if not (math.isfinite(asked.start_wait) and asked.start_wait >= 0.0):
-        raise InvalidValue(f"timing: start_wait must be finite and >= 0 s, got {asked.start_wait}")
+def _check_numbers(start: Start, whole: Deadline) -> None:
+    if not all(math.isfinite(value) for value in start[:2]):
+        raise InvalidValue(f"timing: start_speed and start_acceleration must be finite, got {start[:2]}")
+    if not (math.isfinite(start.wait) and start.wait >= 0.0):
+        raise InvalidValue(f"timing: start_wait must be finite and >= 0 s, got {start.wait}")
     if math.isnan(whole.seconds):
         raise InvalidValue("timing: max_time must be a number of seconds, got nan")
 
@@ -225,7 +229,7 @@ def _result(path: Path, asked: _Asked, plans: list[SegmentPlan]) -> TimingResult
         waits = _waits(path, asked)
         parts = [(*waits.get(i, ()), *plan.phases) for i, plan in enumerate(plans)]
         phases = np.array([phase for part in parts for phase in part if phase[0] > 0.0])
-        trajectory = Trajectory(driven, TimeLaw(phases[:, 0], phases[:, 1], 0.0, *asked.start))
+        trajectory = Trajectory(driven, TimeLaw(phases[:, 0], phases[:, 1], 0.0, *asked.start[:2]))
     return TimingResult(
         worst.status,
         trajectory,
@@ -240,7 +244,7 @@ def _result(path: Path, asked: _Asked, plans: list[SegmentPlan]) -> TimingResult
 
 def _waits(path: Path, asked: _Asked) -> dict[int, Phases]:
     """Phases at rest before those segments that the wheels must be turned for."""
-    times = [asked.start_wait]
+    times = [asked.start.wait]
     if len(path.segments) > 1 and math.isfinite(asked.drive.max_steering_rate):
         times += asked.drive.steering_times(path.joint_curvatures).tolist()
     return {i: ((time, 0.0),) for i, time in enumerate(times) if time > _NO_WAIT}

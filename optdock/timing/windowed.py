@@ -20,7 +20,7 @@ from optdock.timing.checks import SegmentPlan, arrived_plan
 from optdock.timing.motion import DriveBounds, Motion, Phases, State, state_after
 from optdock.timing.ruckig_moves import load_ruckig, move
 from optdock.timing.settings import WINDOWED, WindowedSettings
-from optdock.timing.strategy import time_path
+from optdock.timing.strategy import Start, time_path
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -84,8 +84,8 @@ class Windowed(TimeParameterizer):
             TimingCancelled: `cancel_checker` returned True.
         """
         deadline = Deadline(max_time, stop=cancel_checker)
-        start = start_speed, start_acceleration
-        return time_path(path, limits, zone, start, self._plans, deadline, start_wait=start_wait)
+        start = Start(start_speed, start_acceleration, start_wait)
+        return time_path(path, limits, zone, start, self._plans, deadline)
 
     def _plans(self, limits: PathLimits, start: State, deadlines: Deadlines) -> Iterator[SegmentPlan]:
         return windowed_plans(limits, start, deadlines, replace(WINDOWED, **self.parameters.model_dump()))

@@ -132,7 +132,7 @@ def _too_close(row: FloatArray, problem: DockingProblem) -> Violation:
     return Violation("clearance", message, s, required - clearance, where)
 
 
-def certify_trajectory(
+def certify_trajectory(  # noqa: PLR0913 - a motion, its limits and how it begins
     trajectory: Trajectory,
     limits: MotionLimits,
     zone: SpeedZone,
@@ -165,13 +165,13 @@ def certify_trajectory(
     Returns:
         The certificate; `certified` is True only if everything was proven.
     """
-    start = (start_speed, start_acceleration)
+    start = (start_speed, start_acceleration, start_wait)
 
     def verdict(asked: Callable[[], bool]) -> TrajectoryCertificate:
-        violations, ratios = trajectory_violations(trajectory, limits, zone, start, asked, start_wait=start_wait)
+        violations, ratios = trajectory_violations(trajectory, limits, zone, start, asked)
         return TrajectoryCertificate(violations, ratios, trajectory.time_law.duration, trajectory.path.digest)
 
-    against = (_Itself(trajectory.path), astuple(limits), astuple(zone), start, start_wait)
+    against = (_Itself(trajectory.path), astuple(limits), astuple(zone), start)
     return _made_once(_TIME_LAWS, trajectory.time_law, against, is_late, verdict)
 
 

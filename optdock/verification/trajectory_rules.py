@@ -74,16 +74,14 @@ def trajectory_violations(
     trajectory: Trajectory,
     limits: MotionLimits,
     zone: SpeedZone,
-    start: tuple[float | None, float | None],
+    start: tuple[float | None, float | None, float],
     is_late: Callable[[], bool],
-    *,
-    start_wait: float = 0.0,
 ) -> tuple[tuple[Violation, ...], dict[str, float]]:
     """Every broken rule, and the proven ratio of each quantity to its limit; see `certify_trajectory`."""
     path, law = trajectory.path, trajectory.time_law
     extremes = _speed_extremes(law)
-    waits = _waits(trajectory, limits, start_wait)
-    structure = (*_coverage(trajectory, extremes), *_rest(trajectory), *_too_short(waits), *_start(law, *start))
+    waits = _waits(trajectory, limits, start[2])
+    structure = (*_coverage(trajectory, extremes), *_rest(trajectory), *_too_short(waits), *_start(law, *start[:2]))
     if any(v.kind == "coverage" for v in structure):
         return structure, {}
     stretches, judge = _segment_limits(path, limits, zone), _Judge(_curved_limits(limits), limits)
