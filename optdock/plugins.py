@@ -174,7 +174,7 @@ def plugin_from(interface: type[P], asked: str | PluginChoice | P, role: str) ->
     raise InvalidValue(f"{role}: must be a {interface.__name__} or the name of one, got {type(asked).__name__}")
 
 
-def timed_by(
+def timed_by(  # noqa: PLR0913 - a path, a method, and how the motion begins
     timing: str | PluginChoice | TimeParameterizer,
     path: Path,
     problem: DockingProblem | None,

@@ -1,7 +1,7 @@
 """A closed loop in simulation: plants, sensors, a simulated robot, runs."""
 
 from optdock.geometry.pose import pose_errors
-from optdock.simulation.bicycle import Bicycle, Steering, SteeringAtRest
+from optdock.simulation.bicycle import Bicycle, Steering, SteeringAtRest, plant_of
 from optdock.simulation.closed_loop import RemainingPath, SimulationSettings, run_closed_loop
 from optdock.simulation.plant import Actuation, DifferentialDrive, Plant, PlantState, Slip, StuckWheel, Wheel, Wheels
 from optdock.simulation.run import Run, executed_clearance
@@ -33,6 +33,7 @@ __all__ = [
     "Wheel",
     "Wheels",
     "executed_clearance",
+    "plant_of",
     "pose_errors",
     "run_closed_loop",
 ]

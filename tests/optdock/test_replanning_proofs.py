@@ -38,7 +38,7 @@ def plan_of(segments, robot):
     """A plan over a path of one's own."""
     path = Path(tuple(segments), "map")
     problem = DockingProblem(path.start, Dock(path.end), robot)
-    trajectory = timed_by("NearOptimal", path, problem)
+    trajectory = timed_by("NearOptimal", path, problem, start_wait=problem.start_wait(path))
     certificates = certify_path(path, problem), certify_motion(trajectory, problem)
     assert all(one.certified for one in certificates)
     return DockPlan(problem, path, path, trajectory, *certificates, completed=True, timing_ms={})
