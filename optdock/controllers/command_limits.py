@@ -31,6 +31,7 @@ _ROUNDING = 1e-15  # [m/s]: of a command that is to be the wanted one; a robot a
 _CREEPING = 0.005  # [m/s]: a slower command says too little of the angle of steered wheels
 _SAME_ARC = 1.5  # times as fast as wanted: beyond, the wanted speed was feedback, whose arc means nothing
 _EXACT = 1.0 + 1e-12  # a motion at its limits is not beyond them by rounding
+_NO_JERK = 1e-6  # of the limit: rounding of what a target leaves
 _HALVINGS = 40  # to a rounding error
 _QUARTER = 1.57  # [rad]: wheels turn no further
 
@@ -51,6 +52,7 @@ class CommandLimiter:
         self._acceleration = 0.0
         self._period = 0.0
         self._feed_forward: float | None = None
+        self._feed_slope: float | None = None
         moving = abs(command.linear) >= _CREEPING
         self._curvature = command.angular / command.linear if moving else None
 
@@ -118,9 +120,11 @@ class CommandLimiter:
         before = self.command.linear
         if self._feed_forward is None:
             return 0.0  # how long the command has been in force nobody knows
-        slope = (feed_forward - self._feed_forward) / period
-        missing, periods = wanted - slope * period - before, (period, self._between(period))
-        slope = smooth_slope(missing, slope, self._acceleration, limits.max_jerk, periods)
+        slope, between = (feed_forward - self._feed_forward) / period, self._between(period)
+        jerk = 0.0 if self._feed_slope is None else (slope - self._feed_slope) / between
+        self._feed_slope = slope
+        missing, periods = wanted - slope * period - before, (period, between)
+        slope = smooth_slope(missing, slope, self._acceleration, limits.max_jerk, periods, jerk)
         braking = before != 0.0 and slope * before < 0.0
         most = _most_braking(abs(before), period, limits) if braking else limits.max_acceleration
         return min(max(slope, -most), most)
@@ -284,8 +288,18 @@ def _most_braking(speed: float, period: float, limits: MotionLimits) -> float:
     return most if until_rest >= period else (speed + after * (period - until_rest)) / period
 
 
-def smooth_slope(missing: float, target_slope: float, slope: float, jerk: float, periods: tuple[float, float]) -> float:
+def smooth_slope(
+    missing: float,
+    target_slope: float,
+    slope: float,
+    jerk: float,
+    periods: tuple[float, float],
+    target_jerk: float = 0.0,
+) -> float:
     """The slope of the next period, of a value that is to reach a moving target and stay with it.
+
+    Whatever it gains on the target has to be given back at what `target_jerk` leaves of `jerk`: beside a target that
+    uses all of it a value that is late or early stays so.
 
     Args:
         missing: By how much the value falls short of the target before the period.
@@ -293,10 +307,12 @@ def smooth_slope(missing: float, target_slope: float, slope: float, jerk: float,
         slope: Of the value in the period before.
         jerk: By how much a slope may change in a unit of time.
         periods: The period, and the time between its middle and that of the one before [s].
+        target_jerk: By how much the target's slope changes in a unit of time.
     """
     period, between = periods
-    gap = abs(missing)
-    wanted = target_slope + math.copysign(min(gap / period, _fastest(gap, jerk, period)), missing)
+    gap, left = abs(missing), min(jerk, jerk + math.copysign(target_jerk, missing * target_jerk))
+    gain = min(gap / period, _fastest(gap, left, period)) if left > _NO_JERK * jerk else 0.0
+    wanted = target_slope + math.copysign(gain, missing)
     return min(max(wanted, slope - jerk * between), slope + jerk * between)
 
 
