@@ -114,13 +114,20 @@ class MotionLimits:
     def start_wait(self, path: Path) -> float:
         """How long a robot whose wheels may stand at any angle rests at the start of `path` until they are turned [s].
 
+        See `steering_time_to`.
+        """
+        first = path.segments[0]
+        return self.steering_time_to(abs(int(first.direction)) * float(first.curvature_at(0.0)[0]))
+
+    def steering_time_to(self, curvature: float) -> float:
+        """How long wheels that may stand at any angle take to turn to that of a curvature [1/m], at most [s].
+
         The farthest angle is `max_steering_angle`; where that is unlimited, the one of `max_curvature`, or else a
         quarter turn. 0 where `max_steering_rate` is unlimited.
         """
         if not math.isfinite(self.max_steering_rate):
             return 0.0
-        first = path.segments[0]
-        begins = abs(int(first.direction)) * math.atan(self.wheelbase * abs(float(first.curvature_at(0.0)[0])))
+        begins = math.atan(self.wheelbase * abs(curvature))
         is_limited = math.isfinite(self.max_steering_angle)
         farthest = self.max_steering_angle if is_limited else math.atan(self.wheelbase * self.max_curvature)
         return (farthest + begins) / self.max_steering_rate
