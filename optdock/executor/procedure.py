@@ -350,8 +350,6 @@ class Procedure:
         """Straight on along the dock's axis, slowly, until contact is felt and lasts."""
         self.state = State.PRESSING
         gear, speed = self._gear, self._settings.contact_speed
-        if self._standing:
-            yield from self._straighten(gear)
         allowed = self._settings.contact_overrun + abs(self._perception.robot_from_dock.x)
         until = self._now + _REST_PATIENCE + 2.0 * allowed / speed
         while True:
@@ -379,8 +377,7 @@ class Procedure:
     def _back_out(self) -> Cycles:
         """Straight out of contact, no deeper into anything, until a way back can be planned."""
         direction = -self._gear
-        yield from self._straighten(direction)
-        origin, begun = self._perception.robot, self._now
+        origin, begun, is_straight = self._perception.robot, self._now, False
         limit = 2.0 * self._settings.back_out_distance / _BACK_OUT_SPEED + _REST_PATIENCE
         footprint = self._base.robot.footprint
         while True:
@@ -397,6 +394,10 @@ class Procedure:
             if free_motion(footprint, near, robot, twist, _BACK_OUT_LOOK, overlap=deepest).free < _BACK_OUT_LOOK:
                 self._report("backing out is blocked", f"after {driven:.3f} m")
                 break
+            if not is_straight:
+                yield from self._straighten(direction)
+                begun, is_straight = self._now, True
+                continue
             yield from self._cycle(twist)
         yield from self._stop()
 
