@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
 
     from optdock.geometry.arrays import FloatArray
+    from optdock.path import Path
 
 __all__ = [
     "DIMENSIONS",
@@ -217,7 +218,8 @@ class MotionLimits:
         max_curvature_rate: |d curvature / ds| [1/m^2].
         wheelbase: Distance between the axles of a robot that steers its wheels [m]; needed by the two below.
         max_steering_angle: Of the wheels, |atan(wheelbase * curvature)| [rad].
-        max_steering_rate: At which they turn [rad/s], at rest too: where the curvature jumps the robot waits for them.
+        max_steering_rate: At which they turn [rad/s], at rest too: the robot waits for them where the curvature jumps,
+            and at a start from rest where nobody knows their angle.
         max_lateral_jerk: Change of the lateral acceleration, |d/dt (speed^2 * curvature)| [m/s^3] [UN79]; none at rest
             and in turns in place, where there is no speed.
 
@@ -281,6 +283,27 @@ class MotionLimits:
         """How long the wheels take to turn between curvatures as driven forward, Shape (n, 2) [1/m]. Shape (n,) [s]."""
         turned: FloatArray = np.abs(np.diff(self.steering_angle(curvatures), axis=1)[:, 0])
         return turned / self.max_steering_rate
+
+    def start_wait(self, path: Path) -> float:
+        """How long a robot whose wheels may stand at any angle rests at the start of `path` until they are turned [s].
+
+        See `steering_time_to`.
+        """
+        first = path.segments[0]
+        return self.steering_time_to(abs(int(first.direction)) * float(first.curvature_at(0.0)[0]))
+
+    def steering_time_to(self, curvature: float) -> float:
+        """How long wheels that may stand at any angle take to turn to that of a curvature [1/m], at most [s].
+
+        The farthest angle is `max_steering_angle`; where that is unlimited, the one of `max_curvature`, or else a
+        quarter turn. 0 where `max_steering_rate` is unlimited.
+        """
+        if not math.isfinite(self.max_steering_rate):
+            return 0.0
+        begins = math.atan(self.wheelbase * abs(curvature))
+        is_limited = math.isfinite(self.max_steering_angle)
+        farthest = self.max_steering_angle if is_limited else math.atan(self.wheelbase * self.max_curvature)
+        return (farthest + begins) / self.max_steering_rate
 
 
 def finite_limits(limits: MotionLimits) -> dict[str, float]:

@@ -21,6 +21,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 from optdock.geometry.pose import Twist2
 from optdock.robot import Drive, admissible
+from optdock.trajectory import braking_phases, constant_jerk
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -34,6 +35,7 @@ _ROUNDING = 1e-15  # [m/s]: of a command that is to be the wanted one; a robot a
 _CREEPING = 0.005  # [m/s]: a slower command says too little of the angle of steered wheels
 _SAME_ARC = 1.5  # times as fast as wanted: beyond, the wanted speed was feedback, whose arc means nothing
 _EXACT = 1.0 + 1e-12  # a motion at its limits is not beyond them by rounding
+_NO_JERK = 1e-6  # of the limit: rounding of what a target leaves
 _HALVINGS = 40  # to a rounding error
 _QUARTER = 1.57  # [rad]: wheels turn no further
 
@@ -54,6 +56,7 @@ class CommandLimiter:
         self._acceleration = 0.0
         self._period = 0.0
         self._feed_forward: float | None = None
+        self._feed_slope: float | None = None
         moving = abs(command.linear) >= _CREEPING
         self._curvature = command.angular / command.linear if moving else None
 
@@ -61,7 +64,7 @@ class CommandLimiter:
         """Begin again from rest: what a refusal leaves the robot with. An emergency stop keeps no jerk limit."""
         self.restart(Twist2())
 
-    def follow(
+    def follow(  # noqa: PLR0913 - two commands, their time, and what bounds them
         self,
         wanted: Twist2,
         feed_forward: Twist2,
@@ -70,6 +73,7 @@ class CommandLimiter:
         drive: Drive,
         *,
         in_place: bool,
+        room: float = math.inf,
     ) -> Twist2:
         """The command nearest to `wanted` that the last one can become.
 
@@ -85,6 +89,8 @@ class CommandLimiter:
             drive: How it steers.
             in_place: Whether a differential drive may turn tighter than its smallest radius: where its reference turns
                 in place, or stands at its end.
+            room: How far the robot may go on in its direction until it rests [m]. A command is slower than wanted where
+                it could not stop within that.
         """
         free = in_place and drive is Drive.DIFFERENTIAL
         wanted = admissible(wanted if free else _bent(wanted, limits.max_curvature), limits, drive)
@@ -97,6 +103,8 @@ class CommandLimiter:
             return self._turned(angular, linear, period, limits)
 
         slope = self._slope(wanted.linear, feed_forward.linear, period, limits)
+        if math.isfinite(room):
+            slope = self._stopping_within(room, slope, period, limits)
         slope = self._leaving_room(slope, turn_at(before + slope * period), period, limits)
         linear = before + slope * period
         if abs(linear - wanted.linear) <= _ROUNDING:
@@ -121,12 +129,27 @@ class CommandLimiter:
         before = self.command.linear
         if self._feed_forward is None:
             return 0.0  # how long the command has been in force nobody knows
-        slope = (feed_forward - self._feed_forward) / period
-        missing, periods = wanted - slope * period - before, (period, self._between(period))
-        slope = smooth_slope(missing, slope, self._acceleration, limits.max_jerk, periods)
+        slope, between = (feed_forward - self._feed_forward) / period, self._between(period)
+        jerk = 0.0 if self._feed_slope is None else (slope - self._feed_slope) / between
+        self._feed_slope = slope
+        missing, periods = wanted - slope * period - before, (period, between)
+        lasts = (limits.max_acceleration + limits.max_deceleration) / limits.max_jerk
+        slope = smooth_slope(missing, slope, self._acceleration, limits.max_jerk, periods, (jerk, lasts))
         braking = before != 0.0 and slope * before < 0.0
         most = _most_braking(abs(before), period, limits) if braking else limits.max_acceleration
         return min(max(slope, -most), most)
+
+    def _stopping_within(self, room: float, slope: float, period: float, limits: MotionLimits) -> float:
+        """The acceleration, no larger than lets the robot stop within `room`, as far as its jerk allows."""
+        forward = math.copysign(1.0, self.command.linear if self.command.linear != 0.0 else slope)
+        speed = forward * self.command.linear
+        least = max(forward * self._acceleration - limits.max_jerk * self._between(period), -limits.max_deceleration)
+
+        def fits(rise: float) -> bool:
+            after, end = speed + rise * period, rise - 0.5 * limits.max_jerk * period
+            return after * period + _stopping_way(after + 0.5 * end * period, end, limits) <= room
+
+        return forward * _largest(fits, min(least, forward * slope), forward * slope)
 
     def _leaving_room(self, slope: float, turn: _Turn, period: float, limits: MotionLimits) -> float:
         """The acceleration, no larger than what the limits leave beside the turn, and no jump down from the last."""
@@ -274,6 +297,16 @@ def _largest(fits: Callable[[float], bool], low: float, high: float) -> float:
     return low
 
 
+def _stopping_way(v: float, a: float, limits: MotionLimits) -> float:
+    """How far a robot goes on until it rests, at full braking from a speed and an acceleration along its travel [m]."""
+    if v <= 0.0 or (a < 0.0 and 2.0 * limits.max_jerk * v <= a * a):
+        return 0.0
+    state = 0.0, v, a
+    for duration, jerk in braking_phases(v, a, limits.max_deceleration, limits.max_jerk):
+        state = constant_jerk(duration, *state, jerk)
+    return state[0]
+
+
 def _most_braking(speed: float, period: float, limits: MotionLimits) -> float:
     """The largest deceleration of the coming period.
 
@@ -288,8 +321,18 @@ def _most_braking(speed: float, period: float, limits: MotionLimits) -> float:
     return most if until_rest >= period else (speed + after * (period - until_rest)) / period
 
 
-def smooth_slope(missing: float, target_slope: float, slope: float, jerk: float, periods: tuple[float, float]) -> float:
+def smooth_slope(
+    missing: float,
+    target_slope: float,
+    slope: float,
+    jerk: float,
+    periods: tuple[float, float],
+    target_jerk: tuple[float, float] = (0.0, math.inf),
+) -> float:
     """The slope of the next period, of a value that is to reach a moving target and stay with it.
+
+    The slope that it gains on the target has to be given back at what the target's own jerk leaves of `jerk`; or it is
+    so little that the value arrives when that jerk ends at the latest.
 
     Args:
         missing: By how much the value falls short of the target before the period.
@@ -297,10 +340,14 @@ def smooth_slope(missing: float, target_slope: float, slope: float, jerk: float,
         slope: Of the value in the period before.
         jerk: By how much a slope may change in a unit of time.
         periods: The period, and the time between its middle and that of the one before [s].
+        target_jerk: By how much the target's slope changes in a unit of time, and how long that may go on [s].
     """
     period, between = periods
-    gap = abs(missing)
-    wanted = target_slope + math.copysign(min(gap / period, _fastest(gap, jerk, period)), missing)
+    changes, lasts = target_jerk
+    gap, left = abs(missing), min(jerk, jerk + math.copysign(changes, missing * changes))
+    gain = max(_fastest(gap, left, period) if left >= _NO_JERK * jerk else 0.0, gap / lasts)
+    gain = min(gap / period, _fastest(gap, jerk, period), gain)
+    wanted = target_slope + math.copysign(gain, missing)
     return min(max(wanted, slope - jerk * between), slope + jerk * between)
 
 

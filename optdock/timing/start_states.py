@@ -7,7 +7,6 @@ them; where it does not, no other motion breaks them less.
 
 from __future__ import annotations
 
-import math
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -19,6 +18,7 @@ from optdock.timing.motion import DriveBounds, Motion, Phases, State, braking_sl
 from optdock.timing.path_limits import KEPT, worst_ratio
 from optdock.timing.settings import SAMPLING
 from optdock.timing.turning_limits import turning_ratio
+from optdock.trajectory import braking_phases
 
 if TYPE_CHECKING:
     from optdock.geometry.arrays import FloatArray
@@ -31,22 +31,8 @@ NO_DISTANCE = 1e-9  # [m]: nothing is left to plan
 
 
 def full_stop(start: State, bounds: DriveBounds) -> Phases:
-    """Full braking to rest, wherever that is, in closed form: -J to the deceleration, hold, +J to rest.
-
-    From a state that need not roll backwards: v >= 0, and v >= a^2 / (2 J) where a < 0. Leading the acceleration from a
-    to -b and on to 0 changes the speed by (a^2 - 2 b^2) / (2 J); the largest b is the deceleration, and what is left of
-    the speed then is braked off at b. A deceleration beyond it is led back first.
-    """
-    _s, v, a = start
-    jerk, most = bounds.jerk, bounds.deceleration
-    if a < -most:
-        spare = max(0.0, v - 0.5 * a * a / jerk)  # after +J straight to rest; held at -D, where +J passes it
-        phases = ((-most - a) / jerk, jerk), (spare / most, 0.0), (most / jerk, jerk)
-    else:
-        brake = min(most, math.sqrt(max(0.0, jerk * v + 0.5 * a * a)))
-        hold = max(0.0, v + (0.5 * a * a - brake * brake) / jerk) / most if brake == most else 0.0
-        phases = ((a + brake) / jerk, -jerk), (hold, 0.0), (brake / jerk, jerk)
-    return tuple(phase for phase in phases if phase[0] > 0.0)
+    """Full braking to rest, wherever that is; see `braking_phases`."""
+    return braking_phases(start.v, start.a, bounds.deceleration, bounds.jerk)
 
 
 class Braking:

@@ -20,7 +20,7 @@ from optdock.timing.checks import SegmentPlan, arrived_plan
 from optdock.timing.motion import DriveBounds, Motion, Phases, State, state_after
 from optdock.timing.ruckig_moves import load_ruckig, move
 from optdock.timing.settings import WINDOWED, WindowedSettings
-from optdock.timing.strategy import time_path
+from optdock.timing.strategy import Start, time_path
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -72,18 +72,20 @@ class Windowed(TimeParameterizer):
         *,
         start_speed: float = 0.0,
         start_acceleration: float = 0.0,
+        start_wait: float = 0.0,
         max_time: float = math.inf,
         cancel_checker: Callable[[], bool] = never_cancelled,
     ) -> TimingResult:
         """See `TimeParameterizer.parameterize`.
 
         Raises:
-            InvalidValue: The start state is not finite, or `max_time` is NaN.
+            InvalidValue: The start state or `start_wait` is not finite, the wait negative, or `max_time` is NaN.
             PluginError: The package ruckig is not installed.
             TimingCancelled: `cancel_checker` returned True.
         """
         deadline = Deadline(max_time, stop=cancel_checker)
-        return time_path(path, limits, zone, (start_speed, start_acceleration), self._plans, deadline)
+        start = Start(start_speed, start_acceleration, start_wait)
+        return time_path(path, limits, zone, start, self._plans, deadline)
 
     def _plans(self, limits: PathLimits, start: State, deadlines: Deadlines) -> Iterator[SegmentPlan]:
         return windowed_plans(limits, start, deadlines, replace(WINDOWED, **self.parameters.model_dump()))

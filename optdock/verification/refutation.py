@@ -786,7 +786,7 @@ def _rests(judged: _Judged, problem: DockingProblem) -> Iterator[Violation]:
     for cusp in judged.path.cusps:
         yield from _no_rest(judged, problem.robot.limits, cusp)
     if np.isfinite(problem.robot.limits.max_steering_rate):
-        yield from _unsteered(judged, problem.robot.limits)
+        yield from _unsteered(judged, problem)
 
 
 def _no_rest(judged: _Judged, limits: MotionLimits, cusp: float) -> Iterator[Violation]:
@@ -815,14 +815,21 @@ def _no_rest(judged: _Judged, limits: MotionLimits, cusp: float) -> Iterator[Vio
         yield Violation("rest", message, cusp, float(missing[k]))
 
 
-def _unsteered(judged: _Judged, limits: MotionLimits) -> Iterator[Violation]:
-    """Whether the samples before and behind a cusp are too close together in time for the wheels to turn there.
+def _unsteered(judged: _Judged, problem: DockingProblem) -> Iterator[Violation]:
+    """Whether the samples at the start, or before and behind a cusp, are too close together for the wheels to turn.
 
     The ends of a polyline have the curvature of a difference quotient, so only clothoids are asked.
     """
-    path, motion, slack = judged.path, judged.motion, 2.0 * judged.slack
+    path, motion, slack, limits = judged.path, judged.motion, 2.0 * judged.slack, problem.robot.limits
     needed = limits.steering_times(path.joint_curvatures)
     exact = [isinstance(segment, ClothoidSegment) for segment in path.segments]
+    under_way = np.flatnonzero(judged.s > slack)
+    if exact[0] and under_way.size:
+        wait, t = problem.start_wait(path), motion.t[under_way[0]]
+        missing = float(wait * (1.0 - _STEERED) - (t - motion.t[0]) - 2.0 * judged.rounding.time - _ARITHMETIC)
+        if missing > 0.0:
+            message = f"start: the wheels turn for {wait:.4g} s, the robot is under way at t = {t:.3f} s"
+            yield Violation("rest", message, 0.0, missing)
     for i in (i for i in range(needed.size) if exact[i] and exact[i + 1]):
         before = np.flatnonzero(judged.s < path.cusps[i] - slack)
         behind = np.flatnonzero(judged.s > path.cusps[i] + slack)

@@ -18,7 +18,8 @@ and of steered wheels, at wheelbase L, the steering angle atan(u), u = L k, turn
     f'' = u'''/(1 + u^2) - 6 u u' u''/(1 + u^2)^2 + u'^3 (6 u^2 - 2)/(1 + u^2)^3
     |f''| <= |u'''| + 2 |u' u''| + 2 |u'|^3,   u' = L r v, u'' = L r a, u''' = L r j.
 
-Where the curvature jumps between two segments the wheels turn at rest, and the rest must be long enough for that.
+Where the curvature jumps between two segments the wheels turn at rest, and the rest must be long enough for that; so
+must the rest at the start, where they may stand at any angle.
 
 A turn in place is driven over the path coordinate, so its yaw rate, acceleration and jerk are the time law's own: exact
 extremes, against limits of their own (`MotionLimits.turning`). The phases between the rests at its ends are the turn's.
@@ -79,14 +80,14 @@ def trajectory_violations(
     trajectory: Trajectory,
     limits: MotionLimits,
     zone: SpeedZone,
-    start: tuple[float | None, float | None],
+    start: tuple[float | None, float | None, float],
     is_late: Callable[[], bool],
 ) -> tuple[tuple[Violation, ...], dict[str, float]]:
     """Every broken rule, and the proven ratio of each quantity to its limit; see `certify_trajectory`."""
     path, law = trajectory.path, trajectory.time_law
     extremes = _speed_extremes(law)
-    waits = _waits(trajectory, limits)
-    structure = (*_coverage(trajectory, extremes), *_rest(trajectory), *_too_short(waits), *_start(law, *start))
+    waits = _waits(trajectory, limits, start[2])
+    structure = (*_coverage(trajectory, extremes), *_rest(trajectory), *_too_short(waits), *_start(law, *start[:2]))
     if any(v.kind == "coverage" for v in structure):
         return structure, {}
     stretches, judge = _segment_limits(path, limits, zone), _Judge(limits)
@@ -228,16 +229,18 @@ class _Wait(NamedTuple):
         return self.needed / self.given if self.given > 0.0 else np.inf
 
 
-def _waits(trajectory: Trajectory, limits: MotionLimits) -> list[_Wait]:
-    """Where the wheels are turned at rest, by more than the tolerance.
+def _waits(trajectory: Trajectory, limits: MotionLimits, start_wait: float) -> list[_Wait]:
+    """Where the wheels are turned at rest, by more than the tolerance: at the start and at cusps.
 
     A phase at rest lies between two borders at rest: its acceleration, linear, is none within it, nor is its speed.
     Cusps that one border may stand for share the phases there, so what they need is added up.
     """
     law, path = trajectory.time_law, trajectory.path
-    if not (limits.max_steering_rate < np.inf and path.cusps):
+    cusps = path.cusps if limits.max_steering_rate < np.inf else ()
+    if not (cusps or start_wait > 0.0):
         return []
-    places, needed = np.array(path.cusps), limits.steering_times(path.joint_curvatures)
+    turned = limits.steering_times(path.joint_curvatures) if cusps else ()
+    places, needed = np.array([0.0, *cusps]), np.array([start_wait, *turned])
     still = np.max(np.abs(law.states[:, 1:]), axis=1) <= REST_TOLERANCE
     waits = []
     for group in np.split(np.arange(places.size), np.flatnonzero(np.diff(places) > 2.0 * REST_TOLERANCE) + 1):
@@ -253,9 +256,8 @@ def _waits(trajectory: Trajectory, limits: MotionLimits) -> list[_Wait]:
 def _too_short(waits: Sequence[_Wait]) -> Iterator[Violation]:
     for s, needed, given in waits:
         if not given >= needed * (1.0 - TOLERANCE):
-            message = (
-                f"the wheels take {needed:.4g} s to turn at the cusp s = {s:.4f} m, the motion rests {given:.4g} s"
-            )
+            where = f"at the cusp s = {s:.4f} m" if s > 0.0 else "at the start"
+            message = f"the wheels take {needed:.4g} s to turn {where}, the motion rests {given:.4g} s"
             yield Violation("rest", message, s, needed - given)
 
 

@@ -206,6 +206,36 @@ RING = [
 ]
 
 
+class Prophet(GlobalPlanner, Smoother):
+    """Says that there is no way, with whatever it has for a proof."""
+
+    proof = None
+
+    def create_plan(self, start, goal, cancel_checker=lambda: False):
+        raise NoMotionExists("no way", proof=self.proof)
+
+    def smooth(self, path, max_time, **what):
+        raise NoMotionExists("no way", proof=self.proof)
+
+
+def test_nobody_says_that_no_motion_exists_without_a_proof():
+    walled = problem(obstacles=RING)
+    with pytest.raises(NoMotionExists) as caught:
+        plan_dock(walled, time_budget=BUDGET)
+    proof = caught.value.proof
+    for claimed in (None, "believe me", proof):
+        planner = Prophet()
+        planner.proof = claimed
+        for chosen in ({"planner": planner}, {"planner": (planner, "DockPlanner")}, {"smoother": planner}):
+            with pytest.raises(PluginError, match="says that no motion exists, without a proof that holds"):
+                plan_dock(problem(), time_budget=BUDGET, **chosen)
+    holds = Prophet()
+    holds.proof = proof
+    with pytest.raises(NoMotionExists) as caught:
+        plan_dock(walled, time_budget=BUDGET, planner=holds)
+    assert caught.value.proof is proof
+
+
 def test_a_dock_behind_walls_is_proven_out_of_reach():
     task = problem(obstacles=RING)
     with pytest.raises(NoMotionExists, match="no motion joins start and goal") as caught:

@@ -104,7 +104,8 @@ def judged(case: Case, motion: Motion) -> Judgement:
     """What a motion really does, against the limits, the zone and the rules of `case`.
 
     Args:
-        case: Holds `law`, `limits`, `zone`, `start_speed` or None, and `start_acceleration` where it is known.
+        case: Holds `law`, `limits`, `zone`, `start_speed` or None, `start_acceleration` where it is known, and
+            `wheels` "unknown" where steered wheels may stand at any angle at the start.
         motion: The path.
     """
     law = _law(case["law"])
@@ -303,19 +304,27 @@ def _unrest(law: _Law, s: float, first: int = 0) -> float:
 
 
 def _steered(case: Case, motion: Motion, law: _Law) -> list[float]:
-    """At every cusp, what the wheels need beyond the rest there, over twice what rounding forgives of it."""
+    """At the start and every cusp, what the wheels need beyond the rest there, over twice what rounding forgives."""
     rate, wheelbase = case["limits"].get("max_steering_rate", math.inf), case["limits"].get("wheelbase", 0.0)
     if math.isinf(rate):
         return []
     dt = law.width / 2.0
     fastest = np.maximum(np.abs(law.at(np.arange(dt.size), dt)[1]), np.maximum(np.abs(law.v[:-1]), np.abs(law.v[1:])))
-    found = []
+    turns = []
+    if case.get("wheels") == "unknown":
+        first, most = motion.segments[0], case["limits"].get("max_steering_angle", math.inf)
+        if math.isinf(most):
+            most = math.atan(wheelbase * case["limits"].get("max_curvature", math.inf))
+        turns.append((first, most + abs(math.atan(wheelbase * float(motion.k0[first.first])))))
     for before, after in itertools.pairwise(motion.segments):
         angles = [
             math.atan(wheelbase * one.gear * float(k))
             for one, k in ((before, motion.k1[before.stop - 1]), (after, motion.k0[after.first]))
         ]
-        needed = abs(angles[1] - angles[0]) / rate
+        turns.append((after, abs(angles[1] - angles[0])))
+    found = []
+    for after, turn in turns:
+        needed = turn / rate
         near = (np.abs(law.s[:-1] - after.start_s) <= 2.0 * _REST) & (np.abs(law.s[1:] - after.start_s) <= 2.0 * _REST)
         given = float(np.sum(law.width[near & (fastest <= 2.0 * _REST)]))
         found.append(0.0 if needed <= _REST else (needed - given) / (_REST * needed))

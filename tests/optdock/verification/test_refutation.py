@@ -104,7 +104,7 @@ STEERED = dataclasses.replace(LIMITS, wheelbase=0.6, max_steering_rate=0.4)
 def steered_problem(path, zone=ZONE):
     robot = Robot(Footprint.rectangle(0.4, 0.4, 0.6), STEERED, Drive.ACKERMANN)
     dock = Dock(path.end, approach_speed=zone.speed, approach_distance=zone.distance)
-    return DockingProblem(path.start, dock, robot)
+    return DockingProblem(path.start, dock, robot, start_curvature=float(path.curvature_at(0.0)[0]))
 
 
 def unsteered_gears(bend, kept=0.5):
@@ -678,7 +678,23 @@ def test_samples_tell_that_the_wheels_had_no_time_to_turn(share, refuted):
     assert law.durations[waits].sum() == pytest.approx(2.0 * np.arctan(0.8 * bend))
     hasty = Trajectory(path, TimeLaw(law.durations * np.where(waits, share, 1.0), law.jerks))
     robot = Robot(Footprint.rectangle(0.4, 0.4, 0.6), limits, Drive.ACKERMANN)
-    found = check_sampled_motion(
-        TrajectoryColumns.from_trajectory(hasty, 0.02), path, DockingProblem(path.start, Dock(path.end), robot)
-    )
+    begins = float(path.curvature_at(0.0)[0])
+    problem = DockingProblem(path.start, Dock(path.end), robot, start_curvature=begins)
+    found = check_sampled_motion(TrajectoryColumns.from_trajectory(hasty, 0.02), path, problem)
     assert {violation.kind for violation in found.violations} == ({"rest"} if refuted else set())
+
+
+@pytest.mark.parametrize(("share", "refuted"), [(1.0, False), (1.2, False), (0.9, True), (0.0, True)])
+def test_samples_tell_that_the_wheels_had_no_time_to_turn_at_the_start(share, refuted):
+    """Where nobody knows how they stand there."""
+    path = curve([0.0, 0.5, 1.5], [0.4, 0.3, 0.0])
+    known = steered_problem(path)
+    free = known.starting_at(known.start)
+    wait = STEERED.start_wait(path)
+    assert known.start_wait(path) == 0.0
+    assert free.start_wait(path) == wait
+    motion = TIMER.parameterize(path, STEERED, ZONE, start_wait=share * wait).trajectory
+    columns = TrajectoryColumns.from_trajectory(motion, 0.02)
+    assert messages(columns, path, known) == []
+    kinds = {violation.kind for violation in check_sampled_motion(columns, path, free).violations}
+    assert kinds == ({"rest"} if refuted else set())
