@@ -26,6 +26,7 @@ from optdock.limits import MotionLimits, SpeedZone
 from optdock.outcomes import BehaviorResult, BehaviorStatus, TimingResult, TimingStatus
 from optdock.path import Path
 from optdock.pipeline import plan_dock
+from optdock.plan_file_verdict import PlanFileVerdict
 from optdock.problem import DockingProblem
 from optdock.replanning import Replanned, ReplanOutcome
 from optdock.robot import Robot
@@ -113,6 +114,7 @@ def is_verdict(kind):
 VERDICTS = [
     *(Certificate, TrajectoryCertificate, ImpossibilityVerdict, ClearanceProof, SampledMotionVerdict, StillHolds),
     *(Verdict, PlanResult, EndingKind, Ending, Replanned, Replay, Run, RunColumns, DenseReport),
+    PlanFileVerdict,
     *(TimingStatus, TimingResult, BehaviorStatus, BehaviorResult, StartVerdict),
 ]
 
@@ -168,6 +170,7 @@ def judged():
         TimingResult: (TimingResult(TimingStatus.OK, timed), TimingResult(TimingStatus.TIMED_OUT, None)),
         BehaviorStatus: (BehaviorStatus.SUCCEEDED, BehaviorStatus.FAILED),
         BehaviorResult: (BehaviorResult(BehaviorStatus.SUCCEEDED), BehaviorResult(BehaviorStatus.RUNNING)),
+        PlanFileVerdict: (PlanFileVerdict("certified", ()), PlanFileVerdict("refuted", ())),
         StartVerdict: (StartVerdict(None), StartVerdict(SegmentPlan(TimingStatus.BAD_START, how="none"))),
     }
 
