@@ -59,7 +59,8 @@ def _compared(case: Case, root: Path, errors: list[str]) -> Verdict:
     status = _STATUSES.get(result.exit_code)
     if status is None:
         return Verdict("untyped exception", f"exit status {result.exit_code}: {result.output[-200:]}")
-    if any(errors) != (status == "bad input"):
+    contradicts = not any(errors) and "plan.json: " in result.output  # parts that are each in order by themselves
+    if any(errors) != (status == "bad input") and not contradicts:
         return Verdict("untyped exception", f"doors disagree: certify says {status}; loading says {errors}")
     return _expected(case, status, errors) or Verdict(status)
 

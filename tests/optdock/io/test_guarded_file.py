@@ -20,6 +20,7 @@ from optdock.io.guarded_file import MostBytes, check_regular, parse_json, read_b
 from optdock.io.maps import load_map
 from optdock.io.parking_cases import load_obca, load_tpcap
 from optdock.io.plan_file import load_plan
+from optdock.io.quoting import shown
 from optdock.io.run_file import load_run
 from optdock.nav2.docks import load_dock_database
 from optdock.nav2.params import load_nav2_params
@@ -151,6 +152,8 @@ from pathlib import Path
 sys.path.insert(0, sys.argv[1])
 import test_guarded_file
 from optdock.errors import InvalidFile
+resource.setrlimit(resource.RLIMIT_AS, (3 << 30, 3 << 30))
+resource.setrlimit(resource.RLIMIT_CPU, (60, 60))
 found = {}
 for name, reader, file in json.loads(sys.argv[2]):
     began, said = time.process_time(), ""
@@ -260,6 +263,12 @@ def test_a_message_quotes_no_more_than_the_beginning_of_a_value(tmp_path, load):
     with pytest.raises(InvalidFile) as refused:
         load(tmp_path / "a")
     assert "y" * 100 not in str(refused.value)
+
+
+def test_any_value_is_quoted_on_one_short_line():
+    for value in ("y" * 1000, ["y"] * 1000, {"y": "y" * 1000}, 10**5000, b"y" * 1000, "\n" * 1000):
+        assert len(shown(value)) <= 63
+        assert "\n" not in shown(value)
 
 
 def test_a_recording_with_a_pipe_in_its_folder_is_refused(tmp_path):
