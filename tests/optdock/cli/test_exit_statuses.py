@@ -54,7 +54,7 @@ def test_what_a_script_may_rely_on(error, status):
 def test_the_table_is_whole():
     assert set(EXIT_STATUSES) == set(ExitStatus)
     assert [int(status) for status in ExitStatus] == [0, 1, 2, 3, 4, 5]
-    assert set(status for _, status in _STATUSES) | {ExitStatus.CERTIFIED, ExitStatus.UNEXPECTED} == set(ExitStatus)
+    assert {status for _, status in _STATUSES} | {ExitStatus.CERTIFIED, ExitStatus.UNEXPECTED} == set(ExitStatus)
 
 
 def test_the_help_says_what_every_status_means():
