@@ -89,7 +89,10 @@ def _duration(path: Path, problem: DockingProblem, choice: PluginChoice) -> floa
     """None where the limits allow no motion along the path, as at a corner."""
     try:
         speed, acceleration = problem.start_state(int(path.segments[0].direction))
-        return timed_by(choice, path, problem, start_speed=speed, start_acceleration=acceleration).duration
+        wait = problem.start_wait(path)
+        return timed_by(
+            choice, path, problem, start_speed=speed, start_acceleration=acceleration, start_wait=wait
+        ).duration
     except FailedToTimePath:
         return None
 

@@ -178,12 +178,14 @@ class TimeParameterizer(Plugin):
         *,
         start_speed: float = 0.0,
         start_acceleration: float = 0.0,
+        start_wait: float = 0.0,
         max_time: float = math.inf,
         cancel_checker: Callable[[], bool] = never_cancelled,
     ) -> TimingResult:
         """The time law of `path` under `limits`, at rest at every cusp and at the end.
 
-        What is OK passes `certify_trajectory`. Little time makes slower motions, too little none: TIMED_OUT.
+        What is OK passes `certify_trajectory`. Little time makes slower motions, too little none: TIMED_OUT. Callers
+        pass `start_wait` only where it is more than 0.
 
         Args:
             path: Where to drive.
@@ -191,11 +193,13 @@ class TimeParameterizer(Plugin):
             zone: Slow stretch at the end of the path.
             start_speed: Speed along the travel at the start, >= 0 in either gear [m/s].
             start_acceleration: Acceleration along the travel at the start [m/s^2].
+            start_wait: How long the motion rests at its start before it sets off, because steered wheels are turned
+                there [s]; a start in motion then has no motion, FAIL.
             max_time: Wall-clock seconds for the whole call; none left, 0 or less, is TIMED_OUT.
             cancel_checker: Polled at least every 5 ms.
 
         Raises:
-            InvalidValue: `max_time` or the start state is no number.
+            InvalidValue: `max_time`, the start state or `start_wait` is no number, or the wait negative.
             TimingCancelled: `cancel_checker` returned True.
         """
 

@@ -55,7 +55,15 @@ from optdock.plugins import PluginChoice, plugin_from
 from optdock.problem import ClearanceRule, DockingProblem
 from optdock.refinement import Cancellation, Refinement, Stopwatch, at_work, plain, ran_out_of_time, returned
 from optdock.robot import Robot
-from optdock.verification import TOLERANCE, ImpossibilitySearch, end_clearances, pose_clearances, prove_impossible
+from optdock.verification import (
+    TOLERANCE,
+    ImpossibilityProof,
+    ImpossibilitySearch,
+    check_impossibility,
+    end_clearances,
+    pose_clearances,
+    prove_impossible,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Generator, Iterator
@@ -283,6 +291,7 @@ def _margin(budget: float) -> float:
 
 
 _END = object()  # of a planner's guesses
+_UNPROVEN = "{} says that no motion exists, without a proof that holds"
 
 
 class _Failure(NamedTuple):
@@ -429,6 +438,11 @@ class _Portfolio:
             raise PlannerTimedOut(late) from error
         except PlannerTimedOut as error:
             raise PlannerTimedOut(late, where=error.where) from error
+        except NoMotionExists as error:
+            proof = error.proof
+            if type(proof) is ImpossibilityProof and check_impossibility(proof, self.problem):
+                raise
+            raise PluginError(_UNPROVEN.format(type(planner).__name__)) from error
         if self.deadline.passed():
             raise PlannerTimedOut(late)
         return found
@@ -459,6 +473,9 @@ class _Portfolio:
         left, began = PartialPlan(timing_ms=self.so_far.timing_ms), self.deadline.elapsed
         try:
             plan = self.refinement.refined(guess.path, left, most, is_given=guess.stage == "given")
+        except NoMotionExists as error:  # of the smoother or the time parameterizer, which look for no proof
+            names = " or ".join(type(plugin).__name__ for plugin in self.plugins[1:])
+            raise PluginError(_UNPROVEN.format(names)) from error
         except OptdockError as error:
             stage = next((stage for kind, stage in _STAGES if isinstance(error, kind)), None)
             if isinstance(error, Cancelled) or (stage is None and self.best is None):

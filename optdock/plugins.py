@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from functools import cache
 from importlib.machinery import PathFinder
 from importlib.metadata import EntryPoint, entry_points
-from typing import TYPE_CHECKING, NamedTuple, TypeVar
+from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
 
 from optdock.errors import InvalidValue, OptdockError, PluginError
 from optdock.geometry.checked import instance
@@ -196,7 +196,7 @@ def plugin_from(interface: type[P], asked: str | PluginChoice | P, role: str) ->
     raise InvalidValue(f"{role}: must be a {interface.__name__} or the name of one, got {type(asked).__name__}")
 
 
-def timed_by(
+def timed_by(  # noqa: PLR0913 - a path, a method, and how the motion begins
     timing: str | PluginChoice | TimeParameterizer,
     path: Path,
     problem: DockingProblem | None,
@@ -204,6 +204,7 @@ def timed_by(
     zone: SpeedZone | None = None,
     start_speed: float = 0.0,
     start_acceleration: float = 0.0,
+    start_wait: float = 0.0,
 ) -> Trajectory:
     """The motion along a path by a time parameterizer, under the limits of a problem; nothing proves it here.
 
@@ -214,6 +215,7 @@ def timed_by(
         zone: Slow stretch at the end; None: that of the problem's dock.
         start_speed: Along the travel, >= 0 in either gear [m/s].
         start_acceleration: Likewise [m/s^2].
+        start_wait: How long it rests at the start, because steered wheels are turned there [s].
 
     Raises:
         FailedToTimePath: The method has no motion from this start that keeps the limits.
@@ -223,6 +225,7 @@ def timed_by(
     """
     parameterizer = plugin_from(TimeParameterizer, timing, "timing")
     limits, approach = (problem.robot.limits, problem.dock.approach) if problem else (MotionLimits(), SpeedZone())
+    waits: dict[str, Any] = {"start_wait": start_wait} if start_wait > 0.0 else {}
     parameterizer.configure(PluginContext(name=parameterizer.name, problem=problem))
     try:
         result = parameterizer.parameterize(
@@ -231,6 +234,7 @@ def timed_by(
             approach if zone is None else zone,
             start_speed=start_speed,
             start_acceleration=start_acceleration,
+            **waits,
         )
     finally:
         parameterizer.cleanup()

@@ -32,6 +32,7 @@ if TYPE_CHECKING:
     from optdock.costmap.costs import CostArray
     from optdock.geometry.arrays import FloatArray
     from optdock.geometry.footprint import Footprint
+    from optdock.path import Path
 
 __all__ = ["ClearanceRule", "DockingProblem"]
 
@@ -128,7 +129,8 @@ class DockingProblem(FrozenArrays):
         clearance: How far it must stay away, wherever in its tracking tube it is: a `ClearanceRule`, or one number [m]
             that holds everywhere, also at the dock.
         start_speed: Speed at the start, signed, negative in reverse [m/s].
-        start_curvature: Curvature at the start along the travel [1/m]; None leaves it free.
+        start_curvature: Curvature at the start along the travel [1/m], with which the path begins. None leaves it free:
+            steered wheels may then stand at any angle, and the motion waits for them at rest (`start_wait`).
         start_acceleration: Derivative of the signed speed at the start [m/s^2]: below 0 it slows down in forward gear,
             or speeds up in reverse. Paths are planned without it; the motion begins with it. What is left of rest by
             rounding counts as rest.
@@ -301,6 +303,13 @@ class DockingProblem(FrozenArrays):
         """
         sign = math.copysign(1.0, self.start_speed) if self.start_speed != 0.0 else float(gear or 1)
         return abs(self.start_speed), sign * self.start_acceleration
+
+    def start_wait(self, path: Path) -> float:
+        """How long a motion along `path` must rest at its start until steered wheels stand as the path begins [s].
+
+        0 where `start_curvature` says how they stand, which the path then begins with; see `MotionLimits.start_wait`.
+        """
+        return self.robot.limits.start_wait(path) if self.start_curvature is None else 0.0
 
     @functools.cached_property
     def path_clearance(self) -> ClearanceRule:

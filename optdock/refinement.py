@@ -6,7 +6,7 @@ import contextlib
 import logging
 import time
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 from optdock.errors import (
     Cancelled,
@@ -247,6 +247,8 @@ class Refinement:
             raise TimingTimedOut(ran_out_of_time("timing", self.budget))
         limits, zone = self.problem.robot.limits, self.problem.dock.approach
         speed, acceleration = self.problem.start_state(int(path.segments[0].direction))
+        wait = self.problem.start_wait(path)
+        waits: dict[str, Any] = {"start_wait": wait} if wait > 0.0 else {}
         with at_work(method, self.problem, self.cancelled):
             result = method.parameterize(
                 path,
@@ -256,6 +258,7 @@ class Refinement:
                 start_acceleration=acceleration,
                 max_time=allowance,
                 cancel_checker=self.cancelled,
+                **waits,
             )
         returned(result, TimingResult, method)
         returned(result.status, TimingStatus, method, "the status of its result")

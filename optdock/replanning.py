@@ -544,7 +544,8 @@ class _Replanning:
     def _from_joint(self, joint: _Joint) -> DockingProblem:
         """The problem of a robot at the joint."""
         limits = self.world.robot.limits
-        free = joint.rests and not math.isfinite(limits.max_steering_rate)
+        turning = self._steered(joint.time) > joint.time  # a clock that stands does not wait until they are turned
+        free = joint.rests and (turning or not math.isfinite(limits.max_steering_rate))
         curvature = None
         if not free and joint.gear != 0:
             curvature = float(self.plan.path.curvature_at(joint.s)[0])

@@ -53,12 +53,13 @@ def failed_plan_file(error: OptdockError, frame: str) -> PlanFile:
     Such a path, the best of a search that failed, is for looking at; a file is for driving.
     """
     so_far, proof = PartialPlan.left_by(error), getattr(error, "proof", None)
+    judged = so_far.certificate is not None and proof is None  # beside a proof that there is no path no path stands
     return PlanFile(
         status=type(error).__name__,
         frame=frame,
         raw_path=so_far.raw_path,
-        path=so_far.path if so_far.certificate is not None else None,
-        certificate=so_far.certificate.as_dict() if so_far.certificate is not None else None,
+        path=so_far.path if judged else None,
+        certificate=so_far.certificate.as_dict() if judged and so_far.certificate is not None else None,
         timing_ms=so_far.timing_ms,
         tried=tuple(attempt.as_dict() for attempt in so_far.tried),
         error=PlanError.from_exception(error),
@@ -126,15 +127,17 @@ def _spoken(name: str) -> str:
     return name.removeprefix("max_").replace("_", " ")
 
 
-def run_rows(run: Run, deviations: Deviations | None = None) -> list[Row]:
-    """A simulated run in a few lines.
+def run_rows(run: Run, deviations: Deviations | None = None, left: str = "") -> list[Row]:
+    """A simulated run in a few lines, the first of them saying where it left what is proven.
 
     Args:
         run: The run.
         deviations: Of its poses from the certified path; None where there is none.
+        left: In what its poses left what is proven, see `beyond_proof`; empty where they did not.
     """
     error = run.final_error
     rows = [
+        *([Row("NOT AS PROVEN", left)] if left else []),
         Row("docked", ("yes" if run.docked else f"no: {run.reason}") if not run.collided else f"no, {run.fault}"),
         Row("final error", f"along {1e3 * error.x:+.2f} mm, cross {1e3 * error.y:+.2f} mm, yaw {error.yaw:+.5f} rad"),
         Row("largest error", _largest_error(run.errors)),
@@ -142,7 +145,7 @@ def run_rows(run: Run, deviations: Deviations | None = None) -> list[Row]:
     ]
     if run.verdicts:
         said = (f"{name}: {'reached' if reached else 'not reached'}" for name, reached in run.verdicts.items())
-        rows.insert(1, Row("goal checkers", ", ".join(said)))
+        rows.insert(2 if left else 1, Row("goal checkers", ", ".join(said)))
     if run.min_clearance is not None:
         rows.append(Row("min clearance driven", f"{run.min_clearance:.4f} m"))
     if deviations is not None:

@@ -7,6 +7,7 @@ direct transcription in `experiments/benchmarks/timing_reference.py`.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, NamedTuple, TypeVar
 
@@ -29,6 +30,7 @@ __all__ = [
     "TrajectorySamples",
     "TrajectoryState",
     "border_states",
+    "braking_phases",
     "constant_jerk",
 ]
 
@@ -74,6 +76,29 @@ def border_states(durations: FloatArray, jerks: FloatArray, start: tuple[float, 
     np.cumsum(durations * (v[:-1] + durations * (0.5 * a[:-1] + gain / 6.0)), out=s[1:])
     s += start[0]
     return states
+
+
+def braking_phases(v: float, a: float, deceleration: float, jerk: float) -> tuple[tuple[float, float], ...]:
+    """Full braking to rest in closed form, as phases (duration [s], jerk [m/s^3]): -J to -D, hold, +J to rest.
+
+    From a state that need not roll backwards: v >= 0, and v >= a^2 / (2 J) where a < 0. Leading the acceleration from a
+    to -b and on to 0 changes the speed by (a^2 - 2 b^2) / (2 J); the largest b is the deceleration, and what is left of
+    the speed then is braked off at b. A deceleration beyond it is led back first.
+
+    Args:
+        v: Speed along the travel [m/s].
+        a: Acceleration along it [m/s^2].
+        deceleration: D, the largest [m/s^2].
+        jerk: J, the largest [m/s^3].
+    """
+    if a < -deceleration:
+        spare = max(0.0, v - 0.5 * a * a / jerk)  # after +J straight to rest; held at -D, where +J passes it
+        phases = ((-deceleration - a) / jerk, jerk), (spare / deceleration, 0.0), (deceleration / jerk, jerk)
+    else:
+        brake = min(deceleration, math.sqrt(max(0.0, jerk * v + 0.5 * a * a)))
+        hold = max(0.0, v + (0.5 * a * a - brake * brake) / jerk) / deceleration if brake == deceleration else 0.0
+        phases = ((a + brake) / jerk, -jerk), (hold, 0.0), (brake / jerk, jerk)
+    return tuple(phase for phase in phases if phase[0] > 0.0)
 
 
 @dataclass(frozen=True, eq=False, repr=False)

@@ -14,12 +14,14 @@ ALL = (
     "paths",
     "trajectories",
     "timings",
+    "limits",
     "plans",
     "replans",
     "measured",
     "decisions",
     "impossibilities",
     "files",
+    "damaged_files",
     "values",
 )
 

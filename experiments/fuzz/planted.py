@@ -116,6 +116,15 @@ def _one_new_obstacle_less(honest: Callable[..., Any]) -> Callable[..., Any]:
     return mistaken
 
 
+def _lateral_jerk_of_another_order(honest: Any) -> dict[str, Any]:  # noqa: ANN401
+    row = honest["max_lateral_jerk"]
+    return {**honest, row.name: row._replace(size=lambda at, _: np.abs(at.v * (at.a * at.k + at.v * at.v * at.r)))}
+
+
+def _no_bend_of_lateral_jerk(honest: dict[str, Any]) -> dict[str, Any]:
+    return {**honest, "max_lateral_jerk": lambda most, _: 0.0 * most.v}
+
+
 PLANTS: dict[str, Plant] = {
     "tolerance_x5": Plant(conservative_advancement, "TOLERANCE", _five_times),
     "first_order_centimetre": Plant(conservative_advancement, "_directional", _centimetre_more),
@@ -132,4 +141,6 @@ PLANTS: dict[str, Plant] = {
     "curvature_x5": Plant(path_rules, "EXACT_RTOL", _five_times),
     "always_true": Plant(certificate.Certificate, "__bool__", _true),
     "rest_x5": Plant(trajectory_rules, "REST_TOLERANCE", _five_times),
+    "lateral_jerk_order": Plant(trajectory_rules, "LIMITS", _lateral_jerk_of_another_order),
+    "lateral_jerk_at_ends_only": Plant(trajectory_rules, "_BENDS", _no_bend_of_lateral_jerk),
 }

@@ -136,6 +136,7 @@ def _time_faults(plan: DockPlan, gears: list[Spec], spec: Spec, motion: Motion) 
         "limits": spec["limits"],
         "zone": spec["zone"],
         "start_speed": abs(spec["start_speed"]),
+        "wheels": "unknown" if spec.get("start_curvature") is None else "known",
     }
     verdict = judged(timed, motion)
     values = {**verdict.ratios, **verdict.structure}

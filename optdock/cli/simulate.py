@@ -12,7 +12,6 @@ import typer
 
 from optdock.cli.common import (
     METRES,
-    NOT_CERTIFIED,
     RADIANS,
     SECONDS,
     BudgetOption,
@@ -25,6 +24,7 @@ from optdock.cli.common import (
     spare,
     working,
 )
+from optdock.cli.exit_status import ExitStatus
 from optdock.cli.plan import PlanOutputs, draw_profile, solved, write
 from optdock.errors import InvalidValue
 
@@ -43,7 +43,7 @@ class World(NamedTuple):
     Args:
         position_noise: Standard deviation of the measured x and y [m]; a docking sensor at close range has about this.
         yaw_noise: Standard deviation of the measured yaw [rad].
-        lag: Time constant with which speed and yaw rate follow their commands [s].
+        lag: Time constant with which speed and yaw rate, or the steering of a car, follow their commands [s].
         latency: Delay of the commands [s], taken to the nearest quarter of the control period.
     """
 
@@ -76,10 +76,14 @@ def simulate(  # noqa: PLR0913 - one parameter per option
     ] = None,
     verbose: VerboseOption = False,
 ) -> None:
-    """Plan, then drive the plan in closed loop with lag, latency and noise; say how exactly the robot ends."""
+    """Plan, then drive the plan in closed loop with lag, latency and noise; say how exactly the robot ends.
+
+    A run that does not dock, that collides, or that leaves what the certificate proves ends with status 3.
+    """
     with reported(verbose=verbose):
         from optdock.config import load_scenario
         from optdock.report import run_rows, table
+        from optdock.simulation import beyond_proof
 
         world = _checked(World(position_noise, yaw_noise, lag, latency))
         checked_positive("--time-budget", time_budget, "s")
@@ -91,8 +95,9 @@ def simulate(  # noqa: PLR0913 - one parameter per option
         run = driven(loaded, plan, seed, world)
         _write(loaded, run, seed, out, (plot, gif))
         files = ", ".join(str(one) for one in (out, plot, gif) if one)
-        typer.echo(table([*run_rows(run, _deviations(plan, run)), ("written", files)]))
-        _refuse_fault(run)
+        left = beyond_proof(plan.path, plan.problem, plan.certificate, run.poses)
+        typer.echo(table([*run_rows(run, _deviations(plan, run), left), ("written", files)]))
+        _refuse_fault(run, left)
 
 
 def demo(
@@ -109,6 +114,7 @@ def demo(
     with reported(verbose=verbose):
         from optdock.config import load_scenario
         from optdock.report import limit_rows, plan_rows, run_rows, table
+        from optdock.simulation import beyond_proof
 
         check_picture("--out", out / "plan.png")
         scenario = load_scenario(_demo_files(out))
@@ -123,10 +129,11 @@ def demo(
             _write(scenario, run, 0, out / "run.json", (out / "run.png", out / "run.gif"))
             advance("driven")
         limits = limit_rows(scenario.problem.robot.limits, scenario.default_limits)
-        typer.echo(table([*plan_rows(plan), *limits, *run_rows(run, _deviations(plan, run))]))
+        left = beyond_proof(plan.path, plan.problem, plan.certificate, run.poses)
+        typer.echo(table([*plan_rows(plan), *limits, *run_rows(run, _deviations(plan, run), left)]))
         typer.echo(f"\nThe scenario, the plan, the run and their pictures are in {out}. Next, for example:")
         typer.echo(f"  {_program()} plan {out / 'scenario.yaml'} --plot plan.png")
-        _refuse_fault(run)
+        _refuse_fault(run, left)
 
 
 def _program() -> str:
@@ -170,15 +177,17 @@ def _write(scenario: Scenario, run: Run, seed: int, out: Path, pictures: tuple[P
         save_animation(animation, scenario.problem, run.times, run.poses)
 
 
-def _refuse_fault(run: Run) -> None:
-    """Leave with a line on stderr where a run did not dock, or collided on its way.
+def _refuse_fault(run: Run, left: str) -> None:
+    """Leave with a line on stderr where a run did not dock, collided on its way, or left what is proven.
 
     Raises:
         Exit: There is a fault.
     """
-    if run.fault:
-        typer.echo(run.fault, err=True)
-        raise typer.Exit(NOT_CERTIFIED)
+    faults = [*([run.fault] if run.fault else []), *([f"left what is proven: {left}"] if left else [])]
+    for fault in faults:
+        typer.echo(fault, err=True)
+    if faults:
+        raise typer.Exit(ExitStatus.NOT_CERTIFIED)
 
 
 def driven(scenario: Scenario, plan: DockPlan, seed: int, world: World = _USUAL) -> Run:

@@ -9,6 +9,9 @@ A limit that speed and turn share (wheels, lateral acceleration, yaw rate of ste
 a speed that rises goes on rising until its acceleration has come down at the largest jerk, and the turn needs time to
 give way. A command is given only where both together stay within the limit until then, so that the next one can do
 the same. The speed gives way first, then the turn. A motion within the limits is one such future itself: it passes.
+
+The lateral jerk is kept by the turn alone, which changes no faster than it allows; the limits above come first, and so
+does braking in a bend, which no turn makes good without leaving the bend.
 """
 
 from __future__ import annotations
@@ -18,6 +21,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 from optdock.geometry.pose import Twist2
 from optdock.robot import Drive, admissible
+from optdock.trajectory import braking_phases, constant_jerk
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -31,6 +35,7 @@ _ROUNDING = 1e-15  # [m/s]: of a command that is to be the wanted one; a robot a
 _CREEPING = 0.005  # [m/s]: a slower command says too little of the angle of steered wheels
 _SAME_ARC = 1.5  # times as fast as wanted: beyond, the wanted speed was feedback, whose arc means nothing
 _EXACT = 1.0 + 1e-12  # a motion at its limits is not beyond them by rounding
+_NO_JERK = 1e-6  # of the limit: rounding of what a target leaves
 _HALVINGS = 40  # to a rounding error
 _QUARTER = 1.57  # [rad]: wheels turn no further
 
@@ -51,6 +56,7 @@ class CommandLimiter:
         self._acceleration = 0.0
         self._period = 0.0
         self._feed_forward: float | None = None
+        self._feed_slope: float | None = None
         moving = abs(command.linear) >= _CREEPING
         self._curvature = command.angular / command.linear if moving else None
 
@@ -58,7 +64,7 @@ class CommandLimiter:
         """Begin again from rest: what a refusal leaves the robot with. An emergency stop keeps no jerk limit."""
         self.restart(Twist2())
 
-    def follow(
+    def follow(  # noqa: PLR0913 - two commands, their time, and what bounds them
         self,
         wanted: Twist2,
         feed_forward: Twist2,
@@ -67,12 +73,13 @@ class CommandLimiter:
         drive: Drive,
         *,
         in_place: bool,
+        room: float = math.inf,
     ) -> Twist2:
         """The command nearest to `wanted` that the last one can become.
 
         Speed, yaw rate, wheel speed, lateral acceleration, acceleration and jerk, yaw acceleration, curvature, and how
-        fast steered wheels turn, are within the limits. At rest a command of almost no speed tells steered wheels where
-        to turn.
+        fast steered wheels turn, are within the limits; lateral jerk too, but for what braking in a bend makes of it.
+        At rest a command of almost no speed tells steered wheels where to turn.
 
         Args:
             wanted: Feed-forward and feedback.
@@ -82,6 +89,8 @@ class CommandLimiter:
             drive: How it steers.
             in_place: Whether a differential drive may turn tighter than its smallest radius: where its reference turns
                 in place, or stands at its end.
+            room: How far the robot may go on in its direction until it rests [m]. A command is slower than wanted where
+                it could not stop within that.
         """
         free = in_place and drive is Drive.DIFFERENTIAL
         wanted = admissible(wanted if free else _bent(wanted, limits.max_curvature), limits, drive)
@@ -94,6 +103,8 @@ class CommandLimiter:
             return self._turned(angular, linear, period, limits)
 
         slope = self._slope(wanted.linear, feed_forward.linear, period, limits)
+        if math.isfinite(room):
+            slope = self._stopping_within(room, slope, period, limits)
         slope = self._leaving_room(slope, turn_at(before + slope * period), period, limits)
         linear = before + slope * period
         if abs(linear - wanted.linear) <= _ROUNDING:
@@ -118,12 +129,27 @@ class CommandLimiter:
         before = self.command.linear
         if self._feed_forward is None:
             return 0.0  # how long the command has been in force nobody knows
-        slope = (feed_forward - self._feed_forward) / period
-        missing, periods = wanted - slope * period - before, (period, self._between(period))
-        slope = smooth_slope(missing, slope, self._acceleration, limits.max_jerk, periods)
+        slope, between = (feed_forward - self._feed_forward) / period, self._between(period)
+        jerk = 0.0 if self._feed_slope is None else (slope - self._feed_slope) / between
+        self._feed_slope = slope
+        missing, periods = wanted - slope * period - before, (period, between)
+        lasts = (limits.max_acceleration + limits.max_deceleration) / limits.max_jerk
+        slope = smooth_slope(missing, slope, self._acceleration, limits.max_jerk, periods, (jerk, lasts))
         braking = before != 0.0 and slope * before < 0.0
         most = _most_braking(abs(before), period, limits) if braking else limits.max_acceleration
         return min(max(slope, -most), most)
+
+    def _stopping_within(self, room: float, slope: float, period: float, limits: MotionLimits) -> float:
+        """The acceleration, no larger than lets the robot stop within `room`, as far as its jerk allows."""
+        forward = math.copysign(1.0, self.command.linear if self.command.linear != 0.0 else slope)
+        speed = forward * self.command.linear
+        least = max(forward * self._acceleration - limits.max_jerk * self._between(period), -limits.max_deceleration)
+
+        def fits(rise: float) -> bool:
+            after, end = speed + rise * period, rise - 0.5 * limits.max_jerk * period
+            return after * period + _stopping_way(after + 0.5 * end * period, end, limits) <= room
+
+        return forward * _largest(fits, min(least, forward * slope), forward * slope)
 
     def _leaving_room(self, slope: float, turn: _Turn, period: float, limits: MotionLimits) -> float:
         """The acceleration, no larger than what the limits leave beside the turn, and no jump down from the last."""
@@ -144,7 +170,7 @@ class CommandLimiter:
 
     def _turned(self, wanted: float, linear: float, period: float, limits: MotionLimits) -> _Turn:
         """The yaw rate."""
-        before = self.command.angular
+        before, wanted = self.command.angular, _eased(wanted, self.command, linear, period, limits)
         most = (limits.turning.acceleration if linear == 0.0 else limits.max_yaw_acceleration) * period
         least = math.copysign(max(abs(before) - most, 0.0), before)
         return _Turn(_approach(before, wanted, most, most), least, limits.max_yaw_acceleration, steered=False)
@@ -169,6 +195,7 @@ class CommandLimiter:
         if abs(linear) > _NO_ARC:
             change = limits.max_yaw_acceleration * period
             ends = sorted(((self.command.angular - change) / linear, (self.command.angular + change) / linear))
+            asked = _eased(asked * linear, self.command, linear, period, limits) / linear
             asked = min(max(asked, ends[0]), ends[1])
         asked = min(max(asked, low), high)
         return _Turn(asked, least, fade, steered=True)
@@ -270,6 +297,16 @@ def _largest(fits: Callable[[float], bool], low: float, high: float) -> float:
     return low
 
 
+def _stopping_way(v: float, a: float, limits: MotionLimits) -> float:
+    """How far a robot goes on until it rests, at full braking from a speed and an acceleration along its travel [m]."""
+    if v <= 0.0 or (a < 0.0 and 2.0 * limits.max_jerk * v <= a * a):
+        return 0.0
+    state = 0.0, v, a
+    for duration, jerk in braking_phases(v, a, limits.max_deceleration, limits.max_jerk):
+        state = constant_jerk(duration, *state, jerk)
+    return state[0]
+
+
 def _most_braking(speed: float, period: float, limits: MotionLimits) -> float:
     """The largest deceleration of the coming period.
 
@@ -284,8 +321,18 @@ def _most_braking(speed: float, period: float, limits: MotionLimits) -> float:
     return most if until_rest >= period else (speed + after * (period - until_rest)) / period
 
 
-def smooth_slope(missing: float, target_slope: float, slope: float, jerk: float, periods: tuple[float, float]) -> float:
+def smooth_slope(
+    missing: float,
+    target_slope: float,
+    slope: float,
+    jerk: float,
+    periods: tuple[float, float],
+    target_jerk: tuple[float, float] = (0.0, math.inf),
+) -> float:
     """The slope of the next period, of a value that is to reach a moving target and stay with it.
+
+    The slope that it gains on the target has to be given back at what the target's own jerk leaves of `jerk`; or it is
+    so little that the value arrives when that jerk ends at the latest.
 
     Args:
         missing: By how much the value falls short of the target before the period.
@@ -293,10 +340,14 @@ def smooth_slope(missing: float, target_slope: float, slope: float, jerk: float,
         slope: Of the value in the period before.
         jerk: By how much a slope may change in a unit of time.
         periods: The period, and the time between its middle and that of the one before [s].
+        target_jerk: By how much the target's slope changes in a unit of time, and how long that may go on [s].
     """
     period, between = periods
-    gap = abs(missing)
-    wanted = target_slope + math.copysign(min(gap / period, _fastest(gap, jerk, period)), missing)
+    changes, lasts = target_jerk
+    gap, left = abs(missing), min(jerk, jerk + math.copysign(changes, missing * changes))
+    gain = max(_fastest(gap, left, period) if left >= _NO_JERK * jerk else 0.0, gap / lasts)
+    gain = min(gap / period, _fastest(gap, jerk, period), gain)
+    wanted = target_slope + math.copysign(gain, missing)
     return min(max(wanted, slope - jerk * between), slope + jerk * between)
 
 
@@ -320,8 +371,21 @@ def rate_limited(previous: Twist2, wanted: Twist2, limits: MotionLimits, period:
         previous.linear, wanted.linear, limits.max_acceleration * period, limits.max_deceleration * period
     )
     turn = limits.max_yaw_acceleration * period
-    angular = _approach(previous.angular, wanted.angular, turn, turn)
-    return Twist2(linear, angular)
+    eased = _eased(wanted.angular, previous, linear, period, limits)
+    return Twist2(linear, _approach(previous.angular, eased, turn, turn))
+
+
+def _eased(angular: float, before: Twist2, linear: float, period: float, limits: MotionLimits) -> float:
+    """The yaw rate nearest to `angular` for which the lateral acceleration changes no faster than its jerk allows.
+
+    No more of a turn than both `angular` and the command before: it is braking then that changes it faster.
+    """
+    if linear == 0.0 or math.isinf(limits.max_lateral_jerk):
+        return angular
+    sideways, change = before.linear * before.angular, limits.max_lateral_jerk * period
+    low, high = sorted(((sideways - change) / linear, (sideways + change) / linear))
+    most = max(abs(angular), abs(before.angular))
+    return min(max(min(max(angular, low), high), -most), most)
 
 
 def _approach(value: float, target: float, rise: float, fall: float) -> float:

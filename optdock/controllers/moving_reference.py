@@ -47,7 +47,7 @@ class Ahead(NamedTuple):
 
     `twist`: velocity, scaled by the rate; zero beyond the end. `speed`, `acceleration`: of the trajectory itself, along
     its travel, at rate 1 [m/s, m/s^2]; where it turns in place those of its yaw [rad/s, rad/s^2]. `gear`: 1 or -1, 0
-    where it turns in place. `left`: to the end [m].
+    where it turns in place. `left`: to the end [m]. `to_rest`: to where it rests next, at a cusp or the end [m].
     """
 
     twist: Twist2
@@ -55,6 +55,7 @@ class Ahead(NamedTuple):
     acceleration: float
     gear: float
     left: float
+    to_rest: float
 
 
 class ReferenceState(NamedTuple):
@@ -186,6 +187,7 @@ class Reference:
                 acceleration=gear_then * float(then.acceleration[0]) + turn_then * float(then.yaw_acceleration[0]),
                 gear=gear_then,
                 left=shown.path.length - float(then.s[0]),
+                to_rest=_next_rest(shown, float(then.s[0])) - float(then.s[0]),
             ),
         )
 
@@ -318,6 +320,11 @@ class Reference:
             shown, rate = joint.trajectory, joint.rate_after(rate)
             time = rate * left
         return shown, time, rate
+
+
+def _next_rest(trajectory: Trajectory, s: float) -> float:
+    """Where it rests next beyond `s` [m]: at a cusp, or at the end."""
+    return next((cusp for cusp in trajectory.path.cusps if cusp > s + _BEYOND), trajectory.path.length)
 
 
 def _travel(trajectory: Trajectory, row: TrajectorySamples) -> tuple[float, float]:

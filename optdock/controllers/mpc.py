@@ -393,7 +393,7 @@ class _Remembering(CommandLimiter):
         """Of the last command [m/s^2]; 0 at first, for how long that has been in force nobody knows."""
         return self._acceleration
 
-    def follow(
+    def follow(  # noqa: PLR0913 - two commands, their time, and what bounds them
         self,
         wanted: Twist2,
         feed_forward: Twist2,
@@ -402,10 +402,11 @@ class _Remembering(CommandLimiter):
         drive: Drive,
         *,
         in_place: bool,
+        room: float = math.inf,
     ) -> Twist2:
         """The command nearest to `wanted` that the last one can become."""
         before, is_first = self.command, self._feed_forward is None
-        command = super().follow(wanted, feed_forward, period, limits, drive, in_place=in_place)
+        command = super().follow(wanted, feed_forward, period, limits, drive, in_place=in_place, room=room)
         if wanted == self.allowed and not is_first:
             self.command = command = admissible(rate_limited(before, wanted, limits, period), limits, drive)
             self._acceleration = (command.linear - before.linear) / period

@@ -35,6 +35,8 @@ _SETTLING = 0.2  # [s], time constant with which the reference's rate approaches
 _HELD = 0.1  # rate of a waiting reference below which the robot does not follow
 _CREEPING = 1e-3  # [m/s]: a reference slower than this tells no curvature
 _CREEP = 1e-6  # [m/s]: no drive moves at it; steered wheels turn as its arc says
+_TURN_LEVER = 0.5  # [m]: a turn in place tells the drive's delay as a drive does at the speed of a point so far off
+_ROOM = 2e-4  # [m] beyond the next rest: a motion that brakes as hard as it can is not slowed down by rounding
 _NOTHING = 5e-5  # [m/s], [rad/s]: at the end less than this is not commanded
 _SHORTEST_CONVERGENCE = 0.05  # [m]
 _DELAYS_TO_CONVERGE = 3.0  # a lateral error may decay within the way of so many delays; less overshoots
@@ -203,7 +205,11 @@ class TrackingController(Controller):
 
     def _command(self, reference: Reference, pose: Pose2, velocity: Twist2, goal_checker: GoalChecker | None) -> Twist2:
         p, period = self.parameters, self._clock.elapsed
-        self._delay.update(self._limiter.command.linear, velocity.linear, period)
+        told, done = self._limiter.command, velocity
+        if self._seen is not None and self._seen[0].gear == 0.0:
+            self._delay.update(_TURN_LEVER * told.angular, _TURN_LEVER * done.angular, period)
+        else:
+            self._delay.update(told.linear, done.linear, period)
         if not self._anchored:
             reference.look_ahead(self._known_delay + 0.5 * self._clock.period, at_once=True)
             self._anchor(reference, pose, velocity)
@@ -218,11 +224,30 @@ class TrackingController(Controller):
             wanted = self._finishing(wanted, error, accepted, velocity)
         in_place = now.gear == 0.0 or reference.finished
         before = self._limiter.command
-        command = self._limiter.follow(wanted, now.ahead.twist, period, self._limits, self._drive, in_place=in_place)
+        command = self._limiter.follow(
+            wanted,
+            now.ahead.twist,
+            period,
+            self._limits,
+            self._drive,
+            in_place=in_place,
+            room=self._room(reference, now, error),
+        )
         self._seen = (now, now.lag_of(error))
         if p.use_collision_detection:
             self._require_free_stop(reference, now, pose, command, before)
         return command
+
+    def _room(self, reference: Reference, now: ReferenceState, error: Pose2) -> float:
+        """How far the robot may go on when the command takes effect, until it is to rest [m]; infinite at the end.
+
+        What it lags behind now comes on top, but for what the commands under way make good.
+        """
+        ahead = now.ahead
+        if self._seen is None or reference.finished or self._cancelled or ahead.gear == 0.0 or ahead.gear != now.gear:
+            return math.inf
+        gained = ahead.gear * (self._limiter.command.linear - self._seen[0].ahead.twist.linear) * self._known_delay
+        return ahead.to_rest + now.lag_of(error) - gained + _ROOM
 
     def _require_free_stop(
         self, reference: Reference, now: ReferenceState, pose: Pose2, command: Twist2, before: Twist2
@@ -297,9 +322,13 @@ class TrackingController(Controller):
     def _timed(self, path: Path) -> Trajectory:
         from optdock.plugins import timed_by
 
+        problem, timing = self.context.problem, self.parameters.time_parameterizer
         moving = max(0.0, path.segments[0].direction * self._limiter.command.linear)
+        moving = moving if moving > _CREEP else 0.0
+        # Of a robot that stands nobody knows how its wheels do.
+        wait = problem.robot.limits.start_wait(path) if problem is not None and moving == 0.0 else 0.0
         try:
-            return timed_by(self.parameters.time_parameterizer, path, self.context.problem, start_speed=moving)
+            return timed_by(timing, path, problem, start_speed=moving, start_wait=wait)
         except FailedToTimePath as error:
             raise ControllerInvalidPath(f"TrackingController: {error}") from error
 

@@ -48,6 +48,7 @@ _PLANNING_PATIENCE = 5.0  # [s] beyond its budget: a thread that shares its core
 _CLEAR_OF_CONTACT = 0.005  # [m]: a way back is planned from there; nearer, noise could make an overlap of it
 _BLINK = 0.5  # [s] without a detection that nothing is made of
 _BACK_OUT_SPEED = 0.05  # [m/s]
+_CREEP = 1e-6  # [m/s]: no drive moves at it; steered wheels turn as its arc says
 _BACK_OUT_LOOK = 0.5  # [s] ahead, of straight motions that no plan covers
 _ARRIVED = 0.05, 0.05  # [m], [rad] from the staging pose: Nav2's undock_linear_tolerance and undock_angular_tolerance
 
@@ -332,6 +333,13 @@ class Procedure:
         while not drive.is_over():
             yield from self._cycle(drive.wish())
 
+    def _straighten(self, gear: float) -> Cycles:
+        """At rest until the wheels of a robot that steers stand straight, wherever they may stand now."""
+        limits = self._base.robot.limits
+        until = self._now + limits.steering_time_to(0.0)
+        while self._now < until - _INSTANT:
+            yield from self._cycle(Twist2(gear * _CREEP))
+
     def _make_contact(self) -> Generator[Wish, None, EndingKind]:
         """At the end of the path, not docked yet: press on until contact is felt."""
         if self._settings.contact == "distance":
@@ -369,7 +377,7 @@ class Procedure:
     def _back_out(self) -> Cycles:
         """Straight out of contact, no deeper into anything, until a way back can be planned."""
         direction = -self._gear
-        origin, begun = self._perception.robot, self._now
+        origin, begun, is_straight = self._perception.robot, self._now, False
         limit = 2.0 * self._settings.back_out_distance / _BACK_OUT_SPEED + _REST_PATIENCE
         footprint = self._base.robot.footprint
         while True:
@@ -386,6 +394,10 @@ class Procedure:
             if free_motion(footprint, near, robot, twist, _BACK_OUT_LOOK, overlap=deepest).free < _BACK_OUT_LOOK:
                 self._report("backing out is blocked", f"after {driven:.3f} m")
                 break
+            if not is_straight:
+                yield from self._straighten(direction)
+                begun, is_straight = self._now, True
+                continue
             yield from self._cycle(twist)
         yield from self._stop()
 

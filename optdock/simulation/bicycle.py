@@ -8,12 +8,14 @@ turn them straight: the steering controllers of ros2_control and the converter o
 an all-zero command. That is the default here; some cars hold the last angle instead. Either way the wheels of a car at
 rest are turned by a command with the right ratio and a speed so small that nothing moves: within the dead band, or
 1e-6 m/s.
+
+`plant_of` is the plant of whatever robot: this one of a car, a `DifferentialDrive` of all others.
 """
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from enum import Enum
 from typing import TYPE_CHECKING
 
@@ -23,6 +25,7 @@ from optdock.geometry.pose import Pose2, Twist2, arc_end
 from optdock.robot import Drive, admissible
 from optdock.simulation.plant import (
     Actuation,
+    DifferentialDrive,
     PlantState,
     Slip,
     arrivals,
@@ -34,8 +37,9 @@ from optdock.simulation.plant import (
 
 if TYPE_CHECKING:
     from optdock.robot import Robot
+    from optdock.simulation.plant import Plant
 
-__all__ = ["Bicycle", "Steering", "SteeringAtRest"]
+__all__ = ["Bicycle", "Steering", "SteeringAtRest", "plant_of"]
 
 
 class SteeringAtRest(str, Enum):
@@ -55,6 +59,7 @@ class Steering:
         gain: True angle over the one that the steering's sensor says [1].
         offset: True angle when the sensor says straight [rad].
         at_rest: A `SteeringAtRest` or its word.
+        start: Where the wheels stand when the car is set down at rest, as the steering's sensor says [rad].
 
     Raises:
         InvalidValue: A value is no number or not finite, the lag or the play negative, the gain not > 0, or no such
@@ -66,10 +71,12 @@ class Steering:
     gain: float = 1.0
     offset: float = 0.0
     at_rest: SteeringAtRest = SteeringAtRest.STRAIGHTEN
+    start: float = 0.0
 
     def __post_init__(self) -> None:
         check_not_negative(self, "steering", ("lag", "play", "gain"))
-        object.__setattr__(self, "offset", finite_number(self.offset, "steering.offset"))
+        for name in ("offset", "start"):
+            object.__setattr__(self, name, finite_number(getattr(self, name), f"steering.{name}"))
         object.__setattr__(self, "at_rest", member(SteeringAtRest, self.at_rest, "steering.at_rest"))
         if self.gain == 0.0:
             raise InvalidValue("steering.gain: must be > 0, got 0.0")
@@ -111,12 +118,15 @@ class Bicycle:
                 raise InvalidValue(f"actuation.{name}: a car has none; say lag, play and gain of its steering")
 
     def at_rest(self, pose: Pose2) -> PlantState:
-        """The car standing at `pose`, its wheels straight, no command under way."""
+        """The car standing at `pose`, its wheels as `Steering.start` says, no command under way."""
         return self.moving(pose, Twist2())
 
     def moving(self, pose: Pose2, twist: Twist2) -> PlantState:
         """The car at `pose` with a steady body velocity, which goes on until the first command arrives."""
-        true = math.atan(self.robot.limits.wheelbase * twist.angular / twist.linear) if twist.linear != 0.0 else 0.0
+        if twist.linear != 0.0:
+            true = math.atan(self.robot.limits.wheelbase * twist.angular / twist.linear)
+        else:
+            true = self._true(self.steering.start)
         drive = (twist.linear, (true - self.steering.offset) / self.steering.gain)
         actual = Twist2(twist.linear, self._yaw_rate(twist.linear, true))
         return PlantState(pose, actual, self._encoders(drive), 0.0, drive, drive)
@@ -210,3 +220,27 @@ class Bicycle:
     def _encoders(self, drive: tuple[float, float]) -> Twist2:
         speed = drive[0]
         return Twist2(speed, self._yaw_rate(speed, drive[1]))
+
+
+def plant_of(robot: Robot, actuation: Actuation | None = None, *, steering: Steering | None = None) -> Plant:
+    """The plant of a robot, by its drive.
+
+    Args:
+        robot: What drives. Of a car without a wheelbase nothing limits the steering; it gets one as long as the robot.
+        actuation: Lags, latency, dead bands and gains; None: perfect. The angular lag of a car is that of its steering.
+        steering: Of a car; None: perfect but for that lag.
+
+    Raises:
+        InvalidValue: A car has an angular dead band or gain, or both an angular lag and a `steering`; another robot has
+            a `steering`.
+    """
+    actuation = actuation if actuation is not None else Actuation()
+    if robot.drive is not Drive.ACKERMANN:
+        if steering is not None:
+            raise InvalidValue(f"steering: is for drive: ackermann; this robot's is {robot.drive.value}")
+        return DifferentialDrive(robot, actuation)
+    if steering is None:
+        actuation, steering = replace(actuation, angular_lag=0.0), Steering(actuation.angular_lag)
+    if robot.limits.wheelbase == 0.0:
+        robot = replace(robot, limits=replace(robot.limits, wheelbase=robot.footprint.length))
+    return Bicycle(robot, actuation, steering=steering)

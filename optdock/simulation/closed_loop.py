@@ -1,4 +1,4 @@
-"""The closed loop: plant, noise, controller and goal checker, one control period after the other."""
+"""The closed loop: a simulated robot, a controller and a goal checker, one control period after the other."""
 
 from __future__ import annotations
 
@@ -10,19 +10,24 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from optdock.errors import ControllerException, InvalidValue
-from optdock.geometry.pose import Pose2, Twist2
+from optdock.geometry.pose import Pose2
 from optdock.path import PathSamples
-from optdock.simulation.plant import Actuation, DifferentialDrive, PlantState
-from optdock.simulation.run import Run, executed_clearance
+from optdock.simulation.bicycle import plant_of
+from optdock.simulation.plant import Actuation
+from optdock.simulation.run import Run
+from optdock.simulation.sensors import PoseSensor
+from optdock.simulation.world import Sensors, SimulatedRobot
 from optdock.verification import proven_for
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from optdock.interfaces import Controller, GoalChecker
+    from optdock.measurements import Measurements
     from optdock.obstacles import ObstacleSet
     from optdock.path import Path
     from optdock.robot import Robot
+    from optdock.simulation.bicycle import Steering
     from optdock.trajectory import Trajectory
 
 __all__ = ["RemainingPath", "SimulationSettings", "run_closed_loop"]
@@ -39,7 +44,8 @@ class SimulationSettings:
     Args:
         period: Control period [s].
         timeout: Simulated time after which the run is given up [s]; None: 1.5 times the trajectory plus 10 s.
-        actuation: Lags, latency and dead band of the drive.
+        actuation: Lags, latency and dead band of the drive; the angular lag of a car is that of its steering.
+        steering: Of a car; None: perfect but for that lag.
         position_noise: Standard deviation of the measured x and y [m], white.
         yaw_noise: Standard deviation of the measured yaw [rad], white.
         seed: Of the noise; equal seeds give equal runs.
@@ -53,6 +59,7 @@ class SimulationSettings:
     period: float = 0.02
     timeout: float | None = None
     actuation: Actuation = field(default_factory=Actuation)
+    steering: Steering | None = None
     position_noise: float = 0.0
     yaw_noise: float = 0.0
     seed: int = 0
@@ -80,8 +87,8 @@ def run_closed_loop(  # noqa: PLR0913 - one parameter for each part of the loop
 ) -> Run:
     """Drive `trajectory` in simulation until the goal checker says docked, the controller gives up, or time is out.
 
-    The controller and the checker are reset first; in each period the checker is asked before the controller, as
-    Nav2's server does.
+    What drives is a `SimulatedRobot` with the plant of the robot's drive, `plant_of`. Controller and checker are reset
+    first; in each period the checker is asked before the controller, as Nav2's server does.
 
     Args:
         trajectory: What to drive; the controller gets it through `set_path`.
@@ -93,7 +100,7 @@ def run_closed_loop(  # noqa: PLR0913 - one parameter for each part of the loop
         beside: Goal checkers that are asked once, when the run has ended; they decide nothing.
 
     Raises:
-        InvalidValue: Two goal checkers have the same name.
+        InvalidValue: Two goal checkers have the same name, or actuation and steering are not those of the drive.
     """
     settings = settings or SimulationSettings()
     if len({checker.name for checker in (goal_checker, *beside)}) <= len(beside):
@@ -108,7 +115,7 @@ def run_closed_loop(  # noqa: PLR0913 - one parameter for each part of the loop
 
 
 class _Loop:
-    """The state of one run."""
+    """One run."""
 
     def __init__(
         self,
@@ -121,67 +128,61 @@ class _Loop:
     ) -> None:
         self.trajectory, self.robot, self.goal = trajectory, robot, goal
         self.controller, self.goal_checkers, self.settings = controller, goal_checkers, settings
-        self.plant = DifferentialDrive(robot, settings.actuation, settings.period)
         self.remaining = RemainingPath(trajectory.path)
-        self.noise = np.random.default_rng(settings.seed)
-        self.rows: list[tuple[Pose2, Pose2, Twist2, Twist2]] = []
+        first = trajectory.at(0.0)
+        self.world = SimulatedRobot(
+            plant_of(robot, settings.actuation, steering=settings.steering),
+            settings.start or first.pose,
+            goal,
+            Sensors(PoseSensor(settings.position_noise, settings.yaw_noise)),
+            obstacles=settings.obstacles or None,
+            seed=settings.seed,
+            start_twist=first.twist,
+        )
 
     def run(self) -> tuple[bool, str]:
         """Whether docked, and why not."""
-        first = self.trajectory.at(0.0)
-        state = self.plant.moving(self.settings.start or first.pose, first.twist)
         timeout = self.settings.timeout
         timeout = 1.5 * self.trajectory.duration + 10.0 if timeout is None else timeout
         decisive = self.goal_checkers[0]
-        for k in range(math.ceil(timeout / self.settings.period) + 1):
-            measured = self._measured(state.pose)
-            if self._reached(decisive, measured, state.twist):
-                return self._end(state, measured, docked=True, reason="")
+        for left in range(math.ceil(timeout / self.settings.period), -1, -1):
+            now = self.world.measurements
+            if self._reached(decisive, now):
+                return True, ""
+            if left == 0:
+                break
+            assert now.pose is not None  # the sensor loses none
             try:
-                command = self.controller.compute_velocity_commands(
-                    measured, state.twist, decisive, stamp=k * self.settings.period
-                )
+                command = self.controller.compute_velocity_commands(now.pose, now.twist, decisive, stamp=now.stamp)
             except ControllerException as error:
-                return self._end(state, measured, docked=False, reason=f"{type(error).__name__}: {error}")
-            self.rows.append((state.pose, measured, command, state.twist))
-            state = self.plant.step(state, command)
+                return False, f"{type(error).__name__}: {error}"
+            self.world.advance(command, self.settings.period)
         return False, f"timeout: not docked within {timeout:g} s"
 
-    def _measured(self, pose: Pose2) -> Pose2:
-        x, y, yaw = self.noise.standard_normal(3)
-        position, turn = self.settings.position_noise, self.settings.yaw_noise
-        return Pose2(pose.x + position * float(x), pose.y + position * float(y), pose.yaw + turn * float(yaw))
-
-    def _reached(self, checker: GoalChecker, measured: Pose2, twist: Twist2) -> bool:
-        path = self.remaining.from_pose(measured)
-        return checker.is_goal_reached(measured, self.goal, twist, path)
-
-    def _end(self, state: PlantState, measured: Pose2, *, docked: bool, reason: str) -> tuple[bool, str]:
-        self.rows.append((state.pose, measured, Twist2(), state.twist))
-        return docked, reason
+    def _reached(self, checker: GoalChecker, now: Measurements) -> bool:
+        assert now.pose is not None
+        return checker.is_goal_reached(now.pose, self.goal, now.twist, self.remaining.from_pose(now.pose))
 
     def result(self, *, docked: bool, reason: str) -> Run:
         """The run's record."""
-        true, measured, commands, twists = zip(*self.rows, strict=True)
-        others = self.goal_checkers[1:]
         verdicts = {self.goal_checkers[0].name: docked}
-        verdicts |= {checker.name: self._reached(checker, measured[-1], twists[-1]) for checker in others}
-        times = self.settings.period * np.arange(len(self.rows), dtype=np.float64)
-        reference = self.trajectory.sample_at(times)
-        poses = np.array([pose.as_array() for pose in true])
-        obstacles = self.settings.obstacles
+        verdicts |= {
+            checker.name: self._reached(checker, self.world.measurements) for checker in self.goal_checkers[1:]
+        }
+        record = self.world.record()
+        reference = self.trajectory.sample_at(record.times)
         return Run(
-            times=times,
-            poses=poses,
-            measured=np.array([pose.as_array() for pose in measured]),
-            commands=np.array([(c.linear, c.angular) for c in commands]),
-            twists=np.array([(t.linear, t.angular) for t in twists]),
+            times=record.times,
+            poses=record.poses,
+            measured=record.measured,
+            commands=record.commands,
+            twists=record.twists[:, :2],
             references=np.column_stack((reference.x, reference.y, reference.yaw)),
             goal=self.goal,
             docked=docked,
             reason=reason,
-            differs=_differences(self.trajectory, self.robot, obstacles),
-            min_clearance=executed_clearance(self.robot.footprint, poses, obstacles) if obstacles else None,
+            differs=_differences(self.trajectory, self.robot, self.settings.obstacles),
+            min_clearance=self.world.clearance() if self.settings.obstacles else None,
             verdicts=verdicts,
         )
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
@@ -10,6 +11,9 @@ import numpy as np
 from optdock.geometry.arrays import FloatArray, FrozenArrays, frozen_array, readonly
 from optdock.geometry.pose import pose_errors
 from optdock.geometry.separation import separation
+from optdock.obstacles import in_words
+from optdock.tube import Tube
+from optdock.verification import TOLERANCE, end_clearances, pose_clearances
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -18,8 +22,11 @@ if TYPE_CHECKING:
     from optdock.geometry.footprint import Footprint
     from optdock.geometry.pose import Pose2
     from optdock.obstacles import ObstacleSet
+    from optdock.path import Path
+    from optdock.problem import DockingProblem
+    from optdock.verification import Certificate
 
-__all__ = ["Run", "executed_clearance"]
+__all__ = ["Run", "beyond_proof", "executed_clearance"]
 
 _BUMPER = 0.002  # [m]: a dock that is planned to be touched is pressed by so much without harm
 _BLOCK = 256  # poses per round, bounds the memory
@@ -94,6 +101,46 @@ class Run(FrozenArrays):
     def duration(self) -> float:
         """Time until docked, or until the run was given up [s]."""
         return float(self.times[-1])
+
+
+def beyond_proof(path: Path, problem: DockingProblem, certificate: Certificate, poses: FloatArray) -> str:
+    """In what poses that were driven left what is proven of a path, in words; empty where they did not.
+
+    They left it where any is displaced by more than the tracking tube is wide, `Robot.tracking`, if there is one; or
+    where the outline is nearer to something than the problem's clearance requires there. In front of the dock the tube
+    is narrower than that, as the required clearance is; there, and without a tube, the clearance alone decides. Where
+    the dock's tolerances count the robot as docked, it may press its station as far as a bumper yields.
+
+    Args:
+        path: What was to be driven.
+        problem: What it was proven for.
+        certificate: The proof.
+        poses: True, Shape (n, 3).
+    """
+    width, said = certificate.tube, []
+    to_go = np.hypot(poses[:, 0] - problem.goal.x, poses[:, 1] - problem.goal.y)
+    if width > 0.0:
+        moved = Tube(path, problem, certificate.start_relief).deviations(poses).displacement
+        worst = int(np.argmax(moved))
+        if moved[worst] > width:
+            off, wide = f"{1e3 * moved[worst]:.1f} mm off the path", f"the tube is {1e3 * width:.1f} mm wide"
+            said.append(f"{off} {to_go[worst]:.3f} m before the dock, {wide}")
+    from_start = np.hypot(poses[:, 0] - problem.start.x, poses[:, 1] - problem.start.y)
+    begun, relief = end_clearances(problem).start, certificate.start_relief
+    required = problem.clearance.required_at(to_go, from_start, begun, relief)
+    obstacles, within = problem.all_obstacles, float(np.max(required)) + TOLERANCE
+    blocks = np.array_split(poses, -(-len(poses) // _BLOCK))
+    found = [pose_clearances(block, problem.robot.footprint, obstacles, within) for block in blocks]
+    clearance, nearest = (np.concatenate(columns) for columns in zip(*found, strict=True))
+    pressed = [row >= 0 and obstacles.name_of(row) == "dock" for row in nearest.tolist()]
+    docked = to_go <= math.hypot(problem.dock.tolerances.along, problem.dock.tolerances.cross)
+    short = required - clearance - np.where(docked & np.array(pressed), _BUMPER, TOLERANCE)
+    worst = int(np.argmax(short))
+    if short[worst] > 0.0:
+        near = in_words(obstacles.name_of(int(nearest[worst])))
+        asked = f"required are {required[worst]:.4f} m"
+        said.append(f"{clearance[worst]:.4f} m from {near} {to_go[worst]:.3f} m before the dock, {asked}")
+    return " and ".join(said)
 
 
 def executed_clearance(footprint: Footprint, poses: FloatArray, obstacles: ObstacleSet) -> float:

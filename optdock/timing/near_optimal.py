@@ -30,7 +30,7 @@ from optdock.timing.reference_program import solve_reference, spline_phases
 from optdock.timing.ruckig_moves import Move, load_ruckig, move, split_into_moves
 from optdock.timing.settings import NEAR_OPTIMAL, NearOptimalSettings
 from optdock.timing.start_states import Braking
-from optdock.timing.strategy import time_path
+from optdock.timing.strategy import Start, time_path
 from optdock.timing.windowed import windowed_plans
 
 if TYPE_CHECKING:
@@ -77,18 +77,20 @@ class NearOptimal(TimeParameterizer):
         *,
         start_speed: float = 0.0,
         start_acceleration: float = 0.0,
+        start_wait: float = 0.0,
         max_time: float = math.inf,
         cancel_checker: Callable[[], bool] = never_cancelled,
     ) -> TimingResult:
         """See `TimeParameterizer.parameterize`.
 
         Raises:
-            InvalidValue: The start state is not finite, or `max_time` is NaN.
+            InvalidValue: The start state or `start_wait` is not finite, the wait negative, or `max_time` is NaN.
             PluginError: The package ruckig is not installed.
             TimingCancelled: `cancel_checker` returned True.
         """
         deadline = Deadline(max_time, stop=cancel_checker)
-        return time_path(path, limits, zone, (start_speed, start_acceleration), self._plans, deadline)
+        start = Start(start_speed, start_acceleration, start_wait)
+        return time_path(path, limits, zone, start, self._plans, deadline)
 
     def _plans(self, limits: PathLimits, start: State, deadlines: Deadlines) -> Iterator[SegmentPlan]:
         chosen = self.parameters

@@ -1,7 +1,8 @@
 """The strategy: from a path to a proven time law. Every retry is in this list.
 
 At a cusp and at the end the robot rests, so segments do not touch each other; each is planned alone. Where the wheels
-must be turned between two of them, the robot waits at rest for as long as that takes. A turn in place is one move
+must be turned, between two of them or at the start, the robot waits at rest for as long as that takes. A turn in place
+is one move
 (`turn_plans`). From its start state the first line that fits counts (`segment_plans`, `judge_start`):
 
 1. At rest: the plans of the method, best first; the next one is made only when the one before was refused.
@@ -29,6 +30,7 @@ import numpy as np
 from optdock.deadline import ENDLESS, Deadline, OutOfTime
 from optdock.errors import InvalidValue, TimingCancelled
 from optdock.interfaces import TimingReport, TimingResult, TimingStatus
+from optdock.limits import LIMITS
 from optdock.path import Path, PolylineSegment, TurnSegment
 from optdock.segments import TURN_RADIUS
 from optdock.timing.checks import SegmentPlan, end_slack
@@ -49,7 +51,7 @@ if TYPE_CHECKING:
     from optdock.timing.start_states import StartVerdict
     from optdock.verification import Violation
 
-__all__ = ["NO_DEADLINES", "Deadlines", "SegmentPlanner", "best_of", "segment_plans", "time_path"]
+__all__ = ["NO_DEADLINES", "Deadlines", "SegmentPlanner", "Start", "best_of", "segment_plans", "time_path"]
 
 
 class Deadlines(NamedTuple):
@@ -86,11 +88,19 @@ status FAIL, which says why there is none.
 """
 
 
+class Start(NamedTuple):
+    """How a motion begins: speed [m/s], acceleration [m/s^2]; how long it rests first while wheels turn [s]."""
+
+    speed: float
+    acceleration: float
+    wait: float = 0.0
+
+
 def time_path(
     path: Path,
     drive: MotionLimits,
     zone: SpeedZone,
-    start: tuple[float, float],
+    start: Start,
     method: SegmentPlanner,
     deadline: Deadline | None = None,
 ) -> TimingResult:
@@ -100,30 +110,35 @@ def time_path(
         path: Where to drive.
         drive: What the drive can do.
         zone: Slow stretch at the end of the path.
-        start: Speed [m/s] and acceleration [m/s^2] at the start.
+        start: How it begins.
         method: Plans one segment.
         deadline: For all of it, and whether to stop; None: no deadline.
 
     Raises:
-        InvalidValue: The start state is not finite, or the deadline is NaN.
+        InvalidValue: The start state or the wait is not finite, the wait negative, or the deadline is NaN.
         TimingCancelled: The deadline was asked to stop.
     """
     whole = deadline or Deadline()
-    result = _timed(path, (drive, zone, start), method, whole)
+    result = _timed(path, _Asked(drive, zone, start), method, whole)
     if result.status is TimingStatus.TIMED_OUT and whole.stopped:
         raise TimingCancelled("timing was cancelled")
     return result
 
 
-def _timed(
-    path: Path,
-    asked: tuple[MotionLimits, SpeedZone, tuple[float, float]],
-    method: SegmentPlanner,
-    whole: Deadline,
-) -> TimingResult:
+class _Asked(NamedTuple):
+    """What the motion must keep, and how it begins; see `time_path`."""
+
+    drive: MotionLimits
+    zone: SpeedZone
+    start: Start
+
+
+def _timed(path: Path, asked: _Asked, method: SegmentPlanner, whole: Deadline) -> TimingResult:
     drive, zone, start = asked
     _check_numbers(start, whole)
     fault = _undrivable(path)
+    if not fault and start.wait > _NO_WAIT and (start.speed, start.acceleration) != (0.0, 0.0):
+        fault = f"the wheels may take {start.wait:.4g} s to turn at the start, where the robot does not rest"
     if fault:
         return TimingResult(TimingStatus.FAIL, None, math.inf, reason=fault)
     if whole.passed():
@@ -133,7 +148,7 @@ def _timed(
     # Of two clocks the smaller: one counts while the machine does something else, the other may tick coarsely.
     deadlines = Deadlines.of(whole, min(whole.elapsed - began[0], time.thread_time() - began[1]))
     waiting, plans = [], []
-    state = State(0.0, *start)
+    state = State(0.0, start.speed, start.acceleration)
     for segment, begin, limits in zip(path.segments, path.segment_starts.tolist(), segments, strict=False):
         if isinstance(segment, TurnSegment):
             waiting.append(turn_plans(segment, drive, state, begin))
@@ -144,23 +159,29 @@ def _timed(
             break
         state = State() if plans[-1].phases else state
         deadlines = deadlines if plans[-1].status is TimingStatus.OK else deadlines.refused
-    return _proven(path, (drive, zone, start), (plans, waiting), whole)
+    return _proven(path, asked, (plans, waiting), whole)
 
 
 def _proven(
     path: Path,
-    asked: tuple[MotionLimits, SpeedZone, tuple[float, float]],
+    asked: _Asked,
     segments: tuple[list[SegmentPlan], list[Iterator[SegmentPlan]]],
     whole: Deadline,
 ) -> TimingResult:
     """The result once every refused segment has another plan, or none is left."""
     (drive, zone, start), (plans, waiting) = asked, segments
     while True:
-        result = _result(path, drive, plans, start)
+        result = _result(path, asked, plans)
         if result.status is not TimingStatus.OK or result.trajectory is None:
             return result
         proof = certify_trajectory(
-            result.trajectory, drive, zone, start_speed=start[0], start_acceleration=start[1], is_late=whole.passed
+            result.trajectory,
+            drive,
+            zone,
+            start_speed=start.speed,
+            start_acceleration=start.acceleration,
+            start_wait=start.wait,
+            is_late=whole.passed,
         )
         if proof.certified:
             return replace(result, worst_ratio=max(proof.ratios.values()))
@@ -172,9 +193,11 @@ def _proven(
         plans[i] = best_of(itertools.chain(waiting[i], [_refused(plans[i], first)]))
 
 
-def _check_numbers(start: tuple[float, float], whole: Deadline) -> None:
-    if not all(math.isfinite(value) for value in start):
-        raise InvalidValue(f"timing: start_speed and start_acceleration must be finite, got {start}")
+def _check_numbers(start: Start, whole: Deadline) -> None:
+    if not all(math.isfinite(value) for value in start[:2]):
+        raise InvalidValue(f"timing: start_speed and start_acceleration must be finite, got {start[:2]}")
+    if not (math.isfinite(start.wait) and start.wait >= 0.0):
+        raise InvalidValue(f"timing: start_wait must be finite and >= 0 s, got {start.wait}")
     if math.isnan(whole.seconds):
         raise InvalidValue("timing: max_time must be a number of seconds, got nan")
 
@@ -199,15 +222,15 @@ def _turn_in_place(segment: Segment) -> tuple[float, float]:
     return float(segment.poses[first + 1, 2] - segment.poses[first, 2]), float(segment.knots[first])
 
 
-def _result(path: Path, drive: MotionLimits, plans: list[SegmentPlan], start: tuple[float, float]) -> TimingResult:
+def _result(path: Path, asked: _Asked, plans: list[SegmentPlan]) -> TimingResult:
     worst = max(plans, key=lambda plan: plan.status)  # the statuses are in order of gravity
     trajectory = None
     if worst.status not in (TimingStatus.FAIL, TimingStatus.BAD_START, TimingStatus.TIMED_OUT):
         driven = path if len(plans) == len(path.segments) else Path(path.segments[: len(plans)])
-        waits = _waits(path, drive)
+        waits = _waits(path, asked)
         parts = [(*waits.get(i, ()), *plan.phases) for i, plan in enumerate(plans)]
         phases = np.array([phase for part in parts for phase in part if phase[0] > 0.0])
-        trajectory = Trajectory(driven, TimeLaw(phases[:, 0], phases[:, 1], 0.0, *start))
+        trajectory = Trajectory(driven, TimeLaw(phases[:, 0], phases[:, 1], 0.0, *asked.start[:2]))
     return TimingResult(
         worst.status,
         trajectory,
@@ -220,18 +243,20 @@ def _result(path: Path, drive: MotionLimits, plans: list[SegmentPlan], start: tu
     )
 
 
-def _waits(path: Path, drive: MotionLimits) -> dict[int, Phases]:
+def _waits(path: Path, asked: _Asked) -> dict[int, Phases]:
     """Phases at rest before those segments that the wheels must be turned for."""
-    if len(path.segments) == 1 or not math.isfinite(drive.max_steering_rate):
-        return {}
-    times = drive.steering_times(path.joint_curvatures).tolist()
-    return {i: ((time, 0.0),) for i, time in enumerate(times, start=1) if time > _NO_WAIT}
+    times = [asked.start.wait]
+    if len(path.segments) > 1 and math.isfinite(asked.drive.max_steering_rate):
+        times += asked.drive.steering_times(path.joint_curvatures).tolist()
+    return {i: ((time, 0.0),) for i, time in enumerate(times) if time > _NO_WAIT}
 
 
 def _refused(plan: SegmentPlan, violation: Violation) -> SegmentPlan:
     """What is left to say where the last plan of a segment is refused by the proof."""
     reason = f"the last method, {plan.how}, is not certified: {violation.message}"
-    return SegmentPlan(TimingStatus.FAIL, how=plan.how, reason=reason, s=violation.s, arrives=False)
+    named = [limit.name for limit in LIMITS.values() if limit.quantity == violation.kind]
+    limit = named[0] if len(named) == 1 else ""  # of a speed: its gear's, or the zone's
+    return SegmentPlan(TimingStatus.FAIL, how=plan.how, reason=reason, limit=limit, s=violation.s, arrives=False)
 
 
 def best_of(plans: Iterator[SegmentPlan]) -> SegmentPlan:

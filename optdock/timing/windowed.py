@@ -20,7 +20,7 @@ from optdock.timing.checks import SegmentPlan, arrived_plan
 from optdock.timing.motion import DriveBounds, Motion, Phases, State, state_after
 from optdock.timing.ruckig_moves import load_ruckig, move
 from optdock.timing.settings import WINDOWED, WindowedSettings
-from optdock.timing.strategy import time_path
+from optdock.timing.strategy import Start, time_path
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -46,7 +46,7 @@ class WindowedParameters(PluginParameters):
         default=WINDOWED.yaw_share,
         gt=0.0,
         lt=1.0,
-        description="share of the yaw acceleration for speed^2 * rate",
+        description="share of yaw acceleration and lateral jerk for the curvature rate",
     )
 
 
@@ -72,18 +72,20 @@ class Windowed(TimeParameterizer):
         *,
         start_speed: float = 0.0,
         start_acceleration: float = 0.0,
+        start_wait: float = 0.0,
         max_time: float = math.inf,
         cancel_checker: Callable[[], bool] = never_cancelled,
     ) -> TimingResult:
         """See `TimeParameterizer.parameterize`.
 
         Raises:
-            InvalidValue: The start state is not finite, or `max_time` is NaN.
+            InvalidValue: The start state or `start_wait` is not finite, the wait negative, or `max_time` is NaN.
             PluginError: The package ruckig is not installed.
             TimingCancelled: `cancel_checker` returned True.
         """
         deadline = Deadline(max_time, stop=cancel_checker)
-        return time_path(path, limits, zone, (start_speed, start_acceleration), self._plans, deadline)
+        start = Start(start_speed, start_acceleration, start_wait)
+        return time_path(path, limits, zone, start, self._plans, deadline)
 
     def _plans(self, limits: PathLimits, start: State, deadlines: Deadlines) -> Iterator[SegmentPlan]:
         return windowed_plans(limits, start, deadlines, replace(WINDOWED, **self.parameters.model_dump()))
@@ -140,8 +142,9 @@ def _windows(limits: PathLimits, settings: WindowedSettings, deadline: Deadline)
     slowness, bend, rate = (np.maximum.reduceat(column, cuts[:-1]) for column in (slowness, bend, limits.steepest))
     drive, used = limits.drive, 1.0 - settings.margin
     speed = used / slowness
-    spare = (drive.max_yaw_acceleration - speed * speed * rate) * used
-    ceiling = np.divide(spare, bend, out=np.full(bend.size, np.inf), where=bend > 0.0)
+    ceiling = np.full(bend.size, np.inf)
+    for limit in limits.turning:
+        ceiling = np.minimum(ceiling, limit.acceleration_beside(speed, bend, rate, used))
     rise, fall = np.minimum(drive.max_acceleration, ceiling), np.minimum(drive.max_deceleration, ceiling)
     columns = (limits.s[cuts[:-1]], limits.s[cuts[1:]], speed, rise, fall)
     return [

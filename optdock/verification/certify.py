@@ -9,6 +9,8 @@ from typing import TYPE_CHECKING, Generic, TypeVar
 import numpy as np
 
 from optdock.deadline import never_late
+from optdock.geometry.checked import exactly
+from optdock.limits import MotionLimits
 from optdock.obstacles import in_words
 from optdock.verification.certificate import TOLERANCE, Certificate, TrajectoryCertificate, Violation
 from optdock.verification.conservative_advancement import prove_clearance
@@ -21,7 +23,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Hashable
 
     from optdock.geometry.arrays import FloatArray
-    from optdock.limits import MotionLimits, SpeedZone
+    from optdock.limits import SpeedZone
     from optdock.path import Path
     from optdock.problem import DockingProblem
     from optdock.trajectory import TimeLaw, Trajectory
@@ -132,19 +134,21 @@ def _too_close(row: FloatArray, problem: DockingProblem) -> Violation:
     return Violation("clearance", message, s, required - clearance, where)
 
 
-def certify_trajectory(
+def certify_trajectory(  # noqa: PLR0913 - a motion, its limits and how it begins
     trajectory: Trajectory,
     limits: MotionLimits,
     zone: SpeedZone,
     *,
     start_speed: float | None = None,
     start_acceleration: float | None = None,
+    start_wait: float = 0.0,
     is_late: Callable[[], bool] = never_late,
 ) -> TrajectoryCertificate:
     """Prove that a trajectory keeps every motion limit, or name what is broken, when and by how much.
 
     Within a step of a polyline, whose curvature is a difference quotient, 5 % beyond a limit on turning are accepted.
-    Where steered wheels have to be turned between two segments, the motion must rest for as long as that takes.
+    Where steered wheels have to be turned, between two segments or at the start, the motion must rest for as long as
+    that takes.
 
     A proof is kept for as long as the time law lives, as those of paths are.
 
@@ -156,13 +160,18 @@ def certify_trajectory(
         zone: Slow stretch at the end of the path.
         start_speed: Speed along the travel that the motion must begin with [m/s]; None: not checked.
         start_acceleration: Likewise [m/s^2].
+        start_wait: How long the wheels take to turn before the motion leaves its start [s].
         is_late: For callers with a deadline, asked every few milliseconds. Once it is True whatever is not proven yet
             is refused as `unproven`.
 
     Returns:
-        The certificate; `certified` is True only if everything was proven.
+        The certificate; `certified` is True only if everything was proven, every finite limit included.
+
+    Raises:
+        InvalidValue: `limits` is of another class than `MotionLimits`; a subclass may bound more than is known here.
     """
-    start = (start_speed, start_acceleration)
+    exactly(MotionLimits, limits, "limits")
+    start = (start_speed, start_acceleration, start_wait)
 
     def verdict(asked: Callable[[], bool]) -> TrajectoryCertificate:
         violations, ratios = trajectory_violations(trajectory, limits, zone, start, asked)
@@ -177,9 +186,12 @@ def certify_motion(
 ) -> TrajectoryCertificate:
     """Prove that a trajectory keeps the motion limits of `problem` and begins as the robot does.
 
+    Steered wheels whose angle at the start nobody knows (no `start_curvature`) may have to be turned from anywhere: the
+    motion must rest for that first (`DockingProblem.start_wait`), or it is refused as `rest`.
+
     Args:
         trajectory: The motion to judge.
-        problem: Its robot's limits, its dock's slow stretch, its start speed and its start acceleration count.
+        problem: Its robot's limits, its dock's slow stretch and its whole start state count.
         is_late: As of `certify_trajectory`.
 
     Returns:
@@ -188,7 +200,13 @@ def certify_motion(
     limits, zone = problem.robot.limits, problem.dock.approach
     speed, acceleration = problem.start_state(int(trajectory.path.segments[0].direction))
     return certify_trajectory(
-        trajectory, limits, zone, start_speed=speed, start_acceleration=acceleration, is_late=is_late
+        trajectory,
+        limits,
+        zone,
+        start_speed=speed,
+        start_acceleration=acceleration,
+        start_wait=problem.start_wait(trajectory.path),
+        is_late=is_late,
     )
 
 

@@ -189,8 +189,11 @@ def test_every_panel_of_a_profile_holds_its_quantity_and_limit(trajectory):
     )
     times = np.linspace(0.0, trajectory.duration, 400)
     panels = {panel.label.split(" [")[0]: panel for panel in _panels(trajectory, limits, SpeedZone(0.1, 0.2), times)}
-    assert list(panels) == ["speed", "acceleration", "jerk", "curvature", "yaw rate", "yaw acceleration"]
+    always = ["speed", "acceleration", "jerk", "curvature", "yaw rate", "yaw acceleration"]
+    assert list(panels) == [*always, "lateral acceleration", "wheel speed"]
     samples = trajectory.sample_at(times)
+    np.testing.assert_allclose(panels["lateral acceleration"].values, np.abs(samples.speed * samples.yaw_rate))
+    np.testing.assert_allclose(panels["wheel speed"].values, np.abs(samples.speed) + 0.2 * np.abs(samples.yaw_rate))
     np.testing.assert_array_equal(panels["speed"].values, samples.speed)
     bend = np.abs(trajectory.path.curvature_at(samples.s))
     forward = trajectory.path.direction_at(samples.s) > 0
@@ -211,8 +214,11 @@ def test_every_panel_of_a_profile_holds_its_quantity_and_limit(trajectory):
     assert set(panels["acceleration"].upper[reverse]) == {limits.max_deceleration}
 
 
-def test_a_profile_picture_is_drawn(tmp_path, trajectory):
-    save_profile_picture(tmp_path / "v.png", trajectory, MotionLimits(max_curvature=1.0), SpeedZone(), title="t")
+@pytest.mark.parametrize("more", [{}, {"max_lateral_acceleration": 0.2}])
+def test_a_profile_picture_is_drawn(tmp_path, trajectory, more):
+    save_profile_picture(
+        tmp_path / "v.png", trajectory, MotionLimits(max_curvature=1.0, **more), SpeedZone(), title="t"
+    )
     colours = colours_in(tmp_path / "v.png")
     assert colours.get(COLOURS["path"], 0) > 500
     assert colours.get(COLOURS["goal"], 0) > 200

@@ -39,7 +39,7 @@ def plan_of(segments, robot):
     """A plan over a path of one's own."""
     path = Path(tuple(segments), "map")
     problem = DockingProblem(path.start, Dock(path.end), robot)
-    trajectory = timed_by("NearOptimal", path, problem)
+    trajectory = timed_by("NearOptimal", path, problem, start_wait=problem.start_wait(path))
     return DockPlan(prove_motion(trajectory, problem), path)
 
 

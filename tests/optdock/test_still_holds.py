@@ -157,6 +157,18 @@ def test_a_station_that_moves_into_the_robot_is_a_conflict():
     assert found.obstacle == "dock"
 
 
+@pytest.mark.parametrize("counts", [True, False])
+def test_unknown_cells_that_become_obstacles_are_new_ones(counts):
+    """The map is the same, what it means is not."""
+    cells = np.zeros((100, 100), dtype=np.uint8)
+    cells[45:56, 35] = 255
+    known = dataclasses.replace(open_problem(), costmap=Costmap(cells, 0.1, (-5.0, -5.0)), unknown_is_obstacle=False)
+    plan = plan_dock(known, time_budget=30.0)
+    found = still_holds(plan, dataclasses.replace(known, unknown_is_obstacle=counts))
+    assert found.holds is not counts
+    assert found.changed == (("costmap",) if counts else ())
+
+
 def test_a_map_that_ends_on_the_way_is_a_border():
     plan = running()
     window = Costmap(np.zeros((10, 10), dtype=np.uint8), CELL, (-2.5, 0.0))

@@ -94,6 +94,7 @@ def _refuted(case: Case, plan: DockPlan) -> Verdict | None:
         "zone": case["zone"],
         "start_speed": abs(case["start_speed"]),
         "start_acceleration": math.copysign(1.0, case["start_speed"]) * case.get("start_acceleration", 0.0),
+        "wheels": "unknown" if case.get("start_curvature") is None else "known",
     }
     for evidence, found in (
         (on_path, paths.refuted(on_path, plan.certificate)),

@@ -38,7 +38,7 @@ def draw(rng: np.random.Generator) -> Case:
         "max_deceleration": log_uniform(rng, 0.1, 2.0),
         "max_jerk": log_uniform(rng, 0.1, 16.0),
     }
-    for name in ("yaw_rate", "yaw_acceleration", "lateral_acceleration", "wheel_speed"):
+    for name in ("yaw_rate", "yaw_acceleration", "lateral_acceleration", "wheel_speed", "lateral_jerk"):
         if rng.uniform() < 0.35:
             limits[f"max_{name}"] = log_uniform(rng, 1e-2, 2.0)
     limits["track_width"] = float(rng.uniform(0.2, 0.9)) if "max_wheel_speed" in limits else 0.0

@@ -66,7 +66,8 @@ def plan_undock(
         if not certificate.certified:
             raise CertificationFailed(f"the way out is not certified: {certificate.reason}")
     trajectory = _timed(reversed_path(path), problem, timing)
-    proof = certify_trajectory(trajectory, problem.robot.limits, SpeedZone())
+    limits = problem.robot.limits
+    proof = certify_trajectory(trajectory, limits, SpeedZone(), start_wait=limits.start_wait(trajectory.path))
     if not proof.certified:
         raise CertificationFailed(f"the motion out of the dock is not certified: {proof.reason}")
     return UndockPlan(trajectory, certificate, proof)
@@ -101,7 +102,8 @@ def _from(problem: DockingProblem, start: Pose2) -> DockingProblem:
 
 def _timed(path: Path, problem: DockingProblem, timing: TimingLike) -> Trajectory:
     try:
-        return timed_by(timing, path, problem, zone=SpeedZone())
+        wait = problem.robot.limits.start_wait(path)
+        return timed_by(timing, path, problem, zone=SpeedZone(), start_wait=wait)
     except FailedToTimePath as error:
         raise FailedToTimePath(f"the way out of the dock: {error}", where=error.where) from error
 

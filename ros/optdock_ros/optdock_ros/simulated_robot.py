@@ -68,7 +68,6 @@ from optdock.geometry.checked import finite_number, instance
 from optdock.geometry.pose import Pose2, Twist2, arc_end, transform_points
 from optdock.obstacles import ObstacleSet
 from optdock.parameters import closest
-from optdock.robot import Drive
 from optdock.ros.transforms import quaternion_product, rotated
 
 if TYPE_CHECKING:
@@ -80,7 +79,6 @@ if TYPE_CHECKING:
     from optdock.measurements import Detection
     from optdock.problem import DockingProblem
     from optdock.ros.transforms import Quaternion as Rotation
-    from optdock.simulation import Plant
 
 __all__ = ["PARAMETERS", "SimulatedRobot", "main"]
 
@@ -238,11 +236,9 @@ class World:
                 marker=Pose2(self.gear * values["marker.distance"], 0.0, 0.0),
             )
         actuation = simulation.Actuation(**self.block("actuation"))
-        is_car = problem.robot.drive is Drive.ACKERMANN
-        plant: Plant = (simulation.Bicycle if is_car else simulation.DifferentialDrive)(problem.robot, actuation)
         direction = DockDirection.FORWARD if self.gear > 0.0 else DockDirection.BACKWARD
         return simulation.SimulatedRobot(
-            plant,
+            simulation.plant_of(problem.robot, actuation),
             start,
             problem.goal @ Pose2(*self.numbers("dock_offset")),
             simulation.Sensors(

@@ -91,7 +91,7 @@ def test_an_independent_solver_finds_no_faster_spline(make, all_limits, seed):
     grid, launch, stop = found.grid, found.launch, found.stop
     guess = initial_guess(grid, bounds, forward_backward_pass(bounds, REST), launch.state, stop.state)
     spline = spline_of(grid.steps)
-    rows = limit_rows(grid, bounds, spline)
+    rows = limit_rows(grid, bounds, spline).linear
     start = coefficients_of(grid.steps, guess, launch.state, stop.state)
     c = casadi.SX.sym("c", start.size)
 

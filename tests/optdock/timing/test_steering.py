@@ -8,15 +8,21 @@ import math
 import numpy as np
 import pytest
 
+from optdock.dock import Dock
+from optdock.errors import InvalidValue
 from optdock.geometry.clothoid import ClothoidSpline
+from optdock.geometry.footprint import Footprint
 from optdock.geometry.pose import Pose2
 from optdock.interfaces import TimingStatus
-from optdock.limits import MotionLimits, SpeedZone
+from optdock.limits import LIMITS, MotionLimits, SpeedZone
 from optdock.path import ClothoidSegment, Path, PolylineSegment
+from optdock.pipeline import plan_dock
+from optdock.problem import DockingProblem
+from optdock.robot import Drive, Robot
 from optdock.timing.near_optimal import NearOptimal
 from optdock.timing.windowed import Windowed
 from optdock.trajectory import TimeLaw, Trajectory
-from optdock.verification import certify_trajectory, trajectory_rules
+from optdock.verification import certify_motion, certify_trajectory, trajectory_rules
 
 NO_ZONE = SpeedZone()
 CAR = MotionLimits(
@@ -129,6 +135,101 @@ def test_at_a_cusp_the_robot_waits_as_long_as_its_wheels_turn(kept):
     np.testing.assert_allclose(resting.s, path.cusps[0], atol=1e-9)
 
 
+@pytest.mark.parametrize("method", [NearOptimal, Windowed])
+@pytest.mark.parametrize("bend", [-0.3, 0.0, 0.2])
+def test_at_the_start_the_robot_waits_until_wheels_that_may_stand_anywhere_are_turned(method, bend):
+    path = s_bend(bend, 0.1, 0.0)
+    wait = (math.atan(2.8 / 3.0) + abs(math.atan(2.8 * bend))) / 0.5
+    assert CAR.start_wait(path) == pytest.approx(wait)
+    known = timed(path, CAR, method)
+    motion = method().parameterize(path, CAR, NO_ZONE, start_wait=wait).trajectory
+    assert motion.duration == pytest.approx(known.duration + wait, rel=1e-12)
+    np.testing.assert_allclose(motion.sample_at(np.linspace(0.0, wait, 50)).s, 0.0, atol=1e-12)
+    proof = certify_trajectory(motion, CAR, NO_ZONE, start_speed=0.0, start_wait=wait)
+    assert proof.certified
+    assert proof.ratios["steering_rate"] == pytest.approx(1.0)
+    refused = certify_trajectory(known, CAR, NO_ZONE, start_speed=0.0, start_wait=wait)
+    assert [(violation.kind, violation.s) for violation in refused.violations] == [("rest", 0.0)]
+    law = motion.time_law
+    for share, certified in ((1.0, True), (1.0 - 1e-4, False), (1.5, True), (1e-3, False)):
+        durations = law.durations.copy()
+        durations[0] *= share
+        found = certify_trajectory(Trajectory(path, TimeLaw(durations, law.jerks)), CAR, NO_ZONE, start_wait=wait)
+        assert found.certified is certified
+        assert found.ratios["steering_rate"] >= 1.0 / share - 1e-9 or certified
+
+
+def test_how_far_wheels_may_stand_off():
+    """As far as they turn; where nobody says how far that is, as the smallest turn asks for, or a quarter turn."""
+    path, wheels = s_bend(-0.2, 0.0), {"wheelbase": 2.0, "max_steering_rate": 0.5}
+    begins = math.atan(0.4)
+    for limits, farthest in (
+        ({"max_steering_angle": 0.7, "max_curvature": 0.25}, 0.7),
+        ({"max_curvature": 0.25}, math.atan(0.5)),
+        ({}, 0.5 * math.pi),
+    ):
+        assert MotionLimits(**wheels, **limits).start_wait(path) == pytest.approx((farthest + begins) / 0.5)
+    assert MotionLimits(wheelbase=2.0, max_steering_angle=0.7).start_wait(path) == 0.0
+    assert MotionLimits(max_curvature=1.0).start_wait(path) == 0.0
+
+
+def test_a_rest_at_the_start_serves_no_cusp_beside_it():
+    """A first gear of a micrometre: what the wheels need at its start and at its end is added up."""
+    ahead = ClothoidSpline(Pose2(0.0, 0.0, 0.0), [0.0, 1e-7], [0.3, 0.3])
+    back = ClothoidSpline(ahead.end, [0.0, 2.0], [0.3, 0.3], -1)
+    path = Path((ClothoidSegment(ahead), ClothoidSegment(back)))
+    wait = CAR.start_wait(path)
+    law = NearOptimal().parameterize(path, CAR, NO_ZONE, start_wait=wait).trajectory.time_law
+    assert certify_trajectory(Trajectory(path, law), CAR, NO_ZONE, start_wait=wait).certified
+    (cusp,) = np.flatnonzero(
+        (law.durations > 0.1)
+        & (law.jerks == 0.0)
+        & (law.states[:-1, 0] > 5e-8)
+        & (law.times[:-1] < 10)
+        & (law.states[:-1, 1] < 1e-9)
+    )
+    shorter = TimeLaw(np.delete(law.durations, cusp), np.delete(law.jerks, cusp))
+    assert not certify_trajectory(Trajectory(path, shorter), CAR, NO_ZONE, start_wait=wait).certified
+
+
+def test_a_car_in_motion_whose_wheels_nobody_knows_has_no_motion():
+    path = s_bend(0.0, 0.1, 0.0)
+    for method in (NearOptimal, Windowed):
+        for start in ({"start_speed": 0.3}, {"start_acceleration": 0.2}):
+            result = method().parameterize(path, CAR, NO_ZONE, **start, start_wait=1.0)
+            assert result.status is TimingStatus.FAIL
+            assert "wheels" in result.reason
+    moving = NearOptimal().parameterize(path, CAR, NO_ZONE, start_speed=0.3).trajectory
+    proof = certify_trajectory(moving, CAR, NO_ZONE, start_speed=0.3, start_wait=1.0)
+    assert [violation.kind for violation in proof.violations] == ["rest"]
+
+
+@pytest.mark.parametrize("wait", [-1.0, math.nan, math.inf])
+def test_a_wait_is_a_number_of_seconds(wait):
+    with pytest.raises(InvalidValue, match="start_wait"):
+        NearOptimal().parameterize(s_bend(0.0, 0.1), CAR, NO_ZONE, start_wait=wait)
+
+
+@pytest.mark.parametrize("start", [Pose2(-3.0, 0.4, 0.2), Pose2(-0.8, 0.7, 0.0)])
+def test_plans_of_a_car_that_stands_wait_for_its_wheels_unless_the_problem_says_how_they_stand(start):
+    limits = MotionLimits(wheelbase=0.6, max_steering_angle=0.7, max_steering_rate=0.5)
+    car = Robot(Footprint.rectangle(0.8, 0.2, 0.6), limits, Drive.ACKERMANN)
+    problem = DockingProblem(start, Dock(Pose2(0.0, 0.0, 0.0), final_straight=0.2), car)
+    plan = plan_dock(problem, time_budget=30.0)
+    wait = problem.start_wait(plan.path)
+    assert wait >= 1.4
+    assert plan.trajectory.at(wait - 1e-6).s == 0.0
+    assert plan.trajectory.at(wait + 0.3).s > 0.0
+    law = plan.trajectory.time_law
+    hasty = Trajectory(plan.path, TimeLaw(law.durations[1:], law.jerks[1:]))
+    (violation,) = certify_motion(hasty, problem).violations
+    assert (violation.kind, violation.s) == ("rest", 0.0)
+    begins = float(plan.path.curvature_at(0.0)[0])
+    assert certify_motion(hasty, problem.starting_at(start, curvature=begins)).certified
+    free = Robot(car.footprint, MotionLimits(wheelbase=0.6, max_steering_angle=0.7), Drive.ACKERMANN)
+    assert DockingProblem(start, problem.dock, free).start_wait(plan.path) == 0.0
+
+
 def test_a_rest_that_is_too_short_is_refused():
     path = fold()
     law = timed(path, CAR).time_law
@@ -235,10 +336,11 @@ def test_the_curvature_of_the_second_derivative_bounds_the_steering_rate():
         )
         along = cell.rows(np.zeros(t.size, dtype=int)).advanced(t)
         drive = dataclasses.replace(CAR, wheelbase=rng.uniform(0.1, 3.0))
-        rate = trajectory_rules._quantities(along, drive)["steering_rate"]
-        last = cell.advanced(cell.width)
+        rate = LIMITS["max_steering_rate"].size(along, drive)
+        sizes = trajectory_rules._Sizes.over(cell, cell.advanced(cell.width))
         # What moves backwards within a cell is refused elsewhere; speeds count by their size.
-        bound = max(rate[0], rate[-1]) + width**2 / 8.0 * trajectory_rules._bend(cell, last, drive)["steering_rate"][0]
+        bent = trajectory_rules._BENDS["max_steering_rate"](sizes, drive)[0]
+        bound = max(rate[0], rate[-1]) + width**2 / 8.0 * bent
         assert rate.max() <= bound * (1.0 + 1e-12)
 
 

@@ -17,7 +17,7 @@ from optdock.timing.motion import DriveBounds, Motion, State
 from optdock.timing.near_optimal import NearOptimal, near_optimal_plans
 from optdock.timing.path_limits import limits_along
 from optdock.timing.ruckig_moves import move
-from optdock.timing.strategy import NO_DEADLINES, Deadlines, best_of, segment_plans, time_path
+from optdock.timing.strategy import NO_DEADLINES, Deadlines, Start, best_of, segment_plans, time_path
 from optdock.timing.windowed import Windowed, windowed_plans
 from optdock.verification import certify_trajectory
 
@@ -64,7 +64,7 @@ def test_braking_is_cut_short_once_every_limit_holds(along):
 
 def test_braking_to_rest_is_all_there_is_where_nothing_can_be_planned(make, all_limits):
     gears = make.spline([2.0], [0.0, 0.0]), make.spline([1.0], [0.0, 0.0], sign=-1)
-    result = time_path(Path(gears), all_limits, SpeedZone(), (0.7, 0.0), never)
+    result = time_path(Path(gears), all_limits, SpeedZone(), Start(0.7, 0.0), never)
     assert result.status is TimingStatus.START_INFEASIBLE
     assert result.trajectory.path.segments == gears[:1]
     end = result.trajectory.time_law.states[-1]
@@ -78,7 +78,7 @@ def test_a_later_gear_without_a_plan_fails_the_whole(make, all_limits):
     def first_only(along, start, deadlines):
         return (windowed_plans if along.caps.direction > 0 else never)(along, start, deadlines)
 
-    result = time_path(Path(gears), all_limits, SpeedZone(), (0.7, 0.0), first_only)
+    result = time_path(Path(gears), all_limits, SpeedZone(), Start(0.7, 0.0), first_only)
     assert (result.status, result.trajectory, result.reason) == (TimingStatus.FAIL, None, "no plan")
 
 
@@ -128,7 +128,7 @@ def gears(make):
 
 
 def test_a_refused_gear_gets_the_next_plan_and_the_others_keep_theirs(gears, all_limits):
-    result = time_path(gears, all_limits, SpeedZone(), (0.0, 0.0), reckless_then_careful)
+    result = time_path(gears, all_limits, SpeedZone(), Start(0.0, 0.0), reckless_then_careful)
     assert result.status is TimingStatus.OK
     assert result.report.gears == ("reckless", "windowed")
     assert certify_trajectory(result.trajectory, all_limits, SpeedZone()).certified
@@ -136,7 +136,7 @@ def test_a_refused_gear_gets_the_next_plan_and_the_others_keep_theirs(gears, all
 
 
 def test_a_gear_whose_last_plan_is_refused_fails_with_what_is_broken_and_where(gears, all_limits):
-    result = time_path(gears, all_limits, SpeedZone(), (0.0, 0.0), reckless)
+    result = time_path(gears, all_limits, SpeedZone(), Start(0.0, 0.0), reckless)
     assert (result.status, result.trajectory) == (TimingStatus.FAIL, None)
     assert "the last method, reckless, is not certified: " in result.reason
     assert 1.0 < result.at_s < 2.0
@@ -148,7 +148,7 @@ def test_a_moving_start_whose_plans_are_refused_stops_first(make, all_limits):
     def careful_from_rest(along, start, deadlines):
         return (windowed_plans if start == State() else reckless)(along, start, deadlines)
 
-    result = time_path(path, all_limits, SpeedZone(), (0.4, 0.0), careful_from_rest)
+    result = time_path(path, all_limits, SpeedZone(), Start(0.4, 0.0), careful_from_rest)
     assert (result.status, result.report.gears) == (TimingStatus.OK, ("stop and go",))
     assert certify_trajectory(result.trajectory, all_limits, SpeedZone(), start_speed=0.4).certified
 
@@ -177,7 +177,7 @@ def test_no_more_than_a_few_looks_after_the_deadline(ticks, planner, make, all_l
     path = make.random_path(np.random.default_rng(7), gears=2, length=2.5)
     clock = Ticking()
     deadline = Deadline(1e-3 * (ticks + 0.5), clock)
-    result = time_path(path, all_limits, ZONE, (0.0, 0.0), planner, deadline)
+    result = time_path(path, all_limits, ZONE, Start(0.0, 0.0), planner, deadline)
     assert clock.now / clock.tick - ticks <= 25
     if result.status is TimingStatus.OK:
         assert certify_trajectory(result.trajectory, all_limits, ZONE).certified
@@ -216,7 +216,7 @@ def test_an_impossible_start_is_answered_even_without_time_for_the_rest(make, al
     path = make.random_path(np.random.default_rng(3), gears=1, length=3.0)
     for ticks in range(2, 40):
         deadline = Deadline(1e-3 * ticks, Ticking())
-        result = time_path(path, all_limits, ZONE, (0.9, 0.0), PLANNERS["near-optimal"], deadline)
+        result = time_path(path, all_limits, ZONE, Start(0.9, 0.0), PLANNERS["near-optimal"], deadline)
         assert result.status in (TimingStatus.START_INFEASIBLE, TimingStatus.TIMED_OUT)
         if result.status is TimingStatus.START_INFEASIBLE:
             assert result.trajectory.time_law.states[-1, 1] == pytest.approx(0.0, abs=1e-9)
