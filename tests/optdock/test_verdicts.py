@@ -26,6 +26,7 @@ from optdock.limits import MotionLimits, SpeedZone
 from optdock.outcomes import BehaviorResult, BehaviorStatus, TimingResult, TimingStatus
 from optdock.path import Path
 from optdock.pipeline import plan_dock
+from optdock.plan_file_verdict import PlanFileVerdict
 from optdock.problem import DockingProblem
 from optdock.replanning import Replanned, ReplanOutcome
 from optdock.robot import Robot
@@ -113,7 +114,19 @@ def is_verdict(kind):
 
 VERDICTS = [
     *(Certificate, TrajectoryCertificate, ImpossibilityVerdict, ClearanceProof, SampledMotionVerdict, StillHolds),
-    *(Verdict, PlanResult, EndingKind, Ending, Replanned, WayVerdict, Replay, Run, RunColumns, DenseReport),
+    *(
+        Verdict,
+        PlanResult,
+        EndingKind,
+        Ending,
+        PlanFileVerdict,
+        Replanned,
+        WayVerdict,
+        Replay,
+        Run,
+        RunColumns,
+        DenseReport,
+    ),
     *(TimingStatus, TimingResult, BehaviorStatus, BehaviorResult, StartVerdict),
 ]
 
@@ -162,6 +175,7 @@ def judged():
         EndingKind: (EndingKind.ALREADY_DOCKED, EndingKind.CANCELLED),
         Ending: (ended[EndingKind.UNDOCKED], ended[EndingKind.TIMEOUT]),
         Replanned: (new, Replanned(ReplanOutcome.STOP, timed, 0.0, None)),
+        PlanFileVerdict: tuple(PlanFileVerdict(outcome, ()) for outcome in ("certified", "refuted")),
         WayVerdict: (way, prove_way(plan.path, walled)),
         Replay: (Replay(3, None, None, (0.0, 0.0), run["poses"]), Replay(3, other, None, (0.0, 0.0), run["poses"])),
         Run: tuple(Run(times=np.arange(2.0), **run, goal=Pose2(0, 0, 0), docked=docked) for docked in (True, False)),
