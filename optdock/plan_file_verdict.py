@@ -186,7 +186,7 @@ def _said(violation: Violation) -> str:
 def _not_judged(plan: PlanFile, parts: tuple[str, ...]) -> list[tuple[str, str]]:
     """One row of what nobody can judge; none where the file holds nothing of that."""
     held = [name for name in ("timing_ms", "tried", "error") if getattr(plan, name)]
-    named = [*parts, *held, *(f"{key} (unknown)" for key in plan.unknown_keys)]
+    named = [*parts, *held, *plan.unjudged]
     return [("not judged", ", ".join(named))] if named else []
 
 
@@ -282,6 +282,8 @@ class _Claims:
     def not_judged(self) -> tuple[str, ...]:
         """Names of the claims that cannot be compared."""
         names = ["certificate.poses_checked"] if "poses_checked" in self._claimed else []
+        if "at_s" in self._claimed and not self._of_path and not self._others:
+            names.append("certificate.at_s")
         if self._claimed and self._others:
             names.append("certificate (of another problem)")
         if "trajectory" in self._claimed and (self._motion.proof is None or self._others):
@@ -363,7 +365,7 @@ class _Claims:
     def _false_place(self) -> Iterator[str]:
         """Where the least clearance is said to be, there it must be found."""
         here, at = self._certificate, _number(self._claimed, "at_s", math.nan)
-        if at is None or not math.isfinite(here.min_clearance):
+        if at is None or not self._of_path or not math.isfinite(here.min_clearance) or _same(at, here.at_s):
             return
         if not -TOLERANCE <= at <= self._path.length + TOLERANCE:
             yield f"certificate.at_s is {at:.6g} m, the path has {self._path.length:.6g} m"

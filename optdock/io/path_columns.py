@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
     from optdock.geometry.arrays import FloatArray
 
-__all__ = ["Number", "PathColumns", "path_columns", "path_from_columns"]
+__all__ = ["Number", "PathColumns", "check_sampled_curvature", "path_columns", "path_from_columns"]
 
 logger = logging.getLogger(__name__)
 
@@ -117,12 +117,15 @@ def _curve(segment: Segment) -> Json | None:
     return None
 
 
-def path_from_columns(columns: PathColumns, name: str) -> Path:
+def path_from_columns(columns: PathColumns, name: str) -> tuple[Path, bool]:
     """The exact path where the columns hold its curves, the polyline through the samples otherwise.
 
     Args:
         columns: Samples and perhaps curves.
         name: What the path is called in messages.
+
+    Returns:
+        The path, and whether it has its exact curves.
 
     Raises:
         InvalidFile: Columns of differing length, fewer than two samples, an arc length that is shorter than the way,
@@ -135,8 +138,7 @@ def path_from_columns(columns: PathColumns, name: str) -> Path:
     if not columns.segments:
         _check_radians(poses, name)
         _check_directions(columns, poses, name)
-        _check_quotients(columns, poses, name)
-        return Path.from_poses(poses)
+        return Path.from_poses(poses), False
     path = Path(tuple(_segment(curve) for curve in columns.segments))
     try:
         _check_agreement(columns, poses, path, name)
@@ -145,7 +147,7 @@ def path_from_columns(columns: PathColumns, name: str) -> Path:
             raise
         logger.warning("%s; the segments are rounded, so the samples count", error)
         return path_from_columns(columns.model_copy(update={"segments": None}), name)
-    return path
+    return path, True
 
 
 def _are_rounded(columns: PathColumns, curves: Sequence[_Curve], path: Path, poses: FloatArray) -> bool:
@@ -255,14 +257,23 @@ def _check_directions(columns: PathColumns, poses: FloatArray, name: str) -> Non
         raise InvalidFile(f"{name}.direction: {given[i]} at sample {i}, but the robot {does}")
 
 
-def _check_quotients(columns: PathColumns, poses: FloatArray, name: str) -> None:
-    """The curvature of samples lies among the quotients of turn and way around them.
+def check_sampled_curvature(columns: PathColumns, name: str) -> None:
+    """Check that the curvature of samples lies among the quotients of turn and way around them.
 
     Of the two steps before a sample and the two after it the least and the largest count, widened by how far they are
-    apart and by what rounding makes of them. A sample near a turn in place may say anything.
+    apart and by what rounding makes of them. A sample near a turn in place may say anything. It holds for paths that
+    can be driven, whose curvature is a function; the corners of a guess may hide between its samples.
+
+    Args:
+        columns: Samples of a path without its curves.
+        name: What the path is called in messages.
+
+    Raises:
+        InvalidFile: It does not.
     """
     if columns.curvature is None:
         return
+    poses = np.column_stack((columns.x, columns.y, columns.yaw))
     given, chord = np.array(columns.curvature), np.hypot(*np.diff(poses[:, :2], axis=0).T)
     turn = np.remainder(np.diff(poses[:, 2]) + np.pi, 2.0 * np.pi) - np.pi
     moves = chord > _STILL
@@ -307,7 +318,7 @@ def _check_gears(columns: PathColumns, path: Path, name: str) -> None:
     if columns.direction is None:
         return
     s, given = np.array(columns.s), np.array(columns.direction)
-    before, after = (path.direction_at(s + shift) for shift in (-AGREEMENT, AGREEMENT))
+    before, after = path.direction_at(np.concatenate((s - AGREEMENT, s + AGREEMENT))).reshape(2, -1)
     again = np.diff(s) <= _STILL
     follows, is_followed = np.append(False, again), np.append(again, False)
     right = ((given == before) & ~(follows & ~is_followed)) | ((given == after) & ~(is_followed & ~follows))
@@ -321,8 +332,9 @@ def _check_curvature(columns: PathColumns, path: Path, name: str) -> None:
     if columns.curvature is None:
         return
     s, given = np.array(columns.s), np.array(columns.curvature)
-    around = np.array([path.curvature_at(s + shift) for shift in (-AGREEMENT, 0.0, AGREEMENT)])
-    steepest = np.max([np.abs(path.curvature_rate_at(s + shift)) for shift in (-AGREEMENT, 0.0, AGREEMENT)], axis=0)
+    places = np.concatenate([s + shift for shift in (-AGREEMENT, 0.0, AGREEMENT)])
+    around = path.curvature_at(places).reshape(3, -1)
+    steepest = np.abs(path.curvature_rate_at(places)).reshape(3, -1).max(axis=0)
     allowed = AGREEMENT * (1.0 + np.abs(given) + steepest)
     off = np.maximum(around.min(axis=0) - given, given - around.max(axis=0)) - allowed
     i = int(np.argmax(off))

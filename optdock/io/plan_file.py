@@ -19,7 +19,7 @@ from optdock.geometry.checked import number
 from optdock.io.atomic_file import write_text
 from optdock.io.faults import listed
 from optdock.io.guarded_file import MostBytes, parse_json, read_text
-from optdock.io.path_columns import Number, PathColumns, path_columns, path_from_columns
+from optdock.io.path_columns import Number, PathColumns, check_sampled_curvature, path_columns, path_from_columns
 from optdock.io.quoting import shortened, shown
 from optdock.trajectory import TimeLaw
 from optdock.verification import ImpossibilityProof, SampledMotion
@@ -103,7 +103,8 @@ class PlanFile:
         error: Why there is no certified plan.
         tried: Every guess that was tried, and what became of it, as `Attempt.as_dict` gives it.
         impossibility: The proof that there can be none.
-        unknown_keys: Keys of a file that was read which this format does not have, and which nothing looks at.
+        unjudged: Names of what a file that was read holds and nothing can be compared with: keys that this format does
+            not have, the curvature of a guess without its curves.
 
     Raises:
         InvalidPath: A path names another frame.
@@ -121,7 +122,7 @@ class PlanFile:
     error: PlanError | None = None
     impossibility: ImpossibilityProof | None = None
     tried: Sequence[Mapping[str, object]] = ()
-    unknown_keys: tuple[str, ...] = ()
+    unjudged: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         for name in ("raw_path", "path"):
@@ -339,6 +340,11 @@ def parse_plan(text: str, source: str) -> PlanFile:
     faults: list[str] = []
     raw_path = _built(lambda: _path(document.raw_path, "raw_path"), faults)
     path = _built(lambda: _path(document.path, "path"), faults)
+    samples = document.path if path is not None and not path[1] else None
+    if samples is not None:
+        _built(lambda: check_sampled_curvature(samples, "path"), faults)
+    if raw_path is not None and not raw_path[1]:
+        unknown = (*unknown, "raw_path.curvature (of samples)")
     trajectory = _built(lambda: _trajectory(document.trajectory), faults)
     time_law = _built(lambda: _time_law(document.trajectory), faults)
     proof = _built(lambda: _impossibility(document.impossibility), faults)
@@ -348,8 +354,8 @@ def parse_plan(text: str, source: str) -> PlanFile:
         status=document.status,
         completed=document.completed,
         frame=document.frame,
-        raw_path=raw_path,
-        path=path,
+        raw_path=None if raw_path is None else raw_path[0],
+        path=None if path is None else path[0],
         trajectory=trajectory,
         time_law=time_law,
         certificate=None if document.certificate is None else _as_written(document.certificate),
@@ -357,7 +363,7 @@ def parse_plan(text: str, source: str) -> PlanFile:
         error=None if document.error is None else PlanError(*document.error.model_dump().values()),
         impossibility=proof,
         tried=tuple(map(_as_written, document.tried)),
-        unknown_keys=unknown,
+        unjudged=unknown,
     )
 
 
@@ -374,7 +380,8 @@ def _impossibility(values: Mapping[str, object] | None) -> ImpossibilityProof | 
     return None if values is None else ImpossibilityProof.from_dict(values)
 
 
-def _path(columns: PathColumns | None, name: str) -> Path | None:
+def _path(columns: PathColumns | None, name: str) -> tuple[Path, bool] | None:
+    """The path, and whether it has its exact curves."""
     return None if columns is None else path_from_columns(columns, name)
 
 
@@ -390,7 +397,7 @@ def _unknown_keys(values: object, document: BaseModel, above: str = "") -> Itera
     for key, value in values.items():
         known = getattr(document, key, None) if key in type(document).model_fields else None
         if key not in type(document).model_fields:
-            yield shortened(f"{above}{key}")
+            yield f"{shortened(f'{above}{key}')} (unknown)"
         elif isinstance(known, BaseModel) and known.model_config.get("extra") == "ignore":
             yield from _unknown_keys(value, known, f"{above}{key}.")
 

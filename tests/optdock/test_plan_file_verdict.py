@@ -40,23 +40,21 @@ def test_what_plan_writes_is_certified_or_impossible(problems, name):
     assert verdict.false_claims == ()
 
 
-@pytest.mark.parametrize("name", ["bend", "turning"])
-def test_one_damage_anywhere_is_seen_or_means_the_same(name):
-    """One place of every part, drawn at random; the campaign `damaged_files` of the fuzzer has them all."""
-    rng, document = np.random.default_rng(3), document_of(name)
-    parts = {}
-    for place in places_of(document):
+def test_one_damage_anywhere_is_seen_or_means_the_same():
+    """One place of every part with three damages, drawn at random; the fuzzer's kind `damaged_files` has them all."""
+    rng, parts = np.random.default_rng(3), {}
+    for place in places_of(document_of("bend")):
         parts.setdefault(tuple("#" if isinstance(key, int) else key for key in place), []).append(place)
-    case = {"kind": "damaged_files", "target": "plan", **planned(name)._asdict()}
+    case = {"kind": "damaged_files", "target": "plan", **planned("bend")._asdict()}
     outcomes = set()
     for places in parts.values():
-        place = list(places[rng.integers(len(places))])
-        for damage in ("x 10", "x -1", "x 1.001", "1e999", "null", "text", "drop", "double"):
-            with_damage = {**case, "place": place, "damage": damage}
-            try:
-                verdict = judge(with_damage)
-            except TypeError:
-                continue  # what is no number cannot be multiplied
+        place = places[rng.integers(len(places))]
+        before = document_of("bend")
+        for key in place:
+            before = before[key]
+        known = DAMAGES if type(before) in (int, float) else DAMAGES[12:]
+        for damage in rng.choice(known, 3, replace=False):
+            verdict = judge({**case, "place": list(place), "damage": str(damage)})
             assert not verdict.is_fault or verdict.outcome == "late", verdict
             outcomes.add(verdict.outcome)
     assert outcomes >= {"plan: certified", "plan: refuted", "plan: InvalidFile"}
@@ -87,12 +85,17 @@ def test_every_column_is_compared(problems, place):
 
 @pytest.mark.parametrize("part", ["path", "raw_path"])
 def test_the_columns_of_samples_alone_are_compared(problems, part):
+    honest = document_of("bend")
+    del honest[part]["segments"]
+    named = dict(verdict_on(honest, problems["bend"]).rows)["not judged"]
+    assert ("raw_path.curvature" in named) == (part == "raw_path")
     for name, change in (("curvature", 1.0), ("s", 1e-3), ("s", 1.0), ("direction", None)):
-        document = document_of("bend")
-        del document[part]["segments"]
+        if (part, name) == ("raw_path", "curvature"):
+            continue
+        document = copy.deepcopy(honest)
         column = document[part][name]
         column[7] = -column[7] if change is None else column[7] + change
-        with pytest.raises(InvalidFile, match=rf"{part}\\.{name}"):
+        with pytest.raises(InvalidFile, match=rf"{part}\.{name}"):
             parse_plan(json.dumps(document), "plan.json")
 
 
@@ -157,13 +160,13 @@ def test_false_claims_refute_a_file(problems, change, said):
     [
         (
             lambda d: d.update(path=document_of("straight")["path"]),
-            "impossibility: a proof that no motion exists stands",
+            "impossibility: a proof that no motion",
         ),
-        (lambda d: d.update(certificate={"certified": True}), "impossibility: a proof that no motion exists stands"),
-        (lambda d: d.update(status="certified"), "impossibility: a proof that no motion exists stands"),
+        (lambda d: d.update(certificate={"certified": True}), "impossibility: a proof that no motion"),
+        (lambda d: d.update(status="certified"), "impossibility: a proof that no motion"),
         (
             lambda d: d.update(status="certified", impossibility=None),
-            "status: is 'certified', but the file holds no path",
+            "status: is 'certified', but",
         ),
         (lambda d: d.update(status="unknown"), "error: stands beside status 'unknown'"),
     ],

@@ -152,7 +152,8 @@ def _means_the_same(case: Case, document: Any, before: Any, after: Any) -> bool:
         or (before == after and type(before) is type(after) and case["damage"] != "double")
         or _is_left_out(case, before, after)
         or _is_one_curve(case, document)
-        or (place in ("certificate.nearest", "frame", "status") and after in _names(case["scenario"]))
+        or (place == "status" and isinstance(after, str))  # one that others gave; not that of a refusal, see the judge
+        or (place in ("certificate.nearest", "frame") and after in _names(case["scenario"]))
         or (_is_number(before) and _is_number(after) and _is_rounding(case, document, place, (before, after)))
     )
 
@@ -177,8 +178,8 @@ def _is_number(value: object) -> bool:
 
 
 def _names(scenario: str) -> list[str]:
-    """What the nearest obstacle may be called, or a frame or a status that says nothing."""
-    return ["", "unknown", *(f"obstacles[{i}]" for i in range(len(yaml.safe_load(scenario)["obstacles"])))]
+    """What the nearest obstacle may be called, or a frame that nobody knows."""
+    return ["", *(f"obstacles[{i}]" for i in range(len(yaml.safe_load(scenario)["obstacles"])))]
 
 
 def _is_between(document: Any, place: list[Any], value: float) -> bool:  # noqa: ANN401
