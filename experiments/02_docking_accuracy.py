@@ -30,7 +30,15 @@ from optdock.plugins import create_plugin
 from optdock.problem import DockingProblem
 from optdock.report import table
 from optdock.robot import Robot
-from optdock.simulation import Actuation, DifferentialDrive, SimulationSettings, run_closed_loop
+from optdock.simulation import (
+    Actuation,
+    PoseSensor,
+    Sensors,
+    SimulatedRobot,
+    SimulationSettings,
+    plant_of,
+    run_closed_loop,
+)
 
 OUT = Path("results") / Path(__file__).stem
 GOAL = Pose2(0.0, 0.0, 0.0)
@@ -71,17 +79,17 @@ def starts(count: int) -> list[Pose2]:
 
 def by_law(start: Pose2, world: SimulationSettings) -> Ending:
     """The docking server's loop: the law towards the projected dock until within 5 cm of the dock."""
-    plant = DifferentialDrive(ROBOT, world.actuation, world.period)
-    state, noise, curvatures = plant.at_rest(start), np.random.default_rng(world.seed), []
+    sensors = Sensors(PoseSensor(world.position_noise, world.yaw_noise))
+    robot, curvatures = SimulatedRobot(plant_of(ROBOT, world.actuation), start, GOAL, sensors, seed=world.seed), []
     target = GOAL @ Pose2(PROJECTION, 0.0, 0.0)
     while len(curvatures) < 3000:
-        x, y, yaw = noise.standard_normal(3) * (world.position_noise, world.position_noise, world.yaw_noise)
-        measured = Pose2(state.pose.x + x, state.pose.y + y, state.pose.yaw + yaw)
+        measured = robot.measurements.pose
+        assert measured is not None
         if measured.distance_to(GOAL) < ACCEPTED:
             break
         curvatures.append(abs(LAW.curvature(egocentric(target, measured))))
-        state = plant.step(state, LAW.command(target, measured))
-    return Ending(abs(state.pose.y), abs(state.pose.yaw), max(curvatures), len(curvatures) * world.period)
+        robot.advance(LAW.command(target, measured), world.period)
+    return Ending(abs(robot.error.y), abs(robot.error.yaw), max(curvatures), robot.time)
 
 
 def by_plan(start: Pose2, world: SimulationSettings) -> Ending | None:

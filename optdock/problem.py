@@ -18,7 +18,7 @@ from optdock.dock import Dock
 from optdock.errors import InvalidValue
 from optdock.fingerprint import ProblemFingerprint, digest
 from optdock.geometry.arrays import FrozenArrays
-from optdock.geometry.checked import finite_number, instance, number
+from optdock.geometry.checked import exactly, finite_number, instance, number
 from optdock.geometry.pose import Pose2, transform_points
 from optdock.geometry.separation import separation
 from optdock.obstacles import ObstacleSet
@@ -202,17 +202,20 @@ class DockingProblem(FrozenArrays):
         object.__setattr__(self, "all_obstacles", everything)
 
     def _check_parts(self) -> None:
+        # No subclasses: what overrides a pose or an outline is another one, of which no proof would know.
         parts = (
             (Pose2, "start"),
             (Dock, "dock"),
             (Robot, "robot"),
-            (str, "frame"),
+            (ObstacleSet, "obstacles"),
+            (ClearanceRule, "clearance"),
             (bool, "unknown_is_obstacle"),
         )
         for kind, name in parts:
-            instance(kind, getattr(self, name), f"problem.{name}")
+            exactly(kind, getattr(self, name), f"problem.{name}")
+        instance(str, self.frame, "problem.frame")
         if self.costmap is not None:
-            instance(Costmap, self.costmap, "problem.costmap")
+            exactly(Costmap, self.costmap, "problem.costmap")
         speed = finite_number(self.start_speed, "start.speed")
         acceleration = finite_number(self.start_acceleration, "start.acceleration")
         speed, acceleration = _without_rounding(speed, acceleration, self.robot.limits.max_jerk)

@@ -84,11 +84,11 @@ class Robot:
     tracking: TrackingTube = TrackingTube()
 
     def __post_init__(self) -> None:
-        instance(Footprint, self.footprint, "robot.footprint")
+        exactly(Footprint, self.footprint, "robot.footprint")
         exactly(MotionLimits, self.limits, "robot.limits")  # of what a subclass bounds beside it nothing is proven
         object.__setattr__(self, "drive", member(Drive, self.drive, "robot.drive"))
         instance(bool, self.turns_in_place, "robot.turns_in_place")
-        instance(TrackingTube, self.tracking, "robot.tracking")
+        exactly(TrackingTube, self.tracking, "robot.tracking")
         check_drive(self.drive, self.limits, turns_in_place=self.turns_in_place)
 
     @functools.cached_property

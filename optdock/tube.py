@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 __all__ = ["Deviations", "Tube"]
 
-_SPACING = 0.05  # [m] between the places of the path that are looked at first
+_SPACING = 0.002  # [m] between the places looked at first: beside a cusp two legs are as near, so coarse ones mislead
 _CLOSE = 2e-4  # [m]: where the search ends; a displacement is then too large by as much at most
 _AROUND = readonly(np.linspace(-1.0, 1.0, 11))
 

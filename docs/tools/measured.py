@@ -1,7 +1,7 @@
 """Figures of the documentation that a command prints, compared with what it prints now.
 
-A table below a line `<!-- measured: COMMAND -->` holds columns of the tables that the command prints: those whose names
-it has; of the rows those that begin as its own do, or all where several begin alike. `python docs/tools/measured.py`
+A table below a line `<!-- measured: COMMAND -->` holds columns of the first table that the command prints with all of
+them; of the rows those that begin as its own do, or all where several begin alike. `python docs/tools/measured.py`
 (`make figures`) runs the commands and fails where a figure is another one by now; `--write` puts the new ones in. Words
 after it choose among commands: those that contain one of them.
 
@@ -125,13 +125,12 @@ def updated(table: Measured, printed: str) -> list[list[str]]:
     Raises:
         LookupError: It prints no table with these columns.
     """
-    head, found = table.rows[0], []
-    for rows in printed_tables(printed):
-        if set(head) <= set(rows[0]):
-            columns = [rows[0].index(name) for name in head]
-            found += [[row[k] for k in columns] for row in rows[1:]]
-    if not found:
+    head = table.rows[0]
+    rows = next((rows for rows in printed_tables(printed) if set(head) <= set(rows[0])), None)
+    if rows is None:
         raise LookupError(f"{table.command}: prints no table with the columns {', '.join(head)}")
+    columns = [rows[0].index(name) for name in head]
+    found = [[row[k] for k in columns] for row in rows[1:]]
     names, kept = [row[0] for row in found], {row[0] for row in table.rows[1:]}
     chosen = len(set(names)) == len(names) and kept <= set(names)
     return [head, *(row for row in found if not chosen or row[0] in kept)]

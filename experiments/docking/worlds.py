@@ -16,12 +16,12 @@ from optdock.problem import ClearanceRule, DockingProblem
 from optdock.robot import Robot, TrackingTube
 from optdock.simulation import (
     Actuation,
-    DifferentialDrive,
     DockSensor,
     PoseSensor,
     Sensors,
     SimulatedRobot,
     Station,
+    plant_of,
 )
 
 __all__ = ["SPREADS", "WORLDS", "Case", "Spread", "World", "case_of"]
@@ -130,7 +130,7 @@ class Case(NamedTuple):
         """The robot at its start, at rest; a station without a switch does not stop it either."""
         detector = kind.dock
         return SimulatedRobot(
-            DifferentialDrive(self.problem.robot, kind.actuation),
+            plant_of(self.problem.robot, kind.actuation),
             self.problem.start,
             self.true_dock,
             Sensors(pose=kind.pose, dock=detector),

@@ -11,7 +11,14 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from optdock.verification import certify, conservative_advancement, motion_bounds, path_rules, trajectory_rules
+from optdock.verification import (
+    certificate,
+    certify,
+    conservative_advancement,
+    motion_bounds,
+    path_rules,
+    trajectory_rules,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -40,6 +47,10 @@ def planted(name: str | None) -> Iterator[None]:
         yield
     finally:
         setattr(owner, attribute, honest)
+
+
+def _true(_honest: Callable[..., bool]) -> Callable[..., bool]:
+    return lambda _verdict: True
 
 
 def _five_times(honest: float) -> float:
@@ -128,6 +139,7 @@ PLANTS: dict[str, Plant] = {
     "dropped_path_cell": Plant(motion_bounds.PathMotion, "cells", _middle_cell_less),
     "dropped_time_cell": Plant(trajectory_rules, "_initial_cells", _middle_cell_less),
     "curvature_x5": Plant(path_rules, "EXACT_RTOL", _five_times),
+    "always_true": Plant(certificate.Certificate, "__bool__", _true),
     "rest_x5": Plant(trajectory_rules, "REST_TOLERANCE", _five_times),
     "lateral_jerk_order": Plant(trajectory_rules, "LIMITS", _lateral_jerk_of_another_order),
     "lateral_jerk_at_ends_only": Plant(trajectory_rules, "_BENDS", _no_bend_of_lateral_jerk),

@@ -140,7 +140,10 @@ class CommandLimiter:
         return min(max(slope, -most), most)
 
     def _stopping_within(self, room: float, slope: float, period: float, limits: MotionLimits) -> float:
-        """The acceleration, no larger than lets the robot stop within `room`, as far as its jerk allows."""
+        """The acceleration, no larger than lets the robot stop within `room`, as far as its jerk allows.
+
+        Braking comes down with the speed: a robot that is to rest does not set off backwards.
+        """
         forward = math.copysign(1.0, self.command.linear if self.command.linear != 0.0 else slope)
         speed = forward * self.command.linear
         least = max(forward * self._acceleration - limits.max_jerk * self._between(period), -limits.max_deceleration)
@@ -149,7 +152,12 @@ class CommandLimiter:
             after, end = speed + rise * period, rise - 0.5 * limits.max_jerk * period
             return after * period + _stopping_way(after + 0.5 * end * period, end, limits) <= room
 
-        return forward * _largest(fits, min(least, forward * slope), forward * slope)
+        found = _largest(fits, min(least, forward * slope), forward * slope)
+        if speed > 0.0:
+            step = limits.max_jerk * period  # that much more where the rest falls into a period
+            most = forward * self._acceleration + limits.max_jerk * self._between(period)
+            found = max(found, min(-_fastest(speed, limits.max_jerk, period) - step, most))
+        return forward * found
 
     def _leaving_room(self, slope: float, turn: _Turn, period: float, limits: MotionLimits) -> float:
         """The acceleration, no larger than what the limits leave beside the turn, and no jump down from the last."""

@@ -9,14 +9,19 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from optdock.dock import Dock
 from optdock.errors import ControllerException, InvalidValue
 from optdock.geometry.pose import Pose2
+from optdock.lifecycle import LifecycleState, PluginContext
 from optdock.path import PathSamples
+from optdock.problem import DockingProblem
+from optdock.robot import Drive
 from optdock.simulation.bicycle import plant_of
 from optdock.simulation.plant import Actuation
 from optdock.simulation.run import Run
 from optdock.simulation.sensors import PoseSensor
 from optdock.simulation.world import Sensors, SimulatedRobot
+from optdock.trajectory import Trajectory
 from optdock.verification import proven_for
 
 if TYPE_CHECKING:
@@ -28,7 +33,6 @@ if TYPE_CHECKING:
     from optdock.path import Path
     from optdock.robot import Robot
     from optdock.simulation.bicycle import Steering
-    from optdock.trajectory import Trajectory
 
 __all__ = ["RemainingPath", "SimulationSettings", "run_closed_loop"]
 
@@ -94,7 +98,8 @@ def run_closed_loop(  # noqa: PLR0913 - one parameter for each part of the loop
         trajectory: What to drive; the controller gets it through `set_path`.
         robot: Its drive limits bound the plant; its footprint is used for the clearance.
         goal: Pose handed to the goal checker.
-        controller: Ready to use; it is told the time.
+        controller: Ready to use; it is told the time. One that is not configured drives as a differential drive does,
+            and so is configured first where the robot is a car.
         goal_checker: Decides.
         settings: The world; perfect by default.
         beside: Goal checkers that are asked once, when the run has ended; they decide nothing.
@@ -108,7 +113,12 @@ def run_closed_loop(  # noqa: PLR0913 - one parameter for each part of the loop
     controller.reset()
     for checker in (goal_checker, *beside):
         checker.reset()
-    controller.set_path(trajectory)
+    if controller.state is LifecycleState.UNCONFIGURED and robot.drive is Drive.ACKERMANN:
+        task = DockingProblem(trajectory.path.start, Dock(goal), robot, frame=trajectory.frame)
+        controller.configure(PluginContext(controller.name, problem=task))
+        controller.set_path(Trajectory(trajectory.path, trajectory.time_law))  # what proves it is not told
+    else:
+        controller.set_path(trajectory)
     loop = _Loop(trajectory, robot, goal, controller, (goal_checker, *beside), settings)
     docked, reason = loop.run()
     return loop.result(docked=docked, reason=reason)

@@ -132,9 +132,11 @@ def beyond_proof(path: Path, problem: DockingProblem, certificate: Certificate, 
     blocks = np.array_split(poses, -(-len(poses) // _BLOCK))
     found = [pose_clearances(block, problem.robot.footprint, obstacles, within) for block in blocks]
     clearance, nearest = (np.concatenate(columns) for columns in zip(*found, strict=True))
-    pressed = [row >= 0 and obstacles.name_of(row) == "dock" for row in nearest.tolist()]
-    docked = to_go <= math.hypot(problem.dock.tolerances.along, problem.dock.tolerances.cross)
-    short = required - clearance - np.where(docked & np.array(pressed), _BUMPER, TOLERANCE)
+    is_station = np.array([row >= 0 and obstacles.name_of(row) == "dock" for row in nearest.tolist()])
+    accepted = problem.dock.tolerances
+    pressed = is_station & (to_go <= math.hypot(accepted.along, accepted.cross))
+    required = np.where(pressed, problem.clearance.at_dock, required)
+    short = required - clearance - np.where(pressed, _BUMPER, TOLERANCE)
     worst = int(np.argmax(short))
     if short[worst] > 0.0:
         near = in_words(obstacles.name_of(int(nearest[worst])))

@@ -126,7 +126,10 @@ def windowed_plans(
     phases = list(head)
     for window, v0, v1 in zip(windows, speeds[:-1], speeds[1:], strict=True):
         deadlines.last.look()
-        found = move(State(0.0, v0), State(window.right - window.left, v1), window.bounds)
+        length = window.right - window.left
+        found = move(State(0.0, v0), State(length, v1), window.bounds)
+        if found is None and v0 == v1 > 0.0:  # ruckig may find no move over a micrometre; cruising is one
+            found = ((length / v0, 0.0),)
         if found is None:
             break  # the motion ends early, and does not count as arrived
         phases.extend(found)

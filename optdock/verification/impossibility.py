@@ -500,9 +500,3 @@ class _Judge:
         reach = math.sqrt(2.0) * half + 2.0 * math.hypot(mx, my) * math.sin(turn / 2.0)
         at = ox + x - (c * mx - s * my), oy + y - (s * mx + c * my)
         return least_required(self.problem, *at, reach, self.start_clearance)
-
-
-class PocketVerdict(NamedTuple):
-    """New."""
-
-    fits: bool

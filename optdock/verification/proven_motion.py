@@ -14,10 +14,13 @@ import numpy as np
 
 from optdock.deadline import never_late
 from optdock.errors import CertificationFailed, InvalidValue
+from optdock.geometry.checked import exactly
 from optdock.geometry.pose import displacement, normalize_angle
 from optdock.obstacles import ObstacleSet, in_words
-from optdock.problem import ClearanceRule
+from optdock.path import Path
+from optdock.problem import ClearanceRule, DockingProblem
 from optdock.robot import TrackingTube
+from optdock.trajectory import Trajectory
 from optdock.verification.certificate import TOLERANCE, Certificate, TrajectoryCertificate, where_broken
 from optdock.verification.certify import certify_motion, certify_path
 from optdock.verification.conservative_advancement import Begun, prove_clearance
@@ -29,9 +32,6 @@ if TYPE_CHECKING:
 
     from optdock.fingerprint import ProblemFingerprint
     from optdock.geometry.pose import Pose2
-    from optdock.path import Path
-    from optdock.problem import DockingProblem
-    from optdock.trajectory import Trajectory
 
 __all__ = [
     "ProvenMotion",
@@ -199,7 +199,10 @@ def prove_motion(
 
     Raises:
         CertificationFailed: A rule is broken, or its proof was cut short; the message is the first violation's.
+        InvalidValue: Trajectory or problem is of another class, or of a subclass, of which a proof would not know all.
     """
+    exactly(Trajectory, trajectory, "trajectory")
+    exactly(DockingProblem, problem, "problem")
     path = certify_path(trajectory.path, problem, is_late=is_late)
     if not path.certified:
         raise CertificationFailed(f"the path is not certified: {path.reason}", where=where_broken(path))
@@ -255,7 +258,12 @@ def prove_way(
         begun: Where the drive set off of which this is the rest; None: here, so that a robot that is too close to
             something has to leave it only.
         start_relief: Of the rule where `begun` is given, see `ClearanceRule.required_at` [m].
+
+    Raises:
+        InvalidValue: Path or problem is of another class, or of a subclass.
     """
+    exactly(Path, path, "path")
+    exactly(DockingProblem, problem, "problem")
     start, place, footprint = path.start, path.pose_at(at), problem.robot.footprint
     reliefs = [start_relief]
     if begun is None:

@@ -79,6 +79,11 @@ world  method    docked   across, mm       CPU ms
 noisy  law       72/100   5.0 / 12 / 15.5  3.1
 noisy  executor  100/100  0.3 / 0.7 / 1.8  2.2
 
+others
+world  method    docked   across, mm       CPU ms
+-------------------------------------------------
+noisy  MPC       99/100   0.1 / 0.2 / 0.3  9.9
+
 1 file written
 """
 

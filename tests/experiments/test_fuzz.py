@@ -289,6 +289,7 @@ def test_unknown_kinds_are_refused(capsys):
 # Chosen so that a mistake shows within a dozen cases; `--plant NAME` finds it from any seed.
 SEEDS = {
     "tolerance_x5": 0,
+    "always_true": 0,
     "first_order_centimetre": 0,
     "dropped_obstacle": 0,
     "dropped_map_cell": 6,

@@ -22,7 +22,6 @@ from optdock.errors import (
     OptdockError,
     PlannerCancelled,
     PluginError,
-    SmootherTimedOut,
     TimedOut,
 )
 from optdock.geometry.footprint import Footprint
@@ -420,12 +419,6 @@ def test_the_reason_is_that_of_the_guess_which_came_furthest(clock, errors):
     """A path that was smoothed and not proven tells more than one that was not, in whichever order."""
     with pytest.raises(CertificationFailed):
         plan_dock(problem(), time_budget=BUDGET, planner=Several(bent(0.0), bent(0.5)), smoother=Recording(*errors))
-
-
-def test_a_timed_out_guess_tells_less_than_one_that_failed(clock):
-    smoother = Recording(SmootherTimedOut("late"), FailedToSmoothPath("no"), SmootherTimedOut("late"))
-    with pytest.raises(FailedToSmoothPath):
-        plan_dock(problem(), time_budget=BUDGET, planner=Several(bent(0.0), bent(0.5)), smoother=smoother)
 
 
 @pytest.mark.parametrize(

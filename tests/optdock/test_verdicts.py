@@ -47,6 +47,7 @@ from optdock.verification import (
     prove_impossible,
 )
 from optdock.verification.conservative_advancement import ClearanceProof
+from optdock.verification.proven_motion import WayVerdict, prove_way
 
 # What a class calls its verdict: an attribute or a property that is a bool. Where one of these is no verdict, the class
 # stands in `NO_VERDICT`.
@@ -113,8 +114,19 @@ def is_verdict(kind):
 
 VERDICTS = [
     *(Certificate, TrajectoryCertificate, ImpossibilityVerdict, ClearanceProof, SampledMotionVerdict, StillHolds),
-    *(Verdict, PlanResult, EndingKind, Ending, Replanned, Replay, Run, RunColumns, DenseReport),
-    PlanFileVerdict,
+    *(
+        Verdict,
+        PlanResult,
+        EndingKind,
+        Ending,
+        PlanFileVerdict,
+        Replanned,
+        WayVerdict,
+        Replay,
+        Run,
+        RunColumns,
+        DenseReport,
+    ),
     *(TimingStatus, TimingResult, BehaviorStatus, BehaviorResult, StartVerdict),
 ]
 
@@ -145,7 +157,8 @@ def judged():
     ended = {kind: Ending(kind, "", 0, 0.0) for kind in EndingKind}
     law = TimeLaw([1.0], [0.0], start_speed=1.0)
     timed = Trajectory(Path.from_poses([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0]]), law)
-    new = Replanned(ReplanOutcome.NEW, timed, 0.0, None)
+    way = prove_way(plan.path, free)
+    new = Replanned(ReplanOutcome.NEW, plan.trajectory, 0.0, plan, way=way.way)
     cleared = ClearanceProof(1.0, 0.0, 0.1, -1, 0.9, np.zeros((0, 7)), np.zeros((0, 2)), 3)
     other = Cycle(**dict.fromkeys(Cycle._fields))
     fault = Fault("clearance", 1.0, 0.0, 0.1)
@@ -161,7 +174,9 @@ def judged():
         PlanResult: (PlanResult(1, Outcome.STOP), PlanResult(1, Outcome.FAILED)),
         EndingKind: (EndingKind.ALREADY_DOCKED, EndingKind.CANCELLED),
         Ending: (ended[EndingKind.UNDOCKED], ended[EndingKind.TIMEOUT]),
-        Replanned: (new, Replanned(ReplanOutcome.STOP, timed, 0.0, None, proven=False)),
+        Replanned: (new, Replanned(ReplanOutcome.STOP, timed, 0.0, None)),
+        PlanFileVerdict: tuple(PlanFileVerdict(outcome, ()) for outcome in ("certified", "refuted")),
+        WayVerdict: (way, prove_way(plan.path, walled)),
         Replay: (Replay(3, None, None, (0.0, 0.0), run["poses"]), Replay(3, other, None, (0.0, 0.0), run["poses"])),
         Run: tuple(Run(times=np.arange(2.0), **run, goal=Pose2(0, 0, 0), docked=docked) for docked in (True, False)),
         RunColumns: tuple(RunColumns(*[run["poses"]] * 6, docked=docked, reason="") for docked in (True, False)),
@@ -170,7 +185,6 @@ def judged():
         TimingResult: (TimingResult(TimingStatus.OK, timed), TimingResult(TimingStatus.TIMED_OUT, None)),
         BehaviorStatus: (BehaviorStatus.SUCCEEDED, BehaviorStatus.FAILED),
         BehaviorResult: (BehaviorResult(BehaviorStatus.SUCCEEDED), BehaviorResult(BehaviorStatus.RUNNING)),
-        PlanFileVerdict: (PlanFileVerdict("certified", ()), PlanFileVerdict("refuted", ())),
         StartVerdict: (StartVerdict(None), StartVerdict(SegmentPlan(TimingStatus.BAD_START, how="none"))),
     }
 

@@ -22,8 +22,9 @@ from experiments.fuzz.oracle.rules import gap
 from experiments.fuzz.oracle.sweep import jumps_at_goal, required_at, start_clearance, start_run, sweep
 from experiments.fuzz.oracle.timing import judged, state_at
 from experiments.fuzz.oracle.world import World
+from experiments.fuzz.truth import says_yes
 from optdock.errors import CertificationFailed, OptdockError
-from optdock.executor.planning import Job, Motion, Outcome, planned
+from optdock.executor.planning import Job, Motion, planned
 from optdock.geometry.pose import Pose2
 from optdock.pipeline import plan_dock, warm_up
 from optdock.plan import DockPlan
@@ -92,7 +93,7 @@ def judge(case: Case) -> Verdict:
     if case["question"] != "decide":
         found = still_holds(plan, asked, time_now)
         wrong = _about_the_rest(scene, world, time_now, found, plan.certificate.start_relief)
-        word = "holds" if found else "holds no more"
+        word = "holds" if says_yes(found) else "holds no more"
     if wrong is None and case["question"] != "holds":
         word, wrong = _about_the_answer(case, scene, world, plan, later, time_now)
     return Verdict(word) if wrong is None else Verdict(wrong.outcome, wrong.detail, full)
@@ -210,12 +211,12 @@ class _Answer(NamedTuple):
 
     @classmethod
     def of(cls, found: Replanned) -> _Answer:
-        return cls(found.outcome, found.trajectory, found.starts_at, found.plan, found.proven, found.motion)
+        return cls(found.outcome, found.trajectory, found.starts_at, found.plan, says_yes(found), found.motion)
 
     @classmethod
     def decided(cls, found: PlanResult, running: DockPlan) -> _Answer | None:
         """None: the planning has failed, and says so."""
-        if found.outcome is Outcome.FAILED:
+        if not says_yes(found):
             return None
         outcome = ReplanOutcome(found.outcome.value)
         if found.motion is None:
@@ -365,7 +366,7 @@ def _timed(this: _Now, found: _Answer, start: Case, zone: list[object]) -> Case:
 def _new(this: _Now, found: _Answer) -> Verdict | None:
     plan = found.plan
     assert plan is not None
-    if not (plan.certificate.certified and plan.trajectory_certificate.certified):
+    if not (says_yes(plan.certificate) and says_yes(plan.trajectory_certificate)):
         return Verdict("uncertified plan", plan.certificate.reason or plan.trajectory_certificate.reason)
     start, wrong = _joined(this, found)
     if wrong is not None:

@@ -159,6 +159,14 @@ def test_the_turn_changes_the_lateral_acceleration_no_faster_than_its_jerk_allow
     assert jerks.max() <= 0.1 * (1.0 + 1e-6)
 
 
+def test_a_robot_that_brakes_in_a_bend_turns_no_more_for_its_load():
+    limits = MotionLimits(max_curvature=4.0, max_lateral_jerk=0.02)
+    commands = followed([Twist2(0.4, 0.4)] * 500 + [Twist2()] * 100, 0.02, limits)
+    assert commands[499] == Twist2(0.4, 0.4)
+    assert max(command.angular for command in commands[500:]) <= 0.4
+    assert commands[-1] == Twist2()
+
+
 @pytest.mark.parametrize("drive", Drive)
 def test_without_the_limit_a_step_of_the_turn_jerks_the_load(drive):
     def largest(limits):

@@ -12,7 +12,7 @@ from optdock.geometry.footprint import Footprint
 from optdock.geometry.pose import Pose2, Twist2
 from optdock.limits import MotionLimits
 from optdock.robot import Drive, Robot
-from optdock.simulation import Actuation, Bicycle, DifferentialDrive, Slip, Steering
+from optdock.simulation import Actuation, Bicycle, DifferentialDrive, Slip, Steering, plant_of
 
 ORIGIN = Pose2(0.0, 0.0, 0.0)
 BASE = 0.5
@@ -143,3 +143,36 @@ def test_it_goes_on_as_it_began_until_a_command_arrives(v, angle):
 def test_bad_values_are_refused(build, message):
     with pytest.raises(InvalidValue, match=message):
         build()
+
+
+def test_the_plant_of_a_robot_is_that_of_its_drive():
+    late = Actuation(linear_lag=0.1, angular_lag=0.2, latency=0.06)
+    robot = car(0.5).robot
+    plant = plant_of(robot, late)
+    assert isinstance(plant, Bicycle)
+    assert (plant.robot, plant.steering, plant.actuation.angular_lag) == (robot, Steering(0.2), 0.0)
+    assert (plant.actuation.linear_lag, plant.actuation.latency) == (0.1, 0.06)
+    assert plant_of(robot, steering=Steering(play=0.01)).steering.play == 0.01
+    wheels = Robot(Footprint.from_radius(0.3), MotionLimits())
+    assert plant_of(wheels, late).actuation == late
+    assert isinstance(plant_of(wheels), DifferentialDrive)
+    for wrong in (lambda: plant_of(wheels, steering=Steering()), lambda: plant_of(robot, late, steering=Steering())):
+        with pytest.raises(InvalidValue):
+            wrong()
+
+
+def test_a_car_without_a_wheelbase_turns_as_it_is_told():
+    robot = Robot(Footprint.rectangle(0.6, 0.2, 0.5), MotionLimits(max_curvature=1.0), Drive.ACKERMANN)
+    end = drive(plant_of(robot), [Twist2(0.4, 0.2)] * 50)
+    expected = drive(DifferentialDrive(robot), [Twist2(0.4, 0.2)] * 50)
+    assert end.pose.gap_to(expected.pose) < 1e-9
+    assert drive(plant_of(robot), [Twist2(0.0, 0.5)] * 50).pose.gap_to(ORIGIN) < 1e-12  # a car does not turn at rest
+
+
+@pytest.mark.parametrize("at_rest", ["hold", "straighten"])
+def test_wheels_begin_where_they_are_said_to_stand(at_rest):
+    plant = car(0.5, start=0.4, at_rest=at_rest)
+    state = plant.at_rest(ORIGIN)
+    assert state.drive == pytest.approx((0.0, 0.4))
+    after = plant.step(state, Twist2(), 0.2)
+    assert after.drive[1] == pytest.approx(0.4 if at_rest == "hold" else 0.3)

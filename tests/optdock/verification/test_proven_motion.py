@@ -16,6 +16,7 @@ from optdock.geometry.clothoid import ClothoidSpline
 from optdock.geometry.footprint import Footprint
 from optdock.geometry.pose import Pose2
 from optdock.limits import MotionLimits
+from optdock.obstacles import ObstacleSet
 from optdock.path import ClothoidSegment, Path
 from optdock.plan import DockPlan
 from optdock.problem import ClearanceRule, DockingProblem
@@ -208,3 +209,35 @@ def test_a_way_that_nothing_but_a_far_dock_changes_is_proven_already():
         {"frame": "odom"},
     ):
         assert unchanged_way(motion, 0.2, 0.4, dataclasses.replace(task, **change)) is None
+
+
+# Values that only look like ours.
+
+
+def test_a_proof_is_about_our_own_values_and_no_subclass_of_them():
+    class Nowhere(DockingProblem):
+        """Its obstacles are there for the proof, and not for the fingerprint."""
+
+    class Slim(Footprint):
+        pass
+
+    class Near(Pose2):
+        __slots__ = ()
+
+    task = problem()
+    parts = {name: getattr(task, name) for name in ("start", "dock", "robot", "obstacles", "clearance")}
+    with pytest.raises(InvalidValue, match="problem: must be a DockingProblem"):
+        prove_motion(Trajectory(straight(), law()), Nowhere(**parts))
+    with pytest.raises(InvalidValue, match="problem: must be a DockingProblem"):
+        prove_way(straight(), Nowhere(**parts))
+    with pytest.raises(InvalidValue, match="robot.footprint: must be a Footprint"):
+        Robot(Slim(OUTLINE.vertices), ROBOT.limits)
+    with pytest.raises(InvalidValue, match="problem.start: must be a Pose2"):
+        DockingProblem(Near(0.0, 0.0, 0.0), task.dock, ROBOT)
+    with pytest.raises(InvalidValue, match="dock.pose: must be a Pose2"):
+        Dock(Near(0.0, 0.0, 0.0))
+    for name, kind in (("dock", Dock), ("robot", Robot), ("obstacles", ObstacleSet), ("clearance", ClearanceRule)):
+        lookalike = object.__new__(type("Lookalike", (kind,), {}))
+        vars(lookalike).update(vars(parts[name]))
+        with pytest.raises(InvalidValue, match=f"problem.{name}: must be a"):
+            DockingProblem(**(parts | {name: lookalike}))

@@ -316,6 +316,17 @@ def test_every_limit_is_looked_at(limit):
     assert any(message.startswith(f"{KINDS[limit].label}: ") for message in faults), faults
 
 
+def test_on_an_arc_the_lateral_jerk_is_twice_speed_times_acceleration_times_curvature():
+    path = curve([0.0, 3.0], [0.8, 0.8])
+    motion = rest_to_rest(path)
+    peak = float(np.max(np.abs(2.0 * motion.speed * motion.acceleration * 0.8)))
+    open_ = MotionLimits()
+    for share, fault in ((0.9, True), (1.01, False)):
+        limits = dataclasses.replace(open_, max_lateral_jerk=share * peak)
+        faults = messages(motion, path, problem_of(path, limits, SpeedZone()))
+        assert any(message.startswith("lateral jerk [m/s^3]: ") for message in faults) is fault, faults
+
+
 def test_the_lateral_jerk_between_samples_is_looked_at_too():
     """Far apart and where the curvature bends, though no column is beyond the limit at a sample."""
     path = curve([0.0, 0.6, 0.7, 0.8, 2.0], [0.0, 0.0, 1.5, 0.0, 0.0])

@@ -1,7 +1,6 @@
 """The proof of motion limits: each broken without, kept with; never looser than a dense check."""
 
 import dataclasses
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -9,10 +8,14 @@ import ruckig
 from hypothesis import given
 from hypothesis import strategies as st
 
+from optdock.dock import Dock
 from optdock.geometry.clothoid import ClothoidSpline
+from optdock.geometry.footprint import Footprint
 from optdock.geometry.pose import Pose2
 from optdock.limits import DIMENSIONS, LIMITS, Limit, LimitKind, MotionLimits, SpeedZone
 from optdock.path import ClothoidSegment, Path, PolylineSegment, TurnSegment
+from optdock.problem import DockingProblem
+from optdock.robot import Robot
 from optdock.trajectory import TimeLaw, Trajectory
 from optdock.verification import certify_trajectory, path_rules, trajectory_rules
 
@@ -154,10 +157,11 @@ def test_a_limit_that_no_rule_proves_is_a_violation(monkeypatch):
 
     def refusals(limits):
         found, _ratios = trajectory_rules.trajectory_violations(asked[0], limits, *asked[2:])
-        path_found = path_rules.path_violations(asked[0].path, SimpleNamespace(robot=SimpleNamespace(limits=limits)))
+        object.__setattr__(problem.robot, "limits", limits)
+        path_found = path_rules.path_violations(asked[0].path, problem)
         return [one.message for one in found], [one.message for one in path_found]
 
-    monkeypatch.setattr(path_rules, "_RULES", (path_rules._without_rule,))
+    problem = DockingProblem(asked[0].path.start, Dock(asked[0].path.end), Robot(Footprint.from_radius(0.3), OPEN))
     open_, limited = planted(**dataclasses.asdict(OPEN)), planted(**dataclasses.asdict(OPEN), max_foo=2.0)
     assert refusals(open_) == ([], [])
     said = "no rule proves max_foo = 2"
