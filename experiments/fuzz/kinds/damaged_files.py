@@ -49,6 +49,7 @@ _SECONDS, _MEGABYTES = 1.0, 500
 _ROUNDING = 2e-6  # times 1 + |value|
 _SHARPNESS = 1.1e-3  # [m], of clearances
 _SAME_CURVE = 1e-5  # [m], [rad]
+_SAME_GUESS = 1e-3  # of a guess, which nobody drives, and whose curves are held against its samples only
 _FORGIVEN = 1.0 + 1e-4  # of a limit
 # Places, `*` any key, that no judge can know, or that name what a certificate was made for, which the judge says.
 _NOT_JUDGED = (
@@ -196,14 +197,15 @@ def _is_one_curve(case: Case, document: Any) -> bool:  # noqa: ANN401
     if not document[case["place"][0]].get("segments"):
         return True  # the samples are the path, and are proven as such
     first, second = json.loads(case["plan"])[case["place"][0]], document[case["place"][0]]
+    near = _SAME_GUESS if case["place"][0] == "raw_path" else _SAME_CURVE
     motions = [motion_of([_gear(segment) for segment in path["segments"]]) for path in (first, second)]
-    if abs(motions[0].length - motions[1].length) > _SAME_CURVE:
+    if abs(motions[0].length - motions[1].length) > near:
         return False
     poses = [_poses(motion) for motion in motions]
     turned = np.abs(np.remainder(poses[0][:, 2] - poses[1][:, 2] + math.pi, 2.0 * math.pi) - math.pi)
     apart = np.hypot(*(poses[0][:, :2] - poses[1][:, :2]).T)
     gears = [[segment.gear for segment in motion.segments] for motion in motions]
-    return bool(max(apart.max(), turned.max()) <= _SAME_CURVE) and gears[0] == gears[1]
+    return bool(max(apart.max(), turned.max()) <= near) and gears[0] == gears[1]
 
 
 def _gear(segment: Case) -> Case:
