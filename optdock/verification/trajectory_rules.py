@@ -55,7 +55,7 @@ from optdock.trajectory import constant_jerk
 from optdock.verification.certificate import TOLERANCE, Violation
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Sequence
+    from collections.abc import Callable, Iterator, Mapping, Sequence
 
     from optdock.geometry.arrays import FloatArray, IntArray
     from optdock.limits import MotionLimits, SpeedZone
@@ -90,7 +90,9 @@ def trajectory_violations(
     structure = (*_coverage(trajectory, extremes), *_rest(trajectory), *_too_short(waits), *_start(law, *start[:2]))
     if any(v.kind == "coverage" for v in structure):
         return structure, {}
-    stretches, judge = _segment_limits(path, limits, zone), _Judge(limits)
+    finite = finite_limits(limits)
+    rules = _turning_rules(finite)
+    stretches, judge = _segment_limits(path, limits, zone), _Judge(rules, limits)
     borders = stretches[:, :2].ravel()
     with np.errstate(over="ignore", invalid="ignore"):
         pieces = _path_pieces(path) if judge.rules else None
@@ -107,8 +109,8 @@ def trajectory_violations(
     more = [(peak.kind, peak.ratio) for peak in turning] + [("steering_rate", wait.ratio) for wait in waits]
     for kind, ratio in more:
         ratios[kind] = max(ratios.get(kind, 0.0), ratio)
-    broken = (*structure, *plain.values(), *judge.violations(), *_turned_too_fast(turning), *_without_rule(limits))
-    return broken, ratios
+    unruled = _without_rule(finite, rules)
+    return (*structure, *plain.values(), *judge.violations(), *_turned_too_fast(turning), *unruled), ratios
 
 
 def _coverage(trajectory: Trajectory, extremes: _Extremes) -> Iterator[Violation]:
@@ -606,18 +608,16 @@ class _TurningRule(NamedTuple):
     bend: Callable[[_Sizes, MotionLimits], FloatArray]
 
 
-def _turning_rules(limits: MotionLimits) -> dict[str, _TurningRule]:
+def _turning_rules(finite: Mapping[str, float]) -> dict[str, _TurningRule]:
     """Of every finite limit that depends on curvature, by its name in `LIMITS`."""
-    finite = finite_limits(limits)
     found = ((name, LIMITS[name].size) for name in _BENDS if name in finite)
     return {name: _TurningRule(finite[name], size, _BENDS[name]) for name, size in found if size is not None}
 
 
-def _without_rule(limits: MotionLimits) -> Iterator[Violation]:
+def _without_rule(finite: Mapping[str, float], rules: Mapping[str, _TurningRule]) -> Iterator[Violation]:
     """Finite limits that nothing here proves; those of `LimitKind.PATH` are left to the path certificate."""
-    proven = _EXTREMES | _turning_rules(limits).keys()
-    for name, value in finite_limits(limits).items():
-        if not (name in proven or (name in LIMITS and LIMITS[name].kind is LimitKind.PATH)):
+    for name, value in finite.items():
+        if not (name in _EXTREMES or name in rules or (name in LIMITS and LIMITS[name].kind is LimitKind.PATH)):
             yield Violation("unproven", f"no rule proves {name} = {value:.4g}", 0.0, np.inf)
 
 
@@ -649,9 +649,9 @@ def _subdivide(first: _Cells, judge: _Judge, is_late: Callable[[], bool]) -> Non
 class _Judge:
     """Looks at cells and keeps the worst of each quantity."""
 
-    def __init__(self, drive: MotionLimits) -> None:
+    def __init__(self, rules: Mapping[str, _TurningRule], drive: MotionLimits) -> None:
         self.drive = drive
-        self.rules = {LIMITS[name].quantity: rule for name, rule in _turning_rules(drive).items()}
+        self.rules = {LIMITS[name].quantity: rule for name, rule in rules.items()}
         self.ratios = dict.fromkeys(self.rules, 0.0)
         self.found: dict[str, Violation] = {}
 

@@ -142,7 +142,7 @@ def test_a_gear_whose_last_plan_is_refused_fails_with_what_is_broken_and_where(g
     assert result.limit == ""  # of a gear, or of the zone
     assert 1.0 < result.at_s < 2.0
     turning = MotionLimits(max_speed=0.6, max_reverse_speed=2.0, max_yaw_acceleration=0.2)
-    result = time_path(gears, turning, SpeedZone(), (0.0, 0.0), reckless)
+    result = time_path(gears, turning, SpeedZone(), Start(0.0, 0.0), reckless)
     assert "is not certified: yaw acceleration " in result.reason
     assert (result.status, result.limit) == (TimingStatus.FAIL, "max_yaw_acceleration")
 
