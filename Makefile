@@ -13,11 +13,13 @@ ROS_STAMP := $(ROS_VENV)/.installed-$(shell $(PYTHON) --version | cat - pyprojec
 	ros/optdock_ros/setup.py | sha256sum | cut -c 1-16)
 STAMP := $(VENV)/.installed
 
-.PHONY: help demo test check unit docs fuzz bench bench-manoeuvres bench-docking experiments ros-env test-ros bench-ros clean
+.PHONY: help demo test check unit docs figures fuzz bench bench-manoeuvres bench-docking experiments ros-env test-ros bench-ros clean
 help:
 	@echo "make demo         built-in docking scenario, start to finish, pictures in demo/"
 	@echo "make test         the whole check: ruff, mypy, import-linter, pytest with doctests"
 	@echo "make docs         the documentation, warnings are errors; open site/index.html"
+	@echo "make figures      the measured tables of the documentation against what their commands print now: hours;"
+	@echo "                  ARGS='contact' those of commands with that word in them, ARGS='contact --write' puts new figures in"
 	@echo "make fuzz         random problems against an independent oracle; SECONDS=600 SEED=1 JOBS=1, failures in results/fuzz/"
 	@echo "make bench        benchmarks, tables on stdout"
 	@echo "make bench-manoeuvres  from anywhere into the dock, tables on stdout, results/manoeuvres/; ARGS='--every 20'"
@@ -53,6 +55,9 @@ docs: $(STAMP)
 	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --quiet --strict
 	@echo "open site/index.html"
 
+figures: $(STAMP)
+	$(BIN)/python docs/tools/measured.py $(ARGS)
+
 fuzz: $(STAMP)
 	$(BIN)/python -m experiments.fuzz --seconds $(SECONDS) --seed $(SEED) --jobs $(JOBS)
 
@@ -79,11 +84,10 @@ $(ROS_STAMP):
 ros-env: $(ROS_STAMP)
 	$(ROS_BIN)/python ros/interfaces/build.py
 
+# Robots drive in real time: what failed beside other tests, five of them at most, must pass alone.
 test-ros: ros-env
 	$(ROS_BIN)/mypy --config-file ros/mypy.ini
-	$(ROS_BIN)/python -m pytest -q -n 3 --dist loadfile -c ros/tests/pytest.ini ros/tests || { \
-	echo "Robots drive in real time: what failed beside other tests must pass alone."; \
-	$(ROS_BIN)/python -m pytest -q --last-failed --last-failed-no-failures none -c ros/tests/pytest.ini ros/tests; }
+	$(ROS_BIN)/python .ci/retry.py --beside "-n 3 --dist loadfile" -- -q -c ros/tests/pytest.ini ros/tests
 
 bench-ros: ros-env
 	for bench in $(BENCHES); do $(ROS_BIN)/python ros/tests/bench_$$bench.py $(ARGS) || exit 1; done

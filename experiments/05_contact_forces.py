@@ -70,7 +70,7 @@ class World(NamedTuple):
     sensors: Sensors
 
 
-NOISY = "lag, latency, noise"
+NOISY = "late, noisy"
 WORLDS = {
     "perfect": World(Actuation(), Sensors()),
     NOISY: World(
@@ -83,7 +83,7 @@ def stations() -> dict[str, tuple[Robot, Dock]]:
     """Each with the robot that fits it."""
     v, flat = VShape(), Footprint.rectangle(0.3, 0.3, 0.5)
     nosed = v.with_nose(0.3, 0.3, 0.5)
-    outlines = {"flat plate": (flat, flat_station(flat)), "V": (nosed, v.station(nosed))}
+    outlines = {"plate": (flat, flat_station(flat)), "V": (nosed, v.station(nosed))}
     return {
         name: (
             Robot(robot, LIMITS),
@@ -208,7 +208,12 @@ def pressing(now: float, since: float | None) -> Twist2 | None:
     return Twist2(PRESS, 0.0) if since is not None and now < since + PRESSING else None
 
 
-METHODS = {"graceful law": by_law, "raw path": by_raw_path, "smoothed path": by_smoothed_path, "executor": by_executor}
+METHODS = {
+    "graceful law": by_law,
+    "raw path, tracker": by_raw_path,
+    "smoothed path, tracker": by_smoothed_path,
+    "executor": by_executor,
+}
 
 
 def dock(
@@ -258,11 +263,11 @@ def fault_of(robot: SimulatedRobot) -> str:
 
 
 COLUMNS: dict[str, tuple[Callable[[Docking], float], int]] = {
-    "|cross| mm": (lambda ending: 1e3 * abs(ending.pose.y), 1),
-    "|yaw| deg": (lambda ending: math.degrees(abs(ending.pose.yaw)), 2),
-    "peak force N": (lambda ending: ending.peak, 0),
-    "impulse across N s": (lambda ending: ending.impulse, 1),
-    "time s": (lambda ending: ending.duration, 1),
+    "across, mm": (lambda ending: 1e3 * abs(ending.pose.y), 1),
+    "yaw, degrees": (lambda ending: math.degrees(abs(ending.pose.yaw)), 2),
+    "peak force, N": (lambda ending: ending.peak, 0),
+    "impulse across, N s": (lambda ending: ending.impulse, 1),
+    "time, s": (lambda ending: ending.duration, 1),
 }
 
 
@@ -288,7 +293,7 @@ def row(station: str, world: str, method: str, endings: list[Docking]) -> list[s
 
 def draw(found: dict[tuple[str, str, str], list[Docking]], target: FilePath) -> None:
     """Shares of the runs over peak force, lateral error and yaw error, a row for each station."""
-    columns = {label: COLUMNS[label][0] for label in ("peak force N", "|cross| mm", "|yaw| deg")}
+    columns = {label: COLUMNS[label][0] for label in ("peak force, N", "across, mm", "yaw, degrees")}
     colours = dict(zip(METHODS, (COLOURS["goal"], COLOURS["raw"], COLOURS["path"], COLOURS["start"]), strict=True))
     lines = dict(zip(WORLDS, ("-", "--"), strict=True))
     names = list(dict.fromkeys(station for station, _, _ in found))
@@ -350,7 +355,7 @@ def animate(drive: MujocoDrive, problems: list[DockingProblem]) -> None:
     for method in METHODS:
         _, states = dock(drive, problems[seed], WORLDS[NOISY], method, seed)
         try:
-            save_mujoco_animation(OUT / f"{method.replace(' ', '_')}.gif", drive, states)
+            save_mujoco_animation(OUT / f"{method.replace(', ', '_').replace(' ', '_')}.gif", drive, states)
         except (MissingExtra, InvalidValue) as error:
             print(f"no animation: {error}")
 

@@ -17,7 +17,7 @@ import numpy as np
 from optdock.costmap.cell_obstacles import added_obstacles, is_same_grid
 from optdock.costmap.costmap import Costmap
 from optdock.deadline import never_late
-from optdock.geometry.checked import finite_number, instance
+from optdock.geometry.checked import exactly, finite_number, instance
 from optdock.obstacles import ObstacleSet, in_words
 from optdock.plan import DockPlan
 from optdock.problem import DockingProblem
@@ -33,12 +33,12 @@ if TYPE_CHECKING:
     from optdock.trajectory import Trajectory
     from optdock.verification.conservative_advancement import ClearanceProof
 
-__all__ = ["StillHolds", "is_proven", "still_holds"]
+__all__ = ["StillHolds", "still_holds"]
 
 _NO_WAY = 1e-6  # [m]: of less than that nothing is left to drive
 _SPACING = 0.1  # [m] between the places by which what is near is found
 _HALVINGS = 30  # of a phase: below a microsecond
-_RULES = {"path", "clearance", "footprint", "dock"}  # what a proof is about: where that has changed nothing is proven
+_RULES = {"clearance", "footprint", "dock"}  # what a proof is about: where that has changed nothing is proven
 
 
 @dataclass(frozen=True)
@@ -48,8 +48,7 @@ class StillHolds:
     Args:
         holds: Whether it is.
         changed: What differs from the world that the plan was proven in: of `obstacles`, `costmap`, `dock`,
-            `clearance`, `footprint`, `limits`, `frame`; `path` first, where the plan's certificate is for another path
-            or another problem than the plan has.
+            `clearance`, `footprint`, `limits`, `frame`.
         at_s: Where on the plan's path the first conflict was found [m]; None: there is none.
         at_time: When that is on the plan's trajectory [s].
         obstacle: What is too close there; empty where the proof was not finished.
@@ -93,7 +92,7 @@ def still_holds(
     Raises:
         InvalidValue: An argument is of another class or not finite.
     """
-    instance(DockPlan, plan, "plan")
+    exactly(DockPlan, plan, "plan")
     from_time, known = finite_number(from_time, "from_time"), plan.problem
     obstacles, costmap, later = known.obstacles, known.costmap, known
     if isinstance(world, Costmap):
@@ -104,10 +103,6 @@ def still_holds(
         instance(DockingProblem, world, "world (a DockingProblem, a Costmap or an ObstacleSet)")
         obstacles, costmap, later = world.obstacles, world.costmap, world
     changed = _changed(known, later, obstacles, costmap)
-    if not is_proven(plan):
-        changed = ("path", *changed)
-        if later is known:  # nothing is proven yet, so all there is now counts
-            later = replace(known, obstacles=obstacles, costmap=costmap)
     if "frame" in changed:
         reason = f"the world stands in frame {later.frame!r}, the plan in {plan.frame!r}"
         return StillHolds(holds=False, changed=changed, reason=reason)
@@ -172,16 +167,6 @@ class _Change:
             reason = f"the clearance near s = {begin + s:.3f} m is not proven; the bound is {-short:.3g} m short"
         when = _time_at(self.plan.trajectory, begin + s)
         return replace(found, at_s=begin + s, at_time=when, reason=reason)
-
-
-def is_proven(plan: DockPlan) -> bool:
-    """Whether the plan's certificate speaks of its path in its problem, and holds."""
-    certificate = plan.certificate
-    if not certificate.certified or certificate.path != plan.path.digest or certificate.problem is None:
-        return False
-    return not {"footprint", "obstacles", "clearance", "dock", "frame"} & set(
-        certificate.problem.differences(plan.problem.fingerprint)
-    )
 
 
 def _changed(

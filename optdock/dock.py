@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from enum import Enum
 
 from optdock.errors import InvalidValue
-from optdock.geometry.checked import finite_number, instance, member, number
+from optdock.geometry.checked import exactly, finite_number, member, number
 from optdock.geometry.footprint import Footprint
 from optdock.geometry.pose import Pose2
 from optdock.limits import SpeedZone
@@ -77,13 +77,13 @@ class Dock:
     tolerances: DockTolerances = field(default_factory=DockTolerances)
 
     def __post_init__(self) -> None:
-        instance(Pose2, self.pose, "dock.pose")
+        exactly(Pose2, self.pose, "dock.pose")
         if self.footprint is not None:
-            instance(Footprint, self.footprint, "dock.footprint")
+            exactly(Footprint, self.footprint, "dock.footprint")
         object.__setattr__(self, "direction", member(DockDirection, self.direction, "dock.direction"))
         object.__setattr__(self, "approach_speed", self.approach.speed)
         object.__setattr__(self, "approach_distance", self.approach.distance)
-        instance(DockTolerances, self.tolerances, "dock.tolerances")
+        exactly(DockTolerances, self.tolerances, "dock.tolerances")
         object.__setattr__(self, "final_straight", finite_number(self.final_straight, "dock.final_straight"))
         if not self.final_straight >= 0.0:
             raise InvalidValue(f"dock.final_straight: must be finite and >= 0 m, got {self.final_straight}")

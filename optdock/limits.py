@@ -1,10 +1,16 @@
-"""What the robot's drive can do."""
+"""What the robot's drive can do.
+
+`LIMITS` is the one table of the bounds in `MotionLimits`: certificates, checks of samples, scenario files, their
+reference and the pictures read names, units and quantities there.
+"""
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass, fields
-from typing import TYPE_CHECKING, NamedTuple
+from enum import Enum
+from types import MappingProxyType
+from typing import TYPE_CHECKING, NamedTuple, Protocol
 
 import numpy as np
 
@@ -12,10 +18,174 @@ from optdock.errors import InvalidValue
 from optdock.geometry.checked import number
 
 if TYPE_CHECKING:
+    from collections.abc import Callable, Mapping
+
     from optdock.geometry.arrays import FloatArray
     from optdock.path import Path
 
-__all__ = ["LIMIT_UNITS", "STEERING_UNITS", "MotionLimits", "SpeedZone", "TurnLimits", "check_steering"]
+__all__ = [
+    "DIMENSIONS",
+    "LIMITS",
+    "LIMIT_UNITS",
+    "STEERING_UNITS",
+    "Limit",
+    "LimitKind",
+    "MotionLimits",
+    "SpeedZone",
+    "TurnLimits",
+    "TurningMotion",
+    "check_steering",
+    "finite_limits",
+]
+
+
+class LimitKind(str, Enum):
+    """On what a limited quantity depends, and so which certificate proves it.
+
+    The first two are proven of trajectories, the last of paths.
+    """
+
+    TIME_LAW = "time law"
+    TURNING = "time law and curvature"
+    PATH = "path"
+
+
+class TurningMotion(Protocol):
+    """Instants of a motion along a curve, Shape (n,) each."""
+
+    @property
+    def v(self) -> FloatArray:
+        """Speed along the travel [m/s]."""
+
+    @property
+    def a(self) -> FloatArray:
+        """Acceleration along the travel [m/s^2]."""
+
+    @property
+    def k(self) -> FloatArray:
+        """Curvature [1/m]."""
+
+    @property
+    def r(self) -> FloatArray:
+        """Its rate [1/m^2]."""
+
+
+class Limit(NamedTuple):
+    """One bound of `MotionLimits`.
+
+    Attributes:
+        name: Field of `MotionLimits`.
+        unit: SI.
+        kind: On what the quantity depends.
+        formula: The bounded quantity: speed v, its rates a and j, curvature k and its rate k' per metre, track width b,
+            wheelbase L; empty where the words say it.
+        words: What it is, for references.
+        size: Of `LimitKind.TURNING`: the bounded quantity, without its sign, at instants of a motion. Shape (n,).
+        steered: Whether only robots that steer their wheels have it.
+        finite: Whether it must be finite.
+    """
+
+    name: str
+    unit: str
+    kind: LimitKind
+    formula: str
+    words: str
+    size: Callable[[TurningMotion, MotionLimits], FloatArray] | None = None
+    steered: bool = False
+    finite: bool = False
+
+    @property
+    def quantity(self) -> str:
+        """What is bounded, by its name in ratios and violations of certificates; both gears have a speed."""
+        return "speed" if self.name == "max_reverse_speed" else self.name.removeprefix("max_")
+
+    @property
+    def label(self) -> str:
+        """The quantity in words, with its unit."""
+        return f"{self.quantity.replace('_', ' ')} [{self.unit}]"
+
+
+_LAW, _TURNING, _PATH = LimitKind.TIME_LAW, LimitKind.TURNING, LimitKind.PATH
+_TABLE = (
+    Limit("max_speed", "m/s", _LAW, "v", "largest speed forward", finite=True),
+    Limit("max_reverse_speed", "m/s", _LAW, "v", "largest speed in reverse", finite=True),
+    Limit("max_acceleration", "m/s^2", _LAW, "a", "speeding up, in either gear", finite=True),
+    Limit("max_deceleration", "m/s^2", _LAW, "-a", "slowing down, in either gear", finite=True),
+    Limit("max_jerk", "m/s^3", _LAW, "|j|", "change of acceleration", finite=True),
+    Limit(
+        "max_yaw_rate",
+        "rad/s",
+        _TURNING,
+        "|v k|",
+        "turning left or right",
+        lambda at, _: np.abs(at.v * at.k),
+    ),
+    Limit(
+        "max_yaw_acceleration",
+        "rad/s^2",
+        _TURNING,
+        "|a k + v^2 k'|",
+        "change of the yaw rate",
+        lambda at, _: np.abs(at.a * at.k + at.v * at.v * at.r),
+    ),
+    Limit(
+        "max_lateral_acceleration",
+        "m/s^2",
+        _TURNING,
+        "v^2 |k|",
+        "speed^2 * |curvature|",
+        lambda at, _: at.v * at.v * np.abs(at.k),
+    ),
+    Limit(
+        "max_lateral_jerk",
+        "m/s^3",
+        _TURNING,
+        "|2 v a k + v^3 k'|",
+        "change of the lateral acceleration",
+        lambda at, _: np.abs(at.v * (2.0 * at.a * at.k + at.v * at.v * at.r)),
+    ),
+    Limit(
+        "max_wheel_speed",
+        "m/s",
+        _TURNING,
+        "|v| (1 + b |k| / 2)",
+        "rim speed of either wheel",
+        lambda at, drive: np.abs(at.v) * (1.0 + 0.5 * drive.track_width * np.abs(at.k)),
+    ),
+    Limit("max_curvature", "1/m", _PATH, "|k|", "1 / smallest turning radius"),
+    Limit(
+        "max_curvature_rate",
+        "1/m^2",
+        _PATH,
+        "|k'|",
+        "|d curvature / ds|: how fast the steering turns along the path",
+    ),
+    Limit(
+        "max_steering_angle",
+        "rad",
+        _PATH,
+        "|atan(L k)|",
+        "of the wheels, |atan(wheelbase * curvature)|; bounds the curvature beside max_curvature",
+        steered=True,
+    ),
+    Limit(
+        "max_steering_rate",
+        "rad/s",
+        _TURNING,
+        "L |k' v| / (1 + (L k)^2)",
+        "at which the wheels turn, also at rest between two gears",
+        lambda at, drive: np.abs(drive.wheelbase * at.r * at.v) / (1.0 + (drive.wheelbase * at.k) ** 2),
+        steered=True,
+    ),
+)
+LIMITS: Mapping[str, Limit] = MappingProxyType({limit.name: limit for limit in _TABLE})
+LIMIT_UNITS = {name: limit.unit for name, limit in LIMITS.items() if not limit.steered}
+STEERING_UNITS = {name: limit.unit for name, limit in LIMITS.items() if limit.steered}
+DIMENSIONS = {
+    "track_width": "distance between the wheels, for max_wheel_speed",
+    "wheelbase": "distance between the axles, for the limits of the steering",
+}
+"""The fields of `MotionLimits` that bound nothing [m], and what they are."""
 
 
 class TurnLimits(NamedTuple):
@@ -50,6 +220,8 @@ class MotionLimits:
         max_steering_angle: Of the wheels, |atan(wheelbase * curvature)| [rad].
         max_steering_rate: At which they turn [rad/s], at rest too: the robot waits for them where the curvature jumps,
             and at a start from rest where nobody knows their angle.
+        max_lateral_jerk: Change of the lateral acceleration, |d/dt (speed^2 * curvature)| [m/s^3] [UN79]; none at rest
+            and in turns in place, where there is no speed.
 
     Raises:
         InvalidValue: A bound is not > 0, NaN, or speeds, accelerations or jerk are infinite; a steering angle of a
@@ -71,6 +243,7 @@ class MotionLimits:
     wheelbase: float = 0.0
     max_steering_angle: float = math.inf
     max_steering_rate: float = math.inf
+    max_lateral_jerk: float = math.inf
 
     def __post_init__(self) -> None:
         for spec in fields(self):
@@ -133,21 +306,10 @@ class MotionLimits:
         return (farthest + begins) / self.max_steering_rate
 
 
-LIMIT_UNITS = {
-    "max_speed": "m/s",
-    "max_reverse_speed": "m/s",
-    "max_acceleration": "m/s^2",
-    "max_deceleration": "m/s^2",
-    "max_jerk": "m/s^3",
-    "max_yaw_rate": "rad/s",
-    "max_yaw_acceleration": "rad/s^2",
-    "max_lateral_acceleration": "m/s^2",
-    "max_wheel_speed": "m/s",
-    "max_curvature": "1/m",
-    "max_curvature_rate": "1/m^2",
-}
-STEERING_UNITS = {"max_steering_angle": "rad", "max_steering_rate": "rad/s"}  # of robots that steer their wheels only
-_FINITE = ("max_speed", "max_reverse_speed", "max_acceleration", "max_deceleration", "max_jerk")
+def finite_limits(limits: MotionLimits) -> dict[str, float]:
+    """Every bound that is finite, by its name, one that `LIMITS` does not know included."""
+    values = {spec.name: getattr(limits, spec.name) for spec in fields(limits) if spec.name not in DIMENSIONS}
+    return {name: value for name, value in values.items() if math.isfinite(value)}
 
 
 def check_steering(wheelbase: float, angle: float, rate: float) -> None:
@@ -163,19 +325,21 @@ def check_steering(wheelbase: float, angle: float, rate: float) -> None:
     """
     for name, value in (("max_steering_angle", angle), ("max_steering_rate", rate)):
         if math.isfinite(value) and wheelbase == 0.0:
-            unit = STEERING_UNITS[name]
-            raise InvalidValue(f"limits.{name}: {value} {unit} means nothing without wheelbase > 0 m")
+            raise InvalidValue(f"limits.{name}: {value} {LIMITS[name].unit} means nothing without wheelbase > 0 m")
 
 
 def _rule(name: str, value: float) -> tuple[str, bool]:
-    if name in ("track_width", "wheelbase"):
+    """What the value of a field must be, in words, and whether it is."""
+    if name in DIMENSIONS:
         return "finite and >= 0 m", math.isfinite(value) and value >= 0.0
-    if name in _FINITE:
+    limit = LIMITS.get(name)
+    unit = f" {limit.unit}" if limit else ""
+    if limit and limit.finite:
         finite = math.isfinite(value)
-        return f"{'' if finite else 'finite and '}> 0 {LIMIT_UNITS[name]}", finite and value > 0.0
+        return f"{'' if finite else 'finite and '}> 0{unit}", finite and value > 0.0
     if name == "max_steering_angle":
         return "> 0 and < pi / 2 rad, or inf", 0.0 < value < 0.5 * math.pi or value == math.inf
-    return f"> 0 {(LIMIT_UNITS | STEERING_UNITS)[name]}", value > 0.0
+    return f"> 0{unit}", value > 0.0
 
 
 @dataclass(frozen=True)

@@ -66,6 +66,7 @@ class SmoothingReport:
         total_s: Seconds of the call.
         certificate: Of the path, where the smoother proved it; nobody has to believe it.
         extra: Whatever else a plugin has to say.
+        warning: What whoever drives the result should know; empty: nothing.
     """
 
     status: SmoothingStatus | None = None
@@ -78,6 +79,7 @@ class SmoothingReport:
     total_s: float | None = None
     certificate: Certificate | None = None
     extra: Mapping[str, object] = field(default_factory=dict)
+    warning: str = ""
 
     def __repr__(self) -> str:
         said = [self.status.value] if self.status is not None else []
@@ -86,6 +88,7 @@ class SmoothingReport:
         said += [f"{1e3 * self.total_s:.1f} ms"] if self.total_s is not None else []
         if self.certificate is not None:
             said.append("certified" if self.certificate.certified else "not certified")
+        said += [f"warning: {self.warning}"] if self.warning else []
         return f"<SmoothingReport {', '.join(said) or 'empty'}>"
 
 
@@ -109,7 +112,7 @@ class SmoothingResult:
 
 
 class TimingStatus(IntEnum):
-    """How a time parameterization ended; physics is an outcome, not an exception."""
+    """How a time parameterization ended; physics is an outcome, not an exception. OK alone counts as true."""
 
     OK = 0
     START_INFEASIBLE = 1
@@ -117,6 +120,9 @@ class TimingStatus(IntEnum):
     BAD_START = 3
     FAIL = 4
     TIMED_OUT = 5
+
+    def __bool__(self) -> bool:
+        return self is TimingStatus.OK
 
 
 @dataclass(frozen=True, repr=False)
@@ -170,6 +176,9 @@ class TimingResult:
         why = f", {self.reason}" if self.reason else ""
         return f"<TimingResult {self.status.name}{lasts}{why}, {self.report!r}>"
 
+    def __bool__(self) -> bool:
+        return bool(self.status)
+
     def failure(self) -> FailedToTimePath:
         """The error that says why this is not OK."""
         where: dict[str, object] = {"status": self.status.name}
@@ -192,20 +201,26 @@ class CostmapInfoType(IntEnum):
 
 
 class BehaviorStatus(IntEnum):
-    """How a behavior stands."""
+    """How a behavior stands; SUCCEEDED alone counts as true."""
 
     SUCCEEDED = 1
     FAILED = 2
     RUNNING = 3
 
+    def __bool__(self) -> bool:
+        return self is BehaviorStatus.SUCCEEDED
+
 
 @dataclass(frozen=True)
 class BehaviorResult:
-    """Status, Nav2 error code (0 for none) and message of a behavior's cycle."""
+    """Status, Nav2 error code (0 for none) and message of a behavior's cycle; true where it has succeeded."""
 
     status: BehaviorStatus
     error_code: int = 0
     error_msg: str = ""
+
+    def __bool__(self) -> bool:
+        return bool(self.status)
 
 
 class Bounds(NamedTuple):

@@ -78,6 +78,7 @@ class Path(FrozenArrays):
             raise InvalidPath("path: has no segment")
         if not isinstance(self.frame, str):
             raise InvalidPath(f"path.frame: must be a name, got {self.frame!r}")
+        object.__setattr__(self, "frame", str.__str__(self.frame))  # of a subclass the plain word
         for i, segment in enumerate(self.segments):
             # Subclasses too: what overrides a curve's poses is another curve, of which nothing is known.
             if type(segment) not in (ClothoidSegment, PolylineSegment, TurnSegment):

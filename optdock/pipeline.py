@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING, NamedTuple, TypeAlias
 import numpy as np
 
 from optdock.deadline import Deadline, garbage_collection_paused
-from optdock.dock import Dock
+from optdock.dock import Dock, DockDirection
 from optdock.errors import (
     Cancelled,
     CertificationFailed,
@@ -40,6 +40,7 @@ from optdock.errors import (
     StartOccupied,
     StartOutsideMapBounds,
     TimedOut,
+    TimingTimedOut,
 )
 from optdock.geometry.checked import instance, number
 from optdock.geometry.footprint import Footprint
@@ -48,13 +49,21 @@ from optdock.interfaces import GlobalPlanner, Smoother, TimeParameterizer, never
 from optdock.limits import MotionLimits
 from optdock.obstacles import ObstacleSet, in_words
 from optdock.outcomes import Guess
-from optdock.path import Path
+from optdock.path import Direction, Path
 from optdock.plan import Attempt, DockPlan, PartialPlan
 from optdock.plugins import PluginChoice, plugin_from
 from optdock.problem import ClearanceRule, DockingProblem
-from optdock.refinement import Cancellation, Refinement, Stopwatch, at_work, plain, returned
+from optdock.refinement import Cancellation, Refinement, Stopwatch, at_work, plain, ran_out_of_time, returned
 from optdock.robot import Robot
-from optdock.verification import TOLERANCE, ImpossibilitySearch, end_clearances, pose_clearances, prove_impossible
+from optdock.verification import (
+    TOLERANCE,
+    ImpossibilityProof,
+    ImpossibilitySearch,
+    check_impossibility,
+    end_clearances,
+    pose_clearances,
+    prove_impossible,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Generator, Iterator
@@ -147,8 +156,9 @@ def plan_dock(  # noqa: PLR0913 - what may be chosen is chosen by name
         NoValidPathCouldBeFound: No planner finds a raw path.
         FailedToSmoothPath: No path near a raw one keeps every bound.
         FailedToTimePath: No time law keeps the motion limits.
-        TimedOut: The deadline came before the raw path (PlannerTimedOut), before the first certified path
-            (SmootherTimedOut), or before the time law or its proof (TimingTimedOut).
+        TimedOut: Nothing was found, and somebody ran out of time on the way: a planner (PlannerTimedOut), the smoothing
+            of a guess or its proof (SmootherTimedOut), or the time law or its proof (TimingTimedOut). With a larger
+            `time_budget` there may be a plan, whatever the other guesses failed for.
         Cancelled: `cancel_checker` returned True; PlannerCancelled, SmootherCancelled or TimingCancelled.
         CertificationFailed: A plugin returned something that cannot be proven.
         PluginError: A plugin is unknown, returned something of another type, or raised what its interface does not
@@ -281,6 +291,7 @@ def _margin(budget: float) -> float:
 
 
 _END = object()  # of a planner's guesses
+_UNPROVEN = "{} says that no motion exists, without a proof that holds"
 
 
 class _Failure(NamedTuple):
@@ -318,6 +329,7 @@ class _Portfolio:
     tried: list[Attempt] = field(default_factory=list)
     failures: list[_Failure] = field(default_factory=list)
     cut_short: list[Guess] = field(default_factory=list)
+    is_cut_off: bool = False  # by the clock, with guesses that nobody has made, or tried, yet
 
     def __post_init__(self) -> None:
         self.deadline = Deadline(self.budget - _margin(self.budget))
@@ -340,9 +352,14 @@ class _Portfolio:
             for guess, is_last in guesses:
                 self._try(guess, is_last=is_last)
                 if self._is_late():
+                    self.is_cut_off |= not is_last
                     break
-        for guess in self.cut_short:  # nothing else is left to be tried
-            if self.best is None and not self._is_late():
+        again, self.cut_short = self.cut_short, []
+        for guess in again:  # nothing else is left to be tried
+            if self.best is None and self._is_late():
+                self.is_cut_off = True
+            elif self.best is None:
+                self.failures = [failure for failure in self.failures if failure.left.raw_path is not guess.path]
                 self._try(guess, is_last=True)
         if self.best is None:
             raise self._refusal()
@@ -371,6 +388,7 @@ class _Portfolio:
                     raise
                 self._fail(_Failure(error, PartialPlan(), 0), type(planner).__name__)
             if self._is_late():
+                self.is_cut_off |= planner is not last
                 break
             self._look_for_a_proof(_DISC_PROOF, only_disc=True)
         self._look_for_a_proof(0.5 if self.cut_short else 1.0)
@@ -382,6 +400,7 @@ class _Portfolio:
 
         Raises:
             PlannerException: It has none, or none any more.
+            PlannerTimedOut: Its share of the time is used up.
             NoMotionExists: That was proven while it paused.
         """
         share = 1.0 - _LAST_PROOF if is_last and len(self.plugins.planners) > 1 else 1.0
@@ -405,10 +424,11 @@ class _Portfolio:
             guess = returned(found, Guess, planner)
             path = plain(returned(guess.path, Path, planner), planner, self.problem.frame)
             yield Guess(path, guess.stage or type(planner).__name__)
+        raise PlannerTimedOut(ran_out_of_time(type(planner).__name__, self.budget))
 
     def _next(self, guesses: Iterator[Guess | None], planner: GlobalPlanner) -> object:
         """What a planner offers next: a guess, a pause, or `_END`."""
-        late = f"{type(planner).__name__} used up its share of the time budget of {self.budget:.3g} s"
+        late = ran_out_of_time(type(planner).__name__, self.budget)
         try:
             with self.watch.timed("plan"):
                 found = next(guesses, _END)
@@ -416,6 +436,13 @@ class _Portfolio:
             if self.cancelled():
                 raise
             raise PlannerTimedOut(late) from error
+        except PlannerTimedOut as error:
+            raise PlannerTimedOut(late, where=error.where) from error
+        except NoMotionExists as error:
+            proof = error.proof
+            if type(proof) is ImpossibilityProof and check_impossibility(proof, self.problem):
+                raise
+            raise PluginError(_UNPROVEN.format(type(planner).__name__)) from error
         if self.deadline.passed():
             raise PlannerTimedOut(late)
         return found
@@ -446,6 +473,9 @@ class _Portfolio:
         left, began = PartialPlan(timing_ms=self.so_far.timing_ms), self.deadline.elapsed
         try:
             plan = self.refinement.refined(guess.path, left, most, is_given=guess.stage == "given")
+        except NoMotionExists as error:  # of the smoother or the time parameterizer, which look for no proof
+            names = " or ".join(type(plugin).__name__ for plugin in self.plugins[1:])
+            raise PluginError(_UNPROVEN.format(names)) from error
         except OptdockError as error:
             stage = next((stage for kind, stage in _STAGES if isinstance(error, kind)), None)
             if isinstance(error, Cancelled) or (stage is None and self.best is None):
@@ -506,23 +536,59 @@ class _Portfolio:
         return max(self.failures, key=lambda failure: (failure.stage, not isinstance(failure.error, TimedOut)))
 
     def _refusal(self) -> OptdockError:
-        """What is raised when nothing was found and nothing proven."""
+        """What is raised when nothing was found and nothing proven.
+
+        That there was too little time wherever more of it might have found a plan; else the failure that tells most.
+        """
+        late = [failure for failure in self.failures if isinstance(failure.error, TimedOut)]
         if not self.failures:
-            if self._is_late():
-                return PlannerTimedOut(f"the time budget of {self.budget:.3g} s is too short for a first guess")
+            if self.is_cut_off or self._is_late():
+                return PlannerTimedOut(ran_out_of_time("the search for a first guess", self.budget))
             return NoValidPathCouldBeFound("no planner offers a path")
         found = self._furthest()
-        late = [failure for failure in self.failures if isinstance(failure.error, TimedOut)]
-        if self._is_late() and late:
-            found = late[-1]
         self._leave(found.left)
-        count, kind = len(self.failures), type(found.error)
-        if self._is_late() and not late and max(count, len(self.plugins.planners)) > 1:  # more could have been tried
+        for_good = self._no_guess_can_help()
+        if for_good is None and (late or self.is_cut_off):
+            return self._time_out(late, found)
+        error = (for_good or found).error
+        if len(self.failures) > 1:
+            error.args = (f"{error} ({self._attempts})", *error.args[1:])
+        return error
+
+    def _time_out(self, late: list[_Failure], found: _Failure) -> TimedOut:
+        """The time-out that came furthest, and what became of the guess that told most."""
+        last = max(reversed(late), key=lambda failure: failure.stage, default=None)
+        if last is not None:
+            kind = next(kind for kind in (TimingTimedOut, SmootherTimedOut, TimedOut) if isinstance(last.error, kind))
+            error = (PlannerTimedOut if kind is TimedOut else kind)(str(last.error), where=last.error.where)
+            error.__cause__ = last.error
+        else:
             kind = SmootherTimedOut if found.stage else PlannerTimedOut
-        elif count == 1:
-            return found.error
-        more = f"{count} attempts failed; that there is no way is not proven"
-        return kind(f"{found.error} ({more})", where=found.error.where)
+            error = kind(ran_out_of_time("the search for other guesses", self.budget))
+        if len(self.failures) > 1 or last is None:
+            error.args = (f"{error} ({self._attempts})",)
+        if not isinstance(found.error, TimedOut):
+            error.args = (f"{error}; until then {type(found.error).__name__}: {found.error}",)
+        return error
+
+    @property
+    def _attempts(self) -> str:
+        return f"{len(self.failures)} attempts failed; that there is no way is not proven"
+
+    def _no_guess_can_help(self) -> _Failure | None:
+        """A failure for a reason that every guess has, whichever and however much time there were; or None."""
+        gears = {Direction.FORWARD, Direction.REVERSE}
+        if self.problem.dock.direction is not DockDirection.AUTO:
+            gears = {Direction.FORWARD if self.problem.dock.direction is DockDirection.FORWARD else Direction.REVERSE}
+        for failure in self.failures:
+            reason, raw = failure.error.where.get("reason"), failure.left.raw_path
+            if reason == "start_curvature":
+                return failure
+            if reason == "approach_blocked" and raw is not None:
+                gears.discard(raw.segments[-1].direction)
+                if not gears:
+                    return failure
+        return None
 
 
 def check_ends(problem: DockingProblem) -> None:

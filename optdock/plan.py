@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, NamedTuple
 
 from optdock.errors import CertificationFailed, InvalidFile, OptdockError
-from optdock.geometry.checked import instance
+from optdock.geometry.checked import exactly, instance
 from optdock.io.plan_file import (
     CERTIFIED,
     DEFAULT_PERIOD,
@@ -19,19 +19,19 @@ from optdock.io.plan_file import (
 )
 from optdock.obstacles import in_words
 from optdock.outcomes import SmoothingReport, TimingReport
+from optdock.path import Path
 from optdock.planners.manoeuvres.price import CUSP_PRICE, stops
 from optdock.problem import DockingProblem
 from optdock.trajectory import Trajectory
-from optdock.verification import certify_motion, certify_path
+from optdock.verification import ProvenMotion, prove_motion
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
     from pathlib import Path as FilePath
 
-    from optdock.path import Path
     from optdock.verification import Certificate, TrajectoryCertificate
 
-__all__ = ["Attempt", "DockPlan", "PartialPlan", "where_broken"]
+__all__ = ["Attempt", "DockPlan", "PartialPlan"]
 
 
 class Attempt(NamedTuple):
@@ -68,12 +68,8 @@ class DockPlan:
     """A certified plan.
 
     Args:
-        problem: What was asked for, and what path and motion are proven against.
+        motion: What is proven: path and time law, for what problem, from which pose. `prove_motion` makes it.
         raw_path: What the planner made; not certified, kept for comparison.
-        path: The certified path.
-        trajectory: The certified motion along it.
-        certificate: The proof of the path.
-        trajectory_certificate: The proof of the motion limits.
         completed: False when the deadline stopped the smoothing early; the result is certified all the same.
         timing_ms: Wall-clock milliseconds per stage, over all guesses: plan, smooth, certify, time, prove; the first
             certified plan was there after `first`, all was done after `total`.
@@ -81,19 +77,48 @@ class DockPlan:
         timing_report: What the time parameterizer says about its work.
         tried: Every guess that was tried, in this order, and what became of it; this plan is the one of the lowest
             price.
+
+    Raises:
+        InvalidValue: `motion` is no proven motion, or `raw_path` no path.
     """
 
-    problem: DockingProblem
+    motion: ProvenMotion
     raw_path: Path
-    path: Path
-    trajectory: Trajectory
-    certificate: Certificate
-    trajectory_certificate: TrajectoryCertificate
-    completed: bool
-    timing_ms: Mapping[str, float]
+    completed: bool = True
+    timing_ms: Mapping[str, float] = field(default_factory=dict)
     smoothing_report: SmoothingReport = field(default_factory=SmoothingReport)
     timing_report: TimingReport = field(default_factory=TimingReport)
     tried: tuple[Attempt, ...] = ()
+
+    def __post_init__(self) -> None:
+        exactly(ProvenMotion, self.motion, "plan.motion")
+        exactly(Path, self.raw_path, "plan.raw_path")
+        _ = self.motion.trajectory  # raises where no proof was made of it
+
+    @property
+    def problem(self) -> DockingProblem:
+        """What was asked for, and what path and motion are proven for."""
+        return self.motion.problem
+
+    @property
+    def path(self) -> Path:
+        """The certified path."""
+        return self.motion.trajectory.path
+
+    @property
+    def trajectory(self) -> Trajectory:
+        """The certified motion along it."""
+        return self.motion.trajectory
+
+    @property
+    def certificate(self) -> Certificate:
+        """The proof of the path."""
+        return self.motion.certificate
+
+    @property
+    def trajectory_certificate(self) -> TrajectoryCertificate:
+        """The proof of the motion limits."""
+        return self.motion.trajectory_certificate
 
     def __str__(self) -> str:
         status = CERTIFIED if self.completed else f"{CERTIFIED}, stopped early by the time budget"
@@ -178,14 +203,11 @@ class DockPlan:
             listed = ", ".join("trajectory.phases" if name == "time_law" else name for name in missing)
             raise InvalidFile(f"{source}: holds no {listed}, so there is no plan to prove")
         path, raw_path = found.path.with_frame(problem.frame), found.raw_path.with_frame(problem.frame)
-        certificate = certify_path(path, problem)
-        motion = Trajectory(path, found.time_law, problem.fingerprint)
-        proof = certify_motion(motion, problem)
-        for what, verdict in (("path", certificate), ("motion", proof)):
-            if not verdict.certified:
-                message = f"{source}: its {what} is not certified for this problem: {verdict.reason}"
-                raise CertificationFailed(message, where=where_broken(verdict))
-        return cls(problem, raw_path, path, motion, certificate, proof, found.completed, found.timing_ms)
+        try:
+            motion = prove_motion(Trajectory(path, found.time_law), problem)
+        except CertificationFailed as error:
+            raise CertificationFailed(f"{source}: for this problem {error}", where=error.where) from error
+        return cls(motion, raw_path, found.completed, found.timing_ms)
 
     def plot(self, target: str | FilePath, title: str = "") -> None:
         """Draw map, obstacles, dock, paths, the swept footprint, and the tightest place.
@@ -240,9 +262,3 @@ class PartialPlan:
         has = [name for name in ("raw_path", "path", "certificate") if getattr(self, name) is not None]
         spent = f" after {self.timing_ms['total']:.1f} ms" if "total" in self.timing_ms else ""
         return f"<PartialPlan with {', '.join(has) or 'nothing'}{spent}>"
-
-
-def where_broken(verdict: Certificate | TrajectoryCertificate) -> Mapping[str, object]:
-    """What an error says about the first violation of a verdict."""
-    first = verdict.violations[0]
-    return {"kind": first.kind, "s": first.s, "amount": first.amount, **first.where}

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import pathlib
+import sys
 from dataclasses import dataclass, field
 from functools import cache
+from importlib.machinery import PathFinder
 from importlib.metadata import EntryPoint, entry_points
 from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
 
@@ -123,10 +126,29 @@ def load_plugin(interface: type[P], name: str) -> type[P]:
     try:
         loaded = point.load()
     except (Exception, SystemExit) as error:  # foreign code may raise anything while it is imported
-        raise PluginError(f"{kind}: plugin {short} ({point.value}) cannot be imported: {error}") from error
+        why = f"cannot be imported: {error}{_in_the_way_of(point)}"
+        raise PluginError(f"{kind}: plugin {short} ({point.value}) {why}") from error
     if not (isinstance(loaded, type) and issubclass(loaded, interface)):
-        raise PluginError(f"{kind}: plugin {short} ({point.value}) is not a {interface.__name__}")
+        why = f"is not a {interface.__name__}{_in_the_way_of(point)}"
+        raise PluginError(f"{kind}: plugin {short} ({point.value}) {why}")
     return loaded
+
+
+def _in_the_way_of(point: EntryPoint) -> str:
+    """The folder or file that Python takes for a plugin's package, where the plugin is in another one; else nothing.
+
+    A folder of the user's beside his script comes first on Python's path, and hides the installed package of its name.
+    """
+    package, *inside = point.module.split(".")
+    specs = (PathFinder.find_spec(package, [entry]) for entry in sys.path)
+    places = [place for spec in specs if spec for place in spec.submodule_search_locations or [spec.origin or ""]]
+    found = [pathlib.Path(place).resolve() for place in places]
+    modules = {place: place.joinpath(*inside) for place in found}
+    holding = [place for place, at in modules.items() if at.is_dir() or at.with_suffix(".py").is_file()]
+    if not holding or holding[-1] == found[0]:
+        return ""
+    what = "folder" if found[0].is_dir() else "file"
+    return f"; the {what} {found[0]} hides the package {holding[-1]}: rename that {what}, or start Python elsewhere"
 
 
 def create_plugin(interface: type[P], name: str, parameters: Mapping[str, object] | None = None) -> P:

@@ -18,7 +18,7 @@ from optdock.dock import Dock
 from optdock.errors import InvalidValue
 from optdock.fingerprint import ProblemFingerprint, digest
 from optdock.geometry.arrays import FrozenArrays
-from optdock.geometry.checked import finite_number, instance, number
+from optdock.geometry.checked import exactly, finite_number, instance, number
 from optdock.geometry.pose import Pose2, transform_points
 from optdock.geometry.separation import separation
 from optdock.obstacles import ObstacleSet
@@ -192,8 +192,7 @@ class DockingProblem(FrozenArrays):
         self._check_parts()
         everything = self.obstacles
         if self.costmap is not None:
-            # A grid that can be written could change under the proof.
-            known = self.costmap.frozen() if self.costmap.data.flags.writeable else self.costmap
+            known = self.costmap.frozen()  # one that layers write into could change under the proof
             object.__setattr__(self, "costmap", known)
             mapped = mapped_obstacles(known, unknown_is_obstacle=self.unknown_is_obstacle)
             everything = (everything + mapped).distinct() if len(everything) else mapped
@@ -203,17 +202,20 @@ class DockingProblem(FrozenArrays):
         object.__setattr__(self, "all_obstacles", everything)
 
     def _check_parts(self) -> None:
+        # No subclasses: what overrides a pose or an outline is another one, of which no proof would know.
         parts = (
             (Pose2, "start"),
             (Dock, "dock"),
             (Robot, "robot"),
-            (str, "frame"),
+            (ObstacleSet, "obstacles"),
+            (ClearanceRule, "clearance"),
             (bool, "unknown_is_obstacle"),
         )
         for kind, name in parts:
-            instance(kind, getattr(self, name), f"problem.{name}")
+            exactly(kind, getattr(self, name), f"problem.{name}")
+        instance(str, self.frame, "problem.frame")
         if self.costmap is not None:
-            instance(Costmap, self.costmap, "problem.costmap")
+            exactly(Costmap, self.costmap, "problem.costmap")
         speed = finite_number(self.start_speed, "start.speed")
         acceleration = finite_number(self.start_acceleration, "start.acceleration")
         speed, acceleration = _without_rounding(speed, acceleration, self.robot.limits.max_jerk)
@@ -317,6 +319,31 @@ class DockingProblem(FrozenArrays):
         """What the path itself must keep, so that every pose within the robot's tracking tube keeps `clearance`."""
         wider = self.clearance.required + self.robot.tracking.width(self.robot.footprint)
         return dataclasses.replace(self.clearance, required=wider)
+
+    def tube_widths(
+        self, poses: FloatArray, start: Pose2, start_clearance: float, start_relief: float = 0.0
+    ) -> FloatArray:
+        """How far any point of the footprint may be off where a path has it and keep `clearance` all the same.
+
+        What `path_clearance` asks for beyond `clearance`: it falls to zero at the dock, which the robot is to touch,
+        and near a start that has no more clearance to spare.
+
+        Args:
+            poses: Of the path, Shape (n, 3).
+            start: Where the drive set off.
+            start_clearance: Of the robot there [m].
+            start_relief: Of the certificate of the path, see `ClearanceRule.required_at` [m].
+
+        Returns:
+            Shape (n,) [m].
+        """
+        from_goal, from_start = (np.hypot(poses[:, 0] - end.x, poses[:, 1] - end.y) for end in (self.goal, start))
+        with_tube, without = (
+            rule.required_at(from_goal, from_start, start_clearance, start_relief)
+            for rule in (self.path_clearance, self.clearance)
+        )
+        widths: FloatArray = with_tube - without
+        return widths
 
     @property
     def goal(self) -> Pose2:

@@ -6,7 +6,7 @@ import contextlib
 import logging
 import time
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 from optdock.errors import (
     Cancelled,
@@ -36,10 +36,10 @@ from optdock.interfaces import (
     TimingStatus,
 )
 from optdock.path import Path
-from optdock.plan import DockPlan, PartialPlan, where_broken
+from optdock.plan import DockPlan, PartialPlan
 from optdock.plugins import create_plugin
 from optdock.trajectory import Trajectory
-from optdock.verification import certify_motion, certify_path
+from optdock.verification import certify_motion, certify_path, prove_motion, where_broken
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -47,9 +47,9 @@ if TYPE_CHECKING:
     from optdock.deadline import Deadline
     from optdock.lifecycle import Plugin
     from optdock.problem import DockingProblem
-    from optdock.verification import Certificate, TrajectoryCertificate
+    from optdock.verification import Certificate, ProvenMotion, TrajectoryCertificate
 
-__all__ = ["Cancellation", "Refinement", "Stopwatch", "at_work", "in_ms", "plain", "returned"]
+__all__ = ["Cancellation", "Refinement", "Stopwatch", "at_work", "plain", "ran_out_of_time", "returned"]
 
 logger = logging.getLogger(__name__)
 
@@ -165,18 +165,8 @@ class Refinement:
         with self.watch.timed("certify"):
             certificate = so_far.certificate = certify_path(path, self.problem, is_late=self.asked_to_stop)
             self._require(certificate, "smoothed path", SmootherCancelled, SmootherTimedOut)
-        motion = self._certified_motion(path)
-        return DockPlan(
-            problem=self.problem,
-            raw_path=raw,
-            path=path,
-            trajectory=motion.trajectory,
-            certificate=certificate,
-            trajectory_certificate=motion.proof,
-            completed=True,
-            timing_ms={},
-            timing_report=motion.report,
-        )
+        motion, report = self._certified_motion(path)
+        return DockPlan(motion, raw, timing_report=report)
 
     def asked_to_stop(self) -> bool:
         """Whether the caller or the clock wants an end."""
@@ -184,9 +174,8 @@ class Refinement:
 
     def _smoothed(self, raw: Path, most: float, so_far: PartialPlan, *, is_given: bool) -> SmoothingResult:
         smoother, left = self.smoother, self.deadline.left
-        kept = f"of {in_ms(self.budget)}; {in_ms(self.reserve)} are kept back for timing and proof"
         if left <= self.reserve:
-            raise SmootherTimedOut(f"no time is left for smoothing: {in_ms(max(left, 0.0))} are left {kept}")
+            raise SmootherTimedOut(ran_out_of_time("smoothing", self.budget))
         try:
             with at_work(smoother, self.problem, self.cancelled):
                 try:
@@ -202,7 +191,8 @@ class Refinement:
                         raise FailedToSmoothPath(f"the given {error}") from error
                     raise
         except SmootherTimedOut as error:
-            raise SmootherTimedOut(f"{error}, the smoother's share {kept}", where=error.where) from error
+            message = ran_out_of_time(type(smoother).__name__, self.budget)
+            raise SmootherTimedOut(message, where=error.where) from error
         except SmootherException as error:
             so_far.path = PartialPlan.left_by(error).path
             raise
@@ -211,7 +201,7 @@ class Refinement:
         returned(result.report, SmoothingReport, smoother, "the report of its result")
         return result
 
-    def _certified_motion(self, path: Path) -> _Motion:
+    def _certified_motion(self, path: Path) -> tuple[ProvenMotion, TimingReport]:
         """The motion of the chosen method, or where that fails its proof, of the method that never needs repair.
 
         That the path cannot be timed is an answer; any other error of the method is its own mistake.
@@ -227,30 +217,34 @@ class Refinement:
                 raise
             logger.warning("%s: %s; timed by %s instead", chosen.name, error, PLAIN_TIMING)
             try:
-                motion = self._proven_motion(fallback, path)
+                motion, report = self._proven_motion(fallback, path)
             except FailedToTimePath:
                 raise error from None
-            return motion._replace(report=replace(motion.report, replaced=f"{chosen.name}: {error}"))
+            return motion, replace(report, replaced=f"{chosen.name}: {error}")
 
-    def _proven_motion(self, method: TimeParameterizer, path: Path) -> _Motion:
+    def _proven_motion(self, method: TimeParameterizer, path: Path) -> tuple[ProvenMotion, TimingReport]:
         with self.watch.timed("time"):
             result = self._timing(method, path)
+        if result.status is TimingStatus.TIMED_OUT:
+            failure = result.failure()
+            message = ran_out_of_time(type(method).__name__, self.budget)
+            raise TimingTimedOut(message, where=failure.where) from failure
         if result.status is not TimingStatus.OK:
             raise result.failure()
         trajectory = returned(result.trajectory, Trajectory, method, "the trajectory of its result")
         if trajectory.path is not path and trajectory.path.digest != path.digest:
             message = f"{method.name} timed another path than the certified one"
             raise CertificationFailed(message, where={"kind": "path"})
-        trajectory = Trajectory(path, trajectory.time_law, self.problem.fingerprint)
+        trajectory = Trajectory(path, trajectory.time_law)
         with self.watch.timed("certify"):
             proof = certify_motion(trajectory, self.problem, is_late=self.asked_to_stop)
-        self._require(proof, "trajectory", TimingCancelled, TimingTimedOut)
-        return _Motion(trajectory, proof, result.report)
+            self._require(proof, "trajectory", TimingCancelled, TimingTimedOut)
+            return prove_motion(trajectory, self.problem, is_late=self.asked_to_stop), result.report
 
     def _timing(self, method: TimeParameterizer, path: Path) -> TimingResult:
         allowance = self.deadline.left - _PROOF
         if allowance <= 0.0:
-            raise TimingTimedOut(f"nothing is left of the time budget of {self.budget:.3g} s for timing")
+            raise TimingTimedOut(ran_out_of_time("timing", self.budget))
         limits, zone = self.problem.robot.limits, self.problem.dock.approach
         speed, acceleration = self.problem.start_state(int(path.segments[0].direction))
         wait = self.problem.start_wait(path)
@@ -286,16 +280,8 @@ class Refinement:
             if self.cancelled():
                 raise cancelled(f"cancelled while the {what} was proven", where=where)
             if self.deadline.passed():
-                raise late(f"the proof of the {what} was cut short: {verdict.reason}", where=where)
+                raise late(ran_out_of_time(f"the proof of the {what}", self.budget), where=where)
         raise CertificationFailed(f"the {what} is not certified: {verdict.reason}", where=where)
-
-
-class _Motion(NamedTuple):
-    """A certified trajectory, its proof, and what the time parameterizer says about its work."""
-
-    trajectory: Trajectory
-    proof: TrajectoryCertificate
-    report: TimingReport
 
 
 @contextlib.contextmanager
@@ -334,9 +320,13 @@ def at_work(plugin: Plugin, problem: DockingProblem, cancelled: Cancellation) ->
         raise cancelled.raised
 
 
-def in_ms(seconds: float) -> str:
-    """A duration for a message."""
-    return f"{1e3 * seconds:.0f} ms" if seconds >= 0.1 else f"{1e3 * seconds:.3g} ms"
+def ran_out_of_time(what: str, budget: float) -> str:
+    """The message of a time-out: who needed more, and which option gives it.
+
+    >>> ran_out_of_time("ManoeuvrePlanner", 0.05)
+    'ManoeuvrePlanner ran out of time; raise time_budget, which is 0.05 s'
+    """
+    return f"{what} ran out of time; raise time_budget, which is {budget:.3g} s"
 
 
 def returned(value: object, kind: type[_T], plugin: Plugin, part: str = "") -> _T:

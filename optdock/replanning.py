@@ -27,7 +27,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from optdock.changed_world import StillHolds, is_proven, still_holds
+from optdock.changed_world import StillHolds, still_holds
 from optdock.deadline import Deadline, garbage_collection_paused
 from optdock.deformation import Push, deformed
 from optdock.errors import (
@@ -39,26 +39,37 @@ from optdock.errors import (
     PluginError,
     SmootherTimedOut,
 )
-from optdock.geometry.checked import finite_number, instance, number
+from optdock.geometry.checked import exactly, finite_number, instance, number
 from optdock.geometry.clothoid import ClothoidSpline
 from optdock.geometry.pose import Pose2, displacement, normalize_angle
 from optdock.geometry.separation import separation
 from optdock.interfaces import Smoother, TimeParameterizer, never_cancelled
 from optdock.limits import SpeedZone
-from optdock.obstacles import in_words
 from optdock.path import Path
 from optdock.pipeline import DEFAULT_PLANNERS, DEFAULT_SMOOTHER, DEFAULT_TIMING, plan_dock, warm_up
 from optdock.plan import Attempt, DockPlan, PartialPlan
 from optdock.plugins import plugin_from
 from optdock.problem import DockingProblem
-from optdock.refinement import Cancellation, Refinement, Stopwatch, in_ms
-from optdock.robot import TrackingTube
+from optdock.refinement import Cancellation, Refinement, Stopwatch, ran_out_of_time
 from optdock.segments import SAME_POSITION, TURN_RADIUS, ClothoidSegment
 from optdock.timing.motion import DriveBounds, State
 from optdock.timing.start_states import full_stop
 from optdock.trajectory import TimeLaw, Trajectory
-from optdock.verification import TOLERANCE, certify_motion, certify_path, certify_trajectory, pose_clearance
-from optdock.verification.conservative_advancement import Begun, prove_clearance
+from optdock.tube import Tube
+from optdock.verification import (
+    TOLERANCE,
+    ProvenWay,
+    WayVerdict,
+    certify_motion,
+    certify_path,
+    certify_trajectory,
+    end_clearances,
+    pose_clearance,
+    prove_way,
+    proven_way,
+    unchanged_way,
+)
+from optdock.verification.conservative_advancement import Begun
 from optdock.verification.path_rules import path_violations
 
 if TYPE_CHECKING:
@@ -88,7 +99,6 @@ _ON_THE_STRAIGHT = "the robot is on the final straight, where nothing is bent an
 _AT_THE_END = "nothing is left of the plan"
 _PUSHES = 4  # off obstacles: each takes two milliseconds, and what needs more is for the smoother
 _ROOM = 0.005  # [m]: a path that is pushed keeps more than what is required, for it comes nearest a little further on
-_SPACING = 0.05  # [m] between the places by which what is near is found
 _NO_WAY = 1e-6  # [m]: of less than that nothing is left to drive
 # Shares of the deceleration that a stop tries: in a bend the yaw acceleration may leave no more.
 _BRAKING = (1.0, 0.8, 0.6, 0.4, 0.25)
@@ -100,12 +110,18 @@ class DriveState(NamedTuple):
     Attributes:
         time: Of the reference, on the trajectory's own clock [s].
         rate: How fast that clock runs, 1 where the robot keeps up [1].
-        pose: Where the robot was measured then; None: on the trajectory.
+        pose: Where the robot was measured then; None: on the trajectory. Within the tube around the running path
+            feedback owns the error, and a new plan begins on that path; else it begins where the robot is.
+        moved: What the whole trajectory has been moved by since it was planned, so that every pose p of it became
+            `moved @ p`: for a robot that steers by a dock which it sees elsewhere now. None: nothing.
+        is_filtered: Whether `pose` is an estimate that is good enough for a new plan to begin there in any case.
     """
 
     time: float
     rate: float = 1.0
     pose: Pose2 | None = None
+    moved: Pose2 | None = None
+    is_filtered: bool = False
 
 
 class ReplanOutcome(str, Enum):
@@ -118,7 +134,7 @@ class ReplanOutcome(str, Enum):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Replanned:
-    """What `replan` returns.
+    """What `replan` returns; it counts as true where it is proven.
 
     Args:
         outcome: What to do.
@@ -127,10 +143,9 @@ class Replanned:
             that trajectory.
         plan: The plan whose motion that is; None: STOP.
         reason: Why it is not new; empty where it is.
-        proven: Whether the way from where the robot is now until where the motion ends is proven to keep its clearance
-            in the new world, and the motion from `starts_at` on its limits. False only for a stop: then it is the
-            quickest there is. Of KEPT the station counts where the plan ends, from which it may stand apart by the
-            dock's tolerances.
+        way: What is proven of the clearance in the new world: from where the robot is now, its `pose`, until
+            `trajectory` takes over or ends. None: it is not proven. Of KEPT the station counts where the plan ends,
+            from which it may stand apart by the dock's tolerances.
         motion: The certificate of the motion of a stop; None: NEW and KEPT, whose plan has it.
         tried: What was tried, and what became of it.
         timing_ms: Wall-clock milliseconds of the stages.
@@ -141,10 +156,25 @@ class Replanned:
     starts_at: float
     plan: DockPlan | None
     reason: str = ""
-    proven: bool = True
+    way: ProvenWay | None = None
     motion: TrajectoryCertificate | None = None
     tried: tuple[Attempt, ...] = ()
     timing_ms: dict[str, float] = field(default_factory=dict)
+
+    def __bool__(self) -> bool:
+        return self.proven
+
+    def __post_init__(self) -> None:
+        if self.way is not None:
+            exactly(ProvenWay, self.way, "replanned.way")
+
+    @property
+    def proven(self) -> bool:
+        """Whether clearance and limits are proven from where the robot is now until where the motion ends.
+
+        False only for a stop: then it is the quickest there is.
+        """
+        return self.way is not None and (self.plan is not None or (self.motion is not None and self.motion.certified))
 
     def __repr__(self) -> str:
         why = f": {self.reason}" if self.reason else ""
@@ -186,7 +216,7 @@ def replan(  # noqa: PLR0913 - what may be chosen is chosen by name
         PluginError: As `plan_dock`.
         LifecycleError: As `plan_dock`.
     """
-    instance(DockPlan, plan, "plan")
+    exactly(DockPlan, plan, "plan")
     time_budget, drive_delay = number(time_budget, "time_budget"), finite_number(drive_delay, "drive_delay")
     if not (math.isfinite(time_budget) and time_budget > 0.0):
         raise InvalidValue(f"time_budget: must be finite and > 0 s, got {time_budget}")
@@ -211,9 +241,11 @@ def _checked(state: DriveState) -> DriveState:
     time, rate = finite_number(state.time, "state.time"), finite_number(state.rate, "state.rate")
     if not rate >= 0.0:
         raise InvalidValue(f"state.rate: must be >= 0, got {rate}")
-    if state.pose is not None:
-        instance(Pose2, state.pose, "state.pose")
-    return DriveState(time, rate, state.pose)
+    for name, pose in (("pose", state.pose), ("moved", state.moved)):
+        if pose is not None:
+            exactly(Pose2, pose, f"state.{name}")
+    instance(bool, state.is_filtered, "state.is_filtered")
+    return DriveState(time, rate, state.pose, state.moved, state.is_filtered)
 
 
 def _world(plan: DockPlan, target: DockingProblem | Pose2) -> DockingProblem:
@@ -257,7 +289,7 @@ class _Joint(NamedTuple):
     """A place on the running trajectory, and the robot there.
 
     `time`: on its own clock [s]. `s`: along its path [m]. `pose`, `speed`, `acceleration`: of the robot, the latter two
-    signed. `gear`: 1, -1 or 0. `rest`: the path from there on, moved to where the robot will be; None: nothing is left.
+    signed. `gear`: 1, -1 or 0. `rest`: the path from there on, from where the robot will be; None: nothing is left.
     """
 
     time: float
@@ -275,7 +307,11 @@ class _Joint(NamedTuple):
 
 @dataclass(eq=False)
 class _Replanning:
-    """One call of `replan`."""
+    """One call of `replan`.
+
+    `ahead`: the running path, or that path moved as a whole to where the robot is: what is ahead of the robot. `now`:
+    its state there.
+    """
 
     plan: DockPlan
     world: DockingProblem
@@ -287,19 +323,28 @@ class _Replanning:
     timing_ms: dict[str, float] = field(default_factory=dict)
     tried: list[Attempt] = field(default_factory=list)
     failure: OptdockError | None = None
+    ahead: Path = field(init=False)
+    now: _Joint = field(init=False)
 
     def __post_init__(self) -> None:
         self.deadline = Deadline(self.budget)
+        self.ahead = self.path
+        self.now = self._joint(0.0)
+        if not self.is_on_the_path and (self.state.is_filtered or not self._is_in_tube(self.reference)):
+            self._move_ahead()
 
     def answer(self, delay: float, plugins: _Plugins) -> Replanned:
         """New, kept or stop."""
         joint = self._joint(self.lead, at_a_rest=True)
-        blocked = self._blocked(joint)
-        if blocked:
-            why = f"the way until a new plan could take over is not clear: {blocked}"
+        if not self.is_on_the_path and self.ahead is self.path and not self._is_in_tube(joint.pose):
+            self._move_ahead()
+            joint = self._joint(self.lead, at_a_rest=True)
+        until = self._until(joint)
+        if until is not None and until.way is None:
+            why = f"the way until a new plan could take over is not clear: {until.reason}"
             return self._kept(why) or self._stop(delay, why)
         try:
-            return self._replanned(joint, plugins)
+            return self._replanned(joint, None if until is None else until.way, plugins)
         except (PluginError, LifecycleError, InvalidValue):
             raise
         except Cancelled as error:
@@ -308,8 +353,10 @@ class _Replanning:
         except OptdockError as error:
             return self._stop(delay, f"{type(error).__name__}: {error}")
 
-    def _replanned(self, joint: _Joint, plugins: _Plugins) -> Replanned:
+    def _replanned(self, joint: _Joint, until: ProvenWay | None, plugins: _Plugins) -> Replanned:
         """A new plan in the gears of the old one; the old one; a new one in other gears.
+
+        `until`: the way until the joint; None: the robot is there.
 
         Raises:
             OptdockError: Nothing of that, or not in time.
@@ -323,13 +370,13 @@ class _Replanning:
             work = Refinement(problem, smoother, timing, joint.rest, self.cancelled, self.budget, deadline, watch)
             plan = self._in_the_same_gears(joint, joint.rest, problem, work)
             if plan is not None:
-                return self._new(joint, plan)
+                return self._new(joint, until, plan)
             why = str(self.failure or "the path cannot be deformed within the curvature limits")
         kept = self._kept(why)
         if kept is not None:
             return kept
         if deadline.left <= 0.0:
-            raise self.failure or SmootherTimedOut(f"{why}; the time budget of {in_ms(self.budget)} is used up")
+            raise self.failure or SmootherTimedOut(f"{why}; {ran_out_of_time('planning anew', self.budget)}")
         plan = plan_dock(
             problem,
             time_budget=deadline.left,
@@ -340,12 +387,13 @@ class _Replanning:
         )
         if joint.rests and problem.start_curvature and int(plan.path.segments[0].direction) != joint.gear:
             raise FailedToSmoothPath("the wheels are turned for the other gear")  # where this curvature is the other
-        return self._new(joint, plan)
+        return self._new(joint, until, plan)
 
-    def _new(self, joint: _Joint, plan: DockPlan) -> Replanned:
+    def _new(self, joint: _Joint, until: ProvenWay | None, plan: DockPlan) -> Replanned:
         tried, timing = (*self.tried, *plan.tried), self._timing()
         plan = dataclasses.replace(plan, tried=tried, timing_ms=timing)
-        return Replanned(ReplanOutcome.NEW, plan.trajectory, joint.time, plan, tried=tried, timing_ms=timing)
+        way = until or proven_way(plan.motion, self.state.pose)
+        return Replanned(ReplanOutcome.NEW, plan.trajectory, joint.time, plan, way=way, tried=tried, timing_ms=timing)
 
     def _is_on_the_straight(self, rest: Path) -> bool:
         """Whether the robot is on the final straight already, on which nothing may be bent."""
@@ -391,31 +439,42 @@ class _Replanning:
         return {**self.timing_ms, "total": 1e3 * self.deadline.elapsed}
 
     @functools.cached_property
-    def now(self) -> _Joint:
-        """Where the robot is."""
-        return self._joint(0.0)
+    def path(self) -> Path:
+        """The running path, where it is being followed."""
+        path, moved = self.plan.path, self.state.moved
+        return path if moved is None else path.moved(moved)
+
+    def _move_ahead(self) -> None:
+        """Take the running path, moved as a whole to where the robot was measured, for what is ahead of it."""
+        assert self.state.pose is not None
+        self.ahead = self.path.moved(self.state.pose @ self.reference.inverse())
+        self.now = self._joint(0.0)
 
     @functools.cached_property
-    def offset(self) -> Pose2 | None:
-        """Where the robot is, seen from its reference; None where it is near enough.
+    def reference(self) -> Pose2:
+        """Where the running trajectory has the robot."""
+        return self.path.pose_at(float(self.plan.trajectory.sample_at(self.state.time).s[0]))
 
-        That is in its tracking tube; for a robot without one, where it would count as docked at the dock.
-        """
-        if self.state.pose is None:
-            return None
-        robot, accepted = self.world.robot, self.world.dock.tolerances
-        seen = self.state.pose.in_frame_of(self.plan.trajectory.at(self.state.time).pose)
-        tube = robot.tracking.width(robot.footprint)
-        if tube > 0.0:
-            near = displacement(math.hypot(seen.x, seen.y), seen.yaw, robot.footprint.circumscribed_radius) <= tube
-        else:
-            near = math.hypot(seen.x, seen.y) <= accepted.cross and abs(seen.yaw) <= accepted.yaw
-        return None if near else seen
+    @functools.cached_property
+    def is_on_the_path(self) -> bool:
+        """Whether the robot is there."""
+        return self.state.pose is None or self.state.pose.gap_to(self.reference) <= TOLERANCE
+
+    def _is_in_tube(self, place: Pose2) -> bool:
+        """Whether the tube around a drive that sets off at a place of the path covers the robot."""
+        pose, footprint = self.state.pose, self.world.robot.footprint
+        assert pose is not None
+        turned = normalize_angle(pose.yaw - self.reference.yaw)
+        off = displacement(pose.distance_to(self.reference), turned, footprint.circumscribed_radius)
+        if not off <= self.world.robot.tracking.width(footprint):
+            return False
+        clearance = pose_clearance(place, footprint, self.world.all_obstacles)[0]
+        return bool(off <= self.world.tube_widths(place.as_array()[None], place, clearance)[0])
 
     def _joint(self, lead: float, *, at_a_rest: bool = False) -> _Joint:
         """Where the robot will be in `lead` seconds; in a turn in place, or just before a rest, at that rest."""
         running, rate = self.plan.trajectory, self.state.rate
-        path, length = running.path, running.path.length
+        path, length = self.ahead, self.ahead.length
         time = min(max(self.state.time + rate * lead, 0.0), running.duration)
         if at_a_rest:
             time = self._next_rest(time)
@@ -429,10 +488,6 @@ class _Replanning:
         gear = int(path.direction_at(s)[0])
         rest = path.piece(s) if s < length - _NO_WAY else None
         pose = path.end if rest is None else rest.start
-        if self.offset is not None:
-            carried = pose @ self.offset
-            rest = rest.moved(carried @ pose.inverse()) if rest is not None else None
-            pose = carried
         sign = gear or 1
         return _Joint(time, s, pose, sign * speed, sign * acceleration, gear, rest)
 
@@ -459,49 +514,16 @@ class _Replanning:
             phase, rest = phase + 1, float(law.times[phase + 1])
         return rest
 
-    def _blocked(self, joint: _Joint) -> str:
-        """Why the way from here to the joint is not proven to be clear; empty where it is."""
+    def _until(self, joint: _Joint) -> WayVerdict | None:
+        """Whether the way from here to the joint is proven to be clear; None: there is none."""
         now = self.now
         if now.rest is None or joint.s - now.s <= _NO_WAY:
-            return ""
-        way = now.rest.piece(0.0, joint.s - now.s)
-        return "" if self._is_as_before(way) else self._not_clear(way, now.pose, self.world)
-
-    def _is_as_before(self, way: Path) -> bool:
-        """Whether a stretch of the running path, far from the dock, is proven already: nothing but the dock moved."""
-        before, world = self.plan.problem, self.world
-        same = before.obstacles is world.obstacles and before.costmap is world.costmap and before.robot is world.robot
-        same = same and before.clearance == world.clearance
-        same = same and is_proven(self.plan)
-        if not same or self.offset is not None or before.unknown_is_obstacle != world.unknown_is_obstacle:
-            return False
-        station = world.dock.footprint
-        reach = world.robot.footprint.circumscribed_radius + world.path_clearance.required
-        reach += 0.0 if station is None else station.circumscribed_radius
-        # Within the taper another dock is another rule; and a robot may have met its station's old place, not its new.
-        far = max(reach, world.path_clearance.taper) + way.length
-        return min(way.start.distance_to(goal) for goal in (before.goal, world.goal)) > far
-
-    @staticmethod
-    def _not_clear(way: Path, start: Pose2, world: DockingProblem) -> str:
-        """What of the clearance of a stretch that is driven anyway is not proven in a world; empty: all is."""
-        footprint = world.robot.footprint
-        count = max(2, math.ceil(way.length / _SPACING) + 1)
-        places = way.poses_at(np.linspace(0.0, way.length, count))[:, :2]
-        near = world.all_obstacles.near(
-            places, footprint.circumscribed_radius + world.path_clearance.required + _SPACING
-        )
-        begun = Begun(start, pose_clearance(start, footprint, near)[0])
-        proof = prove_clearance(way, world, obstacles=near, begun=begun, sharp=False)
-        if not proof.holds and begun.clearance < world.path_clearance.required:
-            proof = prove_clearance(way, world, start_relief=world.start_run, obstacles=near, begun=begun, sharp=False)
-        if proof.holds:
-            return ""
-        if not len(proof.violations):
-            return "the clearance of the way is not proven"
-        s, clearance, required, row = proof.violations[np.argmin(proof.violations[:, 0]), :4].tolist()
-        what = in_words(near.name_of(int(row)))
-        return f"{clearance:.4f} m from {what} after {s:.3f} m, required {required:.4f} m"
+            return None
+        if self.ahead is self.plan.path and self.is_on_the_path:
+            known = unchanged_way(self.plan.motion, now.s, joint.s, self.world)
+            if known is not None:
+                return WayVerdict(known)
+        return prove_way(now.rest.piece(0.0, joint.s - now.s), self.world, self.state.pose)
 
     def _attempt(self, stage: str, guess: Path, make: Callable[[PartialPlan], DockPlan]) -> DockPlan | None:
         began = self.deadline.elapsed
@@ -533,28 +555,40 @@ class _Replanning:
         """The old plan, where it is still good; None where it is not.
 
         Within the dock's tolerances the robot counts as docked, and the station stands as near as they allow: there it
-        is taken to stand where the plan ends. A robot that is off the plan goes back to it: it needs a tube as wide.
+        is taken to stand where the plan ends.
         """
-        path, world, now = self.plan.path, self.world, self.now
+        path, world = self.path, self.world
         if _is_beyond(path.end, world.goal, world.dock.tolerances) or not self._keeps_limits():
             return None
         world = dataclasses.replace(world, dock=dataclasses.replace(world.dock, pose=path.end))
-        rest = path.piece(min(now.s, max(0.0, path.length - _NO_WAY)))
-        ways = [(rest, rest.start, world)]
-        if self.offset is not None:
-            known = world.robot.tracking
-            off, turned = math.hypot(self.offset.x, self.offset.y), abs(normalize_angle(self.offset.yaw))
-            tube = TrackingTube(max(known.cross, off), max(known.yaw, turned))
-            wide = dataclasses.replace(world, robot=dataclasses.replace(world.robot, tracking=tube))
-            ways = [(rest, rest.start, wide), (rest if now.rest is None else now.rest, now.pose, world)]
-        if any(self._not_clear(*way) for way in ways):
+        found = self._goes_on(path, world) if self.is_on_the_path else self._goes_back(path, world)
+        if found.way is None:
             return None
         tried, timing = tuple(self.tried), self._timing()
-        return Replanned(ReplanOutcome.KEPT, self.plan.trajectory, 0.0, self.plan, why, tried=tried, timing_ms=timing)
+        running, plan = self.plan.trajectory, self.plan
+        return Replanned(ReplanOutcome.KEPT, running, 0.0, plan, why, way=found.way, tried=tried, timing_ms=timing)
+
+    def _goes_on(self, path: Path, world: DockingProblem) -> WayVerdict:
+        """Whether the rest of the path is clear for a robot that is on it."""
+        return prove_way(path.piece(min(self.now.s, max(0.0, path.length - _NO_WAY))), world)
+
+    def _goes_back(self, path: Path, world: DockingProblem) -> WayVerdict:
+        """Whether the rest of the path is clear for a robot beside it, by the rule that the plan is proven by."""
+        pose, relief = self.state.pose, self.plan.certificate.start_relief
+        assert pose is not None
+        now = min(self.now.s, max(0.0, path.length - _NO_WAY))
+        tube = Tube(path, dataclasses.replace(world, start=path.start), relief)
+        nearest = float(tube.deviations(pose.as_array()[None], now).s[0])
+        gears = np.searchsorted(path.segment_starts, [now, nearest], side="right")
+        if gears[0] != gears[1]:  # legs of a cusp overlap: the robot is on the one that its clock shows
+            nearest = now
+        begin = min(now, nearest)
+        begun = Begun(path.start, end_clearances(self.plan.problem).start)
+        return prove_way(path.piece(begin), world, pose, at=nearest - begin, begun=begun, start_relief=relief)
 
     def _keeps_limits(self) -> bool:
         """Whether the running plan keeps every rule of the world now but clearance."""
-        before, world, path = self.plan.problem, self.world, self.plan.path
+        before, world, path = self.plan.problem, self.world, self.path
         robots, docks = (before.robot, world.robot), (before.dock, world.dock)
         same = robots[0] is robots[1] or robots[0].fingerprint.limits == robots[1].fingerprint.limits
         rules = [(dock.approach, dock.direction, dock.final_straight) for dock in docks]
@@ -572,29 +606,23 @@ class _Replanning:
             trajectory, motion = self._braking(joint)
             now = self.now
             before, driven = joint.s - now.s, trajectory.path.length
-            if now.rest is None:
-                ways = [trajectory.path]
-            elif self.offset is None:
-                ways = [now.rest.piece(0.0, max(before + driven, _NO_WAY))]
-            else:  # the robot is carried along with its reference, so the two are no pieces of one path
-                ways = [now.rest.piece(0.0, max(before, _NO_WAY)), trajectory.path]
-            blocked = next(filter(None, (self._not_clear(way, now.pose, self.world) for way in ways)), "")
-            reason = why if not blocked else f"{why}; the stop is not proven: {blocked}"
+            way = trajectory.path if now.rest is None else now.rest.piece(0.0, max(before + driven, _NO_WAY))
+            clear = prove_way(way, self.world, self.state.pose)
+            reason = why if clear else f"{why}; the stop is not proven: {clear.reason}"
             if not motion.certified:
                 reason += f"; the stop breaks a limit: {motion.reason}"
-            proven = not blocked and motion.certified
             stop = Replanned(
                 ReplanOutcome.STOP,
                 trajectory,
                 joint.time,
                 None,
                 reason,
-                proven,
+                clear.way,
                 motion,
                 tried=tuple(self.tried),
                 timing_ms=self._timing(),
             )
-            if proven:
+            if stop.proven:
                 return stop
             found.append(stop)
         return found[-1]

@@ -53,12 +53,13 @@ def failed_plan_file(error: OptdockError, frame: str) -> PlanFile:
     Such a path, the best of a search that failed, is for looking at; a file is for driving.
     """
     so_far, proof = PartialPlan.left_by(error), getattr(error, "proof", None)
+    judged = so_far.certificate is not None and proof is None  # beside a proof that there is no path no path stands
     return PlanFile(
         status=type(error).__name__,
         frame=frame,
         raw_path=so_far.raw_path,
-        path=so_far.path if so_far.certificate is not None else None,
-        certificate=so_far.certificate.as_dict() if so_far.certificate is not None else None,
+        path=so_far.path if judged else None,
+        certificate=so_far.certificate.as_dict() if judged and so_far.certificate is not None else None,
         timing_ms=so_far.timing_ms,
         tried=tuple(attempt.as_dict() for attempt in so_far.tried),
         error=PlanError.from_exception(error),

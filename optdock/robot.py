@@ -4,18 +4,20 @@ from __future__ import annotations
 
 import functools
 import math
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass, fields
 from enum import Enum
 from typing import NamedTuple
 
 from optdock.errors import InvalidValue
 from optdock.fingerprint import digest
-from optdock.geometry.checked import instance, member, number
+from optdock.geometry.checked import exactly, instance, member, number
 from optdock.geometry.footprint import Footprint
 from optdock.geometry.pose import Twist2, displacement
 from optdock.limits import STEERING_UNITS, MotionLimits
 
 __all__ = ["Drive", "Robot", "RobotFingerprint", "TrackingTube", "admissible", "check_drive"]
+
+_DIGESTED = 15  # fields of `MotionLimits` that digests have counted from the beginning; later ones where they are set
 
 
 class Drive(str, Enum):
@@ -82,11 +84,11 @@ class Robot:
     tracking: TrackingTube = TrackingTube()
 
     def __post_init__(self) -> None:
-        instance(Footprint, self.footprint, "robot.footprint")
-        instance(MotionLimits, self.limits, "robot.limits")
+        exactly(Footprint, self.footprint, "robot.footprint")
+        exactly(MotionLimits, self.limits, "robot.limits")  # of what a subclass bounds beside it nothing is proven
         object.__setattr__(self, "drive", member(Drive, self.drive, "robot.drive"))
         instance(bool, self.turns_in_place, "robot.turns_in_place")
-        instance(TrackingTube, self.tracking, "robot.tracking")
+        exactly(TrackingTube, self.tracking, "robot.tracking")
         check_drive(self.drive, self.limits, turns_in_place=self.turns_in_place)
 
     @functools.cached_property
@@ -94,9 +96,14 @@ class Robot:
         """Digests of its outline, and of its limits and drive."""
         # What a robot does not use is no part of its digest: certificates outlive the limits that came after them.
         steering = {"wheelbase", *STEERING_UNITS} if self.limits.wheelbase == 0.0 else set()
-        limits = tuple(value for name, value in asdict(self.limits).items() if name not in steering)
+        values = {spec.name: getattr(self.limits, spec.name) for spec in fields(self.limits)}
+        defaults = {spec.name: spec.default for spec in fields(self.limits)}
+        first, later = list(values)[:_DIGESTED], list(values)[_DIGESTED:]
+        limits = tuple(values[name] for name in first if name not in steering)
         turns = ("turns in place",) if self.turns_in_place else ()
-        return RobotFingerprint(digest(self.footprint.vertices), digest(limits, self.drive.value, *turns))
+        others = [(name, values[name]) for name in later if values[name] != defaults[name]]
+        parts = (limits, self.drive.value, *turns, *(part for pair in others for part in pair))
+        return RobotFingerprint(digest(self.footprint.vertices), digest(*parts))
 
 
 def check_drive(drive: Drive, limits: MotionLimits, *, turns_in_place: bool) -> None:

@@ -240,7 +240,7 @@ class PolylineSegment(FrozenArrays):
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class TurnSegment:
+class TurnSegment(FrozenArrays):
     """A turn in place: the position stays, the yaw moves from one heading to another.
 
     Only for robots that `turns_in_place`. It begins and ends at rest.

@@ -22,7 +22,6 @@ from optdock.path import Path
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike
 
-    from optdock.fingerprint import ProblemFingerprint
 
 __all__ = [
     "TimeLaw",
@@ -221,7 +220,6 @@ class Trajectory(FrozenArrays):
     Args:
         path: Where.
         time_law: When; its distance runs from 0 to the length of the path.
-        certified_for: Digests of the problem for which path and motion were proven; None where nobody proved them.
 
     Raises:
         InvalidValue: Path or time law is of another class.
@@ -229,7 +227,6 @@ class Trajectory(FrozenArrays):
 
     path: Path
     time_law: TimeLaw
-    certified_for: ProblemFingerprint | None = None
 
     def __post_init__(self) -> None:
         # Subclasses too are refused: what overrides poses or distances is another motion, of which nothing is known.
@@ -237,8 +234,7 @@ class Trajectory(FrozenArrays):
         exactly(TimeLaw, self.time_law, "trajectory.time_law")
 
     def __repr__(self) -> str:
-        proven = ", proven" if self.certified_for is not None else ""
-        return f"<Trajectory {self.duration:.3f} s over {self.path.driven:.3f} m{proven}>"
+        return f"<Trajectory {self.duration:.3f} s over {self.path.driven:.3f} m>"
 
     @property
     def frame(self) -> str:

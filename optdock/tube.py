@@ -2,8 +2,7 @@
 
 A pose that is off by a distance e and turned by w moves no point of the footprint by more than e + 2 R sin(|w| / 2), R
 the circumscribed radius: its displacement. The certificate proves clearance enough for displacements up to the width of
-the tube: what `DockingProblem.path_clearance` asks for beyond `DockingProblem.clearance`. It falls to zero at the dock,
-where the robot is to touch, and near a start that has no more clearance to spare.
+the tube, `DockingProblem.tube_widths`.
 """
 
 from __future__ import annotations
@@ -76,15 +75,7 @@ class Tube:
         return self._widths(self.path.poses_at(s))
 
     def _widths(self, poses: FloatArray) -> FloatArray:
-        from_goal, from_start = (
-            np.hypot(poses[:, 0] - end.x, poses[:, 1] - end.y) for end in (self.problem.goal, self.problem.start)
-        )
-        with_tube, without = (
-            rule.required_at(from_goal, from_start, self._start_clearance, self.start_relief)
-            for rule in (self.problem.path_clearance, self.problem.clearance)
-        )
-        widths: FloatArray = with_tube - without
-        return widths
+        return self.problem.tube_widths(poses, self.problem.start, self._start_clearance, self.start_relief)
 
     def deviations(self, poses: FloatArray, near: float | None = None, within: float = 0.5) -> Deviations:
         """How far poses are off the path.

@@ -12,7 +12,7 @@ from pydantic import Field, field_validator
 from optdock.costmap.cell_obstacles import obstacles_from_costmap
 from optdock.deadline import Deadline, garbage_collection_paused
 from optdock.dock import Dock, DockDirection
-from optdock.errors import InvalidPath, InvalidValue, SmootherException
+from optdock.errors import FailedToSmoothPath, InvalidPath, InvalidValue, SmootherException
 from optdock.geometry.footprint import Footprint
 from optdock.geometry.pose import Pose2
 from optdock.interfaces import Smoother, SmoothingReport, SmoothingResult, SmoothingStatus, never_cancelled
@@ -22,7 +22,7 @@ from optdock.parameters import PluginParameters, checked_seconds
 from optdock.path import Path, may_be_one_frame
 from optdock.problem import ClearanceRule, DockingProblem
 from optdock.robot import Robot
-from optdock.verification import certify_path
+from optdock.verification import certify_path, pose_clearances
 from smoothers.scp.cost import Weights
 from smoothers.scp.problem import Formulation
 from smoothers.scp.qp_step import pool_of_this_thread, prepare_programs
@@ -42,6 +42,9 @@ __all__ = ["CasadiSmoother", "CasadiSmootherParameters"]
 _SAME_POSE = 1e-6  # [m], [rad]: as the certificate's
 _READ_AROUND = 1.5  # [m]: how far around the path the costmap is read, beyond the footprint
 _SPACING = 0.2  # [m] between the points that say where a path is
+_CLEARANCE_SPACING = 0.02  # [m] between the poses whose clearance is measured
+_TAPER = 0.5  # [m] before the goal, over which the required clearance falls to what the input keeps there
+_KNOWS_NO_OBSTACLES = "no obstacle is known: configure a costmap, or pass a problem; no clearance is kept"
 # An input further than this from the start or the goal of the problem of the call is one for another problem: [m], or
 # this share of its length. Docks are found within decimetres of where maps have them, and a search that begins at the
 # input mends about as much; beyond that nothing of the input is left to be near to.
@@ -54,6 +57,9 @@ class CasadiSmootherParameters(PluginParameters):
     max_curvature: float = Field(2.5, gt=0, description="1 / smallest turning radius [1/m]")
     max_curvature_rate: float = Field(10.0, gt=0, description="largest |d curvature / ds| [1/m^2]")
     clearance: float = Field(0.0, ge=0, description="required from obstacles where no problem says so [m]")
+    kept_clearance: float = Field(
+        0.3, ge=0, description="where no problem says so, as much as the input keeps is required, up to this [m]"
+    )
     final_straight: float = Field(0.0, ge=0, description="straight run at the end where no problem says so [m]")
     length_weight: float = Field(1.0, gt=0, description="cost per metre [1/m]")
     curvature_weight: float = Field(0.4, ge=0, description="cost of curvature, relative to its limit [1/m]")
@@ -107,7 +113,8 @@ class CasadiSmoother(Smoother):
             problem: What must hold; the configured costmap counts as well where the problem has none. None: the
                 configured problem, with the ends of `path` where they are others; where none is configured, from the
                 first pose of `path` to its last, with the footprint and the costmap of the context and the limits of
-                the parameters.
+                the parameters. The least clearance of the result is then no less than that of `path`, up to
+                `kept_clearance`. Without a costmap nothing is known of obstacles, which the report says (`warning`).
             warm_start: An earlier result with the same gears; returned where it is an answer still and none is found.
             cancel_checker: Polled every iteration.
 
@@ -137,16 +144,55 @@ class CasadiSmoother(Smoother):
     ) -> SmoothingResult:
         pool = pool_of_this_thread()
         built = pool.build_time
-        wanted = self._wanted(path, problem)
+        wanted = self.context.problem_at_hand(problem)
+        if wanted is None:
+            return self._smoothed_alone(path, deadline, warm_start, cancel_checker)
+        if problem is None:
+            wanted = configured_problem(path, wanted)
+        else:
+            _check_way(path, wanted)
+        best, solver = self._solved(path, wanted, deadline, warm_start, cancel_checker)
+        return _result(best, solver.outcome, deadline, pool.build_time - built)
+
+    def _smoothed_alone(
+        self, path: Path, deadline: Deadline, warm_start: Path | None, cancel_checker: Callable[[], bool]
+    ) -> SmoothingResult:
+        """A path of which nothing is known but its poses, and the costmap around it."""
+        pool, chosen = pool_of_this_thread(), self.parameters
+        built = pool.build_time
+        free = self._between_ends(path, ClearanceRule(0.0), max(chosen.clearance, chosen.kept_clearance))
+        is_known = self.context.costmap is not None or self.context.local_costmap is not None
+        rule = kept_clearance(path, free, chosen.clearance, chosen.kept_clearance if is_known else 0.0)
+        wanted = dataclasses.replace(free, clearance=rule)
+        try:
+            best, solver = self._solved(path, wanted, deadline, warm_start, cancel_checker)
+        except FailedToSmoothPath as error:
+            if rule.required > chosen.clearance:
+                kept = f"as much as the input keeps, up to kept_clearance = {chosen.kept_clearance:g} m"
+                error.args = (f"{error}; {rule.required:.4f} m are required, {kept}",)
+            raise
+        if not covers(path, best.path):
+            self._confirm(best.path, rule)
+        result = _result(best, solver.outcome, deadline, pool.build_time - built)
+        if is_known:
+            return result
+        self.context.logger.warning("%s: %s", self.context.name, _KNOWS_NO_OBSTACLES)
+        return dataclasses.replace(result, report=dataclasses.replace(result.report, warning=_KNOWS_NO_OBSTACLES))
+
+    def _solved(
+        self,
+        path: Path,
+        wanted: DockingProblem,
+        deadline: Deadline,
+        warm_start: Path | None,
+        cancel_checker: Callable[[], bool],
+    ) -> tuple[Incumbent, Solver | TurningSolver]:
         path = path.with_frame(wanted.frame)
         if wanted.robot.turns_in_place and wanted.start_speed == 0.0:
             path = with_turns(path)
         chosen = TurningSolver if path.turns else Solver
-        solver = chosen(pool, deadline, cancel_checker, self.settings)
-        best = solver.follow_strategy(self.call_for(path, wanted, warm_start))
-        if problem is None and self.context.problem is None and not covers(path, best.path):
-            self._confirm(best.path)
-        return _result(best, solver.outcome, deadline, pool.build_time - built)
+        solver = chosen(pool_of_this_thread(), deadline, cancel_checker, self.settings)
+        return solver.follow_strategy(self.call_for(path, wanted, warm_start)), solver
 
     def call_for(self, path: Path, problem: DockingProblem, earlier: Path | None = None) -> Call:
         """What the parameters and the arguments of a call ask for."""
@@ -180,23 +226,14 @@ class CasadiSmoother(Smoother):
         prepare_programs(pool, self.settings.step)
         pool.pace = float(np.clip(min(paces[1:]) / chosen.pace_at_warm_up, *chosen.pace_range))
 
-    def _wanted(self, path: Path, called_with: DockingProblem | None) -> DockingProblem:
-        problem = self.context.problem_at_hand(called_with)
-        if problem is None:
-            return self._problem_of(path)
-        if called_with is None:
-            return configured_problem(path, problem)
-        _check_way(path, problem)
-        return problem
-
-    def _problem_of(self, path: Path) -> DockingProblem:
+    def _between_ends(self, path: Path, rule: ClearanceRule, reach: float) -> DockingProblem:
         chosen = self.parameters
         limits = MotionLimits(max_curvature=chosen.max_curvature, max_curvature_rate=chosen.max_curvature_rate)
-        return problem_between_ends(path, self.context, limits, chosen.clearance, chosen.final_straight)
+        return problem_between_ends(path, self.context, limits, rule, chosen.final_straight, reach)
 
-    def _confirm(self, result: Path) -> None:
+    def _confirm(self, result: Path, rule: ClearanceRule) -> None:
         """Certify a result that left the part of the costmap which was read around its input."""
-        certificate = certify_path(result, self._problem_of(result))
+        certificate = certify_path(result, self._between_ends(result, rule, rule.required))
         if not certificate.certified:
             raise refuse_certificate(certificate, result).error()
 
@@ -236,12 +273,49 @@ def configured_problem(path: Path, problem: DockingProblem) -> DockingProblem:
     return problem
 
 
+def kept_clearance(path: Path, problem: DockingProblem, least: float, most: float) -> ClearanceRule:
+    """A rule under which no path comes closer to an obstacle than this one does at its closest.
+
+    It lets the ends be as close as they are, and asks elsewhere for the least that the path keeps there.
+
+    Args:
+        path: Its poses.
+        problem: The robot and the obstacles.
+        least: What is required where the path keeps less [m].
+        most: What is required where it keeps more [m].
+    """
+    poses = path.sample(_CLEARANCE_SPACING).poses
+    kept, _ = pose_clearances(poses, problem.robot.footprint, problem.all_obstacles, within=most)
+    from_goal, from_start = (
+        np.hypot(poses[:, 0] - end.x, poses[:, 1] - end.y) for end in (problem.goal, problem.start)
+    )
+    # What the path keeps near the goal the rule may fall to there; near the start it asks for little by itself.
+    at_goal = max(0.0, float(kept[from_goal < _TAPER].min()))
+    counts = (kept < ClearanceRule.near_start(from_start, float(kept[0]))) & (from_goal > _SAME_POSE)
+    share = np.minimum(1.0, from_goal[counts] / _TAPER)
+    required = max(least, float(np.min(at_goal + (kept[counts] - at_goal) / share, initial=most)))
+    return ClearanceRule(required, min(at_goal, required), _TAPER)
+
+
 def problem_between_ends(
-    path: Path, context: PluginContext, limits: MotionLimits, clearance: float, final_straight: float
+    path: Path,
+    context: PluginContext,
+    limits: MotionLimits,
+    rule: ClearanceRule,
+    final_straight: float,
+    reach: float,
 ) -> DockingProblem:
     """From the first pose of `path` to its last, among the occupied cells of the context's costmaps around it.
 
     The problem holds the cells that were read, not the grid; `covers` tells whether a result stayed among them.
+
+    Args:
+        path: Where to read.
+        context: What is known.
+        limits: Of the robot.
+        rule: Of clearance.
+        final_straight: At the end [m].
+        reach: The largest clearance that matters [m].
 
     Raises:
         InvalidValue: The context has no footprint.
@@ -249,14 +323,13 @@ def problem_between_ends(
     if context.footprint is None:
         raise InvalidValue(f"{context.name}: configure it with a footprint, or pass a problem to smooth()")
     points = path.sample(_SPACING).poses[:, :2]
-    reach = context.footprint.circumscribed_radius + clearance + _READ_AROUND
-    region = points.min(axis=0) - reach, points.max(axis=0) + reach
+    around = context.footprint.circumscribed_radius + reach + _READ_AROUND
+    region = points.min(axis=0) - around, points.max(axis=0) + around
     obstacles = ObstacleSet.empty()
     if context.costmap is not None:
         obstacles = obstacles_from_costmap(context.costmap, region=region)
     if context.local_costmap is not None and context.local_costmap is not context.costmap:
         obstacles = obstacles + obstacles_from_costmap(context.local_costmap, region=region, border=False)
-    rule = ClearanceRule(required=clearance, at_dock=0.0, taper=0.5 if clearance > 0.0 else 0.0)
     dock = Dock(path.end, final_straight=final_straight)
     robot = Robot(context.footprint, limits)
     return DockingProblem(path.start, dock, robot, obstacles, rule, frame=path.frame)

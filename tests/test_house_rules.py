@@ -8,7 +8,6 @@ import types
 from importlib.metadata import entry_points
 from pathlib import Path
 
-import numpy as np
 import pytest
 
 try:
@@ -32,15 +31,6 @@ def wrong_exports(name):
     if exported is None:
         return [n for n, value in vars(module).items() if n[0] != "_" and getattr(value, "__module__", "") == name]
     return [n for n in exported if exported.count(n) > 1 or not hasattr(module, n)]
-
-
-def test_what_all_share_nobody_can_write_into():
-    """Constants that are arrays: one that a solver could write into would be another in the proof."""
-    names = [module_name(path) for path in SOURCES if path.stem != "__main__"]
-    modules = [importlib.import_module(name) for name in names if not name.startswith("optdock.testing.")]
-    constants = [(m.__name__, n, v) for m in modules for n, v in vars(m).items() if isinstance(v, np.ndarray)]
-    assert constants
-    assert [(module, name) for module, name, value in constants if value.flags.writeable] == []
 
 
 def test_exports_are_exactly_what_exists():
@@ -106,3 +96,57 @@ def test_configured_paths_exist():
         for name in re.split(r"\s*[|:]\s*", layer):
             module = ROOT.joinpath(*name.split("."))
             assert module.is_dir() or module.with_suffix(".py").is_file(), name
+
+
+# What opens a file, and where that is right all the same: the guarded reader itself, Pillow on bytes that it has read,
+# rosbags behind `check_regular`, a template that is part of the package, and what only is called `open`.
+OPENERS = {"open", "fdopen", "read_text", "read_bytes", "fromfile", "loadtxt", "genfromtxt", "memmap", "from_xml_path"}
+OPENING_IS_RIGHT = {
+    ("optdock/io/guarded_file.py", "os.open"),
+    ("optdock/io/guarded_file.py", "os.fdopen"),
+    ("optdock/io/guarded_file.py", "read_bytes"),
+    ("optdock/io/map_image.py", "Image.open"),
+    ("optdock/ros/bag.py", "reader.open"),
+    ("optdock/simulation/mujoco/model.py", "template.read_text"),
+    ("ros/optdock_ros/optdock_ros/docking_server.py", "self._goals.open"),
+}
+
+
+def opened_files(tree):
+    """Calls that open a file to read it, but for those of the guarded reader."""
+    guarded = {
+        alias.asname or alias.name
+        for node in ast.walk(tree)
+        if isinstance(node, ast.ImportFrom) and node.module == "optdock.io.guarded_file"
+        for alias in node.names
+    }
+    for node in ast.walk(tree):
+        if not isinstance(node, ast.Call):
+            continue
+        name = getattr(node.func, "attr", getattr(node.func, "id", ""))
+        modes = [
+            *node.args[isinstance(node.func, ast.Name) : 2],
+            *(keyword.value for keyword in node.keywords if keyword.arg == "mode"),
+        ]
+        writes = any(isinstance(mode, ast.Constant) and re.fullmatch("[wax]b?", str(mode.value)) for mode in modes)
+        if name in OPENERS and not writes and not (isinstance(node.func, ast.Name) and name in guarded):
+            yield ast.unparse(node.func)
+
+
+def test_files_are_read_through_the_guarded_reader_alone():
+    sources = [*SOURCES, *sorted((ROOT / "ros" / "optdock_ros").rglob("*.py"))]
+    found = {
+        (path.relative_to(ROOT).as_posix(), call)
+        for path in sources
+        for call in opened_files(ast.parse(path.read_text()))
+    }
+    assert found == OPENING_IS_RIGHT
+
+
+@pytest.mark.parametrize(
+    "code",
+    ["open('f')", "f.open()", "Path('f').read_text()", "f.read_bytes()", "io.open('f', 'rb')", "np.fromfile(f)"],
+)
+def test_the_rule_of_the_guarded_reader_sees_what_breaks_it(code):
+    assert [*opened_files(ast.parse(code))]
+    assert not [*opened_files(ast.parse("open('f', 'w'); f.open(mode='a'); f.open('w')"))]

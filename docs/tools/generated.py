@@ -111,6 +111,25 @@ def _absent(row: KeyReference) -> str:
     return f"`{row.default}`" if row.absent in ("", row.default) else f"`{row.default}`: {row.absent}"
 
 
+def _limits(_argument: str) -> str:
+    """The bounds on a motion, what each bounds and which certificate proves it."""
+    from optdock.limits import LIMITS, LimitKind
+
+    head = "| quantity | bounded is | unit | by | proven of | for |\n|---|---|---|---|---|---|\n"
+    rows = (
+        (
+            limit.quantity.replace("_", " "),
+            f"`{limit.formula}`",
+            limit.unit,
+            f"`{limit.name}`",
+            "the path" if limit.kind is LimitKind.PATH else "the trajectory",
+            "steered wheels" if limit.steered else "every drive",
+        )
+        for limit in LIMITS.values()
+    )
+    return head + "\n".join("| " + " | ".join(cell.replace("|", "\\|") for cell in row) + " |" for row in rows)
+
+
 def _plugins(kind: str) -> str:
     from optdock.plugins import available_plugins
 
@@ -321,6 +340,14 @@ def _commands(_: str) -> str:
     return "\n\n".join(_command(name, command) for name, command in _leaves(typer.main.get_command(app)))
 
 
+def _exit_statuses(_: str) -> str:
+    """What every exit status means."""
+    from optdock.cli.exit_status import EXIT_STATUSES
+
+    rows = (f"| {status:d} | {meaning} |" for status, meaning in EXIT_STATUSES.items())
+    return "| exit status | meaning |\n|---|---|\n" + "\n".join(rows)
+
+
 def _leaves(group: Any, above: str = "") -> Iterator[tuple[str, Any]]:
     """Every command by all of its words; groups are no commands."""
     for name in group.list_commands(None):
@@ -363,6 +390,8 @@ _MAKERS: dict[str, Callable[[str], str]] = {
     "about": _about,
     "api": _api,
     "commands": _commands,
+    "exit_statuses": _exit_statuses,
+    "limits": _limits,
     "map": _map,
     "plugins": _plugins,
     "ros": _ros,

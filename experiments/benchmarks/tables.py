@@ -46,7 +46,7 @@ def _aligned(column: int, text: str, width: int) -> str:
 
 def _text(value: object) -> str:
     if not isinstance(value, float):
-        return str(value)
+        return str(value) or "-"
     if not math.isfinite(value):
         return "-"
     return f"{value:.0f}" if abs(value) >= 1000.0 else f"{value:.3g}"

@@ -2,6 +2,7 @@
 
     python -m experiments.benchmarks timing                tables over the committed suites, 200 fresh paths, CPU times
     python -m experiments.benchmarks timing --fresh 2000   that many fresh random paths
+    python -m experiments.benchmarks timing --lateral-jerk 20   20 paths under limits of lateral jerk, against IPOPT
     python -m experiments.benchmarks timing --recompute    the references too (minutes), kept in timing_reference.json
 
 T is the duration found, B the jerk-limited optimum (a local one, by IPOPT), A the bound without jerk (TOPP-RA).
@@ -10,6 +11,7 @@ T is the duration found, B the jerk-limited optimum (a local one, by IPOPT), A t
 from __future__ import annotations
 
 import argparse
+import dataclasses
 import json
 import sys
 from collections import Counter
@@ -86,6 +88,7 @@ def worst_quotient(case: Case, trajectory: Trajectory) -> float:
         v * v * np.abs(k) / limits.max_lateral_acceleration,
         v * (1.0 + 0.5 * limits.track_width * np.abs(k)) / limits.max_wheel_speed,
         np.abs(a * k + v * v * rate) / limits.max_yaw_acceleration,
+        np.abs(2.0 * v * a * k + v**3 * rate) / limits.max_lateral_jerk,
         a / limits.max_acceleration,
         -a / limits.max_deceleration,
         np.abs(law.jerks) / limits.max_jerk,
@@ -175,6 +178,45 @@ def cost_table(count: int) -> Table:
     return Table("CPU of 5 m paths", ("paths", "method", "p50", "p90", "p95", "p99", "max"), tuple(rows), note)
 
 
+def lateral_jerk_table(count: int) -> Table:
+    """Paths whose lateral jerk may be a share of what they have without that limit, against the optimum by IPOPT."""
+    rows: list[tuple[str | int, ...]] = []
+    notes: list[str] = []
+    for share in (0.8, 0.4, 0.2):
+        to_b: dict[str, list[float]] = {}
+        slower, clean_ones, unsolved = [], 0, 0
+        for i in range(count):
+            case = clothoid_case(505, i, length=3.0, hard=i % 2 == 1)
+            free = run(NearOptimal(), case, 1).result.trajectory
+            if free is None:
+                continue
+            limits = dataclasses.replace(case.limits, max_lateral_jerk=share * _lateral_jerk(free))
+            case = case._replace(limits=limits)
+            runs = {label: run(method, case, 1) for label, method in methods().items() if "step" not in label}
+            found = {label: one.result.trajectory for label, one in runs.items()}
+            clean_ones += sum(map(clean, runs.values()))
+            best = min((_optimum(case, law, 200) for law in found.values() if law is not None), default=np.inf)
+            unsolved += not np.isfinite(best)
+            slower.append(best / free.duration)
+            for label, law in found.items():
+                if law is not None and np.isfinite(best):
+                    to_b.setdefault(label, []).append(law.duration / best)
+        for label, ratios in to_b.items():
+            shown = (f"{value:.4f}" for value in np.percentile(ratios, (50, 90, 100)))
+            rows.append((f"{share:.1f}", label.strip(), len(ratios), *shown, f"{np.median(slower):.3f}"))
+        notes.append(f"share {share:.1f}: {clean_ones} of {3 * count} runs clean, {unsolved} without an optimum")
+    header = ("share", "method", "paths", "T/B median", "p90", "max", "B over T without the limit, median")
+    return Table("Lateral jerk, paths of 3 m", header, tuple(rows), "; ".join(notes))
+
+
+def _lateral_jerk(trajectory: Trajectory) -> float:
+    """The largest of a motion, on a grid of 1 ms [m/s^3]."""
+    _s, v, a, _j = trajectory.time_law.at(np.arange(0.0, trajectory.duration, 1e-3)).T
+    s = np.clip(_s, 0.0, trajectory.path.length)
+    k, rate = trajectory.path.curvature_at(s), trajectory.path.curvature_rate_at(s)
+    return float(np.max(np.abs(2.0 * v * a * k + v**3 * rate)))
+
+
 def fresh_table(count: int, seed: int) -> Table:
     """Fresh random paths of all kinds: how they end, and the worst quotient among those called OK."""
     statuses: Counter[str] = Counter()
@@ -202,7 +244,13 @@ def main(arguments: list[str]) -> None:
     parser.add_argument("--fresh", type=int, default=200, help="number of fresh random paths")
     parser.add_argument("--seed", type=int, default=_FRESH_SEED, help="of the fresh paths")
     parser.add_argument("--cost", type=int, default=40, help="number of paths per CPU row")
+    parser.add_argument(
+        "--lateral-jerk", type=int, default=0, help="number of paths under limits of lateral jerk, only"
+    )
     options = parser.parse_args(arguments)
+    if options.lateral_jerk:
+        print(lateral_jerk_table(options.lateral_jerk))
+        return
     if options.recompute:
         recompute()
     run(NearOptimal(), suite("std")[0])  # imports and caches

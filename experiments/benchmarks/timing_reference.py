@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import itertools
 import logging
+import math
 from typing import TYPE_CHECKING, NamedTuple
 
 import casadi as ca
@@ -170,6 +171,9 @@ class _Program:
             (a * curvature + v * v * rate, limits.max_yaw_acceleration),
         ):
             self.bound(value, -top, top)
+        if math.isfinite(limits.max_lateral_jerk):
+            sideways = v * (2.0 * a * curvature + v * v * rate)
+            self.bound(sideways, -limits.max_lateral_jerk, limits.max_lateral_jerk)
         for sign in (1.0, -1.0):
             self.bound(v * (1.0 + sign * half * curvature), -np.inf, limits.max_wheel_speed)
 

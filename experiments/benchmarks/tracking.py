@@ -214,7 +214,7 @@ def _row(method: str, world: World, rate: int, driven: Sequence[tuple[Case, Driv
     cpu = 1e3 * np.concatenate([d.cpu for _, d in driven])
 
     def spread(values: np.ndarray, digits: int) -> str:
-        return "/".join(f"{value:.{digits}f}" for value in (*np.percentile(values, [50, 95]), np.max(values)))
+        return " / ".join(f"{value:.{digits}f}" for value in (*np.percentile(values, [50, 95]), np.max(values)))
 
     return (
         world.name,
@@ -288,8 +288,8 @@ def tune(samples: int, drives: Sequence[Case]) -> None:
 
 
 _HEADER = (
-    "world", "Hz", "controller", "docked", "|cross| mm", "|yaw| deg", "|along| mm", "way mm",
-    "way deg", "time s", "acc/limit", "jerk/limit", "CPU ms p50/p99",
+    "world", "Hz", "controller", "docked", "across, mm", "yaw, degrees", "along, mm", "way, mm",
+    "way, degrees", "time, s", "acc/limit", "jerk/limit", "CPU ms p50/p99",
 )  # fmt: skip
 
 

@@ -282,7 +282,7 @@ def _told(run: Run, name: str, longest: float) -> Told:
     said = "never ended" if ended is None else ended.kind.value
     counts = run.planning.replans, 0 if ended is None else ended.num_retries, 0
     followed = [] if run.clock else run.planning.followed
-    names = ("replanning", "detected", name, RATE)
+    names = ("executor", "detected", name, RATE)
     outcome = outcome_of(case, record, followed, names=names, ending=said, counts=counts, busy=0.0)
     footprint = case.problem.robot.footprint
     assert case.problem.dock.footprint is not None
@@ -322,7 +322,8 @@ def fault_table(jobs: int, count: int = COUNT) -> tuple[str, bool]:
     for (name, _, _), told in zip(todo, found, strict=True):
         by_name.setdefault(name, []).append(told)
     head = [
-        "fault", "came", "ends", "within 10 mm, 1.5 deg", "retries", "closest mm", "into station mm", "still s",
+        "fault", "came", "ends", "within 10 mm, 1.5 degrees", "retries", "closest, mm", "into station, mm",
+        "still, s",
         "over limit", "at rest",
     ]  # fmt: skip
     is_sound = all(

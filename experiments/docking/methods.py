@@ -212,8 +212,8 @@ def by_executor(
 
 METHODS: dict[str, Callable[[Case, World, str, float], Outcome]] = {
     "graceful law": by_law,
-    "raw + tracker": partial(by_plan, smoothed=False),
-    "smoothed + tracker": partial(by_plan, smoothed=True),
-    "replanning": partial(by_executor, name="replanning"),
-    "MPC": partial(by_executor, name="MPC", controller="MpcController"),
+    "raw path, tracker": partial(by_plan, smoothed=False),
+    "smoothed path, tracker": partial(by_plan, smoothed=True),
+    "executor": partial(by_executor, name="executor"),
+    "executor with the MPC": partial(by_executor, name="executor with the MPC", controller="MpcController"),
 }

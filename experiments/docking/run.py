@@ -11,14 +11,20 @@ if TYPE_CHECKING:
 
 __all__ = ["PLAN", "Task", "driven", "tasks"]
 
-ALL = ("graceful law", "raw + tracker", "smoothed + tracker", "replanning", "MPC")
-PLAN = {
-    "perfect": ((20.0, 50.0, 100.0), ALL),
-    "noisy": ((20.0, 50.0, 100.0), ALL),
-    "detected": ((50.0,), ALL),
-    "pushed": ((50.0,), ("graceful law", "replanning", "MPC")),
+_USUAL, _ALL = (50.0,), (20.0, 50.0, 100.0)
+_OTHERS = {
+    "graceful law": (_USUAL, 0.1),
+    "raw path, tracker": (_USUAL, 0.1),
+    "smoothed path, tracker": (_USUAL, 0.1),
 }
-"""Rates and methods of every world."""
+_WITH_MPC = {"executor with the MPC": (_USUAL, 0.1)}
+PLAN: dict[str, dict[str, tuple[tuple[float, ...], float]]] = {
+    "perfect": {"executor": (_ALL, 1.0)},
+    "noisy": {"executor": (_ALL, 1.0), **_OTHERS, **_WITH_MPC},
+    "detected": {**_OTHERS, "executor": (_USUAL, 1.0), **_WITH_MPC},
+    "pushed": {"executor": (_USUAL, 0.3)},
+}
+"""The methods of every world, each with its rates [Hz] and which share of the dockings it drives."""
 
 
 class Task(NamedTuple):
@@ -44,13 +50,13 @@ def driven(task: Task) -> Outcome:
 def tasks(options: argparse.Namespace) -> list[Task]:
     """Everything that was asked for."""
     found = []
-    for world, (rates, methods) in PLAN.items():
+    for world, methods in PLAN.items():
         if options.world and world not in options.world:
             continue
-        for method in methods:
+        for method, (rates, share) in methods.items():
             if options.method and method not in options.method:
                 continue
             for rate in options.rate or rates:
-                numbers = range(options.count)
+                numbers = range(max(1, round(share * options.count)))
                 found += [Task(method, world, options.spread, rate, number, options.seed) for number in numbers]
     return found

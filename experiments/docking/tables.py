@@ -23,8 +23,9 @@ FORGIVEN = 1e-4  # [m]: the grid on which the nearest place of the path is looke
 def table_of(outcomes: Sequence[Outcome]) -> str:
     """One line per world, rate and method; p50 / p95 / max."""
     head = [
-        "world", "Hz", "method", "success", "|cross| mm", "|yaw| deg", "|along| mm", "time s", "curvature 1/m",
-        "over limit", "replans", "off path mm", "clearance mm", "wrong in tube", "left / told", "cycle p99 ms",
+        "world", "Hz", "method", "success", "across, mm", "yaw, degrees", "along, mm", "time, s", "curvature, 1/m",
+        "over limit", "of", "replans", "off path, mm", "clearance, mm", "wrong in tube", "left / told",
+        "busiest cycle, ms",
     ]  # fmt: skip
     groups: dict[tuple[str, float, str], list[Outcome]] = {}
     for one in outcomes:
@@ -47,12 +48,13 @@ def _row(key: tuple[str, float, str], found: list[Outcome]) -> list[str]:
         _spread((1e3 * abs(one.along) for one in found), 2),
         _spread((one.duration for one in found), 1),
         _spread((one.curvature for one in found), 1),
-        f"{over.over:.3f} {over.limit}",
+        f"{over.over:.3f}",
+        over.limit or "-",
         f"{np.mean([one.replans for one in found]):.1f}",
-        _spread((1e3 * one.displacement for one in followed), 1) if followed else "",
+        _spread((1e3 * one.displacement for one in followed), 1) if followed else "-",
         f"{1e3 * min(one.clearance for one in found):.0f}",
-        f"{wrong}" if followed else "",
-        f"{sum(one.left for one in followed)} / {sum(one.told for one in followed)}" if followed else "",
+        f"{wrong}" if followed else "-",
+        f"{sum(one.left for one in followed)} / {sum(one.told for one in followed)}" if followed else "-",
         f"{1e3 * max(one.busy for one in found):.2f}",
     ]
 

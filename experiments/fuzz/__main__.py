@@ -10,7 +10,20 @@ from pathlib import Path
 # numpy reads these when it is first imported, here and in every process that is started from here.
 os.environ.update(dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1"))
 
-ALL = ("paths", "trajectories", "timings", "plans", "replans", "impossibilities", "files", "values")
+ALL = (
+    "paths",
+    "trajectories",
+    "timings",
+    "limits",
+    "plans",
+    "replans",
+    "measured",
+    "decisions",
+    "impossibilities",
+    "files",
+    "damaged_files",
+    "values",
+)
 
 
 def _parser() -> argparse.ArgumentParser:

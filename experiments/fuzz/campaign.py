@@ -37,11 +37,15 @@ _REPORT = 15.0  # [s] between lines of progress
 _SHARE = {
     "paths": 0.25,
     "trajectories": 0.12,
-    "timings": 0.12,
-    "plans": 0.15,
-    "replans": 0.13,
+    "timings": 0.1,
+    "limits": 0.05,
+    "plans": 0.12,
+    "replans": 0.06,
+    "measured": 0.05,
+    "decisions": 0.03,
     "impossibilities": 0.1,
-    "files": 0.08,
+    "files": 0.06,
+    "damaged_files": 0.02,
     "values": 0.05,
 }
 

@@ -11,7 +11,14 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from optdock.verification import certify, conservative_advancement, motion_bounds, path_rules, trajectory_rules
+from optdock.verification import (
+    certificate,
+    certify,
+    conservative_advancement,
+    motion_bounds,
+    path_rules,
+    trajectory_rules,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -42,12 +49,20 @@ def planted(name: str | None) -> Iterator[None]:
         setattr(owner, attribute, honest)
 
 
+def _true(_honest: Callable[..., bool]) -> Callable[..., bool]:
+    return lambda _verdict: True
+
+
 def _five_times(honest: float) -> float:
     return 5.0 * honest
 
 
 def _centimetre_more(honest: Callable[..., Any]) -> Callable[..., Any]:
     return lambda *arguments: honest(*arguments) + 0.01
+
+
+def _nowhere_off(honest: Callable[..., Any]) -> Callable[..., Any]:
+    return lambda *arguments: 0.0 * honest(*arguments)
 
 
 def _one_obstacle_less(honest: Callable[..., Any]) -> Callable[..., Any]:
@@ -101,6 +116,15 @@ def _one_new_obstacle_less(honest: Callable[..., Any]) -> Callable[..., Any]:
     return mistaken
 
 
+def _lateral_jerk_of_another_order(honest: Any) -> dict[str, Any]:  # noqa: ANN401
+    row = honest["max_lateral_jerk"]
+    return {**honest, row.name: row._replace(size=lambda at, _: np.abs(at.v * (at.a * at.k + at.v * at.v * at.r)))}
+
+
+def _no_bend_of_lateral_jerk(honest: dict[str, Any]) -> dict[str, Any]:
+    return {**honest, "max_lateral_jerk": lambda most, _: 0.0 * most.v}
+
+
 PLANTS: dict[str, Plant] = {
     "tolerance_x5": Plant(conservative_advancement, "TOLERANCE", _five_times),
     "first_order_centimetre": Plant(conservative_advancement, "_directional", _centimetre_more),
@@ -109,8 +133,14 @@ PLANTS: dict[str, Plant] = {
     "dropped_new_obstacle": Plant(
         importlib.import_module("optdock.changed_world"), "prove_clearance", _one_new_obstacle_less
     ),
+    "dropped_measured_pose": Plant(
+        importlib.import_module("optdock.verification.proven_motion"), "displacement", _nowhere_off
+    ),
     "dropped_path_cell": Plant(motion_bounds.PathMotion, "cells", _middle_cell_less),
     "dropped_time_cell": Plant(trajectory_rules, "_initial_cells", _middle_cell_less),
     "curvature_x5": Plant(path_rules, "EXACT_RTOL", _five_times),
+    "always_true": Plant(certificate.Certificate, "__bool__", _true),
     "rest_x5": Plant(trajectory_rules, "REST_TOLERANCE", _five_times),
+    "lateral_jerk_order": Plant(trajectory_rules, "LIMITS", _lateral_jerk_of_another_order),
+    "lateral_jerk_at_ends_only": Plant(trajectory_rules, "_BENDS", _no_bend_of_lateral_jerk),
 }

@@ -58,14 +58,20 @@ class Check(NamedTuple):
     poses: int
 
 
-def checked(plan: DockPlan, problem: DockingProblem) -> Check:
-    """Whether `plan` keeps what `problem` asks, as far as samples show."""
+def checked(plan: DockPlan, problem: DockingProblem, start_relief: float | None = None) -> Check:
+    """Whether `plan` keeps what `problem` asks, as far as samples show.
+
+    Args:
+        plan: What is looked at.
+        problem: The problem.
+        start_relief: Of the clearance rule [m]; None: of the plan's certificate.
+    """
     gears = path_spec(plan.path)
     motion = motion_of(gears)
     spec = _spec(problem)
     swept = _poses(motion)
     distance = _clearances(swept, problem)
-    relief = plan.certificate.start_relief
+    relief = plan.certificate.start_relief if start_relief is None else start_relief
     margin = distance - required_at(spec, swept, float(distance[0]), relief)
     worst = int(np.argmin(margin))
     faults = [f"{one.kind} at {one.s:.3f} m, {one.ratio:.3g} x" for one in findings(spec, motion) if one.is_broken]

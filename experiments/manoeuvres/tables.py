@@ -46,7 +46,18 @@ def report(records: Sequence[Record]) -> Iterator[str]:
 def summary(records: Sequence[Record]) -> Table:
     """A row per family and per tag in it."""
     header = ("cases", "n", "certified", "impossible", "not found", "certified %")
-    header = (*header, "cpu ms p50", "p90", "p99", "first ms p50", "s p50", "m p50", "cusps mean", "max", "refuted")
+    header = (
+        *header,
+        "CPU ms p50",
+        "CPU ms p90",
+        "CPU ms p99",
+        "first ms p50",
+        "s p50",
+        "m p50",
+        "cusps mean",
+        "max",
+        "refuted",
+    )
     rows = []
     for family, of_family in groupby(records, key=lambda one: one.family):
         members = list(of_family)
@@ -97,7 +108,7 @@ def reference_table(records: Sequence[Record]) -> Table:
         if one.family == "tpcap":
             reference = REFERENCE_DURATIONS.get(one.name, math.nan)
             rows.append((one.name, one.outcome, one.duration, reference, one.length, one.cusps, 1e3 * one.cpu))
-    header = ("case", "outcome", "duration s", "reference s", "length m", "cusps", "cpu ms")
+    header = ("case", "outcome", "duration, s", "reference, s", "length, m", "cusps", "CPU ms")
     note = "reference: published solutions of AutomatedValetParking, those that an independent evaluator finds clean"
     return Table("TPCAP", header, tuple(rows), note)
 

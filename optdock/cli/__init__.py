@@ -15,6 +15,7 @@ from optdock import __version__
 from optdock.cli.bag import bag
 from optdock.cli.certify import certify
 from optdock.cli.common import VerboseOption, listen, reported
+from optdock.cli.exit_status import EXIT_STATUSES
 from optdock.cli.importing import app as importing
 from optdock.cli.plan import compare, plan
 from optdock.cli.replay import replay
@@ -24,7 +25,7 @@ __all__ = ["app", "main"]
 
 app = typer.Typer(
     help="Certified docking trajectories for wheeled robots: plan, smooth, prove, time, drive.",
-    epilog="Exit status: 0 certified; 2 usage or bad input; 3 no certified plan.",
+    epilog=f"Exit status: {'; '.join(f'{status:d} {meaning}' for status, meaning in EXIT_STATUSES.items())}.",
     add_completion=False,
     no_args_is_help=True,
     pretty_exceptions_enable=False,

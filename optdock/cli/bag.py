@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -103,14 +102,16 @@ def _messages(source: Path, names: Names, problem: DockingProblem | None) -> Ite
 
 def _format_of(source: Path) -> str:
     """What a file says of its format; empty where it says nothing, which its reader will tell."""
+    from optdock.io.guarded_file import MostBytes, parse_json, read_text
+
     try:
-        text = source.read_text(encoding="utf-8")
-    except (OSError, ValueError):
+        text = read_text(source, MostBytes.LOG)
+    except InvalidFile:
         return ""
     for part in (text.partition("\n")[0], text):
         try:
-            found = json.loads(part)
-        except (ValueError, RecursionError):
+            found = parse_json(part)
+        except ValueError:
             continue
         if isinstance(found, dict):
             return str(found.get("format", ""))

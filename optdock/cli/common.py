@@ -1,4 +1,4 @@
-"""What the commands share: options, exit statuses, errors on stderr, a progress bar."""
+"""What the commands share: options, errors on stderr, a progress bar."""
 
 from __future__ import annotations
 
@@ -10,15 +10,14 @@ from typing import TYPE_CHECKING, Annotated, TypeAlias
 
 import typer
 
-from optdock.errors import InvalidFile, InvalidValue, MissingExtra, OptdockError, PluginError
+from optdock.cli.exit_status import ExitStatus, status_of
+from optdock.errors import InvalidValue, OptdockError
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
 __all__ = [
-    "BAD_INPUT",
     "METRES",
-    "NOT_CERTIFIED",
     "RADIANS",
     "SECONDS",
     "BudgetOption",
@@ -31,12 +30,8 @@ __all__ = [
     "one_line",
     "reported",
     "spare",
-    "status_of",
     "working",
 ]
-
-BAD_INPUT = 2
-NOT_CERTIFIED = 3
 
 # The unit of a number stands where its value will: a unit in square brackets would be taken for markup, and not shown.
 SECONDS, METRES, RADIANS = "SECONDS", "METRES", "RADIANS"
@@ -57,8 +52,6 @@ PlotOption: TypeAlias = Annotated[
 VerboseOption: TypeAlias = Annotated[
     bool, typer.Option("--verbose", "-v", help="Say on stderr what is done; before or after the command.")
 ]
-
-_INPUT_ERRORS = (InvalidFile, InvalidValue, PluginError, MissingExtra)
 
 
 class _Console(logging.Formatter):
@@ -109,13 +102,8 @@ def reported(*, verbose: bool) -> Iterator[None]:
         yield
     except OptdockError as error:
         status = status_of(error)
-        typer.echo(str(error) if status == BAD_INPUT else one_line(error), err=True)
+        typer.echo(str(error) if status is ExitStatus.BAD_INPUT else one_line(error), err=True)
         raise typer.Exit(status) from None
-
-
-def status_of(error: OptdockError) -> int:
-    """2 when the input is to blame, 3 when there is no certified plan."""
-    return BAD_INPUT if isinstance(error, _INPUT_ERRORS) else NOT_CERTIFIED
 
 
 def one_line(error: OptdockError) -> str:

@@ -11,7 +11,6 @@ import typer
 
 from optdock.cli.common import (
     METRES,
-    NOT_CERTIFIED,
     SECONDS,
     BudgetOption,
     PlotOption,
@@ -21,9 +20,9 @@ from optdock.cli.common import (
     one_line,
     reported,
     spare,
-    status_of,
     working,
 )
+from optdock.cli.exit_status import ExitStatus, status_of
 from optdock.errors import InvalidFile, InvalidValue, OptdockError
 
 if TYPE_CHECKING:
@@ -162,7 +161,7 @@ def solved(scenario: Scenario, time_budget: float | None = None, outputs: PlanOu
     try:
         return scenario.plan(time_budget)
     except OptdockError as error:
-        if status_of(error) == NOT_CERTIFIED:
+        if status_of(error) is not ExitStatus.BAD_INPUT:
             if outputs.file is not None:
                 save_plan(outputs.file, failed_plan_file(error, scenario.problem.frame), spacing=outputs.spacing)
             with _secondary():
@@ -233,7 +232,10 @@ def compare(
     ),
     verbose: VerboseOption = False,
 ) -> None:
-    """Compare the raw path with the smoothed one: a table here, a CSV and pictures in a folder."""
+    """Compare the raw path with the smoothed one: a table here, a CSV and pictures in a folder.
+
+    Exit status: the highest that a scenario would have by itself.
+    """
     with reported(verbose=verbose):
         from optdock.comparison import comparison_csv, comparison_table
         from optdock.config import load_scenario
@@ -243,15 +245,18 @@ def compare(
         format_of(out / "plan.png")
         loaded = [load_scenario(source) for source in _scenarios_among(scenarios)]
         figures: list[PathFigures] = []
+        statuses: list[ExitStatus] = []
         with working("comparing", len(loaded)) as advance:
             for number, scenario in enumerate(loaded, start=1):
-                figures.extend(_compared(scenario, out / f"{number:02d}_{scenario.source.stem}.png"))
+                rows, status = _compared(scenario, out / f"{number:02d}_{scenario.source.stem}.png")
+                figures.extend(rows)
+                statuses.append(status)
                 advance(scenario.source.stem)
         write_text(out / "comparison.csv", comparison_csv(figures))
         typer.echo(comparison_table(figures))
         typer.echo(f"comparison.csv and pictures are in {out}")
-    if any(row.path == "smoothed" and row.status != "certified" for row in figures):
-        raise typer.Exit(NOT_CERTIFIED)
+    if ended := max(statuses):
+        raise typer.Exit(ended)
 
 
 def _scenarios_among(sources: list[Path]) -> list[Path]:
@@ -271,16 +276,19 @@ def _scenarios_among(sources: list[Path]) -> list[Path]:
 
 def _is_scenario(source: Path) -> bool:
     """Whether a file says so, or cannot be read, which reading it will explain."""
+    from optdock.io.guarded_file import MostBytes, read_bytes
+
     if source.is_dir():
         return False
     try:
-        return re.search(rb"^\W*format\W*:\W*optdock-scenario/", source.read_bytes(), re.MULTILINE) is not None
-    except OSError:
+        content = read_bytes(source, MostBytes.YAML)
+    except InvalidFile:
         return True
+    return re.search(rb"^\W*format\W*:\W*optdock-scenario/", content, re.MULTILINE) is not None
 
 
-def _compared(scenario: Scenario, picture: Path) -> list[PathFigures]:
-    """Both rows of one scenario, and its picture; a failure becomes a row and a line on stderr."""
+def _compared(scenario: Scenario, picture: Path) -> tuple[list[PathFigures], ExitStatus]:
+    """Both rows of one scenario and how it ended, and its picture; a failure becomes a row and a line on stderr."""
     from optdock.comparison import PathFigures, figures_of
     from optdock.plan import PartialPlan
 
@@ -288,11 +296,11 @@ def _compared(scenario: Scenario, picture: Path) -> list[PathFigures]:
     try:
         found = solved(scenario, outputs=drawn)
     except OptdockError as error:
-        if status_of(error) != NOT_CERTIFIED:
+        if status_of(error) is ExitStatus.BAD_INPUT:
             raise
         typer.echo(f"{name}: {one_line(error)}", err=True)
         raw, failed = PartialPlan.left_by(error).raw_path, PathFigures(name, "smoothed", type(error).__name__)
-        return [failed] if raw is None else [figures_of(scenario, "raw", raw), failed]
+        return ([failed] if raw is None else [figures_of(scenario, "raw", raw), failed]), status_of(error)
     write(scenario, found, drawn)
     smoothed = figures_of(scenario, "smoothed", found.path, found.trajectory.duration)
-    return [figures_of(scenario, "raw", found.raw_path), smoothed]
+    return [figures_of(scenario, "raw", found.raw_path), smoothed], ExitStatus.CERTIFIED

@@ -7,7 +7,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from optdock.cli.common import NOT_CERTIFIED, VerboseOption, check_picture, reported, spare
+from optdock.cli.common import VerboseOption, check_picture, reported, spare
+from optdock.cli.exit_status import ExitStatus
 
 if TYPE_CHECKING:
     from optdock.executor.log import DockingLog
@@ -48,7 +49,7 @@ def replay(
     if again.differs_at is not None:
         at = again.differs_at
         typer.echo(f"{log}:{at.line}: the command is {at.command}, driven again it is {again.command}", err=True)
-        raise typer.Exit(NOT_CERTIFIED)
+        raise typer.Exit(ExitStatus.NOT_CERTIFIED)
 
 
 def _rows(log: DockingLog, again: Replay) -> list[tuple[str, str]]:

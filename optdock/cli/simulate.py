@@ -12,7 +12,6 @@ import typer
 
 from optdock.cli.common import (
     METRES,
-    NOT_CERTIFIED,
     RADIANS,
     SECONDS,
     BudgetOption,
@@ -25,6 +24,7 @@ from optdock.cli.common import (
     spare,
     working,
 )
+from optdock.cli.exit_status import ExitStatus
 from optdock.cli.plan import PlanOutputs, draw_profile, solved, write
 from optdock.errors import InvalidValue
 
@@ -187,7 +187,7 @@ def _refuse_fault(run: Run, left: str) -> None:
     for fault in faults:
         typer.echo(fault, err=True)
     if faults:
-        raise typer.Exit(NOT_CERTIFIED)
+        raise typer.Exit(ExitStatus.NOT_CERTIFIED)
 
 
 def driven(scenario: Scenario, plan: DockPlan, seed: int, world: World = _USUAL) -> Run:

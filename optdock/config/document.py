@@ -9,8 +9,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
-from typing import Annotated, Any, Literal
+from dataclasses import dataclass, field, fields
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from pydantic import (
     AfterValidator,
@@ -22,6 +22,7 @@ from pydantic import (
     StrictBool,
     ValidationInfo,
     WithJsonSchema,
+    create_model,
     field_validator,
     model_validator,
 )
@@ -33,8 +34,9 @@ from optdock.errors import InvalidValue
 from optdock.geometry.footprint import Footprint
 from optdock.geometry.polygon import simple_polygon
 from optdock.geometry.pose import Pose2
-from optdock.io.numbers import check_outline, check_speed, check_yaw, is_number
-from optdock.limits import MotionLimits, check_steering
+from optdock.io.numbers import MOST_POLYGONS, check_outline, check_speed, check_vertices, check_yaw, is_number
+from optdock.io.quoting import shown
+from optdock.limits import DIMENSIONS, LIMITS, MotionLimits
 from optdock.pipeline import DEFAULT_PLANNERS, DEFAULT_TIME_BUDGET
 from optdock.problem import ClearanceRule
 from optdock.robot import Drive, Robot, TrackingTube, check_drive
@@ -61,9 +63,9 @@ SECTIONS = ("planner", "smoother", "timing", "controller", "goal_checker")
 
 def _pose(value: object) -> Pose2:
     if not (isinstance(value, list) and len(value) == 3 and all(map(is_number, value))):
-        raise InvalidValue(f"must be [x, y, yaw] in m, m, rad, got {value!r}")
+        raise InvalidValue(f"must be [x, y, yaw] in m, m, rad, got {shown(value)}")
     if any(math.isfinite(part) and abs(part) > _FARTHEST for part in value):
-        raise InvalidValue(f"must be within +-{_FARTHEST:g} m, got {value!r}")
+        raise InvalidValue(f"must be within +-{_FARTHEST:g} m, got {shown(value)}")
     pose = Pose2.from_sequence(value)
     check_yaw(pose.yaw)
     return pose
@@ -86,13 +88,21 @@ def _footprint(value: object) -> Footprint:
     if isinstance(value, dict) and set(value) == {"radius"} and is_number(value["radius"]):
         return Footprint.from_radius(float(value["radius"]))
     if not isinstance(value, list):
-        raise InvalidValue(f"must be a list of points [x, y], a text like it, or {{radius: r}}, got {value!r}")
+        raise InvalidValue(f"must be a list of points [x, y], a text like it, or {{radius: r}}, got {shown(value)}")
+    check_vertices(value)
     return Footprint(value)  # type: ignore[arg-type]  # Footprint checks and converts what it is given
 
 
 def _polygon(value: object) -> list[list[float]]:
+    check_vertices(value)
     polygon: list[list[float]] = simple_polygon(value, "polygon").tolist()  # type: ignore[arg-type]  # checks it itself
     return polygon
+
+
+def _not_too_many(polygons: object) -> object:
+    if isinstance(polygons, list) and len(polygons) > MOST_POLYGONS:
+        raise InvalidValue(f"must be at most {MOST_POLYGONS} polygons, got {len(polygons)}; draw them into the map")
+    return polygons
 
 
 def _distance(value: float) -> float:
@@ -180,62 +190,37 @@ class _Part(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid", arbitrary_types_allowed=True)
 
 
-_LIMITS = MotionLimits()
 _TUBE = TrackingTube()
 
 
-class LimitsDocument(_Part):
-    """`robot.limits`; what is not given keeps the default of `MotionLimits`."""
+def _limit_key(name: str, default: float) -> tuple[object, object]:
+    """Type and key of a field of `MotionLimits`, by `LIMITS` and `DIMENSIONS`."""
+    if name in DIMENSIONS:
+        return Number, _key(f"{DIMENSIONS[name]} [m]", default, least=0, finite=True)
+    limit = LIMITS[name]
+    kind, absent = Speed if limit.unit == "m/s" else Number, "" if limit.finite else "unlimited"
+    return kind, _key(f"{limit.words} [{limit.unit}]", default, absent=absent, above=0, finite=limit.finite)
 
-    max_speed: Speed = _key("largest speed forward [m/s]", _LIMITS.max_speed, above=0, finite=True)
-    max_reverse_speed: Speed = _key("largest speed in reverse [m/s]", _LIMITS.max_reverse_speed, above=0, finite=True)
-    max_acceleration: Number = _key(
-        "speeding up, in either gear [m/s^2]", _LIMITS.max_acceleration, above=0, finite=True
+
+if TYPE_CHECKING:
+
+    class _LimitKeys(_Part):
+        """The fields of `MotionLimits` as keys."""
+
+else:
+    _LimitKeys = create_model(
+        "_LimitKeys",
+        __base__=_Part,
+        **{
+            field.name: _limit_key(field.name, field.default)
+            for field in fields(MotionLimits)
+            if field.name in LIMITS or field.name in DIMENSIONS
+        },
     )
-    max_deceleration: Number = _key(
-        "slowing down, in either gear [m/s^2]", _LIMITS.max_deceleration, above=0, finite=True
-    )
-    max_jerk: Number = _key("change of acceleration [m/s^3]", _LIMITS.max_jerk, above=0, finite=True)
-    max_yaw_rate: Number = _key("turning left or right [rad/s]", _LIMITS.max_yaw_rate, above=0, absent="unlimited")
-    max_yaw_acceleration: Number = _key(
-        "change of the yaw rate [rad/s^2]", _LIMITS.max_yaw_acceleration, above=0, absent="unlimited"
-    )
-    max_lateral_acceleration: Number = _key(
-        "speed^2 * |curvature| [m/s^2]", _LIMITS.max_lateral_acceleration, above=0, absent="unlimited"
-    )
-    max_wheel_speed: Speed = _key(
-        "rim speed of either wheel [m/s]", _LIMITS.max_wheel_speed, above=0, absent="unlimited"
-    )
-    track_width: Number = _key(
-        "distance between the wheels, for max_wheel_speed [m]", _LIMITS.track_width, least=0, finite=True
-    )
-    max_curvature: Number = _key(
-        "1 / smallest turning radius [1/m]",
-        _LIMITS.max_curvature,
-        above=0,
-        absent="unlimited",
-    )
-    max_curvature_rate: Number = _key(
-        "|d curvature / ds|: how fast the steering turns along the path [1/m^2]",
-        _LIMITS.max_curvature_rate,
-        above=0,
-        absent="unlimited",
-    )
-    wheelbase: Number = _key(
-        "distance between the axles, for the limits of the steering [m]", _LIMITS.wheelbase, least=0, finite=True
-    )
-    max_steering_angle: Number = _key(
-        "of the wheels, |atan(wheelbase * curvature)|; bounds the curvature beside max_curvature [rad]",
-        _LIMITS.max_steering_angle,
-        above=0,
-        absent="unlimited",
-    )
-    max_steering_rate: Number = _key(
-        "at which the wheels turn, also at rest between two gears [rad/s]",
-        _LIMITS.max_steering_rate,
-        above=0,
-        absent="unlimited",
-    )
+
+
+class LimitsDocument(_LimitKeys):
+    """`robot.limits`; what is not given keeps the default of `MotionLimits`."""
 
     @field_validator("*")
     @classmethod
@@ -245,7 +230,7 @@ class LimitsDocument(_Part):
 
     @model_validator(mode="after")
     def _steers(self) -> LimitsDocument:
-        check_steering(self.wheelbase, self.max_steering_angle, self.max_steering_rate)
+        self.value()
         return self
 
     def value(self) -> MotionLimits:
@@ -427,7 +412,9 @@ class ScenarioDocument(_Part):
         None,
         absent="only the obstacles below count",
     )
-    obstacles: list[PolygonValue] = _key("polygons, convex or not, in either orientation [m]", [], absent="none")
+    obstacles: Annotated[list[PolygonValue], BeforeValidator(_not_too_many)] = _key(
+        "polygons, convex or not, in either orientation [m]", [], absent="none"
+    )
     robot: RobotDocument = _key("outline, drive and limits")
     dock: DockDocument = _key("where the robot must end, and how")
     start: StartDocument = _key("where and how the robot begins")

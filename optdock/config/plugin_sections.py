@@ -11,6 +11,7 @@ from pydantic import ValidationError
 from optdock.errors import PluginError
 from optdock.io.faults import Fault, faults_of
 from optdock.io.numbers import is_number, unit_fault
+from optdock.io.quoting import shown
 from optdock.pipeline import DEFAULT_PLANNERS, DEFAULT_SMOOTHER, DEFAULT_TIMING
 from optdock.plugins import INTERFACES, PluginChoice, load_plugin
 
@@ -46,7 +47,7 @@ def plugin_choice(kind: str, section: object, faults: list[Fault]) -> PluginChoi
     if not section:
         return PluginChoice(name, {})
     if not isinstance(asked, str):
-        faults.append(Fault((kind, "plugin"), f"must be text, got {asked!r}"))
+        faults.append(Fault((kind, "plugin"), f"must be text, got {shown(asked)}"))
         return PluginChoice(name, {})
     try:
         plugin = load_plugin(INTERFACES[plural(kind)], asked)

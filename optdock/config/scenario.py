@@ -16,6 +16,7 @@ from optdock.config.plugin_sections import PLUGIN_DEFAULTS, planners, plugin_cho
 from optdock.errors import InvalidFile, InvalidValue, OptdockError
 from optdock.io.faults import Fault, faults_of, report
 from optdock.io.maps import load_map
+from optdock.io.quoting import shown
 from optdock.io.yaml_lines import load_yaml
 from optdock.limits import LIMIT_UNITS
 from optdock.obstacles import ObstacleSet
@@ -91,7 +92,7 @@ def load_scenario(source: str | Path) -> Scenario:
         raise InvalidFile(f"{source}: must be a mapping with the key format: optdock-scenario/1")
     said = located.value.get("format")
     if said != "optdock-scenario/1" and not {"robot", "dock", "start"} & set(located.value):
-        format_ = "" if said is None else f"; its format is {said!r}"
+        format_ = "" if said is None else f"; its format is {shown(said)}"
         raise InvalidFile(f"{source}: is no scenario: it has none of the keys robot, dock and start{format_}")
     faults: list[Fault] = []
     document = _document(located.value, faults)

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 from optdock.errors import ControllerInvalidPath, InvalidValue
 from optdock.path import Path, may_be_one_frame
 from optdock.trajectory import Trajectory
+from optdock.verification import proven_for
 
 if TYPE_CHECKING:
     from optdock.lifecycle import PluginContext
@@ -33,7 +34,7 @@ def checked_task(task: Path | Trajectory, context: PluginContext, owner: str) ->
     """`task`, what a controller is to follow.
 
     It stands in the frame of the configured problem, as far as both are known: poses are measured there. A trajectory
-    that was certified must have been certified for the problem that the controller is configured with. Its start may be
+    that was proven must have been proven for the problem that the controller is configured with. Its start may be
     another: a new plan in motion begins where the robot is. What has come since the plan belongs in `local_costmap`,
     which is looked at in every cycle; a controller keeps its state while it is configured anew for the next problem.
 
@@ -49,7 +50,7 @@ def checked_task(task: Path | Trajectory, context: PluginContext, owner: str) ->
             f"transform one of them",
             where={"path": task.frame, "problem": context.problem.frame},
         )
-    proven = task.certified_for if isinstance(task, Trajectory) else None
+    proven = proven_for(task) if isinstance(task, Trajectory) else None
     if proven is not None and context.problem is not None:
         differences = proven.differences(context.problem.fingerprint)
         others = [name for name in differences if name not in ("start", "frame")]  # frames: above

@@ -9,6 +9,9 @@ A limit that speed and turn share (wheels, lateral acceleration, yaw rate of ste
 a speed that rises goes on rising until its acceleration has come down at the largest jerk, and the turn needs time to
 give way. A command is given only where both together stay within the limit until then, so that the next one can do
 the same. The speed gives way first, then the turn. A motion within the limits is one such future itself: it passes.
+
+The lateral jerk is kept by the turn alone, which changes no faster than it allows; the limits above come first, and so
+does braking in a bend, which no turn makes good without leaving the bend.
 """
 
 from __future__ import annotations
@@ -75,8 +78,8 @@ class CommandLimiter:
         """The command nearest to `wanted` that the last one can become.
 
         Speed, yaw rate, wheel speed, lateral acceleration, acceleration and jerk, yaw acceleration, curvature, and how
-        fast steered wheels turn, are within the limits. At rest a command of almost no speed tells steered wheels where
-        to turn.
+        fast steered wheels turn, are within the limits; lateral jerk too, but for what braking in a bend makes of it.
+        At rest a command of almost no speed tells steered wheels where to turn.
 
         Args:
             wanted: Feed-forward and feedback.
@@ -175,7 +178,7 @@ class CommandLimiter:
 
     def _turned(self, wanted: float, linear: float, period: float, limits: MotionLimits) -> _Turn:
         """The yaw rate."""
-        before = self.command.angular
+        before, wanted = self.command.angular, _eased(wanted, self.command, linear, period, limits)
         most = (limits.turning.acceleration if linear == 0.0 else limits.max_yaw_acceleration) * period
         least = math.copysign(max(abs(before) - most, 0.0), before)
         return _Turn(_approach(before, wanted, most, most), least, limits.max_yaw_acceleration, steered=False)
@@ -200,6 +203,7 @@ class CommandLimiter:
         if abs(linear) > _NO_ARC:
             change = limits.max_yaw_acceleration * period
             ends = sorted(((self.command.angular - change) / linear, (self.command.angular + change) / linear))
+            asked = _eased(asked * linear, self.command, linear, period, limits) / linear
             asked = min(max(asked, ends[0]), ends[1])
         asked = min(max(asked, low), high)
         return _Turn(asked, least, fade, steered=True)
@@ -375,8 +379,21 @@ def rate_limited(previous: Twist2, wanted: Twist2, limits: MotionLimits, period:
         previous.linear, wanted.linear, limits.max_acceleration * period, limits.max_deceleration * period
     )
     turn = limits.max_yaw_acceleration * period
-    angular = _approach(previous.angular, wanted.angular, turn, turn)
-    return Twist2(linear, angular)
+    eased = _eased(wanted.angular, previous, linear, period, limits)
+    return Twist2(linear, _approach(previous.angular, eased, turn, turn))
+
+
+def _eased(angular: float, before: Twist2, linear: float, period: float, limits: MotionLimits) -> float:
+    """The yaw rate nearest to `angular` for which the lateral acceleration changes no faster than its jerk allows.
+
+    No more of a turn than both `angular` and the command before: it is braking then that changes it faster.
+    """
+    if linear == 0.0 or math.isinf(limits.max_lateral_jerk):
+        return angular
+    sideways, change = before.linear * before.angular, limits.max_lateral_jerk * period
+    low, high = sorted(((sideways - change) / linear, (sideways + change) / linear))
+    most = max(abs(angular), abs(before.angular))
+    return min(max(min(max(angular, low), high), -most), most)
 
 
 def _approach(value: float, target: float, rise: float, fall: float) -> float:

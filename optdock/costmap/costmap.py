@@ -19,9 +19,12 @@ from optdock.costmap.costs import (
     occupancy_from_costs,
 )
 from optdock.errors import InvalidValue
+from optdock.geometry.arrays import readonly
 from optdock.geometry.checked import finite_number, number
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from numpy.typing import ArrayLike
 
     from optdock.geometry.arrays import BoolArray, FloatArray, IntArray
@@ -60,6 +63,11 @@ class Costmap:
         if not all(math.isfinite(value) for value in self.upper):
             raise InvalidValue(f"costmap: its upper corner must be finite, got {self.upper}; check the resolution")
 
+    def __reduce__(self) -> tuple[Callable[..., Costmap], tuple[object, ...]]:
+        """How it is copied and pickled: what is frozen stays so, and so does what layers write into."""
+        made = _writable if self._is_writable else Costmap
+        return made, (self.data, self.resolution, self.origin)
+
     def __repr__(self) -> str:
         (x, y), side = self.origin, self.resolution
         return f"<Costmap {self.columns} x {self.rows} cells of {side:g} m from ({x:g}, {y:g}) m>"
@@ -79,13 +87,16 @@ class Costmap:
         Raises:
             InvalidValue: As the constructor.
         """
-        grid = cls(np.full(shape, fill, dtype=np.uint8), resolution, origin)
-        grid.data.setflags(write=True)
-        return grid
+        return _writable(np.full(shape, fill, dtype=np.uint8), resolution, origin)
 
     def frozen(self) -> Costmap:
-        """A read-only copy."""
-        return Costmap(self.data, self.resolution, self.origin)
+        """The grid itself where nobody can write into it; else a read-only copy."""
+        return Costmap(self.data, self.resolution, self.origin) if self._is_writable else self
+
+    @property
+    def _is_writable(self) -> bool:
+        """Whether layers write into it: only then the memory is its array's own, whatever the array is flagged."""
+        return self.data.flags.owndata
 
     def with_data(self, data: ArrayLike) -> Costmap:
         """The same grid with other costs.
@@ -161,6 +172,12 @@ class Costmap:
         return occupancy_from_costs(self.data)
 
 
+def _writable(data: CostArray, resolution: float, origin: tuple[float, float]) -> Costmap:
+    grid = Costmap(data, resolution, origin)
+    object.__setattr__(grid, "data", grid.data.copy())
+    return grid
+
+
 def _checked_origin(origin: object) -> tuple[float, float]:
     if not isinstance(origin, Sequence | np.ndarray) or isinstance(origin, str) or len(origin) != 2:
         raise InvalidValue(f"costmap.origin: must be two finite numbers [m], got {origin!r}")
@@ -177,6 +194,4 @@ def _checked_costs(data: ArrayLike) -> CostArray:
         raise InvalidValue(f"costmap.data: must have shape (rows, columns) with at least one cell, got {values.shape}")
     if values.dtype != np.uint8 and (values.min() < 0 or values.max() > NO_INFORMATION):
         raise InvalidValue(f"costmap.data: must be in 0..255, got {values.min()}..{values.max()}")
-    costs: CostArray = np.array(values, dtype=np.uint8, order="C")
-    costs.setflags(write=False)
-    return costs
+    return readonly(np.ascontiguousarray(values, dtype=np.uint8))

@@ -8,12 +8,13 @@ import numpy as np
 
 from optdock.costmap.costmap import Costmap
 from optdock.costmap.costs import OccupancyArray, OccupancyRule, costs_from_occupancy
+from optdock.geometry.arrays import FrozenArrays, readonly
 
 __all__ = ["OccupancyGrid"]
 
 
 @dataclass(frozen=True, eq=False)
-class OccupancyGrid:
+class OccupancyGrid(FrozenArrays):
     """Occupancies with their place in the world (ROS: `nav_msgs/OccupancyGrid`).
 
     Args:
@@ -32,8 +33,7 @@ class OccupancyGrid:
     def __post_init__(self) -> None:
         values = np.asarray(self.data)
         grid = Costmap(costs_from_occupancy(values), self.resolution, self.origin)  # checks everything
-        occupancy = values.astype(np.int8, order="C", copy=True)
-        occupancy.setflags(write=False)
+        occupancy = readonly(values.astype(np.int8, order="C"))
         for name, value in (("data", occupancy), ("resolution", grid.resolution), ("origin", grid.origin)):
             object.__setattr__(self, name, value)
 

@@ -29,6 +29,8 @@ from optdock.executor.outcomes import Ending, EndingKind, Event, State
 from optdock.executor.planning import Motion, Outcome, PlanResult, Verdict
 from optdock.executor.settings import ExecutorSettings
 from optdock.geometry.pose import Pose2, Twist2
+from optdock.io.guarded_file import MostBytes, read_text
+from optdock.io.map_image import MAX_PIXELS
 from optdock.io.plan_file import PlanFile, TrajectoryColumns, parse_plan
 from optdock.measurements import Detection, Measurements
 from optdock.plugins import PluginChoice
@@ -348,13 +350,7 @@ def read_log(source: str | Path) -> DockingLog:
         InvalidFile: The file cannot be read, is no log, or is damaged; the message names file and line.
     """
     source = Path(source)
-    try:
-        text = source.read_text(encoding="utf-8")
-    except OSError as error:
-        raise InvalidFile(f"{source}: cannot be read: {error.strerror or error}") from error
-    except ValueError as error:
-        raise InvalidFile(f"{source}: is no log: {error}") from error
-    lines = text.split("\n")
+    lines = read_text(source, MostBytes.LOG).split("\n")
     cut_off = bool(lines.pop())  # what comes after the last end of line
     if not lines:
         raise InvalidFile(f"{source}:1: is no log: it has not a single whole line")
@@ -413,7 +409,10 @@ class _CostmapValues(_Line):
 
     def costmap(self) -> Costmap:
         """The grid."""
-        cells = np.frombuffer(zlib.decompress(base64.b64decode(self.cells)), dtype=np.uint8)
+        if not 0 < self.rows * self.columns <= MAX_PIXELS:
+            raise ValueError(f"costmap: must have 1..{MAX_PIXELS} cells, got {self.rows} x {self.columns}")
+        packed = base64.b64decode(self.cells)
+        cells = np.frombuffer(zlib.decompressobj().decompress(packed, self.rows * self.columns + 1), dtype=np.uint8)
         x, y = self.origin
         return Costmap(cells.reshape(self.rows, self.columns), self.resolution, (x, y))
 

@@ -43,7 +43,9 @@ class State(str, Enum):
 
 
 class EndingKind(str, Enum):
-    """How a task ends; `code` is the error code of Nav2's docking actions, 0 for what is no error.
+    """How a task ends; it counts as true where the task was done.
+
+    `code` is the error code of Nav2's docking actions, 0 for what is no error.
 
     Nav2's 901 and 902, a dock that is not known or not valid, come before there is a task: `DockNotInDB`,
     `DockNotValid`.
@@ -68,6 +70,9 @@ class EndingKind(str, Enum):
         """Nav2's error code."""
         return _CODES.get(self, 0)
 
+    def __bool__(self) -> bool:
+        return self.succeeded
+
     @property
     def succeeded(self) -> bool:
         """Whether the task was done."""
@@ -85,7 +90,7 @@ _CODES = {
 
 
 class Ending(NamedTuple):
-    """How a task ended; the robot is at rest.
+    """How a task ended; the robot is at rest. It counts as true where the task was done.
 
     Attributes:
         kind: Its name.
@@ -98,6 +103,9 @@ class Ending(NamedTuple):
     reason: str
     num_retries: int
     stamp: float
+
+    def __bool__(self) -> bool:
+        return self.kind.succeeded
 
 
 class Event(NamedTuple):

@@ -7,26 +7,38 @@ thread, or from there in another process (`PlanningProcess`; servers); out of a 
 from __future__ import annotations
 
 import math
+from collections import deque
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from enum import Enum
 from typing import TYPE_CHECKING, NamedTuple, Protocol
 
 from optdock.errors import InvalidValue, OptdockError
-from optdock.geometry.checked import finite_number
+from optdock.geometry.checked import exactly, finite_number
 from optdock.pipeline import plan_dock
+from optdock.plan import DockPlan
 from optdock.replanning import DriveState, ReplanOutcome, replan, still_holds
-from optdock.trajectory import Trajectory
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Iterable
 
     from optdock.costmap.costmap import Costmap
+    from optdock.executor.log import Planned
     from optdock.geometry.pose import Pose2
-    from optdock.plan import DockPlan
     from optdock.problem import DockingProblem
+    from optdock.trajectory import Trajectory
 
-__all__ = ["InlinePlanning", "Job", "Motion", "Outcome", "PlanResult", "Planning", "ThreadPlanning", "Verdict"]
+__all__ = [
+    "InlinePlanning",
+    "Job",
+    "Motion",
+    "Outcome",
+    "PlanResult",
+    "Planning",
+    "RecordedPlanning",
+    "ThreadPlanning",
+    "Verdict",
+]
 
 
 class Outcome(str, Enum):
@@ -45,8 +57,11 @@ class Motion:
     Args:
         trajectory: When to be where.
         problem: From where to where, among what.
-        plan: With its certificates; None where it comes out of a log, or brakes only.
+        plan: The plan whose motion that is; None where it comes out of a log, or brakes only.
         start_relief: Of its certificate, see `Tube` [m].
+
+    Raises:
+        InvalidValue: `plan` is no `DockPlan`, or its motion is another one.
     """
 
     trajectory: Trajectory
@@ -54,9 +69,18 @@ class Motion:
     plan: DockPlan | None = None
     start_relief: float = 0.0
 
+    def __post_init__(self) -> None:
+        if self.plan is None:
+            return
+        exactly(DockPlan, self.plan, "motion.plan")
+        proven = self.plan.motion
+        if self.trajectory is not proven.trajectory or self.problem is not proven.problem:
+            raise InvalidValue("motion: trajectory and problem must be those that its plan was proven for")
+
     @classmethod
     def of(cls, plan: DockPlan) -> Motion:
         """That of a plan."""
+        exactly(DockPlan, plan, "plan")
         return cls(plan.trajectory, plan.problem, plan, plan.certificate.start_relief)
 
 
@@ -73,6 +97,8 @@ class Job(NamedTuple):
         rate: How fast that runs [1].
         pose: Of the robot, measured.
         lead: How far ahead of that time the new motion takes over [s].
+        moved: What the running motion has been moved by as a whole, because the robot steers by a dock that it sees
+            elsewhere now; None: nothing.
     """
 
     number: int
@@ -84,10 +110,11 @@ class Job(NamedTuple):
     rate: float = 1.0
     pose: Pose2 | None = None
     lead: float = 0.05
+    moved: Pose2 | None = None
 
 
 class PlanResult(NamedTuple):
-    """What became of a job.
+    """What became of a job; it counts as true unless it failed.
 
     Attributes:
         number: Of the job.
@@ -105,9 +132,12 @@ class PlanResult(NamedTuple):
     reason: str = ""
     code: int = 0
 
+    def __bool__(self) -> bool:
+        return self.outcome is not Outcome.FAILED
+
 
 class Verdict(NamedTuple):
-    """Whether the rest of a motion still keeps its clearance.
+    """Whether the rest of a motion still keeps its clearance; it counts as true where it does.
 
     Attributes:
         holds: In a word.
@@ -118,6 +148,9 @@ class Verdict(NamedTuple):
     holds: bool
     reason: str = ""
     at_time: float = math.inf
+
+    def __bool__(self) -> bool:
+        return self.holds
 
 
 class Planning(Protocol):
@@ -150,29 +183,21 @@ def _from_rest(job: Job) -> PlanResult:
 
 
 def _replanned(job: Job) -> PlanResult:
-    """The running plan, moved as a whole to where the robot truly is, goes over into one that ends at the dock.
+    """A motion that takes over from the running one, from where the robot truly is.
 
     So the new path begins where the robot will be, to the millimetre, and the feedback has nothing left to correct.
     """
     assert job.running is not None
     plan = job.running.plan
     if plan is None:
-        return PlanResult(job.number, Outcome.KEPT, reason="what is being driven is no plan")
-    if job.pose is not None:
-        reference = plan.trajectory.at(job.time).pose
-        plan = _moved(plan, job.pose @ reference.inverse())
-    found = replan(plan, job.problem, DriveState(job.time, job.rate), job.budget, lead=job.lead)
+        return PlanResult(job.number, Outcome.FAILED, reason="what is being driven is no plan, so nothing follows it")
+    state = DriveState(job.time, job.rate, job.pose, job.moved, is_filtered=True)
+    found = replan(plan, job.problem, state, job.budget, lead=job.lead)
     if found.outcome is ReplanOutcome.KEPT:
         return PlanResult(job.number, Outcome.KEPT, reason=found.reason)
     motion = Motion(found.trajectory, job.problem) if found.plan is None else Motion.of(found.plan)
     outcome = Outcome.NEW if found.outcome is ReplanOutcome.NEW else Outcome.STOP
     return PlanResult(job.number, outcome, motion, found.starts_at, found.reason)
-
-
-def _moved(plan: DockPlan, by: Pose2) -> DockPlan:
-    path = plan.path.moved(by)
-    trajectory = Trajectory(path, plan.trajectory.time_law)
-    return replace(plan, path=path, trajectory=trajectory)
 
 
 def holds(motion: Motion, costmap: Costmap, from_time: float) -> Verdict:
@@ -259,3 +284,63 @@ class ThreadPlanning:
     def close(self) -> None:
         """Drop what waits; the thread ends with the job at work, for which no control loop must wait."""
         self._thread.shutdown(wait=False, cancel_futures=True)
+
+
+class RecordedPlanning:
+    """Planning out of a log: everything is delivered in the cycle in which it was; nothing of it is proven."""
+
+    def __init__(self) -> None:
+        self._results: deque[Planned] = deque()
+        self._verdicts: deque[Verdict] = deque()
+        self._job: Job | None = None
+
+    def deliver(self, planned: Iterable[Planned]) -> None:
+        """What the coming cycle will be told."""
+        self._results.clear()
+        self._verdicts.clear()
+        for one in planned:
+            if one.verdict is not None:
+                self._verdicts.append(one.verdict)
+            else:
+                self._results.append(one)
+
+    def submit(self, job: Job) -> None:
+        """Nothing is planned; the log knows the result."""
+        self._job = job
+
+    def poll(self, stamp: float) -> PlanResult | None:  # noqa: ARG002 - part of the interface
+        """What was delivered in this cycle."""
+        if not self._results:
+            return None
+        found = self._results.popleft()
+        assert found.result is not None
+        if found.trajectory is None or self._job is None:
+            return found.result
+        return found.result._replace(
+            motion=Motion(found.trajectory, self._problem(found, self._job), None, found.start_relief)
+        )
+
+    def still_holds(self, motion: Motion, costmap: Costmap, from_time: float) -> Verdict:  # noqa: ARG002 - interface
+        """What was answered in this cycle.
+
+        Raises:
+            InvalidValue: Nothing was: the replay does something else than what was recorded.
+        """
+        if not self._verdicts:
+            raise InvalidValue("replay: asks what was not asked when the log was written")
+        return self._verdicts.popleft()
+
+    def close(self) -> None:
+        """Nothing to do."""
+
+    @staticmethod
+    def _problem(found: Planned, job: Job) -> DockingProblem:
+        start = found.start
+        assert start is not None
+        return replace(
+            job.problem,
+            start=start.pose,
+            start_speed=start.speed,
+            start_acceleration=start.acceleration,
+            start_curvature=start.curvature,
+        )

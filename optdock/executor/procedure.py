@@ -18,7 +18,7 @@ from optdock.dock import Dock, DockDirection
 from optdock.errors import ControllerException
 from optdock.executor.approach import can_be_planned_away, left_at_dock, staging_distance
 from optdock.executor.outcomes import EndingKind, State
-from optdock.executor.planning import Job, Motion, Outcome, PlanResult
+from optdock.executor.planning import Job, Motion, Outcome, PlanResult, RecordedPlanning
 from optdock.geometry.pose import Pose2, Twist2, displacement, normalize_angle
 from optdock.lifecycle import LifecycleState, PluginContext
 from optdock.obstacles import ObstacleSet
@@ -314,7 +314,7 @@ class Procedure:
             yield from self._cycle(_STOP)
             result = self._planning.poll(self._now)
             if result is not None and result.number == job.number:
-                self._say(result)
+                self._take(result)
                 return result
             if self._now - since > budget + _PLANNING_PATIENCE:
                 return PlanResult(job.number, Outcome.FAILED, reason="planning does not answer")
@@ -558,7 +558,15 @@ class Procedure:
         self._jobs += 1
         return Job(self._jobs, self._now, problem, budget)
 
-    def _say(self, result: PlanResult) -> None:
+    def _take(self, result: PlanResult) -> None:
+        """Report a result.
+
+        Raises:
+            _Failed: It is a motion that leads on, and no proven one; a log is believed, for it drives no robot.
+        """
+        unproven = result.motion is not None and result.motion.plan is None
+        if result.outcome is Outcome.NEW and unproven and not isinstance(self._planning, RecordedPlanning):
+            raise _Failed(EndingKind.UNKNOWN, "planning returned a motion that is not proven")
         if result.motion is None:
             self._report(f"plan {result.outcome.value}", result.reason)
         else:
@@ -860,7 +868,13 @@ class _Drive:
         self._submitted_at = owner._now
         budget = owner._settings.replan_budget
         self._job = owner._job(problem, budget)._replace(
-            running=self.motion, time=time, rate=rate, pose=owner._perception.robot, lead=budget + _LEAD
+            running=self.motion,
+            time=time,
+            rate=rate,
+            pose=owner._perception.robot,
+            lead=budget + _LEAD,
+            # The controller is told where the robot is relative to the dock, so it follows the motion there.
+            moved=owner._perception.dock @ self._goal.inverse() if self.is_approach else None,
         )
         owner._planning.submit(self._job)
 
@@ -898,7 +912,7 @@ class _Drive:
 
     def _take(self, result: PlanResult) -> None:
         owner = self.owner
-        owner._say(result)
+        owner._take(result)
         was_urgent, self._is_urgent = self._is_urgent, False
         self._pause = owner._settings.replan_pause
         if result.motion is None or (result.outcome is Outcome.STOP and not was_urgent):

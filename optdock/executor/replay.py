@@ -2,30 +2,23 @@
 
 from __future__ import annotations
 
-import dataclasses
-from collections import deque
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from optdock.errors import InvalidValue
 from optdock.executor.docking import DockingExecutor
-from optdock.executor.planning import Job, Motion, PlanResult, Verdict
+from optdock.executor.planning import RecordedPlanning
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable
-
-    from optdock.costmap.costmap import Costmap
-    from optdock.executor.log import Cycle, DockingLog, Planned
+    from optdock.executor.log import Cycle, DockingLog
     from optdock.geometry.arrays import FloatArray
     from optdock.geometry.pose import Twist2
-    from optdock.problem import DockingProblem
 
-__all__ = ["RecordedPlanning", "Replay", "replay"]
+__all__ = ["Replay", "replay"]
 
 
 class Replay(NamedTuple):
-    """What came of a replay.
+    """What came of a replay; it counts as true where every command is the same.
 
     Attributes:
         cycles: Number of them.
@@ -41,65 +34,8 @@ class Replay(NamedTuple):
     off_path: tuple[float, float]
     estimates: FloatArray
 
-
-class RecordedPlanning:
-    """Planning out of a log: everything is delivered in the cycle in which it was."""
-
-    def __init__(self) -> None:
-        self._results: deque[Planned] = deque()
-        self._verdicts: deque[Verdict] = deque()
-        self._job: Job | None = None
-
-    def deliver(self, planned: Iterable[Planned]) -> None:
-        """What the coming cycle will be told."""
-        self._results.clear()
-        self._verdicts.clear()
-        for one in planned:
-            if one.verdict is not None:
-                self._verdicts.append(one.verdict)
-            else:
-                self._results.append(one)
-
-    def submit(self, job: Job) -> None:
-        """Nothing is planned; the log knows the result."""
-        self._job = job
-
-    def poll(self, stamp: float) -> PlanResult | None:  # noqa: ARG002 - part of the interface
-        """What was delivered in this cycle."""
-        if not self._results:
-            return None
-        found = self._results.popleft()
-        assert found.result is not None
-        if found.trajectory is None or self._job is None:
-            return found.result
-        return found.result._replace(
-            motion=Motion(found.trajectory, self._problem(found, self._job), None, found.start_relief)
-        )
-
-    def still_holds(self, motion: Motion, costmap: Costmap, from_time: float) -> Verdict:  # noqa: ARG002 - interface
-        """What was answered in this cycle.
-
-        Raises:
-            InvalidValue: Nothing was: the replay does something else than what was recorded.
-        """
-        if not self._verdicts:
-            raise InvalidValue("replay: asks what was not asked when the log was written")
-        return self._verdicts.popleft()
-
-    def close(self) -> None:
-        """Nothing to do."""
-
-    @staticmethod
-    def _problem(found: Planned, job: Job) -> DockingProblem:
-        start = found.start
-        assert start is not None
-        return dataclasses.replace(
-            job.problem,
-            start=start.pose,
-            start_speed=start.speed,
-            start_acceleration=start.acceleration,
-            start_curvature=start.curvature,
-        )
+    def __bool__(self) -> bool:
+        return self.differs_at is None
 
 
 def replay(log: DockingLog) -> Replay:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, TypeAlias, TypeVar
+from typing import TYPE_CHECKING, Literal, TypeAlias, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,25 +21,33 @@ BoolArray: TypeAlias = NDArray[np.bool_]
 _Array = TypeVar("_Array", bound="NDArray[np.generic]")
 _Value = TypeVar("_Value")
 
-__all__ = ["BoolArray", "FloatArray", "FrozenArrays", "IntArray", "frozen_array", "readonly"]
+__all__ = ["BoolArray", "FloatArray", "FrozenArrays", "IntArray", "frozen", "frozen_array", "readonly"]
 
 
 def readonly(array: _Array) -> _Array:
-    """A read-only array that no one can write to: the given one where nobody else holds it, a copy of a view.
+    """A copy of an array in memory that cannot be written to.
 
-    The memory of a view belongs to another array, through which it could still be changed.
+    The memory is that of a `bytes` object of which nobody else knows. Whoever holds an array that owns its memory can
+    take the read-only flag back with `setflags(write=True)`; of this one, and of its views, numpy refuses that.
     """
-    frozen = array if array.base is None else array.copy()
-    frozen.setflags(write=False)
-    return frozen
+    by_columns = array.flags.f_contiguous and not array.flags.c_contiguous  # what is computed of it rounds alike
+    order: Literal["C", "F"] = "F" if by_columns else "C"
+    copied: _Array = np.ndarray(array.shape, array.dtype, array.tobytes(order), order=order)
+    return copied
 
 
 class FrozenArrays:
-    """A frozen value that holds arrays, and whose copies are as frozen as it is.
+    """A frozen value that holds arrays in memory that cannot be written to, and whose copies are as frozen as it is.
+
+    A dataclass that checks nothing gets that from here; one with a `__post_init__` of its own makes its arrays
+    `readonly` there.
 
     Numpy's own copies and what pickle restores are writable. Nobody needs copies of what cannot change, so a copy is
-    the value itself; and what pickle restores is made read-only again.
+    the value itself; and what pickle restores is made `readonly` again.
     """
+
+    def __post_init__(self) -> None:
+        self.__setstate__(vars(self).copy())
 
     def __copy__(self: _Value) -> _Value:
         return self
@@ -49,16 +57,16 @@ class FrozenArrays:
 
     def __setstate__(self, state: Mapping[str, object]) -> None:
         for name, value in state.items():
-            object.__setattr__(self, name, _frozen_again(value))
+            object.__setattr__(self, name, frozen(value))
 
 
-def _frozen_again(value: object) -> object:
-    """Every array in a value, and in tuples of values, read-only."""
+def frozen(value: _Value) -> _Value:
+    """A value with every array in it, and in tuples of values, `readonly`."""
     if isinstance(value, np.ndarray):
         return readonly(value)
     if isinstance(value, tuple):
-        make: Callable[[Iterable[object]], object] = getattr(value, "_make", tuple)  # a named tuple stays one
-        return make(_frozen_again(one) for one in value)
+        make: Callable[[Iterable[object]], _Value] = getattr(value, "_make", type(value))  # a named tuple stays one
+        return make(frozen(one) for one in value)
     return value
 
 
@@ -77,7 +85,7 @@ def frozen_array(values: ArrayLike, name: str, columns: int | None = None) -> Fl
         given = np.asarray(values)
         if given.dtype.kind not in "iufO" or any(isinstance(one, str | bool) for one in _objects(given)):
             raise TypeError(given.dtype)
-        array = np.array(given, dtype=np.float64, copy=True)
+        array = np.asarray(given, dtype=np.float64)
     except (TypeError, ValueError, OverflowError) as error:
         raise InvalidValue(f"{name}: must be numbers, got {values!r}") from error
     wanted = "(n,)" if columns is None else f"(n, {columns})"

@@ -10,7 +10,7 @@ import numpy as np
 
 from optdock.errors import InvalidValue
 from optdock.geometry.arrays import FrozenArrays, frozen_array, readonly
-from optdock.geometry.checked import finite_number, instance
+from optdock.geometry.checked import exactly, finite_number
 from optdock.geometry.pose import Pose2, check_range
 
 if TYPE_CHECKING:
@@ -78,7 +78,7 @@ class ClothoidSpline(FrozenArrays):
         if sign not in (1.0, -1.0):
             raise InvalidValue(f"clothoid.sign: must be 1 or -1, got {self.sign}")
         object.__setattr__(self, "sign", int(sign))
-        instance(Pose2, self.start, "clothoid.start")
+        exactly(Pose2, self.start, "clothoid.start")
         breaks = _refined_breaks(knots, curvature)
         if not np.all(np.diff(breaks) > 0.0):
             raise InvalidValue("clothoid: turns within a distance that floats cannot resolve")

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from optdock.errors import InvalidValue
-from optdock.geometry.arrays import frozen_array, readonly
+from optdock.geometry.arrays import FrozenArrays, frozen_array, readonly
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike
@@ -35,7 +35,7 @@ def clamped_knots(num_points: int, degree: int) -> FloatArray:
 
 
 @dataclass(frozen=True, eq=False)
-class Nurbs:
+class Nurbs(FrozenArrays):
     """A NURBS curve; arguments `u` are clipped to its domain.
 
     Args:

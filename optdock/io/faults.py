@@ -6,16 +6,17 @@ import re
 from typing import TYPE_CHECKING, NamedTuple
 
 from optdock.errors import InvalidValue
+from optdock.io.quoting import shown
 from optdock.parameters import closest
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Mapping
+    from collections.abc import Callable, Iterable, Mapping, Sequence
 
     from pydantic import ValidationError
 
     from optdock.io.yaml_lines import Document, Keys
 
-__all__ = ["Fault", "faults_of", "report"]
+__all__ = ["Fault", "faults_of", "listed", "report"]
 
 # What a value must be, by pydantic's name of the fault; each is followed by ", got VALUE".
 _RULES = {
@@ -37,7 +38,8 @@ _RULES = {
 _BOUNDS = {"greater_than": (">", "gt"), "greater_than_equal": (">=", "ge")}
 _BOUNDS |= {"less_than": ("<", "lt"), "less_than_equal": ("<=", "le")}
 _OWNER = re.compile(r"^([a-z_]+(?:\.[a-z_]+|\[\d+\])*): ")
-_LONGEST_VALUE = 80
+_MAX_FAULTS = 20  # that a message lists
+_MOST = 1000  # that are put into words, as they are listed in the order of the file
 
 
 class Fault(NamedTuple):
@@ -65,7 +67,7 @@ def faults_of(
         base: Keys of the validated part inside its file.
         synonym: What to write instead of an unknown key with its value, where others call the same thing so; or "".
     """
-    return [_fault(item, known, base, synonym) for item in error.errors()]
+    return [_fault(item, known, base, synonym) for item in error.errors(include_url=False)[:_MOST]]
 
 
 def _fault(
@@ -86,9 +88,9 @@ def _fault(
     if kind == "value_error":
         # Our constructors say what they got; a bare ValueError is a parameter model's rule.
         said = isinstance(details.get("error"), InvalidValue)
-        got = "" if said else f", got {_shown(item['input'])}"
+        got = "" if said else f", got {shown(item['input'])}"
         return _value_fault(base + key, f"{details.get('error')}{got}")
-    return Fault(base + key, f"{_rule(kind, details, str(item['msg']))}, got {_shown(item['input'])}")
+    return Fault(base + key, f"{_rule(kind, details, str(item['msg']))}, got {shown(item['input'])}")
 
 
 def _value_fault(key: Keys, message: str) -> Fault:
@@ -109,12 +111,19 @@ def _rule(kind: str, details: Mapping[str, object], message: str) -> str:
     return _RULES.get(kind, message)
 
 
-def _shown(value: object) -> str:
-    text = repr(value)
-    return text if len(text) <= _LONGEST_VALUE else f"{text[:_LONGEST_VALUE]}..."
+def listed(source: str, lines: Sequence[str]) -> str:
+    """Lines of a message; of more than twenty the first, and how many more there are.
+
+    Args:
+        source: The file, for the last line.
+        lines: One per fault.
+    """
+    if len(lines) <= _MAX_FAULTS:
+        return "\n".join(lines)
+    return "\n".join([*lines[:_MAX_FAULTS], f"{source}: and {len(lines) - _MAX_FAULTS} more faults"])
 
 
 def report(faults: Iterable[Fault], document: Document) -> str:
     """Every fault on a line of its own, in the order of the file."""
     ordered = sorted(faults, key=lambda fault: document.line_of(fault.key))
-    return "\n".join(document.fault(*fault) for fault in ordered)
+    return listed(str(document.path), [document.fault(*fault) for fault in ordered])

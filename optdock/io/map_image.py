@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import struct
 import warnings
 import zlib
@@ -11,6 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from optdock.errors import InvalidFile
+from optdock.geometry.arrays import readonly
+from optdock.io.guarded_file import MostBytes, read_bytes
+from optdock.io.quoting import shortened
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -24,9 +28,14 @@ __all__ = ["MAX_PIXELS", "GreyImage", "load_grey_image"]
 
 GreyArray: TypeAlias = NDArray[np.uint8]
 
-MAX_PIXELS = 2**27  # 11585 x 11585 cells, 579 m x 579 m at 5 cm
+MAX_PIXELS = 25_000_000  # 5000 x 5000 cells, 250 m x 250 m at 5 cm; less than a second and 400 MB in any format
+_MAX_PLAIN_PIXELS = 2_000_000  # 0.3 us each
+_BAND = 256  # rows that are converted at a time, as colours take four times the memory of what is made of them
 
+# What maps come in; Pillow knows others, some of which call programs.
+_FORMATS = ("BMP", "GIF", "JPEG", "PNG", "PPM", "TIFF")
 _DEEP_MODES = ("I", "I;16", "I;16B", "I;16L", "I;16N")
+_FROM_DEEP = readonly(((np.arange(65536) * 510 + 65535) // (2 * 65535)).astype(np.uint8))
 # What Pillow's decoders raise on damaged files.
 _DAMAGE = (OSError, SyntaxError, ValueError, EOFError, OverflowError, IndexError, TypeError, struct.error, zlib.error)
 
@@ -51,13 +60,7 @@ def load_grey_image(path: Path) -> GreyImage:
     Raises:
         InvalidFile: Missing, not an image, damaged, cut short, empty or too large.
     """
-    try:
-        with path.open("rb") as stream:
-            return _read(path, stream)
-    except OSError as error:
-        raise InvalidFile(f"{path}: cannot be read: {error.strerror or error}") from error
-    except ValueError as error:  # a path with a zero byte
-        raise InvalidFile(f"{path}: cannot be read: {error}") from error
+    return _read(path, io.BytesIO(read_bytes(path, MostBytes.IMAGE)))
 
 
 def _read(path: Path, stream: BinaryIO) -> GreyImage:
@@ -66,7 +69,7 @@ def _read(path: Path, stream: BinaryIO) -> GreyImage:
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # `_check_size` is the limit; damage is an error or does not matter
-            image = Image.open(stream)
+            image = Image.open(stream, formats=_FORMATS)
             _check_size(path, image.width, image.height)
             maxval = _largest_value(image, stream)
             return _grey_of(path, image, maxval)
@@ -75,7 +78,7 @@ def _read(path: Path, stream: BinaryIO) -> GreyImage:
     except Image.DecompressionBombError as error:
         raise InvalidFile(f"{path}: more than the {MAX_PIXELS} pixels allowed; crop the map") from error
     except _DAMAGE as error:
-        raise InvalidFile(f"{path}: is damaged or cut short: {error}") from error
+        raise InvalidFile(f"{path}: is damaged or cut short: {shortened(str(error))}") from error
 
 
 def _check_size(path: Path, width: int, height: int) -> None:
@@ -91,6 +94,8 @@ def _largest_value(image: ImageFile, stream: BinaryIO) -> int:
     Pillow refuses larger values of a plain PGM, but takes those of a raw one for white: they are looked for here.
     """
     codec, _, offset, arguments = image.tile[0] if image.tile else ("", None, 0, ())
+    if codec == "ppm_plain" and image.width * image.height > _MAX_PLAIN_PIXELS:
+        raise ValueError(f"a PGM in digits may have {_MAX_PLAIN_PIXELS} pixels; save it as a raw one or as PNG")
     if codec not in ("ppm", "ppm_plain") or not isinstance(arguments, tuple):
         return 65535 if image.mode in _DEEP_MODES else 255
     maxval = int(arguments[1])
@@ -105,14 +110,21 @@ def _largest_value(image: ImageFile, stream: BinaryIO) -> int:
 
 
 def _grey_of(path: Path, image: Image, maxval: int) -> GreyImage:
-    if image.mode in _DEEP_MODES:
-        deep = np.clip(np.asarray(image).astype(np.int64), 0, 65535)
-        return GreyImage(((deep * 510 + 65535) // (2 * 65535)).astype(np.uint8), None, maxval)
     if image.mode == "F":
         raise InvalidFile(f"{path}: floating-point images are no maps; save it with 8 bit")
     has_alpha = image.mode in ("LA", "La", "PA", "RGBA", "RGBa") or "transparency" in image.info
-    if not has_alpha:
-        return GreyImage(np.array(image.convert("L"), dtype=np.uint8), None, maxval)
-    colours = image.convert("RGBA")
-    transparent: BoolArray = np.asarray(colours.getchannel("A")) < 255
-    return GreyImage(np.array(colours.convert("L"), dtype=np.uint8), transparent, maxval)
+    has_alpha = has_alpha and image.mode not in _DEEP_MODES
+    grey = np.empty((image.height, image.width), dtype=np.uint8)
+    transparent = np.empty(grey.shape, dtype=np.bool_) if has_alpha else None
+    for top in range(0, image.height, _BAND):
+        rows = slice(top, min(top + _BAND, image.height))
+        part = image.crop((0, rows.start, image.width, rows.stop))
+        if image.mode in _DEEP_MODES:
+            grey[rows] = _FROM_DEEP[np.clip(np.asarray(part), 0, 65535).astype(np.uint16)]
+        elif transparent is None:
+            grey[rows] = np.asarray(part.convert("L"))
+        else:
+            colours = part.convert("RGBA")
+            transparent[rows] = np.asarray(colours.getchannel("A")) < 255
+            grey[rows] = np.asarray(colours.convert("L"))
+    return GreyImage(grey, transparent, maxval)

@@ -17,6 +17,7 @@ from optdock.costmap.occupancy import OccupancyGrid
 from optdock.errors import InvalidFile, InvalidValue
 from optdock.io.atomic_file import replacing, write_text
 from optdock.io.faults import Fault, faults_of, report
+from optdock.io.guarded_file import is_regular
 from optdock.io.map_image import GreyImage, load_grey_image
 from optdock.io.numbers import is_number, unit_fault
 from optdock.io.yaml_lines import load_yaml
@@ -136,7 +137,9 @@ def load_map(path: str | Path) -> OccupancyGrid:
     _refuse_picture(Path(path))
     document = load_yaml(path)
     if not isinstance(document.value, Mapping):
-        raise InvalidFile(document.fault((), f"must be a mapping of map_server keys, got {document.value!r}"))
+        # Only the kind: what a map's name leads to may be any file, and is nobody's to print.
+        kind = "a list" if isinstance(document.value, list) else "text or a number"
+        raise InvalidFile(document.fault((), f"must be a mapping of map_server keys, got {kind}"))
     faults: list[Fault] = []
     info, image = _info(document.value, faults), _image(document, faults)
     if info is not None and image is not None and info.mode is MapMode.RAW and image.maxval != 255:
@@ -182,8 +185,8 @@ def save_map(target: str | Path, costmap: Costmap) -> tuple[Path, Path]:
 
 def _refuse_picture(path: Path) -> None:
     """A map's picture in the place of its YAML file is refused by its suffix, with the name of that file."""
-    if path.suffix.lower() in _PICTURES and path.is_file():
-        beside = next((file.name for file in map(path.with_suffix, (".yaml", ".yml")) if file.is_file()), None)
+    if path.suffix.lower() in _PICTURES and is_regular(path):
+        beside = next((file.name for file in map(path.with_suffix, (".yaml", ".yml")) if is_regular(file)), None)
         named = f"beside it, {beside}" if beside else f"that describes it, such as {path.stem}.yaml"
         raise InvalidFile(f"{path}: is a picture; name the YAML file {named}")
 

@@ -24,8 +24,10 @@ from optdock.errors import InvalidFile, InvalidValue
 from optdock.geometry.footprint import Footprint
 from optdock.geometry.polygon import simple_polygon
 from optdock.geometry.pose import Pose2
-from optdock.io.faults import faults_of, report
-from optdock.io.numbers import check_yaw
+from optdock.io.faults import faults_of, listed, report
+from optdock.io.guarded_file import MostBytes, read_text
+from optdock.io.numbers import MOST_POLYGONS, check_vertices, check_yaw
+from optdock.io.quoting import shown
 from optdock.io.yaml_lines import load_yaml
 from optdock.limits import MotionLimits
 from optdock.parameters import closest
@@ -99,7 +101,7 @@ def load_tpcap(source: str | Path) -> ParkingCase:
             fault with its line and what the value stands for.
     """
     row = _Row.read(Path(source))
-    count = row.count(6, "the number of obstacles", least=0)
+    count = row.count(6, "the number of obstacles", least=0, most=MOST_POLYGONS)
     sizes = [row.count(7 + i, f"the number of vertices of obstacles[{i}]", least=3) for i in range(count)]
     row.check_length(7 + count + 2 * sum(sizes))
     start, goal = row.pose(0, "the start pose"), row.pose(3, "the goal pose")
@@ -119,12 +121,7 @@ class _Row:
 
     @classmethod
     def read(cls, source: Path) -> _Row:
-        try:
-            text = source.read_bytes().decode("utf-8-sig")
-        except OSError as error:
-            raise InvalidFile(f"{source}: cannot be read: {error.strerror or error}") from error
-        except ValueError as error:
-            raise InvalidFile(f"{source}: cannot be read as UTF-8 text: {error}") from error
+        text = read_text(source, MostBytes.CSV)
         row = cls(source, [], [], [])
         for line, words in enumerate(text.splitlines(), start=1):
             for word in words.strip().rstrip(",").split(",") if words.strip() else ():
@@ -142,7 +139,7 @@ class _Row:
         self._values.append(value)
         self._lines.append(line)
         if not math.isfinite(value):
-            self._fault(len(self._values) - 1, "", f"must be a finite number, got {word!r}")
+            self._fault(len(self._values) - 1, "", f"must be a finite number, got {shown(word)}")
 
     def _fault(self, at: int, what: str, rule: str) -> None:
         line = self._lines[min(at, len(self._lines) - 1)]
@@ -156,14 +153,17 @@ class _Row:
             InvalidFile: There is one.
         """
         if self._faults:
-            raise InvalidFile("\n".join(self._faults))
+            raise InvalidFile(listed(str(self._source), self._faults))
 
-    def count(self, at: int, what: str, least: int) -> int:
+    def count(self, at: int, what: str, least: int, most: float = math.inf) -> int:
         """A whole number; without it, nothing behind it can be told apart."""
         value = self._values[at] if at < len(self._values) else None
         if value is None or value != round(value) or not least <= value <= len(self._values):
             got = "the end of the file" if value is None else f"{value:g}"
             self._fault(at, what, f"must be a whole number >= {least}, got {got}")
+            self.refuse()
+        elif value > most:
+            self._fault(at, what, f"must be at most {most}, got {value:g}")
             self.refuse()
         return round(value or 0)
 
@@ -186,6 +186,7 @@ class _Row:
         flat = self._values[at : at + 2 * size]
         vertices = [list(pair) for pair in zip(flat[::2], flat[1::2], strict=True)]
         try:
+            check_vertices(vertices)
             simple_polygon(vertices, what)
         except InvalidValue as error:
             self._fault(at, what, str(error).removeprefix(f"{what}: "))
@@ -202,6 +203,7 @@ def _yaw_checked(yaw: float) -> float:
 
 
 def _simple(vertices: list[list[float]]) -> list[list[float]]:
+    check_vertices(vertices)
     simple_polygon(vertices, "polygon")
     return vertices
 
@@ -247,7 +249,7 @@ class _Grid(_Part):
 
 
 class _Scene(_Part):
-    obstacles: list[_Polygon]
+    obstacles: Annotated[list[_Polygon], Field(max_length=MOST_POLYGONS)]
     goal: tuple[_Number, _Number, _Yaw]
 
 
@@ -268,7 +270,9 @@ def obca_cases(source: str | Path, scene: str) -> list[ParkingCase]:
         InvalidFile: The file breaks its format; the message lists every fault with its line and key.
     """
     if scene not in OBCA_SCENES:
-        raise InvalidValue(f"scene: must be {' or '.join(OBCA_SCENES)}, got {scene!r}{closest(scene, OBCA_SCENES)}")
+        raise InvalidValue(
+            f"scene: must be {' or '.join(OBCA_SCENES)}, got {shown(scene)}{closest(scene, OBCA_SCENES)}"
+        )
     document = load_yaml(source)  # JSON is YAML, and this reader knows lines
     try:
         scenes = _Scenes.model_validate(document.value)

@@ -12,7 +12,7 @@ from collections.abc import Mapping
 from typing import TYPE_CHECKING, Annotated, Literal, TypeAlias
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field
 
 from optdock.errors import InvalidFile
 from optdock.geometry.clothoid import ClothoidSpline
@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
     from optdock.geometry.arrays import FloatArray
 
-__all__ = ["Number", "PathColumns", "path_columns", "path_from_columns"]
+__all__ = ["Number", "PathColumns", "check_sampled_curvature", "path_columns", "path_from_columns"]
 
 logger = logging.getLogger(__name__)
 
@@ -33,11 +33,18 @@ logger = logging.getLogger(__name__)
 AGREEMENT = 1e-6
 _ROUNDED = 1e-4  # [m, rad]: where rounded curves may end beside their last sample
 _STILL = 1e-9  # [m]: shorter steps carry no direction
+_CURVATURE = 0.01  # [1/m], and of its size: what the curvature of samples may be off beside that of their steps
 _ENOUGH = 3  # steps that show which unit yaws are in
 _ALIGNED = 0.05  # sine of the angle between motion and heading; wheels roll within it
 
-Gear: TypeAlias = Literal[1, -1]
-GearOrTurn: TypeAlias = Literal[1, -1, 0]  # 0 where the robot turns in place
+
+def _no_boolean(value: object) -> object:
+    """JSON's true is no gear, though Python counts it as 1."""
+    return repr(value) if isinstance(value, bool) else value
+
+
+Gear: TypeAlias = Annotated[Literal[1, -1], BeforeValidator(_no_boolean)]
+GearOrTurn: TypeAlias = Annotated[Literal[1, -1, 0], BeforeValidator(_no_boolean)]  # 0: it turns in place
 # Numbers beyond this are no plan of anything; a polyline that turns in place has this curvature.
 Number: TypeAlias = Annotated[float, Field(ge=-1e9, le=1e9)]
 Json: TypeAlias = Mapping[str, object]
@@ -110,12 +117,15 @@ def _curve(segment: Segment) -> Json | None:
     return None
 
 
-def path_from_columns(columns: PathColumns, name: str) -> Path:
+def path_from_columns(columns: PathColumns, name: str) -> tuple[Path, bool]:
     """The exact path where the columns hold its curves, the polyline through the samples otherwise.
 
     Args:
         columns: Samples and perhaps curves.
         name: What the path is called in messages.
+
+    Returns:
+        The path, and whether it has its exact curves.
 
     Raises:
         InvalidFile: Columns of differing length, fewer than two samples, an arc length that is shorter than the way,
@@ -128,7 +138,7 @@ def path_from_columns(columns: PathColumns, name: str) -> Path:
     if not columns.segments:
         _check_radians(poses, name)
         _check_directions(columns, poses, name)
-        return Path.from_poses(poses)
+        return Path.from_poses(poses), False
     path = Path(tuple(_segment(curve) for curve in columns.segments))
     try:
         _check_agreement(columns, poses, path, name)
@@ -137,7 +147,7 @@ def path_from_columns(columns: PathColumns, name: str) -> Path:
             raise
         logger.warning("%s; the segments are rounded, so the samples count", error)
         return path_from_columns(columns.model_copy(update={"segments": None}), name)
-    return path
+    return path, True
 
 
 def _are_rounded(columns: PathColumns, curves: Sequence[_Curve], path: Path, poses: FloatArray) -> bool:
@@ -195,6 +205,16 @@ def _check_arc_length(columns: PathColumns, poses: FloatArray, name: str) -> Non
         i = int(short[0])
         step = columns.s[i + 1] - columns.s[i]
         raise InvalidFile(f"{name}.s: grows by {step:.6g} m over {chord[i]:.6g} m from sample {i} to {i + 1}")
+    if columns.segments:  # they say more exactly how long it must be
+        return
+    turn = np.abs(np.remainder(np.diff(poses[:, 2]) + np.pi, 2.0 * np.pi) - np.pi)
+    # Half a circle over its chord, as one step of a polyline may be; a turn in place may count what it has radians.
+    longest = 0.5 * np.pi * chord + turn * (chord <= _STILL) + 2.0 * rounding
+    long = np.flatnonzero(np.diff(columns.s) > longest)
+    if long.size:
+        i = int(long[0])
+        step = columns.s[i + 1] - columns.s[i]
+        raise InvalidFile(f"{name}.s: grows by {step:.6g} m over {chord[i]:.6g} m from sample {i} to {i + 1}")
 
 
 def _check_radians(poses: FloatArray, name: str) -> None:
@@ -221,14 +241,60 @@ def _check_directions(columns: PathColumns, poses: FloatArray, name: str) -> Non
         return
     step, middle = np.diff(poses[:, :2], axis=0), 0.5 * (poses[1:, 2] + poses[:-1, 2])
     ahead = step[:, 0] * np.cos(middle) + step[:, 1] * np.sin(middle)
-    given = np.array(columns.direction)
-    moves = np.hypot(step[:, 0], step[:, 1]) > _STILL
-    against = moves & (ahead * given[:-1] < 0.0) & (ahead * given[1:] < 0.0)
-    in_place = moves & (given[:-1] == 0) & (given[1:] == 0)
-    if np.any(wrong := against | in_place):
-        i = int(np.flatnonzero(wrong)[0])
-        does = "moves there" if in_place[i] else "moves the other way there"
+    given, moves = np.array(columns.direction), np.hypot(step[:, 0], step[:, 1]) > _STILL
+    gears, moving = np.where(ahead < 0.0, -1, 1), np.flatnonzero(moves)
+    if not moving.size:
+        return
+    # The steps before and after every sample, and the nearest ones among them in which the robot moves.
+    sample = np.arange(given.size)
+    before = gears[moving[np.clip(np.searchsorted(moving, sample - 1, side="right") - 1, 0, None)]]
+    after = gears[moving[np.clip(np.searchsorted(moving, sample), None, moving.size - 1)]]
+    still = np.append(~moves, False) | np.append(False, ~moves)
+    right = (given == before) | (given == after) | ((given == 0) & still)
+    if not np.all(right):
+        i = int(np.argmin(right))
+        does = "moves the other way there" if given[i] else "moves there"
         raise InvalidFile(f"{name}.direction: {given[i]} at sample {i}, but the robot {does}")
+
+
+def check_sampled_curvature(columns: PathColumns, name: str) -> None:
+    """Check that the curvature of samples lies among the quotients of turn and way around them.
+
+    Of the two steps before a sample and the two after it the least and the largest count, widened by how far they are
+    apart and by what rounding makes of them. A sample near a turn in place may say anything. It holds for paths that
+    can be driven, whose curvature is a function; the corners of a guess may hide between its samples.
+
+    Args:
+        columns: Samples of a path without its curves.
+        name: What the path is called in messages.
+
+    Raises:
+        InvalidFile: It does not.
+    """
+    if columns.curvature is None:
+        return
+    poses = np.column_stack((columns.x, columns.y, columns.yaw))
+    given, chord = np.array(columns.curvature), np.hypot(*np.diff(poses[:, :2], axis=0).T)
+    turn = np.remainder(np.diff(poses[:, 2]) + np.pi, 2.0 * np.pi) - np.pi
+    moves = chord > _STILL
+    with np.errstate(divide="ignore", invalid="ignore"):
+        quotient = np.where(moves, turn * np.sinc(0.5 * turn / np.pi) / chord, np.inf)
+        rounding = np.where(moves, (2.0 * half_unit(poses[:, 2]) + AGREEMENT) / chord, np.inf)
+    fenced, rough = (np.pad(values, 2, mode="edge") for values in (quotient, rounding))
+    around, rough = (np.lib.stride_tricks.sliding_window_view(values, 4) for values in (fenced, rough))
+    least, most = around.min(axis=1), around.max(axis=1)
+    with np.errstate(invalid="ignore"):
+        off = (
+            np.maximum(least - given, given - most)
+            - (most - least)
+            - rough.max(axis=1)
+            - _CURVATURE * (1 + np.abs(given))
+        )
+    if np.any(wrong := off > 0.0):
+        i = int(np.argmax(wrong))
+        raise InvalidFile(
+            f"{name}.curvature: {given[i]:.6g} 1/m at sample {i}, the samples turn by {least[i]:.6g} to {most[i]:.6g}"
+        )
 
 
 def _check_agreement(columns: PathColumns, poses: FloatArray, path: Path, name: str) -> None:
@@ -243,9 +309,37 @@ def _check_agreement(columns: PathColumns, poses: FloatArray, path: Path, name: 
             f"{name}: sample {worst} is {apart[worst]:.3g} m and {turned[worst]:.3g} rad off the segments, "
             f"allowed is {AGREEMENT:g}"
         )
-    at_cusp = _distances_to(path.segment_starts, np.array(columns.s)) <= _STILL
-    if columns.direction is not None and np.any((path.direction_at(columns.s) != columns.direction) & ~at_cusp):
-        raise InvalidFile(f"{name}.direction: differs from that of the segments")
+    _check_gears(columns, path, name)
+    _check_curvature(columns, path, name)
+
+
+def _check_gears(columns: PathColumns, path: Path, name: str) -> None:
+    """The gears of samples are those of their curves; at a cusp the first sample is before it, the last after it."""
+    if columns.direction is None:
+        return
+    s, given = np.array(columns.s), np.array(columns.direction)
+    before, after = path.direction_at(np.concatenate((s - AGREEMENT, s + AGREEMENT))).reshape(2, -1)
+    again = np.diff(s) <= _STILL
+    follows, is_followed = np.append(False, again), np.append(again, False)
+    right = ((given == before) & ~(follows & ~is_followed)) | ((given == after) & ~(is_followed & ~follows))
+    if not np.all(right):
+        i = int(np.argmin(right))
+        raise InvalidFile(f"{name}.direction: differs from that of the segments, {given[i]} at sample {i}")
+
+
+def _check_curvature(columns: PathColumns, path: Path, name: str) -> None:
+    """The curvature of samples is that of their curves; where that jumps, anything from one side to the other."""
+    if columns.curvature is None:
+        return
+    s, given = np.array(columns.s), np.array(columns.curvature)
+    places = np.concatenate([s + shift for shift in (-AGREEMENT, 0.0, AGREEMENT)])
+    around = path.curvature_at(places).reshape(3, -1)
+    steepest = np.abs(path.curvature_rate_at(places)).reshape(3, -1).max(axis=0)
+    allowed = AGREEMENT * (1.0 + np.abs(given) + steepest)
+    off = np.maximum(around.min(axis=0) - given, given - around.max(axis=0)) - allowed
+    i = int(np.argmax(off))
+    if not off[i] <= 0.0:
+        raise InvalidFile(f"{name}.curvature: {given[i]:.9g} 1/m at sample {i}, the segments have {around[1, i]:.9g}")
 
 
 def _off_curves(s: FloatArray, poses: FloatArray, path: Path, near: float = _STILL) -> tuple[FloatArray, FloatArray]:

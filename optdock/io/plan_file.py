@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import itertools
 import json
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path as FilePath
-from typing import TYPE_CHECKING, Annotated, Literal, NamedTuple, NoReturn, TypeAlias, TypeVar
+from typing import TYPE_CHECKING, Annotated, Literal, NamedTuple, TypeAlias, TypeVar
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, JsonValue, ValidationError
@@ -16,20 +17,24 @@ from optdock.errors import InvalidFile, InvalidPath, InvalidValue
 from optdock.geometry.arrays import frozen_array
 from optdock.geometry.checked import number
 from optdock.io.atomic_file import write_text
-from optdock.io.path_columns import Number, PathColumns, path_columns, path_from_columns
-from optdock.io.yaml_lines import printable
+from optdock.io.faults import listed
+from optdock.io.guarded_file import MostBytes, parse_json, read_text
+from optdock.io.path_columns import Number, PathColumns, check_sampled_curvature, path_columns, path_from_columns
+from optdock.io.quoting import shortened, shown
 from optdock.trajectory import TimeLaw
 from optdock.verification import ImpossibilityProof, SampledMotion
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Iterator
 
     from optdock.errors import OptdockError
     from optdock.path import Path
     from optdock.trajectory import Trajectory
 
 __all__ = [
+    "CERTIFIED",
     "PLAN_FORMAT",
+    "UNKNOWN",
     "PlanError",
     "PlanFile",
     "TrajectoryColumns",
@@ -42,9 +47,9 @@ __all__ = [
 PLAN_FORMAT = "optdock-plan/1"
 DEFAULT_SPACING = 0.02
 DEFAULT_PERIOD = 0.02
-CERTIFIED = "certified"
-MAX_SAMPLES = 1_000_000  # of a path or a trajectory in a file, about 100 MB
-MAX_FAULTS = 20  # that a message lists
+CERTIFIED, UNKNOWN = "certified", "unknown"
+MAX_SAMPLES = 50_000  # of a path or a trajectory: 1 km, 1000 s; two paths and a trajectory of so many have 22 MB
+_MOST_UNKNOWN = 20  # keys that are named
 MAX_PHASES = 10_000  # of a time law; ours have some ten per gear
 
 T = TypeVar("T")
@@ -98,6 +103,8 @@ class PlanFile:
         error: Why there is no certified plan.
         tried: Every guess that was tried, and what became of it, as `Attempt.as_dict` gives it.
         impossibility: The proof that there can be none.
+        unjudged: Names of what a file that was read holds and nothing can be compared with: keys that this format does
+            not have, the curvature of a guess without its curves.
 
     Raises:
         InvalidPath: A path names another frame.
@@ -115,6 +122,7 @@ class PlanFile:
     error: PlanError | None = None
     impossibility: ImpossibilityProof | None = None
     tried: Sequence[Mapping[str, object]] = ()
+    unjudged: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         for name in ("raw_path", "path"):
@@ -236,6 +244,57 @@ class _TrajectoryDocument(_Model):
     phases: _PhasesDocument | None = None
 
 
+class _Open(_Model):
+    """What others may add to is kept as it is."""
+
+    model_config = ConfigDict(strict=True, frozen=True, extra="allow", allow_inf_nan=False)
+
+
+_Positive: TypeAlias = Annotated[float, Field(ge=0.0, le=1e12)]
+
+
+class _VerdictDocument(_Open):
+    """What both certificates have."""
+
+    certified: bool | None = None
+    path: str | None = None
+    violations: list[dict[str, JsonValue]] = []
+
+
+class _MotionCertificateDocument(_VerdictDocument):
+    duration: _Positive | None = None
+    ratios: dict[str, Number | None] = {}
+
+
+class _CertificateDocument(_VerdictDocument):
+    """The numbers of `Certificate`; null stands for infinity."""
+
+    min_clearance: Number | None = None
+    required_clearance: Number | None = None
+    at_s: Number | None = None
+    margin: Number | None = None
+    max_curvature: Number | None = None
+    max_curvature_rate: Annotated[float, Field(ge=-1e18, le=1e18)] | None = None
+    length: Number | None = None
+    start_relief: Number | None = None
+    tube: Number | None = None
+    poses_checked: Annotated[int, Field(ge=0)] | None = None
+    nearest: str | None = None
+    problem: dict[str, str] | None = None
+    trajectory: _MotionCertificateDocument | None = None
+
+
+class _AttemptDocument(_Open):
+    """A guess, and what became of it, as `Attempt.as_dict` gives it."""
+
+    stage: str | None = None
+    length: _Positive | None = None
+    cusps: Annotated[int, Field(ge=0)] | None = None
+    seconds: _Positive | None = None
+    price: _Positive | None = None
+    reason: str | None = None
+
+
 class _ErrorDocument(_Model):
     code: int = 0
     message: str = ""
@@ -244,17 +303,17 @@ class _ErrorDocument(_Model):
 
 class _PlanDocument(_Model):
     format: Literal["optdock-plan/1"]
-    status: str = "unknown"
+    status: str = UNKNOWN
     completed: bool = False
     frame: str = "map"
     raw_path: PathColumns | None = None
     path: PathColumns | None = None
     trajectory: _TrajectoryDocument | None = None
-    certificate: dict[str, JsonValue] | None = None
-    timing_ms: dict[str, float | None] = {}
+    certificate: _CertificateDocument | None = None
+    timing_ms: dict[str, _Positive | None] = {}
     error: _ErrorDocument | None = None
     impossibility: dict[str, JsonValue] | None = None
-    tried: list[dict[str, JsonValue]] = []
+    tried: list[_AttemptDocument] = []
 
 
 def load_plan(source: str | FilePath) -> PlanFile:
@@ -264,13 +323,7 @@ def load_plan(source: str | FilePath) -> PlanFile:
         InvalidFile: The file cannot be read, is not strict JSON, or breaks the format; the message lists every fault.
     """
     source = FilePath(source)
-    try:
-        text = source.read_text(encoding="utf-8")
-    except OSError as error:
-        raise InvalidFile(f"{source}: cannot be read: {error.strerror or error}") from error
-    except ValueError as error:
-        raise InvalidFile(f"{source}: not a plan file: {error}") from error
-    return parse_plan(text, str(source))
+    return parse_plan(read_text(source, MostBytes.JSON), str(source))
 
 
 def parse_plan(text: str, source: str) -> PlanFile:
@@ -283,10 +336,15 @@ def parse_plan(text: str, source: str) -> PlanFile:
     Raises:
         InvalidFile: It is not strict JSON, or breaks the format; the message lists every fault.
     """
-    document = _parsed(text, source)
+    document, unknown = _parsed(text, source)
     faults: list[str] = []
     raw_path = _built(lambda: _path(document.raw_path, "raw_path"), faults)
     path = _built(lambda: _path(document.path, "path"), faults)
+    samples = document.path if path is not None and not path[1] else None
+    if samples is not None:
+        _built(lambda: check_sampled_curvature(samples, "path"), faults)
+    if raw_path is not None and not raw_path[1]:
+        unknown = (*unknown, "raw_path.curvature (of samples)")
     trajectory = _built(lambda: _trajectory(document.trajectory), faults)
     time_law = _built(lambda: _time_law(document.trajectory), faults)
     proof = _built(lambda: _impossibility(document.impossibility), faults)
@@ -296,15 +354,16 @@ def parse_plan(text: str, source: str) -> PlanFile:
         status=document.status,
         completed=document.completed,
         frame=document.frame,
-        raw_path=raw_path,
-        path=path,
+        raw_path=None if raw_path is None else raw_path[0],
+        path=None if path is None else path[0],
         trajectory=trajectory,
         time_law=time_law,
-        certificate=document.certificate,
+        certificate=None if document.certificate is None else _as_written(document.certificate),
         timing_ms={key: value for key, value in document.timing_ms.items() if value is not None},
         error=None if document.error is None else PlanError(*document.error.model_dump().values()),
         impossibility=proof,
-        tried=tuple(document.tried),
+        tried=tuple(map(_as_written, document.tried)),
+        unjudged=unknown,
     )
 
 
@@ -321,37 +380,51 @@ def _impossibility(values: Mapping[str, object] | None) -> ImpossibilityProof | 
     return None if values is None else ImpossibilityProof.from_dict(values)
 
 
-def _path(columns: PathColumns | None, name: str) -> Path | None:
+def _path(columns: PathColumns | None, name: str) -> tuple[Path, bool] | None:
+    """The path, and whether it has its exact curves."""
     return None if columns is None else path_from_columns(columns, name)
 
 
-def _parsed(text: str, source: str) -> _PlanDocument:
+def _as_written(document: BaseModel) -> dict[str, object]:
+    """What a file says, without what it does not say."""
+    return document.model_dump(exclude_unset=True)
+
+
+def _unknown_keys(values: object, document: BaseModel, above: str = "") -> Iterator[str]:
+    """Keys that the models ignore, of the parts that are judged."""
+    if not isinstance(values, dict):
+        return
+    for key, value in values.items():
+        known = getattr(document, key, None) if key in type(document).model_fields else None
+        if key not in type(document).model_fields:
+            yield f"{shortened(f'{above}{key}')} (unknown)"
+        elif isinstance(known, BaseModel) and known.model_config.get("extra") == "ignore":
+            yield from _unknown_keys(value, known, f"{above}{key}.")
+
+
+def _parsed(text: str, source: str) -> tuple[_PlanDocument, tuple[str, ...]]:
+    """The document, and the keys in it that it does not know."""
     try:
-        return _PlanDocument.model_validate(json.loads(text, parse_constant=_refuse_constant))
+        values = parse_json(text)
+        document = _PlanDocument.model_validate(values)
+        return document, tuple(itertools.islice(_unknown_keys(values, document), _MOST_UNKNOWN))
     except json.JSONDecodeError as error:
         raise InvalidFile(f"{source}:{error.lineno}: not JSON: {error.msg}") from error
     except ValidationError as error:
         raise InvalidFile(_faults(source, error)) from error
-    except (ValueError, RecursionError) as error:
-        raise InvalidFile(f"{source}: not a plan file: {error}") from error
-
-
-def _refuse_constant(name: str) -> NoReturn:
-    raise ValueError(f"{name} is not JSON; numbers must be finite")
+    except ValueError as error:
+        raise InvalidFile(f"{source}: not a plan file: {shortened(str(error))}") from error
 
 
 def _faults(source: str, error: ValidationError) -> str:
-    """One line each, and how many more there are: a column may hold a million wrong values."""
-    items = error.errors(include_url=False)
-    more = [f"{source}: and {len(items) - MAX_FAULTS} more faults"] if len(items) > MAX_FAULTS else []
-    return "\n".join([*(_fault(source, item) for item in items[:MAX_FAULTS]), *more])
+    return listed(source, [_fault(source, item) for item in error.errors(include_url=False)])
 
 
 def _fault(source: str, item: Mapping[str, object]) -> str:
     path = item["loc"]
     place = ".".join(str(part) for part in path) if isinstance(path, tuple) else str(path)
-    got = "" if item["type"] == "missing" else f", got {item['input']!r}"
-    return f"{source}: {printable(place) or 'top level'}: {item['msg']}{got if len(got) < 80 else ''}"
+    got = "" if item["type"] == "missing" or isinstance(item["input"], dict | list) else f", got {shown(item['input'])}"
+    return f"{source}: {shortened(place) or 'top level'}: {shortened(str(item['msg']))}{got}"
 
 
 def _trajectory(document: _TrajectoryDocument | None) -> TrajectoryColumns | None:

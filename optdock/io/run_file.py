@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal, NamedTuple
 
@@ -10,6 +9,8 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from optdock.errors import InvalidFile
+from optdock.io.guarded_file import MostBytes, parse_json, read_text
+from optdock.io.quoting import shortened
 
 if TYPE_CHECKING:
     from optdock.geometry.arrays import FloatArray
@@ -50,6 +51,9 @@ class RunColumns(NamedTuple):
     docked: bool
     reason: str
 
+    def __bool__(self) -> bool:
+        return self.docked
+
 
 class _Model(BaseModel):
     model_config = ConfigDict(strict=True, frozen=True, extra="ignore", allow_inf_nan=False)
@@ -70,15 +74,13 @@ def load_run(source: str | Path) -> RunColumns:
     """
     source = Path(source)
     try:
-        document = _RunDocument.model_validate(json.loads(source.read_text(encoding="utf-8")))
-    except OSError as error:
-        raise InvalidFile(f"{source}: cannot be read: {error.strerror or error}") from error
+        document = _RunDocument.model_validate(parse_json(read_text(source, MostBytes.JSON)))
     except ValidationError as error:
         first = error.errors(include_url=False)[0]
-        place = ".".join(str(part) for part in first["loc"])
+        place = shortened(".".join(str(part) for part in first["loc"]))
         raise InvalidFile(f"{source}: {place}: {first['msg']}") from error
     except ValueError as error:
-        raise InvalidFile(f"{source}: is no run file: {error}") from error
+        raise InvalidFile(f"{source}: is no run file: {shortened(str(error))}") from error
     columns, wanted = document.columns, len(document.columns.get("t", ()))
     for name in _NAMES:
         found = len(columns.get(name, ()))

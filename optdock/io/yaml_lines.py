@@ -1,7 +1,12 @@
-"""YAML with line numbers, so that a message can name the line that a value came from."""
+"""YAML with line numbers, so that a message can name the line that a value came from.
+
+A few bytes of YAML can stand for a great deal: aliases and merge keys repeat what they name, level by level. So the
+values of a file are counted before any is made: first those that are written out, then those that they expand to.
+"""
 
 from __future__ import annotations
 
+import itertools
 import re
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -10,27 +15,25 @@ from typing import TYPE_CHECKING, TypeAlias
 import yaml
 
 from optdock.errors import InvalidFile
+from optdock.io.faults import listed
+from optdock.io.guarded_file import MostBytes, read_text
+from optdock.io.quoting import printable, shortened, shown
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Iterable, Mapping
 
-__all__ = ["Document", "Keys", "load_yaml", "printable"]
+__all__ = ["Document", "Keys", "load_yaml"]
 
 Keys: TypeAlias = "tuple[str | int, ...]"
 
 # What PyYAML's constructors let through on the date 2026-13-45, the number 0x_, an empty !!int or a wrong !!timestamp.
 _SCALAR_ERRORS = (ValueError, OverflowError, IndexError, AttributeError)
 _MAX_DEPTH = 100
-_MAX_REPEATS = 100_000  # aliases can make a small file expand without end
-
-
-def printable(text: str) -> str:
-    r"""The text on one line, with control characters written as escapes: a file's own words may hold anything.
-
-    >>> print(printable("a\x1b[1m\nb"))
-    a\x1b[1m\nb
-    """
-    return "".join(c if c.isprintable() else repr(c)[1:-1] for c in text)
+_MAX_VALUES = (
+    50_000  # keys, numbers, ..., with those that aliases repeat; the largest parameter files have two thousand
+)
+_MAX_NUMBER = 1000  # characters of what is no text; whole numbers in base 60 take a time that is quadratic in them
+_LONGEST_LINE = 400  # characters of a message about one value
 
 
 class _Loader(getattr(yaml, "CSafeLoader", yaml.SafeLoader)):  # type: ignore[misc] # the C loader is optional
@@ -74,30 +77,35 @@ class Document:
         """
         name = ".".join(str(key) for key in keys)
         place = f"{self.path}:{self.line_of(keys)}: " if keys else f"{self.path}: "
-        return place + printable(f"{name}: {message}" if keys else message)
+        said = printable(f"{name}: {message}" if keys else message)
+        return place + (said if len(said) <= _LONGEST_LINE else f"{said[:_LONGEST_LINE]}...")
 
 
 def load_yaml(path: str | Path) -> Document:
     """Read one YAML document.
 
     Raises:
-        InvalidFile: Unreadable, not UTF-8, not YAML, empty, more than one document, repeated keys, keys that are
-            neither text nor whole numbers, or entries that contain themselves; every repeated key is listed.
+        InvalidFile: Unreadable, not a regular file, not UTF-8, not YAML, empty, more than one document, repeated keys,
+            keys that are neither text nor whole numbers, entries that contain themselves, or more values than 50,000,
+            aliases counted as what they stand for; every repeated key is listed.
     """
     path = Path(path)
-    text = _text(path)
+    text = read_text(path, MostBytes.YAML)
     try:
+        _check_events(path, text)
         loader = _Loader(text)
-    except yaml.YAMLError as error:  # control characters
+    except yaml.YAMLError as error:
         raise InvalidFile(_yaml_fault(path, text, error)) from error
     try:
         root = loader.get_single_node()
         if root is None:
             raise InvalidFile(f"{path}: is empty")
         reader = _Reader(path, loader)
+        if _expanded(root, path) > _MAX_VALUES:
+            raise InvalidFile(f"{path}: holds more than {_MAX_VALUES} values, as it repeats too many aliases")
         value = reader.value_of(root, ())
         if reader.faults:
-            raise InvalidFile("\n".join(reader.faults))
+            raise InvalidFile(listed(str(path), reader.faults))
         return Document(path, value, reader.lines)
     except yaml.YAMLError as error:
         raise InvalidFile(_yaml_fault(path, text, error)) from error
@@ -105,15 +113,6 @@ def load_yaml(path: str | Path) -> Document:
         raise InvalidFile(f"{path}: is nested too deeply") from error
     finally:
         loader.dispose()
-
-
-def _text(path: Path) -> str:
-    try:
-        return path.read_bytes().decode("utf-8-sig")
-    except OSError as error:
-        raise InvalidFile(f"{path}: cannot be read: {error.strerror or error}") from error
-    except ValueError as error:  # not UTF-8, or a path with a zero byte
-        raise InvalidFile(f"{path}: cannot be read as UTF-8 text: {error}") from error
 
 
 def _yaml_fault(path: Path, text: str, error: yaml.YAMLError) -> str:
@@ -124,7 +123,56 @@ def _yaml_fault(path: Path, text: str, error: yaml.YAMLError) -> str:
     reason = getattr(error, "problem", None) or getattr(error, "reason", None) or str(error)
     if reason.startswith("but "):  # the other half of the sentence
         reason = f"{getattr(error, 'context', None)}, {reason}"
-    return f"{where}: is not valid YAML: {reason}"
+    return f"{where}: is not valid YAML: {shortened(reason)}"
+
+
+def _check_events(path: Path, text: str) -> None:
+    """Refuse a document that is nested so deeply or so long that making its nodes would take long.
+
+    Raises:
+        InvalidFile: It is.
+        YAMLError: It is not YAML; of what stands behind the limits nothing is known.
+    """
+    depth = values = 0
+    for event in yaml.parse(text, Loader=_Loader):
+        is_begin = isinstance(event, yaml.CollectionStartEvent)
+        values += is_begin or isinstance(event, yaml.ScalarEvent | yaml.AliasEvent)
+        depth += is_begin - isinstance(event, yaml.CollectionEndEvent)
+        if depth > _MAX_DEPTH:
+            line = 1 if event.start_mark is None else event.start_mark.line + 1
+            raise InvalidFile(f"{path}:{line}: is nested too deeply")
+        if values > _MAX_VALUES:
+            raise InvalidFile(f"{path}: holds more than {_MAX_VALUES} values")
+
+
+def _expanded(root: yaml.Node, path: Path) -> int:
+    """How many values the document holds with every alias and merge key replaced by what it stands for.
+
+    Every node is visited once, however often it is named.
+
+    Raises:
+        InvalidFile: It is nested too deeply, or contains itself.
+    """
+    sizes: dict[int, int] = {}
+    around: set[int] = set()
+
+    def _size(node: yaml.Node) -> int:
+        known = sizes.get(id(node))
+        if known is not None:
+            return known
+        if id(node) in around or len(around) > _MAX_DEPTH:
+            raise InvalidFile(f"{path}:{node.start_mark.line + 1}: is nested too deeply, or contains itself")
+        around.add(id(node))
+        parts: Iterable[yaml.Node] = ()
+        if isinstance(node, yaml.SequenceNode):
+            parts = node.value
+        elif isinstance(node, yaml.MappingNode):
+            parts = itertools.chain.from_iterable(node.value)
+        sizes[id(node)] = 1 + sum(map(_size, parts))
+        around.remove(id(node))
+        return sizes[id(node)]
+
+    return _size(root)
 
 
 class _Reader:
@@ -135,22 +183,18 @@ class _Reader:
         self.faults: list[str] = []
         self._path, self._loader = path, loader
         self._seen: set[int] = set()
-        self._repeats = 0
 
     def value_of(self, node: yaml.Node, keys: Keys) -> object:
         is_first_visit = id(node) not in self._seen
         self._seen.add(id(node))
-        self._repeats += not is_first_visit
-        if len(keys) > _MAX_DEPTH or self._repeats > _MAX_REPEATS:
-            raise InvalidFile(
-                f"{self._place(node)}: is nested too deeply, contains itself, or repeats too many aliases"
-            )
         if isinstance(node, yaml.ScalarNode):
             return self._scalar(node)
         if isinstance(node, yaml.SequenceNode) and node.tag == "tag:yaml.org,2002:seq":
             return [self._entry(entry, entry, keys, i) for i, entry in enumerate(node.value)]
         if not isinstance(node, yaml.MappingNode) or node.tag != "tag:yaml.org,2002:map":
-            raise InvalidFile(f"{self._place(node)}: is not valid YAML: {node.tag} is no plain list or mapping")
+            raise InvalidFile(
+                f"{self._place(node)}: is not valid YAML: {shortened(node.tag)} is no plain list or mapping"
+            )
         if is_first_visit:
             self._check_keys(node)
             self._loader.flatten_mapping(node)  # replaces `<<` by what it merges
@@ -166,19 +210,26 @@ class _Reader:
 
     def _scalar(self, node: yaml.ScalarNode) -> object:
         try:
-            return self._loader.construct_object(node)
+            return self._made(node)
         except _SCALAR_ERRORS as error:
-            self.faults.append(f"{self._place(node)}: {node.value!r} cannot be read: {error}")
+            self.faults.append(f"{self._place(node)}: {shown(node.value)} cannot be read: {shortened(str(error))}")
             return None
+
+    def _made(self, node: yaml.ScalarNode) -> object:
+        if node.tag != "tag:yaml.org,2002:str" and len(node.value) > _MAX_NUMBER:
+            raise ValueError(f"it has more than {_MAX_NUMBER} characters; write text in quotes")
+        value: object = self._loader.construct_object(node)
+        return value
 
     def _key_of(self, node: yaml.Node) -> str | int:
         try:
-            key = self._loader.construct_object(node) if isinstance(node, yaml.ScalarNode) else None
+            key = self._made(node) if isinstance(node, yaml.ScalarNode) else None
         except _SCALAR_ERRORS as error:
-            raise InvalidFile(f"{self._place(node)}: key {node.value!r} cannot be read: {error}") from error
+            said = shortened(str(error))
+            raise InvalidFile(f"{self._place(node)}: key {shown(node.value)} cannot be read: {said}") from error
         if isinstance(key, (str, int)) and not isinstance(key, bool):
             return key
-        text = repr(node.value) if isinstance(node, yaml.ScalarNode) else "a collection"
+        text = shown(node.value) if isinstance(node, yaml.ScalarNode) else "a collection"
         raise InvalidFile(f"{self._place(node)}: a key must be text or a whole number, got {text}")
 
     def _check_keys(self, node: yaml.MappingNode) -> None:
@@ -189,6 +240,6 @@ class _Reader:
             key = self._key_of(key_node)
             if key in first:
                 self.faults.append(
-                    f"{self._place(key_node)}: {printable(str(key))}: stands here again; first in line {first[key]}"
+                    f"{self._place(key_node)}: {shortened(str(key))}: stands here again; first in line {first[key]}"
                 )
             first.setdefault(key, key_node.start_mark.line + 1)

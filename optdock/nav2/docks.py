@@ -14,7 +14,9 @@ from typing import TYPE_CHECKING
 from optdock.dock import DockDirection
 from optdock.errors import InvalidFile, InvalidValue
 from optdock.geometry.pose import Pose2
+from optdock.io.faults import listed
 from optdock.io.numbers import check_yaw, is_number
+from optdock.io.quoting import shown
 from optdock.io.yaml_lines import load_yaml
 from optdock.nav2.numbers import NumberReader
 from optdock.parameters import closest
@@ -72,7 +74,9 @@ def read_dock_type(
     read = NumberReader(document, keys, values, faults)
     direction = read.text("dock_direction", _DIRECTIONS[0])
     if direction not in _DIRECTIONS:
-        read.fault("dock_direction", f"must be forward or backward, got {direction!r}{closest(direction, _DIRECTIONS)}")
+        read.fault(
+            "dock_direction", f"must be forward or backward, got {shown(direction)}{closest(direction, _DIRECTIONS)}"
+        )
         direction = _DIRECTIONS[0]
     if values.get("rotate_to_dock") is True and direction != DockDirection.BACKWARD.value:
         read.fault("rotate_to_dock", "needs dock_direction: backward")
@@ -127,7 +131,7 @@ def load_dock_database(source: str | Path) -> dict[str, DockEntry]:
     faults: list[str] = []
     entries = [read_dock(document, ("docks", name), faults) for name in docks]
     if faults:
-        raise InvalidFile("\n".join(faults))
+        raise InvalidFile(listed(str(document.path), faults))
     return {entry.name: entry for entry in entries if entry is not None}
 
 
@@ -135,7 +139,7 @@ def read_dock(document: Document, keys: Keys, faults: list[str]) -> DockEntry | 
     """The dock at `keys` of a document, or None when it has faults, which are added to `faults`."""
     block = _at(document.value, keys)
     if not isinstance(block, Mapping):
-        faults.append(document.fault(keys, f"must be a mapping with type and pose, got {block!r}"))
+        faults.append(document.fault(keys, f"must be a mapping with type and pose, got {shown(block)}"))
         return None
     before = len(faults)
     texts = {key: _text(document, keys, block, key, faults) for key in ("type", "frame", "id")}
@@ -159,7 +163,7 @@ def _text(document: Document, keys: Keys, block: Mapping[str, object], key: str,
             faults.append(_missing(document, keys, block, key, "the name of a dock plugin"))
         return None
     if isinstance(value, bool) or not isinstance(value, str | int) or value == "":
-        faults.append(document.fault((*keys, key), f"must be text, got {value!r}"))
+        faults.append(document.fault((*keys, key), f"must be text, got {shown(value)}"))
         return None
     return str(value)
 
@@ -170,14 +174,14 @@ def _pose(document: Document, keys: Keys, block: Mapping[str, object], faults: l
         faults.append(_missing(document, keys, block, "pose", "[x, y, yaw] in m, m, rad"))
         return None
     if not (isinstance(value, list) and len(value) == 3):
-        faults.append(document.fault((*keys, "pose"), f"must be [x, y, yaw] in m, m, rad, got {value!r}"))
+        faults.append(document.fault((*keys, "pose"), f"must be [x, y, yaw] in m, m, rad, got {shown(value)}"))
         return None
     return _checked_pose(document, (*keys, "pose"), value, faults)
 
 
 def _checked_pose(document: Document, keys: Keys, values: Sequence[object], faults: list[str]) -> Pose2 | None:
     bad = [i for i, v in enumerate(values) if not is_number(v)]
-    faults.extend(document.fault((*keys, i), f"must be a number, got {values[i]!r}") for i in bad)
+    faults.extend(document.fault((*keys, i), f"must be a number, got {shown(values[i])}") for i in bad)
     if bad:
         return None
     try:

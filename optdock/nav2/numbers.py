@@ -6,6 +6,7 @@ import math
 from typing import TYPE_CHECKING
 
 from optdock.io.numbers import is_number, unit_fault
+from optdock.io.quoting import shown
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -33,7 +34,7 @@ class NumberReader:
         value = self._values.get(name, default)
         rule = "a number > 0" if positive else "a finite number"
         if not (is_number(value) and math.isfinite(value) and (value > 0.0 or not positive)):
-            self.fault(name, f"must be {rule}, got {value!r}")
+            self.fault(name, f"must be {rule}, got {shown(value)}")
             return default
         implausible = unit_fault(value, unit)
         if implausible:
@@ -45,7 +46,7 @@ class NumberReader:
         """The text called `name`, or its default where it is absent or wrong."""
         value = self._values.get(name, default)
         if not isinstance(value, str):
-            self.fault(name, f"must be text, got {value!r}")
+            self.fault(name, f"must be text, got {shown(value)}")
             return default
         return value
 

@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, TypeVar
 
 from optdock.errors import InvalidFile
+from optdock.io.faults import listed
 from optdock.io.yaml_lines import load_yaml
 from optdock.nav2.costmap_params import CostmapParams, read_costmap
 from optdock.nav2.docks import DockEntry, DockType, read_dock, read_dock_type
@@ -20,7 +21,8 @@ from optdock.nav2.plugin_lists import PARAMETERS, NodeBlock, PluginInstance, che
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
 
-    from optdock.io.yaml_lines import Document, Keys
+    from optdock.io.faults import listed
+from optdock.io.yaml_lines import Document, Keys
 
 __all__ = ["Nav2Params", "PluginInstance", "load_nav2_params", "with_nested_names"]
 
@@ -78,7 +80,7 @@ def load_nav2_params(source: str | Path) -> Nav2Params:
         if plugin.kind == "dock"
     ]
     if faults:
-        raise InvalidFile("\n".join(faults))
+        raise InvalidFile(listed(str(document.path), faults))
     return Nav2Params(
         source=Path(source),
         nodes={block.path: block.values for block in blocks},

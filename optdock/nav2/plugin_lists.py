@@ -6,6 +6,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, NamedTuple
 
+from optdock.io.quoting import shown
+
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
@@ -75,10 +77,10 @@ def plugin_instances(document: Document, block: NodeBlock, faults: list[str]) ->
 def checked_names(document: Document, keys: Keys, value: object, faults: list[str]) -> tuple[str, ...]:
     """A list of different names, or what is right in it; faults are added to `faults`."""
     if not isinstance(value, list):
-        faults.append(document.fault(keys, f"must be a list of names, got {value!r}"))
+        faults.append(document.fault(keys, f"must be a list of names, got {shown(value)}"))
         return ()
     wrong = [name for name in value if not (isinstance(name, str) and name)]
-    faults.extend(document.fault(keys, f"must be a list of names, got {name!r} in it") for name in wrong)
+    faults.extend(document.fault(keys, f"must be a list of names, got {shown(name)} in it") for name in wrong)
     names = [name for name in value if isinstance(name, str) and name]
     twice = dict.fromkeys(name for name in names if names.count(name) > 1)
     faults.extend(document.fault(keys, f"names {name} more than once") for name in twice)

@@ -15,6 +15,7 @@ import numpy as np
 
 from optdock.dock import DockDirection
 from optdock.errors import NoValidPathCouldBeFound
+from optdock.geometry.arrays import FrozenArrays
 from optdock.path import Direction
 
 if TYPE_CHECKING:
@@ -46,7 +47,7 @@ class DockGeometry(NamedTuple):
 
 
 @dataclass(frozen=True, eq=False)
-class ApproachAxis:
+class ApproachAxis(FrozenArrays):
     """The line on which the robot enters the dock, and where the start lies beside it.
 
     Args:

@@ -27,7 +27,7 @@ from optdock.errors import (
     StartOccupied,
     StartOutsideMapBounds,
 )
-from optdock.geometry.arrays import readonly
+from optdock.geometry.arrays import FrozenArrays
 from optdock.geometry.nurbs import Nurbs
 from optdock.geometry.pose import unwrap_yaw
 from optdock.interfaces import never_cancelled
@@ -63,7 +63,7 @@ _CHUNK = 5_000  # samples between two looks at the cancel checker, about 2 ms
 
 
 @dataclass(frozen=True, eq=False)
-class TwoSegmentPlan:
+class TwoSegmentPlan(FrozenArrays):
     """A raw docking path and how it came about.
 
     Args:
@@ -136,9 +136,9 @@ def plan_two_segment(
         path=_assembled(start, goal, (first, second), (gear, axis.direction)),
         axis=axis,
         joint=joint,
-        centreline=readonly(centreline),
-        control_points_1=readonly(joint.control_points),
-        control_points_2=readonly(control_points_2),
+        centreline=centreline,
+        control_points_1=joint.control_points,
+        control_points_2=control_points_2,
     )
 
 

@@ -7,9 +7,11 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
+from optdock.limits import LIMITS, finite_limits
 from optdock.plotting.canvas import COLOURS, entitle, legend_below, new_figure, save_figure
 
 if TYPE_CHECKING:
+    from collections.abc import Collection, Iterator
     from pathlib import Path
 
     from matplotlib.axes import Axes
@@ -37,6 +39,9 @@ def save_profile_picture(
 ) -> None:
     """Draw speed, acceleration, jerk, curvature, yaw rate and yaw acceleration over time, each with its limits.
 
+    What else depends on curvature is drawn where it is limited; turns in place, which have limits of their own, are
+    left out of it.
+
     The limit of the speed is the lowest of all that the path sets: the drive's, the approach zone's, and what yaw
     rate, lateral acceleration, wheel speed and steering rate leave at the curvature there.
 
@@ -52,10 +57,14 @@ def save_profile_picture(
         InvalidFile: The file cannot be written.
     """
     times = np.linspace(0.0, trajectory.duration, _POINTS, dtype=np.float64)
-    figure = new_figure(10.0, 7.5)
-    grid = figure.subplots(3, 2, sharex=True)
-    for axes, panel in zip(grid.T.ravel(), _panels(trajectory, limits, zone, times), strict=True):
+    panels = _panels(trajectory, limits, zone, times)
+    rows = -(-len(panels) // 2)
+    figure = new_figure(10.0, 2.5 * rows)
+    grid = figure.subplots(rows, 2, sharex=True)
+    for axes, panel in zip(grid.T.ravel(), panels, strict=False):
         _draw_panel(axes, times, panel, trajectory.cusp_times)
+    if len(panels) < grid.size:
+        grid[-1, -1].axis("off")
     for axes in grid[-1]:
         axes.set_xlabel("time [s]")
         axes.set_xlim(0.0, trajectory.duration)
@@ -77,18 +86,48 @@ def _panels(trajectory: Trajectory, limits: MotionLimits, zone: SpeedZone, times
     speed = np.where(samples.s > trajectory.path.before_end(zone.distance), np.minimum(speed, zone.speed), speed)
     speed, curvature = np.where(turning, 0.0, speed), np.where(turning, 0.0, curvature)
     accelerations = np.where(forward, -down, -up), np.where(forward, up, down)
+    symmetric = {
+        "max_jerk": samples.jerk,
+        "max_curvature": curvature,
+        "max_yaw_rate": samples.yaw_rate,
+        "max_yaw_acceleration": samples.yaw_acceleration,
+    }
+    rate = np.where(turning, 0.0, trajectory.path.curvature_rate_at(samples.s))
+    along = _Turning(gear * samples.speed, gear * samples.acceleration, curvature, rate)
     return [
-        _Panel("speed [m/s]", samples.speed, np.where(forward, 0.0, -speed), np.where(forward, speed, 0.0)),
-        _Panel("acceleration [m/s²]", samples.acceleration, *accelerations),
-        _symmetric("jerk [m/s³]", samples.jerk, limits.max_jerk),
-        _symmetric("curvature [1/m]", curvature, limits.max_curvature),
-        _symmetric("yaw rate [rad/s]", samples.yaw_rate, limits.max_yaw_rate),
-        _symmetric("yaw acceleration [rad/s²]", samples.yaw_acceleration, limits.max_yaw_acceleration),
+        _Panel(_label("max_speed"), samples.speed, np.where(forward, 0.0, -speed), np.where(forward, speed, 0.0)),
+        _Panel(_label("max_acceleration"), samples.acceleration, *accelerations),
+        *(_symmetric(name, values, getattr(limits, name)) for name, values in symmetric.items()),
+        *_more_panels(limits, symmetric, along, turning),
     ]
 
 
-def _symmetric(label: str, values: FloatArray, bound: float) -> _Panel:
-    return _Panel(label, values, np.full(values.size, -bound), np.full(values.size, bound))
+class _Turning(NamedTuple):
+    """As `TurningMotion`."""
+
+    v: FloatArray
+    a: FloatArray
+    k: FloatArray
+    r: FloatArray
+
+
+def _more_panels(
+    limits: MotionLimits, drawn: Collection[str], motion: _Turning, turning: BoolArray
+) -> Iterator[_Panel]:
+    """One for every other finite limit that depends on curvature."""
+    for name, bound in finite_limits(limits).items():
+        if name not in drawn and name in LIMITS and (size := LIMITS[name].size):
+            values = np.where(turning, np.nan, size(motion, limits))
+            yield _Panel(_label(name), values, np.zeros(values.size), np.full(values.size, bound))
+
+
+def _symmetric(name: str, values: FloatArray, bound: float) -> _Panel:
+    return _Panel(_label(name), values, np.full(values.size, -bound), np.full(values.size, bound))
+
+
+def _label(name: str) -> str:
+    """The quantity that a limit bounds, with its unit."""
+    return LIMITS[name].label.replace("^2", "²").replace("^3", "³")
 
 
 def _speed_bound(limits: MotionLimits, curvature: FloatArray, forward: BoolArray) -> FloatArray:
@@ -103,7 +142,7 @@ def _speed_bound(limits: MotionLimits, curvature: FloatArray, forward: BoolArray
 
 def _draw_panel(axes: Axes, times: FloatArray, panel: _Panel, cusps: FloatArray) -> None:
     axes.plot(times, panel.values, color=COLOURS["path"], linewidth=1.5, label="trajectory", zorder=3)
-    reach = 1.15 * max(float(np.max(np.abs(panel.values))), 1e-6)
+    reach = 1.15 * max(float(np.nanmax(np.abs(panel.values))), 1e-6)
     for bound in (panel.lower, panel.upper):
         shown = np.where(np.isfinite(bound), bound, math.nan)
         axes.plot(
@@ -112,8 +151,8 @@ def _draw_panel(axes: Axes, times: FloatArray, panel: _Panel, cusps: FloatArray)
         reach = max(reach, _worth_showing(bound, reach))
     for i, time in enumerate(cusps):
         axes.axvline(time, color="black", linewidth=0.8, linestyle=":", label="cusp" if i == 0 else None)
-    goes_below = bool(np.min(panel.values) < -1e-9 or np.min(panel.lower) < 0.0)
-    goes_above = bool(np.max(panel.values) > 1e-9 or np.max(panel.upper) > 0.0)
+    goes_below = bool(np.nanmin(panel.values) < -1e-9 or np.min(panel.lower) < 0.0)
+    goes_above = bool(np.nanmax(panel.values) > 1e-9 or np.max(panel.upper) > 0.0)
     axes.set_ylim(-reach if goes_below else -0.05 * reach, reach if goes_above else 0.05 * reach)
     axes.set_ylabel(panel.label)
     axes.axhline(0.0, color="#888888", linewidth=0.6, zorder=1)

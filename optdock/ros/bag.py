@@ -13,6 +13,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 from optdock.errors import InvalidFile, InvalidValue, MissingExtra
+from optdock.io.guarded_file import MostBytes, check_regular
+from optdock.io.quoting import shortened
+from optdock.io.yaml_lines import load_yaml
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterable, Iterator, Sequence
@@ -190,8 +193,7 @@ def open_bag(source: str | Path) -> Iterator[Recording]:
     _store()
     from rosbags.rosbag2 import Reader
 
-    if not source.exists():
-        raise InvalidFile(f"{source}: cannot be read: No such file or directory")
+    _check_recording(source)
     with _told(source):
         reader = Reader(source)
         reader.open()
@@ -203,6 +205,22 @@ def open_bag(source: str | Path) -> Iterator[Recording]:
         reader.close()
 
 
+def _check_recording(source: Path) -> None:
+    """Refuse what rosbags would wait for, or what its reader of YAML would expand without end.
+
+    Raises:
+        InvalidFile: A file is none, or the metadata break the limits of `load_yaml`.
+    """
+    if not os.path.isdir(source):  # noqa: PTH112 - of a name that is too long this one says no
+        check_regular(source, MostBytes.RECORDING)
+        return
+    for path in sorted(source.iterdir()):
+        if path.name == "metadata.yaml":
+            load_yaml(path)
+        elif not path.is_dir():
+            check_regular(path, MostBytes.RECORDING)
+
+
 @contextmanager
 def _told(source: Path, topic: str = "") -> Iterator[None]:
     """Whatever a library that reads foreign bytes raises is said with file and topic."""
@@ -212,7 +230,7 @@ def _told(source: Path, topic: str = "") -> Iterator[None]:
         raise
     except Exception as error:
         where = f"{source}: {topic}" if topic else f"{source}"
-        reason = " ".join(str(error).split()) or type(error).__name__
+        reason = shortened(" ".join(str(error).split())) or type(error).__name__
         raise InvalidFile(f"{where}: is damaged or no recording: {reason}") from error
 
 

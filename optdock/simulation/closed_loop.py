@@ -22,6 +22,7 @@ from optdock.simulation.run import Run
 from optdock.simulation.sensors import PoseSensor
 from optdock.simulation.world import Sensors, SimulatedRobot
 from optdock.trajectory import Trajectory
+from optdock.verification import proven_for
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -198,7 +199,7 @@ class _Loop:
 
 def _differences(trajectory: Trajectory, robot: Robot, obstacles: ObstacleSet | None) -> tuple[str, ...]:
     """In what the world of a run is not the one that the trajectory was certified for."""
-    proven = trajectory.certified_for
+    proven = proven_for(trajectory)
     if proven is None:
         return ()
     here = robot.fingerprint._asdict() | ({} if obstacles is None else {"obstacles": obstacles.digest})

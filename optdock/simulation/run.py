@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from optdock.geometry.arrays import FloatArray, frozen_array, readonly
+from optdock.geometry.arrays import FloatArray, FrozenArrays, frozen_array, readonly
 from optdock.geometry.pose import pose_errors
 from optdock.geometry.separation import separation
 from optdock.obstacles import in_words
@@ -33,8 +33,10 @@ _BLOCK = 256  # poses per round, bounds the memory
 
 
 @dataclass(frozen=True, eq=False)
-class Run:
-    """One closed-loop run; row k is the state at `times[k]` and the command given there.
+class Run(FrozenArrays):
+    """One closed-loop run; it counts as true where it docked.
+
+    Row k is the state at `times[k]` and the command given there.
 
     Args:
         times: Shape (n,) [s].
@@ -79,6 +81,9 @@ class Run:
         object.__setattr__(self, "errors", readonly(pose_errors(self.poses, self.references)))
         last = pose_errors(self.poses[-1:], self.goal.as_array()[None])[0]
         object.__setattr__(self, "final_error", type(self.goal)(*last.tolist()))
+
+    def __bool__(self) -> bool:
+        return self.docked
 
     @property
     def collided(self) -> bool:

@@ -10,7 +10,7 @@ import numpy as np
 
 from optdock.dock import DockDirection
 from optdock.errors import InvalidValue
-from optdock.geometry.arrays import FloatArray, readonly
+from optdock.geometry.arrays import FloatArray, FrozenArrays
 from optdock.geometry.checked import member
 from optdock.geometry.pose import Pose2, Twist2
 from optdock.measurements import Measurements
@@ -95,7 +95,7 @@ class Station:
 
 
 @dataclass(frozen=True, eq=False)
-class Record:
+class Record(FrozenArrays):
     """What happened; row k is the state at `times[k]` and the command given there.
 
     Attributes:
@@ -218,16 +218,16 @@ class SimulatedRobot:
         delivered = np.array([time for time, _ in self._detections], dtype=np.float64)
         times, poses, twists, measured, odometry, docks, contact = np.split(rows, [1, 4, 7, 10, 12, 15], axis=1)
         return Record(
-            readonly(times[:, 0]),
-            readonly(poses),
-            readonly(twists),
-            readonly(commands),
-            readonly(measured),
-            readonly(odometry),
-            readonly(docks),
+            times[:, 0],
+            poses,
+            twists,
+            commands,
+            measured,
+            odometry,
+            docks,
             contact[:, 0] > 0.0,
             tuple(detection for _, detection in self._detections),
-            readonly(delivered),
+            delivered,
         )
 
     def forget(self) -> None:

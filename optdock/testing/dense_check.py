@@ -44,7 +44,7 @@ class Fault(NamedTuple):
 
 @dataclass(frozen=True)
 class DenseReport:
-    """What the samples show.
+    """What the samples show; it counts as true where no bound is broken.
 
     Args:
         faults: The worst violation of every bound that is broken.
@@ -66,6 +66,9 @@ class DenseReport:
     max_curvature_rate: float
     length: float
     start_relief: float
+
+    def __bool__(self) -> bool:
+        return self.ok
 
     @property
     def ok(self) -> bool:

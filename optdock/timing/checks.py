@@ -84,7 +84,7 @@ def refined_times(limits: PathLimits, motion: Motion, close: float) -> FloatArra
     """The usual times, and half a millisecond apart wherever a limit of the path is used up to `close` or more."""
     t = motion.sample_times(SAMPLING.check_period)
     ratios = motion_ratios(limits, motion, t)
-    near = ratios.s[np.maximum(ratios.speed, np.sqrt(ratios.yaw)) > close]
+    near = ratios.s[np.maximum(ratios.speed, np.sqrt(ratios.turning)) > close]
     first = np.clip(np.searchsorted(motion.at(t)[0], near) - 1, 0, t.size - 2)
     spans = np.unique(np.concatenate((first, np.minimum(first + 1, t.size - 2), np.maximum(first - 1, 0))))
     steps = np.arange(1, SAMPLING.check_refinement) / SAMPLING.check_refinement

@@ -29,9 +29,10 @@ class SpeedProfile(NamedTuple):
 
 
 def forward_backward_pass(bounds: ReferenceBounds, start: State) -> SpeedProfile:
-    """The fastest v^2 under caps, acceleration and deceleration alone, yaw acceleration as a cap at a = 0."""
-    limits, drive = bounds.limits, bounds.limits.drive
-    cell = np.minimum(bounds.speed_squared, bounds.yaw / np.maximum(limits.steepest, 1e-9))
+    """The fastest v^2 under caps, acceleration and deceleration alone, turning limits as caps at a = 0."""
+    limits, drive, cell = bounds.limits, bounds.limits.drive, bounds.speed_squared
+    for limit, most in zip(limits.turning, bounds.turning, strict=True):
+        cell = np.minimum(cell, limit.most_squared(most, np.maximum(limits.steepest, 1e-9)))
     x = np.minimum(np.append(cell, 0.0), np.insert(cell, 0, start.v * start.v))
     rise, fall = 2.0 * drive.max_acceleration * limits.s, 2.0 * drive.max_deceleration * limits.s
     x = np.minimum.accumulate(x - rise) + rise

@@ -1,12 +1,13 @@
 """The interior point: a banded primal-dual method for the reference program, on plain arrays.
 
     minimize   sum_m h_m / sqrt(c_{m+1}) + c' Q c / 2
-    subject to A c <= 1,   |x''_m(c)| <= 2 J f_m / sqrt(c_{m+1}),   two coefficients given at each end,
+    subject to A c <= 1,   B c <= f / sqrt(c_{m+1}),   two coefficients given at each end,
 
-with f = sqrt(c) over the largest speed in the cell, held fixed after some iterations.
+with f = sqrt(c) over a speed in the cell, held fixed after some iterations: B holds what is limited times the speed, as
+the jerk is, |x''| v / 2.
 
 Every row touches three neighbouring coefficients, so Newton's normal matrix is pentadiagonal, and Q, the price on jerk
-steps, adds one band: each iteration is one LAPACK `dpbsv`. The right side of the jerk rows is convex in c; linearized
+steps, adds one band: each iteration is one LAPACK `dpbsv`. The right side of the rows B is convex in c; linearized
 it is an inner approximation, as in the convex-concave procedure [Lipp2016]. Newton drops its curvature. The method is
 that of [Wright1997] with slacks, S + G = 0, S Z = mu, and separate steps for both.
 """
@@ -26,6 +27,8 @@ if TYPE_CHECKING:
 
 __all__ = ["Program", "applied", "load_lapack", "solve"]
 
+_LEAST_SHARE = 1e-6  # of the cell's own coefficient: v^2 at a place counts as no less, f stays below a thousand
+
 
 def applied(stencil: FloatArray, c: FloatArray) -> FloatArray:
     """Stencils on three neighbouring coefficients, Shape (3, ..., M), times coefficients, Shape (M + 2,)."""
@@ -39,14 +42,17 @@ class Program(NamedTuple):
     Attributes:
         steps: Lengths of the cells h, Shape (M,) [m].
         rows: Linear constraints A c <= 1 as stencils, Shape (3, rows, M).
-        curve: x'' / (2 J) as stencils, Shape (3, M).
+        with_speed: Constraints B c v <= 1 as stencils, Shape (3, rows, M). In the first two v is the largest speed in
+            the cell.
+        places: v^2 of the others as stencils, Shape (3, rows - 2, M).
         right_share: Weight of c_{i+1} in the value at knot i, Shape (M + 1,).
         quadratic: Upper bands of Q, Shape (4, M + 2), LAPACK's storage.
     """
 
     steps: FloatArray
     rows: FloatArray
-    curve: FloatArray
+    with_speed: FloatArray
+    places: FloatArray
     right_share: FloatArray
     quadratic: FloatArray
 
@@ -97,27 +103,28 @@ class _Iterate:
     def __init__(self, program: Program, c: FloatArray) -> None:
         self.program = program
         self.products = _products(program.rows)
-        self.stencil = np.concatenate((program.rows, np.zeros((3, 2, program.steps.size))), axis=1)
+        self.linear = program.rows.shape[1]
+        self.stencil = np.concatenate((program.rows, np.zeros(program.with_speed.shape)), axis=1)
         self.value = np.empty(self.stencil.shape[1:])
         self.move_to(c, frozen=False)
 
     def move_to(self, c: FloatArray, *, frozen: bool) -> None:
-        """Evaluate everything at `c`; `frozen` keeps f as it is. Jerk rows are in units of 2 J / sqrt(c)."""
-        program = self.program
-        if not frozen:  # f: sqrt(c) over the largest speed in each cell
+        """Evaluate everything at `c`; `frozen` keeps f as it is. Rows B are in units of 1 / sqrt(c)."""
+        program, linear = self.program, self.linear
+        if not frozen:  # f: sqrt(c) over the speed that counts in each cell
             knot = c[:-1] + program.right_share * (c[1:] - c[:-1])
             largest = np.maximum(np.maximum(knot[:-1], knot[1:]), c[1:-1])
             self.share: FloatArray = np.sqrt(c[1:-1] / largest)
+            if program.places.shape[1]:
+                there = np.maximum(applied(program.places, c), _LEAST_SHARE * c[1:-1])
+                self.share = np.concatenate((self.share[None].repeat(2, axis=0), np.sqrt(c[1:-1] / there)))
         self.c = c
         root = self.root = np.sqrt(c[1:-1])
-        self.value[:-2] = applied(program.rows, c) - 1.0
-        scaled = program.curve * root
-        bend = applied(scaled, c)
-        self.value[-2] = bend - self.share
-        self.value[-1] = -bend - self.share
-        self.stencil[:, -2] = scaled
-        self.stencil[:, -1] = -scaled
-        self.stencil[1, -2:] += 0.5 * self.share / (root * root)
+        self.value[:linear] = applied(program.rows, c) - 1.0
+        scaled = program.with_speed * root
+        self.value[linear:] = applied(scaled, c) - self.share
+        self.stencil[:, linear:] = scaled
+        self.stencil[1, linear:] += 0.5 * self.share / (root * root)
 
     @property
     def objective(self) -> float:
@@ -128,12 +135,12 @@ class _Iterate:
         """Solution of (H + A' W A) dc = -grad - A' target; zero at the two given coefficients on each side.
 
         Args:
-            weight: The diagonal of W, Shape (rows + 2, M).
-            target: Shape (rows + 2, M).
+            weight: The diagonal of W, Shape (all rows, M).
+            target: Shape (all rows, M).
         """
         quadratic = self.program.quadratic
-        normal = np.einsum("rm,prm->pm", weight[:-2], self.products)
-        normal += np.einsum("rm,prm->pm", weight[-2:], _products(self.stencil[:, -2:]))
+        normal = np.einsum("rm,prm->pm", weight[: self.linear], self.products)
+        normal += np.einsum("rm,prm->pm", weight[self.linear :], _products(self.stencil[:, self.linear :]))
         slope = np.einsum("rm,prm->pm", target, self.stencil)
         square = self.root * self.root
         cube = self.program.steps / (self.root * square)

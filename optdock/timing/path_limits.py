@@ -4,13 +4,14 @@ Over arc length s a segment has the curvature k(s) = dtheta/ds and its rate k'(s
 
     v <= min(v_max, sqrt(a_lat / |k|), w_max / |k|, v_wheel / (1 + b |k| / 2), v_zone)    the speed caps,
     v <= steering rate (1 + (L k)^2) / (L |k'|)                                           one more, of steered wheels,
-    |a k + v^2 k'| <= al                                                                  the yaw acceleration.
+    |d/dt (v^n k)| <= its bound                                                           the turning limits.
 
-The steering angle atan(L k), L the wheelbase, turns at L k' v / (1 + (L k)^2). Its cap jumps where k' does.
+Turning limits bound what `turning_limits` is about; the yaw acceleration, n = 1, is one. The steering angle atan(L k),
+L the wheelbase, turns at L k' v / (1 + (L k)^2). Its cap jumps where k' does.
 
-The *maximum velocity curve* [Bobrow1985] [Shin1985] is the least of the caps and of sqrt(al / |k'|), beyond which no
-motion at constant speed keeps the yaw acceleration. Speeds are kept as their reciprocals, `slowness`: the largest of
-them counts, and a limit that is infinite vanishes.
+The *maximum velocity curve* [Bobrow1985] [Shin1985] is the least of the caps and of the speeds beyond which no motion
+at constant speed keeps a turning limit, sqrt(al / |k'|) for a yaw acceleration al. Speeds are kept as their
+reciprocals, `slowness`: the largest of them counts, and a limit that is infinite vanishes.
 
 In order: the speed caps, the limits along a segment, the dense check of a motion, and what the reference may use.
 """
@@ -24,9 +25,11 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from optdock.geometry.arrays import readonly
+from optdock.limits import LIMITS
 from optdock.path import ClothoidSegment, Direction, PolylineSegment, TurnSegment
 from optdock.timing.motion import DriveBounds, Motion
 from optdock.timing.settings import NEAR_OPTIMAL, SAMPLING, NearOptimalSettings
+from optdock.timing.turning_limits import TurningLimit, turning_limits, turning_ratio
 
 if TYPE_CHECKING:
     from optdock.geometry.arrays import FloatArray, IntArray
@@ -47,18 +50,11 @@ __all__ = [
     "motion_ratios",
     "segment_limits",
     "worst_ratio",
-    "yaw_ratio",
 ]
 
 KEPT = 1.0 + 1e-9  # rounding of a quotient that is meant to be at most 1
 NO_LENGTH = 1e-11  # [m]: the knots of a shorter segment are one
 _LEFT_OF_NODE = 1e-7  # of a cell: where the curvature rate to the left of a node is read
-
-
-def yaw_ratio(drive: MotionLimits, curvature: FloatArray, rate: FloatArray, v: FloatArray, a: FloatArray) -> FloatArray:
-    """|a k + v^2 k'| over its limit. Shape (n,) as all that is given."""
-    ratio: FloatArray = np.abs(a * curvature + v * v * rate) * (1.0 / drive.max_yaw_acceleration)
-    return ratio
 
 
 class LimitPoints(NamedTuple):
@@ -121,14 +117,14 @@ class SpeedCaps:
         drive = self.drive
         speed = "max_speed" if self.direction > 0 else "max_reverse_speed"
         table = (
-            (1.0 / self.max_speed, speed, "m/s"),
-            (bend / drive.max_yaw_rate, "max_yaw_rate", "rad/s"),
-            (math.sqrt(bend / drive.max_lateral_acceleration), "max_lateral_acceleration", "m/s^2"),
-            ((1.0 + 0.5 * drive.track_width * bend) / drive.max_wheel_speed, "max_wheel_speed", "m/s"),
-            (float(self.steering_slowness(np.array(bend), np.array(rate))), "max_steering_rate", "rad/s"),
+            (1.0 / self.max_speed, speed),
+            (bend / drive.max_yaw_rate, "max_yaw_rate"),
+            (math.sqrt(bend / drive.max_lateral_acceleration), "max_lateral_acceleration"),
+            ((1.0 + 0.5 * drive.track_width * bend) / drive.max_wheel_speed, "max_wheel_speed"),
+            (float(self.steering_slowness(np.array(bend), np.array(rate))), "max_steering_rate"),
         )
-        _slowness, name, unit = max(table)
-        return name, f"{name} = {getattr(drive, name):.4g} {unit}"
+        _slowness, name = max(table)
+        return name, f"{name} = {getattr(drive, name):.4g} {LIMITS[name].unit}"
 
 
 @dataclass(frozen=True, eq=False)
@@ -150,6 +146,7 @@ class PathLimits:
         slowness_left: 1 / speed cap just right of every cell's left node, zone not included, Shape (n - 1,) [s/m].
         slowness_right: Just left of every cell's right node, Shape (n - 1,) [s/m].
         steepest: The larger |rate| of every cell, Shape (n - 1,) [1/m^2].
+        turning: The drive's turning limits.
         length: [m].
         duration_estimate: Along the maximum velocity curve, or from rest to rest under acceleration or jerk alone: the
             longest. Never more than a fraction above the true duration [s].
@@ -167,6 +164,7 @@ class PathLimits:
     slowness_left: FloatArray = field(init=False, repr=False)
     slowness_right: FloatArray = field(init=False, repr=False)
     steepest: FloatArray = field(init=False, repr=False)
+    turning: tuple[TurningLimit, ...] = field(init=False, repr=False)
     length: float = field(init=False)
     duration_estimate: float = field(init=False)
 
@@ -182,6 +180,7 @@ class PathLimits:
         object.__setattr__(self, "slowness_right", readonly(right))
         steepest = np.maximum(np.abs(self.rate_left), np.abs(self.rate_right))
         object.__setattr__(self, "steepest", readonly(steepest))
+        object.__setattr__(self, "turning", turning_limits(self.drive))
         length, drive = float(self.s[-1]), self.drive
         object.__setattr__(self, "length", length)
         along_curve = float(np.sum(np.diff(self.s) * self.maximum_velocity_curve()))
@@ -210,19 +209,19 @@ class PathLimits:
         """Whether the speed zone reaches into this segment."""
         return self.zone_start < self.length
 
-    def maximum_velocity_curve(self, yaw_share: float = 1.0) -> FloatArray:
+    def maximum_velocity_curve(self, turning_share: float = 1.0) -> FloatArray:
         """Slowness of the maximum velocity curve over every cell, the zone included. Shape (n - 1,) [s/m].
 
         Args:
-            yaw_share: Of the yaw acceleration that v^2 |k'| may use.
+            turning_share: Of the turning limits that the curvature rate may use.
         """
         slowness = np.maximum(self.slowness_left, self.slowness_right)
         if self.has_zone:
             slow = self.s[1:] > self.zone_start + 1e-12
             slowness = np.where(slow, np.maximum(slowness, 1.0 / self.zone_speed), slowness)
-        turning = np.sqrt(self.steepest * (1.0 / (yaw_share * self.drive.max_yaw_acceleration)))
-        curve: FloatArray = np.maximum(slowness, turning)
-        return curve
+        for limit in self.turning:
+            slowness = np.maximum(slowness, limit.slowness(self.steepest, turning_share))
+        return slowness
 
     def cells_at(self, s: FloatArray) -> IntArray:
         """Index of the cell that holds each point, Shape (n,)."""
@@ -251,6 +250,11 @@ class PathLimits:
         name, words = self.caps.tightest(abs(float(point.curvature[0])), float(point.rate[0]))
         zone = self.has_zone and s >= self.zone_start and float(point.slowness[0]) <= 1.0 / self.zone_speed
         return ("approach_speed", f"approach_speed = {self.zone_speed:.4g} m/s") if zone else (name, words)
+
+    def turning_limit_at(self, s: float, v: float, a: float) -> TurningLimit:
+        """The turning limit, of those that there are, of which a motion uses most at `s` [m]."""
+        point, (speed, gain) = self.points_at(np.array([s])), np.array([[v], [a]])
+        return max(self.turning, key=lambda one: float(one.ratio(point.curvature, point.rate, speed, gain)[0]))
 
     def after(self, start: float) -> PathLimits:
         """What is left from `start` [m] on, 0 <= start < length, renumbered from 0."""
@@ -364,7 +368,7 @@ class Worst(NamedTuple):
     Args:
         ratio: Largest quotient.
         s: Where [m].
-        path: Factor on time that keeps speeds and yaw acceleration, whose limits depend on the path.
+        path: Factor on time that keeps speeds and turning limits, which depend on the path.
         drive: Factor on time that keeps acceleration and jerk.
         limit: Name of the limit where the ratio is above 1; empty where it is not.
     """
@@ -388,12 +392,13 @@ class Worst(NamedTuple):
 class Ratios(NamedTuple):
     """Quotients of quantities and limits at distances `s`, Shape (n,); lateral acceleration as its root.
 
-    `drive` is of the acceleration at the first of these distances only: it is linear between them.
+    `turning` is that of `turning_ratio`; `drive` is of the acceleration at the first of these distances only: it is
+    linear between them.
     """
 
     s: FloatArray
     speed: FloatArray
-    yaw: FloatArray
+    turning: FloatArray
     drive: FloatArray
 
 
@@ -418,13 +423,13 @@ def motion_ratios(limits: PathLimits, motion: Motion, times: FloatArray | None =
     if limits.has_zone:
         slowness = np.where(nodes >= limits.zone_start, np.maximum(slowness, 1.0 / limits.zone_speed), slowness)
     curvature = limits.curvature[1:-1][first:last]
-    left = yaw_ratio(drive, curvature, limits.rate_right[:-1][first:last], node_v, node_a)
-    right = yaw_ratio(drive, curvature, limits.rate_left[1:][first:last], node_v, node_a)
-    yaw = yaw_ratio(drive, points.curvature, points.rate, v, a)
+    left = turning_ratio(limits.turning, curvature, limits.rate_right[:-1][first:last], node_v, node_a)
+    right = turning_ratio(limits.turning, curvature, limits.rate_left[1:][first:last], node_v, node_a)
+    turning = turning_ratio(limits.turning, points.curvature, points.rate, v, a)
     return Ratios(
         s=np.concatenate((s, nodes)),
         speed=np.concatenate((v * points.slowness, node_v * slowness)),
-        yaw=np.concatenate((yaw, np.maximum(left, right))),
+        turning=np.concatenate((turning, np.maximum(left, right))),
         drive=np.maximum(a * (1.0 / drive.max_acceleration), a * (-1.0 / drive.max_deceleration)),
     )
 
@@ -432,12 +437,12 @@ def motion_ratios(limits: PathLimits, motion: Motion, times: FloatArray | None =
 def worst_ratio(limits: PathLimits, motion: Motion, times: FloatArray | None = None) -> Worst:
     """The worst of all limits along a motion, jerk included; at `times`, Shape (n,) [s], instead of the usual ones."""
     ratios = motion_ratios(limits, motion, times)
-    largest = np.maximum(ratios.speed, ratios.yaw)
+    largest = np.maximum(ratios.speed, ratios.turning)
     np.maximum(largest[: ratios.drive.size], ratios.drive, out=largest[: ratios.drive.size])
     worst = int(np.argmax(largest))
     steepest = int(np.argmax(np.abs(motion.jerks)))
     jerk = abs(float(motion.jerks[steepest])) / limits.drive.max_jerk
-    path = max(float(ratios.speed.max()), math.sqrt(float(ratios.yaw.max())))
+    path = max(float(ratios.speed.max()), math.sqrt(float(ratios.turning.max())))
     drive = max(math.sqrt(max(0.0, float(ratios.drive.max()))), jerk ** (1.0 / 3.0))
     if jerk > largest[worst] * KEPT:
         return Worst(jerk, float(motion.states[0, steepest]), path, drive, "max_jerk" if jerk > 1.0 else "")
@@ -447,10 +452,14 @@ def worst_ratio(limits: PathLimits, motion: Motion, times: FloatArray | None = N
 
 def _limit_name(limits: PathLimits, motion: Motion, ratios: Ratios, k: int) -> str:
     """The limit of which the k-th quotients, the largest of all, use most."""
-    if k < ratios.drive.size and ratios.drive[k] >= max(ratios.speed[k], ratios.yaw[k]):
+    if k < ratios.drive.size and ratios.drive[k] >= max(ratios.speed[k], ratios.turning[k]):
         rising = float(motion.states[2].max()) / limits.drive.max_acceleration >= ratios.drive[k] * (1.0 - 1e-9)
         return "max_acceleration" if rising else "max_deceleration"
-    return "max_yaw_acceleration" if ratios.yaw[k] >= ratios.speed[k] else limits.cap_at(float(ratios.s[k]))[0]
+    s = float(ratios.s[k])
+    if ratios.turning[k] >= ratios.speed[k] and limits.turning:
+        _s, v, a = motion.at(motion.crossing_times(np.array([s])))
+        return limits.turning_limit_at(s, float(v[0]), float(a[0])).name
+    return limits.cap_at(s)[0]
 
 
 class Tightening(NamedTuple):
@@ -473,7 +482,7 @@ class ReferenceBounds:
 
     Attributes:
         speed_squared: Bound on v^2 in each cell, for the reference, Shape (n - 1,) [m^2/s^2].
-        yaw: Bound on the yaw acceleration in each cell, for the reference, Shape (n - 1,) [rad/s^2].
+        turning: Bounds of the turning limits in each cell, for the reference, Shape (n - 1,) each.
         cap_squared: v^2 at which a cell meets its speed caps, no margin, Shape (n - 1,) [m^2/s^2].
         jumps: Indices of the inner nodes where the curvature rate jumps by so much that it matters, for the yaw
             acceleration or for the cap of the steering rate.
@@ -484,7 +493,7 @@ class ReferenceBounds:
     relief: float = 0.0
     tightenings: tuple[Tightening, ...] = ()
     speed_squared: FloatArray = field(init=False, repr=False)
-    yaw: FloatArray = field(init=False, repr=False)
+    turning: tuple[FloatArray, ...] = field(init=False, repr=False)
     cap_squared: FloatArray = field(init=False, repr=False)
     jumps: IntArray = field(init=False, repr=False)
     _left: FloatArray = field(init=False, repr=False)
@@ -502,16 +511,19 @@ class ReferenceBounds:
         factor = self._factors()
         cap = np.maximum(left, right) ** -2.0
         speed = (factor * np.where(relieved, 1.0 - margins.relieved_speed, 1.0 - margins.speed)) ** 2
-        yaw = factor**2 * np.where(relieved, 1.0 - margins.relieved_yaw, 1.0 - margins.yaw)
-        jump = np.abs(limits.rate_left[1:] - limits.rate_right[:-1]) * np.minimum(cap[1:], cap[:-1])
-        jumps = np.flatnonzero(jump > margins.jump * limits.drive.max_yaw_acceleration) + 1
+        turning = factor**2 * np.where(relieved, 1.0 - margins.relieved_yaw, 1.0 - margins.yaw)
+        jump, least = np.abs(limits.rate_left[1:] - limits.rate_right[:-1]), np.minimum(cap[1:], cap[:-1])
+        large = np.zeros(jump.size, dtype=np.bool_)
+        for limit in limits.turning:
+            large |= limit.at_constant_speed(least, jump) > margins.jump * limit.bound
+        jumps = np.flatnonzero(large) + 1
         if limits.caps.steering:
             jumps = np.union1d(jumps, np.flatnonzero(np.abs(left[1:] / right[:-1] - 1.0) > margins.cap_jump) + 1)
         object.__setattr__(self, "jumps", jumps)
+        object.__setattr__(self, "turning", tuple(readonly(limit.bounds(turning)) for limit in limits.turning))
         for name, value in (
             ("cap_squared", cap),
             ("speed_squared", cap * speed),
-            ("yaw", np.minimum(limits.drive.max_yaw_acceleration, 1e12) * yaw),
             ("_left", table),
             ("_slope", (ends - table) / np.diff(limits.s)),
         ):
@@ -542,14 +554,14 @@ class ReferenceBounds:
         Shape (n,). Speeds scale with 1 / c, accelerations with 1 / c^2.
         """
         curvature, rate, slowness = self.curve_at(s)
-        yaw = yaw_ratio(self.limits.drive, curvature, rate, v, a)
-        return self._checked(s, np.maximum(v * slowness, np.sqrt(yaw)))
+        turning = turning_ratio(self.limits.turning, curvature, rate, v, a)
+        return self._checked(s, np.maximum(v * slowness, np.sqrt(turning)))
 
     def jump_excess_at(self, nodes: IntArray, v: FloatArray, a: FloatArray) -> FloatArray:
         """As `excess_at`, at `nodes`, of what the rates on both their sides limit. Shape (n,)."""
         limits, curvature = self.limits, self.limits.curvature[nodes]
         sides = (limits.rate_right[nodes - 1], limits.rate_left[nodes])
-        left, right = (yaw_ratio(limits.drive, curvature, rate, v, a) for rate in sides)
+        left, right = (turning_ratio(limits.turning, curvature, rate, v, a) for rate in sides)
         excess = np.sqrt(np.maximum(left, right))
         if limits.caps.steering:
             excess = np.maximum(excess, v * np.maximum(limits.slowness_right[nodes - 1], limits.slowness_left[nodes]))

@@ -1,12 +1,13 @@
 """The reference program: a C1 quadratic spline of x = v^2 over arc length, convex but for jerk.
 
 With x = v^2 the acceleration is x' / 2 and the yaw acceleration k x' / 2 + k' x: both are linear, and the time
-integral of 1 / sqrt(x) is convex [Verscheure2009]. Jerk is x'' sqrt(x) / 2, the extension that is not. Every
-quadratic spline of x is a real motion, so a jerk-limited move between the states at any two of its knots exists.
+integral of 1 / sqrt(x) is convex [Verscheure2009]. Jerk is x'' sqrt(x) / 2, the extension that is not, and a turning
+limit of order 2 is another of that form: linear in x and x', times the speed. Every quadratic spline of x is a real
+motion, so a jerk-limited move between the states at any two of its knots exists.
 
     minimize   sum h_m / sqrt(c_{m+1})  (+ a price on jerk steps between cells, which keeps jerk from chattering)
-    subject to x_i <= X_i,  -D <= a_i <= A,  |k a + k' x| <= yaw   at the knots,
-               |k a + k' x| <= yaw,  |x''| vmax <= 2 J             in the cells.
+    subject to x_i <= X_i,  -D <= a_i <= A,  |n k a + k' x| v^(n - 1) <= the turning limits of order n   at the knots,
+               |n k a + k' x| v^(n - 1) <= the same,  |x''| vmax <= 2 J                                    in the cells.
 
 At v = 0 the x domain is singular: jerk-limited motion leaves rest as x ~ s^(4/3), and no spline with zero slope and
 zero value ever moves. So arcs of constant jerk, launch and stop, lead from rest to the reference and back.
@@ -36,6 +37,7 @@ if TYPE_CHECKING:
 __all__ = [
     "Arc",
     "Grid",
+    "LimitRows",
     "Reference",
     "Spline",
     "coefficients_of",
@@ -91,12 +93,11 @@ def _end_acceleration(bounds: ReferenceBounds, drive: float, v: float, a: float,
     reach = max(state_after(State(0.0, v, a), (top - a) / jerk, jerk).s, 1e-9)
     cells = _cells_within(limits, reach, at_end=at_end)
     bend, rate = float(np.abs(limits.curvature[cells]).max()), float(limits.steepest[cells].max())
-    yaw = limits.drive.max_yaw_acceleration
-    local = min(math.sqrt(float(bounds.speed_squared[cells].min())), math.sqrt(yaw / rate) if rate > 0.0 else math.inf)
+    caps = math.sqrt(float(bounds.speed_squared[cells].min())), *(limit.fastest(rate) for limit in limits.turning)
     return min(
-        math.sqrt(max(0.0, jerk * (settings.speed_share * local - v) + 0.5 * a * a)),
+        math.sqrt(max(0.0, jerk * (settings.speed_share * min(caps) - v) + 0.5 * a * a)),
         top,
-        settings.drive_share * yaw / bend if bend > 0.0 else math.inf,
+        *(limit.arc_acceleration(v, jerk, bend, settings.drive_share) for limit in limits.turning),
         math.pow(6.0 * settings.length_share * limits.length * jerk * jerk, 1.0 / 3.0),
     )
 
@@ -117,7 +118,7 @@ class Grid(NamedTuple):
         bound: Largest v^2 at the knots, the least of both half cells around, Shape (M + 1,) [m^2/s^2].
         curvature: At the knots, Shape (M + 1,) [1/m].
         rate: Largest and least of the rates on both sides of the knots, Shape (2, M + 1) [1/m^2].
-        yaw: Yaw acceleration for the reference, at the knots, Shape (M + 1,) [rad/s^2].
+        turning: Bounds of the turning limits for the reference, at the knots, Shape (M + 1,) each.
         centre_curvature: At the cell centres, Shape (M,) [1/m].
         centre_rate: As `rate`, at the cell centres, Shape (2, M) [1/m^2].
         zone: Index of the knot at the zone start; 0 without one inside.
@@ -129,7 +130,7 @@ class Grid(NamedTuple):
     bound: FloatArray
     curvature: FloatArray
     rate: FloatArray
-    yaw: FloatArray
+    turning: tuple[FloatArray, ...]
     centre_curvature: FloatArray
     centre_rate: FloatArray
     zone: int
@@ -158,15 +159,17 @@ def _cruise_clock(bounds: ReferenceBounds, profile: SpeedProfile) -> FloatArray:
     total = float(profile.time[-1])
     times = np.linspace(0.0, total, max(2, int(total / settings.cruise_sample)) + 1)
     x = np.interp(times, profile.time, profile.speed_squared)
-    turning = np.interp(times, profile.time[1:], profile.speed_squared[1:] * limits.steepest)
-    x = np.where(turning > settings.cruise_yaw * limits.drive.max_yaw_acceleration, 0.0, x)
+    for limit in limits.turning:
+        at_nodes = limit.at_constant_speed(profile.speed_squared[1:], limits.steepest)
+        turning = np.interp(times, profile.time[1:], at_nodes)
+        x = np.where(turning > settings.cruise_yaw * limit.bound, 0.0, x)
     reach = settings.cruise_reach
     around = np.lib.stride_tricks.sliding_window_view(np.pad(x, reach), 2 * reach + 1)
     level = around.min(axis=1) > settings.cruise_level * around.max(axis=1)
     density = np.where(level, settings.cruise_density, 1.0)
     clock = np.concatenate(([0.0], np.cumsum(0.5 * (density[:-1] + density[1:]) * np.diff(times))))
-    at_nodes: FloatArray = np.interp(profile.time, times, clock)
-    return at_nodes
+    spread: FloatArray = np.interp(profile.time, times, clock)
+    return spread
 
 
 def _breaks(bounds: ReferenceBounds, profile: SpeedProfile, ends: tuple[State, State], jumps: IntArray) -> FloatArray:
@@ -195,10 +198,12 @@ def _breaks(bounds: ReferenceBounds, profile: SpeedProfile, ends: tuple[State, S
 
 
 def _jump_sizes(bounds: ReferenceBounds, profile: SpeedProfile, nodes: IntArray) -> FloatArray:
-    """v^2 times the jump of the curvature rate over the yaw acceleration; v times that of 1 / speed cap."""
+    """What jumps of the curvature rate make of the turning limits; v times the jump of 1 / speed cap."""
     limits, x = bounds.limits, profile.speed_squared[nodes]
     jump = np.abs(limits.rate_left[nodes] - limits.rate_right[nodes - 1])
-    sizes: FloatArray = jump * x / limits.drive.max_yaw_acceleration
+    sizes: FloatArray = np.zeros(nodes.size)
+    for limit in limits.turning:
+        sizes = np.maximum(sizes, limit.at_constant_speed(x, jump) / limit.bound)
     if limits.caps.steering:
         sizes = np.maximum(sizes, np.sqrt(x) * np.abs(limits.slowness_left[nodes] - limits.slowness_right[nodes - 1]))
     return sizes
@@ -224,7 +229,7 @@ def _limits_on(bounds: ReferenceBounds, profile: SpeedProfile, knots: FloatArray
         bound=_least_between(bounds.speed_squared, cells[:-1], cells[1:]),
         curvature=curvature,
         rate=rate,
-        yaw=_least_between(bounds.yaw, cells[:-1], cells[1:]),
+        turning=tuple(_least_between(bound, cells[:-1], cells[1:]) for bound in bounds.turning),
         centre_curvature=centre_curvature,
         centre_rate=centre_rate,
         zone=0 if zone >= knots.size - 1 else zone,
@@ -310,29 +315,50 @@ def coefficients_of(steps: FloatArray, guess: FloatArray, first: State, last: St
     return c
 
 
-def limit_rows(grid: Grid, bounds: ReferenceBounds, spline: Spline) -> FloatArray:
-    """Constraints A c <= 1: speed, acceleration, deceleration, and yaw acceleration at knots and centres.
+class LimitRows(NamedTuple):
+    """Constraints on the coefficients c as stencils, Shape (3, rows, M); `applied` makes of them the products A c.
 
-    At a knot the yaw rows take the largest and the least of the rates on its two sides: x is never negative.
+    Attributes:
+        linear: A c <= 1.
+        with_speed: A c v <= 1, v the speed at some place of the cell.
+        places: v^2 there, for each of `with_speed`.
+    """
 
-    Returns:
-        Stencils on three neighbouring coefficients each, Shape (3, rows, M); the rows of the last knot, which is
-        given, are zero.
+    linear: FloatArray
+    with_speed: FloatArray
+    places: FloatArray
+
+
+def limit_rows(grid: Grid, bounds: ReferenceBounds, spline: Spline) -> LimitRows:
+    """Constraints of speed, acceleration, deceleration, and of the turning limits at knots and centres.
+
+    At a knot the turning rows take the largest and the least of the rates on its two sides: x is never negative. The
+    rows of the last knot, which is given, are zero.
     """
     value, slope = spline.right_value, spline.right_slope
     drive, share = bounds.limits.drive, 1.0 - bounds.settings.margins.drive
     rows = [value / grid.bound[1:], slope / (share * drive.max_acceleration), -slope / (share * drive.max_deceleration)]
-    turning = np.isfinite(drive.max_yaw_acceleration)
-    if turning:
-        yaw, turn, rate = grid.yaw[1:], grid.curvature[1:] * slope, grid.rate[:, 1:]
-        rows += [(turn + rate[0] * value) / yaw, -(turn + rate[1] * value) / yaw]
-    for row in rows:
+    centres: list[FloatArray] = []
+    with_speed: tuple[list[FloatArray], list[FloatArray]] = [], []
+    for limit, most in zip(bounds.limits.turning, grid.turning, strict=True):
+        at_knots = _turning_rows(value, limit.order * grid.curvature[1:] * slope, grid.rate[:, 1:], most[1:])
+        turn = limit.order * grid.centre_curvature * spline.centre_slope
+        at_centres = _turning_rows(spline.centre_value, turn, grid.centre_rate, 0.5 * (most[:-1] + most[1:]))
+        for found, more in zip(
+            (rows, centres) if limit.order == 1 else with_speed, (at_knots, at_centres), strict=True
+        ):
+            found.extend(more)
+    for row in (*rows, *with_speed[0]):
         row[:, -1] = 0.0
-    if turning:
-        yaw = 0.5 * (grid.yaw[:-1] + grid.yaw[1:])
-        value, turn, rate = spline.centre_value, grid.centre_curvature * spline.centre_slope, grid.centre_rate
-        rows += [(turn + rate[0] * value) / yaw, -(turn + rate[1] * value) / yaw]
-    return np.stack(rows, axis=1)
+    places = [value] * len(with_speed[0]) + [spline.centre_value] * len(with_speed[1])
+    none = np.zeros((3, 0, grid.steps.size))
+    columns = ([*rows, *centres], [*with_speed[0], *with_speed[1]], places)
+    return LimitRows(*(np.stack(found, axis=1) if found else none for found in columns))
+
+
+def _turning_rows(value: FloatArray, turn: FloatArray, rate: FloatArray, most: FloatArray) -> list[FloatArray]:
+    """Both signs of what a turning limit bounds, less powers of the speed, over its bounds."""
+    return [(turn + rate[0] * value) / most, -(turn + rate[1] * value) / most]
 
 
 def jerk_step_bands(spline: Spline, weight: FloatArray) -> FloatArray:
@@ -439,7 +465,8 @@ def solve_reference(bounds: ReferenceBounds, start: State, deadline: Deadline = 
     price = settings.smooth_jerk_step_price if settings.smooth else settings.jerk_step_price
     bands = jerk_step_bands(spline, np.sqrt(0.5 * price * guess[1:-1]) / (4.0 * bounds.jerk))
     rows, curve = limit_rows(grid, bounds, spline), spline.curve / (2.0 * bounds.jerk)
-    program = Program(grid.steps, rows, curve, spline.right_share, bands)
+    with_speed = np.concatenate((np.stack((curve, -curve), axis=1), rows.with_speed), axis=1)
+    program = Program(grid.steps, rows.linear, with_speed, rows.places, spline.right_share, bands)
     with np.errstate(over="ignore", invalid="ignore", divide="ignore"):  # of slacks, where no spline keeps the limits
         c = coefficients_of(grid.steps, guess, first, last)
         c, iterations = solve(program, c, settings.interior_point, deadline.look)

@@ -76,7 +76,7 @@ class WindowedSettings:
     Attributes:
         max_window: Longest window [m].
         cap_ratio: Largest quotient of two speed caps within a window.
-        yaw_share: Share of the yaw acceleration left to v^2 * rate; the rest is for accelerating in a bend.
+        yaw_share: Share of the turning limits left to the curvature rate; the rest is for accelerating in a bend.
         margin: Share of the speed caps left unused: curvature between the nodes of a curve that is no clothoid.
     """
 
@@ -92,7 +92,7 @@ class Margins:
 
     Attributes:
         speed: Of the speed caps, in the reference: room for the corners that ruckig cuts.
-        yaw: Of the yaw acceleration, in the reference.
+        yaw: Of the yaw acceleration, in the reference; of other turning limits likewise, as powers of the speed.
         jerk: Of the jerk, in the reference.
         drive: Of acceleration and deceleration, in the reference: ruckig refuses a state beyond them.
         check: Of the speed caps, when moves are accepted; twice that of the yaw acceleration.
@@ -287,7 +287,7 @@ class NearOptimalSettings:
         jerk_step_price: Of a full swing of the jerk between cells of the reference [s]: a little saves a sixth of the
             moves for 0.01 % of time.
         smooth_jerk_step_price: Likewise where the reference is the motion.
-        tight_yaw: Share of the yaw acceleration: a start beyond it is planned without margins until it is below.
+        tight_yaw: Share of a turning limit: a start beyond it is planned without margins until it is below.
         margins: What is left unused.
         arcs: Launch and stop.
         knots: Of the reference.

@@ -12,10 +12,12 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from optdock.interfaces import TimingStatus
+from optdock.limits import LIMITS
 from optdock.timing.checks import SegmentPlan
 from optdock.timing.motion import DriveBounds, Motion, Phases, State, braking_slack
-from optdock.timing.path_limits import KEPT, worst_ratio, yaw_ratio
+from optdock.timing.path_limits import KEPT, worst_ratio
 from optdock.timing.settings import SAMPLING
+from optdock.timing.turning_limits import turning_ratio
 from optdock.trajectory import braking_phases
 
 if TYPE_CHECKING:
@@ -45,10 +47,11 @@ class Braking:
         times: Where it is looked at: phase borders, a grid, every node of the limits, Shape (n,) [s].
         states: Distance, speed, acceleration there, Shape (3, n).
         path_ratios: Quotients with limits of the path that no motion from this start keeps better, Shape (n,): the
-            speed caps; the speed beyond which no acceleration keeps the yaw acceleration,
-            v^2 = (al + |k| * (D if k k' > 0 else A)) / |k'|; the yaw acceleration at the start itself.
+            speed caps; the speed beyond which no acceleration keeps a turning limit, with D to help if k k' > 0, else
+            with A; the turning limits at the start itself.
         cap_ratios: The speed caps alone, Shape (n,).
-        yaw_ratios: Quotients of the yaw acceleration, Shape (n,).
+        inevitable: The turning limits alone, Shape (n,) each.
+        turning_ratios: Those of `turning_ratio`, Shape (n,).
         drive_ratios: Quotients of the acceleration, which full braking leads into its limits as fast as it can.
         ratios: The larger of both, Shape (n,).
     """
@@ -61,30 +64,30 @@ class Braking:
         self.states = self.motion.at(self.times)
         s, v, a = self.states
         drive, points = limits.drive, limits.points_at(np.clip(s, 0.0, limits.length))
-        self.yaw_ratios = yaw_ratio(drive, points.curvature, points.rate, v, a)
+        self.turning_ratios = turning_ratio(limits.turning, points.curvature, points.rate, v, a)
         relief = np.where(points.curvature * points.rate > 0.0, drive.max_deceleration, drive.max_acceleration)
-        spare = drive.max_yaw_acceleration + np.abs(points.curvature) * relief
         self.cap_ratios = v * points.slowness
-        self.path_ratios = np.maximum(self.cap_ratios, v * np.sqrt(np.abs(points.rate) / spare))
-        self.path_ratios[0] = max(self.path_ratios[0], self.yaw_ratios[0])
+        self.inevitable = [limit.inevitable(v, points.curvature, points.rate, relief) for limit in limits.turning]
+        self.path_ratios = np.max([self.cap_ratios, *self.inevitable], axis=0)
+        self.path_ratios[0] = max(self.path_ratios[0], self.turning_ratios[0])
         self.drive_ratios = np.maximum(a / drive.max_acceleration, -a / drive.max_deceleration)
         self.ratios: FloatArray = np.maximum(self.path_ratios, self.drive_ratios)
 
-    def tight_length(self, slack: float, yaw_share: float) -> float:
+    def tight_length(self, slack: float, turning_share: float) -> float:
         """How far from the start braking leaves no room for margins [m].
 
         Args:
             slack: Where it is closer than this, relative, to the limits.
-            yaw_share: Where it uses more of the yaw acceleration.
+            turning_share: Where it uses more of a turning limit.
         """
         tight = np.flatnonzero(self.path_ratios > 1.0 - slack)
-        turning = np.flatnonzero(self.yaw_ratios <= yaw_share)
+        turning = np.flatnonzero(self.turning_ratios <= turning_share)
         last = max(int(tight[-1]) + 1 if tight.size else 0, int(turning[0]) if turning.size else self.times.size)
         return float(self.states[0, min(last, self.times.size - 1)])
 
 
 class StartVerdict(NamedTuple):
-    """What full braking says of a moving start.
+    """What full braking says of a moving start; it counts as true where it does not refuse.
 
     Args:
         refusal: Why no motion from it keeps every limit; None where one may.
@@ -93,6 +96,9 @@ class StartVerdict(NamedTuple):
 
     refusal: SegmentPlan | None
     ways_on: tuple[tuple[Phases, State], ...] = ()
+
+    def __bool__(self) -> bool:
+        return self.refusal is None
 
 
 def judge_start(limits: PathLimits, start: State) -> StartVerdict:
@@ -120,8 +126,7 @@ def judge_start(limits: PathLimits, start: State) -> StartVerdict:
     if broken.size == 0:
         return StartVerdict(None, (stopped,))
     worst = int(np.argmax(braking.ratios))
-    cap = limits.cap_at(min(max(float(braking.states[0, worst]), 0.0), left))
-    limit, sentence = _broken_limit(braking, worst, cap, begin, limits.drive)
+    limit, sentence = _broken_limit(braking, worst, limits)
     reason = f"{sentence} under full braking; no motion from this start does better"
     ratio, where = float(braking.ratios[worst]), begin + float(braking.states[0, worst])
     kept_again = float(braking.times[min(int(broken[-1]) + 1, braking.times.size - 1)])
@@ -130,24 +135,27 @@ def judge_start(limits: PathLimits, start: State) -> StartVerdict:
     return StartVerdict(refusal, (brake.cut(kept_again), stopped))
 
 
-def _broken_limit(braking: Braking, k: int, cap: tuple[str, str], begin: float, drive: MotionLimits) -> tuple[str, str]:
-    """The limit that decides at the k-th of `times`: its name, and in words by how much and where it is broken.
-
-    Args:
-        braking: Looked at.
-        k: Where.
-        cap: The speed cap there, its name and that in words.
-        begin: Where the segment begins on the whole path [m].
-        drive: What the drive can do.
-    """
+def _broken_limit(braking: Braking, k: int, limits: PathLimits) -> tuple[str, str]:
+    """The limit that decides at the k-th of `times`: its name, and in words by how much and where it is broken."""
     s, v, a = (float(value) for value in braking.states[:, k])
-    ratio, yaw = float(braking.ratios[k]), float(braking.yaw_ratios[0])
-    place = f"at s = {begin + s:.4f} m is {ratio:.4g} times"
+    ratio, turning, drive = float(braking.ratios[k]), float(braking.turning_ratios[0]), limits.drive
+    inside = min(max(s, 0.0), limits.length)
+    where = f"at s = {limits.begin + s:.4f} m is"
     if braking.drive_ratios[k] > braking.path_ratios[k]:
         name = "max_acceleration" if a > 0.0 else "max_deceleration"
-        return name, f"acceleration {a:.4g} m/s^2 {place} {name} = {getattr(drive, name):.4g} m/s^2"
-    turning = "max_yaw_acceleration", f"max_yaw_acceleration = {drive.max_yaw_acceleration:.4g} rad/s^2"
-    if k == 0 and yaw >= ratio:
-        return turning[0], f"yaw acceleration {yaw * drive.max_yaw_acceleration:.4g} rad/s^2 {place} {turning[1]}"
-    name, words = cap if braking.cap_ratios[k] >= ratio else turning
-    return name, f"speed {v:.4g} m/s {place} what {words} allows"
+        return name, f"acceleration {a:.4g} m/s^2 {where} {ratio:.4g} times {_valued(name, drive)}"
+    if k == 0 and turning >= ratio:
+        limit = limits.turning_limit_at(inside, v, a)
+        quotient, (quantity, unit) = turning ** (0.5 * (limit.order + 1)), LIMITS[limit.name].label.split(" [")
+        value = f"{quantity} {quotient * limit.bound:.4g} {unit.removesuffix(']')}"
+        return limit.name, f"{value} {where} {quotient:.4g} times {_valued(limit.name, drive)}"
+    name, words = limits.cap_at(inside)
+    if braking.cap_ratios[k] < ratio:
+        name = limits.turning[int(np.argmax([ratios[k] for ratios in braking.inevitable]))].name
+        words = _valued(name, drive)
+    return name, f"speed {v:.4g} m/s {where} {ratio:.4g} times what {words} allows"
+
+
+def _valued(name: str, drive: MotionLimits) -> str:
+    """A limit with its value."""
+    return f"{name} = {getattr(drive, name):.4g} {LIMITS[name].unit}"

@@ -30,6 +30,7 @@ import numpy as np
 from optdock.deadline import ENDLESS, Deadline, OutOfTime
 from optdock.errors import InvalidValue, TimingCancelled
 from optdock.interfaces import TimingReport, TimingResult, TimingStatus
+from optdock.limits import LIMITS
 from optdock.path import Path, PolylineSegment, TurnSegment
 from optdock.segments import TURN_RADIUS
 from optdock.timing.checks import SegmentPlan, end_slack
@@ -253,7 +254,9 @@ def _waits(path: Path, asked: _Asked) -> dict[int, Phases]:
 def _refused(plan: SegmentPlan, violation: Violation) -> SegmentPlan:
     """What is left to say where the last plan of a segment is refused by the proof."""
     reason = f"the last method, {plan.how}, is not certified: {violation.message}"
-    return SegmentPlan(TimingStatus.FAIL, how=plan.how, reason=reason, s=violation.s, arrives=False)
+    named = [limit.name for limit in LIMITS.values() if limit.quantity == violation.kind]
+    limit = named[0] if len(named) == 1 else ""  # of a speed: its gear's, or the zone's
+    return SegmentPlan(TimingStatus.FAIL, how=plan.how, reason=reason, limit=limit, s=violation.s, arrives=False)
 
 
 def best_of(plans: Iterator[SegmentPlan]) -> SegmentPlan:

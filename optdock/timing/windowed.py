@@ -46,7 +46,7 @@ class WindowedParameters(PluginParameters):
         default=WINDOWED.yaw_share,
         gt=0.0,
         lt=1.0,
-        description="share of the yaw acceleration for speed^2 * rate",
+        description="share of yaw acceleration and lateral jerk for the curvature rate",
     )
 
 
@@ -126,7 +126,10 @@ def windowed_plans(
     phases = list(head)
     for window, v0, v1 in zip(windows, speeds[:-1], speeds[1:], strict=True):
         deadlines.last.look()
-        found = move(State(0.0, v0), State(window.right - window.left, v1), window.bounds)
+        length = window.right - window.left
+        found = move(State(0.0, v0), State(length, v1), window.bounds)
+        if found is None and v0 == v1 > 0.0:  # ruckig may find no move over a micrometre; cruising is one
+            found = ((length / v0, 0.0),)
         if found is None:
             break  # the motion ends early, and does not count as arrived
         phases.extend(found)
@@ -142,8 +145,9 @@ def _windows(limits: PathLimits, settings: WindowedSettings, deadline: Deadline)
     slowness, bend, rate = (np.maximum.reduceat(column, cuts[:-1]) for column in (slowness, bend, limits.steepest))
     drive, used = limits.drive, 1.0 - settings.margin
     speed = used / slowness
-    spare = (drive.max_yaw_acceleration - speed * speed * rate) * used
-    ceiling = np.divide(spare, bend, out=np.full(bend.size, np.inf), where=bend > 0.0)
+    ceiling = np.full(bend.size, np.inf)
+    for limit in limits.turning:
+        ceiling = np.minimum(ceiling, limit.acceleration_beside(speed, bend, rate, used))
     rise, fall = np.minimum(drive.max_acceleration, ceiling), np.minimum(drive.max_deceleration, ceiling)
     columns = (limits.s[cuts[:-1]], limits.s[cuts[1:]], speed, rise, fall)
     return [

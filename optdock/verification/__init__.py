@@ -30,6 +30,7 @@ chapters, in the order in which a proof uses them:
     path_rules              frame, ends, joints, gears, slip, curvature, final straight
     trajectory_rules        coverage, rest, limits along the time law and limits that depend on curvature
     certify                 the two verdicts, each made once
+    proven_motion           path, time law, problem and pose in one value that only proofs make
     memo                    what was proven of a frozen value is kept while it lives
     sampled_motion          motions that others hand over as samples: rounding, and the place of each on its path
     refutation              the inequalities that every lawful motion keeps between any two of its samples
@@ -39,13 +40,30 @@ chapters, in the order in which a proof uses them:
 """
 
 from optdock.verification.cell_decomposition import ImpossibilitySearch, prove_impossible
-from optdock.verification.certificate import SHARPNESS, TOLERANCE, Certificate, TrajectoryCertificate, Violation
+from optdock.verification.certificate import (
+    SHARPNESS,
+    TOLERANCE,
+    Certificate,
+    TrajectoryCertificate,
+    Violation,
+    where_broken,
+)
 from optdock.verification.certify import certify_motion, certify_path, certify_trajectory
 from optdock.verification.impossibility import (
     Bottleneck,
     ImpossibilityProof,
     ImpossibilityVerdict,
     check_impossibility,
+)
+from optdock.verification.proven_motion import (
+    ProvenMotion,
+    ProvenWay,
+    WayVerdict,
+    prove_motion,
+    prove_way,
+    proven_for,
+    proven_way,
+    unchanged_way,
 )
 from optdock.verification.proximity import EndClearances, end_clearances, pose_clearance, pose_clearances
 from optdock.verification.refutation import (
@@ -65,10 +83,13 @@ __all__ = [
     "ImpossibilityProof",
     "ImpossibilitySearch",
     "ImpossibilityVerdict",
+    "ProvenMotion",
+    "ProvenWay",
     "SampledMotion",
     "SampledMotionVerdict",
     "TrajectoryCertificate",
     "Violation",
+    "WayVerdict",
     "are_rounded_phases",
     "certify_motion",
     "certify_path",
@@ -80,4 +101,10 @@ __all__ = [
     "pose_clearance",
     "pose_clearances",
     "prove_impossible",
+    "prove_motion",
+    "prove_way",
+    "proven_for",
+    "proven_way",
+    "unchanged_way",
+    "where_broken",
 ]

@@ -24,7 +24,7 @@ from typing import TYPE_CHECKING, NamedTuple, TypeAlias
 import numpy as np
 
 from optdock.deadline import Deadline, OutOfTime, never_late
-from optdock.geometry.arrays import readonly
+from optdock.geometry.arrays import frozen, readonly
 from optdock.geometry.pose import Pose2, transform_points
 from optdock.geometry.separation import separation
 from optdock.verification.impossibility import (
@@ -194,7 +194,7 @@ def _body(footprint: Footprint) -> _Body:
     while left.any():
         chosen.append(int(covers[left].sum(axis=0).argmax()))
         left &= ~covers[:, chosen[-1]]
-    return _Body(centre, np.column_stack((points, radius))[chosen], reach)
+    return frozen(_Body(centre, np.column_stack((points, radius))[chosen], reach))
 
 
 def _depth(points: FloatArray, outline: FloatArray) -> FloatArray:
@@ -902,7 +902,7 @@ def _beside(sides: tuple[tuple[int, ...], ...], axis: int) -> tuple[IntArray, In
         face = np.full_like(across, side[5] % side[3])
         row, column = (across, face) if axis == 0 else (face, across)
         places.append(((layer[:, None] * side[3] + row) * side[3] + column).ravel())
-    return places[0], places[1]
+    return readonly(places[0]), readonly(places[1])
 
 
 def _met_within(labels: IntArray, kinds: int) -> IntArray:

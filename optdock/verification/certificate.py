@@ -11,7 +11,7 @@ if TYPE_CHECKING:
 
     from optdock.fingerprint import ProblemFingerprint
 
-__all__ = ["SHARPNESS", "TOLERANCE", "Certificate", "TrajectoryCertificate", "Violation"]
+__all__ = ["SHARPNESS", "TOLERANCE", "Certificate", "TrajectoryCertificate", "Violation", "where_broken"]
 
 # What every rule accepts beyond its bound: [m], [rad], [m/s], [m/s^2], [1/m], and relative to limits. It must cover the
 # rounding of arithmetic over kilometres (1e-9) and of files with six decimals, and what a solver leaves of an equation
@@ -45,7 +45,7 @@ class Violation:
 
 @dataclass(frozen=True, repr=False)
 class Certificate:
-    """The verdict on a path.
+    """The verdict on a path; it counts as true where it is certified.
 
     Args:
         violations: Every broken rule; empty when certified.
@@ -95,6 +95,9 @@ class Certificate:
         relieved = f", no more required than at the start for {self.start_relief:.2f} m" if self.start_relief else ""
         return f"<Certificate: {self.length:.3f} m certified, closest {closest}{relieved}>"
 
+    def __bool__(self) -> bool:
+        return self.certified
+
     @property
     def certified(self) -> bool:
         """Whether every rule was proven."""
@@ -132,7 +135,7 @@ class Certificate:
 
 @dataclass(frozen=True, repr=False)
 class TrajectoryCertificate:
-    """The verdict on a trajectory's motion limits.
+    """The verdict on a trajectory's motion limits; it counts as true where it is certified.
 
     Args:
         violations: Every broken rule; empty when certified.
@@ -151,6 +154,9 @@ class TrajectoryCertificate:
             return f"<TrajectoryCertificate: not certified, {self.reason}>"
         name, ratio = max(self.ratios.items(), key=lambda item: item[1], default=("nothing", 0.0))
         return f"<TrajectoryCertificate: {self.duration:.3f} s certified, {name} at {100.0 * ratio:.1f} % of its limit>"
+
+    def __bool__(self) -> bool:
+        return self.certified
 
     @property
     def certified(self) -> bool:
@@ -172,6 +178,12 @@ class TrajectoryCertificate:
             "path": self.path,
             "violations": _rows(self.violations),
         }
+
+
+def where_broken(verdict: Certificate | TrajectoryCertificate) -> Mapping[str, object]:
+    """What an error says about the first violation of a verdict."""
+    first = verdict.violations[0]
+    return {"kind": first.kind, "s": first.s, "amount": first.amount, **first.where}
 
 
 def _plain(value: float) -> float | None:

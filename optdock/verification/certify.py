@@ -9,6 +9,8 @@ from typing import TYPE_CHECKING, Generic, TypeVar
 import numpy as np
 
 from optdock.deadline import never_late
+from optdock.geometry.checked import exactly
+from optdock.limits import MotionLimits
 from optdock.obstacles import in_words
 from optdock.verification.certificate import TOLERANCE, Certificate, TrajectoryCertificate, Violation
 from optdock.verification.conservative_advancement import prove_clearance
@@ -21,7 +23,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Hashable
 
     from optdock.geometry.arrays import FloatArray
-    from optdock.limits import MotionLimits, SpeedZone
+    from optdock.limits import SpeedZone
     from optdock.path import Path
     from optdock.problem import DockingProblem
     from optdock.trajectory import TimeLaw, Trajectory
@@ -163,8 +165,12 @@ def certify_trajectory(  # noqa: PLR0913 - a motion, its limits and how it begin
             is refused as `unproven`.
 
     Returns:
-        The certificate; `certified` is True only if everything was proven.
+        The certificate; `certified` is True only if everything was proven, every finite limit included.
+
+    Raises:
+        InvalidValue: `limits` is of another class than `MotionLimits`; a subclass may bound more than is known here.
     """
+    exactly(MotionLimits, limits, "limits")
     start = (start_speed, start_acceleration, start_wait)
 
     def verdict(asked: Callable[[], bool]) -> TrajectoryCertificate:

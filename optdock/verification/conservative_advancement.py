@@ -63,7 +63,7 @@ _MAX_CORNERS = 50_000  # of a body and an obstacle, met at all advances looked a
 
 
 class ClearanceProof(NamedTuple):
-    """What the proof found.
+    """What the proof found; it counts as true where it holds.
 
     `proven`: lower bound of the clearance, everywhere on the path; with violations the smallest clearance among them.
     `at_s`, `required`, `row`: where that is, what is required there, which obstacle (-1: none). `margin`: lower bound
@@ -80,6 +80,9 @@ class ClearanceProof(NamedTuple):
     violations: FloatArray
     unproven: FloatArray
     poses: int
+
+    def __bool__(self) -> bool:
+        return self.holds
 
     @property
     def holds(self) -> bool:

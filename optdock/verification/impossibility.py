@@ -38,6 +38,7 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from optdock.errors import InvalidFile
 from optdock.fingerprint import ProblemFingerprint
+from optdock.geometry.arrays import FrozenArrays
 from optdock.obstacles import in_words
 from optdock.verification.proximity import end_clearances
 
@@ -107,7 +108,7 @@ class Bottleneck:
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class ImpossibilityProof:
+class ImpossibilityProof(FrozenArrays):
     """Cells around one end of a problem, whose rim is blocked, and where the widest way out is too narrow.
 
     Args:
@@ -283,7 +284,7 @@ def least_required(
 
 
 class ImpossibilityVerdict(NamedTuple):
-    """Whether a proof holds, and if not why.
+    """Whether a proof holds, and if not why; it counts as true where it does.
 
     `proven`: it does. `reason`: why not, empty if it does. `cells`: how many are on the rim and were judged.
     """
@@ -291,6 +292,9 @@ class ImpossibilityVerdict(NamedTuple):
     proven: bool
     reason: str
     cells: int
+
+    def __bool__(self) -> bool:
+        return self.proven
 
 
 def check_impossibility(proof: ImpossibilityProof, problem: DockingProblem) -> ImpossibilityVerdict:

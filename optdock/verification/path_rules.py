@@ -8,6 +8,7 @@ import numpy as np
 
 from optdock.dock import DockDirection
 from optdock.geometry.pose import Pose2, normalize_angle
+from optdock.limits import LIMITS, LimitKind, finite_limits
 from optdock.path import ClothoidSegment, Direction, PolylineSegment, TurnSegment, may_be_one_frame
 from optdock.segments import SAME_YAW
 from optdock.verification.certificate import TOLERANCE, Violation
@@ -29,15 +30,20 @@ DRIFT_TOLERANCE, DRIFT_PER_METRE = 1e-3, 1e-4  # [m], [m/m] sideways in all; yaw
 LONGEST_STEP = 0.2  # [m] of sampling for which one step of full slip is allowed on top
 ROUNDING = TOLERANCE  # [m], [rad] of sampled poses: coordinates of files
 STRAIGHT_TOLERANCE = 1e-4  # [m], [rad]: a polyline's final straight
+_LIMITED = ("max_curvature", "max_curvature_rate", "max_steering_angle")  # `MotionLimits` has the angle as a curvature
 
 
 def path_violations(path: Path, problem: DockingProblem) -> tuple[Violation, ...]:
     """Every broken rule but clearance, in driving order of the rules below."""
-    rules = (
-        *(_frame, _ends, _joints, _gears, _turns, _slip, _drift, _creep),
-        *(_curvature, _winding, _curvature_rate, _start_curvature, _final_straight),
-    )
-    return tuple(violation for rule in rules for violation in rule(path, problem))
+    return tuple(violation for rule in _RULES for violation in rule(path, problem))
+
+
+def _without_rule(path: Path, problem: DockingProblem) -> Iterator[Violation]:  # noqa: ARG001 - one shape for all rules
+    """Finite limits that no rule here looks at; what depends on the time law is left to the trajectory certificate."""
+    for name, value in finite_limits(problem.robot.limits).items():
+        of_motion = name in LIMITS and LIMITS[name].kind is not LimitKind.PATH
+        if not (of_motion or name in _LIMITED):
+            yield Violation("unproven", f"no rule proves {name} = {value:.4g}", 0.0, np.inf)
 
 
 def _frame(path: Path, problem: DockingProblem) -> Iterator[Violation]:
@@ -359,3 +365,9 @@ def _straight_error(poses: FloatArray, goal: Pose2) -> FloatArray:
     turn = np.abs(np.remainder(poses[:, 2] - goal.yaw + np.pi, 2.0 * np.pi) - np.pi)
     error: FloatArray = np.maximum(cross, turn)
     return error
+
+
+_RULES = (
+    *(_frame, _ends, _joints, _gears, _turns, _slip, _drift, _creep),
+    *(_curvature, _winding, _curvature_rate, _start_curvature, _final_straight, _without_rule),
+)

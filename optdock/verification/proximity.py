@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
+from optdock.geometry.arrays import frozen
 from optdock.geometry.pose import transform_points
 from optdock.geometry.separation import separation
 from optdock.verification.contact_tolerance import DEPTH, deepest
@@ -136,7 +137,7 @@ def bounded(bodies: tuple[ConvexBody, ...]) -> tuple[BoundedBody, ...]:
 @functools.lru_cache(maxsize=64)
 def bounded_footprint(footprint: Footprint) -> tuple[BoundedBody, ...]:
     """The convex pieces of a footprint, once per footprint."""
-    return bounded(footprint.bodies)
+    return frozen(bounded(footprint.bodies))
 
 
 def broad_phase(body: BoundedBody, poses: FloatArray, obstacles: ObstacleSet) -> FloatArray:

@@ -10,7 +10,7 @@ a = v', jerk |a'| <= J, -D <= a <= A, and samples h apart:
     speed, acceleration  |v1 - v0 - h (a0 + a1) / 2| <= J h^2 / 4               (trapezoid of a function of slope J)
     speed, jerk          |(v2 - v1) / h1 - (v1 - v0) / h0| <= J (h0 + h1) / 2   (means of a over neighbours)
     place, speed         |s1 - s0 - h (v0 + v1) / 2 + h^2 (a1 - a0) / 12| <= J h^3 sqrt(3) / 54, see `step_lengths`
-    yaw rates            |w1 - w0| <= limit * h
+    yaw rates            |w1 - w0| <= limit * h,  and |v1 w1 - v0 w0| <= limit * h of the lateral jerk
 
 They are asked of neighbours and of samples 2, 4, 8, ... apart, where the rounding of the numbers weighs less. At one
 instant the path, whose curvature k and its rate r are known, ties the columns: w = v k, w' = a k + v^2 r. And a robot
@@ -40,6 +40,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
+from optdock.limits import LIMITS
 from optdock.path import ClothoidSegment, PolylineSegment, TurnSegment
 from optdock.problem import ClearanceRule
 from optdock.verification.certificate import TOLERANCE, Violation
@@ -86,7 +87,7 @@ _FEWEST = 4  # steps
 
 @dataclass(frozen=True)
 class SampledMotionVerdict:
-    """What the samples of a motion say.
+    """What the samples of a motion say; it counts as true where they do not refute it, which is no proof of it.
 
     Args:
         violations: Every broken rule; empty when the samples do not refute the motion.
@@ -107,6 +108,9 @@ class SampledMotionVerdict:
     def off_path(self) -> bool:
         """Whether poses lie beside the path, so that it takes its clearance to cover them."""
         return max(self.offset) > ON_PATH
+
+    def __bool__(self) -> bool:
+        return not self.refuted
 
     @property
     def refuted(self) -> bool:
@@ -449,6 +453,30 @@ def _worst(
     yield from _worst_at(at, kind, values, limit, rough)
 
 
+def _limited(
+    judged: _Judged,
+    limits: MotionLimits,
+    values: Mapping[str, FloatArray],
+    said: str = "{}",
+    rough: FloatArray | float = 0.0,
+    at: FloatArray | None = None,
+) -> Iterator[Violation]:
+    """As `_worst`, of values of limited quantities.
+
+    Args:
+        judged: As there.
+        limits: Of the robot.
+        values: Of each quantity, by the name of its limit in `LIMITS`.
+        said: How a message calls them, with `{}` for the quantity.
+        rough: As there.
+        at: As there.
+    """
+    for name, value in values.items():
+        quantity, unit = LIMITS[name].label.split(" [")
+        if math.isfinite(most := getattr(limits, name)):
+            yield from _worst(judged, f"{said.format(quantity)} [{unit}", value, most, rough, at)
+
+
 def _worst_at(
     at: FloatArray, kind: str, values: FloatArray, limit: FloatArray | float, rough: FloatArray | float
 ) -> Iterator[Violation]:
@@ -482,10 +510,9 @@ def _at_samples(judged: _Judged, problem: DockingProblem) -> Iterator[Violation]
     yield from _worst(judged, "speed [m/s]", v, fastest, rounding.speed)
     slow = judged.s > judged.path.length - zone.distance + judged.slack + _ARITHMETIC
     yield from _worst(judged, "approach speed [m/s]", np.where(slow, v, 0.0), zone.speed, rounding.speed)
-    a, allowed = judged.a, rounding.acceleration
-    yield from _worst(judged, "acceleration [m/s^2]", a, limits.max_acceleration, allowed)
-    yield from _worst(judged, "deceleration [m/s^2]", -a, limits.max_deceleration, allowed)
-    yield from _worst(judged, "jerk [m/s^3]", np.abs(judged.j), limits.max_jerk, rounding.jerk)
+    gains = {"max_acceleration": judged.a, "max_deceleration": -judged.a}
+    yield from _limited(judged, limits, gains, rough=rounding.acceleration)
+    yield from _limited(judged, limits, {"max_jerk": np.abs(judged.j)}, rough=rounding.jerk)
 
 
 def _by_curvature(judged: _Judged, problem: DockingProblem) -> Iterator[Violation]:
@@ -504,18 +531,21 @@ def _curved(judged: _Judged, limits: MotionLimits, bends: _Bends, v: FloatArray)
     exact = _on_clothoids(judged)
     # Of a polyline the curvature is a difference quotient: as for time laws, 5 % beyond a limit are accepted.
     k = np.where(exact, k, np.maximum(k - _noise(judged), 0.0) / (1.0 + STEP_RTOL))
-    turning = np.maximum(np.abs(motion.yaw_rate) - rounding.yaw_rate, v * k)
-    yield from _worst(judged, "yaw rate [rad/s]", turning, limits.max_yaw_rate)
     stated = np.abs(motion.yaw_acceleration) - rounding.yaw_acceleration
-    low, high = _yaw_accelerations(judged, bends)
+    low, high = _turning_rates(judged, bends)
     by_path = np.where(exact, np.maximum(np.maximum(low, -high), 0.0), 0.0)
-    yield from _worst(judged, "yaw acceleration [rad/s^2]", np.maximum(stated, by_path), limits.max_yaw_acceleration)
-    yield from _worst(judged, "lateral acceleration [m/s^2]", v**2 * k, limits.max_lateral_acceleration)
-    yield from _worst(judged, "wheel speed [m/s]", v * (1.0 + 0.5 * limits.track_width * k), limits.max_wheel_speed)
-    if np.isfinite(limits.max_steering_rate):
-        rate, most = np.min(np.abs(bends.rate), axis=0), np.max(np.abs(bends.curvature), axis=0)
-        steered = np.where(exact, v * _steering_rate(limits, most, rate), 0.0)
-        yield from _worst(judged, "steering rate [rad/s]", steered, limits.max_steering_rate)
+    least, most_of_it = _turning_rates(judged, bends, 2)
+    sideways = np.where(exact, v * np.maximum(np.maximum(least, -most_of_it), 0.0), 0.0)
+    rate, most = np.min(np.abs(bends.rate), axis=0), np.max(np.abs(bends.curvature), axis=0)
+    values = {
+        "max_yaw_rate": np.maximum(np.abs(motion.yaw_rate) - rounding.yaw_rate, v * k),
+        "max_yaw_acceleration": np.maximum(stated, by_path),
+        "max_lateral_acceleration": v**2 * k,
+        "max_lateral_jerk": sideways,
+        "max_wheel_speed": v * (1.0 + 0.5 * limits.track_width * k),
+        "max_steering_rate": np.where(exact, v * _steering_rate(limits, most, rate), 0.0),
+    }
+    yield from _limited(judged, limits, values)
 
 
 def _steering_rate(limits: MotionLimits, curvature: FloatArray, rate: FloatArray) -> FloatArray:
@@ -524,12 +554,15 @@ def _steering_rate(limits: MotionLimits, curvature: FloatArray, rate: FloatArray
     return per_metre
 
 
-def _yaw_accelerations(judged: _Judged, bends: _Bends) -> tuple[FloatArray, FloatArray]:
-    """The smallest and the largest a k + v^2 r that path and numbers allow, k and r to 1e-6. Shape (n,) each."""
-    k, r, v, rounding = bends.curvature, bends.rate, judged.v, judged.rounding
-    rough = rounding.acceleration * np.abs(k) + (2.0 * np.abs(v) + rounding.speed) * rounding.speed * np.abs(r)
-    rough = rough + judged.slack * np.abs(judged.a * r) + EXACT * (np.abs(judged.a) + v**2)
-    value = judged.a * k + v**2 * r
+def _turning_rates(judged: _Judged, bends: _Bends, order: int = 1) -> tuple[FloatArray, FloatArray]:
+    """The smallest and the largest n a k + v^2 r that path and numbers allow, k and r to 1e-6. Shape (n,) each.
+
+    Of order n = 1 that is the yaw acceleration; of order 2, times v, the lateral jerk.
+    """
+    k, r, v, a, rounding = bends.curvature, bends.rate, judged.v, order * judged.a, judged.rounding
+    rough = order * rounding.acceleration * np.abs(k) + (2.0 * np.abs(v) + rounding.speed) * rounding.speed * np.abs(r)
+    rough = rough + judged.slack * np.abs(a * r) + EXACT * (np.abs(a) + v**2)
+    value = a * k + v**2 * r
     return (value - rough).min(axis=0), (value + rough).max(axis=0)
 
 
@@ -542,7 +575,7 @@ def _ties(judged: _Judged, bends: _Bends) -> Iterator[Violation]:
     ends = np.array([v * k for v in (judged.v - rounding.speed, judged.v + rounding.speed) for k in (low, high)])
     off = np.maximum(ends.min(axis=0) - motion.yaw_rate, motion.yaw_rate - ends.max(axis=0)) - rounding.yaw_rate
     yield from _worst(judged, "yaw rate off speed times curvature [rad/s]", off, 0.0)
-    least, most = _yaw_accelerations(judged, bends)
+    least, most = _turning_rates(judged, bends)
     off = np.maximum(least - motion.yaw_acceleration, motion.yaw_acceleration - most) - rounding.yaw_acceleration
     off = np.where(_on_clothoids(judged), off, 0.0)
     yield from _worst(judged, "yaw acceleration off the path's [rad/s^2]", off, 0.0)
@@ -633,21 +666,22 @@ def _means(judged: _Judged, limits: MotionLimits, rows: IntArray, lag: int) -> I
         return change(column) / t, (2.0 * half_unit + (early * slope if early else 0.0)) / t
 
     gain, rough = mean(judged.v, rounding.speed, steepest)
-    yield from _worst(judged, "mean acceleration [m/s^2]", gain, limits.max_acceleration, rough, at)
-    yield from _worst(judged, "mean deceleration [m/s^2]", -gain, limits.max_deceleration, rough, at)
+    gains = {"max_acceleration": gain, "max_deceleration": -gain}
+    yield from _limited(judged, limits, gains, "mean {}", rough, at)
     bent, both = np.abs(gain[lag:] - gain[:-lag]), rough[lag:] + rough[:-lag]
     apart = 0.5 * (t[lag:] + t[:-lag])
-    yield from _worst(judged, "jerk of the speeds [m/s^3]", bent / apart, limits.max_jerk, both / apart, at)
-    gain, rough = mean(judged.a, rounding.acceleration, limits.max_jerk)
-    yield from _worst(judged, "mean jerk [m/s^3]", np.abs(gain), limits.max_jerk, rough, at)
-    if np.isfinite(limits.max_yaw_acceleration):
-        gain, rough = mean(motion.yaw_rate, rounding.yaw_rate, limits.max_yaw_acceleration)
-        yield from _worst(
-            judged, "mean yaw acceleration [rad/s^2]", np.abs(gain), limits.max_yaw_acceleration, rough, at
-        )
-    if np.isfinite(limits.max_yaw_rate):
-        gain, rough = mean(judged.sums.yaw, rounding.yaw, limits.max_yaw_rate)
-        yield from _worst(judged, "mean yaw rate [rad/s]", np.abs(gain), limits.max_yaw_rate, rough, at)
+    yield from _limited(judged, limits, {"max_jerk": bent / apart}, "{} of the speeds", both / apart, at)
+    top, turning = float(np.max(np.abs(motion.speed))), float(np.max(np.abs(motion.yaw_rate)))
+    sideways = (top + rounding.speed) * rounding.yaw_rate + turning * rounding.speed
+    for name, column, rounded in (
+        ("max_jerk", judged.a, rounding.acceleration),
+        ("max_yaw_acceleration", motion.yaw_rate, rounding.yaw_rate),
+        ("max_yaw_rate", judged.sums.yaw, rounding.yaw),
+        ("max_lateral_jerk", motion.speed * motion.yaw_rate, sideways),
+    ):
+        if np.isfinite(slope := getattr(limits, name)):
+            gain, rough = mean(column, rounded, slope)
+            yield from _limited(judged, limits, {name: np.abs(gain)}, "mean {}", rough, at)
     sums = judged.sums
     off = np.abs(change(judged.v) - change(sums.speed))
     allowed = change(sums.speed_error) + 2.0 * rounding.speed + rounding.acceleration * t + early * steepest
@@ -707,18 +741,15 @@ def _at_knots(judged: _Judged, problem: DockingProblem) -> Iterator[Violation]:
         rate = np.diff(segment.curvature_at(segment.knots)) / np.diff(segment.knots)
         rate = np.maximum(np.abs(np.append(rate[:1], rate)), np.abs(np.append(rate, rate[-1:])))[knots]
         at = np.column_stack((motion.t[i], places[knots]))
-        yield from _worst(judged, "yaw rate at a knot [rad/s]", v * k, limits.max_yaw_rate, at=at)
-        turning = v**2 * rate - a * k
-        yield from _worst(judged, "yaw acceleration at a knot [rad/s^2]", turning, limits.max_yaw_acceleration, at=at)
-        sideways = v**2 * k
-        yield from _worst(
-            judged, "lateral acceleration at a knot [m/s^2]", sideways, limits.max_lateral_acceleration, at=at
-        )
-        rim = v * (1.0 + 0.5 * limits.track_width * k)
-        yield from _worst(judged, "wheel speed at a knot [m/s]", rim, limits.max_wheel_speed, at=at)
-        if np.isfinite(limits.max_steering_rate):
-            steered = v * _steering_rate(limits, k, rate)
-            yield from _worst(judged, "steering rate at a knot [rad/s]", steered, limits.max_steering_rate, at=at)
+        values = {
+            "max_yaw_rate": v * k,
+            "max_yaw_acceleration": v**2 * rate - a * k,
+            "max_lateral_acceleration": v**2 * k,
+            "max_lateral_jerk": v * (v**2 * rate - 2.0 * a * k),
+            "max_wheel_speed": v * (1.0 + 0.5 * limits.track_width * k),
+            "max_steering_rate": v * _steering_rate(limits, k, rate),
+        }
+        yield from _limited(judged, limits, values, "{} at a knot", at=at)
 
 
 def _begin(judged: _Judged, problem: DockingProblem) -> Iterator[Violation]:

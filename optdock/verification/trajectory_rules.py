@@ -9,6 +9,8 @@ and r its rate per metre:
     yaw rate v k          f'' = j k + 3 a v r
     lateral v^2 k         f'' = 2 a^2 k + 2 v j k + 5 v^2 a r
     yaw acc. a k + v^2 r  f'' = 4 j v r + 3 a^2 r
+    lateral jerk          f'' = 6 a j k + 12 v a^2 r + 7 v^2 j r
+     2 v a k + v^3 r
     wheel v (1 +- b k/2)  f'' = j +- b/2 (j k + 3 a v r)
 
 and of steered wheels, at wheelbase L, the steering angle atan(u), u = L k, turns at f = u' / (1 + u^2), so that
@@ -23,6 +25,9 @@ A turn in place is driven over the path coordinate, so its yaw rate, acceleratio
 extremes, against limits of their own (`MotionLimits.turning`). The phases between the rests at its ends are the turn's.
 
 Cells that the bound does not clear are bisected.
+
+A finite limit that has no rule here, and none of the path certificate either, is a violation: whatever field
+`MotionLimits` gets, a motion is certified only where it has been proven.
 
 Time within a cell counts from the start of its phase, and arc length from the knot before it, so that neither a long
 wait nor a long path costs digits. The cells of a phase run from event to event (its start, knots of the path, a grid),
@@ -43,13 +48,14 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
+from optdock.limits import LIMITS, LimitKind, finite_limits
 from optdock.path import Direction, PolylineSegment, TurnSegment
 from optdock.segments import TURN_RADIUS
 from optdock.trajectory import constant_jerk
 from optdock.verification.certificate import TOLERANCE, Violation
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Mapping, Sequence
+    from collections.abc import Callable, Iterator, Sequence
 
     from optdock.geometry.arrays import FloatArray, IntArray
     from optdock.limits import MotionLimits, SpeedZone
@@ -84,10 +90,10 @@ def trajectory_violations(
     structure = (*_coverage(trajectory, extremes), *_rest(trajectory), *_too_short(waits), *_start(law, *start[:2]))
     if any(v.kind == "coverage" for v in structure):
         return structure, {}
-    stretches, judge = _segment_limits(path, limits, zone), _Judge(_curved_limits(limits), limits)
+    stretches, judge = _segment_limits(path, limits, zone), _Judge(limits)
     borders = stretches[:, :2].ravel()
     with np.errstate(over="ignore", invalid="ignore"):
-        pieces = _path_pieces(path) if judge.limits else None
+        pieces = _path_pieces(path) if judge.rules else None
         asked = borders if pieces is None else np.concatenate((borders, pieces.begin[1:]))
         reached = _crossings(law, asked)  # one bisection for all places that are asked for
         if pieces is not None:
@@ -101,7 +107,8 @@ def trajectory_violations(
     more = [(peak.kind, peak.ratio) for peak in turning] + [("steering_rate", wait.ratio) for wait in waits]
     for kind, ratio in more:
         ratios[kind] = max(ratios.get(kind, 0.0), ratio)
-    return (*structure, *plain.values(), *judge.violations(), *_turned_too_fast(turning)), ratios
+    broken = (*structure, *plain.values(), *judge.violations(), *_turned_too_fast(turning), *_without_rule(limits))
+    return broken, ratios
 
 
 def _coverage(trajectory: Trajectory, extremes: _Extremes) -> Iterator[Violation]:
@@ -549,50 +556,69 @@ def _initial_cells(law: TimeLaw, pieces: _Pieces, knots: _Instants, *, has_turns
     return cells.and_also(turning.rows(np.flatnonzero(np.isfinite(step)))).and_also(swinging.rows(hidden))
 
 
-def _quantities(cells: _Cells, drive: MotionLimits) -> Mapping[str, FloatArray]:
-    v, a, k, r = cells.v, cells.a, cells.k, cells.r
-    found = {
-        "yaw_rate": np.abs(v * k),
-        "lateral_acceleration": v * v * np.abs(k),
-        "yaw_acceleration": np.abs(a * k + v * v * r),
-        "wheel_speed": np.abs(v) * (1.0 + 0.5 * drive.track_width * np.abs(k)),
-    }
-    if drive.max_steering_rate < np.inf:
-        found["steering_rate"] = np.abs(drive.wheelbase * r * v) / (1.0 + (drive.wheelbase * k) ** 2)
-    return found
+class _Sizes(NamedTuple):
+    """Bounds of |speed|, |acceleration|, |jerk|, |curvature| and |curvature rate| over cells, Shape (n,) each."""
+
+    v: FloatArray
+    a: FloatArray
+    j: FloatArray
+    k: FloatArray
+    r: FloatArray
+
+    @classmethod
+    def over(cls, first: _Cells, last: _Cells) -> _Sizes:
+        """Over the cells from their first to their last instants."""
+        # Speed is a parabola with second derivative j: it leaves the chord by at most |j| width^2 / 8.
+        v = np.maximum(np.abs(first.v), np.abs(last.v)) + np.abs(first.j) * first.width**2 / 8.0
+        a, k = np.maximum(np.abs(first.a), np.abs(last.a)), np.maximum(np.abs(first.k), np.abs(last.k))
+        return cls(v, a, np.abs(first.j), k, np.abs(first.r))
 
 
-def _bend(first: _Cells, last: _Cells, drive: MotionLimits) -> Mapping[str, FloatArray]:
-    """Bounds of |f''| over each cell."""
-    # Speed is a parabola with second derivative j: it leaves the chord by at most |j| width^2 / 8.
-    v = np.maximum(np.abs(first.v), np.abs(last.v)) + np.abs(first.j) * first.width**2 / 8.0
-    a = np.maximum(np.abs(first.a), np.abs(last.a))
-    k = np.maximum(np.abs(first.k), np.abs(last.k))
-    j, r = np.abs(first.j), np.abs(first.r)
-    yaw_rate = j * k + 3.0 * a * v * r
-    found = {
-        "yaw_rate": yaw_rate,
-        "lateral_acceleration": 2.0 * a * a * k + 2.0 * v * j * k + 5.0 * v * v * a * r,
-        "yaw_acceleration": 4.0 * j * v * r + 3.0 * a * a * r,
-        "wheel_speed": j + 0.5 * drive.track_width * yaw_rate,
-    }
-    if drive.max_steering_rate < np.inf:
-        steepest = drive.wheelbase * r
-        turned = steepest * v
-        found["steering_rate"] = steepest * j + 2.0 * turned * steepest * a + 2.0 * turned**3
-    return found
+def _yaw_rate_bend(b: _Sizes) -> FloatArray:
+    return b.j * b.k + 3.0 * b.a * b.v * b.r
 
 
-def _curved_limits(limits: MotionLimits) -> dict[str, float]:
-    """The limits that depend on curvature, where there are any."""
-    bounds = {
-        "yaw_rate": limits.max_yaw_rate,
-        "lateral_acceleration": limits.max_lateral_acceleration,
-        "yaw_acceleration": limits.max_yaw_acceleration,
-        "wheel_speed": limits.max_wheel_speed,
-        "steering_rate": limits.max_steering_rate,
-    }
-    return {kind: limit for kind, limit in bounds.items() if np.isfinite(limit)}
+def _steering_rate_bend(b: _Sizes, drive: MotionLimits) -> FloatArray:
+    steepest = drive.wheelbase * b.r
+    turned = steepest * b.v
+    return steepest * b.j + 2.0 * turned * steepest * b.a + 2.0 * turned**3
+
+
+# Bounds of |f''| over cells, of quantities f of `LimitKind.TURNING`, by the names of their limits.
+_BENDS: dict[str, Callable[[_Sizes, MotionLimits], FloatArray]] = {
+    "max_yaw_rate": lambda b, _: _yaw_rate_bend(b),
+    "max_lateral_acceleration": lambda b, _: (
+        2.0 * b.a * b.a * b.k + 2.0 * b.v * b.j * b.k + 5.0 * b.v * b.v * b.a * b.r
+    ),
+    "max_yaw_acceleration": lambda b, _: 4.0 * b.j * b.v * b.r + 3.0 * b.a * b.a * b.r,
+    "max_lateral_jerk": lambda b, _: 6.0 * b.a * b.j * b.k + 12.0 * b.v * b.a * b.a * b.r + 7.0 * b.v * b.v * b.j * b.r,
+    "max_wheel_speed": lambda b, drive: b.j + 0.5 * drive.track_width * _yaw_rate_bend(b),
+    "max_steering_rate": _steering_rate_bend,
+}
+_EXTREMES = {"max_speed", "max_reverse_speed", "max_acceleration", "max_deceleration", "max_jerk"}  # exact: `_rates`
+
+
+class _TurningRule(NamedTuple):
+    """How a finite limit is proven: its value, |f| at the first instant of cells, and a bound of |f''| over cells."""
+
+    limit: float
+    size: Callable[[_Cells, MotionLimits], FloatArray]
+    bend: Callable[[_Sizes, MotionLimits], FloatArray]
+
+
+def _turning_rules(limits: MotionLimits) -> dict[str, _TurningRule]:
+    """Of every finite limit that depends on curvature, by its name in `LIMITS`."""
+    finite = finite_limits(limits)
+    found = ((name, LIMITS[name].size) for name in _BENDS if name in finite)
+    return {name: _TurningRule(finite[name], size, _BENDS[name]) for name, size in found if size is not None}
+
+
+def _without_rule(limits: MotionLimits) -> Iterator[Violation]:
+    """Finite limits that nothing here proves; those of `LimitKind.PATH` are left to the path certificate."""
+    proven = _EXTREMES | _turning_rules(limits).keys()
+    for name, value in finite_limits(limits).items():
+        if not (name in proven or (name in LIMITS and LIMITS[name].kind is LimitKind.PATH)):
+            yield Violation("unproven", f"no rule proves {name} = {value:.4g}", 0.0, np.inf)
 
 
 def _subdivide(first: _Cells, judge: _Judge, is_late: Callable[[], bool]) -> None:
@@ -623,27 +649,28 @@ def _subdivide(first: _Cells, judge: _Judge, is_late: Callable[[], bool]) -> Non
 class _Judge:
     """Looks at cells and keeps the worst of each quantity."""
 
-    def __init__(self, limits: Mapping[str, float], drive: MotionLimits) -> None:
-        self.limits, self.drive = limits, drive
-        self.ratios = dict.fromkeys(limits, 0.0)
+    def __init__(self, drive: MotionLimits) -> None:
+        self.drive = drive
+        self.rules = {LIMITS[name].quantity: rule for name, rule in _turning_rules(drive).items()}
+        self.ratios = dict.fromkeys(self.rules, 0.0)
         self.found: dict[str, Violation] = {}
 
     def look_at(self, cells: _Cells) -> IntArray:
         """Judge cells; the rows of those that are neither cleared nor broken."""
         last = cells.advanced(cells.width)
-        at_ends = (_quantities(cells, self.drive), _quantities(last, self.drive))
-        bend = _bend(cells, last, self.drive)
+        most = _Sizes.over(cells, last)
         open_cells = np.zeros(cells.t.size, dtype=np.bool_)
-        for kind, limit in self.limits.items():
+        for kind, (limit, size, bend) in self.rules.items():
+            at_ends = size(cells, self.drive), size(last, self.drive)
             # What is no number proves nothing: it counts as infinite where it arises.
-            seen = np.nan_to_num(np.maximum(at_ends[0][kind], at_ends[1][kind]), nan=np.inf, posinf=np.inf)
-            stray = np.where(cells.width > 0.0, bend[kind] * cells.width**2 / 8.0, 0.0)
+            seen = np.nan_to_num(np.maximum(*at_ends), nan=np.inf, posinf=np.inf)
+            stray = np.where(cells.width > 0.0, bend(most, self.drive) * cells.width**2 / 8.0, 0.0)
             proven = np.nan_to_num(seen + stray, nan=np.inf, posinf=np.inf)
             broken = seen > limit * (1.0 + TOLERANCE)
             cleared = proven <= limit * (1.0 + TOLERANCE)
             self._raise_ratio(kind, float(np.max(np.where(cleared, proven, seen), initial=0.0)))
             if broken.any():
-                ends = (cells, at_ends[0][kind]), (last, at_ends[1][kind])
+                ends = (cells, at_ends[0]), (last, at_ends[1])
                 worst = int(np.argmax(np.where(broken, seen, -1.0)))
                 self._note(kind, max((_exceeded(kind, limit, *end, worst) for end in ends), key=lambda one: one.amount))
             open_cells |= ~cleared & ~broken
@@ -651,7 +678,7 @@ class _Judge:
 
     def give_up(self, cells: _Cells) -> None:
         """Nothing is known of these cells."""
-        for kind in self.limits:
+        for kind in self.rules:
             self._raise_ratio(kind, np.inf)
         k = int(np.argmin(cells.t))
         message = f"the limits on turning near t = {cells.t[k]:.3f} s, s = {cells.s[k]:.3f} m are not proven"
@@ -659,10 +686,10 @@ class _Judge:
 
     def violations(self) -> Iterator[Violation]:
         """The worst of each quantity that breaks its limit, and of what is not proven."""
-        return (self.found[kind] for kind in (*self.limits, "unproven") if kind in self.found)
+        return (self.found[kind] for kind in (*self.rules, "unproven") if kind in self.found)
 
     def _raise_ratio(self, kind: str, value: float) -> None:
-        self.ratios[kind] = max(self.ratios[kind], value / self.limits[kind])
+        self.ratios[kind] = max(self.ratios[kind], value / self.rules[kind].limit)
 
     def _note(self, kind: str, violation: Violation) -> None:
         if kind not in self.found or violation.amount > self.found[kind].amount:

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from optdock.geometry.arrays import readonly
+from optdock.geometry.arrays import FrozenArrays, readonly
 from smoothers.scp.settings import DEFAULT_SETTINGS
 
 if TYPE_CHECKING:
@@ -28,7 +28,7 @@ _GAUSS = readonly(np.array([0.5 - 0.5 / np.sqrt(3.0), 0.5 + 0.5 / np.sqrt(3.0)])
 
 
 @dataclass(frozen=True, eq=False)
-class Basis:
+class Basis(FrozenArrays):
     """Arrays that depend on the shape alone. Nodes are interval ends; a cusp is a node of both of its gears.
 
     Args:
@@ -132,8 +132,6 @@ def basis_for(shape: Shape, fit_smoothing: float = DEFAULT_SETTINGS.resolution.f
         "stiffness": stiffness,
         "fit": np.linalg.solve(normal, middles.T),
     }
-    for values in arrays.values():
-        values.setflags(write=False)
     knots, count = int(np.sum(spans + 1)), len(spans)
     return Basis(shape, knots, count, node_gear.size, int(np.sum(cells)), knots + count, **arrays)
 

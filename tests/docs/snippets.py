@@ -1,9 +1,15 @@
-"""The code blocks of a page, and how they are run: in order, in one process, in a folder of the page's own."""
+"""The code blocks of a page, and how they are run: in order, in one process, in a folder of the page's own.
+
+A block of text below one that is run, under the same heading, shows what that prints: every line of it but `...` must
+be among what it prints now, its numbers within a share of 2 % or a unit in their last place.
+"""
 
 import contextlib
+import importlib
 import io
 import re
 import shlex
+import sys
 from pathlib import Path
 from typing import NamedTuple
 
@@ -13,37 +19,52 @@ from optdock.cli import app
 from optdock.errors import MissingExtra, TimedOut
 
 ROOT = Path(__file__).resolve().parents[2]
+sys.path.insert(0, str(ROOT / "docs" / "tools"))
+measured = importlib.import_module("measured")
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
 
 _FENCE = re.compile(
     r"^(?:<!-- not run: (?P<reason>[^\n]+?) -->\n+)?^(?P<mark>```+)(?P<head>[^\n]*)\n(?P<body>.*?)^(?P=mark)$",
     re.MULTILINE | re.DOTALL,
 )
+_HEADING = re.compile(r"^#+ ", re.MULTILINE)
 _TITLE = re.compile(r'title="([^"]+)"')
 _TRIES = 5
+_WITHIN = 0.02  # [1]: of a figure that is printed
 _STATUS = re.compile(r"#\s*exit status (\d)\s*$")
 
 
 class Block(NamedTuple):
-    """A fenced block: its language, the file that it is or empty, its text, its line, and why it is not run."""
+    """A fenced block.
+
+    Its language, the file that it is or empty, its text, its line, why it is not run, and whether a heading stands
+    between it and the block before.
+    """
 
     language: str
     title: str
     body: str
     line: int
     reason: str
+    opens_section: bool
 
 
 def blocks_of(page):
     """The fenced blocks of a page, in order."""
-    text = page.read_text(encoding="utf-8")
+    text, end = page.read_text(encoding="utf-8"), 0
     for found in _FENCE.finditer(text):
         head = found["head"].strip()
         title = _TITLE.search(head)
         line = text.count("\n", 0, found.start("head")) + 1
         yield Block(
-            head.split()[0] if head else "", title[1] if title else "", found["body"], line, found["reason"] or ""
+            head.split()[0] if head else "",
+            title[1] if title else "",
+            found["body"],
+            line,
+            found["reason"] or "",
+            _HEADING.search(text, end, found.start()) is not None,
         )
+        end = found.end()
 
 
 def run_page(page, folder):
@@ -53,16 +74,20 @@ def run_page(page, folder):
         How many blocks were run.
     """
     (folder / "examples").symlink_to(ROOT / "examples")
-    known, count = {"__name__": "__page__"}, 0
+    known, count, printed = {"__name__": "__page__"}, 0, None
     for block in blocks_of(page):
         where = f"{page.relative_to(ROOT)}:{block.line}"
         if block.title:
             (folder / block.title).write_text(block.body, encoding="utf-8")
+        printed = None if block.opens_section else printed
+        if block.language == "text" and not block.title and printed is not None:
+            missing = not_printed(block.body, printed)
+            assert not missing, f"{where}: the block before prints no such line: {missing}\nbut:\n{printed}"
         if block.reason or block.language not in {"python", "sh"} or block.title:
             continue
         count += 1
         try:
-            _RUNNERS[block.language](block, known, where)
+            printed = _RUNNERS[block.language](block, known, where)
         except BaseException as error:
             raise AssertionError(f"{where}: {type(error).__name__}: {error}") from error
     return count
@@ -71,24 +96,34 @@ def run_page(page, folder):
 def _run_python(block, known, where):
     """What did not end in time is asked for again: deadlines are real, and so are busy machines.
 
-    What needs an extra that is not installed ends there.
+    What needs an extra that is not installed ends there. Returns what is printed.
     """
     code = compile("\n" * block.line + block.body, where, "exec")
     for _ in range(_TRIES):
-        with contextlib.redirect_stdout(io.StringIO()), contextlib.suppress(TimedOut):
+        with contextlib.redirect_stdout(io.StringIO()) as out, contextlib.suppress(TimedOut):
             with contextlib.suppress(MissingExtra):
                 exec(code, known)
-            return
+            return out.getvalue()
     raise TimedOut(f"{_TRIES} times")
 
 
 def _run_shell(block, known, where):
+    printed = ""
     for line in filter(str.strip, block.body.splitlines()):
         expected = _STATUS.search(line)
         program, *arguments = shlex.split(line, comments=True)
         assert program == "optdock", f"{where}: mark what is no command of ours: {line}"
         result = CliRunner().invoke(app, arguments)
         assert result.exit_code == int(expected[1] if expected else 0), f"{line}\n{result.output}"
+        printed += result.output
+    return printed
+
+
+def not_printed(text, printed):
+    """The first line of a block that none of the printed lines is; None: every line is printed."""
+    lines = printed.splitlines()
+    wanted = (line for line in text.splitlines() if line.strip() not in {"", "..."})
+    return next((one for one in wanted if not any(measured.are_alike(one, line, _WITHIN) for line in lines)), None)
 
 
 _RUNNERS = {"python": _run_python, "sh": _run_shell}

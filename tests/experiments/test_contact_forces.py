@@ -7,19 +7,40 @@ import pytest
 from optdock.geometry.pose import Pose2
 from optdock.problem import DockingProblem
 from optdock.simulation.mujoco import MujocoDrive
+from tests.docs.snippets import ROOT, measured
 
 pytest.importorskip("mujoco", reason="needs the extra sim")
 experiment = importlib.import_module("experiments.05_contact_forces")
 
 
-@pytest.mark.parametrize("station", ["flat plate", "V"])
+@pytest.mark.parametrize("station", ["plate", "V"])
 def test_a_certified_plan_docks_and_the_law_strikes(station):
     robot, place = experiment.stations()[station]
     world = experiment.WORLDS[experiment.NOISY]
     drive = MujocoDrive(robot, place, actuation=world.actuation)
     problem = DockingProblem(Pose2(-0.7, 0.1, 0.1), place, robot)
     law, smoothed = (
-        experiment.dock(drive, problem, world, method, 3)[0] for method in ("graceful law", "smoothed path")
+        experiment.dock(drive, problem, world, method, 3)[0] for method in ("graceful law", "smoothed path, tracker")
     )
     assert smoothed.fault == ""
     assert law.peak > 2.0 * smoothed.peak > 0.0
+
+
+def documented(column):
+    """The figures of a column of the table, by station, world and method."""
+    tables = measured.measured_in(ROOT / "docs" / "benchmark.md")
+    (rows,) = (one.rows for one in tables if one.command.endswith("05_contact_forces.py"))
+    return {tuple(row[:3]): [float(value) for value in row[rows[0].index(column)].split(" / ")] for row in rows[1:]}
+
+
+@pytest.mark.parametrize("station", ["plate", "V"])
+def test_no_start_ends_farther_aside_than_the_documentation_says_of_all(station):
+    """A sample of what `make figures` drives whole: one of the starts that end farthest aside."""
+    robot, place = experiment.stations()[station]
+    world, method, seed = experiment.WORLDS[experiment.NOISY], "executor", 6
+    drive = MujocoDrive(robot, place, actuation=world.actuation)
+    problem = DockingProblem(experiment.starts(100)[seed], place, robot)
+    ending, _ = experiment.dock(drive, problem, world, method, seed)
+    _, _, largest = documented("across, mm")[station, experiment.NOISY, method]
+    assert ending.fault == ""
+    assert 1e3 * abs(ending.pose.y) <= 1.1 * largest + 0.05  # as `make figures` compares

@@ -16,7 +16,7 @@ from optdock.verification import pose_clearances
 
 @pytest.fixture(scope="module")
 def found():
-    return [driven(Task(method, "pushed", "nav2", 50.0, 2, 1)) for method in ("graceful law", "replanning")]
+    return [driven(Task(method, "pushed", "nav2", 50.0, 2, 1)) for method in ("graceful law", "executor")]
 
 
 def test_the_executor_docks_where_the_law_does_not(found):

@@ -168,7 +168,7 @@ def test_ratios_of_a_motion_are_those_of_closed_forms():
         "path": path,
         "law": {"durations": [5.0], "jerks": [0.0], "start_speed": 0.4, "start_acceleration": 0.0},
         "limits": {"max_speed": 0.5, "max_yaw_rate": 1.0, "max_lateral_acceleration": 1.0, "max_wheel_speed": 1.0,
-                   "track_width": 0.5, "max_yaw_acceleration": 1.0},
+                   "track_width": 0.5, "max_yaw_acceleration": 1.0, "max_lateral_jerk": 1.0},
         "zone": [0.2, 0.5],
         "start_speed": 0.4,
     }  # fmt: skip
@@ -178,6 +178,7 @@ def test_ratios_of_a_motion_are_those_of_closed_forms():
     assert found.ratios["lateral_acceleration"] == pytest.approx(0.48)
     assert found.ratios["wheel_speed"] == pytest.approx(0.7)
     assert found.ratios["yaw_acceleration"] == pytest.approx(0.16)
+    assert found.ratios["lateral_jerk"] == pytest.approx(0.064)
     assert set(found.broken) == {"speed", "yaw_rate", "rest"}
     assert found.structure["start_state"] == 0.0
 
@@ -198,11 +199,32 @@ def test_a_case_is_a_function_of_its_seed_and_number_and_survives_a_file(kind, t
 
 @pytest.mark.parametrize("name", sorted(PLANTS))
 def test_planted_mistakes_are_found(name):
-    kinds = {"dropped_time_cell": "trajectories", "rest_x5": "trajectories", "dropped_new_obstacle": "replans"}
-    kind = kinds.get(name, "paths")
+    motions = ("dropped_time_cell", "rest_x5", "lateral_jerk_order", "lateral_jerk_at_ends_only")
+    kinds = {**dict.fromkeys(motions, "trajectories"), "dropped_new_obstacle": "replans"}
+    kind = (kinds | {"dropped_measured_pose": "measured"}).get(name, "paths")
     cases = (KINDS[kind].draw(rng_of(kind, SEEDS[name], number)) for number in range(12))
-    quick = (case for case in cases if case.get("question") != "replan")  # those plan first
+    quick = (case for case in cases if "path" in case or "question" not in case)  # others plan first
     assert any(judge_once(case, name).is_fault for case in quick)
+
+
+def test_the_oracle_sees_wheels_turn_fastest_where_the_path_is_straight():
+    """Nowhere near a knot or a middle: at a third of the way the curvature changes its sign."""
+    case = {
+        "path": [clothoid([0.0, 0.3], [-20.0, 40.0])],
+        "law": {"durations": [3.0], "jerks": [0.0], "start_speed": 0.1, "start_acceleration": 0.0},
+        "limits": {"wheelbase": 2.0, "max_steering_rate": 1.0},
+        "zone": [None, 0.0],
+        "start_speed": 0.1,
+    }
+    assert judged(case, motion_of(case["path"])).ratios["steering_rate"] == pytest.approx(2.0 * 200.0 * 0.1)
+
+
+def test_tightened_limits_are_seen_to_bind_and_a_mistaken_quantity_is_found():
+    cases = [KINDS["limits"].draw(rng_of("limits", 6, number)) for number in range(20)]
+    case = next(case for case in cases if "path" in case and len(case["path"]) == 1 and case["plugin"] == "NearOptimal")
+    assert judge_once(case, None) == Verdict("certified")
+    assert judge_once(case, "lateral_jerk_order").signature.endswith("lateral_jerk")
+    assert judge_once(case, "lateral_jerk_order").is_fault
 
 
 def test_the_rest_of_a_path_is_the_path_from_there_on():
@@ -267,12 +289,16 @@ def test_unknown_kinds_are_refused(capsys):
 # Chosen so that a mistake shows within a dozen cases; `--plant NAME` finds it from any seed.
 SEEDS = {
     "tolerance_x5": 0,
+    "always_true": 0,
     "first_order_centimetre": 0,
     "dropped_obstacle": 0,
     "dropped_map_cell": 6,
-    "dropped_new_obstacle": 18,
+    "dropped_new_obstacle": 9,
+    "dropped_measured_pose": 0,
     "dropped_path_cell": 3,
     "dropped_time_cell": 24,
     "curvature_x5": 0,
     "rest_x5": 9,
+    "lateral_jerk_order": 3,
+    "lateral_jerk_at_ends_only": 6,
 }

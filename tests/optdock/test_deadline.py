@@ -1,6 +1,8 @@
 """The deadline, and what must not happen before it."""
 
 import gc
+import math
+import time
 
 import numpy as np
 import pytest
@@ -11,6 +13,7 @@ from optdock.errors import PlannerTimedOut
 from optdock.geometry.footprint import Footprint
 from optdock.geometry.pose import Pose2
 from optdock.interfaces import GlobalPlanner
+from optdock.lifecycle import PluginContext
 from optdock.limits import MotionLimits
 from optdock.path import Path
 from optdock.pipeline import plan_dock
@@ -32,6 +35,18 @@ def test_time_is_counted_from_the_beginning():
     now[0] = 7.0
     assert deadline.passed()
     assert not Deadline().passed()
+
+
+def test_budgets_of_these_tests_count_cpu_time():
+    """A machine that does something else meanwhile takes nothing from them."""
+    deadline, context = Deadline(0.05), PluginContext()
+    began = context.clock()
+    time.sleep(0.1)
+    assert not deadline.passed()
+    assert context.clock() - began < 0.05
+    while not deadline.passed():
+        math.sqrt(2.0)
+    assert context.clock() - began >= 0.04
 
 
 def test_no_collection_of_garbage_starts_within():

@@ -22,7 +22,7 @@ from optdock.robot import Drive, Robot
 from optdock.simulation import run_closed_loop
 from optdock.simulation.closed_loop import SimulationSettings
 from optdock.testing.contracts.scene import bent_path, post_inside_the_bend, scene_problem
-from optdock.verification import certify_path, pose_clearance
+from optdock.verification import certify_path, pose_clearance, proven_for
 
 LIMITS = MotionLimits(max_curvature=1.5, max_curvature_rate=6.0)
 BOX = Footprint.rectangle(0.3, 0.3, 0.4)
@@ -309,7 +309,7 @@ def test_a_fingerprint_is_that_of_the_numbers():
 def test_a_certificate_says_what_it_was_proven_against():
     plan = plan_dock(problem(), time_budget=2.0)
     assert plan.certificate.problem == problem().fingerprint
-    assert plan.trajectory.certified_for == problem().fingerprint
+    assert proven_for(plan.trajectory) == problem().fingerprint
     assert plan.certificate.path == plan.trajectory_certificate.path == plan.path.digest
     assert plan.certificate.as_dict()["problem"] == problem().fingerprint._asdict()
 

@@ -1,5 +1,6 @@
 """The pipeline: certified or a true reason, and what a raw path breaks the smoothed one keeps."""
 
+import contextlib
 import dataclasses
 import itertools
 import math
@@ -55,7 +56,7 @@ from optdock.robot import Robot
 from optdock.testing.dense_check import dense_check
 from optdock.timing.windowed import Windowed
 from optdock.trajectory import TimeLaw, Trajectory
-from optdock.verification import certify_motion, certify_path, certify_trajectory
+from optdock.verification import certify_motion, certify_path, certify_trajectory, proven_for
 from smoothers import CasadiSmoother
 
 BUDGET = 20.0  # [s]: these tests are about verdicts, not about time
@@ -252,7 +253,7 @@ def test_a_curvature_the_robot_cannot_drive():
 
 def test_a_blocked_way():
     task = problem(obstacles=wall(2.0, -5.0, 2.3, 6.0))
-    assert isinstance(failure(task, planner="DockPlanner", time_budget=0.2), FailedToSmoothPath | NoMotionExists)
+    assert isinstance(failure(task, planner="DockPlanner"), FailedToSmoothPath | NoMotionExists)
     assert plan_dock(task, time_budget=BUDGET).certificate.certified  # around the wall
 
 
@@ -524,16 +525,15 @@ class Relabelled(Windowed):
 
     def parameterize(self, path, limits, zone, **start):
         found = super().parameterize(path, limits, zone, **start)
-        other = problem(start=Pose2(9.0, 9.0, 0.0)).fingerprint
-        motion = Trajectory(Path(path.segments, path.frame), found.trajectory.time_law, other)
+        motion = Trajectory(Path(path.segments, path.frame), found.trajectory.time_law)
         return dataclasses.replace(found, trajectory=motion)
 
 
-def test_what_a_plan_is_proven_for_is_its_problem_whatever_a_plugin_says():
+def test_a_plan_follows_its_own_path_whatever_path_a_plugin_returns():
     task = problem()
     plan = plan_dock(task, time_budget=BUDGET, timing=Relabelled())
     assert plan.trajectory.path is plan.path
-    assert plan.trajectory.certified_for == task.fingerprint
+    assert proven_for(plan.trajectory) == task.fingerprint
     assert not plan.timing_report.replaced
 
 
@@ -548,6 +548,75 @@ def test_what_a_cancel_checker_raises_is_the_callers_own():
     for times in (1, total // 4, total // 2, total):
         with pytest.raises(Interrupted):
             plan_dock(problem(), time_budget=BUDGET, cancel_checker=Patience(times, Interrupted()))
+
+
+class Raising:
+    """A cancel checker that raises where it is armed, and only once: whoever swallows that is never asked again."""
+
+    def __init__(self, error):
+        self.error, self.is_armed = error, False
+
+    def __call__(self):
+        if self.is_armed:
+            self.is_armed = False
+            raise self.error
+        return False
+
+
+@pytest.mark.parametrize(
+    ("role", "kind", "method"),
+    [
+        ("planner", DockPlanner, "create_plan"),
+        ("smoother", CasadiSmoother, "smooth"),
+        ("timing", Windowed, "parameterize"),
+    ],
+)
+@pytest.mark.parametrize("error", [Interrupted("mine"), KeyboardInterrupt(), InvalidValue("mine")], ids=repr)
+def test_a_plugin_that_swallows_what_the_cancel_checker_raises_does_not_hide_it(role, kind, method, error):
+    checker, swallowing = Raising(error), kind()
+    honest = getattr(swallowing, method)
+
+    def work(*arguments, cancel_checker=None, **named):
+        checker.is_armed = True
+        with contextlib.suppress(BaseException):
+            (cancel_checker or arguments[-1])()
+        return honest(*arguments, **named)
+
+    setattr(swallowing, method, work)
+    plugins = {"planner": DockPlanner(), "timing": "Windowed", role: swallowing}
+    with pytest.raises(type(error)) as caught:
+        plan_dock(problem(), time_budget=BUDGET, cancel_checker=checker, **plugins)
+    assert caught.value is error
+    assert not checker.is_armed
+    assert swallowing.state is LifecycleState.UNCONFIGURED
+
+
+@pytest.mark.parametrize("error", [ZeroDivisionError("oh"), KeyError("oh"), RecursionError("oh"), OSError("oh")])
+@pytest.mark.parametrize("role", ["planner", "smoother"])
+def test_whatever_a_plugin_raises_is_the_cause_of_its_error(role, error):
+    class Faulty(GlobalPlanner, Smoother):
+        def create_plan(self, start, goal, cancel_checker=never_cancelled):
+            raise error
+
+        def smooth(self, path, max_time, *, problem=None, warm_start=None, cancel_checker=None):
+            raise error
+
+    found = failure(problem(), **{role: Faulty()})
+    assert type(found) is PluginError
+    assert found.__cause__ is error
+    assert f"Faulty failed: {type(error).__name__}: " in str(found)
+
+
+@pytest.mark.parametrize("hook", ["on_configure", "on_cleanup"])
+def test_what_a_plugin_raises_while_it_is_configured_or_let_go_is_its_error_too(hook):
+    error = ZeroDivisionError("oh")
+
+    def fail(self):
+        raise error
+
+    found = failure(problem(), smoother=type("Stubborn", (CasadiSmoother,), {hook: fail})())
+    assert type(found) is PluginError
+    assert found.__cause__ is error
 
 
 class Mistaken(GlobalPlanner, Smoother):

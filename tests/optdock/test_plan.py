@@ -18,6 +18,7 @@ from optdock.plan import DockPlan, PartialPlan
 from optdock.problem import DockingProblem
 from optdock.robot import Robot
 from optdock.trajectory import TimeLaw
+from optdock.verification import proven_for
 
 LIMITS = MotionLimits(max_curvature=2.0, max_curvature_rate=8.0)
 PROBLEM = DockingProblem(
@@ -43,19 +44,19 @@ def test_a_saved_plan_is_the_same_plan_when_it_is_loaded(plan, tmp_path, kind):
     assert loaded.trajectory_certificate == plan.trajectory_certificate
     t = np.linspace(0.0, plan.trajectory.duration, 50)
     np.testing.assert_array_equal(loaded.trajectory.time_law.at(t), plan.trajectory.time_law.at(t))
-    assert loaded.trajectory.certified_for == PROBLEM.fingerprint
+    assert proven_for(loaded.trajectory) == PROBLEM.fingerprint
     assert loaded.timing_ms == plan.timing_ms
 
 
 def test_a_loaded_plan_is_proven_for_the_problem_at_hand(plan, tmp_path):
     plan.save(tmp_path / "plan.json")
     blocked = dataclasses.replace(PROBLEM, obstacles=[[(-1.2, -0.1), (-1.0, -0.1), (-1.0, 0.1), (-1.2, 0.1)]])
-    with pytest.raises(CertificationFailed, match="its path is not certified for this problem: .*obstacles") as caught:
+    with pytest.raises(CertificationFailed, match="for this problem the path is not certified: .*obstacles") as caught:
         DockPlan.load(tmp_path / "plan.json", blocked)
     assert caught.value.where["kind"] == "clearance"
     slower = dataclasses.replace(LIMITS, max_speed=0.1)
     slow = dataclasses.replace(PROBLEM, robot=dataclasses.replace(PROBLEM.robot, limits=slower))
-    with pytest.raises(CertificationFailed, match="its motion is not certified for this problem: speed"):
+    with pytest.raises(CertificationFailed, match="for this problem the motion is not certified: speed"):
         DockPlan.load(tmp_path / "plan.json", slow)
     with pytest.raises(InvalidPath, match="stands in frame 'map'"):
         DockPlan.load(tmp_path / "plan.json", dataclasses.replace(PROBLEM, frame="odom"))
@@ -71,8 +72,7 @@ def test_a_loaded_motion_begins_as_the_robot_does(plan, tmp_path):
     ends = np.sqrt(top / jerk)
     cruise = (plan.path.length - begins**3 * jerk / 3.0 - top * ends) / top
     law = TimeLaw([begins, cruise, ends, ends], [-jerk, 0.0, -jerk, jerk], 0.0, 0.0, 0.5)
-    kicked = dataclasses.replace(plan, trajectory=dataclasses.replace(plan.trajectory, time_law=law))
-    kicked.save(tmp_path / "kicked.json")
+    save_plan(tmp_path / "kicked.json", dataclasses.replace(plan.as_file(), time_law=law))
     with pytest.raises(CertificationFailed, match="begins with acceleration 0.5, the robot has 0"):
         DockPlan.load(tmp_path / "kicked.json", PROBLEM)
     with pytest.raises(InvalidValue, match="problem: must be a DockingProblem"):

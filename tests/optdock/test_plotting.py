@@ -185,12 +185,20 @@ def test_the_map_is_drawn_where_its_cells_are(tmp_path):
 
 def test_every_panel_of_a_profile_holds_its_quantity_and_limit(trajectory):
     limits = MotionLimits(
-        max_yaw_rate=0.4, max_yaw_acceleration=3.0, max_lateral_acceleration=0.2, max_wheel_speed=0.5, track_width=0.4
-    )
+        max_yaw_rate=0.4, max_yaw_acceleration=3.0, max_lateral_acceleration=0.2, max_wheel_speed=0.5, track_width=0.4,
+        max_lateral_jerk=0.3,
+    )  # fmt: skip
     times = np.linspace(0.0, trajectory.duration, 400)
     panels = {panel.label.split(" [")[0]: panel for panel in _panels(trajectory, limits, SpeedZone(0.1, 0.2), times)}
-    assert list(panels) == ["speed", "acceleration", "jerk", "curvature", "yaw rate", "yaw acceleration"]
+    always = ["speed", "acceleration", "jerk", "curvature", "yaw rate", "yaw acceleration"]
+    assert list(panels) == [*always, "lateral acceleration", "wheel speed", "lateral jerk"]
     samples = trajectory.sample_at(times)
+    fine = trajectory.sample_at(np.repeat(times, 2) + np.tile([-1e-6, 1e-6], times.size))
+    sideways = (np.abs(fine.speed) * fine.yaw_rate).reshape(-1, 2)
+    change = np.abs(np.diff(sideways, axis=1)[:, 0]) / np.diff(fine.t.reshape(-1, 2), axis=1)[:, 0]
+    assert np.mean(np.abs(panels["lateral jerk"].values - change) < 1e-4) > 0.97  # all but jumps of the curvature rate
+    np.testing.assert_allclose(panels["lateral acceleration"].values, np.abs(samples.speed * samples.yaw_rate))
+    np.testing.assert_allclose(panels["wheel speed"].values, np.abs(samples.speed) + 0.2 * np.abs(samples.yaw_rate))
     np.testing.assert_array_equal(panels["speed"].values, samples.speed)
     bend = np.abs(trajectory.path.curvature_at(samples.s))
     forward = trajectory.path.direction_at(samples.s) > 0
@@ -211,8 +219,11 @@ def test_every_panel_of_a_profile_holds_its_quantity_and_limit(trajectory):
     assert set(panels["acceleration"].upper[reverse]) == {limits.max_deceleration}
 
 
-def test_a_profile_picture_is_drawn(tmp_path, trajectory):
-    save_profile_picture(tmp_path / "v.png", trajectory, MotionLimits(max_curvature=1.0), SpeedZone(), title="t")
+@pytest.mark.parametrize("more", [{}, {"max_lateral_acceleration": 0.2}])
+def test_a_profile_picture_is_drawn(tmp_path, trajectory, more):
+    save_profile_picture(
+        tmp_path / "v.png", trajectory, MotionLimits(max_curvature=1.0, **more), SpeedZone(), title="t"
+    )
     colours = colours_in(tmp_path / "v.png")
     assert colours.get(COLOURS["path"], 0) > 500
     assert colours.get(COLOURS["goal"], 0) > 200

@@ -1,6 +1,7 @@
 """Plugins: parameters, lifecycle, lookup by entry point, also from a foreign distribution."""
 
 import itertools
+import pathlib
 import subprocess
 import sys
 import textwrap
@@ -9,6 +10,7 @@ from enum import Enum
 import pytest
 from pydantic import ConfigDict, Field, PrivateAttr
 
+import checkers
 from optdock.errors import InvalidValue, LifecycleError, PluginError
 from optdock.interfaces import GoalChecker, LifecycleState, Smoother, Tolerances
 from optdock.lifecycle import Plugin, PluginContext
@@ -334,6 +336,33 @@ def test_a_plugin_of_another_distribution_is_found_loaded_and_named_in_errors(tm
     assert lines[5].startswith("plugin Half (foreign:Half) cannot be built: Can't instantiate abstract class Half")
     assert lines[6] == "plugin Sulking (foreign:Sulking) cannot be built: not today"
     assert lines[7] == "goal_checkers: plugin Leaving (leaving_foreign:X) cannot be imported: good-bye"
+
+
+@pytest.mark.parametrize(
+    ("name", "content"),
+    [("checkers/__init__.py", ""), ("checkers/axis.py", "class AxisGoalChecker: pass"), ("checkers.py", "")],
+)
+def test_a_folder_beside_the_script_that_hides_the_plugins_is_named(tmp_path, name, content):
+    hiding = tmp_path / name.split("/")[0]
+    if hiding.suffix != ".py":
+        hiding.mkdir()
+        (hiding / "__init__.py").touch()
+    (tmp_path / name).write_text(content)
+    done = run(tmp_path, "import optdock; from optdock.plugins import plugin_class; plugin_class('AxisGoalChecker')")
+    what = "file" if hiding.suffix else "folder"
+    place = pathlib.Path(checkers.__file__).parent
+    said = f"; the {what} {hiding} hides the package {place}: rename that {what}, or start Python elsewhere"
+    assert done.stderr.strip().endswith(said)
+    assert "PluginError: goal_checkers: plugin AxisGoalChecker (checkers.axis:AxisGoalChecker)" in done.stderr
+
+
+def test_a_folder_that_hides_nothing_is_not_blamed(tmp_path):
+    foreign_distribution(tmp_path)
+    (tmp_path / "checkers").mkdir()  # no package: Python goes on to the installed one
+    done = run(tmp_path, "from optdock.plugins import plugin_class; print(plugin_class('AxisGoalChecker').__module__)")
+    assert done.stdout == "checkers.axis\n"
+    done = run(tmp_path, "from optdock.plugins import plugin_class; plugin_class('Broken')")
+    assert "hides the package" not in done.stderr
 
 
 def test_two_plugins_of_one_name_are_refused(tmp_path):

@@ -1,5 +1,6 @@
 """The portfolio of `plan_dock`: which guesses are tried, which plan is chosen, and how a search ends."""
 
+import collections
 import dataclasses
 import itertools
 import json
@@ -8,25 +9,28 @@ import math
 import numpy as np
 import pytest
 
+from optdock.deadline import Deadline
 from optdock.dock import Dock, DockDirection
 from optdock.errors import (
     Cancelled,
+    CertificationFailed,
     FailedToSmoothPath,
     InvalidPath,
     InvalidValue,
     NoMotionExists,
     NoValidPathCouldBeFound,
     OptdockError,
+    PlannerCancelled,
     PluginError,
     TimedOut,
 )
 from optdock.geometry.footprint import Footprint
 from optdock.geometry.pose import Pose2
-from optdock.interfaces import GlobalPlanner, never_cancelled
+from optdock.interfaces import GlobalPlanner, Smoother, SmoothingResult, never_cancelled
 from optdock.limits import MotionLimits
 from optdock.outcomes import Guess
 from optdock.path import Path
-from optdock.pipeline import plan_dock
+from optdock.pipeline import plan_dock, warm_up
 from optdock.plan import DockPlan
 from optdock.planners.dock_planner import DockPlanner
 from optdock.planners.manoeuvres.price import CUSP_PRICE
@@ -36,6 +40,7 @@ from optdock.testing.dense_check import dense_check
 from optdock.verification import certify_motion, certify_path, check_impossibility
 
 BUDGET = 20.0  # [s]: these tests are about verdicts, not about time
+LONG = 1000.0  # [s]: where shares of a clock that stands still bound what a proof really takes
 LIMITS = MotionLimits(max_yaw_rate=1.0, max_yaw_acceleration=2.0, max_curvature=1.5, max_curvature_rate=6.0)
 ROBOT = Robot(Footprint.rectangle(0.45, 0.45, 0.6), LIMITS)
 STATION = Footprint(np.array([[0.455, -0.3], [0.6, -0.3], [0.6, 0.3], [0.455, 0.3]]))
@@ -200,6 +205,36 @@ RING = [
 ]
 
 
+class Prophet(GlobalPlanner, Smoother):
+    """Says that there is no way, with whatever it has for a proof."""
+
+    proof = None
+
+    def create_plan(self, start, goal, cancel_checker=lambda: False):
+        raise NoMotionExists("no way", proof=self.proof)
+
+    def smooth(self, path, max_time, **what):
+        raise NoMotionExists("no way", proof=self.proof)
+
+
+def test_nobody_says_that_no_motion_exists_without_a_proof():
+    walled = problem(obstacles=RING)
+    with pytest.raises(NoMotionExists) as caught:
+        plan_dock(walled, time_budget=BUDGET)
+    proof = caught.value.proof
+    for claimed in (None, "believe me", proof):
+        planner = Prophet()
+        planner.proof = claimed
+        for chosen in ({"planner": planner}, {"planner": (planner, "DockPlanner")}, {"smoother": planner}):
+            with pytest.raises(PluginError, match="says that no motion exists, without a proof that holds"):
+                plan_dock(problem(), time_budget=BUDGET, **chosen)
+    holds = Prophet()
+    holds.proof = proof
+    with pytest.raises(NoMotionExists) as caught:
+        plan_dock(walled, time_budget=BUDGET, planner=holds)
+    assert caught.value.proof is proof
+
+
 def test_a_dock_behind_walls_is_proven_out_of_reach():
     task = problem(obstacles=RING)
     with pytest.raises(NoMotionExists, match="no motion joins start and goal") as caught:
@@ -227,6 +262,179 @@ def test_what_is_neither_found_nor_proven_claims_no_proof():
 def test_a_budget_too_short_for_a_search_is_a_time_out(budget):
     with pytest.raises(TimedOut):
         plan_dock(problem((6.5, 1.0, math.pi)), time_budget=budget)
+
+
+class Clock:
+    """A clock that stands still until somebody sets it on: how busy the machine is has no part in a test."""
+
+    def __init__(self):
+        self.now = 0.0
+
+    def __call__(self):
+        return self.now
+
+
+@pytest.fixture
+def clock(monkeypatch):
+    """The clock of the deadlines of `plan_dock`."""
+    warm_up(planner="DockPlanner")
+    found = Clock()
+    monkeypatch.setattr("optdock.pipeline.Deadline", lambda seconds: Deadline(seconds, found))
+    monkeypatch.setattr("optdock.pipeline._WAITS", collections.deque(maxlen=9))
+    return found
+
+
+class Dawdling(Several):
+    """Offers one path, and lets so many seconds pass before it looks for another one."""
+
+    def __init__(self, path, clock, seconds):
+        super().__init__(path)
+        self.clock, self.seconds = clock, seconds
+
+    def create_plans(self, start, goal, cancel_checker=never_cancelled, better_than=lambda: math.inf):
+        yield Guess(self.paths[0], "offer")
+        self.clock.now += self.seconds
+
+
+@pytest.mark.parametrize(("seconds", "completed"), [(0.0, True), (0.9, True), (1.1, False)])
+def test_a_plan_is_completed_where_every_guess_was_tried_before_the_deadline(clock, seconds, completed):
+    """What was found in time is certified all the same; a search that was cut short may have missed a better one."""
+    task = problem()
+    planner = Dawdling(raw(task), clock, seconds * BUDGET)
+    plan = plan_dock(task, time_budget=BUDGET, planner=planner)
+    assert plan.certificate.certified
+    assert plan.completed is completed
+
+
+class Insatiable(GlobalPlanner):
+    """Searches in vain for as long as it is let; `stopped_at` tells when that ended."""
+
+    def __init__(self, clock, step=1e-3 * LONG):
+        super().__init__()
+        self.clock, self.step, self.stopped_at = clock, step, math.nan
+
+    def create_plan(self, start, goal, cancel_checker=never_cancelled):
+        while not cancel_checker():
+            self.clock.now += self.step
+        self.stopped_at = self.clock.now
+        raise PlannerCancelled("asked to stop")
+
+
+class Helpless(GlobalPlanner):
+    """Has nothing to offer."""
+
+    def create_plan(self, start, goal, cancel_checker=never_cancelled):
+        raise NoValidPathCouldBeFound("nothing")
+
+
+BAY = [
+    [[-3.0, -0.4], [-0.47, -0.4], [-0.47, 1.2], [-3.0, 1.2]],
+    [[0.47, -0.4], [3.0, -0.4], [3.0, 1.2], [0.47, 1.2]],
+    [[-3.0, -0.5], [3.0, -0.5], [3.0, -0.4], [-3.0, -0.4]],
+]
+# 4 cm longer than the robot, which lies along its bottom and would have to leave it sideways: its largest disc leaves
+# it easily, so that nothing is proven before a planner has had its time.
+BAYED = DockingProblem(Pose2(0.0, 2.0, 0.0), Dock(Pose2(0.0, 0.0, 0.0)), ROBOT, BAY)
+
+
+def test_the_last_planner_leaves_time_for_a_proof(clock):
+    """A fifth of what is left, where it is the last of several."""
+    last = Insatiable(clock)
+    with pytest.raises(NoMotionExists):
+        plan_dock(BAYED, time_budget=LONG, planner=(Helpless(), last))
+    assert last.stopped_at == pytest.approx(0.8 * LONG, abs=2e-3 * LONG)
+    alone = Insatiable(clock)
+    began = clock.now
+    with pytest.raises(TimedOut):
+        plan_dock(BAYED, time_budget=LONG, planner=alone)
+    assert alone.stopped_at - began == pytest.approx(LONG, abs=2e-3 * LONG)
+
+
+class Pausing(Helpless):
+    """Pauses nine times."""
+
+    def create_plans(self, start, goal, cancel_checker=never_cancelled, better_than=lambda: math.inf):
+        self.pauses = 0
+        while not cancel_checker() and self.pauses < 9:
+            self.pauses += 1
+            yield None
+
+
+def test_a_proof_is_looked_for_whenever_a_planner_pauses(clock):
+    """The first pause is enough, and the search is over."""
+    planner = Pausing()
+    with pytest.raises(NoMotionExists):
+        plan_dock(BAYED, time_budget=LONG, planner=(planner, Helpless()))
+    assert planner.pauses == 1
+
+
+class Recording(Smoother):
+    """Notes what it is given and for how long, and fails as it is told, guess by guess; None: hands its guess back."""
+
+    def __init__(self, *errors):
+        super().__init__()
+        self.errors, self.given, self.times = list(errors), [], []
+
+    def smooth(self, path, max_time, *, problem=None, warm_start=None, cancel_checker=None):
+        self.given.append(path)
+        self.times.append(max_time)
+        error = self.errors.pop(0)
+        if error is not None:
+            raise error
+        return SmoothingResult(path)
+
+
+def bent(aside):
+    """A rough guess from the start to the goal, so far to the side half-way."""
+    return Path.from_poses([problem().start, Pose2(2.2, 0.6 + aside, 0.2), GOAL])
+
+
+def test_a_guess_that_may_be_followed_by_others_is_smoothed_for_a_share_of_the_time(clock):
+    """Two fifths of what is left; the only guess of the last planner gets all but the reserve."""
+    many = Recording(FailedToSmoothPath("no"), FailedToSmoothPath("no"))
+    with pytest.raises(FailedToSmoothPath):
+        plan_dock(problem(), time_budget=BUDGET, planner=Several(bent(0.0), bent(0.5)), smoother=many)
+    assert many.times == pytest.approx([0.4 * BUDGET, 0.4 * BUDGET], rel=1e-3)
+    only = Recording(FailedToSmoothPath("no"))
+    with pytest.raises(FailedToSmoothPath):
+        plan_dock(problem(), time_budget=BUDGET, planner="DockPlanner", smoother=only)
+    assert only.times == pytest.approx([BUDGET - 0.03], rel=1e-3)
+
+
+def test_a_guess_through_obstacles_is_put_off_and_tried_at_the_end(clock):
+    block = [[[0.9, -1.5], [3.1, -1.5], [3.1, 2.5], [0.9, 2.5]]]
+    task = problem((0.2, 0.3, 0.3), obstacles=block)
+    through, round_ = (Path.from_poses([task.start, Pose2(2.0, middle, 0.2), GOAL]) for middle in (0.6, 4.5))
+    smoother = Recording(FailedToSmoothPath("no"), FailedToSmoothPath("no"))
+    with pytest.raises(FailedToSmoothPath) as caught:
+        plan_dock(task, time_budget=BUDGET, planner=Several(through, round_), smoother=smoother)
+    assert [path.segments for path in smoother.given] == [round_.segments, through.segments]
+    reasons = [attempt.reason for attempt in caught.value.partial.tried]
+    assert reasons[0].startswith("put off: ")
+    assert "% of its poses lie in obstacles" in reasons[0]
+
+
+@pytest.mark.parametrize("errors", [(FailedToSmoothPath("no"), None), (None, FailedToSmoothPath("no"))])
+def test_the_reason_is_that_of_the_guess_which_came_furthest(clock, errors):
+    """A path that was smoothed and not proven tells more than one that was not, in whichever order."""
+    with pytest.raises(CertificationFailed):
+        plan_dock(problem(), time_budget=BUDGET, planner=Several(bent(0.0), bent(0.5)), smoother=Recording(*errors))
+
+
+@pytest.mark.parametrize(
+    ("waits", "margin"),
+    [((), 0.0), ((0.002,), 0.0), ((0.002, 0.001), 0.001), ((0.002, 0.001, 9.0), 0.002), ((9.0, 9.0), 0.006)],
+)
+def test_a_call_stops_earlier_where_the_machine_has_kept_two_of_the_last_calls_waiting(
+    clock, monkeypatch, waits, margin
+):
+    """By the second longest of these waits, 6 ms at most."""
+    monkeypatch.setattr("optdock.pipeline._WAITS", collections.deque(waits, maxlen=9))
+    budget, step = 0.1, 1e-4
+    planner = Insatiable(clock, step)
+    with pytest.raises(TimedOut):
+        plan_dock(problem(), time_budget=budget, planner=planner)
+    assert planner.stopped_at == pytest.approx(budget - margin, abs=1.5 * step)
 
 
 def test_the_same_problem_has_the_same_plan():

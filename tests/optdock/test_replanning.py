@@ -151,16 +151,31 @@ def test_an_offset_of_the_robot_is_carried_to_the_joint():
     measured = plan.trajectory.at(2.0).pose @ offset
     found = replan(plan, plan.problem.goal, DriveState(2.0, pose=measured), BUDGET, lead=LEAD)
     assert found.outcome is ReplanOutcome.NEW
-    predicted = plan.trajectory.at(2.0 + LEAD).pose @ offset
+    moved_by = measured @ plan.trajectory.at(2.0).pose.inverse()
+    predicted = moved_by @ plan.trajectory.at(2.0 + LEAD).pose
     assert found.trajectory.at(0.0).pose.gap_to(predicted) <= 1e-6
     assert_lawful(found)
 
 
-def test_a_robot_within_the_dock_s_tolerances_of_its_plan_is_on_it():
+def test_a_new_plan_begins_where_the_robot_is_however_near_to_its_plan_that_is():
     plan = running()
-    measured = plan.trajectory.at(2.0).pose @ Pose2(0.005, 0.01, 0.01)
-    found = replan(plan, moved(plan, 0.0, 0.03, 0.0), DriveState(2.0, pose=measured), BUDGET, lead=LEAD)
-    assert_continuous(plan, found)
+    reference = plan.trajectory.at(2.0).pose
+    for off in (1e-7, 1e-4, 0.005):
+        measured = reference @ Pose2(off, off, off)
+        found = replan(plan, moved(plan, 0.0, 0.03, 0.0), DriveState(2.0, pose=measured), BUDGET, lead=LEAD)
+        assert found.outcome is ReplanOutcome.NEW
+        begins = measured @ reference.inverse() @ plan.trajectory.at(2.0 + LEAD).pose
+        assert found.trajectory.at(0.0).pose.gap_to(begins) <= 1e-6
+        assert found.way.pose.gap_to(measured) <= 1e-6
+
+
+def test_a_trajectory_that_was_moved_as_a_whole_goes_on_where_it_was_moved_to():
+    plan, by = running(), Pose2(0.03, -0.02, 0.05)
+    dock = by @ plan.problem.goal @ Pose2(0.0, 0.03, 0.0)
+    found = replan(plan, dock, DriveState(2.0, moved=by), BUDGET, lead=LEAD)
+    assert found.outcome is ReplanOutcome.NEW
+    assert found.trajectory.at(0.0).pose.gap_to(by @ plan.trajectory.at(2.0 + LEAD).pose) <= 1e-6
+    assert found.plan.path.end.gap_to(dock) <= 1e-6
 
 
 def test_a_way_around_a_new_obstacle():

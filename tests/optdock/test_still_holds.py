@@ -22,7 +22,6 @@ from optdock.problem import DockingProblem
 from optdock.replanning import still_holds
 from optdock.robot import Robot, TrackingTube
 from optdock.testing.dense_check import dense_check
-from optdock.trajectory import Trajectory
 from optdock.verification import certify_path
 
 ORIGIN, CELL, SIDE = (-3.0, -2.0), 0.1, 40
@@ -131,16 +130,6 @@ def test_what_has_changed_is_named():
         assert still_holds(plan, dataclasses.replace(problem, **change), 1.0).changed == names
 
 
-def test_of_a_plan_that_was_moved_nothing_is_proven_yet():
-    plan = running()
-    moved = dataclasses.replace(plan, path=plan.path.moved(Pose2(0.0, 0.9, 0.0)))
-    found = still_holds(moved, plan.problem)
-    assert found.changed == ("path",)
-    assert not found
-    elsewhere = dataclasses.replace(plan, problem=dataclasses.replace(plan.problem, obstacles=[]))
-    assert still_holds(elsewhere, elsewhere.problem).changed == ("path",)
-
-
 def test_another_frame_holds_nothing():
     plan = running()
     found = still_holds(plan, dataclasses.replace(plan.problem, frame="odom"))
@@ -166,6 +155,18 @@ def test_a_station_that_moves_into_the_robot_is_a_conflict():
     found = still_holds(plan, dataclasses.replace(plan.problem, dock=nearer), 1.0)
     assert not found
     assert found.obstacle == "dock"
+
+
+@pytest.mark.parametrize("counts", [True, False])
+def test_unknown_cells_that_become_obstacles_are_new_ones(counts):
+    """The map is the same, what it means is not."""
+    cells = np.zeros((100, 100), dtype=np.uint8)
+    cells[45:56, 35] = 255
+    known = dataclasses.replace(open_problem(), costmap=Costmap(cells, 0.1, (-5.0, -5.0)), unknown_is_obstacle=False)
+    plan = plan_dock(known, time_budget=30.0)
+    found = still_holds(plan, dataclasses.replace(known, unknown_is_obstacle=counts))
+    assert found.holds is not counts
+    assert found.changed == (("costmap",) if counts else ())
 
 
 def test_a_map_that_ends_on_the_way_is_a_border():
@@ -232,18 +233,3 @@ def test_where_nothing_is_left_to_drive_the_robot_must_still_be_clear(beyond):
     assert still_holds(plan, Costmap(cells, 0.1, (-5.0, -5.0)), time)
     cells[50, 50] = 254
     assert not still_holds(plan, Costmap(cells, 0.1, (-5.0, -5.0)), time)
-
-
-@pytest.mark.parametrize("told", ["costmap", "obstacles"])
-def test_a_plan_that_was_moved_meets_all_there_is_now(told):
-    """Nothing of it is proven, neither against what was there before nor against what is new."""
-    plan = planned(NONE)
-    path = plan.path.moved(Pose2(0.0, 0.02, 0.0))
-    moved = dataclasses.replace(plan, path=path, trajectory=Trajectory(path, plan.trajectory.time_law))
-    cells = np.zeros((100, 100), dtype=np.uint8)
-    cells[50:53, 35] = 254
-    costmap = Costmap(cells, 0.1, (-5.0, -5.0))
-    box = ObstacleSet.of([np.array([[-1.5, 0.0], [-1.4, 0.0], [-1.4, 0.3], [-1.5, 0.3]])])
-    world, free = (costmap, Costmap(0 * cells, 0.1, (-5.0, -5.0))) if told == "costmap" else (box, ObstacleSet.empty())
-    assert not still_holds(moved, world)
-    assert still_holds(moved, free)

@@ -139,7 +139,7 @@ def test_the_start_relief_leaves_no_tube_where_nothing_is_to_spare():
     wall = [[-5.0, 0.64], [9.0, 0.64], [9.0, 0.8], [-5.0, 0.8]]
     problem = problem_with(TrackingTube(0.02), [wall])
     problem = problem.starting_at(Pose2(-3.0, 0.3, -0.05))
-    plan = plan_dock(problem)
+    plan = plan_dock(problem, time_budget=30.0)
     tube = Tube(plan.path, problem, plan.certificate.start_relief)
     assert tube.width_at(np.array([0.0]))[0] == 0.0
 

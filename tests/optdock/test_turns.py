@@ -39,6 +39,7 @@ from optdock.verification import (
     certify_trajectory,
     check_sampled_motion,
     check_samples_of,
+    prove_motion,
 )
 
 LIMITS = MotionLimits(0.5, 0.3, 0.4, 0.6, 2.0, max_yaw_rate=0.8, max_yaw_acceleration=1.5, max_curvature=2.0)
@@ -397,9 +398,7 @@ def test_nothing_limits_a_turn():
 
 def plan_of(path=ROUTE, **options):
     problem = problem_of(path, **options)
-    motion = Trajectory(path, timed(path).time_law, problem.fingerprint)
-    proofs = certify_path(path, problem), certify_motion(motion, problem)
-    return DockPlan(problem, path, path, motion, *proofs, True, {})
+    return DockPlan(prove_motion(Trajectory(path, timed(path).time_law), problem), path)
 
 
 def test_a_plan_file_holds_turns_exactly(tmp_path):

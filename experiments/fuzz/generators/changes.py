@@ -19,21 +19,37 @@ if TYPE_CHECKING:
 __all__ = ["running_plan"]
 
 Rng: TypeAlias = np.random.Generator
+_QUICK = [0.5, 0.1, 0.0, 0.4]
 _PATHS = 0.6  # share of cases with a path of their own, whose margins lie at the border; the rest is planned
+_PATHS_ASKED = 0.9  # likewise where the question is given: these cost a tenth
+# Limits that `_simple_law` keeps on any path.
+_NO_LIMITS = dict.fromkeys(("max_speed", "max_reverse_speed", "max_acceleration", "max_deceleration", "max_jerk"), 1e6)
+_FAST_TURNS = {"max_yaw_rate": 1e6, "max_yaw_acceleration": 1e6}
 
 
-def running_plan(rng: Rng) -> Case:
+def running_plan(rng: Rng, question: str | None = None, *, is_beside: bool = False) -> Case:
     """A plan, or a problem to be planned first; a world; how far the robot is; `kind` is `replans`.
 
     `world` holds what differs from the case itself. `beside` names obstacles that are placed beside the rest of the
-    path once that is known: a seed and gaps [m]. `moved` is a rigid motion of the finished plan, as estimates ask for.
+    path once that is known: a seed and gaps [m]. `offset` is the measured robot as seen from its reference; `moved` a
+    rigid motion of the running plan, as robots ask for that steer by their dock.
+
+    Args:
+        rng: Where random numbers come from.
+        question: `holds`, `replan`, or `decide` by the executor's planning; None: one of the first two.
+        is_beside: Whether the robot is measured beside its plan; else it is now and then.
     """
-    if rng.uniform() < _PATHS:
+    if rng.uniform() < (_PATHS if question is None else _PATHS_ASKED):
         case = path_problem(rng)
         case["law"] = _simple_law(case["path"])
+        case["limits"] = {**_NO_LIMITS, **case["limits"], **(_FAST_TURNS if "max_yaw_rate" in case["limits"] else {})}
+        case["start_speed"], case["start_curvature"], case["start_acceleration"] = 0.0, None, 0.0
+        case["zone"] = [None, 0.0]
         case["world"] = _revealed(rng, case)
         asked = ["problem", "obstacles"] if case["world"].get("grid") is None else ["problem", "problem", "costmap"]
-        case["question"] = "holds"
+        if question is not None:
+            asked = ["problem"]
+        case["question"] = question or "holds"
     else:
         case = docking_problem(rng)
         case["budget"] = 2.0
@@ -42,7 +58,7 @@ def running_plan(rng: Rng) -> Case:
         case["world"] = _another_world(rng, case)
         case["beside"] = [int(rng.integers(2**31)), [_gap(rng, case) for _ in range(int(rng.choice([0, 1, 3])))]]
         asked = ["problem"] if set(case["world"]) - {"dock"} or case["beside"][1] else ["problem", "pose"]
-        case["question"] = "replan"
+        case["question"] = question or "replan"
     case["kind"] = "replans"
     case["asked"] = str(rng.choice(asked))
     case["share"] = float(
@@ -52,8 +68,9 @@ def running_plan(rng: Rng) -> Case:
     case["delay"] = float(rng.choice([0.0, rng.uniform(0.0, 0.2)]))
     case["lead"] = None if rng.uniform() < 0.6 else float(rng.uniform(0.0, 0.3))
     case["moved"] = None if rng.uniform() < 0.9 else [float(rng.normal(0.0, 0.05)) for _ in range(3)]
-    case["offset"] = None if rng.uniform() < 0.5 else _offset(rng)
-    case["replan_budget"] = float(rng.choice([0.02, 0.1, 0.5, 0.001], p=[0.2, 0.2, 0.55, 0.05]))
+    case["offset"] = None if not is_beside and rng.uniform() < 0.5 else _offset(rng)
+    budgets = [0.02, 0.1, 0.5, 0.001]
+    case["replan_budget"] = float(rng.choice(budgets, p=[0.2, 0.2, 0.55, 0.05] if question is None else _QUICK))
     return case
 
 

@@ -82,6 +82,7 @@ def _limits(rng: Rng) -> Case:
         ("yaw_acceleration", 0.1),
         ("lateral_acceleration", 0.03),
         ("wheel_speed", 0.1),
+        ("lateral_jerk", 0.05),
     ):
         if rng.uniform() < 0.3:
             limits[f"max_{name}"] = log_uniform(rng, low, 2.0)

@@ -23,7 +23,7 @@ __all__ = ["motion_problem"]
 Rng: TypeAlias = np.random.Generator
 _TURNS, _STEERED = 0.25, 0.3  # shares of motions that turn in place, and of steered wheels
 _HUGE = 1e9  # stands for no limit where a finite one is required
-_CURVED = ("yaw_rate", "lateral_acceleration", "yaw_acceleration", "wheel_speed")
+_CURVED = ("yaw_rate", "lateral_acceleration", "yaw_acceleration", "wheel_speed", "lateral_jerk")
 _PLAIN = ("speed", "acceleration", "deceleration", "jerk")
 
 

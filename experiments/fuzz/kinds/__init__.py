@@ -4,7 +4,18 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, NamedTuple
 
-from experiments.fuzz.kinds import files, impossibilities, paths, plans, replans, timings, trajectories, values
+from experiments.fuzz.kinds import (
+    damaged_files,
+    files,
+    impossibilities,
+    limits,
+    paths,
+    plans,
+    replans,
+    timings,
+    trajectories,
+    values,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -27,9 +38,13 @@ KINDS: dict[str, Kind] = {
     "paths": Kind(paths.draw, paths.judge),
     "trajectories": Kind(trajectories.draw, trajectories.judge),
     "timings": Kind(timings.draw, timings.judge),
+    "limits": Kind(limits.draw, limits.judge),
     "plans": Kind(plans.draw, plans.judge),
     "replans": Kind(replans.draw, replans.judge),
+    "measured": Kind(replans.draw_measured, replans.judge),
+    "decisions": Kind(replans.draw_decision, replans.judge),
     "impossibilities": Kind(impossibilities.draw, impossibilities.judge),
     "files": Kind(files.draw, files.judge),
+    "damaged_files": Kind(damaged_files.draw, damaged_files.judge),
     "values": Kind(values.draw, values.judge),
 }

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 __all__ = ["draw", "judge"]
 
-_STATUSES = {0: "certified", 2: "bad input", 3: "not certified"}
+_STATUSES = {0: "certified", 2: "bad input", 3: "not certified", 4: "impossible"}
 
 
 def draw(rng: np.random.Generator) -> Case:

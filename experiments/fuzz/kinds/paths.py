@@ -13,6 +13,7 @@ from experiments.fuzz.oracle.motion import motion_of
 from experiments.fuzz.oracle.rules import findings
 from experiments.fuzz.oracle.sweep import jumps_at_goal, required_at, start_clearance, start_run, sweep
 from experiments.fuzz.oracle.world import World
+from experiments.fuzz.truth import says_yes
 from optdock.errors import OptdockError
 from optdock.verification import certify_path
 
@@ -40,7 +41,7 @@ def judge(case: Case) -> Verdict:
         certificate = certify_path(path, problem)
     except OptdockError as error:
         return Verdict(f"input refused: {type(error).__name__}", str(error))
-    if certificate.certified:
+    if says_yes(certificate):
         return refuted(case, certificate) or Verdict("certified")
     return _wrongly_refused(case, certificate) or Verdict(f"refused: {certificate.violations[0].kind}")
 

@@ -14,6 +14,7 @@ from experiments.fuzz.doors import law_spec, path_spec, problem_of, problem_spec
 from experiments.fuzz.generators.docking import docking_problem
 from experiments.fuzz.kinds import paths, trajectories
 from experiments.fuzz.oracle.motion import motion_of
+from experiments.fuzz.truth import says_yes
 from optdock.errors import CertificationFailed, OptdockError
 from optdock.pipeline import plan_dock, warm_up
 
@@ -78,7 +79,7 @@ def _failed(case: Case, error: CertificationFailed) -> Verdict:
 
 def _refuted(case: Case, plan: DockPlan) -> Verdict | None:
     """What is wrong with a plan."""
-    if not (plan.certificate.certified and plan.trajectory_certificate.certified):
+    if not (says_yes(plan.certificate) and says_yes(plan.trajectory_certificate)):
         return Verdict("uncertified plan", plan.certificate.reason or plan.trajectory_certificate.reason)
     gears, law = path_spec(plan.path), plan.trajectory.time_law
     if path_spec(plan.trajectory.path) != gears:

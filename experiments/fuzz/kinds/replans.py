@@ -1,8 +1,10 @@
-"""`replan` and `still_holds` on running plans in worlds that have changed: whatever they say to be proven is true."""
+"""`replan`, `still_holds` and the executor's planning on running plans in worlds that have changed.
+
+Whatever they say to be proven is true, of the robot where it is measured.
+"""
 
 from __future__ import annotations
 
-import dataclasses
 import functools
 import math
 import time
@@ -17,24 +19,30 @@ from experiments.fuzz.generators.problems import beside
 from experiments.fuzz.kinds import paths, trajectories
 from experiments.fuzz.oracle.motion import cut, motion_of
 from experiments.fuzz.oracle.rules import gap
-from experiments.fuzz.oracle.sweep import jumps_at_goal, start_clearance, start_run, sweep, tube
+from experiments.fuzz.oracle.sweep import jumps_at_goal, required_at, start_clearance, start_run, sweep
 from experiments.fuzz.oracle.timing import judged, state_at
 from experiments.fuzz.oracle.world import World
-from optdock.errors import OptdockError
+from experiments.fuzz.truth import says_yes
+from optdock.errors import CertificationFailed, OptdockError
+from optdock.executor.planning import Job, Motion, planned
 from optdock.geometry.pose import Pose2
 from optdock.pipeline import plan_dock, warm_up
 from optdock.plan import DockPlan
 from optdock.replanning import DriveState, ReplanOutcome, replan, still_holds
 from optdock.trajectory import Trajectory
-from optdock.verification import certify_path, certify_trajectory
+from optdock.verification import prove_motion
 
 if TYPE_CHECKING:
     from experiments.fuzz.case import Case
     from experiments.fuzz.oracle.motion import Floats
+    from experiments.fuzz.oracle.motion import Motion as OracleMotion
     from experiments.fuzz.oracle.sweep import Sweep
+    from optdock.executor.planning import PlanResult
+    from optdock.problem import DockingProblem
     from optdock.replanning import Replanned, StillHolds
+    from optdock.verification import TrajectoryCertificate
 
-__all__ = ["draw", "judge"]
+__all__ = ["draw", "draw_decision", "draw_measured", "judge"]
 
 _FORGIVEN = 2e-6  # [m]: twice what the certificate forgives
 _SPARE, _ROUND = 1e-3, 0.02  # [m], of the radius: a rest with more margin must hold
@@ -47,6 +55,16 @@ _UNPROVEN = "stop, not proven"
 def draw(rng: np.random.Generator) -> Case:
     """A random running plan in another world."""
     return running_plan(rng)
+
+
+def draw_measured(rng: np.random.Generator) -> Case:
+    """One that is replanned while the robot is measured beside its plan."""
+    return {**running_plan(rng, question="replan", is_beside=True), "kind": "measured"}
+
+
+def draw_decision(rng: np.random.Generator) -> Case:
+    """One in which the executor's planning decides."""
+    return {**running_plan(rng, question="decide", is_beside=True), "kind": "decisions"}
 
 
 @functools.cache
@@ -62,23 +80,21 @@ def judge(case: Case) -> Verdict:
         return Verdict(f"no plan: {type(error).__name__}")
     if plan is None:
         return Verdict("no plan: not certified")
-    made = path_spec(plan.path)
-    if case.get("moved"):
-        path = plan.path.moved(Pose2(*case["moved"]))
-        plan = dataclasses.replace(plan, path=path, trajectory=Trajectory(path, plan.trajectory.time_law))
     scene = {**_known(case), "path": path_spec(plan.path), "law": law_spec(plan.trajectory.time_law)}
     time_now = case["share"] * plan.trajectory.duration
     world = _world(case, scene, time_now)
-    full = {**case, "path": made, "law": scene["law"], "world": _difference(scene, world), "beside": [0, []]}
+    full = {**case, "path": scene["path"], "law": scene["law"], "world": _difference(scene, world), "beside": [0, []]}
     try:
         later = problem_of(world)
     except OptdockError as error:
         return Verdict(f"input refused: {type(error).__name__}", str(error))
     asked = {"costmap": later.costmap, "obstacles": later.obstacles}.get(case["asked"], later)
-    found = still_holds(plan, asked, time_now)
-    wrong = _about_the_rest(scene, world, time_now, found, plan.certificate.start_relief)
-    word = "holds" if found else "holds no more"
-    if wrong is None and case["question"] == "replan":
+    word, wrong = "", None
+    if case["question"] != "decide":
+        found = still_holds(plan, asked, time_now)
+        wrong = _about_the_rest(scene, world, time_now, found, plan.certificate.start_relief)
+        word = "holds" if says_yes(found) else "holds no more"
+    if wrong is None and case["question"] != "holds":
         word, wrong = _about_the_answer(case, scene, world, plan, later, time_now)
     return Verdict(word) if wrong is None else Verdict(wrong.outcome, wrong.detail, full)
 
@@ -94,12 +110,10 @@ def _plan(case: Case) -> DockPlan | None:
     if "path" not in case:
         return plan_dock(problem, time_budget=case["budget"])
     path = path_of(case["path"]).with_frame(problem.frame)
-    trajectory = Trajectory(path, law_of(case["law"]))
-    certificate = certify_path(path, problem)
-    if not certificate.certified:
+    try:
+        return DockPlan(prove_motion(Trajectory(path, law_of(case["law"])), problem), path)
+    except CertificationFailed:
         return None
-    motion = certify_trajectory(trajectory, problem.robot.limits, problem.dock.approach)
-    return DockPlan(problem, path, path, trajectory, certificate, motion, completed=True, timing_ms={})
 
 
 def _world(case: Case, scene: Case, now: float) -> Case:
@@ -156,13 +170,15 @@ def _short(what: str, world: Case, seen: Sweep) -> Verdict | None:
 class _Now(NamedTuple):
     """What is so, by the oracle.
 
-    `offset`: of the robot from its reference, seen from there; None where it is within the dock's tolerances. `lead`:
-    until the joint at the earliest [s].
+    `driven`: the running path where it is followed. `ahead`: that one moved to where the robot is measured; the same
+    where it is on its path. `pose`: of the robot; None: on its path.
     """
 
     time: float
     rate: float
-    offset: Floats | None
+    pose: Floats | None
+    driven: list[Case]
+    ahead: list[Case]
     case: Case
     scene: Case
     world: Case
@@ -180,57 +196,94 @@ class _Now(NamedTuple):
 
     def pose_at(self, t: float) -> Floats:
         """Where the robot is when the trajectory's clock shows `t`."""
-        place = motion_of(cut(self.scene["path"], self.s_at(t))).start
-        return place if self.offset is None else _moved(place, self.offset)
+        return motion_of(cut(self.ahead, self.s_at(t))).start
 
 
-def _moved(place: Floats, offset: Floats) -> Floats:
-    c, s = math.cos(place[2]), math.sin(place[2])
-    x, y, yaw = offset
-    return np.array([place[0] + c * x - s * y, place[1] + s * x + c * y, place[2] + yaw])
+class _Answer(NamedTuple):
+    """What is to be driven, and whether that is said to be proven; as of `Replanned`, or of the executor's planning."""
+
+    outcome: ReplanOutcome
+    trajectory: Trajectory
+    starts_at: float
+    plan: DockPlan | None
+    proven: bool
+    motion: TrajectoryCertificate | None
+
+    @classmethod
+    def of(cls, found: Replanned) -> _Answer:
+        return cls(found.outcome, found.trajectory, found.starts_at, found.plan, says_yes(found), found.motion)
+
+    @classmethod
+    def decided(cls, found: PlanResult, running: DockPlan) -> _Answer | None:
+        """None: the planning has failed, and says so."""
+        if not says_yes(found):
+            return None
+        outcome = ReplanOutcome(found.outcome.value)
+        if found.motion is None:
+            return cls(outcome, running.trajectory, 0.0, running, proven=True, motion=None)
+        plan = found.motion.plan
+        return cls(outcome, found.motion.trajectory, found.starts_at, plan, proven=plan is not None, motion=None)
+
+
+def _moved(path: list[Case], by: Pose2) -> list[Case]:
+    """A path as a rigid motion of the plane leaves it."""
+    x, y, turn = by.x, by.y, by.yaw
+    c, s = math.cos(turn), math.sin(turn)
+
+    def moved(pose: list[float]) -> list[float]:
+        return [x + c * pose[0] - s * pose[1], y + s * pose[0] + c * pose[1], pose[2] + turn]
+
+    return [
+        {**gear, "poses": [moved(pose) for pose in gear["poses"]]}
+        if gear["type"] == "polyline"
+        else {**gear, "start": moved(gear["start"])}
+        for gear in path
+    ]
 
 
 def _about_the_answer(
-    case: Case, scene: Case, world: Case, plan: DockPlan, later: object, now: float
+    case: Case, scene: Case, world: Case, plan: DockPlan, later: DockingProblem, now: float
 ) -> tuple[str, Verdict | None]:
-    offset = None if case["offset"] is None else np.array(case["offset"])
-    reference = plan.trajectory.at(now).pose
-    pose = None if offset is None else reference @ Pose2(*offset.tolist())
-    if offset is not None and _is_near(offset, world):
-        offset = None
+    by = None if case["moved"] is None else Pose2(*case["moved"])
+    driven = scene["path"] if by is None else _moved(scene["path"], by)
+    reference = Pose2(*motion_of(cut(driven, state_at(scene["law"], now).s)).start.tolist())
+    pose = None if case["offset"] is None else reference @ Pose2(*case["offset"])
+    ahead = driven if pose is None else _moved(driven, pose @ reference.inverse())
     target = Pose2(*world["dock"]["pose"]) if case["asked"] == "pose" else later
+    budget = case["replan_budget"]
     began = time.process_time()
     try:
-        found = replan(  # type: ignore[arg-type]
-            plan,
-            target,
-            DriveState(now, case["rate"], pose),
-            case["replan_budget"],
-            drive_delay=case["delay"],
-            lead=case["lead"],
-        )
+        if case["question"] == "decide":
+            lead = budget if case["lead"] is None else case["lead"]
+            job = Job(1, 0.0, later, budget, Motion.of(plan), now, case["rate"], pose, lead, by)
+            found = _Answer.decided(planned(job), plan)
+        else:
+            state = DriveState(now, case["rate"], pose, by)
+            found = _Answer.of(replan(plan, target, state, budget, drive_delay=case["delay"], lead=case["lead"]))
     except OptdockError as error:
         return "raised", Verdict("untyped exception", f"replan {type(error).__name__}: {error}")
-    spent = time.process_time() - began - case["replan_budget"]
-    this = _Now(now, case["rate"], offset, case, scene, world, plan)
+    spent = time.process_time() - began - budget
+    if found is None:
+        return "failed", None
+    measured = None if pose is None else pose.as_array()
+    this = _Now(now, case["rate"], measured, driven, ahead, case, scene, world, plan)
+    if pose is not None and case["question"] == "replan" and found.outcome is not ReplanOutcome.KEPT:
+        on_the_path = this._replace(ahead=driven)
+        begins = motion_of(path_spec(found.trajectory.path)).start
+        if gap(begins, this.pose_at(found.starts_at)) > _SAME >= gap(begins, on_the_path.pose_at(found.starts_at)):
+            this = on_the_path
+            wrong = _in_tube(this, found)
+            if wrong is not None:
+                return found.outcome.value, wrong
     word = found.outcome.value if found.proven else _UNPROVEN
     checks = {ReplanOutcome.NEW: _new, ReplanOutcome.KEPT: _kept, ReplanOutcome.STOP: _stop}
     wrong = _instant(this, found) or checks[found.outcome](this, found)
     if wrong is None and spent > _LATE_CPU:
-        wrong = Verdict("late", f"replan {word}: {1e3 * spent:.0f} ms of CPU past {1e3 * case['replan_budget']:.0f} ms")
+        wrong = Verdict("late", f"replan {word}: {1e3 * spent:.0f} ms of CPU past {1e3 * budget:.0f} ms")
     return word, wrong
 
 
-def _is_near(offset: Floats, world: Case) -> bool:
-    """Whether a robot off its reference counts as on it: in its tube, or docked at the dock where it has none."""
-    far, turn = math.hypot(*offset[:2]), abs(float(offset[2]))
-    width = tube({**world, "tracking": [0.0, turn]}) + far
-    if tube(world) > 0.0:
-        return width <= tube(world)
-    return far <= _TOLERANCES[1] and turn <= _TOLERANCES[2]
-
-
-def _instant(this: _Now, found: Replanned) -> Verdict | None:
+def _instant(this: _Now, found: _Answer) -> Verdict | None:
     """When the answer takes over: not before it is there."""
     if found.outcome is ReplanOutcome.KEPT:
         return None
@@ -256,10 +309,10 @@ def _way(this: _Now, what: str, way: list[Case], world: Case | None = None) -> V
 
 
 def _until(this: _Now, joint: float) -> list[Case]:
-    return cut(this.scene["path"], this.s_at(this.time), max(this.s_at(joint), this.s_at(this.time)))
+    return cut(this.ahead, this.s_at(this.time), max(this.s_at(joint), this.s_at(this.time)))
 
 
-def _joined(this: _Now, found: Replanned) -> tuple[Case, Verdict | None]:
+def _joined(this: _Now, found: _Answer) -> tuple[Case, Verdict | None]:
     """The state at the joint as `start...`, and what of the answer does not continue it."""
     path, law = path_spec(found.trajectory.path), found.trajectory.time_law
     state, pose = state_at(this.scene["law"], found.starts_at), this.pose_at(found.starts_at)
@@ -274,25 +327,31 @@ def _joined(this: _Now, found: Replanned) -> tuple[Case, Verdict | None]:
     if max(jumps) > _SAME:
         text = f"speed jumps by {jumps[0]:.4g} m/s, acceleration by {jumps[1]:.4g} m/s^2"
         return wanted, Verdict("false certificate", f"joint {found.outcome.value}: {text}")
-    moving = max(speed, abs(gained)) > 1e-6
-    before = motion_of(cut(this.scene["path"], state.s))
-    bent = (float(before.k0[0]), float(motion_of(path).k0[0]))
-    gears = (float(before.gear[0]), float(motion_of(path).gear[0]))
-    if moving and found.trajectory.path.driven > 1e-6:
-        if gears[0] != gears[1]:
-            return wanted, Verdict("false certificate", f"joint {found.outcome.value}: gear {gears[0]} to {gears[1]}")
-        if abs(bent[0] - bent[1]) > 1e-6 * (1.0 + abs(bent[0])):
-            text = f"curvature jumps from {bent[0]:.6g} to {bent[1]:.6g} 1/m"
-            return wanted, Verdict("false certificate", f"joint {found.outcome.value}: {text}")
-    if math.isfinite(this.world["limits"].get("max_steering_rate", math.inf)) and found.trajectory.path.driven > 1e-6:
-        wheels = gears[0] * bent[0], gears[1] * float(motion_of(path).k0[0])
-        if abs(wheels[0] - wheels[1]) > 1e-6 * (1.0 + abs(wheels[0])) or this.steers_at(found.starts_at):
-            text = f"wheels turned for {wheels[0]:.6g} 1/m or still turning, the path begins with {wheels[1]:.6g} 1/m"
-            return wanted, Verdict("false certificate", f"joint {found.outcome.value}: {text}")
-    return wanted, None
+    jump = _wheels_jump(this, found, moving=max(speed, abs(gained)) > 1e-6)
+    return wanted, Verdict("false certificate", f"joint {found.outcome.value}: {jump}") if jump else None
 
 
-def _timed(this: _Now, found: Replanned, start: Case, zone: list[object]) -> Case:
+def _wheels_jump(this: _Now, found: _Answer, *, moving: bool) -> str:
+    """What of gear and curvature does not continue at the joint; of polylines, which jump at every step, only gears."""
+    if found.trajectory.path.driven <= 1e-6:
+        return ""
+    before = motion_of(cut(this.scene["path"], state_at(this.scene["law"], found.starts_at).s))
+    after = motion_of(path_spec(found.trajectory.path))
+    bent, gears = (float(before.k0[0]), float(after.k0[0])), (float(before.gear[0]), float(after.gear[0]))
+    if moving and gears[0] != gears[1]:
+        return f"gear {gears[0]} to {gears[1]}"
+    if any(gear["type"] == "polyline" for gear in this.scene["path"]):
+        return ""
+    if moving and abs(bent[0] - bent[1]) > 1e-6 * (1.0 + abs(bent[0])):
+        return f"curvature jumps from {bent[0]:.6g} to {bent[1]:.6g} 1/m"
+    wheels = gears[0] * bent[0], gears[1] * bent[1]
+    is_steered = math.isfinite(this.world["limits"].get("max_steering_rate", math.inf))
+    turning = abs(wheels[0] - wheels[1]) > 1e-6 * (1.0 + abs(wheels[0])) or this.steers_at(found.starts_at)
+    text = f"wheels turned for {wheels[0]:.6g} 1/m or still turning, the path begins with {wheels[1]:.6g} 1/m"
+    return text if is_steered and turning else ""
+
+
+def _timed(this: _Now, found: _Answer, start: Case, zone: list[object]) -> Case:
     return {
         "kind": "trajectories",
         "path": path_spec(found.trajectory.path),
@@ -304,10 +363,10 @@ def _timed(this: _Now, found: Replanned, start: Case, zone: list[object]) -> Cas
     }
 
 
-def _new(this: _Now, found: Replanned) -> Verdict | None:
+def _new(this: _Now, found: _Answer) -> Verdict | None:
     plan = found.plan
     assert plan is not None
-    if not (plan.certificate.certified and plan.trajectory_certificate.certified):
+    if not (says_yes(plan.certificate) and says_yes(plan.trajectory_certificate)):
         return Verdict("uncertified plan", plan.certificate.reason or plan.trajectory_certificate.reason)
     start, wrong = _joined(this, found)
     if wrong is not None:
@@ -316,15 +375,14 @@ def _new(this: _Now, found: Replanned) -> Verdict | None:
     is_moving = start["start_speed"] > 1e-6
     signed = start["start_speed"] * float(motion_of(timed["path"]).gear[0] or 1.0) if is_moving else 0.0
     scene = {**this.world, **start, "start_speed": signed, "start_curvature": None, "path": timed["path"]}
-    if this.offset is None:  # else it is where the robot is thought to be that counts
-        wrong = _way(this, "way until NEW takes over", _until(this, found.starts_at))
+    wrong = _way(this, "way until NEW takes over", _until(this, found.starts_at))
     return wrong or paths.refuted(scene, plan.certificate) or trajectories.refuted(timed, plan.trajectory_certificate)
 
 
-def _kept(this: _Now, found: Replanned) -> Verdict | None:
+def _kept(this: _Now, found: _Answer) -> Verdict | None:
     if found.trajectory is not this.plan.trajectory:
         return Verdict("false certificate", "KEPT: another trajectory")
-    goal, end = np.array(this.world["dock"]["pose"]), motion_of(this.scene["path"]).end
+    goal, end = np.array(this.world["dock"]["pose"]), motion_of(this.driven).end
     c, s = math.cos(goal[2]), math.sin(goal[2])
     dx, dy = end[0] - goal[0], end[1] - goal[1]
     errors = abs(c * dx + s * dy), abs(c * dy - s * dx), abs(math.remainder(end[2] - goal[2], 2.0 * math.pi))
@@ -333,10 +391,102 @@ def _kept(this: _Now, found: Replanned) -> Verdict | None:
     # The station is taken to stand where the plan ends, which is as near as the tolerances allow.
     start = _standing_start(this)
     world = {**start, "dock": {**this.world["dock"], "pose": end.tolist()}}
-    rest = cut(this.scene["path"], this.s_at(this.time))
-    if this.offset is not None:
-        return _way(this, "KEPT with an offset", rest, {**world, "start": motion_of(rest).start.tolist()})
+    if this.pose is not None and gap(this.pose, motion_of(cut(this.driven, this.s_at(this.time))).start) > _SAME:
+        begun, relief = start_clearance(this.scene, World.of(this.scene)), this.plan.certificate.start_relief
+        world = {**world, "start": motion_of(this.driven).start.tolist()}
+        return _beside(this, "KEPT", world, cut(this.driven, this.s_at(this.time)), begun, relief)
+    rest = cut(this.driven, this.s_at(this.time))
     return _way(this, "KEPT", rest, world) or _limits(this, "KEPT", this.time)
+
+
+def _in_tube(this: _Now, found: _Answer) -> Verdict | None:
+    """Whether a robot that is left beside its path is within the tube around it, until something new begins."""
+    if not found.proven:
+        return None
+    world = _standing_start(this)
+    begun = start_clearance(world, World.of(world))
+    return _beside(this, found.outcome.value, world, _until(this, found.starts_at), begun, start_run(world))
+
+
+def _beside(
+    this: _Now, what: str, world: Case, rest_of_path: list[Case], begun: float, relief: float
+) -> Verdict | None:
+    """Whether a robot beside its path, and every pose between it and the path, keeps what is required.
+
+    That is the clearance without the tube, at the place of the path that it is nearest to. The station is left out for
+    poses that count as docked. Within the tube no pose is looked at that is farther off than the tube is wide there.
+    """
+    assert this.pose is not None
+    plain = {**world, "tracking": [0.0, 0.0]}
+    solid = World.of(plain)
+    now = this.s_at(this.time)
+    poses = _poses_along(_leg(this.driven, now), 1500)
+    off = _displacements(this.pose, poses, solid.reach)
+    best = int(np.argmin(off))
+    local = this.pose - poses[best]
+    c, s = math.cos(poses[best, 2]), math.sin(poses[best, 2])
+    local = np.array([c * local[0] + s * local[1], c * local[1] - s * local[0], math.remainder(local[2], 2 * math.pi)])
+    widths = required_at({**plain, "tracking": world.get("tracking", [0.0, 0.0])}, poses, begun, relief)
+    widths -= required_at(plain, poses, begun, relief)
+    is_covered = bool(off[best] <= widths[best])
+    if not is_covered and all(abs(one) <= most for one, most in zip(local, _TOLERANCES, strict=True)):
+        solid = World.of({**plain, "dock": {**plain["dock"], "footprint": None}})
+    if solid.is_empty:
+        return None
+    places = off <= off[best] + _NEAREST
+    least = float(required_at(plain, poses[places], begun, relief).min())
+    short = least - float(solid.clearances(this.pose[None])[0])
+    if short > _FORGIVEN:
+        return Verdict("false proof", f"{what} beside: {short:.4g} m short where the robot is, {this.pose.tolist()}")
+    rest = _poses_along(motion_of(rest_of_path), 80)
+    needed = required_at(plain, rest, begun, relief)
+    most = np.full(len(rest), max(0.0, float(off[best]) - _NEAREST))
+    if is_covered:
+        tubed = required_at({**plain, "tracking": world.get("tracking", [0.0, 0.0])}, rest, begun, relief)
+        most = np.minimum(most, tubed - needed)
+    for share in (1.0, 0.5, 0.0):
+        shift = local * (share * most / max(float(off[best]), 1e-12))[:, None]
+        between = _shifted(rest, shift)
+        margins = solid.clearances(between) - needed
+        k = int(np.argmin(margins))
+        if margins[k] < -_FORGIVEN:
+            text = f"{-margins[k]:.4g} m short {share} of the way off, {between[k].tolist()}"
+            return Verdict("false proof", f"{what} beside: {text}")
+    return None
+
+
+def _leg(path: list[Case], now: float) -> OracleMotion:
+    """What lies within half a metre of a place, in the same gear."""
+    legs = motion_of(path).segments
+    leg = next((one for one in legs if now < one.start_s + one.length), legs[-1])
+    return motion_of(cut(path, max(leg.start_s, now - 0.5), min(leg.start_s + leg.length, now + 0.5)))
+
+
+_NEAREST = 2e-3  # [m]: how well the oracle knows the place of the path that a robot is nearest to
+
+
+def _poses_along(motion: OracleMotion, count: int) -> Floats:
+    """Poses of a path, the pieces sampled by their length and turn. Shape (about count, 3)."""
+    weight = motion.way + motion.turn
+    parts = np.maximum(1, np.ceil(count * weight / max(float(weight.sum()), 1e-12))).astype(np.int64)
+    piece = np.repeat(np.arange(parts.size), parts + 1)
+    rank = np.arange(piece.size) - np.repeat(np.cumsum(parts + 1) - (parts + 1), parts + 1)
+    return motion.poses_at(piece, rank / parts[piece])
+
+
+def _displacements(pose: Floats, poses: Floats, reach: float) -> Floats:
+    """Bound of how far a point of the outline is from where it would be at each of the poses. Shape (n,) [m]."""
+    turned = np.abs(np.remainder(pose[2] - poses[:, 2] + np.pi, 2.0 * np.pi) - np.pi)
+    found: Floats = np.hypot(pose[0] - poses[:, 0], pose[1] - poses[:, 1]) + 2.0 * reach * np.sin(0.5 * turned)
+    return found
+
+
+def _shifted(poses: Floats, local: Floats) -> Floats:
+    """Every pose, moved in its own frame."""
+    c, s = np.cos(poses[:, 2]), np.sin(poses[:, 2])
+    x = poses[:, 0] + c * local[:, 0] - s * local[:, 1]
+    y = poses[:, 1] + s * local[:, 0] + c * local[:, 1]
+    return np.column_stack((x, y, poses[:, 2] + local[:, 2]))
 
 
 def _limits(this: _Now, what: str, now: float) -> Verdict | None:
@@ -365,7 +515,7 @@ def _limits(this: _Now, what: str, now: float) -> Verdict | None:
     return None
 
 
-def _stop(this: _Now, found: Replanned) -> Verdict | None:
+def _stop(this: _Now, found: _Answer) -> Verdict | None:
     start, wrong = _joined(this, found)
     standing = found.trajectory.path.driven <= 1e-6
     if wrong is not None and not (standing and not found.proven):
@@ -380,8 +530,4 @@ def _stop(this: _Now, found: Replanned) -> Verdict | None:
     wrong = trajectories.refuted(timed, found.motion)
     if wrong is not None:
         return Verdict(wrong.outcome, f"STOP {wrong.detail}")
-    if this.offset is None:
-        return _way(this, "way until STOP takes over", _until(this, found.starts_at)) or _way(
-            this, "STOP", timed["path"]
-        )
-    return _way(this, "STOP with an offset", timed["path"])
+    return _way(this, "way until STOP takes over", _until(this, found.starts_at)) or _way(this, "STOP", timed["path"])

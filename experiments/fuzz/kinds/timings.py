@@ -11,8 +11,9 @@ from experiments.fuzz.doors import law_spec, path_of, zone_of
 from experiments.fuzz.generators.routes import clothoid_route
 from experiments.fuzz.generators.shapes import log_uniform
 from experiments.fuzz.kinds import trajectories
+from experiments.fuzz.truth import says_yes
 from optdock.errors import OptdockError
-from optdock.interfaces import TimeParameterizer, TimingStatus
+from optdock.interfaces import TimeParameterizer
 from optdock.limits import MotionLimits
 from optdock.plugins import create_plugin
 from optdock.verification import certify_trajectory
@@ -37,7 +38,7 @@ def draw(rng: np.random.Generator) -> Case:
         "max_deceleration": log_uniform(rng, 0.1, 2.0),
         "max_jerk": log_uniform(rng, 0.1, 16.0),
     }
-    for name in ("yaw_rate", "yaw_acceleration", "lateral_acceleration", "wheel_speed"):
+    for name in ("yaw_rate", "yaw_acceleration", "lateral_acceleration", "wheel_speed", "lateral_jerk"):
         if rng.uniform() < 0.35:
             limits[f"max_{name}"] = log_uniform(rng, 1e-2, 2.0)
     limits["track_width"] = float(rng.uniform(0.2, 0.9)) if "max_wheel_speed" in limits else 0.0
@@ -80,7 +81,7 @@ def judge(case: Case) -> Verdict:
         return Verdict(type(error).__name__, str(error))
     spent = time.process_time() - began
     found = None
-    if result.status is TimingStatus.OK and result.trajectory is not None:
+    if says_yes(result) and result.trajectory is not None:
         found = _looked_at(case, limits, result.trajectory)
     if found is None and spent > _SLOW:
         return Verdict("late", f"{case['plugin']}: {result.status.name} after {spent:.1f} s of CPU")
@@ -89,7 +90,7 @@ def judge(case: Case) -> Verdict:
 
 def _looked_at(case: Case, limits: MotionLimits, trajectory: Trajectory) -> Verdict | None:
     proof = certify_trajectory(trajectory, limits, zone_of(case), **_begins(case))
-    if not proof.certified:
+    if not says_yes(proof):
         return Verdict("CertificationFailed", f"{case['plugin']} {proof.violations[0].kind}: {proof.reason}")
     timed = {**case, "kind": "trajectories", "law": law_spec(trajectory.time_law)}
     refuted = trajectories.refuted(timed, proof)

@@ -9,6 +9,7 @@ from experiments.fuzz.doors import law_of, path_of, zone_of
 from experiments.fuzz.generators.motions import motion_problem
 from experiments.fuzz.oracle.motion import motion_of
 from experiments.fuzz.oracle.timing import judged
+from experiments.fuzz.truth import says_yes
 from optdock.errors import OptdockError
 from optdock.limits import MotionLimits
 from optdock.trajectory import Trajectory
@@ -47,7 +48,7 @@ def judge(case: Case) -> Verdict:
         certificate = certify_trajectory(trajectory, limits, zone_of(case), start_speed=case["start_speed"])
     except OptdockError as error:
         return Verdict(f"input refused: {type(error).__name__}", str(error))
-    if certificate.certified:
+    if says_yes(certificate):
         return refuted(case, certificate) or Verdict("certified")
     return _wrongly_refused(case, certificate) or Verdict(f"refused: {certificate.violations[0].kind}")
 

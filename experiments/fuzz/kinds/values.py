@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import math
 from enum import Enum
@@ -315,11 +316,21 @@ def _called(case: Case, value: object) -> object:
 def _changeable(made: object, given: object, where: str) -> Verdict | None:
     """Arrays that can be written to, or that are the caller's own."""
     for name, array in _arrays(made, ""):
-        if array.flags.writeable:
+        if _can_be_written_to(array):
             return Verdict("mutable value", f"{where.split('(', maxsplit=1)[0]}{name}: can be written to")
         if isinstance(given, np.ndarray) and array.size and np.shares_memory(array, given):
             return Verdict("mutable value", f"{where.split('(', maxsplit=1)[0]}{name}: is the caller's own array")
     return None
+
+
+def _can_be_written_to(array: np.ndarray) -> bool:
+    """Whether its flag, or that of a view of it, can be taken back."""
+    for one in (array, array.view(), array.base):
+        if isinstance(one, np.ndarray):
+            with contextlib.suppress(ValueError):
+                one.setflags(write=True)
+                return True
+    return False
 
 
 def _arrays(value: object, name: str, depth: int = 0) -> Iterator[tuple[str, np.ndarray]]:

@@ -20,8 +20,13 @@ if TYPE_CHECKING:
     from experiments.fuzz.case import Case
     from experiments.fuzz.oracle.motion import Floats, Ints, Motion
 
-__all__ = ["Judgement", "State", "judged", "state_at", "turn_limits"]
+__all__ = ["LIMITED", "Judgement", "State", "judged", "state_at", "turn_limits"]
 
+LIMITED = (
+    *("speed", "acceleration", "deceleration", "jerk", "yaw_rate", "lateral_acceleration", "yaw_acceleration"),
+    *("lateral_jerk", "wheel_speed", "steering_rate"),
+)
+"""The quantities whose ratios are judged."""
 _PER_PHASE = 24  # samples
 _BISECTIONS = 60
 _REST = 1e-6  # [m], [m/s], [m/s^2]
@@ -144,13 +149,15 @@ def _on_path(law: _Law, motion: Motion, phase: Ints, dt: Floats) -> _Instants:
 
 
 def _places(law: _Law, motion: Motion) -> _Instants:
-    """Entry, middle and exit of every piece of the path.
+    """Entry, middle and exit of every piece of the path, and where it goes straight on: there wheels turn fastest.
 
     Distance counts from the start of each phase: beside a spike of curvature one unit in the last place of a metre is
     much of the way that the speed has for a change.
     """
-    n = motion.h.size
-    piece, share = np.repeat(np.arange(n), 3), np.tile([0.0, 0.5, 1.0], n)
+    n, half = motion.h.size, np.full(motion.h.size, 0.5)
+    crosses = motion.k0 * motion.k1 < 0.0
+    straight = np.divide(motion.k0, motion.k0 - motion.k1, out=half.copy(), where=crosses)
+    piece, share = np.repeat(np.arange(n), 4), np.column_stack((0.0 * half, half, straight, 2.0 * half)).ravel()
     wanted = motion.s_at(piece, share)
     phase = np.clip(np.searchsorted(np.maximum.accumulate(law.s), wanted) - 1, 0, law.width.size - 1)
     low, high = np.zeros(wanted.size), law.width[phase]
@@ -232,6 +239,7 @@ def _driving_ratios(case: Case, motion: Motion, law: _Law, instants: _Instants) 
         "yaw_rate": np.abs(v * k),
         "lateral_acceleration": v * v * np.abs(k),
         "yaw_acceleration": np.abs(a * k + v * v * r),
+        "lateral_jerk": np.abs(2.0 * v * a * k + v**3 * r),
         "wheel_speed": speed * (1.0 + 0.5 * track * np.abs(k)),
         "steering_rate": wheelbase * np.abs(r) * speed / (1.0 + (wheelbase * k) ** 2),
     }

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from optdock.errors import InvalidValue
-from optdock.geometry.arrays import readonly
+from optdock.geometry.arrays import FrozenArrays, readonly
 from optdock.geometry.pose import transform_points
 
 if TYPE_CHECKING:
@@ -22,7 +22,7 @@ _BELOW_MAX = 1e-4  # [m]; Nav2 puts beams without return this far below range_ma
 
 
 @dataclass(frozen=True, eq=False)
-class LaserScan:
+class LaserScan(FrozenArrays):
     """One sweep of a range finder (ROS: `sensor_msgs/LaserScan`).
 
     Args:

@@ -12,6 +12,8 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
+from optdock.geometry.arrays import readonly
+
 if TYPE_CHECKING:
     from collections.abc import Callable
 
@@ -193,8 +195,7 @@ def _turns() -> FloatArray:
     for form, row in zip(_FORMS, rows, strict=True):
         row[:, : len(form.turns)] = form.turns
         row[2:] *= -1.0
-    rows.setflags(write=False)
-    return rows.reshape(-1, 5)
+    return readonly(rows.reshape(-1, 5))
 
 
 TURNS = _turns()

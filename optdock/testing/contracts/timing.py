@@ -11,7 +11,7 @@ import numpy as np
 from optdock.errors import InvalidValue, TimingCancelled
 from optdock.geometry.pose import Pose2
 from optdock.interfaces import TimeParameterizer, TimingResult, TimingStatus
-from optdock.limits import MotionLimits, SpeedZone
+from optdock.limits import LIMITS, LimitKind, MotionLimits, SpeedZone
 from optdock.path import Path
 from optdock.testing.contracts.plugin import PluginContract
 from optdock.testing.contracts.rules import require, require_cancellable
@@ -27,6 +27,7 @@ if TYPE_CHECKING:
 __all__ = ["TimeParameterizerContract"]
 
 _SHORT = 0.05  # [m]
+_TURNING = 0.3  # [m/s], [rad/s], ...: of every limit that depends on curvature; each binds somewhere
 
 
 class TimeParameterizerContract(PluginContract[TimeParameterizer]):
@@ -35,16 +36,9 @@ class TimeParameterizerContract(PluginContract[TimeParameterizer]):
     interface: ClassVar[type[TimeParameterizer]] = TimeParameterizer
 
     def limits(self) -> tuple[MotionLimits, ...]:
-        """Limits to try: the plain ones, and a set in which every bound is finite."""
-        every = MotionLimits(
-            max_yaw_rate=0.4,
-            max_yaw_acceleration=1.0,
-            max_lateral_acceleration=0.15,
-            max_wheel_speed=0.45,
-            track_width=0.4,
-            wheelbase=0.5,
-            max_steering_rate=0.3,
-        )
+        """Limits to try: the plain ones, and a set in which every bound on the motion is finite."""
+        turning = {name: _TURNING for name, limit in LIMITS.items() if limit.kind is LimitKind.TURNING}
+        every = MotionLimits(track_width=0.4, wheelbase=0.5, **turning)
         return MotionLimits(), every
 
     def paths(self) -> tuple[Path, ...]:

@@ -181,7 +181,8 @@ class ControlLoop:
                 logger.exception("the last command, zero, cannot be sent")
             if is_free:
                 self._sending.release()
-            run.ending = run.ending or self._failed(f"{reason}; the control loop hangs")
+            if run.ending is None:
+                run.ending = self._failed(f"{reason}; the control loop hangs")
             run.done.set()
         return in_time
 
@@ -198,7 +199,8 @@ class ControlLoop:
             run.ending = self._drive(run)
         except Exception as error:  # whatever it is, the robot must come to rest
             logger.exception("the control loop stops the robot")
-            run.ending = run.ending or self._failed(f"{type(error).__name__}: {error}")
+            if run.ending is None:
+                run.ending = self._failed(f"{type(error).__name__}: {error}")
             self._ramp_down()
         finally:
             self._end(run)

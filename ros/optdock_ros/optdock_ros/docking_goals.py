@@ -46,6 +46,9 @@ class Outcome(NamedTuple):
     text: str = ""
     retries: int = 0
 
+    def __bool__(self) -> bool:
+        return self.success
+
 
 def done(text: str) -> Outcome:
     """The goal was reached."""

@@ -21,6 +21,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
+from optdock.geometry.arrays import readonly
 from smoothers.scp.collision.scene import Points
 
 if TYPE_CHECKING:
@@ -271,7 +272,7 @@ def chords(along: FloatArray, height: FloatArray, settings: CollisionSettings) -
 def _all_pairs(count: int) -> tuple[IntArray, IntArray]:
     """First and second of every pair of so many."""
     first, second = np.triu_indices(count, 1)
-    return first, second
+    return readonly(first), readonly(second)
 
 
 def _refined(axis: Points, gap: FloatArray, hull: Points, outline: Points, settings: CollisionSettings) -> Points:

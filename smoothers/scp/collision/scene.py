@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
+from optdock.geometry.arrays import frozen
 from optdock.problem import START_RELIEF_SLOPE
 from smoothers.scp.settings import DEFAULT_SETTINGS, CollisionSettings
 
@@ -142,7 +143,7 @@ def body_of(footprint: Footprint) -> Body:
     thickness = 2.0 * max(footprint.inscribed_radius, 0.25 * min(footprint.width, footprint.length))
     reach = np.hypot(vertices[..., 0], vertices[..., 1])
     lower, upper = vertices.min(axis=1), vertices.max(axis=1)
-    return Body(vertices, normals, lower, upper, reach, footprint.circumscribed_radius, thickness)
+    return frozen(Body(vertices, normals, lower, upper, reach, footprint.circumscribed_radius, thickness))
 
 
 def _padded(rows: FloatArray, count: int) -> FloatArray:

@@ -1,5 +1,6 @@
 """Limits on the commands: acceleration, jerk, curvature, steering; and no lag where they are kept anyway."""
 
+import dataclasses
 import math
 
 import numpy as np
@@ -136,6 +137,51 @@ def test_limits_that_speed_and_turn_share_cost_neither_a_jump_of_the_turn_nor_of
         assert np.all(np.abs(np.diff(angle))[moving] <= (limits.max_steering_rate * h * within + 1e-9)[moving])
 
 
+def lateral_jerks(commands, period, *, steered=False):
+    """Changes of speed times yaw rate over the period; only its gains where braking alone may take from it: where the
+    robot turns no less than before, or its wheels turn no further."""
+    v, w = np.array([(command.linear, command.angular) for command in commands]).T
+    brakes = (np.abs(v[1:]) < np.abs(v[:-1])) & (steered | (np.abs(w[1:]) >= np.abs(w[:-1]) * (1.0 - 1e-12)))
+    return np.where(brakes, np.diff(np.abs(v * w)), np.abs(np.diff(v * w))) / period
+
+
+@settings(max_examples=40)
+@given(
+    st.lists(st.tuples(st.floats(-0.6, 0.6), st.floats(-1.5, 1.5)), min_size=1, max_size=6),
+    st.sampled_from([0.01, 0.02, 0.05]),
+    st.sampled_from(Drive),
+)
+def test_the_turn_changes_the_lateral_acceleration_no_faster_than_its_jerk_allows(targets, period, drive):
+    limits = MotionLimits(max_acceleration=0.6, max_jerk=1.5, max_curvature=4.0, wheelbase=0.4, max_lateral_jerk=0.1)
+    wanted = [Twist2(*target) for target in targets for _ in range(30)]
+    commands = followed(wanted, period, limits, drive)
+    jerks = lateral_jerks([REST, *commands], period, steered=drive is Drive.ACKERMANN)
+    assert jerks.max() <= 0.1 * (1.0 + 1e-6)
+
+
+def test_a_robot_that_brakes_in_a_bend_turns_no_more_for_its_load():
+    limits = MotionLimits(max_curvature=4.0, max_lateral_jerk=0.02)
+    commands = followed([Twist2(0.4, 0.4)] * 500 + [Twist2()] * 100, 0.02, limits)
+    assert commands[499] == Twist2(0.4, 0.4)
+    assert max(command.angular for command in commands[500:]) <= 0.4
+    assert commands[-1] == Twist2()
+
+
+@pytest.mark.parametrize("drive", Drive)
+def test_without_the_limit_a_step_of_the_turn_jerks_the_load(drive):
+    def largest(limits):
+        wanted = [Twist2(0.3, 0.0)] * 100 + [Twist2(0.3, 0.4)] * 60
+        return lateral_jerks(followed(wanted, 0.02, limits, drive), 0.02).max()
+
+    free = MotionLimits(max_acceleration=0.6, max_jerk=1.5, max_curvature=4.0)
+    assert largest(free) > 1.0
+    assert largest(dataclasses.replace(free, max_lateral_jerk=0.1)) == pytest.approx(0.1, rel=1e-6)
+    before, wanted = Twist2(0.3, 0.0), Twist2(0.3, 0.4)
+    assert rate_limited(before, wanted, free, 0.02) == wanted
+    eased = rate_limited(before, wanted, dataclasses.replace(free, max_lateral_jerk=0.1), 0.02)
+    assert eased.angular == pytest.approx(0.1 * 0.02 / 0.3)
+
+
 @pytest.mark.parametrize("period", [0.005, 0.02, 0.05, 0.1])
 @pytest.mark.parametrize("target", [0.3, -0.25, 0.02, 1e-4])
 def test_a_step_is_reached_without_going_beyond_and_almost_as_soon_as_can_be(period, target):
@@ -156,7 +202,12 @@ def test_a_feed_forward_within_the_limits_passes_untouched(period):
     times = np.arange(0.0, trajectory.duration, period) - period
     row = trajectory.sample_at(times)
     wanted = [Twist2(*pair) for pair in zip(row.speed.tolist(), row.yaw_rate.tolist(), strict=True)]
-    limits = MotionLimits(max_speed=0.4, max_acceleration=0.4, max_deceleration=0.4, max_jerk=2.0, max_curvature=1.2)
+    v, a = np.abs(row.speed), trajectory.time_law.at(row.t)[:, 2]
+    bend, rate = trajectory.path.curvature_at(row.s), trajectory.path.curvature_rate_at(row.s)
+    limits = MotionLimits(
+        max_speed=0.4, max_acceleration=0.4, max_deceleration=0.4, max_jerk=2.0, max_curvature=1.2,
+        max_lateral_jerk=1.001 * float(np.max(np.abs(2.0 * v * a * bend + v**3 * rate))),
+    )  # fmt: skip
     found = followed(wanted, period, limits, feed_forward=wanted)
     assert max(abs(a.linear - b.linear) for a, b in zip(found, wanted, strict=True)) < 1e-9
     assert max(abs(a.angular - b.angular) for a, b in zip(found, wanted, strict=True)) < 1e-6

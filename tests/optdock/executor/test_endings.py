@@ -1,5 +1,6 @@
 """Every ending can be reached, every state can be cancelled; whatever is measured, the commands stay lawful."""
 
+import dataclasses
 import math
 import time
 
@@ -8,15 +9,20 @@ import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
+from optdock.costmap.costmap import Costmap
 from optdock.errors import InvalidValue, PluginError
 from optdock.executor import DockingExecutor, EndingKind, ExecutorSettings, InlinePlanning, State, ThreadPlanning
-from optdock.executor.planning import Motion, Outcome, PlanResult, Verdict
+from optdock.executor.planning import Motion, Outcome, PlanResult, RecordedPlanning, Verdict
 from optdock.geometry.pose import Pose2, Twist2
 from optdock.measurements import Detection, Measurements
+from optdock.obstacles import ObstacleSet
+from optdock.problem import ClearanceRule
+from optdock.robot import TrackingTube
 from optdock.simulation import Actuation, Station
 from optdock.testing.drives import clothoid, rest_to_rest
+from optdock.verification import pose_clearance
 
-from .conftest import PERFECT, TRUE_DOCK, assert_lawful, problem_with, run, simulated
+from .conftest import PERFECT, ROBOT, STATION, TRUE_DOCK, assert_lawful, once, problem_with, run, simulated
 
 QUICK = {"initial_perception_timeout": 0.5, "localization_timeout": 0.5, "wait_charge_timeout": 0.3}
 QUICK |= {"obstacle_patience": 0.1, "time_budget": 0.2, "settling_time": 0.5}
@@ -30,10 +36,14 @@ def perfect(start=AHEAD, **kwargs):
     return simulated(start, sensors=PERFECT, actuation=Actuation(), **kwargs)
 
 
-class StraightPlanning:
-    """Plans that cost nothing: straight on for so many metres, from wherever the job begins; or none at all."""
+class StraightPlanning(RecordedPlanning):
+    """Plans that cost nothing: straight on for so many metres, from wherever the job begins; or none at all.
+
+    Nobody proves them, so the executor takes them from a log only.
+    """
 
     def __init__(self, length=0.8, reason=""):
+        super().__init__()
         self.length, self.reason, self.job = length, reason, None
 
     def submit(self, job):
@@ -145,6 +155,260 @@ def test_cancel_in_every_state(state, lawful):
     assert world.time - ending.stamp < 0.2
 
 
+class Recording(StraightPlanning):
+    """Keeps every job that it is given."""
+
+    def __init__(self, **kwargs):
+        super().__init__(**kwargs)
+        self.jobs = []
+
+    def submit(self, job):
+        self.jobs.append(job)
+        super().submit(job)
+
+
+@pytest.mark.parametrize("state", [State.STAGING, State.RETURNING, State.UNDOCKING], ids=lambda state: state.name)
+def test_every_way_to_the_staging_pose_is_planned_around_the_station(state):
+    """It is an obstacle like any other, with the whole clearance: nothing is touched at that pose."""
+    way = dict(WAYS[state])
+    start, task = way.pop("start", AHEAD), way.pop("task", "dock")
+    post = ObstacleSet.from_polygons([[[-1.0, 2.0], [-0.8, 2.0], [-0.8, 2.2], [-1.0, 2.2]]])
+    problem = dataclasses.replace(problem_with(obstacles=post), clearance=ClearanceRule(0.03, 0.0, 0.4))
+    planning, asked = Recording(), []
+
+    def before(executor, world, measurements):
+        if executor.state is state:  # its way has been planned
+            asked.append(planning.jobs[-1].problem)
+            executor.cancel()
+
+    chosen = ExecutorSettings(**(QUICK | way))
+    run(perfect(start), problem, chosen, rate=10.0, task=task, before=before, planning=planning)
+    assert asked
+    obstacles = asked[0].all_obstacles
+    assert asked[0].goal.x < -0.6, "the staging pose, not the docked one"
+    assert pose_clearance(Pose2(0.5, 0.0, 0.0), ROBOT.footprint, obstacles)[0] < -0.1, "inside the station"
+    assert pose_clearance(Pose2(-0.9, 2.1, 0.0), ROBOT.footprint, obstacles)[0] < 0.0, "inside the post"
+    rule = asked[0].clearance
+    assert rule.required == rule.at_dock == 0.03
+
+
+def test_a_station_that_is_seen_elsewhere_is_an_obstacle_where_it_is_seen():
+    """Stored 20 cm to the left: the way back from a charge that failed leads around the true one."""
+    planning, asked, stored = Recording(), [], Pose2(0.0, 0.2, 0.0)
+
+    def before(executor, world, measurements):
+        if executor.state is State.RETURNING:
+            asked.append(planning.jobs[-1].problem)
+            executor.cancel()
+
+    chosen = ExecutorSettings(**(QUICK | {"wait_for_charge": True, "wait_charge_timeout": 0.1}))
+    run(perfect(), problem_with(stored), chosen, rate=10.0, before=before, planning=planning)
+    beside = Pose2(0.45, 0.7, 0.0)
+    clearance = {
+        place: pose_clearance(beside, ROBOT.footprint, ObstacleSet.from_footprint(STATION, place, "dock"))[0]
+        for place in (TRUE_DOCK, stored)
+    }
+    assert asked
+    found = pose_clearance(beside, ROBOT.footprint, asked[0].all_obstacles)[0]
+    assert found == pytest.approx(clearance[TRUE_DOCK], abs=5e-3)
+    assert clearance[TRUE_DOCK] - clearance[stored] > 0.1
+
+
+@pytest.mark.parametrize(("sigma", "is_within"), [(0.06, True), (0.04, False)])
+def test_contact_counts_as_far_away_as_the_estimate_may_be_wrong(sigma, is_within):
+    """0.2 m before a dock that nobody has seen: within 0.05 m and three standard deviations, or beyond them."""
+    chosen = ExecutorSettings(**(QUICK | {"stored_position_sigma": sigma, "contact_range": 0.05}))
+    for task, kind, before in (
+        ("dock", EndingKind.ALREADY_DOCKED, lambda e, w, m: signal(e, w, lose(e, w, m))),
+        ("undock", EndingKind.UNDOCKED, lose),
+    ):
+        world = perfect(Pose2(-0.2, 0.0, 0.0))
+        docking = run(world, problem_with(), chosen, rate=10.0, task=task, before=before)
+        assert (docking.ending.kind is kind) is is_within, docking.ending
+
+
+def stands_at(distance):
+    """From so far before the dock on nothing moves, and the odometry says so."""
+
+    def before(executor, world, measurements):
+        if world.state.pose.x > -distance:
+            world.state = world.state._replace(pose=Pose2(-distance, 0.0, 0.0))
+            return world.measurements._replace(twist=Twist2(), pose=world.state.pose)
+        return None
+
+    return before
+
+
+@pytest.mark.parametrize(("distance", "kind"), [(0.03, "DOCKED_BY_STALL"), (0.4, "FAILED_TO_CONTROL")])
+def test_a_stall_is_contact_near_the_dock_only(distance, kind):
+    """Whatever else stops a robot far from its dock is no dock."""
+    chosen = ExecutorSettings(**QUICK, contact="touch", max_retries=0, progress_time=1.0, use_detections=False)
+    docking = run(perfect(), problem_with(), chosen, rate=10.0, before=stands_at(distance), planning=StraightPlanning())
+    assert docking.ending.kind is EndingKind[kind], docking.ending
+
+
+@pytest.mark.parametrize("overrun", [0.02, 0.05])
+def test_a_robot_that_feels_nothing_presses_on_no_farther_than_it_may(overrun, lawful):
+    chosen = ExecutorSettings(**QUICK, contact="touch", contact_overrun=overrun, max_retries=0)
+    docking = run(perfect(), problem_with(), chosen, rate=25.0, before=deaf, planning=StraightPlanning())
+    assert lawful(docking, touch=overrun + 0.01).kind is EndingKind.FAILED_TO_CONTROL
+    assert docking.ending.reason.startswith("no contact: ")
+    deepest = docking.world.record().poses[:, 0].max()
+    assert overrun - 0.005 <= deepest <= overrun + 0.01
+
+
+def deaf(executor, world, measurements):
+    return measurements._replace(contact=None)
+
+
+@pytest.mark.parametrize("distance", [0.01, 0.025])
+def test_a_robot_backs_out_no_farther_than_it_may(distance, lawful):
+    """Pressed in deeper than that it is still in contact then, and plans from there."""
+    chosen = ExecutorSettings(**QUICK, back_out_distance=distance, use_detections=False)
+    planning = Recording(reason="a wall")
+    start = Pose2(0.04, 0.0, 0.0)
+    docking = run(perfect(start), problem_with(), chosen, rate=25.0, task="undock", planning=planning)
+    assert lawful(docking, touch=0.05).kind is EndingKind.FAILED_TO_STAGE
+    assert distance <= start.x - docking.world.error.x <= distance + 0.01, "and the way of braking"
+    assert planning.jobs
+
+
+def test_a_robot_backs_out_into_nothing_that_the_costmap_shows(lawful):
+    """A box 2 mm behind it, which no map had, is as much in its way as a wall."""
+    cells = np.zeros((80, 80), dtype=np.uint8)
+    cells[34:46, 33:34] = 254  # x from -0.35 to -0.3 m: the robot's rear is at -0.298 m
+    box = ObstacleSet.from_polygons([[[-0.35, -0.3], [-0.3, -0.3], [-0.3, 0.3], [-0.35, 0.3]]])
+    world = perfect(Pose2(0.002, 0.0, 0.0))
+    world.put(box, Costmap(cells, 0.05, (-2.0, -2.0)))
+    planning = StraightPlanning(reason="a wall")
+    docking = run(world, problem_with(), ExecutorSettings(**QUICK), rate=25.0, task="undock", planning=planning)
+    assert lawful(docking).kind is EndingKind.FAILED_TO_STAGE
+    assert docking.said("backing out is blocked")
+
+
+class Answering(Recording):
+    """Answers plans in motion too: so many polls later, as the rest of a drive that begins so much later or earlier."""
+
+    def __init__(self, polls=1, begins=0.2):
+        super().__init__()
+        self.polls, self.begins, self.waiting, self.judged = polls, begins, [], []
+
+    def poll(self, stamp):
+        job = self.job
+        if job is None or job.running is None:
+            return super().poll(stamp)
+        self.waiting.append(job)
+        if len(self.waiting) < self.polls:
+            return None
+        self.job, self.waiting = None, []
+        motion = Motion(job.running.trajectory, job.problem)
+        return PlanResult(job.number, Outcome.NEW, motion, job.time + self.begins)
+
+    def still_holds(self, motion, costmap, from_time):
+        self.judged.append((motion, costmap))
+        return Verdict(holds=True)
+
+
+def with_tube(problem):
+    return dataclasses.replace(problem, robot=dataclasses.replace(ROBOT, tracking=TrackingTube(0.02, 0.05)))
+
+
+def staged(planning, before, **chosen):
+    """A drive to the staging pose, straight on, by a robot whose tube is 2 cm wide."""
+    settings, world = ExecutorSettings(**QUICK, **chosen), perfect(Pose2(-2.0, 0.0, 0.0))
+    return run(world, with_tube(problem_with()), settings, timeout=8.0, before=before, planning=planning)
+
+
+def push(executor, world, measurements):
+    world.state = world.state._replace(pose=world.state.pose @ Pose2(0.0, 0.06, 0.0))
+
+
+def driving(speed):
+    return lambda executor, world: executor.state is State.STAGING and world.state.twist.linear > speed
+
+
+@pytest.mark.parametrize("pushed", [True, False])
+def test_a_robot_that_leaves_its_tube_is_planned_for_again_at_once(pushed):
+    """On the way to the staging pose too, where nothing else asks for another plan."""
+    planning = Answering()
+    docking = staged(planning, once(driving(0.25), push) if pushed else None)
+    assert bool(docking.said("tube left")) is pushed
+    assert any(job.running is not None for job in planning.jobs) is pushed
+
+
+@pytest.mark.parametrize(("begins", "is_late"), [(0.2, False), (-0.2, True)])
+def test_a_plan_that_should_have_taken_over_before_now_is_not_driven(begins, is_late):
+    """Its reference would jump; another one is asked for."""
+    planning = Answering(begins=begins)
+    docking = staged(planning, once(driving(0.25), push))
+    assert bool(docking.said("plan came too late")) is is_late
+    assert len([job for job in planning.jobs if job.running is not None]) > 1
+
+
+def test_a_plan_made_before_the_newest_costmap_is_judged_by_that_one_too():
+    """It came while the plan was made: the motion before and the new one must both hold among its cells."""
+    planning, newest = Answering(polls=6), Costmap(np.zeros((40, 40), dtype=np.uint8), 0.1, (-2.0, -2.0))
+    pushed = once(driving(0.25), push)
+
+    def before(executor, world, measurements):
+        pushed(executor, world, measurements)
+        return measurements._replace(costmap=newest) if len(planning.waiting) >= 2 else None
+
+    docking = staged(planning, before)
+    assert docking.said("plan new")
+    motions = [motion for motion, costmap in planning.judged if costmap is newest]
+    assert len(motions) == len({id(motion) for motion in motions}) == 2
+
+
+@pytest.mark.parametrize(("sigma", "stops"), [(0.1, True), (1e-6, False)])
+def test_a_dock_whose_place_has_become_too_uncertain_is_looked_for_again(sigma, stops):
+    """Long before the patience is over, where odometry is so bad that without detections no tolerance is kept."""
+    chosen = ExecutorSettings(**QUICK, odometry_sigma=sigma, detection_patience=60.0)
+    lost = []
+
+    def before(executor, world, measurements):
+        lost.extend([True] if executor.state is State.APPROACHING else [])
+        return lose(executor, world, measurements) if lost else None
+
+    docking = run(perfect(), problem_with(), chosen, rate=25.0, before=before, planning=StraightPlanning(), timeout=8.0)
+    assert bool(docking.said("detection missing")) is stops
+
+
+@pytest.mark.parametrize("start", [AHEAD, AFAR])
+def test_what_is_planned_at_rest_begins_at_rest_whatever_the_problem_says_of_its_start(start):
+    moving = dataclasses.replace(problem_with(), start_speed=0.2, start_acceleration=0.1, start_curvature=0.5)
+    planning = Recording()
+    run(perfect(start), moving, ExecutorSettings(**QUICK), rate=10.0, timeout=1.5, planning=planning)
+    asked = planning.jobs[0].problem
+    assert (asked.start_speed, asked.start_acceleration, asked.start_curvature) == (0.0, 0.0, None)
+
+
+def test_a_second_late_cycle_is_late_too():
+    """One long period is no new rate: the loop runs at 50 Hz, and twice 0.1 s pass."""
+    executor, stamp, late = DockingExecutor(problem_with(), planning=StraightPlanning()), 0.0, []
+    for period in (*[0.02] * 20, 0.1, 0.1, *[0.02] * 5):
+        stamp += period
+        step = executor.step(Measurements(stamp, AHEAD))
+        late += [period for event in step.events if event.name == "late cycle"]
+    assert late == [0.1, 0.1]
+
+
+@pytest.mark.parametrize("side", [1.0, -1.0])
+def test_a_dock_that_may_be_entered_in_either_gear_is_staged_for_on_the_robots_side(side):
+    problem = problem_with()
+    either = dataclasses.replace(problem, dock=dataclasses.replace(problem.dock, direction="auto", footprint=None))
+    planning = Recording()
+    run(
+        perfect(Pose2(2.0 * side, 0.0, 0.0)),
+        either,
+        ExecutorSettings(**QUICK),
+        rate=10.0,
+        timeout=1.5,
+        planning=planning,
+    )
+    assert side * planning.jobs[0].problem.goal.x > 0.6
+
+
 def test_nothing_moves_before_the_first_pose_and_after_the_end():
     executor = DockingExecutor(problem_with(), planning=StraightPlanning())
     for k in range(5):
@@ -243,3 +507,25 @@ def test_a_mistake_of_a_part_ends_the_task_under_its_name(lawful):
     docking = run(perfect(), problem_with(), planning=Broken())
     assert lawful(docking).kind is EndingKind.UNKNOWN
     assert docking.ending.reason == "ZeroDivisionError: oh"
+
+
+class Unproven(InlinePlanning):
+    """Straight on, and this is no log."""
+
+    def __init__(self):
+        super().__init__()
+        self.inner = StraightPlanning()
+
+    def submit(self, job):
+        self.inner.submit(job)
+
+    def poll(self, stamp):
+        return self.inner.poll(stamp)
+
+
+def test_a_motion_that_nobody_proved_is_not_driven(lawful):
+    docking = run(perfect(), problem_with(), ExecutorSettings(**QUICK), planning=Unproven())
+    ending = lawful(docking)
+    assert ending.kind is EndingKind.UNKNOWN
+    assert "a motion that is not proven" in ending.reason
+    assert all(step.command == Twist2() for step in docking.steps)

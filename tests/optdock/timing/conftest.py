@@ -30,6 +30,7 @@ def _dense_ratios(trajectory, limits, zone) -> dict[str, float]:
         "lateral": v * v * np.abs(k) / limits.max_lateral_acceleration,
         "wheel": wheel / limits.max_wheel_speed,
         "yaw acceleration": np.abs(a * k + v * v * rate) / limits.max_yaw_acceleration,
+        "lateral jerk": np.abs(2.0 * v * a * k + v**3 * rate) / limits.max_lateral_jerk,
         "acceleration": a / limits.max_acceleration,
         "deceleration": -a / limits.max_deceleration,
         "jerk": np.abs(law.jerks) / limits.max_jerk,
@@ -96,4 +97,5 @@ def all_limits() -> MotionLimits:
         max_lateral_acceleration=0.3,
         max_wheel_speed=0.65,
         track_width=0.4,
+        max_lateral_jerk=0.6,
     )

@@ -93,6 +93,7 @@ def test_between_the_bound_without_jerk_and_the_windowed_method(seed, make, all_
         ("lateral", "max_lateral_acceleration", 0.1),
         ("wheel", "max_wheel_speed", 0.4),
         ("yaw acceleration", "max_yaw_acceleration", 0.3),
+        ("lateral jerk", "max_lateral_jerk", 0.15),
     ],
 )
 def test_a_limit_is_broken_without_it_and_used_up_with_it(name, limit, value, make, dense):
@@ -140,6 +141,7 @@ def test_scaling_lengths_and_times_scales_the_result(make, all_limits):
         max_lateral_acceleration=all_limits.max_lateral_acceleration * big / slow**2,
         max_wheel_speed=all_limits.max_wheel_speed * big / slow,
         track_width=all_limits.track_width * big,
+        max_lateral_jerk=all_limits.max_lateral_jerk * big / slow**3,
     )
     one = _timed(Path((make.spline(lengths, curvature),)), all_limits).trajectory.duration
     other = _timed(Path((make.spline(lengths * big, curvature / big),)), scaled).trajectory.duration

@@ -84,6 +84,15 @@ def test_the_reference_keeps_its_limits_and_its_ends(make, all_limits, seed, sta
         assert np.all(yaw[1:-1] <= all_limits.max_yaw_acceleration)
 
 
+@pytest.mark.parametrize("seed", range(4))
+def test_the_reference_uses_up_the_lateral_jerk_and_keeps_it(make, all_limits, seed):
+    _bounds, found = _solved(make, replace(all_limits, max_lateral_jerk=0.1), seed)
+    grid = found.grid
+    sideways = [np.abs(found.v * (2.0 * grid.curvature * found.a + rate * found.v**2)) for rate in grid.rate]
+    assert 0.09 < np.max(np.maximum(*sideways)[1:-1]) <= 0.1 * (1.0 - NEAR_OPTIMAL.margins.yaw) * 1.01
+    assert found.iterations < 35
+
+
 @pytest.mark.parametrize("seed", range(3))
 def test_an_independent_solver_finds_no_faster_spline(make, all_limits, seed):
     casadi = pytest.importorskip("casadi")
@@ -91,7 +100,7 @@ def test_an_independent_solver_finds_no_faster_spline(make, all_limits, seed):
     grid, launch, stop = found.grid, found.launch, found.stop
     guess = initial_guess(grid, bounds, forward_backward_pass(bounds, REST), launch.state, stop.state)
     spline = spline_of(grid.steps)
-    rows = limit_rows(grid, bounds, spline)
+    rows = limit_rows(grid, bounds, spline).linear
     start = coefficients_of(grid.steps, guess, launch.state, stop.state)
     c = casadi.SX.sym("c", start.size)
 

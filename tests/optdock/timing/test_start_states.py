@@ -115,6 +115,22 @@ def test_the_zone_yaw_acceleration_and_acceleration_are_named_too(method, make):
         assert f"s = {result.at_s:.4f} m" in result.reason
 
 
+@pytest.mark.parametrize("method", METHODS)
+def test_a_start_whose_lateral_jerk_nothing_keeps_is_named_with_its_quotient(method, make):
+    """At the start itself 2 v a k is; where the curvature rises v^3 k' - 2 v D k is, whatever is done."""
+    limits = MotionLimits(**{**LIMITS.__dict__, "max_lateral_jerk": 0.1})
+    arc, bend = Path((make.spline([3.0], [1.0, 1.0]),)), Path((make.spline([0.05, 0.5, 2.0], [0.0, 0.0, 2.0, 2.0]),))
+    result = method.parameterize(arc, limits, SpeedZone(), start_speed=0.3, start_acceleration=0.3)
+    assert (result.status, result.limit, result.at_s) == (TimingStatus.START_INFEASIBLE, "max_lateral_jerk", 0.0)
+    assert "lateral jerk 0.18 m/s^3 at s = 0.0000 m is 1.8 times max_lateral_jerk = 0.1 m/s^3" in result.reason
+    assert result.worst_ratio == pytest.approx(1.8 ** (2.0 / 3.0))
+    result = method.parameterize(bend, limits, SpeedZone(), start_speed=0.5)
+    assert (result.status, result.limit) == (TimingStatus.START_INFEASIBLE, "max_lateral_jerk")
+    assert result.at_s == pytest.approx(0.05, abs=0.02)
+    slow = method.parameterize(bend, limits, SpeedZone(), start_speed=0.2)
+    assert slow.status is TimingStatus.OK
+
+
 def test_every_other_end_has_a_reason_and_its_place(make):
     path = Path((make.spline([0.1], [0.0, 0.0]), make.spline([1.0], [0.0, 0.0], sign=-1)))
     result = NearOptimal().parameterize(path, LIMITS, SpeedZone(), start_speed=0.5)

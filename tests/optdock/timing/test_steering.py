@@ -14,7 +14,7 @@ from optdock.geometry.clothoid import ClothoidSpline
 from optdock.geometry.footprint import Footprint
 from optdock.geometry.pose import Pose2
 from optdock.interfaces import TimingStatus
-from optdock.limits import MotionLimits, SpeedZone
+from optdock.limits import LIMITS, MotionLimits, SpeedZone
 from optdock.path import ClothoidSegment, Path, PolylineSegment
 from optdock.pipeline import plan_dock
 from optdock.problem import DockingProblem
@@ -336,10 +336,11 @@ def test_the_curvature_of_the_second_derivative_bounds_the_steering_rate():
         )
         along = cell.rows(np.zeros(t.size, dtype=int)).advanced(t)
         drive = dataclasses.replace(CAR, wheelbase=rng.uniform(0.1, 3.0))
-        rate = trajectory_rules._quantities(along, drive)["steering_rate"]
-        last = cell.advanced(cell.width)
+        rate = LIMITS["max_steering_rate"].size(along, drive)
+        sizes = trajectory_rules._Sizes.over(cell, cell.advanced(cell.width))
         # What moves backwards within a cell is refused elsewhere; speeds count by their size.
-        bound = max(rate[0], rate[-1]) + width**2 / 8.0 * trajectory_rules._bend(cell, last, drive)["steering_rate"][0]
+        bent = trajectory_rules._BENDS["max_steering_rate"](sizes, drive)[0]
+        bound = max(rate[0], rate[-1]) + width**2 / 8.0 * bent
         assert rate.max() <= bound * (1.0 + 1e-12)
 
 

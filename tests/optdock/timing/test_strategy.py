@@ -138,8 +138,13 @@ def test_a_refused_gear_gets_the_next_plan_and_the_others_keep_theirs(gears, all
 def test_a_gear_whose_last_plan_is_refused_fails_with_what_is_broken_and_where(gears, all_limits):
     result = time_path(gears, all_limits, SpeedZone(), Start(0.0, 0.0), reckless)
     assert (result.status, result.trajectory) == (TimingStatus.FAIL, None)
-    assert "the last method, reckless, is not certified: " in result.reason
+    assert "the last method, reckless, is not certified: speed " in result.reason
+    assert result.limit == ""  # of a gear, or of the zone
     assert 1.0 < result.at_s < 2.0
+    turning = MotionLimits(max_speed=0.6, max_reverse_speed=2.0, max_yaw_acceleration=0.2)
+    result = time_path(gears, turning, SpeedZone(), (0.0, 0.0), reckless)
+    assert "is not certified: yaw acceleration " in result.reason
+    assert (result.status, result.limit) == (TimingStatus.FAIL, "max_yaw_acceleration")
 
 
 def test_a_moving_start_whose_plans_are_refused_stops_first(make, all_limits):

@@ -45,6 +45,7 @@ def test_every_limit_holds_and_the_robot_rests_at_cusps(seed, make, dense, all_l
         ("lateral", "max_lateral_acceleration", 0.1),
         ("wheel", "max_wheel_speed", 0.4),
         ("yaw acceleration", "max_yaw_acceleration", 0.3),
+        ("lateral jerk", "max_lateral_jerk", 0.15),
     ],
 )
 def test_a_limit_is_broken_without_it_and_kept_with_it(name, limit, value, make, dense):

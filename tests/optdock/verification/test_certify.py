@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from optdock.dock import Dock
+from optdock.errors import InvalidValue
 from optdock.geometry.clothoid import ClothoidSpline
 from optdock.geometry.footprint import Footprint
 from optdock.geometry.pose import Pose2
@@ -105,7 +106,7 @@ def motions(monkeypatch):
 def test_a_motion_is_proven_once_per_path_time_law_and_limits(motions):
     path, law, limits = straight(), from_rest_to_rest(), MotionLimits()
     there = certify_trajectory(Trajectory(path, law), limits, SpeedZone())
-    assert certify_trajectory(Trajectory(path, law, problem(path).fingerprint), limits, SpeedZone()) is there
+    assert certify_trajectory(Trajectory(path, law), limits, SpeedZone()) is there
     assert len(motions) == 1
     elsewhere = certify_trajectory(Trajectory(Path(path.segments), law), limits, SpeedZone())
     slower = certify_trajectory(Trajectory(path, law), MotionLimits(max_speed=0.2), SpeedZone())
@@ -149,12 +150,22 @@ class Lax(MotionLimits):
     __hash__ = None
 
 
+def test_limits_of_a_subclass_are_refused_by_robots_and_by_certificates():
+    """What they bound beside the known limits, or say of themselves, nobody could prove."""
+    wider = dataclasses.make_dataclass("Wider", [("max_foo", float, 1.0)], bases=(MotionLimits,), frozen=True)
+    motion = Trajectory(straight(), from_rest_to_rest())
+    for limits in (Lax(), wider()):
+        with pytest.raises(InvalidValue, match=r"limits: must be a MotionLimits, got (Lax|Wider)"):
+            certify_trajectory(motion, limits, SpeedZone())
+        with pytest.raises(InvalidValue, match=r"robot\.limits: must be a MotionLimits, got (Lax|Wider)"):
+            Robot(ROBOT.footprint, limits)
+
+
 def test_limits_count_by_their_values_when_the_proof_is_asked_for():
     motion = Trajectory(straight(), from_rest_to_rest())
-    assert certify_trajectory(motion, Lax(), SpeedZone()).certified
-    assert not certify_trajectory(motion, Lax(max_speed=0.1), SpeedZone()).certified
     written = MotionLimits()
     assert certify_trajectory(motion, written, SpeedZone()).certified
+    assert not certify_trajectory(motion, MotionLimits(max_speed=0.1), SpeedZone()).certified
     object.__setattr__(written, "max_speed", 0.1)  # nobody should; a proof must not hide it
     assert not certify_trajectory(motion, written, SpeedZone()).certified
 

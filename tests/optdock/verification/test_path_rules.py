@@ -19,6 +19,9 @@ from optdock.robot import Robot
 from optdock.verification import certify_path
 
 LIMITS = MotionLimits(max_curvature=1.0, max_curvature_rate=2.0)
+TURNING = Robot(
+    Footprint.from_radius(0.3), MotionLimits(max_yaw_rate=1.0, max_yaw_acceleration=1.0), turns_in_place=True
+)
 
 
 def spline(knots=(0.0, 1.0, 2.0, 2.5), curvature=(0.0, 1.0, 0.0, 0.0), start=None, sign=1):
@@ -74,6 +77,26 @@ def test_a_bound_just_below_the_path_is_broken(limits, kind):
     assert violation.amount == pytest.approx(0.001)
 
 
+@pytest.mark.parametrize("side", [1.0, -1.0])
+@pytest.mark.parametrize("sampled", [False, True])
+@pytest.mark.parametrize(
+    ("knots", "curvature", "limits"),
+    [
+        ((0.0, 1.0, 2.0, 2.5), (0.0, 1.0, 0.0, 0.0), {"max_curvature": 0.9}),
+        ((0.0, 1.0, 1.2, 2.0), (0.0, 1.0, 0.0, 0.0), {"max_curvature_rate": 4.0}),  # falls more quickly than it rises
+        ((0.0, 0.2, 1.2, 2.0), (0.0, 1.0, 0.0, 0.0), {"max_curvature_rate": 4.0}),
+    ],
+)
+def test_bounds_hold_to_either_side(knots, curvature, limits, side, sampled):
+    """A path and its mirror image break the same rules by the same amounts."""
+    path = path_of(spline(knots, side * np.array(curvature), Pose2(0.0, 0.0, 0.0)))
+    if sampled:
+        path = Path((PolylineSegment(path.sample(0.01).poses, Direction.FORWARD),))
+    violations = certify_path(path, problem(path, MotionLimits(**limits), final_straight=0.0)).violations
+    assert {f"max_{one.kind}" for one in violations} == set(limits)  # the motion of samples bends as their heading does
+    assert violations[0].amount == pytest.approx(0.1 if "max_curvature" in limits else 1.0, rel=0.1)
+
+
 def test_curvature_that_peaks_between_samples_but_on_a_knot_is_seen():
     path = path_of(spline((0.0, 0.0101, 0.0102, 0.0103, 1.0), (0.0, 0.0, 5.0, 0.0, 0.0)))
     wanted = problem(path, MotionLimits(max_curvature=4.9))
@@ -86,6 +109,41 @@ def test_the_start_curvature_binds_when_it_is_given():
     assert kinds(path, problem(path, start_curvature=0.1)) == ["start_curvature"]
 
 
+@pytest.mark.parametrize(
+    ("asked", "expected"), [(1.0, []), (0.99, []), (0.9, ["start_curvature"]), (-1.0, ["start_curvature"])]
+)
+def test_the_start_curvature_of_samples_binds_as_far_as_they_tell_it(asked, expected):
+    """The first step's mean is off by what the curvature may change over the step: 0.01 m by 2 1/m^2."""
+    arc = path_of(spline((0.0, 1.0), (1.0, 1.0)))
+    path = Path((PolylineSegment(arc.sample(0.01).poses, Direction.FORWARD),))
+    assert kinds(path, problem(path, start_curvature=asked, final_straight=0.0)) == expected
+
+
+def test_a_final_straight_lies_on_the_dock_s_axis():
+    """Straight on, with the heading of the goal, but 0.4 mm beside its axis half a metre before it."""
+    x = np.linspace(0.0, 1.0, 101)
+    for slope, expected in ((0.0, []), (1e-4, []), (8e-4, ["final_straight"]), (-8e-4, ["final_straight"])):
+        path = polyline(x, slope * x)
+        assert kinds(path, problem(path, final_straight=0.5)) == expected
+
+
+def test_a_robot_that_sets_off_does_not_begin_with_a_turn_in_place():
+    path = Path(
+        (
+            TurnSegment(Pose2(0.0, 0.0, 0.0), 0.5),
+            *path_of(spline((0.0, 1.0), (0.0, 0.0), Pose2(0.0, 0.0, 0.5))).segments,
+        )
+    )
+    for state, expected in (
+        ({}, []),
+        ({"start_speed": 0.1}, ["turn"]),
+        ({"start_acceleration": 0.1}, ["turn"]),
+        ({"start_speed": 0.1, "start_acceleration": -0.1}, ["turn"]),
+    ):
+        wanted = problem(path, final_straight=0.0, **state)
+        assert kinds(path, dataclasses.replace(wanted, robot=TURNING)) == expected
+
+
 def test_a_curved_end_breaks_the_final_straight():
     path = path_of(spline())
     assert kinds(path, problem(path, final_straight=0.5)) == []
@@ -96,6 +154,26 @@ def test_a_curved_end_breaks_the_final_straight():
 def test_a_kink_of_curvature_inside_the_final_straight_is_seen():
     path = path_of(spline((0.0, 2.0, 2.2, 2.21, 2.22, 2.5), (0.0, 0.0, 0.0, 0.01, 0.0, 0.0)))
     assert kinds(path, problem(path, final_straight=0.5)) == ["final_straight"]
+
+
+@pytest.mark.parametrize("share", [0.25, 0.5, 0.75, 0.999, 1.0, 1.001])
+@pytest.mark.parametrize("sampled", [False, True])
+def test_the_final_straight_is_driven_in_one_gear(share, sampled):
+    """Straight on is not enough: back first and only a part of it into the dock is too short, wherever it begins."""
+    back = spline((0.0, 1.0), (0.0, 0.0), Pose2(0.0, 0.0, 0.0), sign=-1)
+    path = path_of(back, spline((0.0, 0.5 * share), (0.0, 0.0), back.end))
+    if sampled:
+        path = Path(tuple(PolylineSegment(part.poses_at(np.linspace(0.0, part.length, 9)), part.direction)
+                          for part in path.segments))  # fmt: skip
+    expected = [] if share >= 1.0 else ["final_straight"]
+    violations = certify_path(path, problem(path, final_straight=0.5)).violations
+    assert [violation.kind for violation in violations] == expected
+    assert all(violation.amount == pytest.approx(0.5 * (1.0 - share)) for violation in violations)
+
+
+def test_a_turn_in_place_is_no_final_straight():
+    path = Path((*polyline(np.linspace(0.0, 1.0, 9), np.zeros(9)).segments, TurnSegment(Pose2(1.0, 0.0, 0.0), 0.5)))
+    assert "final_straight" in kinds(path, problem(path, MotionLimits(), final_straight=0.5))
 
 
 def test_the_gear_into_the_dock_is_the_one_asked_for():
@@ -239,6 +317,14 @@ def test_slips_do_not_add_up(slope, expected):
     assert kinds(path, problem(path, final_straight=0.0)) == expected
     there_and_back = polyline(x, slope * 1.5 / np.pi * np.sin(np.pi * x / 3.0) * 2.0)
     assert kinds(there_and_back, problem(there_and_back, final_straight=0.0)) == expected
+
+
+@pytest.mark.parametrize(("slope", "expected"), [(0.9e-4, []), (3e-4, ["slip"]), (-3e-4, ["slip"])])
+def test_a_long_path_may_slip_by_a_tenth_of_a_millimetre_per_metre_more(slope, expected):
+    """Over 10 m 2 mm in all, and not the centimetre that ten times as much would be."""
+    x = np.linspace(0.0, 10.0, 1001)
+    path = polyline(x, slope * x)
+    assert kinds(path, problem(path, final_straight=0.0)) == expected
 
 
 def test_slips_of_several_gears_add_up():

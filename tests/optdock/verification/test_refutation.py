@@ -1,6 +1,7 @@
 """What samples refute: no honest motion, however it is sampled and rounded, and every lie."""
 
 import dataclasses
+import math
 
 import numpy as np
 import pytest
@@ -13,7 +14,8 @@ from optdock.geometry.footprint import Footprint
 from optdock.geometry.pose import Pose2
 from optdock.interfaces import TimeParameterizer
 from optdock.io.plan_file import TrajectoryColumns
-from optdock.limits import MotionLimits, SpeedZone
+from optdock.limits import DIMENSIONS, LimitKind, MotionLimits, SpeedZone
+from optdock.limits import LIMITS as KINDS
 from optdock.obstacles import ObstacleSet
 from optdock.path import ClothoidSegment, Path, TurnSegment
 from optdock.pipeline import plan_dock
@@ -25,8 +27,9 @@ from optdock.trajectory import TimeLaw, Trajectory
 from optdock.verification import certify_path, certify_trajectory, check_sampled_motion, check_samples_of
 
 LIMITS = MotionLimits(
-    max_yaw_rate=0.6, max_yaw_acceleration=1.2, max_lateral_acceleration=0.2, max_wheel_speed=0.5, track_width=0.4
-)
+    max_yaw_rate=0.6, max_yaw_acceleration=1.2, max_lateral_acceleration=0.2, max_wheel_speed=0.5, track_width=0.4,
+    max_lateral_jerk=0.25,
+)  # fmt: skip
 ZONE = SpeedZone(0.1, 0.3)
 TIMER = create_plugin(TimeParameterizer, "Windowed")
 
@@ -157,6 +160,7 @@ def test_no_family_is_refuted_at_any_period(number):
         max_lateral_acceleration=0.2,
         max_wheel_speed=0.5,
         track_width=0.5,
+        max_lateral_jerk=0.1,
     )
     speed = 0.05 * (number % 3)
     problem = dataclasses.replace(
@@ -281,25 +285,56 @@ def test_a_turn_in_place_cannot_be_judged():
 # Limits.
 
 
+TIGHTER = {
+    "max_speed": 0.2,
+    "max_reverse_speed": 0.05,
+    "max_acceleration": 0.1,
+    "max_deceleration": 0.1,
+    "max_jerk": 1.0,
+    "max_yaw_rate": 0.05,
+    "max_yaw_acceleration": 0.05,
+    "max_lateral_acceleration": 0.01,
+    "max_lateral_jerk": 0.005,
+    "max_wheel_speed": 0.1,
+}
+
+
 @pytest.mark.parametrize(
-    ("limit", "value", "fault"),
+    "limit",
     [
-        ("max_speed", 0.2, "speed [m/s]: "),
-        ("max_reverse_speed", 0.05, "speed [m/s]: "),
-        ("max_acceleration", 0.1, "acceleration [m/s^2]: "),
-        ("max_deceleration", 0.1, "deceleration [m/s^2]: "),
-        ("max_jerk", 1.0, "jerk [m/s^3]: 2 at "),
-        ("max_yaw_rate", 0.05, "yaw rate [rad/s]: "),
-        ("max_yaw_acceleration", 0.05, "yaw acceleration [rad/s^2]: "),
-        ("max_lateral_acceleration", 0.01, "lateral acceleration [m/s^2]: "),
-        ("max_wheel_speed", 0.1, "wheel speed [m/s]: "),
+        field.name
+        for field in dataclasses.fields(MotionLimits)
+        if field.name not in DIMENSIONS
+        and not (field.name in KINDS and (KINDS[field.name].kind is LimitKind.PATH or KINDS[field.name].steered))
     ],
 )
-def test_every_limit_is_looked_at(limit, value, fault):
+def test_every_limit_is_looked_at(limit):
+    """Those of steered wheels: `test_steering`; those of the path alone no motion can break."""
     path = two_gears(0.8)
-    tighter = dataclasses.replace(LIMITS, **{limit: value})
+    tighter = dataclasses.replace(LIMITS, **{limit: TIGHTER[limit]})
     faults = messages(motion_of(path), path, problem_of(path, tighter))
-    assert any(message.startswith(fault) for message in faults), faults
+    assert any(message.startswith(f"{KINDS[limit].label}: ") for message in faults), faults
+
+
+def test_on_an_arc_the_lateral_jerk_is_twice_speed_times_acceleration_times_curvature():
+    path = curve([0.0, 3.0], [0.8, 0.8])
+    motion = rest_to_rest(path)
+    peak = float(np.max(np.abs(2.0 * motion.speed * motion.acceleration * 0.8)))
+    open_ = MotionLimits()
+    for share, fault in ((0.9, True), (1.01, False)):
+        limits = dataclasses.replace(open_, max_lateral_jerk=share * peak)
+        faults = messages(motion, path, problem_of(path, limits, SpeedZone()))
+        assert any(message.startswith("lateral jerk [m/s^3]: ") for message in faults) is fault, faults
+
+
+def test_the_lateral_jerk_between_samples_is_looked_at_too():
+    """Far apart and where the curvature bends, though no column is beyond the limit at a sample."""
+    path = curve([0.0, 0.6, 0.7, 0.8, 2.0], [0.0, 0.0, 1.5, 0.0, 0.0])
+    limits = dataclasses.replace(LIMITS, max_lateral_jerk=math.inf, max_yaw_acceleration=math.inf)
+    motion = motion_of(path, 0.05, limits=limits, zone=SpeedZone())
+    faults = messages(motion, path, problem_of(path, dataclasses.replace(limits, max_lateral_jerk=0.05), SpeedZone()))
+    for said in ("lateral jerk [m/s^3]: ", "lateral jerk at a knot [m/s^3]: ", "mean lateral jerk [m/s^3]: "):
+        assert any(message.startswith(said) for message in faults), (said, faults)
 
 
 def trapezoid(acceleration, deceleration, period, speed=0.5, length=3.0):

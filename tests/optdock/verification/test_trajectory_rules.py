@@ -8,18 +8,23 @@ import ruckig
 from hypothesis import given
 from hypothesis import strategies as st
 
+from optdock.dock import Dock
 from optdock.geometry.clothoid import ClothoidSpline
+from optdock.geometry.footprint import Footprint
 from optdock.geometry.pose import Pose2
-from optdock.limits import MotionLimits, SpeedZone
+from optdock.limits import DIMENSIONS, LIMITS, Limit, LimitKind, MotionLimits, SpeedZone
 from optdock.path import ClothoidSegment, Path, PolylineSegment, TurnSegment
+from optdock.problem import DockingProblem
+from optdock.robot import Robot
 from optdock.trajectory import TimeLaw, Trajectory
-from optdock.verification import certify_trajectory, trajectory_rules
+from optdock.verification import certify_trajectory, path_rules, trajectory_rules
 
 OPEN = MotionLimits(1.0, 1.0, 1.0, 1.0, 4.0, track_width=0.5, wheelbase=0.8)
 QUANTITIES = {
     "max_yaw_rate": lambda r: np.abs(r.yaw_rate),
     "max_yaw_acceleration": lambda r: np.abs(r.yaw_acceleration),
     "max_lateral_acceleration": lambda r: np.abs(r.yaw_rate * r.speed),
+    "max_lateral_jerk": lambda r: np.abs(np.gradient(r.yaw_rate * r.speed, r.t)),
     "max_wheel_speed": lambda r: np.abs(r.speed) + 0.25 * np.abs(r.yaw_rate),
     "max_steering_rate": lambda r: np.abs(np.gradient(np.arctan(0.8 * path().curvature_at(r.s)), r.t)),
     "max_speed": lambda r: np.abs(r.speed),
@@ -61,7 +66,15 @@ def test_a_legal_motion_is_certified():
     assert certificate.ratios["speed"] == pytest.approx(0.5)
 
 
-@pytest.mark.parametrize("name", sorted(QUANTITIES))
+PROVEN_OF_MOTIONS = [
+    field.name
+    for field in dataclasses.fields(MotionLimits)
+    if not (field.name in DIMENSIONS or field.name == "max_reverse_speed")
+    and not (field.name in LIMITS and LIMITS[field.name].kind is LimitKind.PATH)
+]
+
+
+@pytest.mark.parametrize("name", PROVEN_OF_MOTIONS)
 def test_each_limit_is_broken_just_below_the_motion_and_kept_just_above(name):
     motion = trajectory()
     peak = float(np.max(QUANTITIES[name](motion.sample(1e-4))))
@@ -74,17 +87,94 @@ def test_a_proven_ratio_is_never_below_the_dense_truth(seed):
     rng = np.random.default_rng(seed)
     t, j = move(3.0, *rng.uniform(0.2, 1.0, 2), rng.uniform(0.5, 3.0))
     motion = Trajectory(path(np.append(rng.uniform(-2.0, 2.0, 8), 0.0)), TimeLaw(t, j))
-    limits = dataclasses.replace(
-        OPEN, max_yaw_rate=0.6, max_yaw_acceleration=1.0, max_lateral_acceleration=0.4, max_wheel_speed=0.7
-    )
+    curved = {"max_yaw_rate": 0.6, "max_yaw_acceleration": 1.0, "max_lateral_acceleration": 0.4, "max_wheel_speed": 0.7}
+    limits = dataclasses.replace(OPEN, **curved, max_lateral_jerk=0.8)
     certificate = certify_trajectory(motion, limits, SpeedZone())
     dense = motion.sample(2e-3)
-    for name in ("max_yaw_rate", "max_yaw_acceleration", "max_lateral_acceleration", "max_wheel_speed"):
-        truth = float(np.max(QUANTITIES[name](dense))) / getattr(limits, name)
+    along = motion.time_law.at(dense.t)[:, 2]
+    bend, rate = motion.path.curvature_at(dense.s), motion.path.curvature_rate_at(dense.s)
+    sideways = np.abs(2.0 * dense.speed * along * bend + dense.speed**3 * rate)  # no mean over a jump of the rate
+    for name in (*curved, "max_lateral_jerk"):
+        values = sideways if name == "max_lateral_jerk" else QUANTITIES[name](dense)
+        truth = float(np.max(values)) / getattr(limits, name)
         kind = name.removeprefix("max_")
         assert certificate.ratios[kind] >= min(truth, 1.0) - 1e-9
         if truth > 1.0 + 1e-5:
             assert kind in [violation.kind for violation in certificate.violations]
+
+
+def cruise(path, speed=0.5):
+    """From rest to rest along a path, at one speed but for the first and the last half metre."""
+    ramp = 0.5 / speed  # of two phases each: half the speed times the time of both is half a metre
+    jerk, steady = speed / ramp**2, (path.length - 1.0) / speed
+    return Trajectory(path, TimeLaw([ramp, ramp, steady, ramp, ramp], [jerk, -jerk, 0.0, -jerk, jerk]))
+
+
+def is_the_lateral_jerk(motion, exact):
+    """Certified just above, refused just below, and the ratio is the exact one."""
+    above, below = (dataclasses.replace(OPEN, max_lateral_jerk=exact * (1.0 + e)) for e in (1e-5, -1e-5))
+    certificate = certify_trajectory(motion, above, SpeedZone())
+    assert certificate.certified, certificate.reason
+    assert certificate.ratios["lateral_jerk"] == pytest.approx(1.0, abs=2.1e-5)
+    assert kinds(motion, below) == ["lateral_jerk"]
+
+
+@pytest.mark.parametrize(("speed", "bend", "length"), [(0.5, 1.5, 0.5), (0.3, -0.4, 0.25), (0.7, 2.0, 1.0)])
+def test_lateral_jerk_on_a_clothoid_at_constant_speed_is_speed_cubed_times_the_rate(speed, bend, length):
+    spline = ClothoidSpline(
+        Pose2(0.0, 0.0, 0.0), np.cumsum([0.0, 0.6, length, length, 0.6]), [0.0, 0.0, bend, 0.0, 0.0]
+    )
+    is_the_lateral_jerk(cruise(Path((ClothoidSegment(spline),)), speed), speed**3 * abs(bend) / length)
+
+
+@pytest.mark.parametrize("gear", [1, -1])
+def test_lateral_jerk_on_an_arc_is_twice_speed_times_acceleration_times_curvature(gear):
+    """Over a phase of constant jerk j from rest that is j^2 t^3 k, largest where the jerk turns; then j t v k each."""
+    spline = ClothoidSpline(Pose2(0.0, 0.0, 0.0), [0.0, 3.0], [0.8, 0.8], gear)
+    motion = cruise(Path((ClothoidSegment(spline),)), 0.4)
+    ramp, jerk = motion.time_law.durations[0], motion.time_law.jerks[0]
+    # After the turn, t later: 2 k (v + a t - j t^2 / 2) (a - j t), largest where its derivative is none.
+    v, a = 0.5 * jerk * ramp**2, jerk * ramp
+    t = min(t for t in np.roots([1.5 * jerk**2, -3.0 * a * jerk, a * a - v * jerk]).real if t > 0.0)
+    exact = 2.0 * 0.8 * (v + a * t - 0.5 * jerk * t * t) * (a - jerk * t)
+    assert exact > jerk**2 * ramp**3 * 0.8
+    is_the_lateral_jerk(motion, exact)
+
+
+def test_where_the_robot_rests_or_turns_in_place_there_is_no_lateral_jerk():
+    turn = Path((TurnSegment(Pose2(0.0, 0.0, 0.0), 1.2),))
+    limits = dataclasses.replace(OPEN, max_yaw_rate=5.0, max_yaw_acceleration=10.0, max_lateral_jerk=1e-9)
+    motion = Trajectory(turn, TimeLaw(*move(turn.length, speed=0.1, acceleration=0.1, jerk=0.1)))
+    certificate = certify_trajectory(motion, limits, SpeedZone())
+    assert certificate.certified, certificate.reason
+    assert certificate.ratios["lateral_jerk"] == 0.0
+
+
+def test_a_limit_that_no_rule_proves_is_a_violation(monkeypatch):
+    """Whether the table knows it or not: a field that was added to the limits and nowhere else certifies nothing."""
+    planted = dataclasses.make_dataclass("Planted", [("max_foo", float, np.inf)], bases=(MotionLimits,), frozen=True)
+    asked = trajectory(), planted(), SpeedZone(), (None, None), lambda: False
+
+    def refusals(limits):
+        found, _ratios = trajectory_rules.trajectory_violations(asked[0], limits, *asked[2:])
+        object.__setattr__(problem.robot, "limits", limits)
+        path_found = path_rules.path_violations(asked[0].path, problem)
+        return [one.message for one in found], [one.message for one in path_found]
+
+    problem = DockingProblem(asked[0].path.start, Dock(asked[0].path.end), Robot(Footprint.from_radius(0.3), OPEN))
+    open_, limited = planted(**dataclasses.asdict(OPEN)), planted(**dataclasses.asdict(OPEN), max_foo=2.0)
+    assert refusals(open_) == ([], [])
+    said = "no rule proves max_foo = 2"
+    assert refusals(limited) == ([said], [said])
+    for kind, expected in (
+        (LimitKind.TURNING, ([said], [])),
+        (LimitKind.TIME_LAW, ([said], [])),
+        (LimitKind.PATH, ([], [said])),
+    ):
+        row = Limit("max_foo", "m", kind, "", "", lambda at, _: at.v)
+        for module in (trajectory_rules, path_rules):
+            monkeypatch.setattr(module, "LIMITS", {**LIMITS, "max_foo": row})
+        assert refusals(limited) == expected
 
 
 def test_the_place_of_a_violation_shows_it():
@@ -419,24 +509,28 @@ def test_second_derivatives_stay_within_their_bounds(seed):
     """Of every quantity that depends on curvature; where some of v, a, j, k and r are none, single terms are left."""
     for which in range(1, 32):
         rng = np.random.default_rng([seed, which])
-        sizes = np.where([which >> i & 1 for i in range(5)], 10.0 ** rng.uniform(-1.0, 1.0, 5), 0.0)
-        v, a, j, k, r = (sizes * [1, *rng.choice([-1, 1], 4)]).tolist()
+        scales = np.where([which >> i & 1 for i in range(5)], 10.0 ** rng.uniform(-1.0, 1.0, 5), 0.0)
+        v, a, j, k, r = (scales * [1, *rng.choice([-1, 1], 4)]).tolist()
         width, h = 1e-2, 1e-3
         if v + a * width + 0.5 * j * width**2 < 0.0:
             continue
         drive = MotionLimits(track_width=0.7, wheelbase=1.3, max_steering_rate=1.0)
         columns = (0.0, width, 0.0, v, a, j, k, r, -np.inf, np.inf)
         first = trajectory_rules._Cells(*(np.array([value]) for value in columns))
-        bound = trajectory_rules._bend(first, first.advanced(first.width), drive)
+        sizes = trajectory_rules._Sizes.over(first, first.advanced(first.width))
         t = np.arange(0.0, width + 0.5 * h, h)
         along = first.rows(np.zeros(t.size, dtype=int)).advanced(t)
         signed = {
             "yaw_rate": along.v * along.k,
             "lateral_acceleration": along.v**2 * along.k,
+            "lateral_jerk": 2.0 * along.v * along.a * along.k + along.v**3 * along.r,
             "yaw_acceleration": along.a * along.k + along.v**2 * along.r,
             "wheel_speed": along.v * (1.0 + 0.35 * along.k),
             "steering_rate": 1.3 * along.r * along.v / (1.0 + (1.3 * along.k) ** 2),
         }
-        for name, values in signed.items():
+        for name, bend in trajectory_rules._BENDS.items():
+            values = signed[LIMITS[name].quantity]
             bent = np.max(np.abs(np.diff(values, 2))) / h**2
-            assert bent <= float(bound[name][0]) * (1.0 + 1e-9) + 1e-6, name
+            assert bent <= float(bend(sizes, drive)[0]) * (1.0 + 1e-9) + 1e-6, name
+            either = np.abs(2.0 * along.v - values) if name == "max_wheel_speed" else 0.0  # the other wheel
+            assert LIMITS[name].size(along, drive) == pytest.approx(np.maximum(np.abs(values), either)), name

@@ -1,0 +1,63 @@
+"""Exit statuses: one meaning each, the same for every command."""
+
+from __future__ import annotations
+
+from enum import IntEnum
+from typing import TYPE_CHECKING
+
+from optdock.errors import InvalidFile, InvalidValue, MissingExtra, NoMotionExists, OptdockError, PluginError, TimedOut
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+__all__ = ["EXIT_STATUSES", "ExitStatus", "status_of"]
+
+
+class ExitStatus(IntEnum):
+    """How a command ended, for scripts; `EXIT_STATUSES` says what each means."""
+
+    CERTIFIED = 0
+    UNEXPECTED = 1
+    BAD_INPUT = 2
+    NOT_CERTIFIED = 3
+    IMPOSSIBLE = 4
+    TIMED_OUT = 5
+
+
+EXIT_STATUSES: Mapping[ExitStatus, str] = {
+    ExitStatus.CERTIFIED: (
+        "certified, and nothing that was read is refuted; where it is driven, docked without a collision; of a command "
+        "that judges nothing: done"
+    ),
+    ExitStatus.UNEXPECTED: "an error in optdock itself, with a traceback: please report it",
+    ExitStatus.BAD_INPUT: (
+        "bad input: usage, an option, a plugin's name, or a file that cannot be read or contradicts itself"
+    ),
+    ExitStatus.NOT_CERTIFIED: (
+        "refuted or unproven: no certified plan was found, a rule is broken, a claim of a file is false, a run did not "
+        "dock, a replay differs"
+    ),
+    ExitStatus.IMPOSSIBLE: "impossible, which is proven: no motion exists; never try it again as it is",
+    ExitStatus.TIMED_OUT: "the time was over before there was a certified plan: try again with more of it",
+}
+
+# The first class that an error is of decides.
+_STATUSES: tuple[tuple[type[OptdockError], ExitStatus], ...] = (
+    (InvalidFile, ExitStatus.BAD_INPUT),
+    (InvalidValue, ExitStatus.BAD_INPUT),
+    (PluginError, ExitStatus.BAD_INPUT),
+    (MissingExtra, ExitStatus.BAD_INPUT),
+    (NoMotionExists, ExitStatus.IMPOSSIBLE),
+    (TimedOut, ExitStatus.TIMED_OUT),
+    (OptdockError, ExitStatus.NOT_CERTIFIED),
+)
+
+
+def status_of(error: OptdockError | type[OptdockError]) -> ExitStatus:
+    """The exit status of a command that an error ends.
+
+    >>> status_of(NoMotionExists), status_of(InvalidFile("a.yaml: is empty"))
+    (<ExitStatus.IMPOSSIBLE: 4>, <ExitStatus.BAD_INPUT: 2>)
+    """
+    kind = error if isinstance(error, type) else type(error)
+    return next(status for known, status in _STATUSES if issubclass(kind, known))

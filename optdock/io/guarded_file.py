@@ -1,0 +1,172 @@
+"""The one door through which files are read: regular files only, and of each kind only so much.
+
+What a file's name leads to may be a pipe, which waits for a writer, a device, which never ends, or somebody else's
+gigabytes. All of these end here in an `InvalidFile`, before anything waits or memory is taken. How much a file of a
+kind may hold is chosen so that reading it takes less than a second and 500 MB on a computer of a robot, and is many
+times what such files hold in practice.
+"""
+
+from __future__ import annotations
+
+import errno
+import json
+import math
+import os
+import stat
+from contextlib import contextmanager
+from enum import IntEnum
+from pathlib import Path
+from typing import TYPE_CHECKING, NoReturn
+
+from optdock.errors import InvalidFile
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+__all__ = ["MostBytes", "check_regular", "is_regular", "parse_json", "read_bytes", "read_text"]
+
+
+class MostBytes(IntEnum):
+    """The size that a file of a kind may have [bytes]."""
+
+    YAML = 4_000_000  # a parameter file of Nav2 with all its comments has 30 kB; `yaml_lines` bounds what it expands to
+    JSON = 32_000_000  # a plan of 50,000 samples has 22 MB, see `plan_file.MAX_SAMPLES`
+    CSV = 200_000  # the largest case of the competition has 10 kB
+    LOG = 64_000_000  # a docking of a minute has 1 MB, with a costmap in every cycle 10
+    IMAGE = 80_000_000  # a map of `map_image.MAX_PIXELS` as raw grey values of 16 bit has 67 MB
+    RECORDING = 1_000_000_000_000  # of bags only an index and the topics asked for are read
+
+
+# JSON values that a file may hold, counted by the characters that begin another one. A plan of 50,000 samples has 1.1
+# million numbers; two million take 150 MB. An object takes as much as ten numbers, and ours hold some hundred.
+_MOST_JSON_VALUES = 2_000_000
+_MOST_JSON_OBJECTS = 200_000
+_LONGEST_NAME = 200  # characters of a file's name in a message
+
+_KINDS = (
+    (stat.S_ISDIR, "Is a directory"),
+    (stat.S_ISFIFO, "is a pipe, not a regular file"),
+    (stat.S_ISCHR, "is a device, not a regular file"),
+    (stat.S_ISBLK, "is a device, not a regular file"),
+    (stat.S_ISSOCK, "is a socket, not a regular file"),
+)
+
+
+def is_regular(path: Path) -> bool:
+    """Whether the name leads to a regular file."""
+    try:
+        return stat.S_ISREG(path.stat().st_mode)
+    except (OSError, ValueError):
+        return False
+
+
+def check_regular(path: Path, most: int) -> None:
+    """Refuse what is no regular file, or too large; for libraries that open files by their names.
+
+    Args:
+        path: The file.
+        most: Largest size [bytes], see `MostBytes`.
+
+    Raises:
+        InvalidFile: Missing, not a regular file, or larger.
+    """
+    with _told(path):
+        _check(path, path.stat(), most)
+
+
+def read_bytes(path: Path, most: int) -> bytes:
+    """The content of a regular file.
+
+    Args:
+        path: The file.
+        most: Largest size [bytes], see `MostBytes`.
+
+    Raises:
+        InvalidFile: It cannot be read, is no regular file, or is larger.
+    """
+    with _told(path):
+        # Opening a device may act on it, and opening a pipe waits; so the name is asked before, and what was opened
+        # again, as the name may lead elsewhere by then.
+        _check(path, path.stat(), most)
+        with os.fdopen(os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC | os.O_NOCTTY), "rb") as stream:
+            _check(path, os.fstat(stream.fileno()), most)
+            content = stream.read(most + 1)  # files of the kernel say that they are empty, and others may grow
+        if content is None:  # such a file waits for something to happen
+            raise BlockingIOError(errno.EAGAIN, os.strerror(errno.EAGAIN))
+        _check_size(path, len(content), most)
+        return content
+
+
+def read_text(path: Path, most: int) -> str:
+    """The content of a regular file of UTF-8 text, without its byte order mark.
+
+    Args:
+        path: The file.
+        most: Largest size [bytes], see `MostBytes`.
+
+    Raises:
+        InvalidFile: It cannot be read, is no regular file, is larger, or is not UTF-8.
+    """
+    content = read_bytes(path, most)
+    try:
+        return content.decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        utf16 = "; it looks like UTF-16" if content[:2] in (b"\xff\xfe", b"\xfe\xff") else ""
+        where = f"byte {error.start}: {error.reason}{utf16}"
+        raise InvalidFile(f"{_name(path)}: cannot be read as UTF-8 text: {where}") from None
+
+
+def parse_json(text: str) -> object:
+    """The value of a strict JSON text.
+
+    Raises:
+        ValueError: Not JSON (`json.JSONDecodeError`), a number that is not finite or has too many digits, nested too
+            deeply, or more values than two million.
+    """
+    begins = text.count(",") + text.count("[") + text.count("{")
+    if begins > _MOST_JSON_VALUES or text.count("{") > _MOST_JSON_OBJECTS:
+        raise ValueError(f"holds more than {_MOST_JSON_VALUES} values or {_MOST_JSON_OBJECTS} objects")
+    try:
+        return json.loads(text, parse_constant=_refuse_constant, parse_float=_finite)
+    except RecursionError:
+        raise ValueError("is nested too deeply") from None
+
+
+def _refuse_constant(name: str) -> NoReturn:
+    raise ValueError(f"{name} is not JSON; numbers must be finite")
+
+
+def _finite(digits: str) -> float:
+    value = float(digits)
+    if not math.isfinite(value):
+        raise ValueError(f"{digits[:20]} is beyond all numbers; numbers must be finite")
+    return value
+
+
+@contextmanager
+def _told(path: Path) -> Iterator[None]:
+    """What the system says, with the name of the file."""
+    try:
+        yield
+    except OSError as error:
+        raise InvalidFile(f"{_name(path)}: cannot be read: {error.strerror or error}") from None
+    except ValueError as error:  # a name with a zero byte
+        raise InvalidFile(f"{_name(path)}: cannot be read: {error}") from None
+
+
+def _check(path: Path, found: os.stat_result, most: int) -> None:
+    if not stat.S_ISREG(found.st_mode):
+        kind = next((words for is_kind, words in _KINDS if is_kind(found.st_mode)), "is not a regular file")
+        raise InvalidFile(f"{_name(path)}: cannot be read: {kind}")
+    _check_size(path, found.st_size, most)
+
+
+def _check_size(path: Path, size: int, most: int) -> None:
+    if size > most:
+        raise InvalidFile(f"{_name(path)}: cannot be read: has more than the {most} bytes that such a file may have")
+
+
+def _name(path: Path) -> str:
+    """The name on one line; of a long one the end, which tells most."""
+    text = "".join(c if c.isprintable() else repr(c)[1:-1] for c in str(path))
+    return text if len(text) <= _LONGEST_NAME else f"...{text[-_LONGEST_NAME:]}"

@@ -1,0 +1,58 @@
+"""Robot and dock brought up to date: what is believed after the pose has jumped."""
+
+import numpy as np
+import pytest
+
+from optdock.executor import ExecutorSettings
+from optdock.executor.perception import Perception
+from optdock.geometry.pose import Pose2
+from optdock.measurements import Detection, Measurements
+
+DOCK, HERE, PUSHED = Pose2(0.0, 0.0, 0.0), Pose2(-0.6, 0.0, 0.0), Pose2(-0.6, 0.08, 0.0)
+PERIOD = 0.05
+
+
+def resting(until, events=None):
+    """A robot at rest that has seen its dock until then, and when that is [s]."""
+    said = events if events is not None else []
+    perception = Perception(DOCK, ExecutorSettings(), lambda name, detail: said.append(name))
+    stamps = PERIOD * np.arange(round(until / PERIOD) + 1)
+    for stamp in stamps:
+        perception.update(Measurements(stamp, HERE, detections=(seen(HERE, stamp),)), stamp, 0.0)
+    return perception, float(stamps[-1])
+
+
+def seen(robot, stamp):
+    return Detection(stamp, DOCK.in_frame_of(robot), 0.003, 0.005)
+
+
+def jumped():
+    """The same one, pushed aside 8 cm with its wheels at rest until its localization has said so; and when that was."""
+    events = []
+    perception, stamp = resting(1.0, events)
+    while "pose jumped" not in events:
+        stamp += PERIOD
+        perception.update(Measurements(stamp, PUSHED), stamp, 0.0)
+    return perception, stamp
+
+
+def test_a_detection_from_before_a_jump_of_the_pose_is_not_believed():
+    """It shows the dock as seen from where the robot stood before; after the jump nobody knows which of both moved."""
+    perception, at = jumped()
+    before = perception.detections, perception.sigma, perception.robot_from_dock
+    assert perception.sigma[0] >= 0.08
+    late = Measurements(at + PERIOD, PUSHED, detections=(seen(HERE, at - 0.5 * PERIOD),))
+    perception.update(late, at + PERIOD, 0.0)
+    assert perception.detections == before[0]
+    assert perception.rejected == 0
+    assert perception.sigma[0] >= before[1][0]
+    assert perception.robot_from_dock == before[2]
+
+
+@pytest.mark.parametrize("robot", [PUSHED, HERE], ids=["the robot was moved", "the localization was"])
+def test_the_first_detection_after_a_jump_says_which_of_the_two_has_moved(robot):
+    perception, at = jumped()
+    stamp = at + PERIOD
+    perception.update(Measurements(stamp, PUSHED, detections=(seen(robot, stamp),)), stamp, 0.0)
+    assert perception.robot_from_dock.gap_to(robot.in_frame_of(DOCK)) < 1e-3
+    assert perception.sigma[0] < 0.005

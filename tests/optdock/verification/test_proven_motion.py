@@ -1,0 +1,243 @@
+"""Proven motions and ways: nobody but the proofs makes them, and they speak of what was proven only."""
+
+import copy
+import dataclasses
+import math
+import pickle
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from optdock.dock import Dock
+from optdock.errors import CertificationFailed, InvalidValue
+from optdock.geometry.clothoid import ClothoidSpline
+from optdock.geometry.footprint import Footprint
+from optdock.geometry.pose import Pose2
+from optdock.limits import MotionLimits
+from optdock.obstacles import ObstacleSet
+from optdock.path import ClothoidSegment, Path
+from optdock.plan import DockPlan
+from optdock.problem import ClearanceRule, DockingProblem
+from optdock.replanning import DriveState, replan, still_holds
+from optdock.robot import Robot, TrackingTube
+from optdock.trajectory import TimeLaw, Trajectory
+from optdock.verification import (
+    ProvenMotion,
+    ProvenWay,
+    certify_motion,
+    certify_path,
+    pose_clearance,
+    prove_motion,
+    prove_way,
+    proven_for,
+    unchanged_way,
+)
+
+OUTLINE = Footprint.rectangle(0.4, 0.4, 0.5)
+ROBOT = Robot(OUTLINE, MotionLimits(max_curvature=1.5, max_curvature_rate=6.0))
+LENGTH = 2.0
+
+
+def straight(y=0.0):
+    return Path((ClothoidSegment(ClothoidSpline(Pose2(0.0, y, 0.0), np.array([0.0, LENGTH]), np.zeros(2))),), "map")
+
+
+def law(duration=12.0):
+    """From rest to rest in four phases of equal length: 2 j T^3 is the way."""
+    quarter = duration / 4.0
+    return TimeLaw(np.full(4, quarter), 0.5 * LENGTH / quarter**3 * np.array([1.0, -1.0, -1.0, 1.0]))
+
+
+def problem(obstacles=(), clearance=0.02, robot=ROBOT, y=0.0):
+    return DockingProblem(
+        Pose2(0.0, y, 0.0), Dock(Pose2(LENGTH, y, 0.0)), robot, obstacles=list(obstacles), clearance=clearance
+    )
+
+
+def wall(gap):
+    """A wall along the whole way, at this distance from a robot on it."""
+    return [[-1.0, 0.25 + gap], [3.0, 0.25 + gap], [3.0, 1.0 + gap], [-1.0, 1.0 + gap]]
+
+
+def proven(**options):
+    return prove_motion(Trajectory(straight(), law()), problem(**options))
+
+
+# Made by proofs alone.
+
+
+def test_a_proven_motion_ties_what_was_proven():
+    task, trajectory = problem([wall(0.1)]), Trajectory(straight(), law())
+    motion = prove_motion(trajectory, task)
+    assert motion.trajectory is trajectory
+    assert motion.problem is task
+    assert motion.pose == task.start
+    assert motion.certificate is certify_path(trajectory.path, task)
+    assert motion.trajectory_certificate is certify_motion(trajectory, task)
+    assert proven_for(trajectory) == task.fingerprint
+    assert proven_for(Trajectory(trajectory.path, trajectory.time_law)) is None
+
+
+@pytest.mark.parametrize("kind", [ProvenMotion, ProvenWay])
+def test_nothing_else_makes_one(kind):
+    with pytest.raises(InvalidValue, match="cannot be constructed"):
+        kind()
+    forged = object.__new__(kind)
+    for name in ("path", "trajectory", "problem", "pose", "certificate"):
+        if hasattr(kind, name):
+            with pytest.raises(InvalidValue, match="no proof was made"):
+                getattr(forged, name)
+    honest = proven() if kind is ProvenMotion else prove_way(straight(), problem()).way
+    for name in ("trajectory", "path", "problem", "certificate", "anything"):
+        with pytest.raises(AttributeError):
+            setattr(honest, name, None)
+        with pytest.raises(AttributeError):
+            object.__setattr__(honest, name, None)
+
+
+def test_a_plan_holds_nothing_but_a_proven_motion():
+    plan = DockPlan(proven(), straight())
+    looks_like = type("Motion", (), dict.fromkeys(("trajectory", "problem", "certificate", "trajectory_certificate")))
+    for other in (object.__new__(ProvenMotion), plan, None, looks_like()):
+        with pytest.raises(InvalidValue):
+            DockPlan(other, straight())
+    for name in ("trajectory", "path", "problem", "certificate", "trajectory_certificate"):
+        with pytest.raises(TypeError):
+            dataclasses.replace(plan, **{name: getattr(plan, name)})
+        with pytest.raises(AttributeError):
+            object.__setattr__(plan, name, None)
+
+
+def test_what_only_looks_like_a_plan_is_not_driven_on():
+    plan = DockPlan(proven(), straight())
+
+    class Elsewhere(DockPlan):
+        @property
+        def trajectory(self):
+            return Trajectory(straight(1.0), law())
+
+    other = Elsewhere(plan.motion, plan.raw_path)
+    with pytest.raises(InvalidValue, match="plan: must be a DockPlan"):
+        still_holds(other, plan.problem)
+    with pytest.raises(InvalidValue, match="plan: must be a DockPlan"):
+        replan(other, plan.problem, DriveState(1.0))
+
+
+@pytest.mark.parametrize(
+    ("trajectory", "reason"),
+    [
+        (Trajectory(straight(), law(2.0)), "the motion is not certified: speed 2 m/s"),
+        (Trajectory(straight(0.1), law()), "the path is not certified: the path misses the start pose"),
+        (Trajectory(straight(), TimeLaw([1.0], [0.0], start_speed=0.3)), "the motion is not certified"),
+    ],
+)
+def test_what_breaks_a_rule_is_not_proven(trajectory, reason):
+    with pytest.raises(CertificationFailed, match=reason) as caught:
+        prove_motion(trajectory, problem())
+    assert caught.value.where["amount"] > 0.0
+    assert proven_for(trajectory) is None
+
+
+def test_what_drives_through_a_wall_is_not_proven():
+    with pytest.raises(CertificationFailed, match="overlaps obstacles"):
+        proven(obstacles=[[[1.0, -0.1], [1.1, -0.1], [1.1, 0.1], [1.0, 0.1]]])
+
+
+def test_pickles_and_copies_speak_of_the_same():
+    motion = proven(obstacles=[wall(0.1)])
+    for other in (pickle.loads(pickle.dumps(motion)), copy.copy(motion), copy.deepcopy(motion)):
+        assert type(other) is ProvenMotion
+        assert other.certificate == motion.certificate
+        assert other.trajectory.path.digest == motion.trajectory.path.digest
+        assert other.problem.fingerprint == motion.problem.fingerprint
+        assert proven_for(other.trajectory) == motion.problem.fingerprint
+    way = prove_way(straight(), motion.problem).way
+    assert pickle.loads(pickle.dumps(way)).path.digest == way.path.digest
+
+
+# Ways from where the robot is.
+
+
+@given(st.floats(-0.15, 0.15), st.floats(-0.2, 0.2), st.floats(0.0, 0.2), st.floats(0.0, 0.03))
+def test_a_robot_beside_its_way_keeps_what_is_required_wherever_it_goes_back_to_it(across, turned, gap, required):
+    """By displaced poses, sampled: none is nearer than required. And by the closed form: a straight way, a wall."""
+    task = problem([wall(gap)], ClearanceRule(required, required, 0.0))
+    pose = Pose2(0.3, across, turned)
+    way = straight().piece(0.3)
+    found = prove_way(way, task, pose)
+    off = abs(across) + 2.0 * OUTLINE.circumscribed_radius * math.sin(0.5 * abs(turned))
+    if abs(gap - required - off) > 2e-6:
+        assert bool(found) is (gap - required > off)
+    if found:
+        assert found.way.pose is pose
+        shares = np.random.default_rng(0).uniform(-1.0, 1.0, (40, 2))
+        for share, place in shares:
+            there = Pose2(1.3 + place, share * across, share * turned)
+            assert pose_clearance(there, OUTLINE, task.all_obstacles)[0] >= required - 1e-6
+
+
+@pytest.mark.parametrize("aside", [0.0, 0.03, 0.0499, 0.0501, 0.0701])
+def test_a_tube_covers_as_much_as_it_is_wide(aside):
+    robot = dataclasses.replace(ROBOT, tracking=TrackingTube(0.05))
+    task = problem([wall(0.07)], ClearanceRule(0.02, 0.02, 0.0), robot)
+    assert bool(prove_way(straight(), task, Pose2(0.0, aside, 0.0))) is (aside <= 0.05)
+    free = problem([wall(0.5)], ClearanceRule(0.02, 0.02, 0.0), robot)
+    assert prove_way(straight(), free, Pose2(0.0, aside, 0.0))  # beyond the tube there is room enough
+
+
+def test_a_robot_that_is_too_close_may_leave_and_may_not_come_nearer():
+    task = problem([wall(0.01)])
+    assert not prove_way(straight(), dataclasses.replace(task, robot=ROBOT, clearance=0.05))
+    leaving = Path((ClothoidSegment(ClothoidSpline(Pose2(0.0, 0.0, -0.3), np.array([0.0, 1.0]), np.zeros(2))),), "map")
+    assert prove_way(leaving, problem([[[-1.0, 0.4], [3.0, 0.4], [3.0, 1.0], [-1.0, 1.0]]], 0.1))
+
+
+def test_a_way_that_nothing_but_a_far_dock_changes_is_proven_already():
+    motion = proven(obstacles=[wall(0.1)])
+    task = motion.problem
+    elsewhere = dataclasses.replace(task, dock=Dock(Pose2(LENGTH, -0.1, 0.0)))
+    found = unchanged_way(motion, 0.2, 0.4, elsewhere)
+    assert found.path.start.gap_to(Pose2(0.2, 0.0, 0.0)) <= 1e-9
+    assert prove_way(found.path, elsewhere)
+    assert unchanged_way(motion, 0.2, 1.9, elsewhere) is None  # the dock is near
+    for change in (
+        {"obstacles": [wall(0.1)]},
+        {"clearance": 0.03},
+        {"robot": Robot(OUTLINE, MotionLimits(max_curvature=1.0))},
+        {"frame": "odom"},
+    ):
+        assert unchanged_way(motion, 0.2, 0.4, dataclasses.replace(task, **change)) is None
+
+
+# Values that only look like ours.
+
+
+def test_a_proof_is_about_our_own_values_and_no_subclass_of_them():
+    class Nowhere(DockingProblem):
+        """Its obstacles are there for the proof, and not for the fingerprint."""
+
+    class Slim(Footprint):
+        pass
+
+    class Near(Pose2):
+        __slots__ = ()
+
+    task = problem()
+    parts = {name: getattr(task, name) for name in ("start", "dock", "robot", "obstacles", "clearance")}
+    with pytest.raises(InvalidValue, match="problem: must be a DockingProblem"):
+        prove_motion(Trajectory(straight(), law()), Nowhere(**parts))
+    with pytest.raises(InvalidValue, match="problem: must be a DockingProblem"):
+        prove_way(straight(), Nowhere(**parts))
+    with pytest.raises(InvalidValue, match="robot.footprint: must be a Footprint"):
+        Robot(Slim(OUTLINE.vertices), ROBOT.limits)
+    with pytest.raises(InvalidValue, match="problem.start: must be a Pose2"):
+        DockingProblem(Near(0.0, 0.0, 0.0), task.dock, ROBOT)
+    with pytest.raises(InvalidValue, match="dock.pose: must be a Pose2"):
+        Dock(Near(0.0, 0.0, 0.0))
+    for name, kind in (("dock", Dock), ("robot", Robot), ("obstacles", ObstacleSet), ("clearance", ClearanceRule)):
+        lookalike = object.__new__(type("Lookalike", (kind,), {}))
+        vars(lookalike).update(vars(parts[name]))
+        with pytest.raises(InvalidValue, match=f"problem.{name}: must be a"):
+            DockingProblem(**(parts | {name: lookalike}))
