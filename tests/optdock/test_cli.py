@@ -668,6 +668,24 @@ def test_a_run_that_touches_the_walls_ends_with_status_3_although_it_docks():
     assert document["min_clearance"] < 0.0
 
 
+def test_a_run_that_leaves_what_is_proven_says_so_first_and_ends_with_status_3():
+    text = """\
+format: optdock-scenario/1
+robot: {footprint: [[0.4, 0.3], [-0.4, 0.3], [-0.4, -0.3], [0.4, -0.3]], tracking: {cross: 0.002, yaw: 0.002}}
+dock: {pose: [4.0, 0.6, 0.0], approach_speed: 0.1, approach_distance: 0.3}
+start: {pose: [1.0, 1.0, 0.0]}
+time_budget: 5.0
+"""
+    kept = run("simulate", write(text))
+    assert kept.exit_code == 0
+    assert "NOT AS PROVEN" not in kept.stdout
+    late = run("simulate", "bay.yaml", "--lag", "0.3", "--latency", "0.2")
+    assert late.exit_code == 3
+    assert late.stdout.startswith("NOT AS PROVEN")
+    assert "the tube is" in late.stdout.splitlines()[0]
+    assert late.stderr.startswith("left what is proven: ")
+
+
 def test_compare_lists_raw_and_smoothed_and_draws_each(tmp_path):
     write(name="first.yaml")
     write(SCENARIO, "pose: [1.0, 0.2, 0.4]", "pose: [1.5, 1.5, 0.0]", name="second.yaml")
