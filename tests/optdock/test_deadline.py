@@ -99,7 +99,7 @@ def test_a_planner_is_asked_to_stop_at_the_deadline():
                 asked.append(np.sum(np.ones(10)))
             return Path.from_poses([start, goal])
 
-    with pytest.raises(PlannerTimedOut, match="Endless used up its share of the time budget of 0.02 s"):
+    with pytest.raises(PlannerTimedOut, match="Endless ran out of time; raise time_budget, which is 0.02 s"):
         plan_dock(PROBLEM, time_budget=0.02, planner=Endless())
     assert asked
     assert len(calls) == 2

@@ -367,7 +367,7 @@ def test_speeding_up_and_slowing_down_have_limits_of_their_own(period):
 
 
 def test_a_jump_of_the_positions_is_found_although_the_speeds_are_smooth():
-    motion = rest_to_rest(STRAIGHT, period=2e-4)
+    motion = rest_to_rest(STRAIGHT, period=2.5e-4)
     k = np.arange(motion.t.size) - motion.t.size // 2
     hop = np.clip(k, 0, 150) * 9e-4 - np.clip(k - 2000, 0, 150) * 9e-4
     faults = messages(motion._replace(x=motion.x + hop), STRAIGHT, problem_of(STRAIGHT, MotionLimits(), SpeedZone()))

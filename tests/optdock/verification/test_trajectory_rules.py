@@ -153,7 +153,7 @@ def test_where_the_robot_rests_or_turns_in_place_there_is_no_lateral_jerk():
 def test_a_limit_that_no_rule_proves_is_a_violation(monkeypatch):
     """Whether the table knows it or not: a field that was added to the limits and nowhere else certifies nothing."""
     planted = dataclasses.make_dataclass("Planted", [("max_foo", float, np.inf)], bases=(MotionLimits,), frozen=True)
-    asked = trajectory(), planted(), SpeedZone(), (None, None), lambda: False
+    asked = trajectory(), planted(), SpeedZone(), (None, None, 0.0), lambda: False
 
     def refusals(limits):
         found, _ratios = trajectory_rules.trajectory_violations(asked[0], limits, *asked[2:])
