@@ -220,7 +220,7 @@ class DockingServer(Server[DockingSettings]):
         """Stop the robot, end all goals; the last command is zero."""
         reason = "the server is being deactivated"
         self._goals.close(reason)
-        limits = self.settings.robot.document.limits
+        limits = self.settings.robot.document.limits.value()
         braking = limits.max_speed / limits.max_deceleration + limits.max_deceleration / limits.max_jerk
         if self._loop is not None and not self._loop.close(reason, braking + _STOPPING):
             self.get_logger().error("the robot was not stopped by the executor")

@@ -7,7 +7,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from optdock.errors import DockNotInDB, DockNotValid, InvalidValue
-from optdock.io.yaml_lines import Document, printable
+from optdock.io.quoting import printable
+from optdock.io.yaml_lines import Document
 from optdock.nav2.docks import DockEntry, load_dock_database, read_dock
 from optdock.parameters import closest
 
