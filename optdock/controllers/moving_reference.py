@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from optdock.controllers.command_limits import smooth_slope
+from optdock.geometry.arrays import readonly
 from optdock.geometry.pose import Pose2, Twist2
 from optdock.trajectory import TrajectorySamples
 
@@ -28,6 +29,7 @@ _JERK_SHARE = 1.0
 _AT_START = 0.05  # [m]: a robot nearer to the start than this begins there
 _BEYOND = 1e-6  # [m]: after a cusp
 _WAY_STEP = 0.03  # [m]
+_LOOK = readonly(np.linspace(0.0, 0.3, 7))  # [s] beyond the commands: a rate that is to be lower by then has to fall now
 _SAMPLES = 400  # for the nearest point
 
 
@@ -210,6 +212,12 @@ class Reference:
         """The trajectory in force `preview` seconds from now, and the time on its clock then [s]."""
         trajectory, time, _ = self._at(preview)
         return trajectory, time
+
+    def peak_yaw_acceleration(self) -> float:
+        """The largest yaw acceleration, at rate 1, of the commands now and in the next 0.3 s [rad/s^2]."""
+        shown, time, _ = self._at(self._preview)
+        ahead = np.clip(time + _LOOK, 0.0, shown.duration)
+        return float(np.max(np.abs(shown.sample_at(ahead).yaw_acceleration)))
 
     def next_arc(self) -> Twist2:
         """The direction that the commands take next: of an arc at 1 m/s; at a cusp that of the gear that follows."""

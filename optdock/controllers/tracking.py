@@ -46,6 +46,7 @@ _GROWTH, _LEAST_SCATTER = 4.0, 4e-6  # [1], [m^2]: what a single error may add t
 _NOISES = 3.0  # standard deviations
 _SEEN_NOISE = 2.0  # standard deviations of a pose across, of depth that is taken for noise
 _LEFT = 0.25  # of the accepted error across, that may be left at the end by what is seen now
+_STEERED_RATE = 0.99  # of steered wheels: leaves feedback 3 % of the jerk and 1 % of the steering rate
 _PEAK_MARGIN = 1.2  # without a configured robot: headroom for feedback above the trajectory's own peaks
 
 
@@ -66,6 +67,9 @@ class TrackingControllerParameters(PluginParameters):
     )
     slow_down_lag: float = Field(default=0.002, ge=0.0, description="lag at which the reference begins to wait [m]")
     stop_lag: float = Field(default=0.1, gt=0.0, description="lag at which the reference stands still [m]")
+    turn_reserve: float = Field(
+        default=0.06, ge=0.0, lt=0.5, description="share of max_yaw_acceleration left to feedback by slowing down"
+    )
     max_error: float = Field(default=0.5, gt=0.0, description="distance from the reference that ends the task [m]")
     max_yaw_error: float = Field(default=0.8, gt=0.0, description="heading error that ends the task [rad]")
     min_speed: float = Field(default=0.0, ge=0.0, description="smallest speed the drive executes, for the finish [m/s]")
@@ -459,7 +463,16 @@ class TrackingController(Controller):
     def _target_rate(self, reference: Reference, lag: float) -> float:
         if self._cancelled:
             return 0.0
-        return self._waiting(lag) * self._allowed_rate(reference.trajectory)
+        return self._waiting(lag) * min(self._allowed_rate(reference.trajectory), self._rate_of_turns(reference))
+
+    def _rate_of_turns(self, reference: Reference) -> float:
+        """The rate at which the reference leaves feedback its reserve: yaw accelerations grow with its square [1]."""
+        most = _STEERED_RATE if self._drive is Drive.ACKERMANN else 1.0
+        kept = (1.0 - self.parameters.turn_reserve) * self._limits.max_yaw_acceleration
+        if math.isinf(kept):
+            return most
+        planned = reference.peak_yaw_acceleration()
+        return min(most, math.sqrt(kept / planned)) if planned > 0.0 else most
 
     def _waiting(self, lag: float) -> float:
         """Rate of a reference that waits for a robot that lags [1]."""
