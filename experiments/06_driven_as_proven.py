@@ -26,6 +26,7 @@ from optdock.executor.planning import InlinePlanning, Motion, PlanResult
 from optdock.geometry.arrays import FloatArray
 from optdock.geometry.footprint import Footprint
 from optdock.geometry.pose import Pose2
+from optdock.interfaces import Controller
 from optdock.io.atomic_file import write_text
 from optdock.limits import MotionLimits
 from optdock.path import Path as DockPath
@@ -98,7 +99,9 @@ def starts(count: int, direction: DockDirection, seed: int = 1) -> list[Start]:
     return found
 
 
-def docked(name: str, direction: DockDirection, start: Start, lag: float, latency: float, controller: str) -> Drove:
+def docked(
+    name: str, direction: DockDirection, start: Start, lag: float, latency: float, controller: str | Controller
+) -> Drove:
     """One docking, its station feeling contact 3 mm before the end."""
     robot, at_rest = ROBOTS[name]
     dock = Dock(GOAL, direction=direction, final_straight=0.2, footprint=PLATES[direction])

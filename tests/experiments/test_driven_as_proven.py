@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from checkers.dock import DockGoalChecker
+from optdock.controllers import tracking
 from optdock.controllers.mpc import MpcController
 from optdock.controllers.tracking import TrackingController
 from optdock.dock import Dock, DockDirection
@@ -34,6 +35,23 @@ def test_the_executor_stays_where_its_plan_is_proven_and_takes_as_long(name, dir
     assert drove.off <= 1.0
     assert drove.time <= 1.05
     assert not drove.is_lost
+
+
+@pytest.mark.parametrize(
+    ("name", "number", "late", "without"),
+    [("differential", 21, True, 3.0), ("turning in place", 0, True, 1.5), ("car, holds", 28, False, 1.5)],
+)
+def test_it_stays_there_where_the_plan_is_at_its_limits(name, number, late, without, monkeypatch):
+    """With the reserve of feedback; without it, what is off is never made good while the plan uses all there is."""
+    start = experiment.starts(number + 1, DockDirection.FORWARD)[number]
+    lag, latency = (experiment.LAG, experiment.LATENCY) if late else (0.0, 0.0)
+    drove = experiment.docked(name, DockDirection.FORWARD, start, lag, latency, "TrackingController")
+    assert drove.off <= 1.0
+    assert drove.time <= 1.05
+    assert not drove.is_lost
+    monkeypatch.setattr(tracking, "_STEERED_RATE", 1.0)
+    greedy = TrackingController(turn_reserve=0.0)
+    assert experiment.docked(name, DockDirection.FORWARD, start, lag, latency, greedy).off > without
 
 
 @functools.cache

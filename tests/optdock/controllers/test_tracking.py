@@ -460,5 +460,37 @@ def test_a_new_path_in_motion_is_taken_up_without_a_stop():
     assert abs(np.diff([commands[-1].linear, *(c.linear for c in more)])).max() <= 0.5 * PERIOD + 1e-9
 
 
+@pytest.mark.parametrize("reserve", [0.0, 0.06, 0.2])
+def test_the_reference_leaves_feedback_a_share_of_the_yaw_acceleration(reserve):
+    """On a trajectory that uses all of it; slower by no more than that costs."""
+    trajectory = s_curve_drive(START)
+    times = np.linspace(0.0, trajectory.duration, 2000)
+    peak = float(np.max(np.abs(trajectory.sample_at(times).yaw_acceleration)))
+    robot = Robot(ROBOT.footprint, MotionLimits(max_yaw_acceleration=peak))
+    controller, used = ready(trajectory, robot, turn_reserve=reserve, preview=0.0), []
+
+    def look(_):
+        time, rate = controller.progress
+        used.append(rate**2 * abs(trajectory.sample_at(time).yaw_acceleration[0]) / peak)
+
+    cycles = math.ceil(1.2 * trajectory.duration / PERIOD)
+    drive(controller, trajectory, cycles, look, robot=robot)
+    assert max(used) == pytest.approx(1.0 - reserve, abs=0.02 + 0.1 * reserve)  # the rate comes down smoothly
+    slowest = trajectory.duration / math.sqrt(1.0 - reserve) + 0.1
+    assert controller.progress.time == trajectory.duration
+    at_least = ready(trajectory, robot, turn_reserve=reserve, preview=0.0)
+    drive(at_least, trajectory, math.ceil(slowest / PERIOD), robot=robot)
+    assert at_least.progress.time == trajectory.duration
+
+
+def test_steered_wheels_follow_a_reference_that_leaves_them_a_hundredth():
+    trajectory = s_curve_drive(START)
+    for kind, rate in ((Drive.ACKERMANN, 0.99), (Drive.DIFFERENTIAL, 1.0)):
+        robot = Robot(ROBOT.footprint, LIMITS, kind)
+        controller = ready(trajectory, robot)
+        drive(controller, trajectory, 60, robot=robot)
+        assert controller.progress.rate == pytest.approx(rate, abs=1e-3)
+
+
 def test_it_is_found_by_name():
     assert isinstance(create_plugin(Controller, "TrackingController", {"preview": 0.1}), TrackingController)
