@@ -29,9 +29,7 @@ _JERK_SHARE = 1.0
 _AT_START = 0.05  # [m]: a robot nearer to the start than this begins there
 _BEYOND = 1e-6  # [m]: after a cusp
 _WAY_STEP = 0.03  # [m]
-_LOOK = readonly(
-    np.linspace(0.0, 0.3, 7)
-)  # [s] beyond the commands: a rate that is to be lower by then has to fall now
+_LOOK = readonly(np.linspace(0.0, 0.3, 7))  # [s] beyond the commands, in which a rate comes down
 _SAMPLES = 400  # for the nearest point
 
 
