@@ -61,14 +61,15 @@ class PlanFileVerdict(NamedTuple):
     """The verdict on a plan file; true if it is certified.
 
     Attributes:
-        outcome: `certified`: the path is proven, and nothing else in the file is refuted. `impossible`: the proof that
-            no motion exists holds. `refuted`: neither.
+        outcome: `certified`: path and motion are proven, as far as the file holds them, and nothing else in it is
+            refuted. `unproven`: the path is, and the motion, of which the file holds samples, is not refuted.
+            `impossible`: the proof that no motion exists holds. `refuted`: none of these.
         rows: What was found, a name and a sentence each.
         faults: Every broken rule.
         false_claims: What the file says that is not so.
     """
 
-    outcome: Literal["certified", "impossible", "refuted"]
+    outcome: Literal["certified", "unproven", "impossible", "refuted"]
     rows: tuple[tuple[str, str], ...]
     faults: tuple[str, ...] = ()
     false_claims: tuple[str, ...] = ()
@@ -78,8 +79,9 @@ class PlanFileVerdict(NamedTuple):
 
     @property
     def reason(self) -> str:
-        """The first broken rule or false claim; empty where there is none."""
-        return next(iter((*self.faults, *self.false_claims)), "")
+        """The first broken rule or false claim, or why the motion is not proven; empty where all is."""
+        unproven = ("samples refute a motion or do not, they prove none",) if self.outcome == "unproven" else ()
+        return next(iter((*self.faults, *self.false_claims, *unproven)), "")
 
 
 def judge_plan_file(plan: PlanFile, problem: DockingProblem) -> PlanFileVerdict:
@@ -174,7 +176,8 @@ def _judged_path(plan: PlanFile, path: Path, problem: DockingProblem) -> PlanFil
         ("motion", motion.row),
         *(("violation", fault) for fault in faults),
     ]
-    return PlanFileVerdict("refuted" if refuted else "certified", tuple(rows), tuple(faults), false)
+    outcome: Literal["certified", "unproven"] = "unproven" if motion.is_sampled else "certified"
+    return PlanFileVerdict("refuted" if refuted else outcome, tuple(rows), tuple(faults), false)
 
 
 def _said(violation: Violation) -> str:
@@ -191,12 +194,16 @@ def _not_judged(plan: PlanFile, parts: tuple[str, ...]) -> list[tuple[str, str]]
 
 
 class _Motion(NamedTuple):
-    """What is said of a motion: in the verdict, in its own row, every fault, and the proof where there is one."""
+    """What is said of a motion: in the verdict, in its own row, every fault, and the proof where there is one.
+
+    `is_sampled`: only samples of it are known, and they do not refute it.
+    """
 
     verdict: str
     row: str
     faults: list[str]
     proof: TrajectoryCertificate | None = None
+    is_sampled: bool = False
 
 
 def _motion(plan: PlanFile, path: Path, problem: DockingProblem) -> _Motion:
@@ -243,7 +250,7 @@ def _sampled(motion: TrajectoryColumns, path: Path, problem: DockingProblem) -> 
         f"{verdict.samples} samples agree with each other, the path and the limits{_beside(verdict)}; between samples "
         f"({1e3 * verdict.step:.3g} ms) unproven: the jerk, and if it keeps its limit {open_}"
     )
-    return _Motion("path certified, motion not refuted", row, [])
+    return _Motion("path certified, motion not refuted and not proven", row, [], is_sampled=True)
 
 
 class _Claims:
