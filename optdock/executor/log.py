@@ -11,6 +11,7 @@ import base64
 import dataclasses
 import json
 import zlib
+from collections import deque
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -37,7 +38,7 @@ from optdock.plugins import PluginChoice
 from optdock.trajectory import Trajectory
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping
+    from collections.abc import Iterable, Iterator, Mapping
     from types import TracebackType
 
     from optdock.executor.outcomes import Step
@@ -53,6 +54,7 @@ __all__ = [
     "LogWriter",
     "LoggedPlanning",
     "Planned",
+    "RecordedPlanning",
     "Start",
     "Task",
     "plugin_choice",
@@ -304,6 +306,66 @@ class LoggedPlanning:
     def close(self) -> None:
         """As the planning."""
         self._planning.close()
+
+
+class RecordedPlanning:
+    """Planning out of a log: everything is delivered in the cycle in which it was; nothing of it is proven."""
+
+    def __init__(self) -> None:
+        self._results: deque[Planned] = deque()
+        self._verdicts: deque[Verdict] = deque()
+        self._job: Job | None = None
+
+    def deliver(self, planned: Iterable[Planned]) -> None:
+        """What the coming cycle will be told."""
+        self._results.clear()
+        self._verdicts.clear()
+        for one in planned:
+            if one.verdict is not None:
+                self._verdicts.append(one.verdict)
+            else:
+                self._results.append(one)
+
+    def submit(self, job: Job) -> None:
+        """Nothing is planned; the log knows the result."""
+        self._job = job
+
+    def poll(self, stamp: float) -> PlanResult | None:  # noqa: ARG002 - part of the interface
+        """What was delivered in this cycle."""
+        if not self._results:
+            return None
+        found = self._results.popleft()
+        assert found.result is not None
+        if found.trajectory is None or self._job is None:
+            return found.result
+        return found.result._replace(
+            motion=Motion(found.trajectory, self._problem(found, self._job), None, found.start_relief)
+        )
+
+    def still_holds(self, motion: Motion, costmap: Costmap, from_time: float) -> Verdict:  # noqa: ARG002 - interface
+        """What was answered in this cycle.
+
+        Raises:
+            InvalidValue: Nothing was: the replay does something else than what was recorded.
+        """
+        if not self._verdicts:
+            raise InvalidValue("replay: asks what was not asked when the log was written")
+        return self._verdicts.popleft()
+
+    def close(self) -> None:
+        """Nothing to do."""
+
+    @staticmethod
+    def _problem(found: Planned, job: Job) -> DockingProblem:
+        start = found.start
+        assert start is not None
+        return dataclasses.replace(
+            job.problem,
+            start=start.pose,
+            start_speed=start.speed,
+            start_acceleration=start.acceleration,
+            start_curvature=start.curvature,
+        )
 
 
 def plugin_choice(plugin: Plugin) -> PluginChoice:
