@@ -2,6 +2,7 @@
 
 import dataclasses
 import functools
+import math
 
 import numpy as np
 import pytest
@@ -266,5 +267,35 @@ def test_a_tube_covers_no_robot_where_something_new_stands_in_it():
     world = dataclasses.replace(plan.problem, obstacles=[post])
     assert not asked(plan, 0.8, Pose2(0.8, 0.03, 0.0), world, budget=5.0).proven
     away = asked(plan, 0.8, Pose2(0.8, -0.03, 0.0), world, budget=5.0)
-    assert away.outcome is not ReplanOutcome.KEPT
-    assert away.way is None or away.trajectory.path.start.y == pytest.approx(-0.03, abs=1e-6)
+    assert away.outcome is ReplanOutcome.NEW
+    assert away.proven
+    assert away.trajectory.path.start.y == pytest.approx(-0.03, abs=1e-6)
+
+
+def test_a_tube_that_narrows_before_the_joint_covers_no_robot_there():
+    plan = straight_plan([], ClearanceRule(0.02, 0.02, 0.0), TrackingTube(0.05))
+    time = 0.5 * plan.trajectory.duration
+    joint = plan.trajectory.at(time + 0.6).pose
+    post = [[joint.x + 0.1, 0.27], [joint.x + 0.2, 0.27], [joint.x + 0.2, 0.3], [joint.x + 0.1, 0.3]]
+    world = dataclasses.replace(plan.problem, obstacles=[post])
+    now = plan.trajectory.at(time).pose
+    state = DriveState(time, 1.0, Pose2(now.x, -0.03, 0.0))
+    found = replan(plan, world, state, 5.0, lead=0.6)
+    assert found.outcome is ReplanOutcome.NEW
+    assert found.proven
+    assert found.trajectory.path.start.y == pytest.approx(-0.03, abs=1e-6)
+
+
+def test_a_robot_is_on_the_leg_of_a_cusp_that_its_clock_shows():
+    """On the way back already, by its pose; the clock shows the way there, from which it is decimetres off."""
+    there = drive(Pose2(0.0, 0.0, 0.0), 1.0, 0.0)
+    path = Path((there, drive(Pose2(1.0, 0.0, 0.0), 1.0, 0.5, -1)), "map")
+    back = path.pose_at(1.6)
+    off = path.pose_at(0.4).distance_to(back)
+    side = -math.copysign(0.25 + 0.4 * off, back.y)
+    wall = [[-1.0, side], [2.0, side], [2.0, 2.0 * side], [-1.0, 2.0 * side]]
+    plan = plan_of(path.segments, Robot(OUTLINE, LIMITS))
+    for obstacles, kept in (([], True), ([wall], False)):
+        world = dataclasses.replace(plan.problem, obstacles=obstacles)
+        found = asked(plan, 0.4, back, world)
+        assert (found.outcome is ReplanOutcome.KEPT) is kept
