@@ -149,6 +149,9 @@ class Replanned:
         motion: The certificate of the motion of a stop; None: NEW and KEPT, whose plan has it.
         tried: What was tried, and what became of it.
         timing_ms: Wall-clock milliseconds of the stages.
+
+    Raises:
+        InvalidValue: A part is of another class, the trajectory is not that of the plan, or a stop has a plan.
     """
 
     outcome: ReplanOutcome
@@ -165,16 +168,28 @@ class Replanned:
         return self.proven
 
     def __post_init__(self) -> None:
+        exactly(ReplanOutcome, self.outcome, "replanned.outcome")
+        exactly(Trajectory, self.trajectory, "replanned.trajectory")
         if self.way is not None:
             exactly(ProvenWay, self.way, "replanned.way")
+        if (self.plan is None) != (self.outcome is ReplanOutcome.STOP):
+            raise InvalidValue("replanned.plan: a stop has none, new and kept have one")
+        if self.plan is not None and self.trajectory is not exactly(DockPlan, self.plan, "replanned.plan").trajectory:
+            raise InvalidValue("replanned.trajectory: must be that of its plan")
 
     @property
     def proven(self) -> bool:
         """Whether clearance and limits are proven from where the robot is now until where the motion ends.
 
-        False only for a stop: then it is the quickest there is.
+        False only for a stop: then it is the quickest there is. Anybody may write down a certificate, so that of a stop
+        counts where the same proof is found here.
         """
-        return self.way is not None and (self.plan is not None or (self.motion is not None and self.motion.certified))
+        if self.way is None or self.plan is not None:
+            return self.way is not None
+        if self.motion is None or not self.motion.certified:
+            return False
+        limits = self.way.problem.robot.limits
+        return certify_trajectory(self.trajectory, limits, SpeedZone()).certified
 
     def __repr__(self) -> str:
         why = f": {self.reason}" if self.reason else ""

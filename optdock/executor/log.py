@@ -30,7 +30,7 @@ from optdock.executor.outcomes import Ending, EndingKind, Event, State
 from optdock.executor.planning import Motion, Outcome, PlanResult, Verdict
 from optdock.executor.settings import ExecutorSettings
 from optdock.geometry.pose import Pose2, Twist2
-from optdock.io.guarded_file import MostBytes, read_text
+from optdock.io.guarded_file import MostBytes, check_json_size, read_text
 from optdock.io.map_image import MAX_PIXELS
 from optdock.io.plan_file import PlanFile, TrajectoryColumns, parse_plan
 from optdock.measurements import Detection, Measurements
@@ -417,6 +417,7 @@ def read_log(source: str | Path) -> DockingLog:
     if not lines:
         raise InvalidFile(f"{source}:1: is no log: it has not a single whole line")
     with _said_of(source, 1):
+        check_json_size(lines[0])
         task = _TaskLine.model_validate_json(lines[0]).read()
     cycles = tuple(_cycles(source, lines))
     if not cycles:
@@ -430,6 +431,7 @@ def _cycles(source: Path, lines: list[str]) -> Iterator[Cycle]:
     for number, text in enumerate(lines[1:], start=2):
         cycle: Cycle | None = None
         with _said_of(source, number):
+            check_json_size(text)
             line = _LINE.validate_json(text)
             if isinstance(line, _CycleLine):
                 cycle = line.cycle(number, tuple(planned), cancelled=cancelled)

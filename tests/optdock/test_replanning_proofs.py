@@ -22,7 +22,8 @@ from optdock.problem import ClearanceRule, DockingProblem
 from optdock.replanning import DriveState, ReplanOutcome, replan, still_holds
 from optdock.robot import Drive, Robot, TrackingTube
 from optdock.segments import ClothoidSegment
-from optdock.verification import ProvenWay, certify_path, prove_motion
+from optdock.trajectory import TimeLaw, Trajectory
+from optdock.verification import ProvenWay, TrajectoryCertificate, certify_path, prove_motion
 
 NO_TIME, LEAD = 1e-9, 0.02  # [s]: nothing new is found in it
 LIMITS = MotionLimits(max_yaw_rate=1.0, max_yaw_acceleration=1.0)
@@ -246,6 +247,23 @@ def test_an_answer_cannot_say_that_it_is_proven():
             dataclasses.replace(found, **claim)
     with pytest.raises(InvalidValue, match="cannot be constructed"):
         ProvenWay()
+
+
+def test_an_answer_speaks_of_the_trajectory_that_was_proven():
+    plan = running()
+    law = plan.trajectory.time_law
+    fast = Trajectory(plan.path, TimeLaw(law.durations / 10.0, law.jerks * 1000.0))
+    kept = asked(plan, 1.0, None)
+    assert kept.proven
+    for claim in ({"trajectory": fast}, {"plan": None}, {"outcome": ReplanOutcome.STOP}, {"outcome": "new"}):
+        with pytest.raises(InvalidValue):
+            dataclasses.replace(kept, **claim)
+    braked = asked(plan, 1.0, None, dataclasses.replace(plan.problem, obstacles=box(3.2, 0.2, 0.4)))
+    assert braked.outcome is ReplanOutcome.STOP
+    assert braked.proven
+    assert not dataclasses.replace(braked, trajectory=fast).proven
+    by_hand = TrajectoryCertificate((), {}, fast.duration, fast.path.digest)
+    assert not dataclasses.replace(braked, trajectory=fast, motion=by_hand).proven
 
 
 def test_within_its_tube_feedback_owns_the_error_and_beyond_it_the_new_plan_does():
