@@ -63,6 +63,8 @@ __all__ = [
 
 LOG_FORMAT = "optdock-log/1"
 _SPACING, _PERIOD = 0.2, 0.5  # [m], [s] of the samples of a plan: the exact curves and phases stand beside them
+# JSON values of a line; a plan of 300 m has twenty thousand, and of so many empty lists 150 MB are taken.
+_MOST_VALUES = 300_000
 
 
 class Task(NamedTuple):
@@ -417,7 +419,7 @@ def read_log(source: str | Path) -> DockingLog:
     if not lines:
         raise InvalidFile(f"{source}:1: is no log: it has not a single whole line")
     with _said_of(source, 1):
-        check_json_size(lines[0])
+        check_json_size(lines[0], _MOST_VALUES)
         task = _TaskLine.model_validate_json(lines[0]).read()
     cycles = tuple(_cycles(source, lines))
     if not cycles:
@@ -431,7 +433,7 @@ def _cycles(source: Path, lines: list[str]) -> Iterator[Cycle]:
     for number, text in enumerate(lines[1:], start=2):
         cycle: Cycle | None = None
         with _said_of(source, number):
-            check_json_size(text)
+            check_json_size(text, _MOST_VALUES)
             line = _LINE.validate_json(text)
             if isinstance(line, _CycleLine):
                 cycle = line.cycle(number, tuple(planned), cancelled=cancelled)

@@ -42,7 +42,6 @@ class MostBytes(IntEnum):
 # JSON values that a file may hold, counted by the characters that begin another one. A plan of 50,000 samples has 1.1
 # million numbers; two million take 150 MB. An object takes as much as ten numbers, and ours hold some hundred.
 _MOST_JSON_VALUES = 2_000_000
-_MOST_JSON_OBJECTS = 200_000
 _HALF_CHARACTER = re.compile(r"\\u[dD][89a-fA-F]")
 _LONGEST_NAME = 200  # characters of a file's name in a message
 
@@ -142,15 +141,19 @@ def parse_json(text: str) -> object:
     return value
 
 
-def check_json_size(text: str) -> None:
+def check_json_size(text: str, most: int = _MOST_JSON_VALUES) -> None:
     """Refuse JSON of more values than may be made of it, before any is.
 
+    Args:
+        text: The JSON.
+        most: How many values it may hold; a tenth of them may be objects.
+
     Raises:
-        ValueError: It holds more than two million, or too many objects.
+        ValueError: It holds more.
     """
     begins = text.count(",") + text.count("[") + text.count("{")
-    if begins > _MOST_JSON_VALUES or text.count("{") > _MOST_JSON_OBJECTS:
-        raise ValueError(f"holds more than {_MOST_JSON_VALUES} values or {_MOST_JSON_OBJECTS} objects")
+    if begins > most or text.count("{") > most // 10:
+        raise ValueError(f"holds more than {most} values or {most // 10} objects")
 
 
 def _without_repeated_keys(pairs: list[tuple[str, object]]) -> dict[str, object]:
