@@ -602,8 +602,14 @@ class _Replanning:
         return prove_way(path.piece(begin), world, pose, at=nearest - begin, begun=begun, start_relief=relief)
 
     def _keeps_limits(self) -> bool:
-        """Whether the running plan keeps every rule of the world now but clearance."""
-        before, world, path = self.plan.problem, self.world, self.path
+        """Whether the running plan, as fast as its clock runs, keeps every rule of the world now but clearance."""
+        before, world, path, rate = self.plan.problem, self.world, self.path, self.state.rate
+        if rate > 1.0:
+            law = self.plan.trajectory.time_law
+            starts = law.start_s, rate * law.start_speed, rate * rate * law.start_acceleration
+            faster = Trajectory(path, TimeLaw(law.durations / rate, law.jerks * rate**3, *starts))
+            if not certify_trajectory(faster, world.robot.limits, world.dock.approach).certified:
+                return False
         robots, docks = (before.robot, world.robot), (before.dock, world.dock)
         same = robots[0] is robots[1] or robots[0].fingerprint.limits == robots[1].fingerprint.limits
         rules = [(dock.approach, dock.direction, dock.final_straight) for dock in docks]

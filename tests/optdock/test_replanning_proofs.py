@@ -304,6 +304,16 @@ def test_a_tube_that_narrows_before_the_joint_covers_no_robot_there():
     assert found.trajectory.path.start.y == pytest.approx(-0.03, abs=1e-6)
 
 
+def test_a_clock_that_runs_fast_keeps_no_plan_that_breaks_a_limit_then():
+    slow = dataclasses.replace(LIMITS, max_speed=0.2, max_acceleration=0.1, max_deceleration=0.1, max_jerk=0.2)
+    problem = dataclasses.replace(running().problem, robot=Robot(OUTLINE, slow))
+    plan = plan_dock(problem, time_budget=30.0)
+    able = dataclasses.replace(problem, robot=Robot(OUTLINE, LIMITS))
+    for world, rate, kept in ((problem, 1.0, True), (problem, 0.7, True), (problem, 1.2, False), (able, 1.2, True)):
+        found = replan(plan, world, DriveState(0.5 * plan.trajectory.duration, rate), NO_TIME, lead=0.0)
+        assert (found.outcome is ReplanOutcome.KEPT) is kept
+
+
 def test_a_robot_is_on_the_leg_of_a_cusp_that_its_clock_shows():
     """On the way back already, by its pose; the clock shows the way there, from which it is decimetres off."""
     there = drive(Pose2(0.0, 0.0, 0.0), 1.0, 0.0)
