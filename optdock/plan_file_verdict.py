@@ -18,7 +18,7 @@ from optdock import errors
 from optdock.errors import InvalidFile, OptdockError
 from optdock.geometry.pose import Pose2
 from optdock.io.numbers import is_number
-from optdock.io.plan_file import CERTIFIED
+from optdock.io.plan_file import CERTIFIED, UNKNOWN
 from optdock.io.quoting import shown
 from optdock.path import may_be_one_frame
 from optdock.planners.manoeuvres.price import CUSP_PRICE, stops
@@ -118,6 +118,8 @@ def _refuse_contradictions(plan: PlanFile) -> None:
         if wrong or plan.status == CERTIFIED:
             beside = wrong[0] if wrong else f"status {CERTIFIED!r}"
             raise InvalidFile(f"impossibility: a proof that no motion exists stands beside {beside}; one is wrong")
+    if plan.status not in (CERTIFIED, UNKNOWN) and not _is_refusal(plan):
+        raise InvalidFile(f"status: must be {CERTIFIED!r} or the name of an error, got {shown(plan.status)}")
     if plan.status == CERTIFIED and "path" not in held:
         raise InvalidFile(f"status: is {CERTIFIED!r}, but the file holds no path")
     if "error" in held and not _is_refusal(plan):
@@ -188,7 +190,7 @@ def _said(violation: Violation) -> str:
 
 def _not_judged(plan: PlanFile, parts: tuple[str, ...]) -> list[tuple[str, str]]:
     """One row of what nobody can judge; none where the file holds nothing of that."""
-    held = [name for name in ("timing_ms", "tried", "error") if getattr(plan, name)]
+    held = ["completed", *(name for name in ("timing_ms", "tried", "error") if getattr(plan, name))]
     named = [*parts, *held, *plan.unjudged]
     return [("not judged", ", ".join(named))] if named else []
 
