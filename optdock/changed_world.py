@@ -17,7 +17,7 @@ import numpy as np
 from optdock.costmap.cell_obstacles import added_obstacles, is_same_grid
 from optdock.costmap.costmap import Costmap
 from optdock.deadline import never_late
-from optdock.geometry.checked import exactly, finite_number, instance
+from optdock.geometry.checked import exactly, finite_number
 from optdock.obstacles import ObstacleSet, in_words
 from optdock.plan import DockPlan
 from optdock.problem import DockingProblem
@@ -90,17 +90,18 @@ def still_holds(
         is_late: Asked between the rounds of the proof; what is open once it is True does not hold.
 
     Raises:
-        InvalidValue: An argument is of another class or not finite.
+        InvalidValue: An argument is of another class, or of a subclass, or not finite.
     """
     exactly(DockPlan, plan, "plan")
     from_time, known = finite_number(from_time, "from_time"), plan.problem
     obstacles, costmap, later = known.obstacles, known.costmap, known
+    # No subclasses, as in a problem: what overrides its outline or its digest is another world than it says.
     if isinstance(world, Costmap):
-        costmap = world
+        costmap = exactly(Costmap, world, "world")
     elif isinstance(world, ObstacleSet):
-        obstacles = world
+        obstacles = exactly(ObstacleSet, world, "world")
     else:
-        instance(DockingProblem, world, "world (a DockingProblem, a Costmap or an ObstacleSet)")
+        exactly(DockingProblem, world, "world (a DockingProblem, a Costmap or an ObstacleSet)")
         obstacles, costmap, later = world.obstacles, world.costmap, world
     changed = _changed(known, later, obstacles, costmap)
     if "frame" in changed:

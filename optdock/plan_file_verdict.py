@@ -18,7 +18,7 @@ from optdock import errors
 from optdock.errors import InvalidFile, OptdockError
 from optdock.geometry.pose import Pose2
 from optdock.io.numbers import is_number
-from optdock.io.plan_file import CERTIFIED
+from optdock.io.plan_file import CERTIFIED, UNKNOWN
 from optdock.io.quoting import shown
 from optdock.path import may_be_one_frame
 from optdock.planners.manoeuvres.price import CUSP_PRICE, stops
@@ -61,14 +61,15 @@ class PlanFileVerdict(NamedTuple):
     """The verdict on a plan file; true if it is certified.
 
     Attributes:
-        outcome: `certified`: the path is proven, and nothing else in the file is refuted. `impossible`: the proof that
-            no motion exists holds. `refuted`: neither.
+        outcome: `certified`: path and motion are proven, as far as the file holds them, and nothing else in it is
+            refuted. `unproven`: the path is, and the motion, of which the file holds samples, is not refuted.
+            `impossible`: the proof that no motion exists holds. `refuted`: none of these.
         rows: What was found, a name and a sentence each.
         faults: Every broken rule.
         false_claims: What the file says that is not so.
     """
 
-    outcome: Literal["certified", "impossible", "refuted"]
+    outcome: Literal["certified", "unproven", "impossible", "refuted"]
     rows: tuple[tuple[str, str], ...]
     faults: tuple[str, ...] = ()
     false_claims: tuple[str, ...] = ()
@@ -78,8 +79,9 @@ class PlanFileVerdict(NamedTuple):
 
     @property
     def reason(self) -> str:
-        """The first broken rule or false claim; empty where there is none."""
-        return next(iter((*self.faults, *self.false_claims)), "")
+        """The first broken rule or false claim, or why the motion is not proven; empty where all is."""
+        unproven = ("samples refute a motion or do not, they prove none",) if self.outcome == "unproven" else ()
+        return next(iter((*self.faults, *self.false_claims, *unproven)), "")
 
 
 def judge_plan_file(plan: PlanFile, problem: DockingProblem) -> PlanFileVerdict:
@@ -116,6 +118,8 @@ def _refuse_contradictions(plan: PlanFile) -> None:
         if wrong or plan.status == CERTIFIED:
             beside = wrong[0] if wrong else f"status {CERTIFIED!r}"
             raise InvalidFile(f"impossibility: a proof that no motion exists stands beside {beside}; one is wrong")
+    if plan.status not in (CERTIFIED, UNKNOWN) and not _is_refusal(plan):
+        raise InvalidFile(f"status: must be {CERTIFIED!r} or the name of an error, got {shown(plan.status)}")
     if plan.status == CERTIFIED and "path" not in held:
         raise InvalidFile(f"status: is {CERTIFIED!r}, but the file holds no path")
     if "error" in held and not _is_refusal(plan):
@@ -174,7 +178,8 @@ def _judged_path(plan: PlanFile, path: Path, problem: DockingProblem) -> PlanFil
         ("motion", motion.row),
         *(("violation", fault) for fault in faults),
     ]
-    return PlanFileVerdict("refuted" if refuted else "certified", tuple(rows), tuple(faults), false)
+    outcome: Literal["certified", "unproven"] = "unproven" if motion.is_sampled else "certified"
+    return PlanFileVerdict("refuted" if refuted else outcome, tuple(rows), tuple(faults), false)
 
 
 def _said(violation: Violation) -> str:
@@ -185,18 +190,22 @@ def _said(violation: Violation) -> str:
 
 def _not_judged(plan: PlanFile, parts: tuple[str, ...]) -> list[tuple[str, str]]:
     """One row of what nobody can judge; none where the file holds nothing of that."""
-    held = [name for name in ("timing_ms", "tried", "error") if getattr(plan, name)]
+    held = ["completed", *(name for name in ("timing_ms", "tried", "error") if getattr(plan, name))]
     named = [*parts, *held, *plan.unjudged]
     return [("not judged", ", ".join(named))] if named else []
 
 
 class _Motion(NamedTuple):
-    """What is said of a motion: in the verdict, in its own row, every fault, and the proof where there is one."""
+    """What is said of a motion: in the verdict, in its own row, every fault, and the proof where there is one.
+
+    `is_sampled`: only samples of it are known, and they do not refute it.
+    """
 
     verdict: str
     row: str
     faults: list[str]
     proof: TrajectoryCertificate | None = None
+    is_sampled: bool = False
 
 
 def _motion(plan: PlanFile, path: Path, problem: DockingProblem) -> _Motion:
@@ -243,7 +252,7 @@ def _sampled(motion: TrajectoryColumns, path: Path, problem: DockingProblem) -> 
         f"{verdict.samples} samples agree with each other, the path and the limits{_beside(verdict)}; between samples "
         f"({1e3 * verdict.step:.3g} ms) unproven: the jerk, and if it keeps its limit {open_}"
     )
-    return _Motion("path certified, motion not refuted", row, [])
+    return _Motion("path certified, motion not refuted and not proven", row, [], is_sampled=True)
 
 
 class _Claims:

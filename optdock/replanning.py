@@ -149,6 +149,9 @@ class Replanned:
         motion: The certificate of the motion of a stop; None: NEW and KEPT, whose plan has it.
         tried: What was tried, and what became of it.
         timing_ms: Wall-clock milliseconds of the stages.
+
+    Raises:
+        InvalidValue: A part is of another class, the trajectory is not that of the plan, or a stop has a plan.
     """
 
     outcome: ReplanOutcome
@@ -165,16 +168,28 @@ class Replanned:
         return self.proven
 
     def __post_init__(self) -> None:
+        exactly(ReplanOutcome, self.outcome, "replanned.outcome")
+        exactly(Trajectory, self.trajectory, "replanned.trajectory")
         if self.way is not None:
             exactly(ProvenWay, self.way, "replanned.way")
+        if (self.plan is None) != (self.outcome is ReplanOutcome.STOP):
+            raise InvalidValue("replanned.plan: a stop has none, new and kept have one")
+        if self.plan is not None and self.trajectory is not exactly(DockPlan, self.plan, "replanned.plan").trajectory:
+            raise InvalidValue("replanned.trajectory: must be that of its plan")
 
     @property
     def proven(self) -> bool:
         """Whether clearance and limits are proven from where the robot is now until where the motion ends.
 
-        False only for a stop: then it is the quickest there is.
+        False only for a stop: then it is the quickest there is. Anybody may write down a certificate, so that of a stop
+        counts where the same proof is found here.
         """
-        return self.way is not None and (self.plan is not None or (self.motion is not None and self.motion.certified))
+        if self.way is None or self.plan is not None:
+            return self.way is not None
+        if self.motion is None or not self.motion.certified:
+            return False
+        limits = self.way.problem.robot.limits
+        return certify_trajectory(self.trajectory, limits, SpeedZone()).certified
 
     def __repr__(self) -> str:
         why = f": {self.reason}" if self.reason else ""
@@ -587,8 +602,14 @@ class _Replanning:
         return prove_way(path.piece(begin), world, pose, at=nearest - begin, begun=begun, start_relief=relief)
 
     def _keeps_limits(self) -> bool:
-        """Whether the running plan keeps every rule of the world now but clearance."""
-        before, world, path = self.plan.problem, self.world, self.path
+        """Whether the running plan, as fast as its clock runs, keeps every rule of the world now but clearance."""
+        before, world, path, rate = self.plan.problem, self.world, self.path, self.state.rate
+        if rate > 1.0:
+            law = self.plan.trajectory.time_law
+            starts = law.start_s, rate * law.start_speed, rate * rate * law.start_acceleration
+            faster = Trajectory(path, TimeLaw(law.durations / rate, law.jerks * rate**3, *starts))
+            if not certify_trajectory(faster, world.robot.limits, world.dock.approach).certified:
+                return False
         robots, docks = (before.robot, world.robot), (before.dock, world.dock)
         same = robots[0] is robots[1] or robots[0].fingerprint.limits == robots[1].fingerprint.limits
         rules = [(dock.approach, dock.direction, dock.final_straight) for dock in docks]

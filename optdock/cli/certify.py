@@ -27,8 +27,8 @@ def certify(
 
     The path is proven or refused. The motion is proven where the file holds its phases; samples alone can be refuted,
     never proven, and what they leave open is said. Every other number must be what is found here, or is named as not
-    judged. Exit status 0: path certified, motion certified or, of samples, not refuted, and no claim of the file is
-    false; 4: the file is a refusal, and its proof that no motion exists holds; 2: it contradicts itself; else 3.
+    judged. Exit status 0: path and motion certified, as far as the file holds them, and no claim of it is false; 4: the
+    file is a refusal, and its proof that no motion exists holds; 2: it contradicts itself; else 3.
     """
     with reported(verbose=verbose):
         from optdock.config import load_scenario

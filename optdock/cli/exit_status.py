@@ -34,8 +34,8 @@ EXIT_STATUSES: Mapping[ExitStatus, str] = {
         "bad input: usage, an option, a plugin's name, or a file that cannot be read or contradicts itself"
     ),
     ExitStatus.NOT_CERTIFIED: (
-        "refuted or unproven: no certified plan was found, a rule is broken, a claim of a file is false, a run did not "
-        "dock, a replay differs"
+        "refuted or unproven: no certified plan was found, a rule is broken, a claim of a file is false, a motion is "
+        "known by samples only, a run did not dock, a replay differs"
     ),
     ExitStatus.IMPOSSIBLE: "impossible, which is proven: no motion exists; never try it again as it is",
     ExitStatus.TIMED_OUT: "the time was over before there was a certified plan: try again with more of it",

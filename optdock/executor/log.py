@@ -11,6 +11,7 @@ import base64
 import dataclasses
 import json
 import zlib
+from collections import deque
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -29,7 +30,7 @@ from optdock.executor.outcomes import Ending, EndingKind, Event, State
 from optdock.executor.planning import Motion, Outcome, PlanResult, Verdict
 from optdock.executor.settings import ExecutorSettings
 from optdock.geometry.pose import Pose2, Twist2
-from optdock.io.guarded_file import MostBytes, read_text
+from optdock.io.guarded_file import MostBytes, check_json_size, read_text
 from optdock.io.map_image import MAX_PIXELS
 from optdock.io.plan_file import PlanFile, TrajectoryColumns, parse_plan
 from optdock.measurements import Detection, Measurements
@@ -37,7 +38,7 @@ from optdock.plugins import PluginChoice
 from optdock.trajectory import Trajectory
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping
+    from collections.abc import Iterable, Iterator, Mapping
     from types import TracebackType
 
     from optdock.executor.outcomes import Step
@@ -53,6 +54,7 @@ __all__ = [
     "LogWriter",
     "LoggedPlanning",
     "Planned",
+    "RecordedPlanning",
     "Start",
     "Task",
     "plugin_choice",
@@ -61,6 +63,8 @@ __all__ = [
 
 LOG_FORMAT = "optdock-log/1"
 _SPACING, _PERIOD = 0.2, 0.5  # [m], [s] of the samples of a plan: the exact curves and phases stand beside them
+# JSON values of a line; a plan of 300 m has twenty thousand, and of so many empty lists 150 MB are taken.
+_MOST_VALUES = 300_000
 
 
 class Task(NamedTuple):
@@ -306,6 +310,66 @@ class LoggedPlanning:
         self._planning.close()
 
 
+class RecordedPlanning:
+    """Planning out of a log: everything is delivered in the cycle in which it was; nothing of it is proven."""
+
+    def __init__(self) -> None:
+        self._results: deque[Planned] = deque()
+        self._verdicts: deque[Verdict] = deque()
+        self._job: Job | None = None
+
+    def deliver(self, planned: Iterable[Planned]) -> None:
+        """What the coming cycle will be told."""
+        self._results.clear()
+        self._verdicts.clear()
+        for one in planned:
+            if one.verdict is not None:
+                self._verdicts.append(one.verdict)
+            else:
+                self._results.append(one)
+
+    def submit(self, job: Job) -> None:
+        """Nothing is planned; the log knows the result."""
+        self._job = job
+
+    def poll(self, stamp: float) -> PlanResult | None:  # noqa: ARG002 - part of the interface
+        """What was delivered in this cycle."""
+        if not self._results:
+            return None
+        found = self._results.popleft()
+        assert found.result is not None
+        if found.trajectory is None or self._job is None:
+            return found.result
+        return found.result._replace(
+            motion=Motion(found.trajectory, self._problem(found, self._job), None, found.start_relief)
+        )
+
+    def still_holds(self, motion: Motion, costmap: Costmap, from_time: float) -> Verdict:  # noqa: ARG002 - interface
+        """What was answered in this cycle.
+
+        Raises:
+            InvalidValue: Nothing was: the replay does something else than what was recorded.
+        """
+        if not self._verdicts:
+            raise InvalidValue("replay: asks what was not asked when the log was written")
+        return self._verdicts.popleft()
+
+    def close(self) -> None:
+        """Nothing to do."""
+
+    @staticmethod
+    def _problem(found: Planned, job: Job) -> DockingProblem:
+        start = found.start
+        assert start is not None
+        return dataclasses.replace(
+            job.problem,
+            start=start.pose,
+            start_speed=start.speed,
+            start_acceleration=start.acceleration,
+            start_curvature=start.curvature,
+        )
+
+
 def plugin_choice(plugin: Plugin) -> PluginChoice:
     """A plugin by name and parameters."""
     return PluginChoice(type(plugin).__name__, plugin.parameters.model_dump())
@@ -355,6 +419,7 @@ def read_log(source: str | Path) -> DockingLog:
     if not lines:
         raise InvalidFile(f"{source}:1: is no log: it has not a single whole line")
     with _said_of(source, 1):
+        check_json_size(lines[0], _MOST_VALUES)
         task = _TaskLine.model_validate_json(lines[0]).read()
     cycles = tuple(_cycles(source, lines))
     if not cycles:
@@ -368,6 +433,7 @@ def _cycles(source: Path, lines: list[str]) -> Iterator[Cycle]:
     for number, text in enumerate(lines[1:], start=2):
         cycle: Cycle | None = None
         with _said_of(source, number):
+            check_json_size(text, _MOST_VALUES)
             line = _LINE.validate_json(text)
             if isinstance(line, _CycleLine):
                 cycle = line.cycle(number, tuple(planned), cancelled=cancelled)

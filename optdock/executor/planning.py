@@ -7,9 +7,8 @@ thread, or from there in another process (`PlanningProcess`; servers); out of a 
 from __future__ import annotations
 
 import math
-from collections import deque
 from concurrent.futures import Future, ThreadPoolExecutor
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from enum import Enum
 from typing import TYPE_CHECKING, NamedTuple, Protocol
 
@@ -20,10 +19,9 @@ from optdock.plan import DockPlan
 from optdock.replanning import DriveState, ReplanOutcome, replan, still_holds
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable
+    from collections.abc import Callable
 
     from optdock.costmap.costmap import Costmap
-    from optdock.executor.log import Planned
     from optdock.geometry.pose import Pose2
     from optdock.problem import DockingProblem
     from optdock.trajectory import Trajectory
@@ -35,7 +33,6 @@ __all__ = [
     "Outcome",
     "PlanResult",
     "Planning",
-    "RecordedPlanning",
     "ThreadPlanning",
     "Verdict",
 ]
@@ -284,63 +281,3 @@ class ThreadPlanning:
     def close(self) -> None:
         """Drop what waits; the thread ends with the job at work, for which no control loop must wait."""
         self._thread.shutdown(wait=False, cancel_futures=True)
-
-
-class RecordedPlanning:
-    """Planning out of a log: everything is delivered in the cycle in which it was; nothing of it is proven."""
-
-    def __init__(self) -> None:
-        self._results: deque[Planned] = deque()
-        self._verdicts: deque[Verdict] = deque()
-        self._job: Job | None = None
-
-    def deliver(self, planned: Iterable[Planned]) -> None:
-        """What the coming cycle will be told."""
-        self._results.clear()
-        self._verdicts.clear()
-        for one in planned:
-            if one.verdict is not None:
-                self._verdicts.append(one.verdict)
-            else:
-                self._results.append(one)
-
-    def submit(self, job: Job) -> None:
-        """Nothing is planned; the log knows the result."""
-        self._job = job
-
-    def poll(self, stamp: float) -> PlanResult | None:  # noqa: ARG002 - part of the interface
-        """What was delivered in this cycle."""
-        if not self._results:
-            return None
-        found = self._results.popleft()
-        assert found.result is not None
-        if found.trajectory is None or self._job is None:
-            return found.result
-        return found.result._replace(
-            motion=Motion(found.trajectory, self._problem(found, self._job), None, found.start_relief)
-        )
-
-    def still_holds(self, motion: Motion, costmap: Costmap, from_time: float) -> Verdict:  # noqa: ARG002 - interface
-        """What was answered in this cycle.
-
-        Raises:
-            InvalidValue: Nothing was: the replay does something else than what was recorded.
-        """
-        if not self._verdicts:
-            raise InvalidValue("replay: asks what was not asked when the log was written")
-        return self._verdicts.popleft()
-
-    def close(self) -> None:
-        """Nothing to do."""
-
-    @staticmethod
-    def _problem(found: Planned, job: Job) -> DockingProblem:
-        start = found.start
-        assert start is not None
-        return replace(
-            job.problem,
-            start=start.pose,
-            start_speed=start.speed,
-            start_acceleration=start.acceleration,
-            start_curvature=start.curvature,
-        )

@@ -17,8 +17,9 @@ from optdock.costmap.cell_obstacles import obstacles_from_costmap
 from optdock.dock import Dock, DockDirection
 from optdock.errors import ControllerException
 from optdock.executor.approach import can_be_planned_away, left_at_dock, staging_distance
+from optdock.executor.log import RecordedPlanning
 from optdock.executor.outcomes import EndingKind, State
-from optdock.executor.planning import Job, Motion, Outcome, PlanResult, RecordedPlanning
+from optdock.executor.planning import Job, Motion, Outcome, PlanResult
 from optdock.geometry.pose import Pose2, Twist2, displacement, normalize_angle
 from optdock.lifecycle import LifecycleState, PluginContext
 from optdock.obstacles import ObstacleSet

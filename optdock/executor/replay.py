@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from optdock.executor.docking import DockingExecutor
-from optdock.executor.planning import RecordedPlanning
+from optdock.executor.log import RecordedPlanning
 
 if TYPE_CHECKING:
     from optdock.executor.log import Cycle, DockingLog

@@ -12,6 +12,7 @@ import errno
 import json
 import math
 import os
+import re
 import stat
 from contextlib import contextmanager
 from enum import IntEnum
@@ -19,11 +20,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING, NoReturn
 
 from optdock.errors import InvalidFile
+from optdock.io.quoting import shown
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-__all__ = ["MostBytes", "check_regular", "is_regular", "parse_json", "read_bytes", "read_text"]
+__all__ = ["MostBytes", "check_json_size", "check_regular", "is_regular", "parse_json", "read_bytes", "read_text"]
 
 
 class MostBytes(IntEnum):
@@ -40,7 +42,7 @@ class MostBytes(IntEnum):
 # JSON values that a file may hold, counted by the characters that begin another one. A plan of 50,000 samples has 1.1
 # million numbers; two million take 150 MB. An object takes as much as ten numbers, and ours hold some hundred.
 _MOST_JSON_VALUES = 2_000_000
-_MOST_JSON_OBJECTS = 200_000
+_HALF_CHARACTER = re.compile(r"\\u[dD][89a-fA-F]")
 _LONGEST_NAME = 200  # characters of a file's name in a message
 
 _KINDS = (
@@ -120,16 +122,48 @@ def parse_json(text: str) -> object:
     """The value of a strict JSON text.
 
     Raises:
-        ValueError: Not JSON (`json.JSONDecodeError`), a number that is not finite or has too many digits, nested too
-            deeply, or more values than two million.
+        ValueError: Not JSON (`json.JSONDecodeError`), a key that stands twice in an object, half a character of two
+            escapes, a number that is not finite or has too many digits, nested too deeply, or more values than two
+            million.
     """
-    begins = text.count(",") + text.count("[") + text.count("{")
-    if begins > _MOST_JSON_VALUES or text.count("{") > _MOST_JSON_OBJECTS:
-        raise ValueError(f"holds more than {_MOST_JSON_VALUES} values or {_MOST_JSON_OBJECTS} objects")
+    check_json_size(text)
     try:
-        return json.loads(text, parse_constant=_refuse_constant, parse_float=_finite)
+        value = json.loads(
+            text, parse_constant=_refuse_constant, parse_float=_finite, object_pairs_hook=_without_repeated_keys
+        )
     except RecursionError:
         raise ValueError("is nested too deeply") from None
+    if _HALF_CHARACTER.search(text):  # only an escape makes one, and no such text can be printed or written
+        try:
+            json.dumps(value, ensure_ascii=False).encode()
+        except UnicodeEncodeError:
+            raise ValueError("holds half a character: an escape \\ud800 to \\udfff without its other one") from None
+    return value
+
+
+def check_json_size(text: str, most: int = _MOST_JSON_VALUES) -> None:
+    """Refuse JSON of more values than may be made of it, before any is.
+
+    Args:
+        text: The JSON.
+        most: How many values it may hold; a tenth of them may be objects.
+
+    Raises:
+        ValueError: It holds more.
+    """
+    begins = text.count(",") + text.count("[") + text.count("{")
+    if begins > most or text.count("{") > most // 10:
+        raise ValueError(f"holds more than {most} values or {most // 10} objects")
+
+
+def _without_repeated_keys(pairs: list[tuple[str, object]]) -> dict[str, object]:
+    """An object; of a repeated key readers differ in which value they believe, so nobody may judge one of them."""
+    found: dict[str, object] = {}
+    for key, value in pairs:
+        if key in found:
+            raise ValueError(f"key {shown(key)} stands twice in one object")
+        found[key] = value
+    return found
 
 
 def _refuse_constant(name: str) -> NoReturn:

@@ -195,7 +195,7 @@ def test_what_is_not_judged_is_named(problems):
     verdict = verdict_on(document, problems["bend"])
     assert verdict
     assert dict(verdict.rows)["not judged"] == (
-        "certificate.poses_checked, timing_ms, tried, path.curvature_rate (unknown), note (unknown)"
+        "certificate.poses_checked, completed, timing_ms, tried, path.curvature_rate (unknown), note (unknown)"
     )
 
 
@@ -224,3 +224,11 @@ def test_every_damage_of_the_fuzzer_changes_something():
         assert json.dumps(document) != json.dumps(original), damage
         assert document_of("bend") == original
     assert copy.deepcopy(original) == json.loads(planned("bend").plan)
+
+
+@pytest.mark.parametrize("status", ["banana", "Certified", "OptdockErrors", "", "0.5"])
+def test_a_status_is_certified_or_the_name_of_an_error(status, problems):
+    document = document_of("bend")
+    document["status"] = status
+    with pytest.raises(InvalidFile, match="status: "):
+        verdict_on(document, problems["bend"])

@@ -2,6 +2,7 @@
 
 import dataclasses
 import functools
+import math
 
 import numpy as np
 import pytest
@@ -21,7 +22,8 @@ from optdock.problem import ClearanceRule, DockingProblem
 from optdock.replanning import DriveState, ReplanOutcome, replan, still_holds
 from optdock.robot import Drive, Robot, TrackingTube
 from optdock.segments import ClothoidSegment
-from optdock.verification import ProvenWay, certify_path, prove_motion
+from optdock.trajectory import TimeLaw, Trajectory
+from optdock.verification import ProvenWay, TrajectoryCertificate, certify_path, prove_motion
 
 NO_TIME, LEAD = 1e-9, 0.02  # [s]: nothing new is found in it
 LIMITS = MotionLimits(max_yaw_rate=1.0, max_yaw_acceleration=1.0)
@@ -247,6 +249,23 @@ def test_an_answer_cannot_say_that_it_is_proven():
         ProvenWay()
 
 
+def test_an_answer_speaks_of_the_trajectory_that_was_proven():
+    plan = running()
+    law = plan.trajectory.time_law
+    fast = Trajectory(plan.path, TimeLaw(law.durations / 10.0, law.jerks * 1000.0))
+    kept = asked(plan, 1.0, None)
+    assert kept.proven
+    for claim in ({"trajectory": fast}, {"plan": None}, {"outcome": ReplanOutcome.STOP}, {"outcome": "new"}):
+        with pytest.raises(InvalidValue):
+            dataclasses.replace(kept, **claim)
+    braked = asked(plan, 1.0, None, dataclasses.replace(plan.problem, obstacles=box(3.2, 0.2, 0.4)))
+    assert braked.outcome is ReplanOutcome.STOP
+    assert braked.proven
+    assert not dataclasses.replace(braked, trajectory=fast).proven
+    by_hand = TrajectoryCertificate((), {}, fast.duration, fast.path.digest)
+    assert not dataclasses.replace(braked, trajectory=fast, motion=by_hand).proven
+
+
 def test_within_its_tube_feedback_owns_the_error_and_beyond_it_the_new_plan_does():
     plan = straight_plan([], ClearanceRule(0.02, 0.02, 0.0), TrackingTube(0.03))
     target = plan.problem.goal @ Pose2(0.0, 0.01, 0.0)
@@ -266,5 +285,45 @@ def test_a_tube_covers_no_robot_where_something_new_stands_in_it():
     world = dataclasses.replace(plan.problem, obstacles=[post])
     assert not asked(plan, 0.8, Pose2(0.8, 0.03, 0.0), world, budget=5.0).proven
     away = asked(plan, 0.8, Pose2(0.8, -0.03, 0.0), world, budget=5.0)
-    assert away.outcome is not ReplanOutcome.KEPT
-    assert away.way is None or away.trajectory.path.start.y == pytest.approx(-0.03, abs=1e-6)
+    assert away.outcome is ReplanOutcome.NEW
+    assert away.proven
+    assert away.trajectory.path.start.y == pytest.approx(-0.03, abs=1e-6)
+
+
+def test_a_tube_that_narrows_before_the_joint_covers_no_robot_there():
+    plan = straight_plan([], ClearanceRule(0.02, 0.02, 0.0), TrackingTube(0.05))
+    time = 0.5 * plan.trajectory.duration
+    joint = plan.trajectory.at(time + 0.6).pose
+    post = [[joint.x + 0.1, 0.27], [joint.x + 0.2, 0.27], [joint.x + 0.2, 0.3], [joint.x + 0.1, 0.3]]
+    world = dataclasses.replace(plan.problem, obstacles=[post])
+    now = plan.trajectory.at(time).pose
+    state = DriveState(time, 1.0, Pose2(now.x, -0.03, 0.0))
+    found = replan(plan, world, state, 5.0, lead=0.6)
+    assert found.outcome is ReplanOutcome.NEW
+    assert found.proven
+    assert found.trajectory.path.start.y == pytest.approx(-0.03, abs=1e-6)
+
+
+def test_a_clock_that_runs_fast_keeps_no_plan_that_breaks_a_limit_then():
+    slow = dataclasses.replace(LIMITS, max_speed=0.2, max_acceleration=0.1, max_deceleration=0.1, max_jerk=0.2)
+    problem = dataclasses.replace(running().problem, robot=Robot(OUTLINE, slow))
+    plan = plan_dock(problem, time_budget=30.0)
+    able = dataclasses.replace(problem, robot=Robot(OUTLINE, LIMITS))
+    for world, rate, kept in ((problem, 1.0, True), (problem, 0.7, True), (problem, 1.2, False), (able, 1.2, True)):
+        found = replan(plan, world, DriveState(0.5 * plan.trajectory.duration, rate), NO_TIME, lead=0.0)
+        assert (found.outcome is ReplanOutcome.KEPT) is kept
+
+
+def test_a_robot_is_on_the_leg_of_a_cusp_that_its_clock_shows():
+    """On the way back already, by its pose; the clock shows the way there, from which it is decimetres off."""
+    there = drive(Pose2(0.0, 0.0, 0.0), 1.0, 0.0)
+    path = Path((there, drive(Pose2(1.0, 0.0, 0.0), 1.0, 0.5, -1)), "map")
+    back = path.pose_at(1.6)
+    off = path.pose_at(0.4).distance_to(back)
+    side = -math.copysign(0.25 + 0.4 * off, back.y)
+    wall = [[-1.0, side], [2.0, side], [2.0, 2.0 * side], [-1.0, 2.0 * side]]
+    plan = plan_of(path.segments, Robot(OUTLINE, LIMITS))
+    for obstacles, kept in (([], True), ([wall], False)):
+        world = dataclasses.replace(plan.problem, obstacles=obstacles)
+        found = asked(plan, 0.4, back, world)
+        assert (found.outcome is ReplanOutcome.KEPT) is kept

@@ -233,3 +233,26 @@ def test_where_nothing_is_left_to_drive_the_robot_must_still_be_clear(beyond):
     assert still_holds(plan, Costmap(cells, 0.1, (-5.0, -5.0)), time)
     cells[50, 50] = 254
     assert not still_holds(plan, Costmap(cells, 0.1, (-5.0, -5.0)), time)
+
+
+class _SameDigest(ObstacleSet):
+    """Obstacles that call themselves those of the plan."""
+
+    @property
+    def digest(self):
+        return running().problem.obstacles.digest
+
+
+def test_a_world_is_no_subclass_that_could_be_another_one():
+    plan = running()
+    known = plan.problem
+    wall = ObstacleSet.of([box_at(-1.0, 0.2)])
+    assert not still_holds(plan, wall)
+    classes = [
+        _SameDigest(wall.vertices, wall.names, wall.group),
+        type("Grid", (Costmap,), {})(known.costmap.data, CELL, ORIGIN),
+        type("World", (DockingProblem,), {})(known.start, known.dock, known.robot),
+    ]
+    for world in classes:
+        with pytest.raises(InvalidValue, match="world"):
+            still_holds(plan, world)

@@ -272,3 +272,25 @@ def test_staging_from_afar(lawful):
     docking = run(simulated(Pose2(-2.0, 0.6, 0.5), sensors=PERFECT), problem_with(TRUE_DOCK))
     assert lawful(docking).kind is EndingKind.DOCKED_BY_DISTANCE
     assert docking.steps[25].feedback.state is FeedbackState.NAV_TO_STAGING_POSE
+
+
+class Listening(InlinePlanning):
+    """Remembers the jobs."""
+
+    def __init__(self):
+        super().__init__()
+        self.jobs = []
+
+    def submit(self, job):
+        self.jobs.append(job)
+        super().submit(job)
+
+
+def test_planning_is_told_where_the_running_motion_leads_relative_to_the_dock():
+    """Detections move the estimated dock under way: the controller follows it, so that is what must be judged."""
+    planning, push = Listening(), once(within(0.85), pushed(0.025))
+    run(simulated(Pose2(-1.5, 0.15, 0.1), seed=1), settings=NO_STAGING, planning=planning, before=push)
+    asked = [job for job in planning.jobs if job.running is not None]
+    assert any(job.moved.gap_to(Pose2(0.0, 0.0, 0.0)) > 1e-6 for job in asked)
+    for job in asked:
+        assert (job.moved @ job.running.problem.goal).gap_to(job.problem.goal) <= 1e-9

@@ -12,7 +12,8 @@ from hypothesis import strategies as st
 from optdock.costmap.costmap import Costmap
 from optdock.errors import InvalidValue, PluginError
 from optdock.executor import DockingExecutor, EndingKind, ExecutorSettings, InlinePlanning, State, ThreadPlanning
-from optdock.executor.planning import Motion, Outcome, PlanResult, RecordedPlanning, Verdict
+from optdock.executor.log import RecordedPlanning
+from optdock.executor.planning import Motion, Outcome, PlanResult, Verdict
 from optdock.geometry.pose import Pose2, Twist2
 from optdock.measurements import Detection, Measurements
 from optdock.obstacles import ObstacleSet

@@ -98,6 +98,8 @@ ASLEEP = '{"stamp": 1.0, "pose": null, "twist": [0, 0, 0], "command": [0, 0], "s
     [
         (1, "{}", ":1: is damaged: format: Field required"),
         (1, "no json", ":1: is damaged: Invalid JSON"),
+        (1, '{"problem": {"a": [' + "1," * 300_000 + "1]}}", ":1: is damaged: holds more than 300000 values"),
+        (5, '{"planned": [' + "[]," * 300_000 + "1]}", ":5: is damaged: holds more than 300000 values"),
         (5, '{"stamp": 1.0', ":5: is damaged: Invalid JSON"),
         (5, '{"cancel": false}', ":5: is damaged: .*"),
         (7, ASLEEP, ":7: is damaged: 'asleep' is not a valid State"),

@@ -73,6 +73,9 @@ def test_what_is_followed_relative_to_the_dock_is_judged_there():
     )
     assert decided(world, -0.03, moved).outcome is not Outcome.KEPT
     assert decided(world, 0.0).outcome is Outcome.KEPT
+    above = dataclasses.replace(among((2.6, 0.25 + 0.06)), dock=world.dock)
+    assert decided(above, -0.03, moved).outcome is Outcome.KEPT
+    assert decided(above, -0.03).outcome is not Outcome.KEPT
 
 
 def test_a_new_motion_begins_at_the_robot_and_ends_at_the_dock():

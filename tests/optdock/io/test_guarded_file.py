@@ -133,6 +133,10 @@ def test_text_of_another_encoding_is_named(tmp_path):
         ("[" * 1_000_000, "nested too deeply"),
         ("[" + "0," * 2_000_001 + "0]", "holds more than 2000000 values"),
         ("[" + "{}," * 200_001 + "0]", "or 200000 objects"),
+        ('{"path": 1, "a": {"path": 2}, "path": 3}', "key 'path' stands twice"),
+        ('[{"a": {"b": 1, "b": 1}}]', "key 'b' stands twice"),
+        ('["\\ud800"]', "half a character"),
+        ('{"\\uDFFF": 1}', "half a character"),
     ],
 )
 def test_json_that_would_expand_is_refused(text, said):
@@ -140,7 +144,9 @@ def test_json_that_would_expand_is_refused(text, said):
         parse_json(text)
 
 
-def test_json_numbers_read_as_they_are():
+def test_json_values_read_as_they_are():
+    assert parse_json('["\\ud83d\\ude00", "\\u00e9"]') == ["\U0001f600", "\u00e9"]
+    assert parse_json('[{"a": 1}, {"a": 1}]') == [{"a": 1}, {"a": 1}]
     assert parse_json('{"a": [1, -2.5e-3, 1e308, 0.1]}') == {"a": [1, -2.5e-3, 1e308, 0.1]}
 
 

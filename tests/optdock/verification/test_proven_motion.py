@@ -32,8 +32,10 @@ from optdock.verification import (
     prove_motion,
     prove_way,
     proven_for,
+    proven_way,
     unchanged_way,
 )
+from optdock.verification.conservative_advancement import Begun
 
 OUTLINE = Footprint.rectangle(0.4, 0.4, 0.5)
 ROBOT = Robot(OUTLINE, MotionLimits(max_curvature=1.5, max_curvature_rate=6.0))
@@ -241,3 +243,47 @@ def test_a_proof_is_about_our_own_values_and_no_subclass_of_them():
         vars(lookalike).update(vars(parts[name]))
         with pytest.raises(InvalidValue, match=f"problem.{name}: must be a"):
             DockingProblem(**(parts | {name: lookalike}))
+
+
+# What a robot beside its way is spared, and what not.
+
+
+def test_a_station_that_is_spared_is_not_driven_into():
+    """The dock is 5 cm short of the way's end, so that its station stands in the way."""
+    station = Footprint([[0.4, 0.25], [0.4, -0.25], [0.8, -0.25], [0.8, 0.25]])
+    rule = ClearanceRule(0.0, 0.0, 0.0)
+    for at, clear in ((LENGTH, True), (LENGTH - 0.05, False)):
+        dock = Dock(Pose2(at, 0.0, 0.0), footprint=station)
+        task = DockingProblem(Pose2(0.0, 0.0, 0.0), dock, ROBOT, clearance=rule)
+        assert bool(prove_way(straight(), task, Pose2(0.0, 0.01, 0.01))) is clear
+
+
+def test_a_robot_beside_a_start_that_is_too_close_needs_as_much_more_there():
+    task, start = problem([wall(0.01)], 0.05), Pose2(0.0, 0.0, 0.0)
+    rest = {"begun": Begun(start, 0.01), "start_relief": 5.0}
+    assert prove_way(straight(), task, start, **rest)
+    assert not prove_way(straight(), task, Pose2(0.0, 0.005, 0.0), **rest)
+
+
+@pytest.mark.parametrize(("begin", "dock"), [(0.2, Pose2(0.6, 0.0, 0.0)), (1.5, Pose2(9.0, 9.0, 0.0))])
+def test_neither_the_old_dock_nor_the_new_one_may_be_near_a_way_that_is_proven_already(begin, dock):
+    motion = proven()
+    moved = dataclasses.replace(motion.problem, dock=Dock(dock))
+    assert unchanged_way(motion, begin, begin + 0.1, moved) is None
+    assert unchanged_way(motion, 0.2, 0.3, dataclasses.replace(motion.problem, dock=Dock(Pose2(9.0, 9.0, 0.0))))
+
+
+def test_what_is_about_to_be_driven_is_proven_for_a_robot_in_the_tube_at_its_start():
+    robot = dataclasses.replace(ROBOT, tracking=TrackingTube(0.05))
+    for gap, width in ((0.5, 0.05), (0.03, 0.01), (0.01, 0.0)):
+        path = Path((ClothoidSegment(ClothoidSpline(Pose2(0.0, 0.0, -0.8), np.array([0.0, 1.0]), np.zeros(2))),), "map")
+        reach = float(np.max(OUTLINE.vertices @ [math.sin(-0.8), math.cos(-0.8)]))
+        block = [[-1.0, reach + gap], [1.0, reach + gap], [1.0, 2.0], [-1.0, 2.0]]
+        task = DockingProblem(path.start, Dock(path.end), robot, obstacles=[block], clearance=0.02)
+        timed = TimeLaw(np.full(4, 3.0), 0.5 / 27.0 * np.array([1.0, -1.0, -1.0, 1.0]))
+        motion = prove_motion(Trajectory(path, timed), task)
+        for off, covered in ((0.9 * width, True), (1.1 * width + 1e-3, False)):
+            pose = Pose2(0.0, off, -0.8)
+            found = proven_way(motion, pose)
+            assert (found is not None) is covered
+            assert not covered or found.pose is pose
