@@ -118,8 +118,6 @@ def _refuse_contradictions(plan: PlanFile) -> None:
         if wrong or plan.status == CERTIFIED:
             beside = wrong[0] if wrong else f"status {CERTIFIED!r}"
             raise InvalidFile(f"impossibility: a proof that no motion exists stands beside {beside}; one is wrong")
-    if plan.status not in (CERTIFIED, UNKNOWN) and not _is_refusal(plan):
-        raise InvalidFile(f"status: must be {CERTIFIED!r} or the name of an error, got {shown(plan.status)}")
     if plan.status == CERTIFIED and "path" not in held:
         raise InvalidFile(f"status: is {CERTIFIED!r}, but the file holds no path")
     if "error" in held and not _is_refusal(plan):
@@ -190,7 +188,10 @@ def _said(violation: Violation) -> str:
 
 def _not_judged(plan: PlanFile, parts: tuple[str, ...]) -> list[tuple[str, str]]:
     """One row of what nobody can judge; none where the file holds nothing of that."""
-    held = ["completed", *(name for name in ("timing_ms", "tried", "error") if getattr(plan, name))]
+    foreign = (
+        [f"status {shown(plan.status)}"] if plan.status not in (CERTIFIED, UNKNOWN) and not _is_refusal(plan) else []
+    )
+    held = [*foreign, "completed", *(name for name in ("timing_ms", "tried", "error") if getattr(plan, name))]
     named = [*parts, *held, *plan.unjudged]
     return [("not judged", ", ".join(named))] if named else []
 

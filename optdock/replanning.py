@@ -17,6 +17,7 @@ in any case and proven first: where that fails the robot brakes at once.
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import functools
 import logging
@@ -423,7 +424,9 @@ class _Replanning:
             if work.deadline.left < longest:  # another round would not end in time
                 break
             began = work.deadline.elapsed
-            with work.watch.timed("deform"):
+            # Of a path that turns a thousand times on the spot no step leads to a curve that can be evaluated.
+            with work.watch.timed("deform"), contextlib.suppress(InvalidValue):
+                path = None
                 path = deformed(
                     guess,
                     joint.pose,

@@ -68,7 +68,7 @@ class TrackingControllerParameters(PluginParameters):
     slow_down_lag: float = Field(default=0.002, ge=0.0, description="lag at which the reference begins to wait [m]")
     stop_lag: float = Field(default=0.1, gt=0.0, description="lag at which the reference stands still [m]")
     turn_reserve: float = Field(
-        default=0.06, ge=0.0, lt=0.5, description="share of max_yaw_acceleration left to feedback by slowing down"
+        default=0.06, ge=0.0, lt=0.5, description="share of max_yaw_acceleration left to feedback by slowing down [1]"
     )
     max_error: float = Field(default=0.5, gt=0.0, description="distance from the reference that ends the task [m]")
     max_yaw_error: float = Field(default=0.8, gt=0.0, description="heading error that ends the task [rad]")

@@ -371,6 +371,8 @@ def _new(this: _Now, found: _Answer) -> Verdict | None:
     start, wrong = _joined(this, found)
     if wrong is not None:
         return wrong
+    if max(start["start_speed"], abs(start["start_acceleration"])) <= 1e-6:  # a rest, but for rounding
+        start = {**start, "start_speed": 0.0, "start_acceleration": 0.0}
     timed = _timed(this, found, start, this.world["zone"])
     is_moving = start["start_speed"] > 1e-6
     signed = start["start_speed"] * float(motion_of(timed["path"]).gear[0] or 1.0) if is_moving else 0.0
