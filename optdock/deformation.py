@@ -22,6 +22,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
+from optdock.errors import InvalidValue
 from optdock.geometry.arrays import readonly
 from optdock.geometry.clothoid import ClothoidSpline
 from optdock.geometry.pose import Pose2, normalize_angle, transform_points
@@ -200,12 +201,18 @@ def _refined(knots: FloatArray, length: float) -> FloatArray:
 
 
 def _driven(gears: list[_Gear], start: Pose2) -> tuple[Segment, ...] | None:
-    """The exact curves from a pose; None where a turn has vanished or changed its side."""
+    """The exact curves from a pose.
+
+    None where a turn has vanished or changed its side, or a curve turns so often that it cannot be evaluated.
+    """
     segments: list[Segment] = []
     for gear in gears:
         if gear.sign == 0 and abs(gear.turn) < _LEAST_TURN:
             return None
-        segments.append(gear.segment(start))
+        try:
+            segments.append(gear.segment(start))
+        except InvalidValue:
+            return None
         start = Pose2.from_sequence(segments[-1].poses_at(segments[-1].length)[0])
     return tuple(segments)
 

@@ -48,6 +48,11 @@ class DockTolerances:
             if not (math.isfinite(value) and value > 0.0):
                 raise InvalidValue(f"dock.tolerances.{name}: must be finite and > 0, got {value}")
 
+    def accept(self, found: Pose2, wanted: Pose2) -> bool:
+        """Whether a robot at one pose counts as docked at another."""
+        seen = found.in_frame_of(wanted)
+        return abs(seen.x) <= self.along and abs(seen.y) <= self.cross and abs(seen.yaw) <= self.yaw
+
 
 @dataclass(frozen=True, eq=False)
 class Dock:

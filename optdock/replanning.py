@@ -17,7 +17,6 @@ in any case and proven first: where that fails the robot brakes at once.
 
 from __future__ import annotations
 
-import contextlib
 import dataclasses
 import functools
 import logging
@@ -42,7 +41,7 @@ from optdock.errors import (
 )
 from optdock.geometry.checked import exactly, finite_number, instance, number
 from optdock.geometry.clothoid import ClothoidSpline
-from optdock.geometry.pose import Pose2, displacement, normalize_angle
+from optdock.geometry.pose import Pose2
 from optdock.geometry.separation import separation
 from optdock.interfaces import Smoother, TimeParameterizer, never_cancelled
 from optdock.limits import SpeedZone
@@ -76,7 +75,6 @@ from optdock.verification.path_rules import path_violations
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from optdock.dock import DockTolerances
     from optdock.pipeline import PlannerLike, SmootherLike, TimingLike
     from optdock.verification import TrajectoryCertificate, Violation
 
@@ -101,6 +99,7 @@ _AT_THE_END = "nothing is left of the plan"
 _PUSHES = 4  # off obstacles: each takes two milliseconds, and what needs more is for the smoother
 _ROOM = 0.005  # [m]: a path that is pushed keeps more than what is required, for it comes nearest a little further on
 _NO_WAY = 1e-6  # [m]: of less than that nothing is left to drive
+_NEARBY = 0.5  # [m] around its reference, in which a robot beside its path is looked for
 # Shares of the deceleration that a stop tries: in a bend the yaw acceleration may leave no more.
 _BRAKING = (1.0, 0.8, 0.6, 0.4, 0.25)
 
@@ -424,9 +423,7 @@ class _Replanning:
             if work.deadline.left < longest:  # another round would not end in time
                 break
             began = work.deadline.elapsed
-            # Of a path that turns a thousand times on the spot no step leads to a curve that can be evaluated.
-            with work.watch.timed("deform"), contextlib.suppress(InvalidValue):
-                path = None
+            with work.watch.timed("deform"):
                 path = deformed(
                     guess,
                     joint.pose,
@@ -482,8 +479,7 @@ class _Replanning:
         """Whether the tube around a drive that sets off at a place of the path covers the robot."""
         pose, footprint = self.state.pose, self.world.robot.footprint
         assert pose is not None
-        turned = normalize_angle(pose.yaw - self.reference.yaw)
-        off = displacement(pose.distance_to(self.reference), turned, footprint.circumscribed_radius)
+        off = footprint.displacement(pose, self.reference)
         if not off <= self.world.robot.tracking.width(footprint):
             return False
         clearance = pose_clearance(place, footprint, self.world.all_obstacles)[0]
@@ -576,9 +572,9 @@ class _Replanning:
         is taken to stand where the plan ends.
         """
         path, world = self.path, self.world
-        if _is_beyond(path.end, world.goal, world.dock.tolerances) or not self._keeps_limits():
+        if not world.dock.tolerances.accept(path.end, world.goal) or not self._keeps_limits():
             return None
-        world = dataclasses.replace(world, dock=dataclasses.replace(world.dock, pose=path.end))
+        world = dataclasses.replace(world, start=path.start, dock=dataclasses.replace(world.dock, pose=path.end))
         found = self._goes_on(path, world) if self.is_on_the_path else self._goes_back(path, world)
         if found.way is None:
             return None
@@ -595,11 +591,12 @@ class _Replanning:
         pose, relief = self.state.pose, self.plan.certificate.start_relief
         assert pose is not None
         now = min(self.now.s, max(0.0, path.length - _NO_WAY))
-        tube = Tube(path, dataclasses.replace(world, start=path.start), relief)
-        nearest = float(tube.deviations(pose.as_array()[None], now).s[0])
-        gears = np.searchsorted(path.segment_starts, [now, nearest], side="right")
-        if gears[0] != gears[1]:  # legs of a cusp overlap: the robot is on the one that its clock shows
-            nearest = now
+        # Legs of a cusp overlap: the robot is on the one that its clock shows.
+        gear = int(np.searchsorted(path.segment_starts, now, side="right")) - 1
+        first, last = path.segment_starts[gear : gear + 2].tolist()
+        first, last = max(first, now - _NEARBY), min(last, now + _NEARBY)
+        leg = Tube(path.piece(first, last), world, relief)
+        nearest = first + float(leg.deviations(pose.as_array()[None]).s[0])
         begin = min(now, nearest)
         begun = Begun(path.start, end_clearances(self.plan.problem).start)
         return prove_way(path.piece(begin), world, pose, at=nearest - begin, begun=begun, start_relief=relief)
@@ -711,9 +708,3 @@ def _push_off(violation: Violation, path: Path, problem: DockingProblem) -> Push
     gear = int(np.clip(np.searchsorted(path.segment_starts, violation.s, side="right") - 1, 0, len(path.segments) - 1))
     share = (violation.s - float(path.segment_starts[gear])) / path.segments[gear].length
     return Push(gear, min(max(share, 0.0), 1.0), body, near.pieces(np.array([row])), distance)
-
-
-def _is_beyond(found: Pose2, wanted: Pose2, accepted: DockTolerances) -> bool:
-    """Whether a robot at a pose is not docked."""
-    seen = found.in_frame_of(wanted)
-    return abs(seen.x) > accepted.along or abs(seen.y) > accepted.cross or abs(seen.yaw) > accepted.yaw

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
+from optdock.geometry.footprint import Footprint
 from optdock.verification import (
     certificate,
     certify,
@@ -133,9 +134,7 @@ PLANTS: dict[str, Plant] = {
     "dropped_new_obstacle": Plant(
         importlib.import_module("optdock.changed_world"), "prove_clearance", _one_new_obstacle_less
     ),
-    "dropped_measured_pose": Plant(
-        importlib.import_module("optdock.verification.proven_motion"), "displacement", _nowhere_off
-    ),
+    "dropped_measured_pose": Plant(Footprint, "displacement", _nowhere_off),
     "dropped_path_cell": Plant(motion_bounds.PathMotion, "cells", _middle_cell_less),
     "dropped_time_cell": Plant(trajectory_rules, "_initial_cells", _middle_cell_less),
     "curvature_x5": Plant(path_rules, "EXACT_RTOL", _five_times),

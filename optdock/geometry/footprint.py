@@ -12,12 +12,14 @@ from optdock.errors import InvalidValue
 from optdock.geometry.arrays import FrozenArrays, readonly
 from optdock.geometry.checked import finite_number, number
 from optdock.geometry.polygon import convex_pieces, edge_planes, simple_polygon
+from optdock.geometry.pose import displacement, normalize_angle
 from optdock.geometry.separation import ConvexBody
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike
 
     from optdock.geometry.arrays import FloatArray
+    from optdock.geometry.pose import Pose2
 
 __all__ = ["Footprint", "convex_body"]
 
@@ -114,6 +116,11 @@ class Footprint(FrozenArrays):
     def circumscribed_radius(self) -> float:
         """Largest distance of an outline point from the origin [m]."""
         return float(np.max(np.hypot(self.vertices[:, 0], self.vertices[:, 1])))
+
+    def displacement(self, pose: Pose2, reference: Pose2) -> float:
+        """How far any point of the outline is at most from where it would be at the reference [m]."""
+        turn = normalize_angle(pose.yaw - reference.yaw)
+        return float(displacement(pose.distance_to(reference), turn, self.circumscribed_radius))
 
     @property
     def inscribed_radius(self) -> float:

@@ -1,7 +1,7 @@
-"""The one door through which files are read: regular files only, and of each kind only so much.
+"""Reads regular files of a bounded size; every file that the library reads is read here.
 
-What a file's name leads to may be a pipe, which waits for a writer, a device, which never ends, or somebody else's
-gigabytes. All of these end here in an `InvalidFile`, before anything waits or memory is taken. How much a file of a
+A name may lead to a pipe, which waits for a writer, to a device, which never ends, or to a file of gigabytes. Each of
+these raises `InvalidFile` before anything waits or memory is taken. How much a file of a
 kind may hold is chosen so that reading it takes less than a second and 500 MB on a computer of a robot, and is many
 times what such files hold in practice.
 """
@@ -20,7 +20,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, NoReturn
 
 from optdock.errors import InvalidFile
-from optdock.io.quoting import shown
+from optdock.io.quoting import printable, shown
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -202,5 +202,5 @@ def _check_size(path: Path, size: int, most: int) -> None:
 
 def _name(path: Path) -> str:
     """The name on one line; of a long one the end, which tells most."""
-    text = "".join(c if c.isprintable() else repr(c)[1:-1] for c in str(path))
+    text = printable(str(path))
     return text if len(text) <= _LONGEST_NAME else f"...{text[-_LONGEST_NAME:]}"

@@ -29,9 +29,8 @@ Keys: TypeAlias = "tuple[str | int, ...]"
 # What PyYAML's constructors let through on the date 2026-13-45, the number 0x_, an empty !!int or a wrong !!timestamp.
 _SCALAR_ERRORS = (ValueError, OverflowError, IndexError, AttributeError)
 _MAX_DEPTH = 100
-_MAX_VALUES = (
-    50_000  # keys, numbers, ..., with those that aliases repeat; the largest parameter files have two thousand
-)
+# Keys, numbers, ..., with those that aliases repeat; the largest parameter files have two thousand.
+_MAX_VALUES = 50_000
 _MAX_NUMBER = 1000  # characters of what is no text; whole numbers in base 60 take a time that is quadratic in them
 _LONGEST_LINE = 400  # characters of a message about one value
 

@@ -15,7 +15,6 @@ import numpy as np
 from optdock.deadline import never_late
 from optdock.errors import CertificationFailed, InvalidValue
 from optdock.geometry.checked import exactly
-from optdock.geometry.pose import displacement, normalize_angle
 from optdock.obstacles import ObstacleSet, in_words
 from optdock.path import Path
 from optdock.problem import ClearanceRule, DockingProblem
@@ -119,7 +118,7 @@ class ProvenMotion:
 class ProvenWay:
     """The way of a robot under way, from where it is now, whose clearance is proven; it says nothing about time.
 
-    Made by `prove_way` and `unchanged_way` alone.
+    Made by `prove_way`, `proven_way` and `unchanged_way` alone.
 
     Raises:
         InvalidValue: It is constructed, or asked for a proof that was not made here.
@@ -265,21 +264,21 @@ def prove_way(
     exactly(Path, path, "path")
     exactly(DockingProblem, problem, "problem")
     start, place, footprint = path.start, path.pose_at(at), problem.robot.footprint
-    reliefs = [start_relief]
+    weaker = False
     if begun is None:
-        begun = Begun(start, pose_clearance(start, footprint, problem.all_obstacles)[0])
-        reliefs = [0.0, problem.start_run] if begun.clearance < problem.path_clearance.required else [0.0]
-    off = 0.0 if pose is None else _displaced(pose, place, problem)
+        begun, start_relief = Begun(start, pose_clearance(start, footprint, problem.all_obstacles)[0]), 0.0
+        weaker = begun.clearance < problem.path_clearance.required
+    pose = pose or start
+    off = footprint.displacement(pose, place)
     width = float(problem.tube_widths(place.as_array()[None], begun.start, begun.clearance, start_relief)[0])
     if off <= width + TOLERANCE:
-        reasons = [_not_clear(path, problem, begun, relief) for relief in reliefs]
+        blocked = _not_clear(path, problem, begun, start_relief)
+        if blocked and weaker:
+            blocked = _not_clear(path, problem, begun, problem.start_run)
     else:
-        seen, accepted = (pose or place).in_frame_of(place), problem.dock.tolerances
-        is_docked = abs(seen.x) <= accepted.along and abs(seen.y) <= accepted.cross and abs(seen.yaw) <= accepted.yaw
-        reasons = [_not_clear_by(off, path, problem, begun, start_relief, spares_station=is_docked)]
-    if "" not in reasons:
-        return WayVerdict(None, reasons[-1])
-    return WayVerdict(_kept_way(_Way(path, pose or start, problem)))
+        is_docked = problem.dock.tolerances.accept(pose, place)
+        blocked = _not_clear_by(off, path, problem, begun, start_relief, spares_station=is_docked)
+    return WayVerdict(None, blocked) if blocked else WayVerdict(_kept_way(_Way(path, pose, problem)))
 
 
 def _not_clear(path: Path, problem: DockingProblem, begun: Begun, relief: float) -> str:
@@ -327,15 +326,9 @@ def proven_way(motion: ProvenMotion, pose: Pose2 | None = None) -> ProvenWay | N
     if pose is not None:
         relief, clearance = motion.certificate.start_relief, end_clearances(problem).start
         width = float(problem.tube_widths(start.as_array()[None], start, clearance, relief)[0])
-        if not _displaced(pose, start, problem) <= width + TOLERANCE:
+        if not problem.robot.footprint.displacement(pose, start) <= width + TOLERANCE:
             return None
     return _kept_way(_Way(path, pose or start, problem))
-
-
-def _displaced(pose: Pose2, place: Pose2, problem: DockingProblem) -> float:
-    """Bound of how far a point of the robot's outline is from where it would be at `place` [m]."""
-    turned, radius = normalize_angle(pose.yaw - place.yaw), problem.robot.footprint.circumscribed_radius
-    return float(displacement(pose.distance_to(place), turned, radius))
 
 
 def unchanged_way(motion: ProvenMotion, begin: float, end: float, problem: DockingProblem) -> ProvenWay | None:
