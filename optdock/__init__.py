@@ -44,7 +44,7 @@ if TYPE_CHECKING:
     from optdock.io.plan_file import load_plan
     from optdock.lifecycle import PluginContext
     from optdock.limits import MotionLimits
-    from optdock.measurements import Detection, Measurements
+    from optdock.measurements import Detection, Measurements, OdometryPose
     from optdock.obstacles import ObstacleSet
     from optdock.path import Path
     from optdock.pipeline import plan_dock, warm_up
@@ -93,7 +93,7 @@ _MODULES = {
     "optdock.io.plan_file": ("load_plan",),
     "optdock.lifecycle": ("PluginContext",),
     "optdock.limits": ("MotionLimits",),
-    "optdock.measurements": ("Detection", "Measurements"),
+    "optdock.measurements": ("Detection", "Measurements", "OdometryPose"),
     "optdock.obstacles": ("ObstacleSet",),
     "optdock.path": ("Path",),
     "optdock.pipeline": ("plan_dock", "warm_up"),
@@ -145,6 +145,7 @@ __all__ = [
     "NoMotionExists",
     "NoValidPathCouldBeFound",
     "ObstacleSet",
+    "OdometryPose",
     "OptdockError",
     "Path",
     "PluginContext",

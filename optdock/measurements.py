@@ -9,7 +9,7 @@ from optdock.geometry.pose import Pose2, Twist2
 if TYPE_CHECKING:
     from optdock.costmap.costmap import Costmap
 
-__all__ = ["Detection", "Measurements"]
+__all__ = ["Detection", "Measurements", "OdometryPose"]
 
 
 class Detection(NamedTuple):
@@ -28,16 +28,31 @@ class Detection(NamedTuple):
     yaw_sigma: float
 
 
+class OdometryPose(NamedTuple):
+    """Where the robot is by its wheels alone.
+
+    Attributes:
+        stamp: When it was measured [s], on the clock of the measurements; it may arrive later.
+        pose: In a frame of its own, which drifts but never jumps: REP 105's `odom`.
+    """
+
+    stamp: float
+    pose: Pose2
+
+
 class Measurements(NamedTuple):
     """All that arrived since the last control cycle.
 
     Attributes:
-        stamp: When pose and twist were measured [s], on a monotonic clock.
-        pose: Of the robot in the fixed frame; None where localization has none.
-        twist: Body velocity of the odometry.
-        detections: New ones, the oldest first.
+        stamp: Of the control cycle [s], on a monotonic clock.
+        pose: Of the robot in the fixed frame; None where localization has nothing new.
+        twist: Body velocity of the odometry, for control. Without `odometry` the way of the robot is its integral,
+            which is wrong by the way driven in half the window that a velocity is averaged over.
+        detections: New ones, in any order.
         contact: What an external switch or charger says; None where there is none.
         costmap: A new picture of the surroundings; None where it has not changed.
+        odometry: The newest pose of the odometry; None where there is none.
+        pose_stamp: When `pose` was measured [s]; None: at `stamp`.
     """
 
     stamp: float
@@ -46,3 +61,5 @@ class Measurements(NamedTuple):
     detections: tuple[Detection, ...] = ()
     contact: bool | None = None
     costmap: Costmap | None = None
+    odometry: OdometryPose | None = None
+    pose_stamp: float | None = None

@@ -33,7 +33,7 @@ from optdock.geometry.pose import Pose2, Twist2
 from optdock.io.guarded_file import MostBytes, check_json_size, read_text
 from optdock.io.map_image import MAX_PIXELS
 from optdock.io.plan_file import PlanFile, TrajectoryColumns, parse_plan
-from optdock.measurements import Detection, Measurements
+from optdock.measurements import Detection, Measurements, OdometryPose
 from optdock.plugins import PluginChoice
 from optdock.trajectory import Trajectory
 
@@ -234,22 +234,12 @@ class LogWriter:
 
     def cycle(self, measurements: Measurements, step: Step) -> None:
         """One control cycle."""
-        m, ending = measurements, step.ending
+        ending = step.ending
         value: dict[str, object] = {
-            "stamp": m.stamp,
-            "pose": None if m.pose is None else [m.pose.x, m.pose.y, m.pose.yaw],
-            "twist": [m.twist.linear, m.twist.angular, m.twist.lateral],
+            **_measured_values(measurements),
             "command": [step.command.linear, step.command.angular],
             "state": step.state.value,
         }
-        if m.detections:
-            value["detections"] = [
-                [d.stamp, d.pose.x, d.pose.y, d.pose.yaw, d.position_sigma, d.yaw_sigma] for d in m.detections
-            ]
-        if m.contact is not None:
-            value["contact"] = m.contact
-        if m.costmap is not None:
-            value["costmap"] = _costmap_values(m.costmap)
         if step.events:
             value["events"] = [list(event) for event in step.events]
         if ending is not None:
@@ -373,6 +363,27 @@ class RecordedPlanning:
 def plugin_choice(plugin: Plugin) -> PluginChoice:
     """A plugin by name and parameters."""
     return PluginChoice(type(plugin).__name__, plugin.parameters.model_dump())
+
+
+def _measured_values(m: Measurements) -> dict[str, object]:
+    value: dict[str, object] = {
+        "stamp": m.stamp,
+        "pose": None if m.pose is None else [m.pose.x, m.pose.y, m.pose.yaw],
+        "twist": [m.twist.linear, m.twist.angular, m.twist.lateral],
+    }
+    if m.detections:
+        value["detections"] = [
+            [d.stamp, d.pose.x, d.pose.y, d.pose.yaw, d.position_sigma, d.yaw_sigma] for d in m.detections
+        ]
+    if m.contact is not None:
+        value["contact"] = m.contact
+    if m.costmap is not None:
+        value["costmap"] = _costmap_values(m.costmap)
+    if m.odometry is not None:
+        value["odometry"] = [m.odometry.stamp, m.odometry.pose.x, m.odometry.pose.y, m.odometry.pose.yaw]
+    if m.pose_stamp is not None:
+        value["pose_stamp"] = m.pose_stamp
+    return value
 
 
 def _costmap_values(costmap: Costmap | None) -> dict[str, object] | None:
@@ -574,6 +585,8 @@ class _CycleLine(_Line):
     detections: list[tuple[float, float, float, float, float, float]] = []
     contact: bool | None = None
     costmap: _CostmapValues | None = None
+    odometry: tuple[float, float, float, float] | None = None
+    pose_stamp: float | None = None
     events: list[tuple[float, str, str]] = []
     ending: tuple[str, str, int, float] | None = None
 
@@ -586,6 +599,8 @@ class _CycleLine(_Line):
             tuple(Detection(d[0], Pose2(d[1], d[2], d[3]), d[4], d[5]) for d in self.detections),
             self.contact,
             None if self.costmap is None else self.costmap.costmap(),
+            None if self.odometry is None else OdometryPose(self.odometry[0], Pose2(*self.odometry[1:])),
+            self.pose_stamp,
         )
         return Cycle(
             line,
