@@ -7,7 +7,7 @@ path that is driven at that time, the nearest pose of it by the larger of distan
 many dockings failed or took another attempt; and the time from the plan to docked over the plan's own. Writes
 results/06_driven_as_proven/.
 
-    python experiments/06_driven_as_proven.py [--starts N] [--controller NAME]
+    python experiments/06_driven_as_proven.py [--starts N] [--seed N] [--controller NAME]
 """
 
 from __future__ import annotations
@@ -149,6 +149,7 @@ def main() -> None:
     """Drive all of them and write the table."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--starts", type=int, default=40, help="of each kind")
+    parser.add_argument("--seed", type=int, default=1, help="of the starts")
     parser.add_argument("--controller", default="TrackingController")
     given = parser.parse_args()
     rows = [["plant", "robot", "dock", "off path", "p90", "time / plan", "p90", "lost"]]
@@ -157,7 +158,7 @@ def main() -> None:
             for direction in (DockDirection.FORWARD, DockDirection.BACKWARD):
                 found = [
                     docked(name, direction, start, lag, latency, given.controller)
-                    for start in starts(given.starts, direction)
+                    for start in starts(given.starts, direction, given.seed)
                 ]
                 off, time = np.array([one.off for one in found]), np.array([one.time for one in found])
                 numbers = (off.max(), np.percentile(off, 90), time.max(), np.percentile(time, 90))
