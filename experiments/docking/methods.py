@@ -12,8 +12,8 @@ import numpy as np
 from experiments.docking.outcome import Followed, Outcome, outcome_of
 from optdock.dock import DockDirection
 from optdock.errors import ControllerException
-from optdock.estimation import PoseFilter
 from optdock.executor import DockingExecutor, ExecutorSettings
+from optdock.executor.perception import Perception
 from optdock.executor.planning import InlinePlanning
 from optdock.geometry.pose import Pose2, Twist2, normalize_angle
 from optdock.interfaces import Controller, GoalChecker
@@ -87,6 +87,15 @@ def _filtered(before: Pose2, seen: Pose2) -> Pose2:
     )
 
 
+def _settings(world: World, *, use_detections: bool) -> ExecutorSettings:
+    """The defaults, but for the localization's noise, which is known."""
+    return ExecutorSettings(
+        use_detections=use_detections,
+        position_sigma=max(world.pose.position_sigma, 1e-4),
+        yaw_sigma=max(world.pose.yaw_sigma, 1e-4),
+    )
+
+
 def by_plan(case: Case, world: World, spread: str, rate: float, *, smoothed: bool) -> Outcome:
     """One plan to the dock as stored, tracked to its end; its path raw or smoothed and certified."""
     names = (f"{'smoothed' if smoothed else 'raw'} + tracker", world.name, spread, rate)
@@ -102,10 +111,11 @@ def by_plan(case: Case, world: World, spread: str, rate: float, *, smoothed: boo
         plugin.configure(PluginContext(plugin.name, problem=case.problem))
     controller.set_path(trajectory)
     robot, cycles, ending = case.world(world, has_switch=world.dock is not None), _Cycles(), "timeout"
-    filtered = PoseFilter(max(world.pose.position_sigma, 1e-4), max(world.pose.yaw_sigma, 1e-4))
+    filtered = Perception(case.problem.goal, _settings(world, use_detections=False), lambda *_: None)
     remaining, now = RemainingPath(trajectory.path), robot.measurements
     while robot.time < trajectory.duration + TIMEOUT:
-        pose, twist = filtered.update(now.stamp, now.pose, now.twist), now.twist
+        filtered.update(now, now.stamp, 0.0)
+        pose, twist = filtered.robot, now.twist
         if checker.is_goal_reached(pose, case.problem.goal, twist, remaining.from_pose(pose)):
             ending = ""
             break
@@ -167,14 +177,9 @@ class Executed(NamedTuple):
 def executed(case: Case, world: World, rate: float, controller: str = "TrackingController") -> Executed:
     """Dock by the executor: detections, replanning in motion, contact, retries."""
     robot, cycles, planning = case.world(world, has_switch=world.dock is not None), _Cycles(), WatchedPlanning()
-    settings = ExecutorSettings(
-        use_detections=world.dock is not None,
-        position_sigma=max(world.pose.position_sigma, 1e-4),
-        yaw_sigma=max(world.pose.yaw_sigma, 1e-4),
-    )
     executor = DockingExecutor(
         case.problem,
-        settings,
+        _settings(world, use_detections=world.dock is not None),
         controller=controller,
         goal_checker=PluginChoice("DockGoalChecker", CHECKER),
         planning=planning,

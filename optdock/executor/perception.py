@@ -1,27 +1,45 @@
-"""What the robot knows of itself and of the dock, brought up to date by every set of measurements."""
+"""What the robot knows of itself and of the dock, brought up to date by every set of measurements.
+
+The robot is estimated twice by the same filter over the same odometry: in the map, from the localization, and in the
+frame of the dock, from the detections. What must be exact at the dock is the second, in which the localization has no
+part; the first is needed for obstacles, and for a dock that has not been seen yet.
+"""
 
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from optdock.estimation import PoseFilter
-from optdock.executor.dock_filter import DeadReckoning, DockFilter
+from optdock.estimation import DeadReckoning, OdometryErrors, PoseFilter
+from optdock.geometry.pose import Pose2
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
     from optdock.costmap.costmap import Costmap
     from optdock.executor.settings import ExecutorSettings
-    from optdock.geometry.pose import Pose2
-    from optdock.measurements import Measurements
+    from optdock.geometry.arrays import FloatArray
+    from optdock.measurements import Detection, Measurements
 
-__all__ = ["Perception"]
+__all__ = ["Perception", "Sigma"]
 
 _VAGUE = 1.0  # [m], [rad]: a detection that is no surer says nothing, and must not pass for one
 _STALE = 1.0  # [s]: a detection that took longer says where the dock was
+_MISSED = 0.5  # [s] without a measurement that is said in the log
+_LEAST_SIGMA = 2e-4, 2e-4  # [m], [rad]: no detector is better, and none may make the covariance singular
+_LATE = 0.04  # [s]: a delay of the detections against the odometry that is said, where it is known that well
+_JITTER = 0.01  # [s]: of the stamps of detections, by exposure and drivers
+_STRAIGHT_YAW = 0.003  # [rad/m^0.5], random, of odometry that drives straight; what is systematic is learned
+
+
+class Sigma(NamedTuple):
+    """Standard deviations in the frame of the dock: along, across [m] and yaw [rad]."""
+
+    along: float
+    cross: float
+    yaw: float
 
 
 class Perception:
@@ -42,16 +60,31 @@ class Perception:
 
     def __init__(self, stored: Pose2, settings: ExecutorSettings, report: Callable[[str, str], None]) -> None:
         self._stored, self._settings, self._report = stored, settings, report
-        self._robot = PoseFilter(settings.position_sigma, settings.yaw_sigma)
         self._reckoning: DeadReckoning | None = None
-        self._dock: DockFilter | None = None
+        self._robot = PoseFilter(OdometryErrors())
+        self._dock = PoseFilter(
+            OdometryErrors(
+                along=settings.odometry_sigma,
+                yaw_per_way=_STRAIGHT_YAW,
+                yaw_per_turn=settings.odometry_yaw_sigma,
+                wander=settings.dock_drift,
+                yaw_wander=0.0,
+                scale=settings.odometry_scale_sigma,
+                drift=settings.odometry_drift_sigma,
+                delay=settings.detection_delay_sigma,
+                jitter=_JITTER,
+            ),
+            confirmations=settings.dock_confirmations,
+        )
+        self._noise = np.diag([settings.position_sigma**2, settings.position_sigma**2, settings.yaw_sigma**2])
+        self._pose_used, self._restarts = -math.inf, 0
         self.measurements: Measurements | None = None
         self.stamp = -math.inf
         self.costmap: Costmap | None = None
         self._costmap_at: float | None = None
         self.detections = self.rejected = 0
-        self._jumped_at = -math.inf
-        self._pose_was_lost = self._dock_was_lost = False
+        self.too_far = 0.0
+        self._pose_was_lost = self._dock_was_lost = self._delay_was_said = False
 
     @property
     def started(self) -> bool:
@@ -76,19 +109,22 @@ class Perception:
     @property
     def sees_dock(self) -> bool:
         """Whether it has been detected at all."""
-        return self._dock is not None and self._dock.accepted > 0
+        return self._dock.accepted > 0
 
     @property
     def detection_age(self) -> float:
         """Since the dock was seen [s]; infinite before."""
-        return self.stamp - self._dock.last_stamp if self._dock is not None else math.inf
+        return self.stamp - self._dock.measured_at
+
+    @property
+    def is_contradicted(self) -> bool:
+        """Whether the newest detections agree with each other and not with the estimate."""
+        return self._settings.use_detections and self._dock.is_contradicted
 
     @property
     def robot_from_dock(self) -> Pose2:
         """The robot seen from the docked pose; localization has no part in it once the dock is seen."""
-        if self._dock is not None and self._reckoning is not None and self.sees_dock:
-            return self._reckoning.pose.in_frame_of(self._dock.mean)
-        return self.robot.in_frame_of(self._stored)
+        return self._dock.pose if self.sees_dock else self.robot.in_frame_of(self._stored)
 
     @property
     def dock(self) -> Pose2:
@@ -97,13 +133,28 @@ class Perception:
 
     @property
     def sigma(self) -> tuple[float, float]:
-        """Of the robot seen from the dock: position, each of x and y [m], and yaw [rad]."""
+        """Of the dock seen from the robot: position, the larger one of along and across [m], and yaw [rad]."""
         if not self._settings.use_detections and self._robot.started:
             spread = self._robot.covariance
             return math.sqrt(max(float(spread[0, 0]), float(spread[1, 1]))), math.sqrt(float(spread[2, 2]))
-        if self._dock is None:
+        if not self._dock.started:
             return self._settings.stored_position_sigma, self._settings.stored_yaw_sigma
-        return self._dock.position_sigma, self._dock.yaw_sigma
+        # What the yaw makes of the place is no doubt of where the dock is, seen from here.
+        robot, spread = self._dock.pose, self._dock.covariance[:3, :3]
+        swing = np.array([[1.0, 0.0, robot.y], [0.0, 1.0, -robot.x]])
+        place = swing @ spread @ swing.T
+        return math.sqrt(max(float(place[0, 0]), float(place[1, 1]))), math.sqrt(float(spread[2, 2]))
+
+    def sigma_after(self, way: float) -> Sigma:
+        """Of the robot in the frame of the dock, after a straight way without another detection.
+
+        Args:
+            way: Forward [m], negative in reverse.
+        """
+        found = (self._dock if self._settings.use_detections else self._robot).after(way)
+        if not self._settings.use_detections:  # whichever way the dock lies in the map
+            found[0, 0] = found[1, 1] = max(found[0, 0], found[1, 1])
+        return Sigma(*np.sqrt(np.diag(found)).tolist())
 
     def update(self, measurements: Measurements, stamp: float, offset: float) -> None:
         """Take in what was measured.
@@ -113,72 +164,111 @@ class Perception:
             stamp: Theirs, on the clock that never goes back [s].
             offset: What that clock is ahead of the one of the detections [s].
         """
-        self.measurements, before, self.stamp = measurements, self.stamp, stamp
+        self.measurements, self.stamp = measurements, stamp
         if self._costmap_at is None or measurements.costmap is not None:
             self._costmap_at = stamp
         if measurements.costmap is not None and not _is_same(measurements.costmap, self.costmap):
             self.costmap = measurements.costmap
-        if not self._locate(measurements, stamp - before):
+        if not self._locate(measurements):
             return
         if self._settings.use_detections:
             self._see_dock(measurements, offset)
         self._say_what_is_lost()
 
-    def _locate(self, measurements: Measurements, period: float) -> bool:
-        """The robot's pose; False while there has never been one."""
-        robot, settings, twist, stamp = self._robot, self._settings, measurements.twist, self.stamp
-        if not robot.started and measurements.pose is None:
-            return False
-        first = not robot.started
-        robot.update(stamp, measurements.pose, twist)
-        if first or self._reckoning is None:
-            self._reckoning = DeadReckoning(stamp, twist)
-            stored = robot.pose.inverse() @ self._stored
-            self._dock = DockFilter(stored, settings.stored_position_sigma, settings.stored_yaw_sigma)
-            return True
-        way = self._reckoning.advance(stamp, twist)
-        if self._dock is not None:
-            drift = settings.dock_drift * math.sqrt(period)
-            along = settings.odometry_sigma * math.sqrt(abs(way.linear))
-            turn = math.sqrt(settings.odometry_yaw_sigma**2 * abs(way.angular) + _STRAIGHT_YAW**2 * abs(way.linear))
-            self._dock.forget(self._reckoning.pose, along, turn, drift)
-            if self._dock.accepted == 0:
-                self._dock.mean = self._reckoning.pose @ (robot.pose.inverse() @ self._stored)
-        jump = robot.jump
-        if jump is not None:
-            self._report(
-                "pose jumped", f"by {math.hypot(jump.x, jump.y):.3f} m and {jump.yaw:.3f} rad against the odometry"
-            )
-            if self._dock is not None and self.sees_dock:
-                # Either localization has moved, or the robot has been; the next detection after it tells.
-                self._dock.widen(math.hypot(jump.x, jump.y), abs(jump.yaw))
-                self._jumped_at = stamp
+    def _locate(self, measurements: Measurements) -> bool:
+        """The robot in the map; False while its pose has never been measured."""
+        robot, stamp, pose = self._robot, self.stamp, measurements.pose
+        measured_at = stamp if measurements.pose_stamp is None else measurements.pose_stamp
+        if pose is not None and not math.isfinite(measured_at):
+            self._report("pose not used", f"its stamp is {measured_at}")
+            pose = None
+        if self._reckoning is None:
+            if pose is not None:
+                self._begin(measurements, pose, measured_at)
+            return pose is not None
+        step = self._reckoning.advance(stamp, measurements.twist, measurements.odometry)
+        if self._reckoning.restarts != self._restarts:
+            self._restarts = self._reckoning.restarts
+            self._report("odometry began anew", "its frame has moved; the twist tells the way in between")
+        robot.predict(stamp, step)
+        self._dock.predict(stamp, step)
+        if pose is not None and measured_at > self._pose_used:  # else delivered twice, or too late
+            self._pose_used = measured_at
+            robot.correct(measured_at, pose, self._noise)
+            self._look_at_jump()
+        if not self.sees_dock:
+            self._dock.place(robot.pose.in_frame_of(self._stored), self._stored_noise())
         return True
 
+    def _begin(self, measurements: Measurements, pose: Pose2, measured_at: float) -> None:
+        stamp = self.stamp
+        self._reckoning = DeadReckoning(stamp, measurements.twist, measurements.odometry)
+        passed = min(max(stamp - measured_at, 0.0), _STALE)
+        self._robot.start(stamp, pose.moved(measurements.twist, passed), self._noise)
+        self._dock.start(stamp, self.robot.in_frame_of(self._stored), self._stored_noise())
+        self._robot.measured_at = self._pose_used = measured_at
+
+    def _look_at_jump(self) -> None:
+        jump = self._robot.jump
+        if jump is None:
+            return
+        way = math.hypot(jump.x, jump.y)
+        self._report("pose jumped", f"by {way:.3f} m and {jump.yaw:.3f} rad against the odometry")
+        if self.sees_dock:
+            # The localization has moved; or the robot has been, as the next detection then tells.
+            self._dock.suppose(self._dock.pose @ jump, self._dock.covariance[:3, :3] + 4.0 * self._noise)
+
+    def _stored_noise(self) -> FloatArray:
+        """Covariance of the robot in the frame of the dock as it is stored, Shape (3, 3)."""
+        settings = self._settings
+        return _seen_from_dock(
+            self._robot.pose.in_frame_of(self._stored), settings.stored_position_sigma, settings.stored_yaw_sigma
+        )
+
     def _see_dock(self, measurements: Measurements, offset: float) -> None:
-        assert self._dock is not None
-        assert self._reckoning is not None
-        for late in measurements.detections:
+        for late in sorted(measurements.detections, key=lambda detection: detection.stamp):
             detection = late._replace(stamp=late.stamp + offset)
-            age = self.stamp - detection.stamp
-            robot = self._reckoning.at(detection.stamp) if age <= _STALE else None
-            sigmas = detection.position_sigma, detection.yaw_sigma
-            if robot is None or not all(0.0 <= sigma <= _VAGUE for sigma in sigmas):
+            age, sigmas = self.stamp - detection.stamp, (detection.position_sigma, detection.yaw_sigma)
+            verdict, before = "forgotten", self._dock.pose
+            seen = detection.pose.inverse()
+            if age <= _STALE and all(0.0 <= sigma <= _VAGUE for sigma in sigmas):
+                noise = _seen_from_dock(seen, *map(max, sigmas, _LEAST_SIGMA))
+                verdict = self._take(detection, seen, noise)
+            if verdict == "forgotten":
                 self._report("detection not used", f"it is {age:.3f} s old, its sigmas are {sigmas}")
-                continue
-            if detection.stamp < self._jumped_at:
-                continue
-            before = self._dock.mean
-            verdict = self._dock.see(detection, robot)
-            if verdict == "rejected":
+            elif verdict == "rejected":
                 self.rejected += 1
-                gap = (robot @ detection.pose).in_frame_of(before)
+                gap = seen.in_frame_of(self._dock.pose_at(detection.stamp))
                 self._report("detection rejected", f"{gap.x:.3f} m, {gap.y:.3f} m, {gap.yaw:.3f} rad off the estimate")
-                continue
-            self.detections += 1
-            if verdict == "moved":
-                gap = self._dock.mean.in_frame_of(before)
-                self._report("dock moved", f"by {gap.x:.3f} m, {gap.y:.3f} m, {gap.yaw:.3f} rad")
+            elif verdict != "too far":
+                self.detections += 1
+                if verdict == "moved":
+                    gap = self._dock.pose.in_frame_of(before).inverse()
+                    self._report("dock moved", f"by {gap.x:.3f} m, {gap.y:.3f} m, {gap.yaw:.3f} rad")
+        self._say_delay()
+
+    def _take(self, detection: Detection, seen: Pose2, noise: FloatArray) -> str:
+        """Hand a detection to the filter, unless it shows a dock where none is stored."""
+        if not detection.stamp >= self._robot.remembered_from:
+            return "forgotten"
+        place = self._robot.pose_at(min(detection.stamp, self.stamp)) @ detection.pose
+        far, most = place.distance_to(self._stored), self._settings.max_detection_offset
+        is_far = far > most
+        if is_far and not self.sees_dock:
+            self.too_far = far
+            self._report("detection too far", f"{far:.3f} m from the stored dock, max_detection_offset is {most:.3f} m")
+            return "too far"
+        return self._dock.correct(detection.stamp, seen, noise, may_move=not is_far)
+
+    def _say_delay(self) -> None:
+        """Say once that detections come with stamps that do not fit the odometry, as far as the motion has told."""
+        delay, sigma = float(self._dock.systematic[2]), math.sqrt(max(float(self._dock.covariance[5, 5]), 0.0))
+        if not self._delay_was_said and abs(delay) > _LATE and sigma < 0.25 * abs(delay):
+            self._delay_was_said = True
+            self._report(
+                "detections look late" if delay > 0.0 else "odometry looks late",
+                f"by {1e3 * abs(delay):.0f} ms, with a standard deviation of {1e3 * sigma:.0f} ms",
+            )
 
     def _say_what_is_lost(self) -> None:
         """Say once when poses or detections stop coming, and when they come again."""
@@ -199,5 +289,21 @@ def _is_same(costmap: Costmap, known: Costmap | None) -> bool:
     return costmap is known or np.array_equal(costmap.data, known.data)
 
 
-_MISSED = 0.5  # [s] without a measurement that is said in the log
-_STRAIGHT_YAW = 0.005  # [rad/m^0.5], of odometry that drives straight: a wheel of 0.5 % more turns 5 mrad per metre
+def _seen_from_dock(robot: Pose2, position_sigma: float, yaw_sigma: float) -> FloatArray:
+    """Covariance of the robot in the frame of the dock, where the dock is known in the frame of the robot.
+
+    With D the dock seen from the robot and T its inverse, an error of D's yaw swings the robot about the dock.
+
+    Args:
+        robot: T.
+        position_sigma: Of D's x and y, each [m].
+        yaw_sigma: Of D's yaw [rad].
+
+    Returns:
+        Shape (3, 3) [m, m, rad].
+    """
+    swing = np.array([-robot.y, robot.x, 1.0])
+    found: FloatArray = yaw_sigma**2 * np.multiply.outer(swing, swing)
+    found[0, 0] += position_sigma**2
+    found[1, 1] += position_sigma**2
+    return found

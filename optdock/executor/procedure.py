@@ -47,6 +47,9 @@ _AT_REST = 0.01, 0.02  # [m/s], [rad/s] by odometry: a robot that stands, its en
 _REST_PATIENCE = 2.0  # [s]: an odometry that never says so must not hold the task up
 _PLANNING_PATIENCE = 5.0  # [s] beyond its budget: a thread that shares its core is late, not dead
 _CLEAR_OF_CONTACT = 0.005  # [m]: a way back is planned from there; nearer, noise could make an overlap of it
+# Standard deviations that the accepted errors of the dock must hold: one docking in 400 is then off by one more, were
+# the robot believed to stand at the edge of what is accepted; it is believed to stand in the middle.
+_CERTAINTY = 2.0
 _BLINK = 0.5  # [s] without a detection that nothing is made of
 _BACK_OUT_SPEED = 0.05  # [m/s]
 _CREEP = 1e-6  # [m/s]: no drive moves at it; steered wheels turn as its arc says
@@ -246,10 +249,12 @@ class Procedure:
             if self._now - since > self._settings.initial_perception_timeout:
                 found = self._perception.detections - before
                 rejected = self._perception.rejected
+                far = self._perception.too_far
                 raise _Failed(
                     EndingKind.FAILED_TO_DETECT_DOCK,
                     f"{found} detections in {self._now - since:.1f} s, needed are {self._settings.least_detections}; "
-                    f"{rejected} were rejected so far",
+                    f"{rejected} were rejected so far"
+                    + (f"; the last was {far:.3f} m from the stored dock, which is another one" if far else ""),
                 )
             yield from self._cycle(_STOP)
 
@@ -344,8 +349,22 @@ class Procedure:
     def _make_contact(self) -> Generator[Wish, None, EndingKind]:
         """At the end of the path, not docked yet: press on until contact is felt."""
         if self._settings.contact == "distance":
+            self._require_certainty()
             raise _AttemptFailed(EndingKind.FAILED_TO_CONTROL, f"not docked: {self._where}")
         return (yield from self._press())
+
+    def _require_certainty(self) -> None:
+        """Raises _AttemptFailed if nobody knows whether the robot stands in its dock."""
+        perception = self._perception
+        if perception.is_contradicted:
+            raise _AttemptFailed(EndingKind.FAILED_TO_DETECT_DOCK, "the last detections contradict where the dock was")
+        if not self._will_know(0.0):
+            sigma = perception.sigma_after(0.0)
+            raise _AttemptFailed(
+                EndingKind.FAILED_TO_DETECT_DOCK,
+                f"it cannot be known whether the robot is docked: not seen for {perception.detection_age:.1f} s, "
+                f"standard deviations {sigma.along:.4f} m along, {sigma.cross:.4f} m across, {sigma.yaw:.4f} rad",
+            )
 
     def _press(self) -> Generator[Wish, None, EndingKind]:
         """Straight on along the dock's axis, slowly, until contact is felt and lasts."""
@@ -478,10 +497,19 @@ class Procedure:
 
     @property
     def _detection_is_old(self) -> bool:
-        """Whether the dock has not been seen for too long, or not since its place has become too uncertain."""
-        age, accepted = self._perception.detection_age, self._base.dock.tolerances
-        blurred = self._perception.sigma[0] > accepted.cross or self._perception.sigma[1] > accepted.yaw
-        return age > self._settings.detection_patience or (age > _BLINK and blurred)
+        """Whether the dock has not been seen for so long that the robot would not know at the dock where it stands."""
+        age, settings = self._perception.detection_age, self._settings
+        left = abs(self._perception.robot_from_dock.x)
+        if age <= _BLINK or self._distance <= settings.detection_blind_distance:
+            return False
+        patience = settings.detection_patience
+        return (patience is not None and age > patience) or not self._will_know(left)
+
+    def _will_know(self, left: float) -> bool:
+        """Whether the tolerances of the dock can be told from the noise after so much more of the way [m]."""
+        sigma, accepted = self._perception.sigma_after(self._gear * left), self._base.dock.tolerances
+        asked = zip(sigma, (accepted.along, accepted.cross, accepted.yaw), strict=True)
+        return all(_CERTAINTY * found <= most for found, most in asked)
 
     @property
     def _gear(self) -> float:
@@ -769,7 +797,9 @@ class _Drive:
             return  # what is left is still being corrected
         relative, goal = owner._perception.robot_from_dock, Pose2(0.0, 0.0, 0.0)
         path = [Pose2(-0.1 * owner._gear, 0.0, 0.0), goal]
-        if owner._goal_checker.is_goal_reached(relative, goal, owner._twist, path):
+        if not owner._goal_checker.is_goal_reached(relative, goal, owner._twist, path):
+            return
+        if not owner._perception.is_contradicted and owner._will_know(0.0):
             raise _Docked(EndingKind.DOCKED_BY_DISTANCE)
 
     def _is_finished(self) -> bool:

@@ -65,8 +65,23 @@ class ExecutorSettings(PluginParameters):
     use_detections: bool = Field(default=True, description="the dock is where it is seen; False: where it is stored")
     initial_perception_timeout: float = Field(default=5.0, gt=0.0, description="for the first detections, at rest [s]")
     least_detections: int = Field(default=3, ge=1, description="that must agree before the approach begins")
-    detection_patience: float = Field(
-        default=3.0, gt=0.0, description="the approach goes on so long without a detection [s]"
+    detection_patience: float | None = Field(
+        default=None,
+        gt=0.0,
+        description="the approach goes on so long without a detection [s]; None: as long as the robot will know at the "
+        "dock, by odometry, whether it stands in it",
+    )
+    detection_blind_distance: float = Field(
+        default=0.0, ge=0.0, description="nearer than this to the dock no detection is waited for [m]"
+    )
+    max_detection_offset: float = Field(
+        default=0.25, gt=0.0, description="a first detection farther than this from the stored dock is another dock [m]"
+    )
+    dock_confirmations: int = Field(
+        default=3, ge=2, description="rejected detections that agree with each other until they are believed"
+    )
+    detection_delay_sigma: float = Field(
+        default=0.05, ge=0.0, description="of an unknown delay of the detections' stamps, which is learned [s]"
     )
     stored_position_sigma: float = Field(default=0.1, gt=0.0, description="of the stored dock's x and y, each [m]")
     stored_yaw_sigma: float = Field(default=0.06, gt=0.0, description="of the stored dock's yaw [rad]")
@@ -77,6 +92,12 @@ class ExecutorSettings(PluginParameters):
     yaw_sigma: float = Field(default=0.009, gt=0.0, description="of the measured yaw [rad]")
     odometry_sigma: float = Field(default=0.005, gt=0.0, description="of odometry per way driven [m/sqrt(m)]")
     odometry_yaw_sigma: float = Field(default=0.02, gt=0.0, description="of its yaw per turn [rad/sqrt(rad)]")
+    odometry_scale_sigma: float = Field(
+        default=0.003, ge=0.0, description="of a systematic error of the way driven, which is learned [1]"
+    )
+    odometry_drift_sigma: float = Field(
+        default=0.005, ge=0.0, description="of a systematic turn per way driven, which is learned [rad/m]"
+    )
     pose_patience: float = Field(default=0.5, gt=0.0, description="odometry alone steers for so long [s]")
     localization_timeout: float = Field(default=5.0, gt=0.0, description="at rest without a pose for so long: end [s]")
 

@@ -49,6 +49,7 @@ def odometry(at: float, speed: float = 0.2) -> Odometry:
     """The robot's velocity."""
     message = Odometry(child_frame_id="base_link")
     message.header.frame_id, message.header.stamp = "odom", stamp(at)
+    message.pose.pose.position.x = 0.2 * (at - 100.0)
     message.pose.pose.orientation.w = 1.0
     message.twist.twist.linear.x = speed
     return message
@@ -71,21 +72,36 @@ def measuring(frames: Frames, rules: MeasurementRules = RULES) -> Measuring:
     return Measuring(rules, frames, detect, lambda _: None)
 
 
-def test_the_pose_is_brought_up_to_now_by_odometry() -> None:
+def test_pose_and_odometry_come_with_the_stamps_at_which_they_were_measured() -> None:
     frames = Frames()
     told = measuring(frames)
     for k in range(6):
         told.take_odometry(odometry(100.0 + 0.02 * k))
     found = told.measurements(100.1)
-    assert found.pose is not None
-    assert found.pose.x == pytest.approx(0.02, abs=1e-6), "0.1 s at 0.2 m/s after the transform"
+    assert (found.pose, found.pose_stamp) == (Pose2(0.0, 0.0, 0.0), 100.0)
+    assert found.odometry is not None
+    assert found.odometry.stamp == pytest.approx(100.1)
+    assert found.odometry.pose.x == pytest.approx(0.02)
     assert found.twist == Twist2(0.2)
     assert set(told.faults) == {"costmap"}
-    assert told.measurements(100.12).pose is None, "the same transform says nothing new"
+    found = told.measurements(100.12)
+    assert (found.pose, found.pose_stamp) == (None, None), "the same transform says nothing new"
     frames.newest = 100.12
     found = told.measurements(100.14)
     assert found.pose is not None
-    assert found.pose.x == pytest.approx(0.028, abs=1e-6)
+    assert found.pose.x == pytest.approx(0.024, abs=1e-6)
+    assert found.pose_stamp == 100.12
+
+
+def test_the_odometry_of_another_frame_of_the_robot_is_that_of_its_base() -> None:
+    told = measuring(Frames())
+    message = odometry(100.0)
+    message.child_frame_id = "camera"
+    message.pose.pose.position.x = 3.0
+    told.take_odometry(message)
+    found = told.measurements(100.0).odometry
+    assert found is not None
+    assert found.pose == Pose2(3.0, 0.0, 0.0)
 
 
 def test_a_pose_that_is_old_tilted_or_from_the_future_is_none() -> None:

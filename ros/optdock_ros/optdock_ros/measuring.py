@@ -13,9 +13,8 @@ from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
 
 from optdock import ros
 from optdock.errors import InvalidMessage, OptdockError
-from optdock.executor.dock_filter import DeadReckoning
 from optdock.geometry.pose import Pose2, Twist2
-from optdock.measurements import Detection, Measurements
+from optdock.measurements import Detection, Measurements, OdometryPose
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
@@ -29,7 +28,6 @@ _QUEUED = 200  # messages between two cycles: at most 4 s of odometry at 50 Hz a
 _AHEAD = 0.1  # [s] that a stamp may lie ahead of this clock: two computers agree better than that, or not at all
 _TRANSFORM_WAIT = 0.2  # [s] that a detection waits for its transform, as Nav2's
 _AT_REST = 0.01  # [m/s], [rad/s] by encoders: a robot that stands
-_STEP = 0.25  # [s] between two odometry messages, beyond which the way between them is not known
 
 
 class Frames(Protocol):
@@ -90,8 +88,8 @@ class Measuring:
         self._odometry: deque[Any] = deque(maxlen=_QUEUED)
         self._seen: deque[Any] = deque(maxlen=_QUEUED)
         self._surroundings: Surroundings | None = None
-        self._reckoning: DeadReckoning | None = None
         self._twist: tuple[float, Twist2] | None = None
+        self._odometry_pose: OdometryPose | None = None
         self._heard, self._heard_at = Twist2(), -math.inf
         self._pose_stamp = -math.inf
         self.faults: Mapping[str, str] = {}
@@ -119,14 +117,14 @@ class Measuring:
     def measurements(self, now: float) -> Measurements:
         """What is known at a time [s]; in the thread of the control loop."""
         if now < self._now:  # whatever is stamped later than that would be believed for too long
-            self._reckoning = self._twist = None
+            self._twist = self._odometry_pose = None
             self._pose_stamp = -math.inf
         self._now, is_first = now, self._began is None
         if self._began is None:
             self._began = now  # what was seen before cannot be placed on the way that the robot makes from now on
         faults: dict[str, str] = {}
         twist = self._velocity(now, faults)
-        pose = self._pose(now, twist, faults)
+        pose, pose_stamp = self._pose(now, faults) if twist is not None else (None, None)
         detections = self._detections(now, faults)
         costmap = self._costmap(now, faults)
         self.faults = faults
@@ -136,7 +134,8 @@ class Measuring:
             # Stamps of another clock, or a clock that was set, place nothing; but what has just been heard is what the
             # robot does, and what a stop must begin with.
             twist = self._heard if monotonic() - self._heard_at <= self._rules.odom_tolerance else Twist2()
-        return Measurements(now, pose, twist, detections, self._contact(now), costmap)
+        contact, odometry = self._contact(now), self._odometry_pose
+        return Measurements(now, pose, twist, detections, contact, costmap, odometry, pose_stamp)
 
     def _velocity(self, now: float, faults: dict[str, str]) -> Twist2 | None:
         """The newest body velocity; None where it is too old to be believed."""
@@ -151,7 +150,9 @@ class Measuring:
             if told.stamp > now + _AHEAD:
                 faults["odometry"] = f"it is stamped {told.stamp - now:.3f} s ahead of this clock"
                 continue
-            self._reckon(told.stamp, told.twist)
+            if self._twist is None or told.stamp > self._twist[0]:  # else delivered twice, or too late
+                self._twist = told.stamp, told.twist
+                self._odometry_pose = self._robot_by_odometry(told, faults)
         if self._twist is None:
             faults.setdefault("odometry", "none has come")
             return None
@@ -161,48 +162,37 @@ class Measuring:
             return None
         return self._twist[1]
 
-    def _reckon(self, stamp: float, twist: Twist2) -> None:
-        before = self._twist
-        if before is not None and stamp <= before[0]:
-            return  # delivered twice, or too late
-        if self._reckoning is None or before is None or stamp - before[0] > _STEP:
-            self._reckoning = DeadReckoning(stamp, twist)
-        else:
-            self._reckoning.advance(stamp, twist)
-        self._twist = stamp, twist
+    def _robot_by_odometry(self, told: ros.Odometry, faults: dict[str, str]) -> OdometryPose | None:
+        """The pose of the base, of which the odometry may tell that of another frame of the robot."""
+        child, base = told.child_frame, self._rules.base_frame
+        if child in ("", base):
+            return OdometryPose(told.stamp, told.pose)
+        try:
+            return OdometryPose(told.stamp, told.pose @ self._frames.lookup(child, base).planar())
+        except OptdockError as error:
+            faults["odometry"] = str(error)
+            return None
 
-    def _pose(self, now: float, twist: Twist2 | None, faults: dict[str, str]) -> Pose2 | None:
-        """Where the robot is now: where its newest transform says, and the way by odometry since then.
-
-        A transform that has been used says nothing new; a robot whose velocity nobody knows is nowhere.
-        """
+    def _pose(self, now: float, faults: dict[str, str]) -> tuple[Pose2 | None, float | None]:
+        """Where the newest transform says that the robot is, and its stamp; one that has been used says nothing new."""
         rules = self._rules
         try:
             found = self._frames.lookup(rules.fixed_frame, rules.base_frame)
             pose = found.planar()
         except OptdockError as error:
             faults["transform"] = str(error)
-            return None
+            return None, None
         age = now - found.stamp
         if age > rules.transform_tolerance or age < -_AHEAD:
             faults["transform"] = f"{rules.fixed_frame} <- {rules.base_frame}: the last one is {age:.3f} s old"
-            return None
-        if twist is None or found.stamp == self._pose_stamp:
-            return None
+            return None, None
+        if found.stamp == self._pose_stamp:
+            return None, None
         assert self._twist is not None
         if now - self._twist[0] > rules.transform_tolerance:
-            return None  # the way since then is not known well enough
+            return None, None  # the way since then is not known well enough
         self._pose_stamp = found.stamp
-        return self._moved_on(pose, found.stamp, now, twist)
-
-    def _moved_on(self, pose: Pose2, stamp: float, now: float, twist: Twist2) -> Pose2:
-        assert self._twist is not None
-        until = self._twist[0]
-        then = self._reckoning.at(stamp) if self._reckoning is not None else None
-        if then is None or self._reckoning is None:  # from before the first velocity
-            return pose.moved(twist, max(0.0, now - stamp))
-        moved = pose @ (then.inverse() @ self._reckoning.pose) if stamp < until else pose
-        return moved.moved(twist, max(0.0, now - max(stamp, until)))
+        return pose, min(found.stamp, now)
 
     def _detections(self, now: float, faults: dict[str, str]) -> tuple[Detection, ...]:
         """New ones, the oldest first."""
