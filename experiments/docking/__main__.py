@@ -3,8 +3,11 @@
     python -m experiments.docking                                # 1,000 by the executor, 100 by the others: 30 min
     python -m experiments.docking --count 50 --world detected --method executor
     python -m experiments.docking --faults                       # the table of faults
+    python -m experiments.docking --world field --count 40       # the field world, by the executor and by Nav2's law
+    python -m experiments.docking --world "field, blind" --method executor --rate 50 --count 40
 
-Writes results/docking/: runs.csv, table.md, cdf.png and, of the worst run by the executor, a film.
+Writes results/docking/: runs.csv, table.md, cdf.png and, of the worst run by the executor, a film; of the field worlds
+field.csv, field.md and, of the worst run by the executor, field.png.
 """
 
 from __future__ import annotations
@@ -17,17 +20,22 @@ import sys
 from concurrent.futures import ProcessPoolExecutor
 from multiprocessing import get_context
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TypeVar
 
+from experiments.docking.field.run import driven_in_field, field_tasks
+from experiments.docking.field.worlds import FIELD_WORLDS
 from experiments.docking.run import PLAN, driven, tasks
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Callable, Sequence
 
+    from experiments.docking.field.outcome import FieldOutcome
     from experiments.docking.outcome import Outcome
     from experiments.docking.run import Task
 
 OUT = Path("results") / "docking"
+Given = TypeVar("Given")
+Result = TypeVar("Result")
 THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 
 
@@ -37,10 +45,16 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument(
         "--count", type=int, default=1000, help="dockings of each kind by the executor (default: %(default)s)"
     )
-    parser.add_argument("--world", action="append", choices=sorted(PLAN), help="only this one; may be repeated")
+    parser.add_argument(
+        "--world", action="append", choices=[*sorted(PLAN), *FIELD_WORLDS], help="only this one; may be repeated"
+    )
     parser.add_argument("--method", action="append", help="only this one; may be repeated")
     parser.add_argument("--rate", action="append", type=float, help="only this one [Hz]; may be repeated")
-    parser.add_argument("--spread", default="nav2", choices=("nav2", "wider"), help="starts (default: %(default)s)")
+    parser.add_argument(
+        "--spread",
+        choices=("nav2", "wider"),
+        help="starts (default: nav2; in the field worlds wider for the executor)",
+    )
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--jobs", type=int, default=2, help="processes (default: %(default)s)")
     parser.add_argument("--faults", action="store_true", help="the table of faults instead")
@@ -56,25 +70,19 @@ def main(arguments: Sequence[str] | None = None) -> int:
         (options.out / "faults.md").write_text(text + "\n", encoding="utf-8")
         sys.stdout.write(text + "\n")
         return 0 if is_sound else 1
-    return study(options)
+    in_field = [world for world in options.world or () if world in FIELD_WORLDS]
+    if in_field:
+        field_study(options, in_field)
+    return study(options) if not options.world or len(in_field) < len(options.world) else 0
 
 
 def study(options: argparse.Namespace) -> int:
     """All tasks; 1 where a certificate was wrong within the tube."""
     todo = tasks(options)
-    found: list[Outcome] = []
-    with ProcessPoolExecutor(options.jobs, get_context("spawn")) as pool:
-        for outcome in pool.map(driven, todo, chunksize=8):
-            found.append(outcome)
-            if len(found) % 100 == 0:
-                sys.stderr.write(f"\r{len(found)} of {len(todo)}")
-    sys.stderr.write("\n")
+    found = results_of(driven, todo, options.jobs)
     from experiments.docking import tables
 
-    with (options.out / "runs.csv").open("w", newline="", encoding="utf-8") as file:
-        writer = csv.writer(file)
-        writer.writerow(type(found[0])._fields)
-        writer.writerows(found)
+    write_rows(options.out / "runs.csv", found)
     text = tables.table_of(found)
     (options.out / "table.md").write_text(text + "\n", encoding="utf-8")
     sys.stdout.write(text + "\n")
@@ -85,10 +93,48 @@ def study(options: argparse.Namespace) -> int:
     return 1 if any(outcome.short > tables.FORGIVEN for outcome in found) else 0
 
 
+def field_study(options: argparse.Namespace, worlds: list[str]) -> None:
+    """All tasks of the field worlds."""
+    from experiments.docking.field.picture import draw_run
+    from experiments.docking.field.tables import field_table
+
+    todo = field_tasks(options, worlds)
+    found = results_of(driven_in_field, todo, options.jobs)
+    write_rows(options.out / "field.csv", found)
+    text = field_table(found)
+    (options.out / "field.md").write_text(text + "\n", encoding="utf-8")
+    sys.stdout.write(text + "\n")
+    docked = [(one.falsely_docked, abs(one.cross), task) for one, task in zip(found, todo, strict=True) if one.docked]
+    ours = [entry for entry in docked if entry[2].method == "executor"]
+    if ours:
+        draw_run(options.out / "field.png", max(ours)[2])
+
+
+def results_of(drive: Callable[[Given], Result], todo: Sequence[Given], jobs: int) -> list[Result]:
+    """What each task gives, in their order, from so many processes."""
+    found: list[Result] = []
+    with ProcessPoolExecutor(jobs, get_context("spawn")) as pool:
+        for outcome in pool.map(drive, todo, chunksize=8):
+            found.append(outcome)
+            if len(found) % 100 == 0:
+                sys.stderr.write(f"\r{len(found)} of {len(todo)}")
+    sys.stderr.write("\n")
+    return found
+
+
+def write_rows(target: Path, found: Sequence[Outcome | FieldOutcome]) -> None:
+    """All outcomes, a line for each, under the names of their fields."""
+    with target.open("w", newline="", encoding="utf-8") as file:
+        writer = csv.writer(file)
+        writer.writerow(type(found[0])._fields)
+        writer.writerows(found)
+
+
 def film(target: Path, task: Task) -> None:
     """A docking by the executor, as the robot drove it."""
+    from experiments.docking.cases import SPREADS
     from experiments.docking.methods import executed
-    from experiments.docking.worlds import SPREADS, WORLDS, case_of
+    from experiments.docking.worlds import WORLDS, case_of
     from optdock.geometry.pose import Pose2
     from optdock.plotting import save_animation
 

@@ -11,9 +11,11 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from experiments.docking.methods import CHECKER, WatchedPlanning
+from experiments.docking.cases import SPREADS
+from experiments.docking.methods import CHECKER
 from experiments.docking.outcome import outcome_of
-from experiments.docking.worlds import SPREADS, WORLDS, Case, World, case_of
+from experiments.docking.watched import WatchedPlanning
+from experiments.docking.worlds import WORLDS, Case, World, case_of
 from optdock.costmap.costmap import Costmap
 from optdock.costmap.costs import LETHAL
 from optdock.executor import DockingExecutor, ExecutorSettings, State

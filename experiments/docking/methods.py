@@ -7,14 +7,12 @@ from collections.abc import Callable
 from functools import partial
 from typing import TYPE_CHECKING, NamedTuple
 
-import numpy as np
-
 from experiments.docking.outcome import Followed, Outcome, outcome_of
+from experiments.docking.watched import Cycles, WatchedPlanning
 from optdock.dock import DockDirection
 from optdock.errors import ControllerException
 from optdock.executor import DockingExecutor, ExecutorSettings
 from optdock.executor.perception import Perception
-from optdock.executor.planning import InlinePlanning
 from optdock.geometry.pose import Pose2, Twist2, normalize_angle
 from optdock.interfaces import Controller, GoalChecker
 from optdock.lifecycle import PluginContext
@@ -26,12 +24,11 @@ from optdock.simulation import RemainingPath
 
 if TYPE_CHECKING:
     from experiments.docking.worlds import Case, World
-    from optdock.executor.planning import Job, PlanResult
     from optdock.measurements import Measurements
     from optdock.simulation import SimulatedRobot
     from optdock.trajectory import Trajectory
 
-__all__ = ["METHODS", "WatchedPlanning", "executed"]
+__all__ = ["METHODS", "executed"]
 
 LAW = GracefulLaw(3.0, 2.0, 0.4, 2.0, 0.25, 2.5, 0.1, 0.25, 0.75)  # the docking server's defaults
 PROJECTION = 0.25  # [m]: how far behind the dock Nav2 aims
@@ -41,28 +38,10 @@ TIMEOUT = 60.0  # [s]
 CHECKER = {"along_tolerance": 0.01}
 
 
-class _Cycles:
-    """CPU seconds of every control cycle."""
-
-    def __init__(self) -> None:
-        self.spent: list[float] = []
-
-    def timed(self, work: Callable[[], Twist2]) -> Twist2:
-        began = time.thread_time()
-        try:
-            return work()
-        finally:
-            self.spent.append(time.thread_time() - began)
-
-    @property
-    def busy(self) -> float:
-        return float(np.percentile(self.spent, 99)) if self.spent else 0.0
-
-
 def by_law(case: Case, world: World, spread: str, rate: float) -> Outcome:
     """Nav2's docking law towards the dock as it detects it, until contact or stall: it has no other end on its own."""
     robot = case.world(world)
-    now, goal, cycles = robot.measurements, case.problem.goal, _Cycles()
+    now, goal, cycles = robot.measurements, case.problem.goal, Cycles()
     gear = Direction.FORWARD if case.direction is DockDirection.FORWARD else Direction.REVERSE
     standing = 0.0
     while robot.time < TIMEOUT and not now.contact and standing < PATIENCE:
@@ -110,7 +89,7 @@ def by_plan(case: Case, world: World, spread: str, rate: float, *, smoothed: boo
     for plugin in (controller, checker):
         plugin.configure(PluginContext(plugin.name, problem=case.problem))
     controller.set_path(trajectory)
-    robot, cycles, ending = case.world(world, has_switch=world.dock is not None), _Cycles(), "timeout"
+    robot, cycles, ending = case.world(world, has_switch=world.dock is not None), Cycles(), "timeout"
     filtered = Perception(case.problem.goal, _settings(world, use_detections=False), lambda *_: None)
     remaining, now = RemainingPath(trajectory.path), robot.measurements
     while robot.time < trajectory.duration + TIMEOUT:
@@ -137,46 +116,19 @@ def _commanded(controller: Controller, checker: GoalChecker, pose: Pose2, now: M
     return controller.compute_velocity_commands(pose, now.twist, checker, stamp=now.stamp)
 
 
-class WatchedPlanning(InlinePlanning):
-    """Notes which certified plan is followed from when on."""
-
-    def __init__(self) -> None:
-        super().__init__()
-        self.followed: list[Followed] = []
-        self.replans = 0
-        self.spent: list[float] = []
-        self._job: Job | None = None
-
-    def submit(self, job: Job) -> None:
-        """As the others; the CPU that it takes is no part of the control cycle."""
-        self._job, began = job, time.thread_time()
-        super().submit(job)
-        self.spent.append(time.thread_time() - began)
-
-    def poll(self, stamp: float) -> PlanResult | None:
-        """As the others."""
-        result = super().poll(stamp)
-        if result is not None and result.motion is not None and self._job is not None:
-            in_motion = self._job.running is not None
-            self.replans += in_motion
-            since = self._job.stamp + self._job.lead if in_motion else stamp
-            self.followed.append(Followed(since, result.motion.plan))
-        return result
-
-
 class Executed(NamedTuple):
     """What a run of the executor leaves behind; `told`: how often it said that the tube was left."""
 
     robot: SimulatedRobot
     executor: DockingExecutor
     planning: WatchedPlanning
-    cycles: _Cycles
+    cycles: Cycles
     told: int
 
 
 def executed(case: Case, world: World, rate: float, controller: str = "TrackingController") -> Executed:
     """Dock by the executor: detections, replanning in motion, contact, retries."""
-    robot, cycles, planning = case.world(world, has_switch=world.dock is not None), _Cycles(), WatchedPlanning()
+    robot, cycles, planning = case.world(world, has_switch=world.dock is not None), Cycles(), WatchedPlanning()
     executor = DockingExecutor(
         case.problem,
         _settings(world, use_detections=world.dock is not None),

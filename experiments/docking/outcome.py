@@ -16,10 +16,11 @@ if TYPE_CHECKING:
 
     from experiments.docking.worlds import Case
     from optdock.geometry.arrays import FloatArray
+    from optdock.limits import MotionLimits
     from optdock.plan import DockPlan
     from optdock.simulation import Record
 
-__all__ = ["ACCEPTED", "Followed", "Outcome", "outcome_of"]
+__all__ = ["ACCEPTED", "Followed", "Outcome", "outcome_of", "worst_ratio"]
 
 ACCEPTED = 0.010, 0.010, math.radians(1.5)  # along, cross [m], yaw [rad] of the true dock: what counts as success
 _MOVING = 0.02  # [m/s]: curvature commanded below this speed is noise
@@ -117,7 +118,8 @@ def outcome_of(  # noqa: PLR0913 - what a run leaves behind
     error = pose_errors(record.poses[-1:], record.docks[-1:])[0]
     moving = np.abs(record.commands[:, 0]) > _MOVING
     curvature = np.abs(record.commands[moving, 1] / record.commands[moving, 0])
-    over, limit = _worst_ratio(record, case)
+    given, h = record.commands[:-1], np.diff(record.times[:-1])  # the last row is no command
+    over, limit = worst_ratio(given, h, case.problem.robot.limits)
     clearances, _ = pose_clearances(record.poses, case.problem.robot.footprint, case.problem.obstacles, within=1.0)
     short, displacement, left = _tube(record, followed, clearances)
     replans, retries, told = counts
@@ -143,9 +145,15 @@ def outcome_of(  # noqa: PLR0913 - what a run leaves behind
     )
 
 
-def _worst_ratio(record: Record, case: Case) -> tuple[float, str]:
-    """The largest ratio of a commanded quantity to its limit, by differences of the commands."""
-    limits, (v, w), h = case.problem.robot.limits, record.commands[:-1].T, np.diff(record.times[:-1])  # given ones only
+def worst_ratio(commands: FloatArray, periods: FloatArray, limits: MotionLimits) -> tuple[float, str]:
+    """The largest ratio of a commanded quantity to its limit, and which, by differences of the commands.
+
+    Args:
+        commands: Linear and angular, Shape (n, 2) [m/s, rad/s].
+        periods: Between each and the next, Shape (n - 1,) [s].
+        limits: Of the robot.
+    """
+    (v, w), h = commands.T, periods
     a, turned = np.diff(v) / h, np.diff(w) / h
     speeding = np.where(np.abs(v[1:]) > np.abs(v[:-1]), limits.max_acceleration, limits.max_deceleration)
     apart = np.concatenate((h[:1], 0.5 * (h[:-1] + h[1:])))  # an acceleration is that of the middle of its period

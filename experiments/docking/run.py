@@ -40,8 +40,9 @@ class Task(NamedTuple):
 
 def driven(task: Task) -> Outcome:
     """The outcome of a task."""
+    from experiments.docking.cases import SPREADS
     from experiments.docking.methods import METHODS
-    from experiments.docking.worlds import SPREADS, WORLDS, case_of
+    from experiments.docking.worlds import WORLDS, case_of
 
     world, spread = WORLDS[task.world], SPREADS[task.spread]
     return METHODS[task.method](case_of(task.number, spread, world, task.seed), world, spread.name, task.rate)
@@ -58,5 +59,7 @@ def tasks(options: argparse.Namespace) -> list[Task]:
                 continue
             for rate in options.rate or rates:
                 numbers = range(max(1, round(share * options.count)))
-                found += [Task(method, world, options.spread, rate, number, options.seed) for number in numbers]
+                found += [
+                    Task(method, world, options.spread or "nav2", rate, number, options.seed) for number in numbers
+                ]
     return found

@@ -1,4 +1,4 @@
-"""What is driven: a robot, a bay with a station, posts about, starts, and what the sensors are like."""
+"""What the robot and its sensors are like in each world of the study, and the dockings in it."""
 
 from __future__ import annotations
 
@@ -7,13 +7,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from optdock.dock import Dock, DockDirection
-from optdock.geometry.footprint import Footprint
-from optdock.geometry.pose import Pose2, transform_points
-from optdock.limits import MotionLimits
+from experiments.docking.cases import Spread, layout_of
+from optdock.dock import DockDirection
+from optdock.geometry.pose import Pose2
 from optdock.obstacles import ObstacleSet
-from optdock.problem import ClearanceRule, DockingProblem
-from optdock.robot import Robot, TrackingTube
+from optdock.problem import DockingProblem
 from optdock.simulation import (
     Actuation,
     DockSensor,
@@ -24,39 +22,9 @@ from optdock.simulation import (
     plant_of,
 )
 
-__all__ = ["SPREADS", "WORLDS", "Case", "Spread", "World", "case_of"]
+__all__ = ["WORLDS", "Case", "World", "case_of"]
 
-ROBOT = Robot(
-    Footprint.rectangle(0.3, 0.3, 0.5),
-    MotionLimits(
-        max_speed=0.25, max_reverse_speed=0.25, max_acceleration=0.5, max_deceleration=0.5, max_jerk=2.0,
-        max_yaw_rate=0.75, max_yaw_acceleration=1.5, max_curvature=3.0, max_curvature_rate=30.0,
-    ),
-    tracking=TrackingTube(cross=0.02, yaw=0.03),
-)  # fmt: skip
-STATION = Footprint(np.array([[0.3, -0.3], [0.45, -0.3], [0.45, 0.3], [0.3, 0.3]]))  # touches the docked robot's front
-CLEARANCE = ClearanceRule(0.05, 0.0, 0.5)
-POSTS, POST_SIDE = 20, 0.06  # how many; [m]
 PUSHED_AT = 0.6  # [m] before the dock
-
-
-class Spread(NamedTuple):
-    """Starts around the staging pose, uniform.
-
-    `staging`: its distance from the dock [m]. `radius`: of the disc [m]. `turn`: largest heading error [rad].
-    """
-
-    name: str
-    staging: float
-    radius: float
-    turn: float
-
-
-SPREADS = {
-    # What SimpleGoalChecker accepts by default, around Nav2's staging_x_offset.
-    "nav2": Spread("Nav2's goal checker", 0.7, 0.25, 0.25),
-    "wider": Spread("wider", 1.2, 0.5, 0.5),
-}
 
 
 class World(NamedTuple):
@@ -144,31 +112,4 @@ def case_of(number: int, spread: Spread, world: World, seed: int = 1) -> Case:
     """A random docking, forward where `number` is even; equal numbers and seeds give equal cases."""
     random = np.random.default_rng((seed, number))
     direction = (DockDirection.FORWARD, DockDirection.BACKWARD)[number % 2]
-    gear = 1.0 if direction is DockDirection.FORWARD else -1.0
-    goal = Pose2(*random.uniform(-1.0, 1.0, 2), float(random.uniform(-math.pi, math.pi)))
-    radius, angle = spread.radius * math.sqrt(random.uniform()), random.uniform(-math.pi, math.pi)
-    seen = Pose2(
-        gear * (radius * math.cos(angle) - spread.staging),
-        radius * math.sin(angle),
-        float(random.uniform(-spread.turn, spread.turn)),
-    )
-    off, turn = world.moved
-    shift, bearing = off * math.sqrt(random.uniform()), random.uniform(-math.pi, math.pi)
-    moved = Pose2(shift * math.cos(bearing), shift * math.sin(bearing), float(random.uniform(-turn, turn)))
-    station = Footprint(gear * STATION.vertices) if gear > 0.0 else Footprint(-STATION.vertices)
-    dock = Dock(goal, station, direction, approach_speed=0.1, approach_distance=0.15)
-    problem = DockingProblem(goal @ seen, dock, ROBOT, _posts(random, goal, gear), CLEARANCE)
-    return Case(number, direction, problem, goal @ moved)
-
-
-def _posts(random: np.random.Generator, goal: Pose2, gear: float) -> ObstacleSet:
-    """A bay's two side walls, and posts around, all clear of the straight approach and of every start."""
-    found = [[[0.45, side * 0.55], [0.0, side * 0.55], [0.0, side * 0.6], [0.45, side * 0.6]] for side in (1.0, -1.0)]
-    while len(found) < POSTS + 2:
-        x, y = random.uniform(-2.6, 0.5), random.uniform(-1.6, 1.6)
-        if abs(y) < 0.75 + 0.15 * abs(x):  # a robot turned by up to 0.5 rad, off by 0.5 m at 1.7 m
-            continue
-        s = POST_SIDE
-        found.append([[x, y], [x + s, y], [x + s, y + s], [x, y + s]])
-    corners = transform_points(goal.as_array()[None], gear * np.array(found).reshape(-1, 2))[0]
-    return ObstacleSet.from_polygons(list(corners.reshape(-1, 4, 2)))
+    return Case(number, *layout_of(random, spread, direction, world.moved))

@@ -35,7 +35,8 @@ from rcl_interfaces.srv import SetParameters
 from rclpy.parameter import Parameter
 from std_srvs.srv import Trigger
 
-from experiments.docking.worlds import DETECTED, SPREADS, STATION, case_of
+from experiments.docking.cases import SPREADS, STATION
+from experiments.docking.worlds import DETECTED, case_of
 from optdock.config import Scenario, save_scenario
 from optdock.dock import DockDirection
 from optdock.geometry.pose import Pose2

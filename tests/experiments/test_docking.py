@@ -6,11 +6,12 @@ import numpy as np
 import pytest
 
 from experiments.docking import outcome, tables
+from experiments.docking.cases import SPREADS
 from experiments.docking.faults import run_fault
 from experiments.docking.methods import executed
 from experiments.docking.outcome import Followed
 from experiments.docking.run import Task, driven
-from experiments.docking.worlds import SPREADS, WORLDS, case_of
+from experiments.docking.worlds import WORLDS, case_of
 from optdock.verification import pose_clearances
 
 

@@ -1,0 +1,114 @@
+"""Which dockings are driven: a robot, a bay with a station, posts about, and where the robot starts."""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from optdock.dock import Dock, DockDirection, DockTolerances
+from optdock.geometry.footprint import Footprint
+from optdock.geometry.pose import Pose2, transform_points
+from optdock.limits import MotionLimits
+from optdock.obstacles import ObstacleSet
+from optdock.problem import ClearanceRule, DockingProblem
+from optdock.robot import Robot, TrackingTube
+
+__all__ = ["ROBOT", "SPREADS", "STATION", "Layout", "Spread", "layout_of"]
+
+ROBOT = Robot(
+    Footprint.rectangle(0.3, 0.3, 0.5),
+    MotionLimits(
+        max_speed=0.25, max_reverse_speed=0.25, max_acceleration=0.5, max_deceleration=0.5, max_jerk=2.0,
+        max_yaw_rate=0.75, max_yaw_acceleration=1.5, max_curvature=3.0, max_curvature_rate=30.0,
+    ),
+    tracking=TrackingTube(cross=0.02, yaw=0.03),
+)  # fmt: skip
+STATION = Footprint(np.array([[0.3, -0.3], [0.45, -0.3], [0.45, 0.3], [0.3, 0.3]]))  # touches the docked robot's front
+CLEARANCE = ClearanceRule(0.05, 0.0, 0.5)
+POSTS, POST_SIDE = 20, 0.06  # how many; [m]
+
+
+class Spread(NamedTuple):
+    """Starts around the staging pose, uniform.
+
+    `staging`: its distance from the dock [m]. `radius`: of the disc [m]. `turn`: largest heading error [rad].
+    """
+
+    name: str
+    staging: float
+    radius: float
+    turn: float
+
+
+SPREADS = {
+    # What SimpleGoalChecker accepts by default, around Nav2's staging_x_offset.
+    "nav2": Spread("Nav2's goal checker", 0.7, 0.25, 0.25),
+    "wider": Spread("wider", 1.2, 0.5, 0.5),
+}
+
+
+class Layout(NamedTuple):
+    """Where everything stands.
+
+    Attributes:
+        direction: Gear into the dock.
+        problem: As the robot knows it: the dock as stored.
+        true_dock: Where the docked robot really stands.
+    """
+
+    direction: DockDirection
+    problem: DockingProblem
+    true_dock: Pose2
+
+
+def layout_of(
+    random: np.random.Generator,
+    spread: Spread,
+    direction: DockDirection,
+    moved: tuple[float, float] = (0.0, 0.0),
+    *,
+    robot: Robot = ROBOT,
+    tolerances: DockTolerances | None = None,
+) -> Layout:
+    """A random docking; equal generators give equal layouts.
+
+    Args:
+        random: Everything is drawn from it.
+        spread: Of the starts.
+        direction: Gear into the dock, forward or backward.
+        moved: How far the true dock is from the stored one at most [m], and how far turned [rad].
+        robot: What drives.
+        tolerances: Of the dock; None: the default ones.
+    """
+    gear = 1.0 if direction is DockDirection.FORWARD else -1.0
+    goal = Pose2(*random.uniform(-1.0, 1.0, 2), float(random.uniform(-math.pi, math.pi)))
+    radius, angle = spread.radius * math.sqrt(random.uniform()), random.uniform(-math.pi, math.pi)
+    seen = Pose2(
+        gear * (radius * math.cos(angle) - spread.staging),
+        radius * math.sin(angle),
+        float(random.uniform(-spread.turn, spread.turn)),
+    )
+    off, turn = moved
+    shift, bearing = off * math.sqrt(random.uniform()), random.uniform(-math.pi, math.pi)
+    offset = Pose2(shift * math.cos(bearing), shift * math.sin(bearing), float(random.uniform(-turn, turn)))
+    station = Footprint(gear * STATION.vertices) if gear > 0.0 else Footprint(-STATION.vertices)
+    dock = Dock(
+        goal, station, direction, approach_speed=0.1, approach_distance=0.15, tolerances=tolerances or DockTolerances()
+    )
+    problem = DockingProblem(goal @ seen, dock, robot, _posts(random, goal, gear), CLEARANCE)
+    return Layout(direction, problem, goal @ offset)
+
+
+def _posts(random: np.random.Generator, goal: Pose2, gear: float) -> ObstacleSet:
+    """A bay's two side walls, and posts around, all clear of the straight approach and of every start."""
+    found = [[[0.45, side * 0.55], [0.0, side * 0.55], [0.0, side * 0.6], [0.45, side * 0.6]] for side in (1.0, -1.0)]
+    while len(found) < POSTS + 2:
+        x, y = random.uniform(-2.6, 0.5), random.uniform(-1.6, 1.6)
+        if abs(y) < 0.75 + 0.15 * abs(x):  # a robot turned by up to 0.5 rad, off by 0.5 m at 1.7 m
+            continue
+        s = POST_SIDE
+        found.append([[x, y], [x + s, y], [x + s, y + s], [x, y + s]])
+    corners = transform_points(goal.as_array()[None], gear * np.array(found).reshape(-1, 2))[0]
+    return ObstacleSet.from_polygons(list(corners.reshape(-1, 4, 2)))

@@ -1,0 +1,145 @@
+"""A camera that sees the dock: late, out of order, wrong now and then, and least of all where it matters most."""
+
+from __future__ import annotations
+
+import heapq
+import math
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from optdock.geometry.pose import Pose2
+from optdock.measurements import Detection
+
+if TYPE_CHECKING:
+    import numpy as np
+
+__all__ = ["Camera", "CameraState"]
+
+_FRONT = Pose2(0.25, 0.0, 0.0)
+_INSTANT = 1e-9  # [s]: rounding of times that are sums of sub-steps
+
+
+@dataclass(frozen=True)
+class Camera:
+    """A camera with a detector of docks. Ranges are (lowest, highest) of a uniform distribution.
+
+    Args:
+        mount: Of the camera on the robot; it looks along its x axis.
+        field_of_view: Whole angle [rad].
+        range: Distances from the marker at which it is seen [m].
+        period: Between two pictures [s].
+        latency: Of each detection [s]; they overtake each other.
+        position_sigma: Of the docked pose's x and y at no distance, each [m]; told as it is.
+        position_slope: What each metre from the marker adds to it [1].
+        yaw_sigma: Likewise of the yaw [rad].
+        yaw_slope: [rad/m].
+        outliers: Share of the detections that are wrong, with sigmas as if they were right [1].
+        outlier_distance: How far off in any direction [m].
+        outlier_yaw: And turned to either side [rad].
+        near: Nearer to the docked pose than this [m] ...
+        near_loss: ... this share of the pictures shows nothing [1]; 1: the camera is blind there.
+        hidden_for: So long something stands before the dock, once in a run [s].
+        hidden_from: When that begins [s].
+        second_tag: Share of the pictures in which another tag is taken for the dock [1]; all while it is hidden.
+        second_tag_aside: How far to the left of the dock that one is [m].
+        stamped_on_arrival: Whether a detection bears the time when it is told instead of the picture's.
+    """
+
+    mount: Pose2 = _FRONT
+    field_of_view: float = math.radians(70.0)
+    range: tuple[float, float] = (0.1, 3.0)
+    period: float = 0.1
+    latency: tuple[float, float] = (0.08, 0.2)
+    position_sigma: float = 0.002
+    position_slope: float = 0.004
+    yaw_sigma: float = math.radians(0.3)
+    yaw_slope: float = math.radians(0.7)
+    outliers: float = 0.1
+    outlier_distance: float = 0.1
+    outlier_yaw: float = math.radians(10.0)
+    near: float = 0.4
+    near_loss: float = 0.5
+    hidden_for: float = 2.0
+    hidden_from: tuple[float, float] = (1.0, 10.0)
+    second_tag: float = 0.0
+    second_tag_aside: float = 0.3
+    stamped_on_arrival: bool = False
+
+    def sigmas(self, distance: float) -> tuple[float, float]:
+        """Standard deviations of position [m] and yaw [rad] at a distance from the marker [m]."""
+        return (
+            self.position_sigma + self.position_slope * distance,
+            self.yaw_sigma + self.yaw_slope * distance,
+        )
+
+
+class CameraState:
+    """Takes pictures and remembers what is not told yet.
+
+    Args:
+        camera: What it is like.
+        marker: Seen from the docked robot.
+        random: For noise, latency and everything that goes wrong.
+    """
+
+    def __init__(self, camera: Camera, marker: Pose2, random: np.random.Generator) -> None:
+        self.camera, self._marker, self._random = camera, marker, random
+        lowest, highest = camera.hidden_from
+        self._hidden_from = lowest + float(random.random()) * (highest - lowest)
+        self._under_way: list[tuple[float, int, Detection]] = []
+        self._pictures = 0
+
+    def take(self, time: float, robot: Pose2, dock: Pose2) -> None:
+        """Take a picture.
+
+        Args:
+            time: [s].
+            robot: True pose.
+            dock: True pose of the docked robot.
+        """
+        camera = self.camera
+        # The same numbers are drawn whatever is seen, so that no trait changes the noise of another.
+        wrong, bearing, side, missed, confused, wait = self._random.random(6).tolist()
+        noise = self._random.standard_normal(3).tolist()
+        hidden = 0.0 <= time - self._hidden_from < camera.hidden_for
+        confused_now = camera.second_tag > 0.0 and (hidden or confused < camera.second_tag)
+        if hidden and not confused_now:
+            return
+        goal = dock @ Pose2(0.0, camera.second_tag_aside, 0.0) if confused_now else dock
+        seen = (robot @ camera.mount).inverse() @ goal @ self._marker
+        distance = math.hypot(seen.x, seen.y)
+        if not self._in_view(seen, distance):
+            return
+        found = goal.in_frame_of(robot)
+        if math.hypot(found.x, found.y) < camera.near and missed < camera.near_loss:
+            return
+        if wrong < camera.outliers:
+            angle, turn = 2.0 * math.pi * bearing, math.copysign(camera.outlier_yaw, side - 0.5)
+            far = camera.outlier_distance
+            found = Pose2(found.x + far * math.cos(angle), found.y + far * math.sin(angle), found.yaw + turn)
+        position_sigma, yaw_sigma = camera.sigmas(distance)
+        measured = Pose2(
+            found.x + position_sigma * noise[0],
+            found.y + position_sigma * noise[1],
+            found.yaw + yaw_sigma * noise[2],
+        )
+        lowest, highest = camera.latency
+        arrival = time + lowest + wait * (highest - lowest)
+        stamp = arrival if camera.stamped_on_arrival else time
+        self._pictures += 1
+        heapq.heappush(
+            self._under_way, (arrival, self._pictures, Detection(stamp, measured, position_sigma, yaw_sigma))
+        )
+
+    def arrived(self, time: float) -> tuple[Detection, ...]:
+        """What has been told since the last call, in the order of arrival."""
+        found = []
+        while self._under_way and self._under_way[0][0] <= time + _INSTANT:
+            found.append(heapq.heappop(self._under_way)[2])
+        return tuple(found)
+
+    def _in_view(self, seen: Pose2, distance: float) -> bool:
+        """Whether a marker is in view, seen from the camera."""
+        nearest, farthest = self.camera.range
+        bearing = math.atan2(seen.y, seen.x)
+        return nearest <= distance <= farthest and abs(bearing) <= 0.5 * self.camera.field_of_view

@@ -1,0 +1,98 @@
+"""The executor in the field world, at its defaults; and what is compared with it, by name."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable
+from functools import partial
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from experiments.docking.field.nav2 import by_nav2
+from experiments.docking.field.outcome import Steered
+from experiments.docking.watched import Cycles, WatchedPlanning
+from optdock.executor import DockingExecutor
+from optdock.geometry.pose import Twist2
+
+if TYPE_CHECKING:
+    from experiments.docking.cases import Layout
+    from experiments.docking.field.world import FieldRobot
+    from experiments.docking.outcome import Followed
+    from optdock.executor import ExecutorSettings
+
+__all__ = ["FIELD_METHODS", "by_executor"]
+
+TIMEOUT = 180.0  # [s]: no task is to take so long; it is counted as one that never ended
+SETTLING = 1.0  # [s] after the end, until what was commanded has arrived and the wheels stand
+SAME_GOAL = 0.3  # [m]: a plan that ends nearer to the stored dock than this is one into the dock
+
+
+def by_executor(
+    layout: Layout,
+    robot: FieldRobot,
+    rate: float,
+    *,
+    controller: str | None = None,
+    settings: ExecutorSettings | None = None,
+) -> Steered:
+    """Dock by the executor.
+
+    Args:
+        layout: Where everything stands.
+        robot: At its start.
+        rate: Control cycles per second [Hz].
+        controller: By name; None: the default one.
+        settings: None: the default ones.
+    """
+    planning, cycles = WatchedPlanning(), Cycles()
+    chosen = {} if controller is None else {"controller": controller}
+    executor = DockingExecutor(layout.problem, settings, planning=planning, **chosen)  # type: ignore[arg-type]
+    stamps: list[float] = []
+    commands: list[tuple[float, float]] = []
+    while robot.time < TIMEOUT:
+        planned_before, began = sum(planning.spent), time.thread_time()
+        step = executor.step(robot.measurements)
+        cycles.spent.append(time.thread_time() - began - sum(planning.spent) + planned_before)
+        stamps.append(robot.time)
+        commands.append((step.command.linear, step.command.angular))
+        if step.ending is not None and step.command == Twist2():
+            break
+        robot.advance(step.command, rate)
+    ended, settled = robot.time, robot.time + SETTLING
+    while robot.time < settled:
+        robot.advance(Twist2(), rate)
+    ending = executor.ending
+    return Steered(
+        "never ended" if ending is None else ending.kind.value,
+        "" if ending is None else ending.reason,
+        ending is not None and ending.kind.succeeded,
+        ended,
+        _planned(layout, planning.followed),
+        0 if ending is None else ending.num_retries,
+        cycles.busy,
+        np.array(commands),
+        np.array(stamps),
+    )
+
+
+def _planned(layout: Layout, followed: list[Followed]) -> float:
+    """How long the first plan into the dock takes, and the first one to the staging pose where that came before it."""
+    total, staged = 0.0, False
+    for _, plan in followed:
+        if plan is None:
+            continue
+        if plan.problem.goal.distance_to(layout.problem.goal) < SAME_GOAL:
+            return total + plan.trajectory.duration
+        if not staged:
+            total, staged = plan.trajectory.duration, True
+    return math.nan
+
+
+FIELD_METHODS: dict[str, tuple[Callable[[Layout, FieldRobot, float], Steered], str]] = {
+    "executor": (by_executor, "wider"),
+    "executor with the MPC": (partial(by_executor, controller="MpcController"), "wider"),
+    "Nav2's law": (by_nav2, "nav2"),
+}
+"""What drives, and from which starts where none are asked for: Nav2's law has no way to a staging pose of its own."""

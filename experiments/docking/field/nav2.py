@@ -1,0 +1,155 @@
+"""Nav2's docking law with a velocity smoother behind it, as its docking server would drive in the field world.
+
+Where the server has a choice it is made in its favour: the dock is kept in the odometry's frame, a detection is placed
+by where the robot was when the picture was taken, the last filtered dock is kept while none is seen, and the robot
+drives on until the switch or a stall says contact instead of stopping within 5 cm.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from experiments.docking.field.outcome import Steered
+from optdock.dock import DockDirection
+from optdock.geometry.pose import Pose2, Twist2, normalize_angle
+from optdock.nav2.graceful_law import GracefulLaw
+from optdock.path import Direction
+
+if TYPE_CHECKING:
+    from experiments.docking.cases import Layout
+    from experiments.docking.field.world import FieldRobot
+    from optdock.measurements import Detection, Measurements
+
+__all__ = ["VelocitySmoother", "by_nav2"]
+
+LAW = GracefulLaw(3.0, 2.0, 0.4, 2.0, 0.25, 2.5, 0.1, 0.25, 0.75)  # the docking server's defaults
+PROJECTION = 0.25  # [m]: how far behind the dock the server aims
+FILTER, FORGOTTEN = 0.1, 1.0  # filter_coef, and external_detection_timeout [s], after which the filter begins anew
+PERCEPTION = 5.0  # [s]: initial_perception_timeout
+STALL, PATIENCE = 0.005, 1.0  # [m/s], [s]: contact by stall
+NEAR = 0.05  # [m]: docking_threshold, within which a stall is contact
+TIMEOUT, SETTLING = 60.0, 1.0  # [s]
+SMOOTHING_PERIOD = 0.05  # [s]: smoothing_frequency of 20 Hz
+HISTORY = 1.0  # [s] of poses, to place detections by
+DOCKED = "docked"
+_INSTANT = 1e-9  # [s]: rounding of times that are sums of periods
+
+
+class VelocitySmoother:
+    """Nav2's velocity smoother, open loop, with its default accelerations: each command changes by so much a period."""
+
+    def __init__(
+        self, acceleration: float = 2.5, yaw_acceleration: float = 3.2, period: float = SMOOTHING_PERIOD
+    ) -> None:
+        self._steps = acceleration * period, yaw_acceleration * period
+        self._last = Twist2()
+
+    def smoothed(self, command: Twist2) -> Twist2:
+        """The next command on the way to `command`."""
+        (linear, angular), last = self._steps, self._last
+        self._last = Twist2(
+            last.linear + min(max(command.linear - last.linear, -linear), linear),
+            last.angular + min(max(command.angular - last.angular, -angular), angular),
+        )
+        return self._last
+
+
+class _SeenDock:
+    """The dock in the frame that the server keeps it in, filtered; None before it is seen at `found_at` [s]."""
+
+    def __init__(self) -> None:
+        self._history: deque[tuple[float, Pose2]] = deque()
+        self._seen_at = -math.inf
+        self.found_at = math.inf
+        self.pose: Pose2 | None = None
+
+    def update(self, stamp: float, robot: Pose2, detections: tuple[Detection, ...]) -> None:
+        """Take in detections; `robot`: pose in the server's frame, now."""
+        self._history.append((stamp, robot))
+        while self._history[0][0] < stamp - HISTORY:
+            self._history.popleft()
+        for one in detections:
+            then = min(self._history, key=lambda entry: abs(entry[0] - one.stamp))[1]
+            self._see(then @ one.pose, stamp)
+
+    def _see(self, seen: Pose2, stamp: float) -> None:
+        before, fresh = self.pose, stamp - self._seen_at > FORGOTTEN
+        self._seen_at = stamp
+        if before is None or fresh:
+            self.pose, self.found_at = seen, min(self.found_at, stamp)
+            return
+        self.pose = Pose2(
+            before.x + FILTER * (seen.x - before.x),
+            before.y + FILTER * (seen.y - before.y),
+            before.yaw + FILTER * normalize_angle(seen.yaw - before.yaw),
+        )
+
+
+class _Server:
+    """Says what to command, and how it ends."""
+
+    def __init__(self, layout: Layout) -> None:
+        self._dock = _SeenDock()
+        self._gear = Direction.FORWARD if layout.direction is DockDirection.FORWARD else Direction.REVERSE
+        self._still_since: float | None = None
+        self.ending: str | None = None
+
+    def step(self, now: Measurements) -> Twist2:
+        """The next command; `ending` is set where it is the last one."""
+        robot = now.odometry.pose if now.odometry is not None else now.pose
+        if robot is not None:
+            self._dock.update(now.stamp if now.odometry is None else now.odometry.stamp, robot, now.detections)
+        self.ending = self._judged(now, robot)
+        dock = self._dock.pose
+        if self.ending is not None or robot is None or dock is None:
+            return Twist2()
+        return LAW.command(dock @ Pose2(int(self._gear) * PROJECTION, 0.0, 0.0), robot, self._gear)
+
+    def _judged(self, now: Measurements, robot: Pose2 | None) -> str | None:
+        """How it ends; None: it goes on."""
+        dock = self._dock.pose
+        if now.contact:
+            return DOCKED
+        if now.stamp > TIMEOUT:
+            return "timeout"
+        if dock is None or robot is None:
+            return "failed to detect the dock" if now.stamp > PERCEPTION else None
+        if self._stalled(now):
+            return DOCKED if robot.distance_to(dock) < NEAR else "stalled away from the dock"
+        return None
+
+    def _stalled(self, now: Measurements) -> bool:
+        """Whether the wheels have stood for long against commands."""
+        if abs(now.twist.linear) >= STALL:
+            self._still_since = None
+        elif self._still_since is None:
+            self._still_since = now.stamp
+        since = self._still_since if self._dock.pose is not None else None
+        return since is not None and now.stamp - max(since, self._dock.found_at) > PATIENCE
+
+
+def by_nav2(layout: Layout, robot: FieldRobot, rate: float) -> Steered:
+    """Drive a robot into its dock."""
+    server, smoother = _Server(layout), VelocitySmoother()
+    stamps: list[float] = []
+    commands: list[tuple[float, float]] = []
+    ended: float | None = None
+    while ended is None or robot.time < ended + SETTLING:
+        wanted = server.step(robot.measurements) if ended is None else Twist2()
+        if ended is None and server.ending is not None:
+            ended = robot.time
+        until = robot.time + robot.cycle(rate)
+        while (due := len(stamps) * SMOOTHING_PERIOD) < until - _INSTANT:
+            robot.run(due)
+            command = smoother.smoothed(wanted)
+            robot.drive.send(command)
+            stamps.append(due)
+            commands.append((command.linear, command.angular))
+        robot.run(until)
+        robot.measure()
+    ending = server.ending or ""
+    return Steered(ending, "", ending == DOCKED, ended, math.nan, 0, math.nan, np.array(commands), np.array(stamps))

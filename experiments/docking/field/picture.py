@@ -1,0 +1,99 @@
+"""A picture of one run in the field world: where the robot truly drove, and what it was told of itself and the dock."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from experiments.docking.field.methods import FIELD_METHODS
+from experiments.docking.field.outcome import field_outcome
+from experiments.docking.field.run import set_up
+from optdock.geometry.pose import Pose2, transform_points
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from matplotlib.axes import Axes
+
+    from experiments.docking.cases import Layout
+    from experiments.docking.field.run import FieldTask
+    from experiments.docking.field.world import FieldRobot
+    from optdock.geometry.arrays import FloatArray
+
+__all__ = ["draw_run"]
+
+_OUTLINES = 0.5  # [s] between two outlines of the robot
+_AROUND = 1.0  # [m] about the way that is shown
+_NEAR = 0.15  # [m] about the dock, in the right half
+
+
+def draw_run(target: Path, task: FieldTask) -> None:
+    """Drive a task again and draw it, whole on the left and the docked pose on the right, axes in metres.
+
+    Args:
+        target: Picture file.
+        task: What to drive.
+    """
+    import matplotlib as mpl
+
+    mpl.use("Agg")
+    import matplotlib.pyplot as plt
+
+    layout, robot = set_up(task)
+    outcome = field_outcome(task, layout, robot, FIELD_METHODS[task.method][0](layout, robot, task.rate))
+    rows = robot.record()
+    figure, (whole, near) = plt.subplots(1, 2, figsize=(15.0, 7.5), layout="constrained")
+    for axes in (whole, near):
+        _draw(axes, layout, robot, rows)
+        axes.set(xlabel="x [m]", ylabel="y [m]", aspect="equal")
+        axes.grid(visible=True, alpha=0.3)
+    low, high = rows[:, 1:3].min(axis=0), rows[:, 1:3].max(axis=0)
+    whole.set(xlim=(low[0] - _AROUND, high[0] + _AROUND), ylim=(low[1] - _AROUND, high[1] + _AROUND))
+    dock = robot.dock
+    near.set(
+        xlim=(dock.x - _NEAR, dock.x + _NEAR), ylim=(dock.y - _NEAR, dock.y + _NEAR), title="about the docked pose"
+    )
+    whole.legend(loc="upper left", fontsize="small")
+    figure.suptitle(
+        f"{task.world}, {task.method}, {task.rate:g} Hz, seed {task.seed}: "
+        f"{outcome.ending} after {outcome.duration:.1f} s; "
+        f"true error {1e3 * outcome.along:.1f} mm along, {1e3 * outcome.cross:.1f} mm across, "
+        f"{math.degrees(outcome.yaw):.2f} degrees"
+    )
+    figure.savefig(target, dpi=90)
+    plt.close(figure)
+
+
+def _draw(axes: Axes, layout: Layout, robot: FieldRobot, rows: FloatArray) -> None:
+    """Everything, in the fixed frame."""
+    problem = layout.problem
+    for piece in problem.obstacles.vertices:
+        axes.fill(*piece.T, color="0.6")
+    assert problem.dock.footprint is not None
+    for pose, style, name in ((robot.dock, "-", "true"), (problem.goal, "--", "stored")):
+        outline = transform_points(pose.as_array()[None], problem.dock.footprint.vertices)[0]
+        axes.fill(*outline.T, facecolor="none", edgecolor="C2", linestyle=style, label=f"station, {name}")
+        axes.plot(pose.x, pose.y, "C2+" if style == "-" else "C2x", markersize=12, label=f"docked pose, {name}")
+    step = max(1, round(_OUTLINES / (rows[1, 0] - rows[0, 0])))
+    swept = transform_points(rows[::step, 1:], problem.robot.footprint.vertices)
+    for index, outline in enumerate((*swept, transform_points(rows[-1:, 1:], problem.robot.footprint.vertices)[0])):
+        axes.fill(*outline.T, facecolor="C0", alpha=0.06)
+        axes.fill(
+            *outline.T,
+            facecolor="none",
+            edgecolor="C0",
+            linewidth=0.5,
+            label="robot, every 0.5 s" if not index else None,
+        )
+    axes.plot(rows[:, 1], rows[:, 2], "C0", linewidth=1.5, label="true path")
+    places = np.array([_placed(rows, told, one.stamp, one.pose) for told, one in robot.detections]).reshape(-1, 2)
+    axes.plot(places[:, 0], places[:, 1], "C3.", markersize=4, label="docked pose, as detected")
+
+
+def _placed(rows: FloatArray, told: float, stamp: float, seen: Pose2) -> tuple[float, float]:
+    """Where a detection puts the docked pose, seen from the robot's true pose at its stamp."""
+    row = int(np.searchsorted(rows[:, 0], min(stamp, told)))
+    placed = Pose2.from_sequence(rows[min(row, len(rows) - 1), 1:]) @ seen
+    return placed.x, placed.y

@@ -1,0 +1,86 @@
+"""What stands at the dock: an outline that stops the robot, a switch that it closes, and how a costmap shows it."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from optdock.costmap.costmap import LETHAL, Costmap
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from optdock.geometry.footprint import Footprint
+    from optdock.geometry.pose import Pose2
+
+__all__ = ["Station", "deepest", "shown_in_costmap"]
+
+_FACE = 0.3  # [m]: half of the station's face across the dock's axis; what passes beside it is not stopped
+_SPACING = 0.01  # [m] of the points of an outline that mark cells: five to a cell of 5 cm
+
+
+@dataclass(frozen=True)
+class Station:
+    """A charging station with sprung contacts.
+
+    Args:
+        give: How far the contacts yield until the robot stands [m].
+        has_switch: Whether contact is told; else nothing tells it.
+        switch_travel: The switch closes so far before the docked pose [m] ...
+        switch_cross: ... within this beside its axis [m] ...
+        switch_yaw: ... and this heading error [rad].
+    """
+
+    give: float = 0.005
+    has_switch: bool = True
+    switch_travel: float = 0.003
+    switch_cross: float = 0.02
+    switch_yaw: float = 0.1
+
+    def touched(self, seen: Pose2, gear: float) -> bool:
+        """Whether the switch is closed by a robot seen from the docked pose; gear: 1 forward, -1 backward."""
+        aligned = abs(seen.y) <= self.switch_cross and abs(seen.yaw) <= self.switch_yaw
+        return aligned and gear * seen.x >= -self.switch_travel
+
+
+def deepest(seen: tuple[float, float, float], corners: Sequence[tuple[float, float]], gear: float) -> float:
+    """How far the foremost corner of a robot is beyond the station's face [m]; negative before it, -inf beside it.
+
+    Args:
+        seen: The robot from the docked pose [m, m, rad].
+        corners: Of its outline [m]; docked, the foremost ones touch the face.
+        gear: Of the last motion, 1 forward, -1 backward.
+    """
+    x, y, yaw = seen
+    c, s = math.cos(yaw), math.sin(yaw)
+    face, found = max(gear * u for u, _ in corners), -math.inf
+    for u, v in corners:
+        if abs(y + s * u + c * v) <= _FACE:
+            found = max(found, gear * (x + c * u - s * v) - face)
+    return found
+
+
+def shown_in_costmap(outline: Footprint, station: Pose2, resolution: float, reach: float) -> Costmap:
+    """What a local costmap shows of a station: every cell that its outline touches is lethal, all others are free.
+
+    Args:
+        outline: Of the station, in the docked robot's frame.
+        station: Docked pose that the costmap puts it at.
+        resolution: Side of a cell [m]; cells lie on whole multiples of it.
+        reach: How far the costmap goes from there to each side [m].
+    """
+    c, s = math.cos(station.yaw), math.sin(station.yaw)
+    corners = outline.vertices @ np.array([[c, s], [-s, c]]) + [station.x, station.y]
+    edges = np.roll(corners, -1, axis=0) - corners
+    steps = np.linspace(0.0, 1.0, 2 + int(np.max(np.hypot(*edges.T)) / _SPACING))
+    points = (corners[:, None] + steps[:, None] * edges[:, None]).reshape(-1, 2)
+    first = np.floor((np.array([station.x, station.y]) - reach) / resolution).astype(int)
+    side = 2 * math.ceil(reach / resolution)
+    columns, rows = (np.floor(points / resolution).astype(int) - first).T
+    data = np.zeros((side, side), dtype=np.uint8)
+    data[rows, columns] = LETHAL
+    origin = first * resolution
+    return Costmap(data, resolution, (float(origin[0]), float(origin[1])))

@@ -1,0 +1,66 @@
+"""What is noted while a robot is steered: the CPU of every control cycle, and the plans that are followed."""
+
+from __future__ import annotations
+
+import time
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from experiments.docking.outcome import Followed
+from optdock.executor.planning import InlinePlanning
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from optdock.executor.planning import Job, PlanResult
+    from optdock.geometry.pose import Twist2
+
+__all__ = ["Cycles", "WatchedPlanning"]
+
+
+class Cycles:
+    """CPU seconds of every control cycle."""
+
+    def __init__(self) -> None:
+        self.spent: list[float] = []
+
+    def timed(self, work: Callable[[], Twist2]) -> Twist2:
+        """The command that `work` gives."""
+        began = time.thread_time()
+        try:
+            return work()
+        finally:
+            self.spent.append(time.thread_time() - began)
+
+    @property
+    def busy(self) -> float:
+        """99th percentile [s]."""
+        return float(np.percentile(self.spent, 99)) if self.spent else 0.0
+
+
+class WatchedPlanning(InlinePlanning):
+    """Notes which certified plan is followed from when on."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.followed: list[Followed] = []
+        self.replans = 0
+        self.spent: list[float] = []
+        self._job: Job | None = None
+
+    def submit(self, job: Job) -> None:
+        """As the others; the CPU that it takes is no part of the control cycle."""
+        self._job, began = job, time.thread_time()
+        super().submit(job)
+        self.spent.append(time.thread_time() - began)
+
+    def poll(self, stamp: float) -> PlanResult | None:
+        """As the others."""
+        result = super().poll(stamp)
+        if result is not None and result.motion is not None and self._job is not None:
+            in_motion = self._job.running is not None
+            self.replans += in_motion
+            since = self._job.stamp + self._job.lead if in_motion else stamp
+            self.followed.append(Followed(since, result.motion.plan))
+        return result
