@@ -112,9 +112,14 @@ class Perception:
         return self._dock.accepted > 0
 
     @property
+    def seen_at(self) -> float:
+        """Stamp of the newest detection that was believed [s]; -inf before."""
+        return self._dock.measured_at
+
+    @property
     def detection_age(self) -> float:
         """Since the dock was seen [s]; infinite before."""
-        return self.stamp - self._dock.measured_at
+        return self.stamp - self.seen_at
 
     @property
     def is_contradicted(self) -> bool:

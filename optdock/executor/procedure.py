@@ -50,12 +50,17 @@ _CLEAR_OF_CONTACT = 0.005  # [m]: a way back is planned from there; nearer, nois
 # Standard deviations that the accepted errors of the dock must hold: one docking in 400 is then off by one more, were
 # the robot believed to stand at the edge of what is accepted; it is believed to stand in the middle.
 _CERTAINTY = 2.0
+_RECENT = 1.0  # [s] since the dock was seen, after which it is looked for before an approach
 _BLINK = 0.5  # [s] without a detection that nothing is made of
 _BACK_OUT_SPEED = 0.05  # [m/s]
 _CREEP = 1e-6  # [m/s]: no drive moves at it; steered wheels turn as its arc says
 _BACK_OUT_LOOK = 0.5  # [s] ahead, of straight motions that no plan covers
 _ARRIVED = 0.05, 0.05  # [m], [rad] from the staging pose: Nav2's undock_linear_tolerance and undock_angular_tolerance
 
+_TOO_FAR_OFF, _BESIDE = "too far off to correct", "not docked"
+_AT_THE_DOCK = (_TOO_FAR_OFF, _BESIDE)  # what stops the robot where it may be in contact with the station
+# [s] for a detection at rest in the dock: of ten a second, half of them lost, one of 1000 takes longer.
+_CONFIRMATION = 1.0
 _MOST_BLOCKS = 5  # stops on one approach, until it counts as failed
 _PROGRESS = 0.05  # [s] on the trajectory's own clock that count as progress
 _INSTANT = 1e-9  # [s]
@@ -175,7 +180,7 @@ class Procedure:
             yield from self._drive_to_staging(State.STAGING, EndingKind.FAILED_TO_STAGE)
         while True:
             try:
-                yield from self._perceive()
+                yield from self._perceive_from_staging()
                 kind = yield from self._approach()
                 if self._settings.wait_for_charge:
                     yield from self._wait_for_charge()
@@ -239,9 +244,20 @@ class Procedure:
                 raise _Failed(EndingKind.FAILED_TO_CONTROL, reason)
             yield from self._cycle(_STOP)
 
+    def _perceive_from_staging(self) -> Cycles:
+        """Look at the dock from here; where it is not seen, from the staging pose, which faces it."""
+        try:
+            yield from self._perceive()
+        except _Failed as failure:
+            if self._gap(self._staging()) <= 1.0:
+                raise
+            self._report("dock not seen from here", failure.reason)
+            yield from self._drive_to_staging(State.STAGING, EndingKind.FAILED_TO_STAGE)
+            yield from self._perceive()
+
     def _perceive(self) -> Cycles:
         """Look at the dock, at rest, until it has been seen often enough."""
-        if not self._settings.use_detections:
+        if not self._settings.use_detections or self._is_dock_known:
             return
         self.state = State.PERCEIVING
         since, before = self._now, self._perception.detections
@@ -268,14 +284,7 @@ class Procedure:
                 yield from self._wait_for_obstacle(result, blocked_since)
                 continue
             try:
-                yield from self._drive(result.motion, State.APPROACHING, is_approach=True)
-                return (yield from self._make_contact())
-            except _Docked as docked:
-                yield from self._stop()
-                if docked.kind is EndingKind.DOCKED_BY_SIGNAL and not self._measured_contact:
-                    self._report("contact lost again", self._where)  # the feedback was taking the robot back
-                    return (yield from self._press())
-                return docked.kind
+                return (yield from self._attempt(result.motion))
             except _Interrupted as stopped:
                 self._say_why(stopped)
                 yield from self._stop()
@@ -285,7 +294,36 @@ class Procedure:
                 if blocks > _MOST_BLOCKS:
                     reason = f"stopped {blocks} times on one approach, last: {stopped.name}: {stopped.reason}"
                     raise _AttemptFailed(EndingKind.FAILED_TO_CONTROL, reason) from None
+                if stopped.name in _AT_THE_DOCK:
+                    yield from self._back_out()
                 yield from self._wait_for_detection()
+
+    def _attempt(self, motion: Motion) -> Generator[Wish, None, EndingKind]:
+        """Drive a motion into the dock, and see that the robot stands in it."""
+        try:
+            yield from self._drive(motion, State.APPROACHING, is_approach=True)
+            return (yield from self._make_contact())
+        except _Docked as docked:
+            yield from self._stop()
+            if docked.kind is EndingKind.DOCKED_BY_SIGNAL and not self._measured_contact:
+                self._report("contact lost again", self._where)  # the feedback was taking the robot back
+                return (yield from self._press())
+            if self._settings.contact == "distance":
+                yield from self._confirm()
+            return docked.kind
+
+    def _confirm(self) -> Cycles:
+        """Look once more, at rest: a wheel that slipped on the last centimetres is seen by the detector alone.
+
+        Raises:
+            _Interrupted: The robot stands elsewhere.
+        """
+        if self._settings.use_detections:
+            since, seen = self._now, self._perception.seen_at
+            while self._perception.seen_at <= max(since, seen) and self._now - since < _CONFIRMATION:
+                yield from self._cycle(_STOP)
+        if not self._may_stand_in_dock:
+            raise _Interrupted(_BESIDE, self._where)
 
     def _wait_for_detection(self) -> Cycles:
         """Where the dock has not been seen for long, look for it again."""
@@ -347,10 +385,15 @@ class Procedure:
             yield from self._cycle(Twist2(gear * _CREEP))
 
     def _make_contact(self) -> Generator[Wish, None, EndingKind]:
-        """At the end of the path, not docked yet: press on until contact is felt."""
+        """At the end of the path, not docked yet: press on until contact is felt.
+
+        Raises:
+            _Interrupted: The robot stands beside the dock, and there is no contact to press on for.
+            _AttemptFailed: Nobody knows where it stands.
+        """
         if self._settings.contact == "distance":
             self._require_certainty()
-            raise _AttemptFailed(EndingKind.FAILED_TO_CONTROL, f"not docked: {self._where}")
+            raise _Interrupted(_BESIDE, self._where)
         return (yield from self._press())
 
     def _require_certainty(self) -> None:
@@ -504,6 +547,21 @@ class Procedure:
             return False
         patience = settings.detection_patience
         return (patience is not None and age > patience) or not self._will_know(left)
+
+    @property
+    def _is_dock_known(self) -> bool:
+        """Whether the dock was seen on the way here, often, a moment ago and well enough to be driven to."""
+        perception, accepted = self._perception, self._base.dock.tolerances
+        seen = perception.detections >= self._settings.least_detections and not self._detection_is_old
+        (place, turn), most = perception.sigma, min(accepted.along, accepted.cross)
+        is_sure = _CERTAINTY * place <= most and _CERTAINTY * turn <= accepted.yaw
+        return seen and perception.detection_age <= _RECENT and is_sure and not perception.is_contradicted
+
+    @property
+    def _may_stand_in_dock(self) -> bool:
+        """False where it is known that the robot stands outside the tolerances of the dock."""
+        origin = Pose2(0.0, 0.0, 0.0)
+        return not self._will_know(0.0) or self._base.dock.tolerances.accept(self._perception.robot_from_dock, origin)
 
     def _will_know(self, left: float) -> bool:
         """Whether the tolerances of the dock can be told from the noise after so much more of the way [m]."""
@@ -785,6 +843,12 @@ class _Drive:
     def _check_contact(self) -> None:
         owner = self.owner
         kind = owner._contact()
+        if (
+            kind is EndingKind.DOCKED_BY_SIGNAL
+            and owner._settings.contact == "distance"
+            and not owner._may_stand_in_dock
+        ):
+            raise _Interrupted(_BESIDE, owner._where)
         if kind is not None:
             raise _Docked(kind)
         if self._finished_since is None or owner._settings.contact == "touch":
@@ -913,7 +977,7 @@ class _Drive:
         """Whether feedback would leave more of the present error at the dock than is worth a plan.
 
         Raises:
-            _AttemptFailed: More than the dock accepts would be left whatever is planned.
+            _Interrupted: More than the dock accepts would be left without another gear.
         """
         owner, trajectory = self.owner, self.motion.trajectory
         perception, settings = owner._perception, owner._settings
@@ -931,9 +995,8 @@ class _Drive:
             off = left_over[0] > max(accepted.cross, 3.0 * sigma[0])
             turned = left_over[1] > max(accepted.yaw, 3.0 * sigma[1])
             if (off or turned) and (not cusps or now.s >= cusps[-1]):
-                raise _AttemptFailed(
-                    EndingKind.FAILED_TO_CONTROL,
-                    f"{error.y:.3f} m and {error.yaw:.3f} rad off the path cannot be corrected over {left:.3f} m",
+                raise _Interrupted(
+                    _TOO_FAR_OFF, f"{error.y:.3f} m and {error.yaw:.3f} rad off the path, {left:.3f} m left"
                 )
             return False
         off = left_over[0] > settings.worth_position and abs(error.y) > sigma[0]

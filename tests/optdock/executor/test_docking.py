@@ -160,14 +160,16 @@ def test_localization_that_jumps_does_not_matter(lawful):
     assert abs(docking.world.error.y) <= 0.006
 
 
-def test_robot_that_is_pushed_aside_comes_again(lawful):
-    """What cannot be corrected any more is not driven to the end."""
+def test_robot_that_is_pushed_aside_goes_back_as_far_as_it_must(lawful):
+    """What cannot be corrected any more is not driven to the end; a plan with another gear begins where it stands."""
 
     docking = run(simulated(seed=3), before=once(within(0.27), pushed(0.03)))
     ending = lawful(docking)
     assert ending.kind is EndingKind.DOCKED_BY_DISTANCE
-    assert ending.num_retries == 1
-    assert State.RETURNING in docking.states
+    assert docking.said("too far off to correct")
+    assert ending.num_retries == 0
+    assert State.RETURNING not in docking.states
+    assert min(step.command.linear for step in docking.steps) < -0.05
     assert abs(docking.world.error.y) <= 0.006
 
 

@@ -38,14 +38,14 @@ def perfect(start=AHEAD, **kwargs):
 
 
 class StraightPlanning(RecordedPlanning):
-    """Plans that cost nothing: straight on for so many metres, from wherever the job begins; or none at all.
+    """Plans that cost nothing: straight on for so many metres, from wherever the job begins, so often; or none at all.
 
     Nobody proves them, so the executor takes them from a log only.
     """
 
-    def __init__(self, length=0.8, reason=""):
+    def __init__(self, length=0.8, reason="", most=math.inf):
         super().__init__()
-        self.length, self.reason, self.job = length, reason, None
+        self.length, self.reason, self.job, self.most = length, reason, None, most
 
     def submit(self, job):
         self.job = job
@@ -56,6 +56,9 @@ class StraightPlanning(RecordedPlanning):
             return None
         if self.reason or job.running is not None:
             return PlanResult(job.number, Outcome.FAILED if job.running is None else Outcome.KEPT, reason=self.reason)
+        self.most -= 1
+        if self.most < 0:
+            return PlanResult(job.number, Outcome.FAILED, reason="no other way")
         drive = rest_to_rest([clothoid(job.problem.start, [0.0, self.length], [0.0, 0.0])], speed=0.3)
         return PlanResult(job.number, Outcome.NEW, Motion(drive, job.problem))
 
@@ -93,7 +96,7 @@ ENDINGS = {
     EndingKind.NOT_DOCKED: {"task": "undock", "use_detections": False},
     EndingKind.FAILED_TO_STAGE: {"start": AFAR, **NO_WAY},
     EndingKind.FAILED_TO_DETECT_DOCK: {"before": lose},
-    EndingKind.FAILED_TO_CONTROL: {"planning": StraightPlanning(0.7), "max_retries": 0},
+    EndingKind.FAILED_TO_CONTROL: {"planning": StraightPlanning(0.7, most=1), "max_retries": 0},
     EndingKind.FAILED_TO_CHARGE: {"wait_for_charge": True, "max_retries": 0},
     EndingKind.TIMEOUT: {"timeout": 0.4},
     EndingKind.UNKNOWN: {"before": blind},
