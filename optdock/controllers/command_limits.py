@@ -37,6 +37,8 @@ _SAME_ARC = 1.5  # times as fast as wanted: beyond, the wanted speed was feedbac
 _EXACT = 1.0 + 1e-12  # a motion at its limits is not beyond them by rounding
 _NO_JERK = 1e-6  # of the limit: rounding of what a target leaves
 _HALVINGS = 40  # to a rounding error
+_EQUAL = 0.99  # of a period: jitter of a clock
+_SLOWER = 1.2  # times the usual period: a late call or two are no new rate
 _QUARTER = 1.57  # [rad]: wheels turn no further
 
 
@@ -54,15 +56,22 @@ class CommandLimiter:
         """Begin at what the robot does, at a steady speed."""
         self.command = command
         self._acceleration = 0.0
-        self._period = 0.0
+        self._period, self._usual = 0.0, math.inf  # the last one, and what those to come are taken to be
         self._feed_forward: float | None = None
         self._feed_slope: float | None = None
         moving = abs(command.linear) >= _CREEPING
         self._curvature = command.angular / command.linear if moving else None
 
-    def stop(self) -> None:
-        """Begin again from rest: what a refusal leaves the robot with. An emergency stop keeps no jerk limit."""
+    def stop(self, period: float = 0.0) -> None:
+        """Begin again from rest: what a refusal leaves the robot with. An emergency stop keeps no jerk limit.
+
+        Args:
+            period: For how long the command has been rest [s]; 0: nobody knows.
+        """
+        usual = min(period, _SLOWER * self._usual)
         self.restart(Twist2())
+        if period > 0.0:
+            self._period, self._usual, self._feed_forward = period, usual, 0.0
 
     def follow(  # noqa: PLR0913 - two commands, their time, and what bounds them
         self,
@@ -113,6 +122,7 @@ class CommandLimiter:
         command = Twist2(linear, turned * linear if steered else turned)
         if self._feed_forward is not None:
             self._acceleration, self._period = (command.linear - before) / period, period
+            self._usual = min(period, _SLOWER * self._usual)
         self._feed_forward, self.command = feed_forward.linear, command
         if steered:
             self._curvature = turned
@@ -132,7 +142,7 @@ class CommandLimiter:
         slope, between = (feed_forward - self._feed_forward) / period, self._between(period)
         jerk = 0.0 if self._feed_slope is None else (slope - self._feed_slope) / between
         self._feed_slope = slope
-        missing, periods = wanted - slope * period - before, (period, between)
+        missing, periods = wanted - slope * period - before, (period, between, min(period, self._usual))
         lasts = (limits.max_acceleration + limits.max_deceleration) / limits.max_jerk
         slope = smooth_slope(missing, slope, self._acceleration, limits.max_jerk, periods, (jerk, lasts))
         braking = before != 0.0 and slope * before < 0.0
@@ -156,7 +166,8 @@ class CommandLimiter:
         if speed > 0.0:
             step = limits.max_jerk * period  # that much more where the rest falls into a period
             most = forward * self._acceleration + limits.max_jerk * self._between(period)
-            found = max(found, min(-_fastest(speed, limits.max_jerk, period) - step, most))
+            usual = min(period, self._usual)
+            found = max(found, min(-_fastest(speed, limits.max_jerk, period, usual) - step, most))
         return forward * found
 
     def _leaving_room(self, slope: float, turn: _Turn, period: float, limits: MotionLimits) -> float:
@@ -334,7 +345,7 @@ def smooth_slope(
     target_slope: float,
     slope: float,
     jerk: float,
-    periods: tuple[float, float],
+    periods: tuple[float, float, float],
     target_jerk: tuple[float, float] = (0.0, math.inf),
 ) -> float:
     """The slope of the next period, of a value that is to reach a moving target and stay with it.
@@ -347,25 +358,41 @@ def smooth_slope(
         target_slope: Of the target.
         slope: Of the value in the period before.
         jerk: By how much a slope may change in a unit of time.
-        periods: The period, and the time between its middle and that of the one before [s].
+        periods: The period, the time between its middle and that of the one before, and those to come [s].
         target_jerk: By how much the target's slope changes in a unit of time, and how long that may go on [s].
     """
-    period, between = periods
+    period, between, usual = periods
     changes, lasts = target_jerk
     gap, left = abs(missing), min(jerk, jerk + math.copysign(changes, missing * changes))
-    gain = max(_fastest(gap, left, period) if left >= _NO_JERK * jerk else 0.0, gap / lasts)
-    gain = min(gap / period, _fastest(gap, jerk, period), gain)
+    gain = max(_fastest(gap, left, period, usual) if left >= _NO_JERK * jerk else 0.0, gap / lasts)
+    gain = min(gap / period, _fastest(gap, jerk, period, usual), gain)
     wanted = target_slope + math.copysign(gain, missing)
     return min(max(wanted, slope - jerk * between), slope + jerk * between)
 
 
-def _fastest(gap: float, jerk: float, period: float) -> float:
-    """The largest slope that can still fall to nothing within `gap`, by at most `jerk` times `period` every period.
+def _fastest(gap: float, jerk: float, period: float, usual: float) -> float:
+    """The largest slope of a period that can still fall to nothing within `gap`, over `usual` periods after it.
 
-    In units of that step: slopes n + f, n - 1 + f, ..., f cover (n + 1) (n / 2 + f) units of jerk * period^2.
+    Between the middles of two periods a slope falls by at most `jerk` times the time between.
+    """
+    if usual >= _EQUAL * period:
+        return _fastest_evenly(gap, jerk, period)
+    low, high = 0.0, gap / period
+    for _ in range(_HALVINGS):
+        middle = 0.5 * (low + high)
+        next_slope = middle - 0.5 * jerk * (period + usual)
+        fits = next_slope <= _fastest_evenly(gap - middle * period, jerk, usual)
+        low, high = (middle, high) if fits else (low, middle)
+    return low
+
+
+def _fastest_evenly(gap: float, jerk: float, period: float) -> float:
+    """The same over equal periods.
+
+    In units of jerk times period: slopes n + f, n - 1 + f, ..., f cover (n + 1) (n / 2 + f) units of jerk * period^2.
     """
     step = jerk * period
-    units = gap / (step * period)
+    units = max(gap, 0.0) / (step * period)
     n = math.floor(0.5 * (math.sqrt(1.0 + 8.0 * units) - 1.0))
     return step * (0.5 * n + units / (n + 1))
 

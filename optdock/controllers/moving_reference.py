@@ -297,7 +297,7 @@ class Reference:
             )
             lowest, highest = _rate_bounds(ahead.speed, before**2 * ahead.acceleration, (rise, fall))
             missing = target_rate - before
-            wanted = smooth_slope(missing, 0.0, self._slope, _JERK_SHARE * jerk / ahead.speed, (period, period))
+            wanted = smooth_slope(missing, 0.0, self._slope, _JERK_SHARE * jerk / ahead.speed, (period,) * 3)
             if settling > 0.0:
                 most = abs(missing) / settling
                 wanted = min(max(wanted, -most), most)

@@ -153,6 +153,8 @@ class DockingExecutor:
         robot = self.problem.robot
         if self._began is None:
             self._limiter.restart(admissible(measurements.twist, robot.limits, robot.drive))
+            if self._limiter.command == Twist2():
+                self._limiter.stop(_FIRST_PERIOD)
         self._watch_log()
         tick = self._tick(measurements.stamp)
         if tick.passed > tick.of_commands:  # bases stop by themselves when they are told nothing for long
@@ -220,7 +222,10 @@ class DockingExecutor:
     def _limited(self, wish: Twist2 | None, period: float) -> Twist2:
         """What is wished for, or a stop along the present curve, as far as the limits allow; whoever asks for it."""
         limiter, robot = self._limiter, self.problem.robot
-        if period <= 0.0 or (wish is None and limiter.command == Twist2()):
+        if period <= 0.0:
+            return limiter.command
+        if wish is None and limiter.command == Twist2():
+            limiter.stop(period)
             return limiter.command
         # A stop is a target that does not change, wherever the one before it was going.
         self._moving = wish if wish is not None else self._moving

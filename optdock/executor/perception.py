@@ -117,6 +117,13 @@ class Perception:
         return self._dock.measured_at
 
     @property
+    def moved_since_seen(self) -> float:
+        """How far the robot has moved since the newest detection that was believed [m]; infinite where nobody knows."""
+        if not self.seen_at >= self._dock.remembered_from:
+            return math.inf
+        return self._dock.pose.distance_to(self._dock.pose_at(self.seen_at))
+
+    @property
     def detection_age(self) -> float:
         """Since the dock was seen [s]; infinite before."""
         return self.stamp - self.seen_at

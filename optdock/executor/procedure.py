@@ -50,8 +50,9 @@ _CLEAR_OF_CONTACT = 0.005  # [m]: a way back is planned from there; nearer, nois
 # Standard deviations that the accepted errors of the dock must hold: one docking in 400 is then off by one more, were
 # the robot believed to stand at the edge of what is accepted; it is believed to stand in the middle.
 _CERTAINTY = 2.0
-_RECENT = 1.0  # [s] since the dock was seen, after which it is looked for before an approach
 _BLINK = 0.5  # [s] without a detection that nothing is made of
+_LONG = 3.0  # [s] without one, after which a robot that is not sure looks for it before it drives on
+_LAST_LOOK = 0.2  # [m] before the dock: as near it drives without being sure, for a detection may come on the way
 _BACK_OUT_SPEED = 0.05  # [m/s]
 _CREEP = 1e-6  # [m/s]: no drive moves at it; steered wheels turn as its arc says
 _BACK_OUT_LOOK = 0.5  # [s] ahead, of straight motions that no plan covers
@@ -61,6 +62,7 @@ _TOO_FAR_OFF, _BESIDE = "too far off to correct", "not docked"
 _AT_THE_DOCK = (_TOO_FAR_OFF, _BESIDE)  # what stops the robot where it may be in contact with the station
 # [s] for a detection at rest in the dock: of ten a second, half of them lost, one of 1000 takes longer.
 _CONFIRMATION = 1.0
+_UNSEEN_WAY = 0.015  # [m]: on less than that no wheel that slips turns a robot by a degree
 _MOST_BLOCKS = 5  # stops on one approach, until it counts as failed
 _PROGRESS = 0.05  # [s] on the trajectory's own clock that count as progress
 _INSTANT = 1e-9  # [s]
@@ -319,8 +321,8 @@ class Procedure:
             _Interrupted: The robot stands elsewhere.
         """
         if self._settings.use_detections:
-            since, seen = self._now, self._perception.seen_at
-            while self._perception.seen_at <= max(since, seen) and self._now - since < _CONFIRMATION:
+            since = self._now
+            while self._perception.moved_since_seen > _UNSEEN_WAY and self._now - since < _CONFIRMATION:
                 yield from self._cycle(_STOP)
         if not self._may_stand_in_dock:
             raise _Interrupted(_BESIDE, self._where)
@@ -546,16 +548,18 @@ class Procedure:
         if age <= _BLINK or self._distance <= settings.detection_blind_distance:
             return False
         patience = settings.detection_patience
-        return (patience is not None and age > patience) or not self._will_know(left)
+        if patience is not None and age > patience:
+            return True
+        return (left <= _LAST_LOOK or age > _LONG) and not self._will_know(left)
 
     @property
     def _is_dock_known(self) -> bool:
-        """Whether the dock was seen on the way here, often, a moment ago and well enough to be driven to."""
+        """Whether the dock was seen on the way here, often and well enough to be driven to."""
         perception, accepted = self._perception, self._base.dock.tolerances
         seen = perception.detections >= self._settings.least_detections and not self._detection_is_old
         (place, turn), most = perception.sigma, min(accepted.along, accepted.cross)
         is_sure = _CERTAINTY * place <= most and _CERTAINTY * turn <= accepted.yaw
-        return seen and perception.detection_age <= _RECENT and is_sure and not perception.is_contradicted
+        return seen and is_sure and not perception.is_contradicted
 
     @property
     def _may_stand_in_dock(self) -> bool:

@@ -258,12 +258,13 @@ def test_the_stops_of_a_robot_are_told_with_the_defaults():
         "no new odometry": f"{own.odom_duration} + {executor.pose_patience} s",
         "no new local costmap": f"{controller.costmap_timeout} + {cycles} s",
         "something new": f"{executor.obstacle_patience:g} s",
-        "the dock is not seen": f"{executor.detection_patience:g} s",
+        "the dock is not seen": "know at the dock whether",
         "the drive does not follow": f"{executor.progress_time:g} s",
         "cycles that come": f"{executor.longest_tick} s",
     }
     rows = {what: next(row for row in stops.splitlines() if row.startswith(f"| {what}")) for what in told}
     assert {what: row for what, row in rows.items() if told[what] not in row} == {}
+    assert executor.detection_patience is None
     assert f"{executor.localization_timeout:g} s at rest" in rows["no new transform"]
     assert f"{executor.costmap_timeout:g} s at rest" in rows["no new local costmap"]
 
