@@ -51,9 +51,14 @@ def by_executor(
     executor = DockingExecutor(layout.problem, settings, planning=planning, **chosen)  # type: ignore[arg-type]
     stamps: list[float] = []
     commands: list[tuple[float, float]] = []
+    raised: Exception | None = None
     while robot.time < TIMEOUT:
         planned_before, began = sum(planning.spent), time.thread_time()
-        step = executor.step(robot.measurements)
+        try:
+            step = executor.step(robot.measurements)
+        except Exception as error:  # whatever it is, it is a result: the run has failed by it
+            raised = error
+            break
         cycles.spent.append(time.thread_time() - began - sum(planning.spent) + planned_before)
         stamps.append(robot.time)
         commands.append((step.command.linear, step.command.angular))
@@ -64,10 +69,13 @@ def by_executor(
     while robot.time < settled:
         robot.advance(Twist2(), rate)
     ending = executor.ending
+    name, reason = ("never ended", "") if ending is None else (ending.kind.value, ending.reason)
+    if raised is not None:
+        name, reason = f"raised {type(raised).__name__}", str(raised)
     return Steered(
-        "never ended" if ending is None else ending.kind.value,
-        "" if ending is None else ending.reason,
-        ending is not None and ending.kind.succeeded,
+        name,
+        reason,
+        raised is None and ending is not None and ending.kind.succeeded,
         ended,
         _planned(layout, planning.followed),
         0 if ending is None else ending.num_retries,

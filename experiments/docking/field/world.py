@@ -77,6 +77,7 @@ class FieldRobot:
         poses: True poses after every sub-step, rows of (time [s], x [m], y [m], yaw [rad]).
         docks: Since when the dock stands where, (time [s], pose).
         detections: As they were told, (time [s], detection).
+        told: Poses as they were told, rows of (time [s], x [m], y [m], yaw [rad]).
     """
 
     def __init__(self, world: FieldWorld, layout: Layout, seed: int) -> None:
@@ -100,6 +101,7 @@ class FieldRobot:
         self.poses: list[tuple[float, float, float, float]] = [(0.0, start.x, start.y, start.yaw)]
         self.docks: list[tuple[float, Pose2]] = [(0.0, self.dock)]
         self.detections: list[tuple[float, Detection]] = []
+        self.told: list[tuple[float, float, float, float]] = []
         self._costmap_at = 0.0
         self.odometry = OdometryMessage(0.0, self._odometry.pose, Twist2())
         self._localization.estimate(0.0, start, self._odometry.pose)
@@ -149,6 +151,8 @@ class FieldRobot:
         time = self.time
         self.odometry = message = self._odometry.newest(time)
         pose, stamp = self._localization.told(time, message.pose)
+        if pose is not None:
+            self.told.append((time, pose.x, pose.y, pose.yaw))
         detections = self._camera.arrived(time)
         self.detections.extend((time, one) for one in detections)
         station = self.world.station
