@@ -21,10 +21,17 @@ from experiments.docking.field.drive import SUBSTEP, Drive, DriveState
 from experiments.docking.field.localization import Localization, LocalizationState
 from experiments.docking.field.nav2 import VelocitySmoother
 from experiments.docking.field.odometry import Odometry, OdometryState
+from experiments.docking.field.outcome import Steered
 from experiments.docking.field.picture import draw_run
 from experiments.docking.field.run import FieldTask, driven_in_field, field_tasks
 from experiments.docking.field.station import Station, deepest, shown_in_costmap
 from experiments.docking.field.tables import field_table
+from experiments.docking.field.undocking import (
+    asked_in_contact,
+    turned_in_contact,
+    undocked_in_field,
+    undocking_table,
+)
 from experiments.docking.field.world import FieldRobot, FieldWorld
 from experiments.docking.field.worlds import FIELD_WORLDS
 from optdock.costmap.costmap import LETHAL
@@ -545,6 +552,24 @@ def test_tasks_are_those_that_were_asked_for():
 def test_a_run_is_drawn(tmp_path):
     draw_run(tmp_path / "run.png", FieldTask("Nav2's law", "field", "nav2", 50.0, 3))
     assert (tmp_path / "run.png").stat().st_size > 20_000
+
+
+def test_a_turn_in_contact_is_told_apart_from_what_was_asked_for():
+    way = np.linspace(0.0, 0.2, 41)
+    rows = np.column_stack((10.0 * way, 1.0 - way, 0.0 * way, np.where(way <= 0.05, -way, way - 0.1)))
+    assert turned_in_contact(rows) == pytest.approx(0.05)
+    stamps = np.array([0.0, 0.5, 1.5])
+    commands = np.array([[-0.1, 0.02], [-0.1, -0.06], [-0.1, 9.0]])
+    by = Steered("", "", True, 0.0, 0.0, 0, 0.0, commands, stamps)
+    assert asked_in_contact(rows, by) == pytest.approx(abs(0.5 * 0.02 - 0.06 * 0.55), abs=0.06 * 0.051)
+
+
+def test_a_docked_robot_undocks():
+    found = undocked_in_field(FieldTask("executor", "field", "nav2", 50.0, 3))
+    assert found.undocked
+    assert found.at_rest
+    assert found.turned < math.radians(5.0)
+    assert "1/1" in undocking_table([found])
 
 
 def test_it_shares_no_code_with_the_simulation():

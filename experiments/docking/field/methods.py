@@ -6,7 +6,7 @@ import math
 import time
 from collections.abc import Callable
 from functools import partial
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
@@ -34,21 +34,23 @@ def by_executor(
     robot: FieldRobot,
     rate: float,
     *,
+    task: Literal["dock", "undock"] = "dock",
     controller: str | None = None,
     settings: ExecutorSettings | None = None,
 ) -> Steered:
-    """Dock by the executor.
+    """Dock or undock by the executor.
 
     Args:
         layout: Where everything stands.
         robot: At its start.
         rate: Control cycles per second [Hz].
+        task: Which of the two.
         controller: By name; None: the default one.
         settings: None: the default ones.
     """
     planning, cycles = WatchedPlanning(), Cycles()
     chosen = {} if controller is None else {"controller": controller}
-    executor = DockingExecutor(layout.problem, settings, planning=planning, **chosen)  # type: ignore[arg-type]
+    executor = DockingExecutor(layout.problem, settings, task=task, planning=planning, **chosen)  # type: ignore[arg-type]
     stamps: list[float] = []
     commands: list[tuple[float, float]] = []
     raised: Exception | None = None

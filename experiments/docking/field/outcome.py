@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from experiments.docking.field.world import FieldRobot
     from optdock.geometry.arrays import FloatArray
 
-__all__ = ["FieldOutcome", "Steered", "field_outcome"]
+__all__ = ["FieldOutcome", "Steered", "clearances", "field_outcome"]
 
 _EVERY = 4  # sub-steps between two poses whose clearance is looked at: 20 ms, 5 mm at full speed
 _DEEP = 0.0075  # [m] of the corners beyond the station's face: what its contacts give, and 0.6 degrees
@@ -129,7 +129,7 @@ def field_outcome(task: FieldTask, layout: Layout, robot: FieldRobot, by: Steere
         by: What whoever steered it has left.
     """
     error = robot.error
-    clearance, station = _clearances(layout, robot)
+    clearance, station = clearances(layout, robot)
     over, limit = worst_ratio(by.commands, np.diff(by.stamps), layout.problem.robot.limits)
     return FieldOutcome(
         task.world, task.rate, task.method, task.spread, task.seed, by.ending, by.reason, by.docked,
@@ -138,7 +138,7 @@ def field_outcome(task: FieldTask, layout: Layout, robot: FieldRobot, by: Steere
     )  # fmt: skip
 
 
-def _clearances(layout: Layout, robot: FieldRobot) -> tuple[float, float]:
+def clearances(layout: Layout, robot: FieldRobot) -> tuple[float, float]:
     """Smallest distances of the true outline to obstacles and to the station [m], at most 1 m."""
     rows = robot.record()[::_EVERY]
     problem = layout.problem
