@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
+from experiments.docking.field.belief import Belief
 from experiments.docking.field.nav2 import by_nav2
 from experiments.docking.field.outcome import Steered
 from experiments.docking.watched import Cycles, WatchedPlanning
@@ -48,7 +49,7 @@ def by_executor(
         controller: By name; None: the default one.
         settings: None: the default ones.
     """
-    planning, cycles = WatchedPlanning(), Cycles()
+    planning, cycles, belief = WatchedPlanning(), Cycles(), Belief()
     chosen = {} if controller is None else {"controller": controller}
     executor = DockingExecutor(layout.problem, settings, task=task, planning=planning, **chosen)  # type: ignore[arg-type]
     stamps: list[float] = []
@@ -62,6 +63,7 @@ def by_executor(
             raised = error
             break
         cycles.spent.append(time.thread_time() - began - sum(planning.spent) + planned_before)
+        belief.compare(executor, robot)
         stamps.append(robot.time)
         commands.append((step.command.linear, step.command.angular))
         if step.ending is not None and step.command == Twist2():
@@ -82,6 +84,8 @@ def by_executor(
         _planned(layout, planning.followed),
         0 if ending is None else ending.num_retries,
         cycles.busy,
+        belief.off,
+        belief.recovered_after,
         np.array(commands),
         np.array(stamps),
     )

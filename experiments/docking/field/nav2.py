@@ -152,4 +152,7 @@ def by_nav2(layout: Layout, robot: FieldRobot, rate: float) -> Steered:
         robot.run(until)
         robot.measure()
     ending = server.ending or ""
-    return Steered(ending, "", ending == DOCKED, ended, math.nan, 0, math.nan, np.array(commands), np.array(stamps))
+    return Steered(
+        ending, "", ending == DOCKED, ended, math.nan, 0, math.nan, math.nan, math.nan, np.array(commands),
+        np.array(stamps),
+    )  # fmt: skip

@@ -35,6 +35,8 @@ class Steered(NamedTuple):
         planned: How long the plan for the whole way takes that it began with [s]; NaN where it made none.
         retries: Approaches after the first one.
         busy: 99th percentile of the CPU of its control cycles without planning [s].
+        off: How far its belief of the robot seen from the dock was from the truth in the end [m]; NaN: not known.
+        recovered_after: Detections of a pushed dock until it believed the truth again, see `Belief`.
         commands: Linear and angular, one for each control cycle, Shape (n, 2) [m/s, rad/s].
         stamps: When they were given, Shape (n,) [s].
     """
@@ -46,6 +48,8 @@ class Steered(NamedTuple):
     planned: float
     retries: int
     busy: float
+    off: float
+    recovered_after: float
     commands: FloatArray
     stamps: FloatArray
 
@@ -74,6 +78,8 @@ class FieldOutcome(NamedTuple):
         over: Largest ratio of a commanded quantity to its limit.
         limit: Which that is.
         busy: 99th percentile of the CPU of its control cycles without planning [s].
+        off: How far its belief of the robot seen from the dock was from the truth in the end [m]; NaN: not known.
+        recovered_after: Detections of a pushed dock until it believed the truth again, see `Belief`.
     """
 
     world: str
@@ -96,6 +102,8 @@ class FieldOutcome(NamedTuple):
     over: float
     limit: str
     busy: float
+    off: float
+    recovered_after: float
 
     @property
     def exact(self) -> bool:
@@ -134,7 +142,7 @@ def field_outcome(task: FieldTask, layout: Layout, robot: FieldRobot, by: Steere
     return FieldOutcome(
         task.world, task.rate, task.method, task.spread, task.seed, by.ending, by.reason, by.docked,
         robot.drive.at_rest, error.x, error.y, error.yaw, by.ended, by.planned, by.retries, clearance, station, over,
-        limit, by.busy,
+        limit, by.busy, by.off, by.recovered_after,
     )  # fmt: skip
 
 
