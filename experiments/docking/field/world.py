@@ -28,7 +28,8 @@ __all__ = ["FieldRobot", "FieldWorld"]
 MARKER = 0.45  # [m] before the docked robot's origin: the back of the station, 0.2 m before the docked camera
 PUSHED_AT = 0.6  # [m] before the dock, where it is pushed
 TOUCHABLE = 0.5  # [m] from the docked pose to the robot's, farther off no corner of it reaches the station's face
-CELL, COSTMAP_REACH, COSTMAP_PERIOD = 0.05, 1.5, 0.5  # [m], [m], [s] of a local costmap
+CELL, COSTMAP_PERIOD = 0.05, 0.5  # [m], [s] of a local costmap
+COSTMAP_REACH = 3.0  # [m] from the dock: every start and the way to the staging pose lie on it, robot and all
 
 
 @dataclass(frozen=True)
