@@ -562,7 +562,7 @@ def test_a_turn_in_contact_is_told_apart_from_what_was_asked_for():
     assert turned_in_contact(rows) == pytest.approx(0.049)
     stamps = np.array([0.0, 0.5, 1.5])
     commands = np.array([[-0.1, 0.02], [-0.1, -0.06], [-0.1, 9.0]])
-    by = Steered("", "", True, 0.0, 0.0, 0, 0.0, 0.0, 0.0, commands, stamps)
+    by = Steered("", "", True, 0.0, 0.0, 0, 0.0, 0.0, 0.0, 0.0, commands, stamps)
     assert asked_in_contact(rows, by) == pytest.approx(0.06 * 0.55 - 0.02 * 0.5)  # out of contact at 0.105 m, 1.05 s
 
 
@@ -577,6 +577,7 @@ def test_a_belief_recovers_when_it_is_near_the_truth_again():
         robot.advance(Twist2(0.1, 0.0), 50.0)
     assert belief.recovered_after == math.inf
     assert belief.off == pytest.approx(0.03, abs=0.02 * 0.6)  # and what its turn is at the robot
+    assert belief.turned_off == pytest.approx(abs(robot.docks[1][1].yaw - robot.docks[0][1].yaw))
     executor.robot, executor.dock = robot.pose, robot.dock
     belief.compare(executor, robot)
     fresh = [one for _, one in robot.detections if one.stamp >= robot.docks[1][0]]

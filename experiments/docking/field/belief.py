@@ -20,12 +20,13 @@ class Belief:
 
     Attributes:
         off: Distance of the two, last [m]; NaN before the robot is located.
+        turned_off: Angle between them, likewise [rad].
         recovered_after: Detections of the pushed dock that were told until the belief was within 10 mm, 10 mm and 1.5
             degrees of the truth; infinite where it never was, NaN where nothing was pushed.
     """
 
     def __init__(self) -> None:
-        self.off = math.nan
+        self.off = self.turned_off = math.nan
         self.recovered_after = math.nan
         self._is_waiting = True
 
@@ -35,7 +36,7 @@ class Belief:
             return
         seen = executor.robot.in_frame_of(executor.dock)
         gap = robot.error.in_frame_of(seen)
-        self.off = math.hypot(gap.x, gap.y)
+        self.off, self.turned_off = math.hypot(gap.x, gap.y), abs(gap.yaw)
         if len(robot.docks) > 1 and self._is_waiting:
             self._wait(gap, robot)
 

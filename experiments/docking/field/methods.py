@@ -85,6 +85,7 @@ def by_executor(
         0 if ending is None else ending.num_retries,
         cycles.busy,
         belief.off,
+        belief.turned_off,
         belief.recovered_after,
         np.array(commands),
         np.array(stamps),

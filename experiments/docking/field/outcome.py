@@ -36,6 +36,7 @@ class Steered(NamedTuple):
         retries: Approaches after the first one.
         busy: 99th percentile of the CPU of its control cycles without planning [s].
         off: How far its belief of the robot seen from the dock was from the truth in the end [m]; NaN: not known.
+        turned_off: And how far turned [rad].
         recovered_after: Detections of a pushed dock until it believed the truth again, see `Belief`.
         commands: Linear and angular, one for each control cycle, Shape (n, 2) [m/s, rad/s].
         stamps: When they were given, Shape (n,) [s].
@@ -49,6 +50,7 @@ class Steered(NamedTuple):
     retries: int
     busy: float
     off: float
+    turned_off: float
     recovered_after: float
     commands: FloatArray
     stamps: FloatArray
@@ -79,6 +81,7 @@ class FieldOutcome(NamedTuple):
         limit: Which that is.
         busy: 99th percentile of the CPU of its control cycles without planning [s].
         off: How far its belief of the robot seen from the dock was from the truth in the end [m]; NaN: not known.
+        turned_off: And how far turned [rad].
         recovered_after: Detections of a pushed dock until it believed the truth again, see `Belief`.
     """
 
@@ -103,6 +106,7 @@ class FieldOutcome(NamedTuple):
     limit: str
     busy: float
     off: float
+    turned_off: float
     recovered_after: float
 
     @property
@@ -142,7 +146,8 @@ def field_outcome(task: FieldTask, layout: Layout, robot: FieldRobot, by: Steere
     return FieldOutcome(
         task.world, task.rate, task.method, task.spread, task.seed, by.ending, by.reason, by.docked,
         robot.drive.at_rest, error.x, error.y, error.yaw, by.ended, by.planned, by.retries, clearance, station, over,
-        limit, by.busy, by.off, by.recovered_after,
+        limit, by.busy, by.off, by.turned_off,
+        by.recovered_after,
     )  # fmt: skip
 
 

@@ -20,7 +20,7 @@ __all__ = ["field_table"]
 _HEAD = [
     "world", "Hz", "method", "good", "false docked", "failed", "collisions", "across p95, mm", "yaw p95, degrees",
     "along p95, mm", "time p50, s", "of plan p50", "over limit", "of", "longest, s", "cycle p99, ms",
-    "belief off p95, mm", "recovered p95, detections",
+    "belief off p95, mm", "degrees", "recovered p95, detections",
 ]  # fmt: skip
 
 
@@ -55,6 +55,7 @@ def _row(key: tuple[str, float, str], found: list[FieldOutcome]) -> list[str]:
         f"{max(one.duration for one in found):.0f}",
         _percentile((1e3 * one.busy for one in found), 99, 2),
         _percentile((1e3 * one.off for one in docked), 95, 1),
+        _percentile((math.degrees(one.turned_off) for one in docked), 95, 2),
         _percentile((one.recovered_after for one in found), 95, 0),
     ]
 
