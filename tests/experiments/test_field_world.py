@@ -224,7 +224,7 @@ def localized(localization, count, seed=0):
 
 
 def test_drift_is_stationary_and_correlated():
-    errors = localized(Localization(jump_pause=math.inf), 20_000)
+    errors = localized(Localization(jump_pause=math.inf), 12_000)
     assert errors.std(axis=0) == pytest.approx([0.015, 0.015, math.radians(0.3)], rel=0.2)
     lag = round(10.0 / 0.2)
     for column in errors.T:
@@ -232,11 +232,11 @@ def test_drift_is_stationary_and_correlated():
 
 
 def test_jumps_go_there_and_back():
-    errors = localized(Localization(drift=0.0, drift_yaw=0.0), 20_000)
+    errors = localized(Localization(drift=0.0, drift_yaw=0.0), 10_000)
     steps = np.hypot(*np.diff(errors[:, :2], axis=0).T)
     sizes = steps[steps > 0.0]
     assert 0.03 - 1e-9 <= sizes.min() < sizes.max() <= 0.05 + 1e-9
-    assert len(sizes) == pytest.approx(20_000 * 0.2 / 12.0, rel=0.25)
+    assert len(sizes) == pytest.approx(10_000 * 0.2 / 12.0, rel=0.25)
     assert np.abs(errors[:, 2]).max() <= math.radians(1.0)
     assert np.hypot(*errors[:, :2].T).max() <= 0.05 + 1e-9
 
@@ -277,7 +277,7 @@ def test_lost_localization_tells_nothing_for_so_long():
 # The camera.
 
 
-def seen(camera, count=4000, robot=ORIGIN, dock=None, seed=0):
+def seen(camera, count=2500, robot=ORIGIN, dock=None, seed=0):
     """What is told of a dock by so many pictures: (arrival, detection)."""
     state = CameraState(camera, Pose2(0.45, 0.0, 0.0), random(seed))
     told = []
@@ -358,7 +358,7 @@ def test_a_second_tag_is_taken_for_the_dock_now_and_then_and_while_that_is_hidde
     aside = {number for number, pose in told.items() if pose.y > 0.15}
     assert all(told[number].y == pytest.approx(0.3, abs=0.05) for number in aside)
     assert len(aside) / len(told) == pytest.approx(0.1, abs=0.02)
-    hidden = [number for number in range(4000) if set(range(number, number + 20)) <= aside]
+    hidden = [number for number in range(2500) if set(range(number, number + 20)) <= aside]
     assert hidden
 
 
