@@ -5,6 +5,7 @@
     python -m experiments.docking --faults                       # the table of faults
     python -m experiments.docking --world field --count 40       # the field world, by the executor and by Nav2's law
     python -m experiments.docking --world "field, blind" --method executor --rate 50 --count 40
+    python -m experiments.docking --undock --world field --rate 50 --count 40
 
 Writes results/docking/: runs.csv, table.md, cdf.png and, of the worst run by the executor, a film; of the field worlds
 field.csv, field.md and, of the worst run by the executor, field.png.
@@ -30,6 +31,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
     from experiments.docking.field.outcome import FieldOutcome
+    from experiments.docking.field.undocking import Undocking
     from experiments.docking.outcome import Outcome
     from experiments.docking.run import Task
 
@@ -58,6 +60,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--jobs", type=int, default=2, help="processes (default: %(default)s)")
     parser.add_argument("--faults", action="store_true", help="the table of faults instead")
+    parser.add_argument("--undock", action="store_true", help="undock in the field worlds instead")
     parser.add_argument("--out", type=Path, default=OUT)
     options = parser.parse_args(arguments)
     for name in THREADS:  # before NumPy is loaded, here and in the processes
@@ -71,6 +74,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         sys.stdout.write(text + "\n")
         return 0 if is_sound else 1
     in_field = [world for world in options.world or () if world in FIELD_WORLDS]
+    if options.undock:
+        return undocking_study(options, in_field or ["field"])
     if in_field:
         field_study(options, in_field)
     return study(options) if not options.world or len(in_field) < len(options.world) else 0
@@ -110,6 +115,19 @@ def field_study(options: argparse.Namespace, worlds: list[str]) -> None:
         draw_run(options.out / "field.png", max(ours)[2])
 
 
+def undocking_study(options: argparse.Namespace, worlds: list[str]) -> int:
+    """Undockings by the executor in the field worlds."""
+    from experiments.docking.field.undocking import undocked_in_field, undocking_table
+
+    options.method = ["executor"]
+    found = results_of(undocked_in_field, field_tasks(options, worlds), options.jobs)
+    write_rows(options.out / "undocking.csv", found)
+    text = undocking_table(found)
+    (options.out / "undocking.md").write_text(text + "\n", encoding="utf-8")
+    sys.stdout.write(text + "\n")
+    return 0
+
+
 def results_of(drive: Callable[[Given], Result], todo: Sequence[Given], jobs: int) -> list[Result]:
     """What each task gives, in their order, from so many processes."""
     found: list[Result] = []
@@ -122,7 +140,7 @@ def results_of(drive: Callable[[Given], Result], todo: Sequence[Given], jobs: in
     return found
 
 
-def write_rows(target: Path, found: Sequence[Outcome | FieldOutcome]) -> None:
+def write_rows(target: Path, found: Sequence[Outcome | FieldOutcome | Undocking]) -> None:
     """All outcomes, a line for each, under the names of their fields."""
     with target.open("w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file)

@@ -6,10 +6,11 @@ import math
 import time
 from collections.abc import Callable
 from functools import partial
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
+from experiments.docking.field.belief import Belief
 from experiments.docking.field.nav2 import by_nav2
 from experiments.docking.field.outcome import Steered
 from experiments.docking.watched import Cycles, WatchedPlanning
@@ -34,27 +35,35 @@ def by_executor(
     robot: FieldRobot,
     rate: float,
     *,
+    task: Literal["dock", "undock"] = "dock",
     controller: str | None = None,
     settings: ExecutorSettings | None = None,
 ) -> Steered:
-    """Dock by the executor.
+    """Dock or undock by the executor.
 
     Args:
         layout: Where everything stands.
         robot: At its start.
         rate: Control cycles per second [Hz].
+        task: Which of the two.
         controller: By name; None: the default one.
         settings: None: the default ones.
     """
-    planning, cycles = WatchedPlanning(), Cycles()
+    planning, cycles, belief = WatchedPlanning(), Cycles(), Belief()
     chosen = {} if controller is None else {"controller": controller}
-    executor = DockingExecutor(layout.problem, settings, planning=planning, **chosen)  # type: ignore[arg-type]
+    executor = DockingExecutor(layout.problem, settings, task=task, planning=planning, **chosen)  # type: ignore[arg-type]
     stamps: list[float] = []
     commands: list[tuple[float, float]] = []
+    raised: Exception | None = None
     while robot.time < TIMEOUT:
         planned_before, began = sum(planning.spent), time.thread_time()
-        step = executor.step(robot.measurements)
+        try:
+            step = executor.step(robot.measurements)
+        except Exception as error:  # whatever it is, it is a result: the run has failed by it
+            raised = error
+            break
         cycles.spent.append(time.thread_time() - began - sum(planning.spent) + planned_before)
+        belief.compare(executor, robot)
         stamps.append(robot.time)
         commands.append((step.command.linear, step.command.angular))
         if step.ending is not None and step.command == Twist2():
@@ -64,14 +73,20 @@ def by_executor(
     while robot.time < settled:
         robot.advance(Twist2(), rate)
     ending = executor.ending
+    name, reason = ("never ended", "") if ending is None else (ending.kind.value, ending.reason)
+    if raised is not None:
+        name, reason = f"raised {type(raised).__name__}", str(raised)
     return Steered(
-        "never ended" if ending is None else ending.kind.value,
-        "" if ending is None else ending.reason,
-        ending is not None and ending.kind.succeeded,
+        name,
+        reason,
+        raised is None and ending is not None and ending.kind.succeeded,
         ended,
         _planned(layout, planning.followed),
         0 if ending is None else ending.num_retries,
         cycles.busy,
+        belief.off,
+        belief.turned_off,
+        belief.recovered_after,
         np.array(commands),
         np.array(stamps),
     )

@@ -152,4 +152,8 @@ def by_nav2(layout: Layout, robot: FieldRobot, rate: float) -> Steered:
         robot.run(until)
         robot.measure()
     ending = server.ending or ""
-    return Steered(ending, "", ending == DOCKED, ended, math.nan, 0, math.nan, np.array(commands), np.array(stamps))
+    unknown = math.nan  # it tells neither plans nor beliefs
+    return Steered(
+        ending, "", ending == DOCKED, ended, unknown, 0, unknown, unknown, unknown, unknown, np.array(commands),
+        np.array(stamps),
+    )  # fmt: skip

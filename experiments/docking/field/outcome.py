@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from experiments.docking.field.world import FieldRobot
     from optdock.geometry.arrays import FloatArray
 
-__all__ = ["FieldOutcome", "Steered", "field_outcome"]
+__all__ = ["FieldOutcome", "Steered", "clearances", "field_outcome"]
 
 _EVERY = 4  # sub-steps between two poses whose clearance is looked at: 20 ms, 5 mm at full speed
 _DEEP = 0.0075  # [m] of the corners beyond the station's face: what its contacts give, and 0.6 degrees
@@ -35,6 +35,9 @@ class Steered(NamedTuple):
         planned: How long the plan for the whole way takes that it began with [s]; NaN where it made none.
         retries: Approaches after the first one.
         busy: 99th percentile of the CPU of its control cycles without planning [s].
+        off: How far its belief of the robot seen from the dock was from the truth in the end [m]; NaN: not known.
+        turned_off: And how far turned [rad].
+        recovered_after: Detections of a pushed dock until it believed the truth again, see `Belief`.
         commands: Linear and angular, one for each control cycle, Shape (n, 2) [m/s, rad/s].
         stamps: When they were given, Shape (n,) [s].
     """
@@ -46,6 +49,9 @@ class Steered(NamedTuple):
     planned: float
     retries: int
     busy: float
+    off: float
+    turned_off: float
+    recovered_after: float
     commands: FloatArray
     stamps: FloatArray
 
@@ -74,6 +80,9 @@ class FieldOutcome(NamedTuple):
         over: Largest ratio of a commanded quantity to its limit.
         limit: Which that is.
         busy: 99th percentile of the CPU of its control cycles without planning [s].
+        off: How far its belief of the robot seen from the dock was from the truth in the end [m]; NaN: not known.
+        turned_off: And how far turned [rad].
+        recovered_after: Detections of a pushed dock until it believed the truth again, see `Belief`.
     """
 
     world: str
@@ -96,6 +105,9 @@ class FieldOutcome(NamedTuple):
     over: float
     limit: str
     busy: float
+    off: float
+    turned_off: float
+    recovered_after: float
 
     @property
     def exact(self) -> bool:
@@ -129,16 +141,17 @@ def field_outcome(task: FieldTask, layout: Layout, robot: FieldRobot, by: Steere
         by: What whoever steered it has left.
     """
     error = robot.error
-    clearance, station = _clearances(layout, robot)
+    clearance, station = clearances(layout, robot)
     over, limit = worst_ratio(by.commands, np.diff(by.stamps), layout.problem.robot.limits)
     return FieldOutcome(
         task.world, task.rate, task.method, task.spread, task.seed, by.ending, by.reason, by.docked,
         robot.drive.at_rest, error.x, error.y, error.yaw, by.ended, by.planned, by.retries, clearance, station, over,
-        limit, by.busy,
+        limit, by.busy, by.off, by.turned_off,
+        by.recovered_after,
     )  # fmt: skip
 
 
-def _clearances(layout: Layout, robot: FieldRobot) -> tuple[float, float]:
+def clearances(layout: Layout, robot: FieldRobot) -> tuple[float, float]:
     """Smallest distances of the true outline to obstacles and to the station [m], at most 1 m."""
     rows = robot.record()[::_EVERY]
     problem = layout.problem

@@ -26,11 +26,11 @@ __all__ = ["draw_run"]
 
 _OUTLINES = 0.5  # [s] between two outlines of the robot
 _AROUND = 1.0  # [m] about the way that is shown
-_NEAR = 0.15  # [m] about the dock, in the right half
+_NEAR = 0.12  # [m] about the docked pose, in the right half
 
 
 def draw_run(target: Path, task: FieldTask) -> None:
-    """Drive a task again and draw it, whole on the left and the docked pose on the right, axes in metres.
+    """Drive a task again and draw it, the whole on the left and about the docked pose on the right, axes in metres.
 
     Args:
         target: Picture file.
@@ -45,17 +45,17 @@ def draw_run(target: Path, task: FieldTask) -> None:
     outcome = field_outcome(task, layout, robot, FIELD_METHODS[task.method][0](layout, robot, task.rate))
     rows = robot.record()
     figure, (whole, near) = plt.subplots(1, 2, figsize=(15.0, 7.5), layout="constrained")
-    for axes in (whole, near):
-        _draw(axes, layout, robot, rows)
+    _draw_surroundings(whole, layout, rows)
+    for axes, size in ((whole, 4), (near, 6)):
+        _draw_paths(axes, layout, robot, rows, size)
         axes.set(xlabel="x [m]", ylabel="y [m]", aspect="equal")
         axes.grid(visible=True, alpha=0.3)
     low, high = rows[:, 1:3].min(axis=0), rows[:, 1:3].max(axis=0)
     whole.set(xlim=(low[0] - _AROUND, high[0] + _AROUND), ylim=(low[1] - _AROUND, high[1] + _AROUND))
     dock = robot.dock
-    near.set(
-        xlim=(dock.x - _NEAR, dock.x + _NEAR), ylim=(dock.y - _NEAR, dock.y + _NEAR), title="about the docked pose"
-    )
-    whole.legend(loc="upper left", fontsize="small")
+    near.set(xlim=(dock.x - _NEAR, dock.x + _NEAR), ylim=(dock.y - _NEAR, dock.y + _NEAR))
+    for axes in (whole, near):
+        axes.legend(loc="upper left", fontsize="small")
     figure.suptitle(
         f"{task.world}, {task.method}, {task.rate:g} Hz, seed {task.seed}: "
         f"{outcome.ending} after {outcome.duration:.1f} s; "
@@ -66,30 +66,31 @@ def draw_run(target: Path, task: FieldTask) -> None:
     plt.close(figure)
 
 
-def _draw(axes: Axes, layout: Layout, robot: FieldRobot, rows: FloatArray) -> None:
-    """Everything, in the fixed frame."""
-    problem = layout.problem
-    for piece in problem.obstacles.vertices:
+def _draw_surroundings(axes: Axes, layout: Layout, rows: FloatArray) -> None:
+    """Obstacles, and the outline of the robot along its true path."""
+    for piece in layout.problem.obstacles.vertices:
         axes.fill(*piece.T, color="0.6")
+    step = max(1, round(_OUTLINES / (rows[1, 0] - rows[0, 0])))
+    shown = np.vstack((rows[::step, 1:], rows[-1:, 1:]))
+    for index, outline in enumerate(transform_points(shown, layout.problem.robot.footprint.vertices)):
+        axes.fill(*outline.T, facecolor="C0", alpha=0.06)
+        label = "" if index else f"robot, every {_OUTLINES:g} s"
+        axes.fill(*outline.T, facecolor="none", edgecolor="C0", linewidth=0.5, label=label or None)
+
+
+def _draw_paths(axes: Axes, layout: Layout, robot: FieldRobot, rows: FloatArray, size: int) -> None:
+    """Stations, the true path, and what was told; `size`: of the dots [points]."""
+    problem = layout.problem
     assert problem.dock.footprint is not None
-    for pose, style, name in ((robot.dock, "-", "true"), (problem.goal, "--", "stored")):
+    for pose, style, mark, name in ((robot.dock, "-", "k+", "true"), (problem.goal, "--", "C2x", "stored")):
         outline = transform_points(pose.as_array()[None], problem.dock.footprint.vertices)[0]
         axes.fill(*outline.T, facecolor="none", edgecolor="C2", linestyle=style, label=f"station, {name}")
-        axes.plot(pose.x, pose.y, "C2+" if style == "-" else "C2x", markersize=12, label=f"docked pose, {name}")
-    step = max(1, round(_OUTLINES / (rows[1, 0] - rows[0, 0])))
-    swept = transform_points(rows[::step, 1:], problem.robot.footprint.vertices)
-    for index, outline in enumerate((*swept, transform_points(rows[-1:, 1:], problem.robot.footprint.vertices)[0])):
-        axes.fill(*outline.T, facecolor="C0", alpha=0.06)
-        axes.fill(
-            *outline.T,
-            facecolor="none",
-            edgecolor="C0",
-            linewidth=0.5,
-            label="robot, every 0.5 s" if not index else None,
-        )
-    axes.plot(rows[:, 1], rows[:, 2], "C0", linewidth=1.5, label="true path")
-    places = np.array([_placed(rows, told, one.stamp, one.pose) for told, one in robot.detections]).reshape(-1, 2)
-    axes.plot(places[:, 0], places[:, 1], "C3.", markersize=4, label="docked pose, as detected")
+        axes.plot(pose.x, pose.y, mark, markersize=14, zorder=5, label=f"docked pose, {name}")
+    told = np.array(robot.told).reshape(-1, 4)
+    axes.plot(told[:, 1], told[:, 2], "C1.", markersize=0.5 * size, label="robot, as localized")
+    axes.plot(rows[:, 1], rows[:, 2], "C0", linewidth=1.5, label="robot, true path")
+    places = np.array([_placed(rows, at, one.stamp, one.pose) for at, one in robot.detections]).reshape(-1, 2)
+    axes.plot(places[:, 0], places[:, 1], "C3.", markersize=size, label="docked pose, as detected")
 
 
 def _placed(rows: FloatArray, told: float, stamp: float, seen: Pose2) -> tuple[float, float]:

@@ -20,6 +20,7 @@ __all__ = ["field_table"]
 _HEAD = [
     "world", "Hz", "method", "good", "false docked", "failed", "collisions", "across p95, mm", "yaw p95, degrees",
     "along p95, mm", "time p50, s", "of plan p50", "over limit", "of", "longest, s", "cycle p99, ms",
+    "belief off p95, mm", "degrees", "recovered p95, detections",
 ]  # fmt: skip
 
 
@@ -53,11 +54,14 @@ def _row(key: tuple[str, float, str], found: list[FieldOutcome]) -> list[str]:
         over.limit,
         f"{max(one.duration for one in found):.0f}",
         _percentile((1e3 * one.busy for one in found), 99, 2),
+        _percentile((1e3 * one.off for one in docked), 95, 1),
+        _percentile((math.degrees(one.turned_off) for one in docked), 95, 2),
+        _percentile((one.recovered_after for one in found), 95, 0),
     ]
 
 
 def _percentile(values: Iterable[float], percent: float, digits: int) -> str:
-    """Of the values that are numbers; `-` where none is."""
+    """Of the values that are numbers, infinite ones included: one of them, never one between; `-` where none is."""
     column = np.fromiter(values, dtype=np.float64)
-    column = column[np.isfinite(column)]
-    return f"{np.percentile(column, percent):.{digits}f}" if column.size else "-"
+    column = column[~np.isnan(column)]
+    return f"{np.percentile(column, percent, method='higher'):.{digits}f}" if column.size else "-"

@@ -28,7 +28,8 @@ __all__ = ["FieldRobot", "FieldWorld"]
 MARKER = 0.45  # [m] before the docked robot's origin: the back of the station, 0.2 m before the docked camera
 PUSHED_AT = 0.6  # [m] before the dock, where it is pushed
 TOUCHABLE = 0.5  # [m] from the docked pose to the robot's, farther off no corner of it reaches the station's face
-CELL, COSTMAP_REACH, COSTMAP_PERIOD = 0.05, 1.5, 0.5  # [m], [m], [s] of a local costmap
+CELL, COSTMAP_PERIOD = 0.05, 0.5  # [m], [s] of a local costmap
+COSTMAP_REACH = 3.0  # [m] from the dock: every start and the way to the staging pose lie on it, robot and all
 
 
 @dataclass(frozen=True)
@@ -77,6 +78,7 @@ class FieldRobot:
         poses: True poses after every sub-step, rows of (time [s], x [m], y [m], yaw [rad]).
         docks: Since when the dock stands where, (time [s], pose).
         detections: As they were told, (time [s], detection).
+        told: Poses as they were told, rows of (time [s], x [m], y [m], yaw [rad]).
     """
 
     def __init__(self, world: FieldWorld, layout: Layout, seed: int) -> None:
@@ -100,6 +102,7 @@ class FieldRobot:
         self.poses: list[tuple[float, float, float, float]] = [(0.0, start.x, start.y, start.yaw)]
         self.docks: list[tuple[float, Pose2]] = [(0.0, self.dock)]
         self.detections: list[tuple[float, Detection]] = []
+        self.told: list[tuple[float, float, float, float]] = []
         self._costmap_at = 0.0
         self.odometry = OdometryMessage(0.0, self._odometry.pose, Twist2())
         self._localization.estimate(0.0, start, self._odometry.pose)
@@ -149,6 +152,8 @@ class FieldRobot:
         time = self.time
         self.odometry = message = self._odometry.newest(time)
         pose, stamp = self._localization.told(time, message.pose)
+        if pose is not None:
+            self.told.append((time, pose.x, pose.y, pose.yaw))
         detections = self._camera.arrived(time)
         self.detections.extend((time, one) for one in detections)
         station = self.world.station
