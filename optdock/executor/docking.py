@@ -7,23 +7,24 @@ from typing import TYPE_CHECKING, Literal, NamedTuple, TypeAlias
 
 from optdock.controllers.command_limits import CommandLimiter
 from optdock.errors import InvalidValue
+from optdock.executor.intake import Intake, usable
 from optdock.executor.log import LoggedPlanning, LogWriter, Task, plugin_choice
 from optdock.executor.outcomes import Ending, Event, Feedback, FeedbackState, State, Step
 from optdock.executor.perception import Perception
 from optdock.executor.planning import InlinePlanning
 from optdock.executor.procedure import Procedure
 from optdock.executor.settings import ExecutorSettings
-from optdock.geometry.checked import finite_number, instance
+from optdock.geometry.checked import instance
 from optdock.geometry.pose import Pose2, Twist2
 from optdock.interfaces import Controller, GoalChecker
 from optdock.lifecycle import PluginContext
-from optdock.measurements import Measurements
 from optdock.plugins import PluginChoice, plugin_from
 from optdock.problem import DockingProblem
 from optdock.robot import admissible
 
 if TYPE_CHECKING:
     from optdock.executor.planning import Planning
+    from optdock.measurements import Measurements
 
 __all__ = ["DockingExecutor"]
 
@@ -44,6 +45,7 @@ _FEEDBACK = {
 
 _STILL = 1e-6  # [m/s], [rad/s]: what is left of a stop by rounding
 _TURNING = 0.005  # [m/s]: a robot that is to turn and not to drive turns in place
+_MOST_REPEATS = 25  # cycles with one stamp: of measurements at 10 Hz at the fastest rate of control, and some
 _LATE = 1.5  # times as long as the period before
 _FIRST_PERIOD = 0.005  # [s], until two cycles have shown another one: of 200 Hz, so that no command changes too fast
 
@@ -109,6 +111,8 @@ class DockingExecutor:
         self._last_stamp = -math.inf
         self._offset = 0.0
         self._usual_period, self._cycle_count = _FIRST_PERIOD, -1
+        self._repeats = 0
+        self._faults: set[str] = set()  # of the last cycle
         self._ending: Ending | None = None
 
     @property
@@ -139,18 +143,15 @@ class DockingExecutor:
                 self._log.cancel()
 
     def step(self, measurements: Measurements) -> Step:
-        """One control cycle.
+        """One control cycle; it never raises, whatever is measured.
 
         Args:
             measurements: What has been measured since the last one; their stamp may come at any rate from 10 to 200 Hz.
-
-        Raises:
-            InvalidValue: They are of another class, or the stamp is no finite number.
+                What is of the wrong kind or no number is left out, and the event `... not used` says so.
         """
-        instance(Measurements, measurements, "measurements")
-        finite_number(measurements.stamp, "measurements.stamp")
         self._events.clear()
-        robot = self.problem.robot
+        robot, intake = self.problem.robot, usable(measurements)
+        measurements = self._believable(intake)
         if self._began is None:
             self._limiter.restart(admissible(measurements.twist, robot.limits, robot.drive))
             if self._limiter.command == Twist2():
@@ -168,6 +169,22 @@ class DockingExecutor:
         if self._log is not None:
             self._log.cycle(measurements, step)
         return step
+
+    def _believable(self, intake: Intake) -> Measurements:
+        """The measurements; without a stamp those of the next period, without a twist as the robot was commanded."""
+        found = intake.measurements
+        names = {name for name, _ in intake.faults}
+        for name, detail in intake.faults:
+            if name not in self._faults:
+                self._report(name, detail)
+        self._faults = names
+        if math.isnan(found.stamp):
+            before = self._last_stamp if self._began is not None else 0.0
+            found = found._replace(stamp=before + self._usual_period)
+        if not intake.has_twist:
+            found = found._replace(twist=self._limiter.command)
+        self._perception.has_twist = intake.has_twist
+        return found
 
     def _watch_log(self) -> None:
         """A log that cannot be written any more is said once, and stops nothing."""
@@ -187,6 +204,11 @@ class DockingExecutor:
             self._began = stamp
             return _Tick(0.0, 0.0)
         period, usual, longest = stamp - before, self._usual_period, self.settings.longest_tick
+        self._repeats = self._repeats + 1 if period == 0.0 else 0
+        if self._repeats > _MOST_REPEATS:
+            self._offset += usual
+            self._interrupt("clock stands still", f"the same stamp {self._repeats} times; time goes on without it")
+            return _Tick(usual, usual)
         if period < 0.0:
             self._offset += usual - period
             self._interrupt("clock went back", f"by {-period:.3f} s; it goes on from where it was")
@@ -195,6 +217,8 @@ class DockingExecutor:
             self._offset += longest - period
             self._interrupt("no cycle for long", f"{period:.3f} s passed since the last one")
             return _Tick(longest, usual)
+        if period == 0.0:
+            return _Tick(0.0, 0.0)
         if self._cycle_count == 1:
             self._usual_period = period
         elif period > max(self.settings.late_tick, _LATE * usual):

@@ -56,6 +56,8 @@ class Perception:
         costmap: The newest one; None before the first.
         detections: Number of detections that were believed.
         rejected: Number of those that were not.
+        too_far: How far from the stored dock the last one was that was of another dock [m]; 0: there was none.
+        has_twist: Whether the measurements that come next have a body velocity of the odometry.
     """
 
     def __init__(self, stored: Pose2, settings: ExecutorSettings, report: Callable[[str, str], None]) -> None:
@@ -84,6 +86,7 @@ class Perception:
         self._costmap_at: float | None = None
         self.detections = self.rejected = 0
         self.too_far = 0.0
+        self.has_twist, self._twist_at = True, math.inf
         self._pose_was_lost = self._dock_was_lost = self._delay_was_said = False
 
     @property
@@ -100,6 +103,11 @@ class Perception:
     def pose_age(self) -> float:
         """Since a measured pose was believed [s]; infinite before the first."""
         return self.stamp - self._robot.measured_at
+
+    @property
+    def twist_age(self) -> float:
+        """Since the odometry told a body velocity [s]; 0 before the first."""
+        return max(self.stamp - self._twist_at, 0.0)
 
     @property
     def costmap_age(self) -> float:
@@ -177,6 +185,8 @@ class Perception:
             offset: What that clock is ahead of the one of the detections [s].
         """
         self.measurements, self.stamp = measurements, stamp
+        if self.has_twist:
+            self._twist_at = stamp
         if self._costmap_at is None or measurements.costmap is not None:
             self._costmap_at = stamp
         if measurements.costmap is not None and not _is_same(measurements.costmap, self.costmap):
@@ -191,9 +201,6 @@ class Perception:
         """The robot in the map; False while its pose has never been measured."""
         robot, stamp, pose = self._robot, self.stamp, measurements.pose
         measured_at = stamp if measurements.pose_stamp is None else measurements.pose_stamp
-        if pose is not None and not math.isfinite(measured_at):
-            self._report("pose not used", f"its stamp is {measured_at}")
-            pose = None
         if self._reckoning is None:
             if pose is not None:
                 self._begin(measurements, pose, measured_at)

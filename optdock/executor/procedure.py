@@ -235,9 +235,10 @@ class Procedure:
         """At rest until robot and surroundings are known as they are now."""
         self.state = State.WAITING_FOR_POSE
         since = self._now
-        while not self._perception.started or self._perception.pose_age > self._settings.pose_patience:
+        while not self._perception.started or self._oldest > self._settings.pose_patience:
             if self._now - since > self._settings.localization_timeout:
-                raise _Failed(EndingKind.UNKNOWN, f"no pose for {self._now - since:.1f} s")
+                missing = "odometry" if self._perception.started and self._perception.twist_age > 0.0 else "pose"
+                raise _Failed(EndingKind.UNKNOWN, f"no {missing} for {self._now - since:.1f} s")
             yield from self._cycle(_STOP)
         while self._is_blind:
             self.state = State.WAITING_FOR_COSTMAP
@@ -671,6 +672,11 @@ class Procedure:
             self._report(stopped.name, stopped.reason)
 
     @property
+    def _oldest(self) -> float:
+        """Age of the pose or of the odometry, the larger one [s]."""
+        return max(self._perception.pose_age, self._perception.twist_age)
+
+    @property
     def _is_blind(self) -> bool:
         """Whether the picture of the surroundings is too old to be moved in."""
         patience = self._settings.costmap_patience
@@ -682,6 +688,8 @@ class Procedure:
             raise _Interrupted(name, reason)
         if self._perception.pose_age > self._settings.pose_patience:
             raise _Interrupted("no pose", f"the last one is {self._perception.pose_age:.2f} s old")
+        if self._perception.twist_age > self._settings.pose_patience:
+            raise _Interrupted("no odometry", f"the last one is {self._perception.twist_age:.2f} s old")
         if self._is_blind:
             raise _Interrupted("no costmap", f"the last one is {self._perception.costmap_age:.2f} s old")
 

@@ -3,10 +3,14 @@
 import math
 
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
-from optdock.executor import DockingExecutor
+from optdock.executor import DockingExecutor, EndingKind, ExecutorSettings
+from optdock.executor.approach import staging_distance
+from optdock.executor.intake import usable
 from optdock.geometry.pose import Pose2, Twist2
-from optdock.measurements import Detection, Measurements
+from optdock.measurements import Detection, Measurements, OdometryPose
 from tests.optdock.executor.conftest import BEFORE_DOCK, LIMITS, problem_with
 
 SEEN = Detection(0.0, Pose2(0.0, 0.0, 0.0).in_frame_of(BEFORE_DOCK), 0.003, 0.005)
@@ -35,3 +39,65 @@ def test_a_clock_that_goes_back_by_years_and_stands_still_goes_on():
         for stamp in stamps:
             executor.step(Measurements(stamp, BEFORE_DOCK))
         stamps = [stamp * 1.7 + 0.0130001 for stamp in stamps]
+
+
+STAGING = Pose2(-staging_distance(problem_with()), 0.0, 0.0)
+JUNK = st.sampled_from([None, math.nan, -1.0, True, "3", b"x", [], (), {}, object(), Pose2(0.0, 0.0, 0.0), [None]])
+ODOMETRY = OdometryPose(0.0, BEFORE_DOCK)
+WELL = Measurements(0.0, BEFORE_DOCK, Twist2(), (SEEN,), False, None, ODOMETRY, 0.0)
+
+
+@given(st.dictionaries(st.sampled_from(WELL._fields), JUNK), st.lists(JUNK, max_size=2), JUNK, JUNK)
+def test_what_is_usable_is_of_the_right_kinds_and_what_is_left_out_has_a_name(fields, seen, stamp, pose):
+    given_ = WELL._replace(detections=(SEEN, *seen, SEEN._replace(stamp=stamp)))
+    given_ = given_._replace(odometry=OdometryPose(stamp, pose))._replace(**fields)
+    found, has_twist, faults = usable(given_)
+    assert isinstance(found.stamp, int | float)
+    assert found.pose is None or isinstance(found.pose, Pose2)
+    assert isinstance(found.twist, Twist2)
+    assert has_twist is isinstance(given_.twist, Twist2)
+    assert all(isinstance(one.pose, Pose2) and math.isfinite(one.stamp) for one in found.detections)
+    assert found.odometry is None or math.isfinite(found.odometry.stamp)
+    named = {name.removesuffix(" not used") for name, _ in faults}
+    for name in ("twist", "contact", "costmap", "odometry"):
+        assert (f"{name}" in named) is (getattr(found, name) is not getattr(given_, name))
+    assert usable(found._replace(stamp=0.0)).faults == ()
+
+
+def test_what_is_well_is_left_as_it_is():
+    assert usable(WELL) == (WELL, True, ())
+
+
+@pytest.mark.parametrize("given_", [None, 3, "x", (), Detection])
+def test_anything_at_all_may_be_given(given_):
+    executor = DockingExecutor(problem_with())
+    executor.step(Measurements(0.0, BEFORE_DOCK))
+    step = executor.step(given_)
+    assert "measurements not used" in [event.name for event in step.events]
+
+
+@pytest.mark.parametrize(
+    ("broken", "kind", "reason"),
+    [
+        ({"twist": None}, EndingKind.UNKNOWN, "no odometry for"),
+        ({"pose": math.nan}, EndingKind.UNKNOWN, "no pose for"),
+        ({"stamp": math.nan, "detections": ()}, EndingKind.FAILED_TO_DETECT_DOCK, "2 detections in 5.0 s"),
+        ({"stamp": 7.0, "detections": ()}, EndingKind.FAILED_TO_DETECT_DOCK, "2 detections in 5.0 s"),
+    ],
+    ids=["no twist", "no pose", "no stamp", "a clock that stands"],
+)
+def test_what_is_never_measured_ends_under_a_name(broken, kind, reason):
+    executor = DockingExecutor(problem_with(), ExecutorSettings(navigate_to_staging_pose=False))
+    names, seen = set(), SEEN._replace(pose=Pose2(0.0, 0.0, 0.0).in_frame_of(STAGING))
+    for k in range(1000):
+        well = Measurements(0.02 * k, STAGING, detections=(seen._replace(stamp=0.02 * k),))
+        step = executor.step(well if k < 3 else well._replace(**broken))
+        names |= {event.name for event in step.events}
+        if step.ending is not None:
+            break
+    assert step.ending is not None
+    assert step.ending.kind is kind
+    assert reason in step.ending.reason
+    assert step.command == Twist2()
+    if broken.get("stamp") == 7.0:
+        assert "clock stands still" in names
