@@ -71,6 +71,7 @@ from optdock.verification import (
 )
 from optdock.verification.conservative_advancement import Begun
 from optdock.verification.path_rules import path_violations
+from optdock.verification.visibility import prove_view
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -612,12 +613,17 @@ class _Replanning:
                 return False
         robots, docks = (before.robot, world.robot), (before.dock, world.dock)
         same = robots[0] is robots[1] or robots[0].fingerprint.limits == robots[1].fingerprint.limits
-        rules = [(dock.approach, dock.direction, dock.final_straight) for dock in docks]
+        rules = [
+            (dock.approach, dock.direction, dock.final_straight)
+            + (dock.marker, dock.visible_distance, dock.blind_distance)
+            for dock in docks
+        ]
         if same and rules[0] == rules[1]:
             return True
         begun = world.starting_at(path.start, before.start_speed, before.start_curvature, before.start_acceleration)
         asked = dataclasses.replace(begun, dock=dataclasses.replace(world.dock, pose=path.end))
-        return not path_violations(path, asked) and certify_motion(self.plan.trajectory, asked).certified
+        holds = not path_violations(path, asked) and bool(prove_view(path, asked))
+        return holds and certify_motion(self.plan.trajectory, asked).certified
 
     def _stop(self, delay: float, why: str) -> Replanned:
         """Braking along the running path: from the joint where that is proven, from now on otherwise."""
