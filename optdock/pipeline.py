@@ -584,7 +584,7 @@ class _Portfolio:
             reason, raw = failure.error.where.get("reason"), failure.left.raw_path
             if reason == "start_curvature":
                 return failure
-            if reason == "approach_blocked" and raw is not None:
+            if reason in ("approach_blocked", "approach_unseen") and raw is not None:
                 gears.discard(raw.segments[-1].direction)
                 if not gears:
                     return failure
