@@ -117,7 +117,7 @@ class Dock:
             if not value >= 0.0:
                 raise InvalidValue(f"dock.{name}: must be finite and >= 0 m, got {value}")
         if self.visible_distance > 0.0 and self.marker is None:
-            raise InvalidValue(f"dock.visible_distance: {self.visible_distance} m without dock.marker: what is seen?")
+            raise InvalidValue(f"dock.visible_distance: needs dock.marker, got {self.visible_distance} m without")
         if self.blind_distance > 0.0 and not self.blind_distance < self.visible_distance:
             raise InvalidValue(
                 f"dock.blind_distance: must be < visible_distance = {self.visible_distance} m, "
