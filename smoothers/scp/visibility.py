@@ -149,8 +149,8 @@ def _edges(view: RequiredView, poses: FloatArray) -> tuple[FloatArray, FloatArra
         normals.append(-outward)
         margins.append(camera.max_range - distance)
     seen: FloatArray = point @ turned + [mount.x, mount.y]
-    count = len(poses)
-    return seen, np.reshape(normals, (-1, count, 2)) @ turned, np.reshape(margins, (-1, count))
+    shape = len(margins), len(poses)
+    return seen, np.reshape(normals, (*shape, 2)) @ turned, np.reshape(margins, shape)
 
 
 def _cone(view: RequiredView, point: FloatArray) -> tuple[list[FloatArray], list[FloatArray]]:

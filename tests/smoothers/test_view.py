@@ -125,6 +125,32 @@ def test_where_the_view_costs_nothing_the_result_is_the_same(cases):
     assert np.allclose(with_view.sample(0.1).poses, without.sample(0.1).poses, atol=1e-9)
 
 
+@pytest.mark.parametrize(
+    "camera", [Camera(Pose2(0.4, 0.0, 0.0), 2.0 * math.pi), Camera(Pose2(0.4, 0.0, 0.0), 2.0 * math.pi, 0.1, 3.0)]
+)
+def test_a_camera_that_sees_all_around_asks_for_ranges_alone(cases, camera):
+    task = seen_problem(cases, Pose2(2.5, 0.3, 0.0), camera)
+    guess = cases.kinked((0.0, 0.0), (1.2, 0.0), (1.8, 0.3), (2.5, 0.3))
+    assert CasadiSmoother().smooth(guess, 2.0, problem=task).report.certificate.certified
+
+
+def test_a_robot_with_a_camera_in_front_looks_turns_and_backs_in(cases):
+    task = seen_problem(cases, Pose2(0.0, 0.0, 0.0), start=Pose2(2.8, 0.2, math.pi), visible=1.7, blind=1.3,
+                        marker=(-0.6, 0.0), max_yaw_rate=1.0, max_yaw_acceleration=1.0)  # fmt: skip
+    robot = dataclasses.replace(task.robot, turns_in_place=True)
+    task = dataclasses.replace(task, robot=robot, dock=dataclasses.replace(task.dock, direction=DockDirection.BACKWARD))
+    here = Pose2(1.2, 0.0, math.pi)
+    facing = cases.kinked((2.8, 0.2), (2.0, 0.1), (1.2, 0.0)).segments
+    back = ClothoidSpline(Pose2(1.2, 0.0, 0.0), [0.0, 1.2], [0.0, 0.0], -1)
+    guess = Path((*facing, TurnSegment(here, -math.pi), ClothoidSegment(back)))
+    result = CasadiSmoother().smooth(guess, 2.0, problem=task)
+    assert result.report.certificate.certified
+    seen = task.required_view.stretch(result.path)
+    # Begin and end of what must see: 0.4 m of the way there, and nothing of the turn.
+    assert math.isfinite(result.report.certificate.view_margin)
+    assert seen[1] - seen[0] == pytest.approx(0.4, abs=1e-6)
+
+
 def test_in_reverse_gear_a_camera_at_the_back_sees(cases):
     behind = Camera(Pose2(-0.4, 0.0, math.pi), math.radians(60.0))
     task = seen_problem(cases, Pose2(-2.5, -1.0, 0.0), behind, marker=(-0.6, 0.0))
