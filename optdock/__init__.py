@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from checkers.axis import AxisGoalChecker
+    from optdock.camera import Camera
     from optdock.config import Scenario, load_scenario
     from optdock.controllers.tracking import TrackingController
     from optdock.costmap.costmap import Costmap
@@ -68,6 +69,7 @@ if TYPE_CHECKING:
     from smoothers import CasadiSmoother
 
 _MODULES = {
+    "optdock.camera": ("Camera",),
     "optdock.config": ("Scenario", "load_scenario"),
     "optdock.costmap.costmap": ("Costmap",),
     "optdock.dock": ("Dock",),
@@ -117,6 +119,7 @@ _PLUGINS = ("AxisGoalChecker", "CasadiSmoother", "DockPlanner", "ManoeuvrePlanne
 
 __all__ = [
     "AxisGoalChecker",
+    "Camera",
     "Cancelled",
     "CasadiSmoother",
     "Certificate",

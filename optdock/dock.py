@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+import dataclasses
 import functools
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from enum import Enum
+
+import numpy as np
 
 from optdock.errors import InvalidValue
 from optdock.geometry.checked import exactly, finite_number, member, number
@@ -67,10 +71,17 @@ class Dock:
         approach_speed: Largest speed over the last `approach_distance` of the path, in either gear [m/s].
         approach_distance: How far before the end that begins [m]; 0: nowhere.
         tolerances: When the robot counts as docked.
+        marker: The point that the robot's camera detects, (x, y) in the docked robot's frame, as the footprint [m]; or
+            None. Only its position counts, not which way it faces.
+        visible_distance: The marker must be in the view of `Robot.camera` from so far before the end of the path on,
+            along the path [m]; 0: nowhere. A shorter path must see it from its start on.
+        blind_distance: But not over the last so many metres of the path [m], where the camera is too near to see the
+            marker, or the robot has turned its back to it.
 
     Raises:
         InvalidValue: final_straight or approach_distance is not finite and >= 0, approach_speed is not > 0, the
-            direction is none, or a part is of another class.
+            direction is none, the marker is no pair of finite numbers, visible_distance is > 0 without a marker,
+            blind_distance is not >= 0 and, where there is one, < visible_distance; or a part is of another class.
     """
 
     pose: Pose2
@@ -80,6 +91,9 @@ class Dock:
     approach_speed: float = math.inf
     approach_distance: float = 0.0
     tolerances: DockTolerances = field(default_factory=DockTolerances)
+    marker: tuple[float, float] | None = None
+    visible_distance: float = 0.0
+    blind_distance: float = 0.0
 
     def __post_init__(self) -> None:
         exactly(Pose2, self.pose, "dock.pose")
@@ -92,8 +106,42 @@ class Dock:
         object.__setattr__(self, "final_straight", finite_number(self.final_straight, "dock.final_straight"))
         if not self.final_straight >= 0.0:
             raise InvalidValue(f"dock.final_straight: must be finite and >= 0 m, got {self.final_straight}")
+        if self.marker is not None:
+            object.__setattr__(self, "marker", _point(self.marker, "dock.marker"))
+        self._check_view()
+
+    def _check_view(self) -> None:
+        for name in ("visible_distance", "blind_distance"):
+            value = finite_number(getattr(self, name), f"dock.{name}")
+            object.__setattr__(self, name, value)
+            if not value >= 0.0:
+                raise InvalidValue(f"dock.{name}: must be finite and >= 0 m, got {value}")
+        if self.visible_distance > 0.0 and self.marker is None:
+            raise InvalidValue(f"dock.visible_distance: needs dock.marker, got {self.visible_distance} m without")
+        if self.blind_distance > 0.0 and not self.blind_distance < self.visible_distance:
+            raise InvalidValue(
+                f"dock.blind_distance: must be < visible_distance = {self.visible_distance} m, "
+                f"got {self.blind_distance}"
+            )
 
     @functools.cached_property
     def approach(self) -> SpeedZone:
         """The slow stretch at the end of the path."""
         return SpeedZone(self.approach_speed, self.approach_distance)
+
+    @property
+    def without_view(self) -> Dock:
+        """The same dock, which need not be seen on the way."""
+        return dataclasses.replace(self, visible_distance=0.0, blind_distance=0.0)
+
+
+def _point(value: object, name: str) -> tuple[float, float]:
+    """A point (x, y) of finite numbers [m].
+
+    Raises:
+        InvalidValue: It is none.
+    """
+    if isinstance(value, str) or not isinstance(value, Sequence | np.ndarray) or len(value) != 2:
+        raise InvalidValue(f"{name}: must be [x, y] in m, got {value!r}")
+    place = Pose2(finite_number(value[0], name), finite_number(value[1], name), 0.0)  # with the range of coordinates
+    return place.x, place.y

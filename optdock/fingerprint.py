@@ -22,9 +22,9 @@ _DIGEST_BYTES = 8  # two problems in 2^64 have the same; a mismatch is a mistake
 class ProblemFingerprint(NamedTuple):
     """Digests of the parts of a docking problem, hexadecimal; `frame` is the name itself.
 
-    `footprint`: the robot's outline. `limits`: its motion limits and drive. `obstacles`: everything that must not be
-    touched, the station included. `clearance`: the rule. `dock`: pose, station, gear, straight and approach. `start`:
-    pose, speed, curvature and acceleration.
+    `footprint`: the robot's outline. `limits`: its motion limits, drive and camera. `obstacles`: everything that must
+    not be touched, the station included. `clearance`: the rule. `dock`: pose, station, gear, straight, approach and
+    view. `start`: pose, speed, curvature and acceleration.
     """
 
     footprint: str

@@ -584,7 +584,7 @@ class _Portfolio:
             reason, raw = failure.error.where.get("reason"), failure.left.raw_path
             if reason == "start_curvature":
                 return failure
-            if reason == "approach_blocked" and raw is not None:
+            if reason in ("approach_blocked", "approach_unseen") and raw is not None:
                 gears.discard(raw.segments[-1].direction)
                 if not gears:
                     return failure
@@ -598,7 +598,9 @@ def check_ends(problem: DockingProblem) -> None:
         StartOutsideMapBounds: Also GoalOutsideMapBounds: the position lies off the problem's costmap.
         StartOccupied: The footprint at the start overlaps an obstacle.
         GoalOccupied: The footprint at the goal is closer to an obstacle than required there.
+        NoValidPathCouldBeFound: The dock must be in view up to the goal, and is not in view there.
     """
+    _check_view_at_goal(problem)
     found = end_clearances(problem)
     for name, pose, off_map, occupied, clearance, row in (
         ("start", problem.start, StartOutsideMapBounds, StartOccupied, found.start, found.nearest_to_start),
@@ -618,6 +620,18 @@ def check_ends(problem: DockingProblem) -> None:
             if obstacle == "dock" and name == "goal" and clearance >= 0.0:
                 what += _way_out(problem.clearance)
             raise occupied(f"the footprint at the {name} {what}", where={"obstacle": obstacle, "clearance": clearance})
+
+
+def _check_view_at_goal(problem: DockingProblem) -> None:
+    view, goal = problem.required_view, problem.goal.as_array()[None]
+    if view is None or view.blind_distance > 0.0:
+        return
+    margins = view.margins(goal)
+    if margins.smallest[0] < -TOLERANCE:
+        worst = view.worst(margins, 0, 0.0)
+        where = {"reason": "approach_unseen", "quantity": worst.name, "value": worst.value, "limit": worst.limit}
+        message = f"the dock is not in the camera's view at the goal: {worst}; see dock.blind_distance"
+        raise NoValidPathCouldBeFound(message, where=where)
 
 
 def _way_out(rule: ClearanceRule) -> str:

@@ -364,6 +364,7 @@ class _Claims:
         wrong = margin is not None and margin != here.margin and not margin <= most + sharp
         if margin is not None and (wrong or (self._of_path and not (_near(margin, here.margin, sharp)))):
             yield f"certificate.margin is {margin:.6g} m, proven are {here.margin:.6g} m"
+        yield from self._false_view()
         yield from self._false_place()
         nearest = self._claimed.get("nearest")
         obstacles = self._problem.all_obstacles
@@ -371,6 +372,16 @@ class _Claims:
             yield f"certificate.nearest is {shown(nearest)}, no obstacle has this name"
         elif nearest == "" and here.nearest:
             yield f"certificate.nearest is empty, {here.nearest} is nearest"
+
+    def _false_view(self) -> Iterator[str]:
+        """The margin of the view is that of the very same path; of another it says nothing that could be compared."""
+        said, here = _number(self._claimed, "view_margin", math.inf), self._certificate.view_margin
+        if said is None or not self._of_path:
+            return
+        if here is None:
+            yield f"certificate.view_margin is {said:.6g} m, but nothing has to be seen"
+        elif not _near(said, here, TOLERANCE):
+            yield f"certificate.view_margin is {said:.6g} m, proven are {here:.6g} m"
 
     def _false_place(self) -> Iterator[str]:
         """Where the least clearance is said to be, there it must be found."""

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from optdock.camera import RequiredView
 from optdock.costmap.cell_obstacles import mapped_obstacles
 from optdock.costmap.costmap import Costmap
 from optdock.costmap.costs import FREE_SPACE, LETHAL, NO_INFORMATION
@@ -145,7 +146,8 @@ class DockingProblem(FrozenArrays):
     Raises:
         InvalidValue: start_speed, start_acceleration or start_curvature is not finite, a polygon is none (the message
             says which), the station stands farther from the docked robot than the robot is long, and than 1 m, as one
-            in coordinates of the map does; or a part is of another class.
+            in coordinates of the map does; the dock must be seen by a robot without a camera; or a part is of another
+            class.
     """
 
     start: Pose2
@@ -221,6 +223,9 @@ class DockingProblem(FrozenArrays):
         speed, acceleration = _without_rounding(speed, acceleration, self.robot.limits.max_jerk)
         object.__setattr__(self, "start_speed", speed)
         object.__setattr__(self, "start_acceleration", acceleration)
+        if self.dock.visible_distance > 0.0 and self.robot.camera is None:
+            asked = f"the dock must be in view over the last {self.dock.visible_distance:g} m"
+            raise InvalidValue(f"dock.visible_distance: {asked}, but robot.camera is not given")
         if self.start_curvature is not None:
             object.__setattr__(self, "start_curvature", finite_number(self.start_curvature, "start.curvature"))
 
@@ -345,6 +350,41 @@ class DockingProblem(FrozenArrays):
         widths: FloatArray = with_tube - without
         return widths
 
+    @functools.cached_property
+    def required_view(self) -> RequiredView | None:
+        """What the robot must see on which part of its path; None: nothing."""
+        dock, camera = self.dock, self.robot.camera
+        if dock.visible_distance == 0.0 or dock.marker is None or camera is None:
+            return None
+        marker = transform_points(dock.pose.as_array()[None], np.array([dock.marker]))[0, 0]
+        return RequiredView(camera, marker, dock.visible_distance, dock.blind_distance)
+
+    def required_view_margin(self, from_goal: FloatArray, from_start: FloatArray, to_marker: FloatArray) -> FloatArray:
+        """How far inside the view the marker must be, so that every pose within the tracking tube sees it.
+
+        A pose that is off by e and turned by w moves a point at distance r of the robot by at most e + 2 r sin(w / 2)
+        in the camera's frame. The tube tapers at the dock as the clearance does. A start that has less is left at the
+        slope that `ClearanceRule.near_start` has.
+
+        Args:
+            from_goal: Distances of the poses from the goal position, Shape (n,) [m].
+            from_start: Distances from the start position, Shape (n,) [m].
+            to_marker: Distances from the marker, Shape (n,) [m].
+
+        Returns:
+            Shape (n,) [m]; 0 without a tube.
+        """
+        tube, view = self.robot.tracking, self.required_view
+        if view is None or (tube.cross == 0.0 and tube.yaw == 0.0):
+            return np.zeros(from_goal.size)
+        taper = dataclasses.replace(self.clearance, at_dock=0.0, required=1.0)
+        at_start = float(view.margins(self.start.as_array()[None]).smallest[0])
+        moved = tube.cross + 2.0 * math.sin(0.5 * tube.yaw) * to_marker
+        margin: FloatArray = np.minimum(
+            taper.near_goal(from_goal) * moved, ClearanceRule.near_start(from_start, at_start)
+        )
+        return margin
+
     @property
     def goal(self) -> Pose2:
         """The pose of the robot when docked."""
@@ -376,6 +416,13 @@ class DockingProblem(FrozenArrays):
         station = digest("none") if dock.footprint is None else digest(dock.footprint.vertices)
         steered = "free" if self.start_curvature is None else str(float(self.start_curvature))
         zone, accepted = dock.approach, dock.tolerances
+        # Likewise a dock that need not be seen; the tube counts by its two numbers, as the clearance by its width.
+        tube = self.robot.tracking
+        seen = (
+            ("seen", (*dock.marker, dock.visible_distance, dock.blind_distance, tube.cross, tube.yaw))
+            if dock.marker is not None and dock.visible_distance > 0.0
+            else ()
+        )
         # A start without acceleration has the digest that it had before there was one.
         pressed = (self.start_acceleration,) if self.start_acceleration != 0.0 else ()
         return ProblemFingerprint(
@@ -387,6 +434,7 @@ class DockingProblem(FrozenArrays):
                 station,
                 dock.direction.value,
                 (dock.final_straight, zone.speed, zone.distance, accepted.along, accepted.cross, accepted.yaw),
+                *seen,
             ),
             start=digest(self.start.as_array(), self.start_speed, steered, *pressed),
             frame=self.frame,

@@ -71,6 +71,7 @@ from optdock.verification import (
 )
 from optdock.verification.conservative_advancement import Begun
 from optdock.verification.path_rules import path_violations
+from optdock.verification.visibility import prove_view
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -98,6 +99,8 @@ _ON_THE_STRAIGHT = "the robot is on the final straight, where nothing is bent an
 _AT_THE_END = "nothing is left of the plan"
 _PUSHES = 4  # off obstacles: each takes two milliseconds, and what needs more is for the smoother
 _ROOM = 0.005  # [m]: a path that is pushed keeps more than what is required, for it comes nearest a little further on
+# What a dock asks of a path beside its pose and its station.
+_DOCK_RULES = ("approach", "direction", "final_straight", "marker", "visible_distance", "blind_distance")
 _NO_WAY = 1e-6  # [m]: of less than that nothing is left to drive
 _NEARBY = 0.5  # [m] around its reference, in which a robot beside its path is looked for
 # Shares of the deceleration that a stop tries: in a bend the yaw acceleration may leave no more.
@@ -612,12 +615,13 @@ class _Replanning:
                 return False
         robots, docks = (before.robot, world.robot), (before.dock, world.dock)
         same = robots[0] is robots[1] or robots[0].fingerprint.limits == robots[1].fingerprint.limits
-        rules = [(dock.approach, dock.direction, dock.final_straight) for dock in docks]
+        rules = [[getattr(dock, name) for name in _DOCK_RULES] for dock in docks]
         if same and rules[0] == rules[1]:
             return True
         begun = world.starting_at(path.start, before.start_speed, before.start_curvature, before.start_acceleration)
         asked = dataclasses.replace(begun, dock=dataclasses.replace(world.dock, pose=path.end))
-        return not path_violations(path, asked) and certify_motion(self.plan.trajectory, asked).certified
+        holds = not path_violations(path, asked) and bool(prove_view(path, asked))
+        return holds and certify_motion(self.plan.trajectory, asked).certified
 
     def _stop(self, delay: float, why: str) -> Replanned:
         """Braking along the running path: from the joint where that is proven, from now on otherwise."""

@@ -96,6 +96,9 @@ def certificate_rows(certificate: Certificate) -> list[Row]:
         where = f"to {in_words(certificate.nearest)} at s = {certificate.at_s:.3f} m"
         required = f"required there {certificate.required_clearance:.4f} m"
         rows.append(Row("min clearance", f"{certificate.min_clearance:.4f} m {where}, {required}"))
+    if certificate.view_margin is not None and certificate.certified:
+        inside = f", at least {certificate.view_margin:.4f} m inside" if math.isfinite(certificate.view_margin) else ""
+        rows.append(Row("dock in view", f"where it must be{inside}"))
     return rows
 
 

@@ -6,14 +6,18 @@ import functools
 import math
 from dataclasses import dataclass, fields
 from enum import Enum
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
+from optdock.camera import Camera
 from optdock.errors import InvalidValue
 from optdock.fingerprint import digest
 from optdock.geometry.checked import exactly, instance, member, number
 from optdock.geometry.footprint import Footprint
 from optdock.geometry.pose import Twist2, displacement
 from optdock.limits import STEERING_UNITS, MotionLimits
+
+if TYPE_CHECKING:
+    from optdock.geometry.arrays import FloatArray
 
 __all__ = ["Drive", "Robot", "RobotFingerprint", "TrackingTube", "admissible", "check_drive"]
 
@@ -71,6 +75,7 @@ class Robot:
         turns_in_place: Whether its paths may turn where it stands (`TurnSegment`); a differential drive that has limits
             for it.
         tracking: How far it may be off its path.
+        camera: What it detects the dock's marker with, or None; see `Dock.visible_distance`.
 
     Raises:
         InvalidValue: The drive is none, a part is of another class, a differential drive has a steering angle or rate,
@@ -82,6 +87,7 @@ class Robot:
     drive: Drive = Drive.DIFFERENTIAL
     turns_in_place: bool = False
     tracking: TrackingTube = TrackingTube()
+    camera: Camera | None = None
 
     def __post_init__(self) -> None:
         exactly(Footprint, self.footprint, "robot.footprint")
@@ -89,11 +95,13 @@ class Robot:
         object.__setattr__(self, "drive", member(Drive, self.drive, "robot.drive"))
         instance(bool, self.turns_in_place, "robot.turns_in_place")
         exactly(TrackingTube, self.tracking, "robot.tracking")
+        if self.camera is not None:
+            exactly(Camera, self.camera, "robot.camera")
         check_drive(self.drive, self.limits, turns_in_place=self.turns_in_place)
 
     @functools.cached_property
     def fingerprint(self) -> RobotFingerprint:
-        """Digests of its outline, and of its limits and drive."""
+        """Digests of its outline, and of its limits, drive and camera."""
         # What a robot does not use is no part of its digest: certificates outlive the limits that came after them.
         steering = {"wheelbase", *STEERING_UNITS} if self.limits.wheelbase == 0.0 else set()
         values = {spec.name: getattr(self.limits, spec.name) for spec in fields(self.limits)}
@@ -102,8 +110,14 @@ class Robot:
         limits = tuple(values[name] for name in first if name not in steering)
         turns = ("turns in place",) if self.turns_in_place else ()
         others = [(name, values[name]) for name in later if values[name] != defaults[name]]
-        parts = (limits, self.drive.value, *turns, *(part for pair in others for part in pair))
+        seen = () if self.camera is None else _camera_parts(self.camera)
+        parts = (limits, self.drive.value, *turns, *(part for pair in others for part in pair), *seen)
         return RobotFingerprint(digest(self.footprint.vertices), digest(*parts))
+
+
+def _camera_parts(camera: Camera) -> tuple[str | FloatArray | tuple[float, ...], ...]:
+    """What a digest counts of a camera."""
+    return "camera", camera.mount.as_array(), (camera.field_of_view, camera.min_range, camera.max_range)
 
 
 def check_drive(drive: Drive, limits: MotionLimits, *, turns_in_place: bool) -> None:
@@ -125,7 +139,7 @@ def check_drive(drive: Drive, limits: MotionLimits, *, turns_in_place: bool) -> 
 
 
 class RobotFingerprint(NamedTuple):
-    """Digests of a robot's outline, and of its limits and drive; see `ProblemFingerprint`."""
+    """Digests of a robot's outline, and of its limits, drive and camera; see `ProblemFingerprint`."""
 
     footprint: str
     limits: str

@@ -23,6 +23,7 @@ ALL = (
     "files",
     "damaged_files",
     "values",
+    "views",
 )
 
 

@@ -35,7 +35,7 @@ _SAVED_PER_SIGNATURE = 3
 _REPORT = 15.0  # [s] between lines of progress
 # How the time is shared where nothing else is asked; a kind that costs more per case gets fewer of them.
 _SHARE = {
-    "paths": 0.25,
+    "paths": 0.21,
     "trajectories": 0.12,
     "timings": 0.1,
     "limits": 0.05,
@@ -47,6 +47,7 @@ _SHARE = {
     "files": 0.06,
     "damaged_files": 0.02,
     "values": 0.05,
+    "views": 0.04,
 }
 
 

@@ -19,6 +19,7 @@ from optdock.verification import (
     motion_bounds,
     path_rules,
     trajectory_rules,
+    visibility,
 )
 
 if TYPE_CHECKING:
@@ -126,6 +127,28 @@ def _no_bend_of_lateral_jerk(honest: dict[str, Any]) -> dict[str, Any]:
     return {**honest, "max_lateral_jerk": lambda most, _: 0.0 * most.v}
 
 
+def _at_rest(honest: Callable[..., Any]) -> Callable[..., Any]:
+    """The marker as if it did not move in the camera's frame but for the second order."""
+
+    def mistaken(*arguments: Any) -> Any:  # noqa: ANN401
+        advance = honest(*arguments)
+        return advance._replace(velocity=0.0 * advance.velocity)
+
+    return mistaken
+
+
+def _one_edge(honest: Callable[..., Any]) -> Callable[..., Any]:
+    """Of a narrow cone the edge on one side alone."""
+
+    def mistaken(camera: Any, advance: Any) -> Any:  # noqa: ANN401
+        if camera.field_of_view > np.pi:
+            return honest(camera, advance)
+        half = 0.5 * camera.field_of_view
+        return advance.linear(np.array([np.sin(half), np.cos(half)]))
+
+    return mistaken
+
+
 PLANTS: dict[str, Plant] = {
     "tolerance_x5": Plant(conservative_advancement, "TOLERANCE", _five_times),
     "first_order_centimetre": Plant(conservative_advancement, "_directional", _centimetre_more),
@@ -141,5 +164,8 @@ PLANTS: dict[str, Plant] = {
     "always_true": Plant(certificate.Certificate, "__bool__", _true),
     "rest_x5": Plant(trajectory_rules, "REST_TOLERANCE", _five_times),
     "lateral_jerk_order": Plant(trajectory_rules, "LIMITS", _lateral_jerk_of_another_order),
+    "view_at_rest": Plant(visibility, "_advance", _at_rest),
+    "view_of_one_edge": Plant(visibility, "_lowest_in_cone", _one_edge),
+    "view_tolerance_x5": Plant(visibility, "TOLERANCE", _five_times),
     "lateral_jerk_at_ends_only": Plant(trajectory_rules, "_BENDS", _no_bend_of_lateral_jerk),
 }

@@ -36,7 +36,19 @@ if TYPE_CHECKING:
 
     from optdock.geometry.arrays import FloatArray
 
-__all__ = ["Case", "Truth", "blocked", "data_folder", "dock_starts", "near_dock", "obca", "open_hall", "tpcap"]
+__all__ = [
+    "Case",
+    "Truth",
+    "blocked",
+    "data_folder",
+    "dock_starts",
+    "free_starts",
+    "near_dock",
+    "obca",
+    "open_hall",
+    "side_of",
+    "tpcap",
+]
 
 SEED = 11
 OBCA_BOUNDS = (-15.0, 15.0, 1.0, 10.0)  # [m] of the rear axle, in the file too
@@ -139,15 +151,15 @@ def dock_starts(per_dock: int = 60, seed: int = SEED) -> list[Case]:
     for number, scenario in enumerate(SCENARIOS):
         problem = problem_of(scenario, data_folder() / "nav2" / "maps")
         rng = np.random.default_rng((seed, number))
-        starts = np.concatenate(list(_free_starts(problem, per_dock, rng)))[:per_dock]
+        starts = np.concatenate(list(free_starts(problem, per_dock, rng)))[:per_dock]
         for i, (x, y, yaw) in enumerate(starts.tolist()):
             start = Pose2(x, y, yaw)
-            tag = _side(problem.dock, start)
+            tag = side_of(problem.dock, start)
             cases.append(Case(f"{scenario.name} {i}", "dock starts", problem.starting_at(start), tag))
     return cases
 
 
-def _free_starts(problem: DockingProblem, wanted: int, rng: np.random.Generator) -> Iterator[FloatArray]:
+def free_starts(problem: DockingProblem, wanted: int, rng: np.random.Generator) -> Iterator[FloatArray]:
     """Batches of free poses, at least as many as wanted."""
     found, goal = 0, problem.goal
     while found < wanted:
@@ -160,7 +172,8 @@ def _free_starts(problem: DockingProblem, wanted: int, rng: np.random.Generator)
         yield free
 
 
-def _side(dock: Dock, start: Pose2) -> str:
+def side_of(dock: Dock, start: Pose2) -> str:
+    """Where a start lies as seen from the dock, against the side that it is entered from: a tag of `dock_starts`."""
     seen = dock.pose.inverse() @ start
     before = -seen.x if dock.direction is not DockDirection.BACKWARD else seen.x
     off = math.degrees(math.atan2(abs(seen.y), before))

@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, fields
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal, get_args
 
 from pydantic import (
     AfterValidator,
@@ -28,6 +28,7 @@ from pydantic import (
 )
 from pydantic_core import core_schema
 
+from optdock.camera import Camera
 from optdock.config.plugin_sections import PLUGIN_DEFAULTS
 from optdock.dock import Dock, DockDirection
 from optdock.errors import InvalidValue
@@ -69,6 +70,15 @@ def _pose(value: object) -> Pose2:
     pose = Pose2.from_sequence(value)
     check_yaw(pose.yaw)
     return pose
+
+
+def _point(value: object) -> tuple[float, float]:
+    if not (isinstance(value, list) and len(value) == 2 and all(map(is_number, value))):
+        raise InvalidValue(f"must be [x, y] in m, got {shown(value)}")
+    if any(math.isfinite(part) and abs(part) > _FARTHEST for part in value):
+        raise InvalidValue(f"must be within +-{_FARTHEST:g} m, got {shown(value)}")
+    place = Pose2(value[0], value[1], 0.0)
+    return place.x, place.y
 
 
 def _outline(value: object) -> Footprint:
@@ -142,10 +152,12 @@ _RADIUS = {
     "required": ["radius"],
     "additionalProperties": False,
 }
+_POINT = {"type": "array", "items": {"type": "number"}, "minItems": 2, "maxItems": 2}
 _POSE = {"type": "array", "items": {"type": "number"}, "minItems": 3, "maxItems": 3}
 
 Number = Annotated[float, Field(strict=True)]
 Distance = Annotated[Number, AfterValidator(_distance)]
+PointValue = Annotated[tuple[float, float], _Parsed(_point, "[x, y]", _POINT)]
 PoseValue = Annotated[Pose2, _Parsed(_pose, "[x, y, yaw]", _POSE)]
 FootprintValue = Annotated[
     Footprint,
@@ -190,7 +202,7 @@ class _Part(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid", arbitrary_types_allowed=True)
 
 
-_TUBE = TrackingTube()
+_TUBE, _ORIGIN = TrackingTube(), Pose2(0.0, 0.0, 0.0)
 
 
 def _limit_key(name: str, default: float) -> tuple[object, object]:
@@ -255,6 +267,33 @@ class TrackingDocument(_Part):
         return TrackingTube(self.cross, self.yaw)
 
 
+class CameraDocument(_Part):
+    """`robot.camera`."""
+
+    mount: PoseValue = _key("of the camera in the robot's frame; it looks along the x axis of this pose [m, m, rad]")
+    field_of_view: Number = _key(
+        "whole angle of its cone, at most 2 pi, which sees all around [rad]", above=0, finite=True
+    )
+    min_range: Number = _key("nearest distance of the marker [m]", 0.0, least=0, finite=True)
+    max_range: Number = _key("farthest distance of the marker [m]", math.inf, above=0, absent="unlimited")
+
+    @field_validator("field_of_view", "min_range", "max_range")
+    @classmethod
+    def _in_range(cls, value: float, info: ValidationInfo) -> float:
+        Camera(_ORIGIN, **{"field_of_view": 1.0, str(info.field_name): value})
+        return value
+
+    @model_validator(mode="after")
+    def _sees_something(self) -> CameraDocument:
+        if not self.max_range > self.min_range:
+            raise InvalidValue(f"max_range must be > min_range = {self.min_range} m, got {self.max_range}")
+        return self
+
+    def value(self) -> Camera:
+        """The camera."""
+        return Camera(**dict(self))
+
+
 class RobotDocument(_Part):
     """`robot`."""
 
@@ -271,6 +310,9 @@ class RobotDocument(_Part):
         "how far it may be off its path: what is proven holds for every pose within",
         TrackingDocument(),
         absent="no tube",
+    )
+    camera: CameraDocument | None = _key(
+        "what it detects the dock's marker with, a cone; see dock.visible_distance", None, absent="none"
     )
     limits: LimitsDocument = _key("bounds on the motion", LimitsDocument(), absent="each limit's own default")
 
@@ -295,7 +337,8 @@ class RobotDocument(_Part):
     def value(self) -> Robot:
         """The robot."""
         outline = self.footprint if self.footprint is not None else Footprint.from_radius(self.radius or math.nan)
-        return Robot(outline, self.limits.value(), self.drive, self.turns_in_place, self.tracking.value())
+        camera = None if self.camera is None else self.camera.value()
+        return Robot(outline, self.limits.value(), self.drive, self.turns_in_place, self.tracking.value(), camera)
 
 
 class DockDocument(_Part):
@@ -315,11 +358,24 @@ class DockDocument(_Part):
     approach_distance: Distance = _key(
         "length of the slow stretch at the end of the path; needed by approach_speed [m]", 0.0, least=0, finite=True
     )
+    marker: PointValue | None = _key(
+        "point that the robot's camera detects, in the docked robot's frame, as footprint [m]", None, absent="none"
+    )
+    visible_distance: Distance = _key(
+        "the marker must be in the view of robot.camera from so far before the end of the path on; needs marker [m]",
+        0.0,
+        least=0,
+        finite=True,
+        absent="nowhere",
+    )
+    blind_distance: Distance = _key(
+        "but not over the last so many metres, less than visible_distance [m]", 0.0, least=0, finite=True
+    )
 
     @field_validator("final_straight")
     @classmethod
     def _straight(cls, value: float) -> float:
-        Dock(Pose2(0.0, 0.0, 0.0), final_straight=value)
+        Dock(_ORIGIN, final_straight=value)
         return value
 
     @field_validator("approach_speed")
@@ -333,6 +389,16 @@ class DockDocument(_Part):
     def _zone_is_whole(self) -> DockDocument:
         if math.isfinite(self.approach_speed) and self.approach_distance == 0.0:
             raise InvalidValue("approach_speed has no effect without approach_distance > 0 m")
+        return self
+
+    @model_validator(mode="after")
+    def _view_is_whole(self) -> DockDocument:
+        Dock(
+            _ORIGIN,
+            marker=self.marker,
+            visible_distance=self.visible_distance,
+            blind_distance=self.blind_distance,
+        )
         return self
 
     def value(self) -> Dock:
@@ -453,8 +519,8 @@ def known_keys(key: tuple[str | int, ...]) -> tuple[str, ...]:
     model: type[BaseModel] | None = ScenarioDocument
     for part in key:
         field = model.model_fields.get(str(part)) if model else None
-        inner = field.annotation if field else None
-        model = inner if isinstance(inner, type) and issubclass(inner, BaseModel) else None
+        kinds = (field.annotation, *get_args(field.annotation)) if field else ()  # of one that may be left out
+        model = next((kind for kind in kinds if isinstance(kind, type) and issubclass(kind, BaseModel)), None)
     return tuple(model.model_fields) if model else ()
 
 

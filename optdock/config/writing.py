@@ -23,6 +23,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import ArrayLike
 
+    from optdock.camera import Camera
     from optdock.config.scenario import Scenario
     from optdock.costmap.costmap import Costmap
     from optdock.dock import Dock
@@ -141,11 +142,20 @@ def _robot(robot: Robot, unsaid: frozenset[str]) -> dict[str, object]:
     others = {
         spec.name: getattr(robot, spec.name)
         for spec in dataclasses.fields(robot)
-        if spec.name not in ("footprint", "limits", "drive", "tracking") and getattr(robot, spec.name) != spec.default
+        if spec.name not in ("footprint", "limits", "drive", "tracking", "camera")
+        and getattr(robot, spec.name) != spec.default
     }
     if robot.tracking != TrackingTube():
         others["tracking"] = dataclasses.asdict(robot.tracking)
+    if robot.camera is not None:
+        others["camera"] = _camera(robot.camera)
     return {"footprint": _outline(robot.footprint), "drive": robot.drive.value, **others, "limits": said}
+
+
+def _camera(camera: Camera) -> dict[str, object]:
+    said: dict[str, object] = {"mount": _pose(camera.mount), "field_of_view": camera.field_of_view}
+    said |= {"min_range": camera.min_range} if camera.min_range > 0.0 else {}
+    return said | ({"max_range": camera.max_range} if math.isfinite(camera.max_range) else {})
 
 
 def _dock(dock: Dock) -> dict[str, object]:
@@ -153,7 +163,10 @@ def _dock(dock: Dock) -> dict[str, object]:
     said |= {"footprint": _outline(dock.footprint)} if dock.footprint is not None else {}
     said |= {"direction": dock.direction.value, "final_straight": dock.final_straight}
     zone = {"approach_speed": dock.approach_speed, "approach_distance": dock.approach_distance}
-    return said | (zone if math.isfinite(dock.approach_speed) and dock.approach_distance > 0.0 else {})
+    said |= zone if math.isfinite(dock.approach_speed) and dock.approach_distance > 0.0 else {}
+    said |= {"marker": list(dock.marker)} if dock.marker is not None else {}
+    distances = {name: getattr(dock, name) for name in ("visible_distance", "blind_distance")}
+    return said | {name: value for name, value in distances.items() if value > 0.0}
 
 
 def _start(problem: DockingProblem) -> dict[str, object]:

@@ -278,6 +278,7 @@ class _CertificateDocument(_VerdictDocument):
     length: Number | None = None
     start_relief: Number | None = None
     tube: Number | None = None
+    view_margin: Number | None = None
     poses_checked: Annotated[int, Field(ge=0)] | None = None
     nearest: str | None = None
     problem: dict[str, str] | None = None

@@ -28,6 +28,7 @@ from optdock.plotting.scene import (
     draw_sweep,
     view_of,
 )
+from optdock.plotting.view_drawing import draw_cone, draw_view
 from optdock.verification import ImpossibilityProof
 
 if TYPE_CHECKING:
@@ -45,6 +46,7 @@ __all__ = ["save_plan_picture"]
 
 _SPACING = 0.02  # [m] between drawn points
 _RAW_WIDTH, _WIDTH = 4.5, 2.0  # of the two paths [pt]
+_OF_THE_VIEW = ("view", "approach_unseen")  # reasons of refusals
 _FOOTPRINTS = 24  # drawn along a path at most
 
 
@@ -59,6 +61,8 @@ def save_plan_picture(  # noqa: PLR0913 - one parameter for each thing that is d
     title: str = "",
 ) -> None:
     """Draw map, obstacles, dock, paths, the swept footprint, and the closest pose or what stands in the way.
+
+    Where the dock must be seen: its marker, and the cone of the camera at some poses of the path that must see it.
 
     Args:
         target: Where; the suffix chooses the format.
@@ -83,6 +87,8 @@ def save_plan_picture(  # noqa: PLR0913 - one parameter for each thing that is d
     draw_scene(axes, problem, view)
     if drawn:
         _draw_sweep(axes, problem, drawn[-1])
+    if problem.required_view is not None:
+        draw_view(axes, problem.required_view, path)
     if raw_path is not None:
         _draw_raw(axes, raw_path)
     if path is not None:
@@ -139,6 +145,8 @@ def _draw_refusal(axes: Axes, problem: DockingProblem, refusal: OptdockError, pl
     """Where a refusal points to, Shape (1, 3), if anywhere, and the obstacle that it names."""
     if place is not None:
         _mark(axes, problem, place, "refused here")
+    if place is not None and problem.required_view is not None and refusal.where.get("reason") in _OF_THE_VIEW:
+        draw_cone(axes, problem.required_view, place[0])
     obstacles = problem.all_obstacles
     named = [row for row in range(len(obstacles)) if obstacles.name_of(row) == refusal.where.get("obstacle")]
     if named and obstacles.name_of(named[0]) not in DRAWN_BY_THE_MAP:

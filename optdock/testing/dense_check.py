@@ -30,6 +30,9 @@ _CURVATURE_TOLERANCE = 2e-6  # relative; differences of yaw are exact where curv
 _RATE_TOLERANCE = 2e-6  # relative
 _SLIP_PER_SQUARED_STEP = 2.0  # sideways motion over distance [1/m^2]
 _SLIP_PER_RATE = 0.1  # of the curvature rate, likewise: a clothoid shows up to its rate / 12 * step^2
+_BEARING_TOLERANCE = 1e-5  # [rad]: what 1e-6 m are at a decimetre, ...
+_IN_THE_CAMERA = 0.1  # [m]: ... and nearer than that no bearing is judged
+_RANGE_TOLERANCE = 2e-6  # [m]
 _JOINT_TOLERANCE = 1e-6  # from the end of a gear to the start of the next [m, rad]
 
 
@@ -94,7 +97,8 @@ def dense_check(path: Path, problem: DockingProblem, step: float = 0.002) -> Den
     """Check every bound of `problem` at samples of `path` at most `step` [m] apart.
 
     Bounds: start and goal pose, joints of gears, curvature, curvature rate inside a gear, motion along the heading,
-    the final straight, clearance.
+    the final straight, clearance, bearing and distance of the dock's marker where it must be seen (of the path
+    itself, not of the tube about it).
 
     Args:
         path: Any path, clothoid or polyline.
@@ -118,6 +122,7 @@ def dense_check(path: Path, problem: DockingProblem, step: float = 0.002) -> Den
         *_motion_faults(gears, curvature, rates, problem),
         *_straight_faults(path, problem, step),
         *_above("clearance", s, -margin, _CLEARANCE_TOLERANCE),
+        *_view_faults(s, poses, path, problem),
     )
     return DenseReport(
         faults=found,
@@ -179,6 +184,29 @@ def _above(bound: str, s: FloatArray, value: FloatArray, limit: float) -> tuple[
         return ()
     worst = int(np.argmax(np.where(np.isnan(value), np.inf, value)))
     return (Fault(bound, float(s[worst]), float(value[worst]), limit),)
+
+
+def _view_faults(s: FloatArray, poses: FloatArray, path: Path, problem: DockingProblem) -> tuple[Fault, ...]:
+    """Bearing [rad] beyond half the field of view, distance [m] beyond the ranges of the camera."""
+    dock, camera = problem.dock, problem.robot.camera
+    if dock.visible_distance == 0.0 or dock.marker is None or camera is None:
+        return ()
+    begin, end = path.before_end(dock.visible_distance), path.before_end(dock.blind_distance)
+    judged = (s >= begin) & (s <= end)
+    x, y, yaw = poses[judged].T
+    ahead, left, turned = dock.marker[0], dock.marker[1], problem.goal.yaw
+    mx = problem.goal.x + ahead * math.cos(turned) - left * math.sin(turned)
+    my = problem.goal.y + ahead * math.sin(turned) + left * math.cos(turned)
+    dx = mx - x - camera.mount.x * np.cos(yaw) + camera.mount.y * np.sin(yaw)
+    dy = my - y - camera.mount.x * np.sin(yaw) - camera.mount.y * np.cos(yaw)
+    distance = np.hypot(dx, dy)
+    bearing = np.remainder(np.arctan2(dy, dx) - yaw - camera.mount.yaw + math.pi, 2.0 * math.pi) - math.pi
+    outside = np.where(distance > _IN_THE_CAMERA, np.abs(bearing) - 0.5 * camera.field_of_view, -math.inf)
+    return (
+        *_above("bearing", s[judged], outside, _BEARING_TOLERANCE),
+        *_above("min_range", s[judged], camera.min_range - distance, _RANGE_TOLERANCE),
+        *_above("max_range", s[judged], distance - camera.max_range, _RANGE_TOLERANCE),
+    )
 
 
 def _motion_faults(

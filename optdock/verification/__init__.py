@@ -5,7 +5,7 @@ at samples, the footprint keeps the clearance that the problem requires at that 
 `TOLERANCE`; where contact is allowed, nothing lies deeper than two tolerances inside anything, however the shapes are
 made of pieces. The path begins at the start and ends at the goal in the gear that the dock asks for, has no jump, its
 curvature and curvature rate stay within the robot's limits and its last stretch is straight. It turns in place only
-where the robot does that.
+where the robot does that. Where the dock must be seen its marker is in the camera's view, up to `TOLERANCE`.
 
 *Idea of the proof.* The axis that attains the distance d of two convex shapes at one pose still separates them by a
 lower bound at every other pose. Along it no point of the footprint moves faster, or is bent more, than bounds of the
@@ -27,6 +27,7 @@ chapters, in the order in which a proof uses them:
     contact_tolerance       why the tolerance hides no deep overlap where shapes are unions of pieces
     proximity               the clearance of a pose: broad phase, narrow phase
     conservative_advancement  from poses to stretches: subdivision, branch and bound, the proof of clearance
+    visibility              the same advance for the view of the dock: cone and ranges of the camera
     path_rules              frame, ends, joints, gears, slip, curvature, final straight
     trajectory_rules        coverage, rest, limits along the time law and limits that depend on curvature
     certify                 the two verdicts, each made once

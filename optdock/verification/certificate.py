@@ -28,7 +28,7 @@ class Violation:
 
     Args:
         kind: Machine-readable name of the rule: `frame`, `start`, `goal`, `joint`, `direction`, `turn`, `slip`,
-            `curvature`, `curvature_rate`, `start_curvature`, `final_straight`, `clearance`, `unproven`; for
+            `curvature`, `curvature_rate`, `start_curvature`, `final_straight`, `clearance`, `view`, `unproven`; for
             trajectories the name of the limit, `yaw_jerk`, `rest`, `coverage` or `start_state`.
         message: What is wrong, where, by how much.
         s: Arc length at which it shows [m].
@@ -69,6 +69,9 @@ class Certificate:
         tube: How far any point of the footprint may be from where the path has it while the robot's clearance holds all
             the same [m]; it tapers at the dock as the clearance does, and `required_clearance` holds it
             (`TrackingTube`).
+        view_margin: Proven lower bound, over the part of the path where the dock must be seen, of how far its marker is
+            inside the camera's view [m]; it is not sharp, as `margin`. Where poses break the rule, the smallest among
+            those found. None where the problem asks for no view; inf where the path has no such part.
     """
 
     violations: tuple[Violation, ...]
@@ -85,6 +88,7 @@ class Certificate:
     path: str
     start_relief: float = 0.0
     tube: float = 0.0
+    view_margin: float | None = None
 
     def __repr__(self) -> str:
         if not self.certified:
@@ -122,9 +126,11 @@ class Certificate:
             "tube",
         )
         numbers = {name: _plain(getattr(self, name)) for name in names}
+        seen = {} if self.view_margin is None else {"view_margin": _plain(self.view_margin)}
         return {
             "certified": self.certified,
             **numbers,
+            **seen,
             "poses_checked": self.poses_checked,
             "nearest": self.nearest,
             "problem": self.problem._asdict(),

@@ -18,6 +18,7 @@ from optdock.verification.memo import Memo
 from optdock.verification.path_rules import max_curvature, max_curvature_rate, path_violations
 from optdock.verification.proximity import end_clearances
 from optdock.verification.trajectory_rules import trajectory_violations
+from optdock.verification.visibility import prove_view
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Hashable
@@ -38,7 +39,8 @@ Verdict = TypeVar("Verdict", Certificate, TrajectoryCertificate)
 def certify_path(path: Path, problem: DockingProblem, *, is_late: Callable[[], bool] = never_late) -> Certificate:
     """Prove that `path` solves `problem`, or name what is broken and where.
 
-    Proven for every point of the continuous path: footprint clearance (second-order `conservative_advancement`).
+    Proven for every point of the continuous path: footprint clearance (second-order `conservative_advancement`), and
+    where the dock asks for it that its marker is in the camera's view (`visibility`, likewise).
     Checked exactly: start and goal pose (`TOLERANCE`), joints, gears, curvature, curvature rate, start curvature,
     final straight. A polyline is judged as linear motion between its poses, turning the short way, with the
     curvature of the arcs through them; a step whose arc is more than 5 mm from that motion is refused, and so are slips
@@ -77,7 +79,8 @@ def _path_verdict(path: Path, problem: DockingProblem, is_late: Callable[[], boo
         weaker = prove_clearance(path, problem, is_late, problem.start_run)
         if weaker.holds:
             proof, relief = weaker, problem.start_run
-    violations = (*path_violations(path, problem), *_clearance_violations(proof, problem))
+    view = prove_view(path, problem, is_late)
+    violations = (*path_violations(path, problem), *_clearance_violations(proof, problem), *view.violations)
     return Certificate(
         violations=violations,
         min_clearance=proof.proven,
@@ -93,6 +96,7 @@ def _path_verdict(path: Path, problem: DockingProblem, is_late: Callable[[], boo
         path=path.digest,
         start_relief=relief,
         tube=problem.robot.tracking.width(problem.robot.footprint),
+        view_margin=None if problem.required_view is None else view.margin,
     )
 
 

@@ -4,7 +4,8 @@
     over        curvatures K at the knots, lengths L of the gears
     subject to  curvature and curvature rate within their limits,
                 the end of the path on the goal (moved back by the final straight),
-                everything that the footprint sweeps as far from every obstacle as required.
+                everything that the footprint sweeps as far from every obstacle as required,
+                the marker of the dock in the camera's view where it must be seen.
 
 The chapters, in reading order:
 
@@ -16,6 +17,7 @@ The chapters, in reading order:
     goal_projection  the smallest change that brings the end onto the goal; the exact path
     initial_guess    fit to the headings, pure pursuit, what is left of an earlier result
     collision        scene, broad phase, narrow phase (separating planes), active pairs, linearization
+    visibility       the marker in view: margins at the nodes of the last stretch, linearization
     qp_step          the convex program of a step: named blocks, trust region, L1 penalties, DAQP
     loop             sequential convex programming: linearize, step, project, accept by merit
     strategy         all that is tried, in one list, within the time that is given; certificates

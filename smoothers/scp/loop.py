@@ -18,12 +18,13 @@ import numpy as np
 from optdock.deadline import never_late
 from smoothers.scp.collision.active_pairs import active_pairs
 from smoothers.scp.collision.broad_phase import broad_phase
-from smoothers.scp.collision.linearization import linearized_clearance
+from smoothers.scp.collision.linearization import ClearanceRows, linearized_clearance
 from smoothers.scp.collision.narrow_phase import narrow_phase
 from smoothers.scp.collision.scene import body_at_nodes
 from smoothers.scp.goal_projection import end_sensitivity, project_and_roll_out
 from smoothers.scp.qp_step import Penalties, Step, Subproblem, solve_step, trusted_nodes, zone_of
 from smoothers.scp.rollout import Variables, sensitivity
+from smoothers.scp.visibility import linearized_view, view_along
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -35,6 +36,7 @@ if TYPE_CHECKING:
     from smoothers.scp.qp_step import ProgramPool
     from smoothers.scp.rollout import Rollout
     from smoothers.scp.settings import LoopSettings
+    from smoothers.scp.visibility import SeenPlaces
 
 __all__ = ["Iterate", "Progress", "evaluated", "judged", "search"]
 
@@ -47,10 +49,11 @@ class Iterate(NamedTuple):
         rollout: The driven path.
         cost: Its cost.
         clearance: Its near pairs.
-        zones: Shape (zones,) [m], worst shortfall of clearance in each zone, >= 0.
+        zones: Shape (zones,) [m], worst shortfall of clearance and of the view in each zone, >= 0.
         end_error: Shape (3,) [m, m, rad].
         on_goal: Whether it ends at the target.
         feasible: Whether it may be certified.
+        view: The view where the path must have it; None where nothing must be seen.
     """
 
     variables: Variables
@@ -61,15 +64,16 @@ class Iterate(NamedTuple):
     end_error: FloatArray
     on_goal: bool
     feasible: bool
+    view: SeenPlaces | None = None
 
     @property
     def shortfall(self) -> float:
-        """Worst shortfall of clearance [m]."""
+        """Worst shortfall of clearance or of the view [m]."""
         return float(self.zones.max())
 
     @property
     def missing(self) -> float:
-        """Shortfall of clearance over all zones and error at the goal [m, rad]."""
+        """Shortfalls over all zones and error at the goal [m, rad]."""
         return float(self.zones.sum() + np.abs(self.end_error).sum())
 
     def merit(self, penalties: Penalties) -> float:
@@ -162,11 +166,16 @@ def judged(nlp: NonlinearProgram, variables: Variables, rollout: Rollout, reach:
         at_ends = (pairs.interval == 0) | (pairs.interval == basis.num_intervals - 1)
         short = np.where(at_ends, -settings.end_allowance, 0.0) - found.margin
         np.maximum.at(zones, zone_of(basis, basis.left[pairs.interval], count), short)
+    view = None if nlp.view is None else view_along(nlp.view, basis, variables, rollout)
+    if view is not None and view.margin.size:
+        given = (view.node == 0) | (view.node == basis.num_nodes - 1)  # as above
+        unseen = np.where(given, -settings.end_allowance, 0.0) - view.margin.min(axis=0)
+        np.maximum.at(zones, zone_of(basis, view.node, count), unseen)
     error = nlp.ends.error(rollout)
     on_goal = float(np.abs(error).max()) <= settings.goal_tolerance
     feasible = on_goal and float(zones.max()) <= settings.clearance_tolerance
     cost = nlp.cost.value(variables, rollout)
-    return Iterate(variables, rollout, cost, found, zones, error, on_goal, feasible)
+    return Iterate(variables, rollout, cost, found, zones, error, on_goal, feasible, view)
 
 
 def _linearized(nlp: NonlinearProgram, current: Iterate, state: _State) -> Subproblem:
@@ -179,7 +188,11 @@ def _linearized(nlp: NonlinearProgram, current: Iterate, state: _State) -> Subpr
     motion = share * (by.x.T @ by.x + by.y.T @ by.y + settings.yaw_motion * (by.yaw.T @ by.yaw))
     most = settings.clearance_rows[-1]
     active = active_pairs(nlp.scene, found, basis.num_intervals, most // 3)
-    rows = linearized_clearance(nlp.scene, basis, rollout, by, found, active).lowest(most)
+    rows = linearized_clearance(nlp.scene, basis, rollout, by, found, active)
+    if nlp.view is not None and current.view is not None:
+        seeing = linearized_view(nlp.view, basis, rollout, by, current.view, nlp.settings.view.reach)
+        rows = ClearanceRows(*(np.concatenate(both) for both in zip(rows, seeing, strict=True)))
+    rows = rows.lowest(most)
     # Less near the ends, where the pose cannot move.
     away = [np.hypot(*(rollout.poses[:, :2] - point[:2]).T) for point in (nlp.ends.start, nlp.ends.target)]
     wanted = buffer * np.minimum(1.0, np.minimum(away[0], away[1]) / settings.buffer_taper)

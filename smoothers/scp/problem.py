@@ -4,6 +4,7 @@
     subject to  |K| <= k_max, |K_(j+1) - K_j| <= s_max L / q, L > 0
                 pose at the end = goal, moved back by the final straight
                 clearance of the swept footprint >= required clearance       (`collision`)
+                marker of the dock inside the camera's view                  (`visibility`)
 
 K: curvatures at the knots, L: lengths of the gears. The final straight is no variable: its poses are given.
 """
@@ -32,6 +33,7 @@ if TYPE_CHECKING:
     from smoothers.scp.cost import Weights
     from smoothers.scp.rollout import Rollout
     from smoothers.scp.settings import BoundSettings, ResolutionSettings, Settings
+    from smoothers.scp.visibility import ViewBound
 
 __all__ = ["Bounds", "Ends", "Formulation", "NonlinearProgram", "TracedInput", "formulate", "free_lengths"]
 
@@ -108,6 +110,7 @@ class NonlinearProgram:
         lengths: Gear lengths to begin with, Shape (num_gears,) [m].
         radius: Smallest turning radius, at least half a metre [m].
         settings: Constants of the method.
+        view: What must be seen along the path, or None.
     """
 
     basis: Basis
@@ -120,6 +123,7 @@ class NonlinearProgram:
     lengths: FloatArray
     radius: float
     settings: Settings
+    view: ViewBound | None = None
 
 
 class Formulation(NamedTuple):

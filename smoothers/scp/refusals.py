@@ -10,10 +10,13 @@ import numpy as np
 
 from optdock.dock import DockDirection
 from optdock.errors import FailedToSmoothPath
+from optdock.geometry.clothoid import ClothoidSpline
+from optdock.geometry.pose import Pose2
 from optdock.obstacles import in_words
-from optdock.path import Direction, Path, TurnSegment
+from optdock.path import ClothoidSegment, Direction, Path, PolylineSegment, TurnSegment
 from optdock.plan import PartialPlan
 from optdock.verification import end_clearances, pose_clearances
+from optdock.verification.visibility import prove_view
 from smoothers.scp.goal_projection import driven_path, exact_path
 
 if TYPE_CHECKING:
@@ -21,11 +24,19 @@ if TYPE_CHECKING:
 
     from optdock.geometry.arrays import FloatArray
     from optdock.problem import DockingProblem
-    from optdock.verification import Certificate
+    from optdock.verification import Certificate, Violation
     from smoothers.scp.loop import Iterate
     from smoothers.scp.problem import NonlinearProgram
 
-__all__ = ["Refusal", "refuse_approach", "refuse_certificate", "refuse_search", "refuse_start", "refuse_turns"]
+__all__ = [
+    "Refusal",
+    "refuse_approach",
+    "refuse_certificate",
+    "refuse_search",
+    "refuse_start",
+    "refuse_turns",
+    "refuse_unseen_approach",
+]
 
 _TOLERANCE = 1e-6  # [m], as the certificate's
 _STRAIGHT_SAMPLES = 13
@@ -34,6 +45,7 @@ _NEAR_THIS_GUESS = "refused near this guess:"
 _SPACING = (
     0.02  # [m] between the poses of a refused path that are measured, 0.7 ms for 5 m; 3 cm missed 6 mm of overlap
 )
+_GOAL_ALONE = 1e-4  # [m]: a stretch that stands for the goal pose alone
 
 
 class Refusal(NamedTuple):
@@ -118,6 +130,35 @@ def refuse_approach(path: Path, problem: DockingProblem, start_clearance: float)
     return Refusal("approach_blocked", s, float(short[k]), name, message, poses[k])
 
 
+def refuse_unseen_approach(path: Path, problem: DockingProblem) -> Refusal | None:
+    """The final straight, or the goal alone, from which the dock is not seen though it must be; or None.
+
+    Every answer must drive these poses, so one that does not see is a proof.
+    """
+    if problem.required_view is None or not isinstance(path.segments[-1], ClothoidSegment | PolylineSegment):
+        return None
+    # Without a final straight the goal alone is given: a stretch before it that is too short to matter.
+    goal, length = problem.goal, max(problem.dock.final_straight, _GOAL_ALONE)
+    sign = int(path.segments[-1].direction)
+    begin = goal @ Pose2(-sign * length, 0.0, 0.0)
+    line = Path((ClothoidSegment(ClothoidSpline(begin, np.array([0.0, length]), np.zeros(2), sign)),), path.frame)
+    broken = next((one for one in prove_view(line, problem).violations if one.kind == "view"), None)
+    if broken is None:
+        return None
+    before = length - broken.s
+    place = "at the goal" if before <= _GOAL_ALONE else f"on the final straight, {before:.3f} m before the goal"
+    refusal = _unseen(broken, path.length - before, None)
+    message = f"{place}: {broken.message.partition(': ')[2]} (every path ends so; see dock.blind_distance)"
+    return refusal._replace(reason="approach_unseen", message=f"the dock is not in the camera's view {message}")
+
+
+def _unseen(broken: Violation, s: float, path: Path | None) -> Refusal:
+    """A refusal for a place that does not see the dock, at `s` of a path [m]."""
+    more = dict(broken.where)
+    pose = np.array(more.pop("pose"))
+    return Refusal("view", s, broken.amount, "", broken.message, pose, more, path)
+
+
 def refuse_turns(path: Path, problem: DockingProblem) -> Refusal | None:
     """What makes any path with these turns in place impossible, as long as they stay where they are; or None.
 
@@ -157,7 +198,7 @@ def _blocked_turn(path: Path, problem: DockingProblem) -> Refusal | None:
 def refuse_search(
     nlp: NonlinearProgram, closest: Iterate, problem: DockingProblem, whole: DockingProblem | None = None
 ) -> Refusal:
-    """Which bound the search could not satisfy: the goal (through curvature and rate) or clearance.
+    """Which bound the search could not satisfy: the goal (through curvature and rate), clearance or the view.
 
     It says nothing about other inputs: no search proves that there is no way. The path of the refusal is that of
     `closest`; one that misses the goal has no final straight.
@@ -168,10 +209,25 @@ def refuse_search(
         problem: What must hold.
         whole: The problem whose rule of clearance counts, where `problem` is a piece of it; None: it is none.
     """
-    if not closest.on_goal or closest.clearance.margin.size == 0:
+    is_clear = closest.clearance.margin.size == 0
+    if not closest.on_goal or (is_clear and nlp.view is None):
         return _unreachable(nlp, closest, problem)
     path = exact_path(nlp, closest.variables, problem.dock.final_straight).with_frame(problem.frame)
-    return _too_close(path, problem if whole is None else whole, closest.shortfall, nlp.scene.start_relief)
+    judged = problem if whole is None else whole
+    unseen = _lost_view(path, judged) if problem.goal == judged.goal else None
+    if is_clear:
+        return unseen or _unreachable(nlp, closest, problem)
+    too_close = _too_close(path, judged, closest.shortfall, nlp.scene.start_relief)
+    return unseen if unseen is not None and too_close.amount <= _TOLERANCE else too_close
+
+
+def _lost_view(path: Path, problem: DockingProblem) -> Refusal | None:
+    """Where the dock leaves the camera's view most on the best path found, or None."""
+    broken = next((one for one in prove_view(path, problem).violations if one.kind == "view"), None)
+    if broken is None:
+        return None
+    found = _unseen(broken, broken.s, path)
+    return found._replace(message=f"{_NEAR_THIS_GUESS} on the best path found {broken.message}")
 
 
 def refuse_certificate(certificate: Certificate, path: Path) -> Refusal:

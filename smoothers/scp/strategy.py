@@ -23,7 +23,14 @@ from smoothers.scp.goal_projection import exact_path
 from smoothers.scp.initial_guess import InitialGuesses, rest_of_earlier_result
 from smoothers.scp.loop import search
 from smoothers.scp.problem import formulate, with_intervals
-from smoothers.scp.refusals import refuse_approach, refuse_certificate, refuse_search, refuse_start
+from smoothers.scp.refusals import (
+    refuse_approach,
+    refuse_certificate,
+    refuse_search,
+    refuse_start,
+    refuse_unseen_approach,
+)
+from smoothers.scp.visibility import ViewBound
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -56,7 +63,8 @@ __all__ = [
 ]
 
 
-# Kinds of violations that say something about the ends of a path alone.
+# Kinds of violations that say something about the ends of a path alone; where the dock must be seen is counted from the
+# end of the whole path, which a piece does not know.
 _OF_THE_ENDS = ("start", "goal", "direction", "start_curvature", "final_straight")
 
 
@@ -81,6 +89,7 @@ class Call(NamedTuple):
     max_iterations: int = 60
     first_only: bool = False
     within: DockingProblem | None = None
+    after: float = 0.0
 
     @property
     def whole(self) -> DockingProblem:
@@ -92,7 +101,8 @@ class Call(NamedTuple):
         certificate = certify_path(path, self.whole, is_late=is_late)
         if self.within is None:
             return certificate
-        broken = tuple(violation for violation in certificate.violations if violation.kind not in _OF_THE_ENDS)
+        others = _OF_THE_ENDS if self.problem.goal == self.whole.goal else (*_OF_THE_ENDS, "view")
+        broken = tuple(violation for violation in certificate.violations if violation.kind not in others)
         return replace(certificate, violations=broken)
 
 
@@ -332,7 +342,7 @@ class Solver:
         start_clearance, nearest, *_ = end_clearances(call.whole)
         refusal = refuse_start(path, problem, start_clearance, nearest)
         if refusal is None and problem.goal == call.whole.goal:
-            refusal = refuse_approach(path, call.whole, start_clearance)
+            refusal = refuse_approach(path, call.whole, start_clearance) or refuse_unseen_approach(path, call.whole)
         if refusal is not None:
             raise refusal.error()
         self._look_at_the_clock()
@@ -357,10 +367,23 @@ class Solver:
         earlier = rest_of_earlier_result(call.earlier, call.path, call.problem, self.settings.guess)
         lengths = earlier.lengths if earlier is not None else None
         nlp = formulate(call.path, call.problem, scene, chosen, lengths, self.settings)
+        nlp = self._seeing(nlp, call)
         expected, pace = self.settings.anytime, self.pool.pace
         self._iteration = pace * _expected(nlp, expected.iteration_seconds)
         self._certificate = self._certificate or pace * _expected(nlp, expected.certificate_seconds)
         return nlp, InitialGuesses(nlp, earlier, self.pool, self.deadline.passed)
+
+    def _seeing(self, nlp: NonlinearProgram, call: Call) -> NonlinearProgram:
+        """The program with the view of the dock, where the problem asks for it."""
+        view, chosen = call.whole.required_view, self.settings.view
+        if view is None:
+            return nlp
+        bound = ViewBound(view, call.whole, nlp.ends.signs, call.problem.dock.final_straight + call.after)
+        loop = replace(
+            nlp.settings.loop, goal_penalty=chosen.goal_penalty, goal_above_clearance=chosen.goal_above_clearance
+        )
+        settings = replace(nlp.settings, loop=loop)
+        return replace(nlp, view=bound, settings=settings)
 
     def _look_at_the_clock(self) -> None:
         if self.deadline.passed():

@@ -114,7 +114,8 @@ class TurningSolver:
                 found.segments.append(line)
                 found = found._replace(cost=found.cost + call.formulation.weights.length * line.length, kept=True)
             else:
-                asked = call._replace(path=part, problem=piece, earlier=earlier[i], within=problem)
+                after = sum(later.length for later in parts[i + 1 :] if isinstance(later, Path))
+                asked = call._replace(path=part, problem=piece, earlier=earlier[i], within=problem, after=after)
                 best = self._smoothed(asked, found.segments, max(to_search, 1))
                 found.segments.extend(best.path.segments)
                 found = found._replace(cost=found.cost + best.cost)

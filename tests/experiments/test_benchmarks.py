@@ -5,7 +5,14 @@ import sys
 from pathlib import Path
 from typing import NamedTuple
 
+import numpy as np
 import pytest
+
+from optdock.geometry.clothoid import ClothoidSpline
+from optdock.geometry.pose import Pose2
+from optdock.path import ClothoidSegment
+from optdock.path import Path as DrivenPath
+from optdock.verification.visibility import prove_view
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -64,6 +71,24 @@ def test_certificates_and_first_calls_are_measured(run):
     assert done.returncode == 0, done.stderr
     first, _, later = (float(word) for word in done.stdout.splitlines()[-1].split()[-3:])
     assert min(first, later) > 0.0
+
+
+def test_views_are_counted_and_judged_by_bearings(run):
+    done = run("views", "--count", "2")
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.splitlines()[-1].split()[:2] == ["all", "2"]
+
+
+def test_what_sees_by_bearings_is_what_is_certified():
+    from experiments.benchmarks.views import seeing, sees, starts
+
+    _, problem = next(starts(1, 11))
+    wanted, goal = seeing(problem, 60.0, 1.5), problem.goal
+    for turn, expected in ((0.0, True), (0.2, True), (0.7, False)):
+        line = ClothoidSpline(goal @ Pose2(-1.5, 0.0, turn), np.array([0.0, 0.5]), np.zeros(2))
+        path = DrivenPath((ClothoidSegment(line),))
+        assert sees(path, problem, 60.0, 1.5) is expected
+        assert bool(prove_view(path, wanted)) is expected
 
 
 def test_deadlines_are_measured_on_a_busy_machine_too(run):

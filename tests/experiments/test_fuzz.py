@@ -19,6 +19,7 @@ from experiments.fuzz.oracle.motion import cut, motion_of
 from experiments.fuzz.oracle.rules import findings
 from experiments.fuzz.oracle.sweep import sweep
 from experiments.fuzz.oracle.timing import judged
+from experiments.fuzz.oracle.views import views
 from experiments.fuzz.oracle.world import World
 from experiments.fuzz.planted import PLANTS
 
@@ -137,9 +138,43 @@ def test_a_dip_between_samples_is_found_to_a_micrometre():
 
 
 def test_the_oracle_shares_no_code_with_the_library():
-    names = ", ".join(f"experiments.fuzz.oracle.{name}" for name in ("motion", "world", "sweep", "rules", "timing"))
+    names = ", ".join(
+        f"experiments.fuzz.oracle.{name}" for name in ("motion", "world", "sweep", "rules", "timing", "views")
+    )
     code = f"import {names}, sys; sys.exit(any(name.split('.')[0] == 'optdock' for name in sys.modules))"
     assert subprocess.run([sys.executable, "-c", code], cwd=ROOT, check=False).returncode == 0
+
+
+# the oracle's view
+
+
+def seen(gears, marker, camera, visible=1e3, blind=0.0):
+    """What the oracle says of a path whose end is the origin."""
+    whole = {"mount": [0.0, 0.0, 0.0], "field_of_view": 1.0, "min_range": 0.0, "max_range": None, **camera}
+    case = {"path": gears, "camera": whole, "marker": marker, "visible_distance": visible, "blind_distance": blind}
+    motion = motion_of(gears)
+    return views({**case, "dock": {"pose": motion.end.tolist()}, "start": motion.start.tolist()}, motion)
+
+
+def test_views_are_those_of_closed_forms():
+    straight = [clothoid([0.0, 2.0], [0.0, 0.0])]
+    found = seen(straight, [1.0, 0.5], {})
+    assert found.bearing.max() == pytest.approx(math.atan2(0.5, 1.0))
+    assert found.inside.min() == pytest.approx(math.hypot(1.0, 0.5) * math.sin(0.5 - math.atan2(0.5, 1.0)))
+    # Past the marker, which is nearest where it is abeam: between two samples.
+    past = seen(straight, [-0.7654321, 0.5], {"field_of_view": 2.0 * math.pi, "min_range": 0.1})
+    assert past.distance.min() == pytest.approx(0.5, abs=1e-9)
+    assert past.inside.min() == pytest.approx(0.4, abs=1e-9)
+    turn = [{"type": "turn", "start": [0.0, 0.0, 0.0], "turn": -0.7, "gear": 0}]
+    ahead = [math.cos(0.7), math.sin(0.7)]  # of the robot before it turned
+    assert seen(turn, ahead, {}).bearing.max() == pytest.approx(0.7)
+
+
+def test_views_are_of_the_stretch_alone():
+    gears = [clothoid([0.0, 1.0, 3.0], [0.0, 0.0, 0.0])]
+    found = seen(gears, [1.0, 0.0], {}, visible=1.25, blind=0.5)
+    assert (found.s.min(), found.s.max()) == pytest.approx((1.75, 2.5), abs=1e-7)
+    assert not seen(gears, [1.0, 0.0], {}, visible=4.0, blind=3.5).s.size
 
 
 # the oracle's rules
@@ -201,7 +236,7 @@ def test_a_case_is_a_function_of_its_seed_and_number_and_survives_a_file(kind, t
 def test_planted_mistakes_are_found(name):
     motions = ("dropped_time_cell", "rest_x5", "lateral_jerk_order", "lateral_jerk_at_ends_only")
     kinds = {**dict.fromkeys(motions, "trajectories"), "dropped_new_obstacle": "replans"}
-    kind = (kinds | {"dropped_measured_pose": "measured"}).get(name, "paths")
+    kind = (kinds | {"dropped_measured_pose": "measured"}).get(name, "views" if name.startswith("view_") else "paths")
     cases = (KINDS[kind].draw(rng_of(kind, SEEDS[name], number)) for number in range(12))
     quick = (case for case in cases if "path" in case or "question" not in case)  # others plan first
     assert any(judge_once(case, name).is_fault for case in quick)
@@ -301,4 +336,7 @@ SEEDS = {
     "rest_x5": 9,
     "lateral_jerk_order": 3,
     "lateral_jerk_at_ends_only": 6,
+    "view_at_rest": 0,
+    "view_of_one_edge": 1,
+    "view_tolerance_x5": 9,
 }

@@ -155,7 +155,7 @@ def test_every_value_shows_itself_in_a_line():
         assert "\n" not in repr(value)
     assert repr(grid) == "<Costmap 60 x 40 cells of 0.05 m from (-1, 0) m>"
     assert "obstacles[0]" in repr(plan.certificate)
-    assert len(repr(plan.problem.dock) + repr(plan.problem.robot)) < 800
+    assert len(repr(plan.problem.dock) + repr(plan.problem.robot)) < 900
 
 
 def test_a_wrong_parameter_of_a_plugin_is_named():

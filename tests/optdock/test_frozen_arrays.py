@@ -206,6 +206,7 @@ OF_ONE_CALL = {
     "Bounds",
     "CostModel",
     "Ends",
+    "ViewBound",
     "NonlinearProgram",
     "PathLimits",
     "ReferenceBounds",

@@ -2,6 +2,7 @@
 
 import dataclasses
 import json
+import math
 
 import numpy as np
 import pytest
@@ -10,6 +11,7 @@ from hypothesis import strategies as st
 from PIL import Image
 from typer.testing import CliRunner
 
+from optdock.camera import Camera
 from optdock.cli import app
 from optdock.config import Scenario, load_scenario, save_scenario
 from optdock.costmap.costmap import Costmap
@@ -84,6 +86,21 @@ def test_every_limit_is_written_or_stays_unsaid(tmp_path):
     save_scenario(tmp_path / "usual.yaml", usual)
     assert {"max_speed", "max_jerk"} <= load_scenario(tmp_path / "usual.yaml").default_limits
     assert load_scenario(tmp_path / "usual.yaml").problem.fingerprint == usual.problem.fingerprint
+
+
+@pytest.mark.parametrize(
+    "camera", [Camera(Pose2(0.3, 0.0, 0.1), 1.0, 0.2, 3.0), Camera(Pose2(0.0, 0.0, 0.0), 2.0 * math.pi)]
+)
+def test_camera_and_view_are_written(tmp_path, camera):
+    dock = dataclasses.replace(problem().dock, marker=(0.5, 0.1), visible_distance=1.5, blind_distance=0.25)
+    asked = problem(dock=dock, robot=dataclasses.replace(problem().robot, camera=camera))
+    save_scenario(tmp_path / "seen.yaml", Scenario(asked))
+    found = load_scenario(tmp_path / "seen.yaml").problem
+    assert found.fingerprint == asked.fingerprint
+    assert found.robot.camera == camera
+    assert (found.dock.marker, found.dock.visible_distance, found.dock.blind_distance) == ((0.5, 0.1), 1.5, 0.25)
+    plain, *_ = save_scenario(tmp_path / "plain.yaml", Scenario(problem()))
+    assert not any(word in plain.read_text() for word in ("camera", "marker", "visible", "blind"))
 
 
 def grid(*, unknown=True):

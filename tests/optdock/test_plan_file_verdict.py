@@ -117,7 +117,7 @@ def test_every_number_of_a_certificate_must_be_proven(problems, name, change):
 
 def test_no_number_of_a_certificate_is_forgotten():
     """A field of `Certificate` that nobody compares would be believed."""
-    compared = {*NUMBERS, "violations", "nearest", "problem", "path"}
+    compared = {*NUMBERS, "view_margin", "violations", "nearest", "problem", "path"}
     assert {field.name for field in dataclasses.fields(Certificate)} == compared | {"poses_checked"}
 
 

@@ -6,6 +6,7 @@ import pytest
 from PIL import Image
 
 from optdock.builtin import demo_scenario
+from optdock.camera import Camera
 from optdock.config import load_scenario
 from optdock.costmap.costmap import Costmap
 from optdock.dock import Dock
@@ -31,6 +32,7 @@ from optdock.plotting.canvas import COLOURS, canvas_of, entitle, legend_below, n
 from optdock.plotting.plan_picture import _draw_closest, _place
 from optdock.plotting.profile_picture import _panels
 from optdock.plotting.scene import draw_scene, view_of
+from optdock.plotting.view_drawing import _cone
 from optdock.problem import DockingProblem
 from optdock.robot import Robot
 from optdock.simulation import Run
@@ -371,3 +373,34 @@ def test_the_legend_names_the_greys_of_the_map_that_are_in_view():
         labels.append(axes.get_legend_handles_labels()[1])
     assert "map, occupied" in labels[0]
     assert not any(label.startswith("map") for label in labels[1])
+
+
+@pytest.mark.parametrize("field", [0.6, 2.0 * np.pi])
+def test_the_picture_shows_the_marker_and_what_the_camera_sees(tmp_path, problem, path, field):
+    camera = Camera(Pose2(-0.3, 0.0, np.pi), field, 0.1, 2.0)
+    robot = dataclasses.replace(problem.robot, camera=camera)
+    dock = dataclasses.replace(problem.dock, marker=(-0.6, 0.0), visible_distance=0.8, blind_distance=0.1)
+    seen = dataclasses.replace(problem, robot=robot, dock=dock)
+    save_plan_picture(tmp_path / "plain.png", problem, path=path)
+    save_plan_picture(tmp_path / "seen.png", seen, path=path, certificate=certify_path(path, seen))
+    refusal = FailedToSmoothPath("view: lost", where={"reason": "view", "s": 2.0, "pose": [0.5, 0.5, 0.0]})
+    save_plan_picture(tmp_path / "lost.png", seen, path=path, refusal=refusal)
+    pixels = {one: (tmp_path / f"{one}.png").read_bytes() for one in ("plain", "seen", "lost")}
+    assert len(set(pixels.values())) == 3
+
+
+def test_a_cone_is_drawn_with_the_marker_inside_exactly_where_it_is_seen(path, problem):
+    from shapely import Point, Polygon
+
+    camera = Camera(Pose2(0.2, 0.1, 0.3), 1.2, 0.2, 1.5)
+    robot = dataclasses.replace(problem.robot, camera=camera)
+    dock = dataclasses.replace(problem.dock, marker=(0.3, 0.4), visible_distance=1.0)
+    view = dataclasses.replace(problem, robot=robot, dock=dock).required_view
+    rng, seen = np.random.default_rng(2), 0
+    for _ in range(200):
+        pose = np.array([*(view.marker + rng.uniform(-1.5, 1.5, 2)), rng.uniform(-3.0, 3.0)])
+        margin = float(view.margins(pose[None]).smallest[0])
+        if abs(margin) > 2e-3:  # arcs are drawn as polygons
+            assert Polygon(_cone(view, pose)).contains(Point(view.marker)) == (margin > 0.0)
+            seen += margin > 0.0
+    assert seen > 10

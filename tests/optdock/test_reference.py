@@ -1,3 +1,4 @@
+import copy
 import json
 import math
 
@@ -16,10 +17,17 @@ MINIMAL = {
     "dock": {"pose": [1.0, 0.0, 0.0]},
     "start": {"pose": [0.0, 0.0, 0.0]},
 }
+CAMERA = {"robot.camera": {"mount": [0.0, 0.0, 0.0], "field_of_view": 1.0}}
+SEEN = {**CAMERA, "dock.marker": [0.5, 0.0]}
 # What a key needs beside it.
 STEERED = {"robot.drive": "ackermann", "robot.limits.wheelbase": 1.0}
 COMPANIONS = {
     "dock.approach_speed": {"dock.approach_distance": 0.5},
+    "robot.camera.field_of_view": CAMERA,
+    "robot.camera.min_range": CAMERA,
+    "robot.camera.max_range": CAMERA,
+    "dock.visible_distance": SEEN,
+    "dock.blind_distance": {**SEEN, "dock.visible_distance": 1e9},
     "clearance.at_dock": {"clearance.required": 1e9},
     "robot.limits.max_steering_angle": STEERED,
     "robot.limits.max_steering_rate": STEERED,
@@ -40,7 +48,7 @@ def with_key(key, value):
         block = document
         for part in outer:
             block = block.setdefault(part, {})
-        block[last] = given
+        block[last] = copy.deepcopy(given)
         if name == "robot.footprint":
             del block["radius"]
     return document
@@ -62,7 +70,8 @@ def bounds(row):
 
 def test_the_reference_names_every_key_that_the_reader_knows_and_no_other():
     named = {row.key for row in scenario_reference()}
-    mappings = [(), ("robot",), ("robot", "limits"), ("robot", "tracking"), ("dock",), ("start",), ("clearance",)]
+    parts = [("robot", part) for part in ("limits", "tracking", "camera")]
+    mappings = [(), ("robot",), *parts, ("dock",), ("start",), ("clearance",)]
     assert named == {".".join((*mapping, key)) for mapping in mappings for key in known_keys(mapping)}
 
 
@@ -92,7 +101,7 @@ def test_what_the_reference_says_of_a_number_is_what_the_reader_does(tmp_path):
 
 
 def test_defaults_of_the_reference_are_those_of_the_models():
-    document = ScenarioDocument.model_validate(MINIMAL)
+    document = ScenarioDocument.model_validate(with_key("robot.camera", CAMERA["robot.camera"]))
     wrong = []
     for row in (row for row in scenario_reference() if row.default):
         value = document
@@ -127,6 +136,8 @@ ACCEPTED = [
     {"robot.footprint": {"radius": 0.3}},
     {"robot.limits": {"max_speed": 0.3, "max_curvature": math.inf}},
     {"dock.direction": "backward"},
+    {"dock.marker": [0.5, 0]},
+    {"robot.camera": {"mount": [0.3, 0, 0], "field_of_view": 1.0, "max_range": math.inf}},
     {"clearance": 0.1},
     {"clearance": {"required": 0.1}},
     {"obstacles": [[[0, 3], [1, 3], [1, 4]]]},
@@ -153,6 +164,9 @@ REFUSED = [
     ("robot.drive", "omni"),
     ("dock.pose", [1.0, 0.0]),
     ("dock.final_straight", -0.1),
+    ("dock.marker", [1.0]),
+    ("robot.camera", {"mount": [0.0, 0.0, 0.0], "field_of_view": 0}),
+    ("robot.camera", {"mount": [0.0, 0.0, 0.0], "field_of_vew": 1.0}),
     ("clearance", -0.1),
     ("obstacles", [[[0, 3], [1, 3]]]),
     ("smoother", {"max_iteration": 20}),

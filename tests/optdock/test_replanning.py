@@ -11,6 +11,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from optdock.camera import Camera
 from optdock.dock import Dock, DockDirection
 from optdock.errors import InvalidValue
 from optdock.geometry.footprint import Footprint
@@ -241,6 +242,36 @@ def test_a_plan_that_is_too_fast_for_the_robot_as_it_is_now_is_not_kept():
     world = dataclasses.replace(plan.problem, robot=Robot(OUTLINE, slower))
     assert replan(plan, plan.problem, DriveState(3.0), 1e-9, lead=LEAD).outcome is ReplanOutcome.KEPT
     assert replan(plan, world, DriveState(3.0), 1e-9, lead=LEAD).outcome is ReplanOutcome.STOP
+
+
+@functools.cache
+def looking():
+    """The same S for a robot with a camera, which sees the dock over the last 1.5 m."""
+    robot = Robot(OUTLINE, LIMITS, camera=Camera(Pose2(0.4, 0.0, 0.0), math.radians(60.0)))
+    dock = dataclasses.replace(dock_of(1), marker=(0.6, 0.0), visible_distance=1.5)
+    start = Pose2(-2.8, 0.7, 0.1)
+    return plan_dock(DockingProblem(start, dock, robot, [box_at(-1.5, 1.4), box_at(-1.0, -0.9)]), time_budget=BUDGET)
+
+
+@pytest.mark.parametrize("share", [0.1, 0.5])
+def test_a_new_plan_keeps_the_dock_in_view(share):
+    plan = looking()
+    found = replan(
+        plan, moved(plan, 0.02, -0.03, 0.02), DriveState(share * plan.trajectory.duration), BUDGET, lead=LEAD
+    )
+    assert found.outcome is ReplanOutcome.NEW
+    assert found.plan.problem.required_view is not None
+    assert found.plan.certificate.view_margin >= -1e-6
+    assert_lawful(found)
+
+
+def test_a_plan_that_loses_what_must_be_seen_now_is_not_kept():
+    plan = running()
+    for field, outcome in ((2.0, ReplanOutcome.KEPT), (0.02, ReplanOutcome.STOP)):
+        robot = Robot(OUTLINE, LIMITS, camera=Camera(Pose2(0.4, 0.0, 0.0), field))
+        dock = dataclasses.replace(plan.problem.dock, marker=(0.6, 0.0), visible_distance=2.0)
+        world = dataclasses.replace(plan.problem, robot=robot, dock=dock)
+        assert replan(plan, world, DriveState(3.0), 1e-9, lead=LEAD).outcome is outcome
 
 
 def test_a_dock_behind_the_robot_is_no_reason_to_jump():

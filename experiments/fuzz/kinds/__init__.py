@@ -15,6 +15,7 @@ from experiments.fuzz.kinds import (
     timings,
     trajectories,
     values,
+    views,
 )
 
 if TYPE_CHECKING:
@@ -47,4 +48,5 @@ KINDS: dict[str, Kind] = {
     "files": Kind(files.draw, files.judge),
     "damaged_files": Kind(damaged_files.draw, damaged_files.judge),
     "values": Kind(values.draw, values.judge),
+    "views": Kind(views.draw, views.judge),
 }

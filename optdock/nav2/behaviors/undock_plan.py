@@ -83,7 +83,7 @@ def _planned(
     for direction in directions:
         side = -1.0 if direction is DockDirection.FORWARD else 1.0
         staging = problem.goal @ Pose2(side * distance, 0.0, 0.0)
-        dock = dataclasses.replace(problem.dock, direction=direction)
+        dock = dataclasses.replace(problem.dock.without_view, direction=direction)
         try:
             plan = plan_dock(
                 dataclasses.replace(_from(problem, staging), dock=dock), time_budget=time_budget, timing=timing
@@ -97,7 +97,9 @@ def _planned(
 
 
 def _from(problem: DockingProblem, start: Pose2) -> DockingProblem:
-    return problem.starting_at(start)
+    """The problem from another start; on the way out of the dock nothing must be seen."""
+    begun = problem.starting_at(start)
+    return begun if begun.required_view is None else dataclasses.replace(begun, dock=begun.dock.without_view)
 
 
 def _timed(path: Path, problem: DockingProblem, timing: TimingLike) -> Trajectory:

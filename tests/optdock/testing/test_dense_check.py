@@ -4,6 +4,7 @@ import math
 import numpy as np
 import pytest
 
+from optdock.camera import Camera
 from optdock.dock import Dock
 from optdock.geometry.clothoid import ClothoidSpline
 from optdock.geometry.footprint import Footprint
@@ -198,3 +199,23 @@ def test_a_clothoid_of_any_rate_does_not_slip_where_the_rate_is_unlimited():
     path = Path((ClothoidSegment(spline),))
     problem = DockingProblem(path.start, Dock(path.end), Robot(Footprint.rectangle(0.4, 0.4, 0.5), limits))
     assert dense_check(path, problem).faults == ()
+
+
+@pytest.mark.parametrize(
+    ("camera", "broken"),
+    [
+        (Camera(Pose2(0.4, 0.0, 0.0), 0.9, 0.2, 4.0), ()),
+        (Camera(Pose2(0.4, 0.0, 0.0), 0.7, 0.2, 4.0), ("bearing",)),
+        (Camera(Pose2(0.4, 0.0, -0.5), 0.9, 0.2, 4.0), ("bearing",)),
+        (Camera(Pose2(0.4, 0.0, 0.0), 0.9, 0.7, 4.0), ("min_range",)),
+        (Camera(Pose2(0.4, 0.0, 0.0), 0.9, 0.2, 1.6), ("max_range",)),
+    ],
+)
+def test_the_marker_must_be_in_view_where_it_is_asked_for(camera, broken):
+    # 1 m ahead of the docked robot and 0.25 m to the left: 0.65 m before the camera at the end of the last metre.
+    path, task = straight_line(), problem_with(robot=dataclasses.replace(ROBOT, camera=camera))
+    dock = dataclasses.replace(task.dock, marker=(1.0, 0.25), visible_distance=1.0)
+    seen = dataclasses.replace(task, dock=dock)
+    assert dense_check(path, task).ok
+    assert dense_check(path, seen).broken == broken
+    assert certify_path(path, seen).certified == (not broken)

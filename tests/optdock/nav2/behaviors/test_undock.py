@@ -1,10 +1,12 @@
 """Undock: a certified way out, driven within its certificate, or a true reason why not."""
 
 import dataclasses
+import math
 
 import numpy as np
 import pytest
 
+from optdock.camera import Camera
 from optdock.dock import Dock, DockDirection
 from optdock.errors import BehaviorException, CertificationFailed, OptdockError
 from optdock.geometry.footprint import Footprint
@@ -21,6 +23,7 @@ from optdock.problem import ClearanceRule, DockingProblem
 from optdock.robot import Robot
 from optdock.simulation import DifferentialDrive, executed_clearance
 from optdock.testing.drives import cusp_drive, s_curve_drive
+from optdock.verification import certify_path
 
 GOAL = Pose2(2.0, 1.0, 0.4)
 ROBOT = Robot(Footprint.rectangle(0.4, 0.4, 0.6), MotionLimits(max_curvature=2.0, max_curvature_rate=8.0))
@@ -113,6 +116,16 @@ def test_the_path_driven_into_the_dock_leads_out_again():
     world = World(case)
     assert world.run(Undock(), {"path": path}).status is SUCCEEDED
     assert world.state.pose.distance_to(case.start) < 0.05
+
+
+def test_on_the_way_out_nothing_has_to_be_seen():
+    path = plan_dock(problem(), time_budget=2.0).path
+    blind = Robot(ROBOT.footprint, ROBOT.limits, camera=Camera(Pose2(0.0, 0.0, math.pi), 0.1))
+    dock = dataclasses.replace(problem().dock, marker=(1.0, 0.0), visible_distance=1.0)
+    case = dataclasses.replace(problem(), robot=blind, dock=dock)
+    assert not certify_path(path, case).certified
+    for given in (path, None):
+        assert plan_undock(case, given).certificate.certified
 
 
 def test_an_obstacle_that_came_after_docking_is_a_reason_with_code_903():

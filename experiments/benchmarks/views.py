@@ -1,0 +1,203 @@
+"""Docks that must stay in view: of 200 starts around real docks, how many are certified of those that can be.
+
+    python -m experiments.benchmarks views
+    python -m experiments.benchmarks views --visible 2.0 --degrees 40 --count 60
+
+The robot has a camera with a cone of 60 degrees in front; the marker must be in it over the last 1.5 m. The docks are
+those of `real_maps` on the maps of this project that are entered forward, the starts 1 to 6 m around them with any
+bearing and any heading, as the manoeuvre benchmark draws them. Every start is planned with the view and without, each
+within the default time.
+
+A way that sees the dock *exists* for this table where its length is at most 1.2 times that of the plan without the
+view, and where it is the plan without the view itself, the plan with it, a patient one (10 s), or a plan to a place on
+the dock's axis and straight on from there. Whether a path sees is judged here by bearings at dense samples; whether it
+is certified by `certify_path`.
+"""
+
+from __future__ import annotations
+
+import argparse
+import dataclasses
+import math
+import time
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+from experiments.benchmarks.tables import Table, percentile
+from experiments.manoeuvres.cases import SEED, free_starts, side_of
+from experiments.real_maps import DRAWN_SCENARIOS, problem_of
+from optdock.camera import Camera
+from optdock.dock import Dock, DockDirection
+from optdock.errors import OptdockError
+from optdock.geometry.clothoid import ClothoidSpline
+from optdock.geometry.pose import Pose2
+from optdock.path import ClothoidSegment, Path
+from optdock.pipeline import DEFAULT_TIME_BUDGET, plan_dock, warm_up
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from optdock.plan import DockPlan
+    from optdock.problem import DockingProblem
+
+LONGER = 1.2  # times the plan without the view: what still counts as a way that exists
+PATIENT = 10.0  # [s]
+STAGES = (0.6, 1.0, 1.5, 2.0)  # [m] before the dock, on its axis, from where a plan goes straight on
+SPACING = 0.002  # [m] between the samples that are looked at
+MOUNT, MARKER = (
+    Pose2(0.4, 0.0, 0.0),
+    (0.55, 0.0),
+)  # on the robot, 5 cm behind its bumper; in the charger, 10 cm before it
+SAME_SIGHT = 1e-5  # [rad]: what rounding and the tolerance of the certificate make of a bearing at these distances
+
+
+class Asked(NamedTuple):
+    """One start: which dock, where as seen from it, what was found, and how long the plan with the view took [s].
+
+    `free`, `seeing`: lengths of the plans without and with the view [m]; None: there is none. `shortest`: of the ways
+    known that see the dock. `reason`: why there is no plan with the view.
+    """
+
+    name: str
+    side: str
+    free: float | None
+    seeing: float | None
+    shortest: float | None
+    seconds: float
+    reason: str
+
+    @property
+    def exists(self) -> bool:
+        """Whether a way is known that sees the dock and is not much longer than without."""
+        return self.free is not None and self.shortest is not None and self.shortest <= LONGER * self.free
+
+
+def starts(count: int, seed: int) -> Iterator[tuple[str, DockingProblem]]:
+    """Random starts around the docks that are entered forward, as many around each, in turn."""
+    docks = [scenario for scenario in DRAWN_SCENARIOS if not scenario.backward]
+    each = -(-count // len(docks))
+    found = []
+    for number, scenario in enumerate(docks):
+        problem = problem_of(scenario)
+        poses = np.concatenate(list(free_starts(problem, each, np.random.default_rng((seed, number)))))[:each]
+        found.append([(f"{scenario.name} {i}", problem.starting_at(Pose2(*pose))) for i, pose in enumerate(poses)])
+    yield from [row[i] for i in range(each) for row in found][:count]
+
+
+def seeing(problem: DockingProblem, degrees: float, visible: float) -> DockingProblem:
+    """The problem with the camera and the marker."""
+    robot = dataclasses.replace(problem.robot, camera=Camera(MOUNT, math.radians(degrees)))
+    dock = dataclasses.replace(problem.dock, marker=MARKER, visible_distance=visible)
+    return dataclasses.replace(problem, robot=robot, dock=dock)
+
+
+def sees(path: Path, problem: DockingProblem, degrees: float, visible: float) -> bool:
+    """Whether the marker is in the cone at dense samples of the last stretch, by bearings."""
+    s = np.arange(max(0.0, path.before_end(visible)), path.length, SPACING)
+    x, y, yaw = path.poses_at(np.append(s, path.length)).T
+    goal = problem.goal
+    mx, my = (
+        goal.x + MARKER[0] * math.cos(goal.yaw) - MARKER[1] * math.sin(goal.yaw),
+        goal.y + MARKER[0] * math.sin(goal.yaw) + MARKER[1] * math.cos(goal.yaw),
+    )
+    bearing = np.arctan2(my - y - MOUNT.x * np.sin(yaw), mx - x - MOUNT.x * np.cos(yaw)) - yaw
+    folded = np.abs(np.remainder(bearing + np.pi, 2.0 * np.pi) - np.pi)
+    return bool(folded.max() <= math.radians(0.5 * degrees) + SAME_SIGHT)
+
+
+def planned(problem: DockingProblem, seconds: float) -> tuple[DockPlan | None, str]:
+    """A plan, or why there is none."""
+    try:
+        return plan_dock(problem, time_budget=seconds), ""
+    except OptdockError as error:
+        return None, f"{type(error).__name__}: {error}"
+
+
+def by_stages(problem: DockingProblem) -> Iterator[Path]:
+    """Plans to places on the dock's axis, and straight on from there."""
+    for distance in STAGES:
+        stage = problem.goal @ Pose2(-distance, 0.0, 0.0)
+        dock = Dock(stage, direction=DockDirection.FORWARD)
+        there, _ = planned(dataclasses.replace(problem, dock=dock, obstacles=problem.all_obstacles), 1.0)
+        if there is not None:
+            line = ClothoidSpline(stage, np.array([0.0, distance]), np.zeros(2))
+            yield Path((*there.path.segments, ClothoidSegment(line)), problem.frame)
+
+
+def ask(name: str, problem: DockingProblem, degrees: float, visible: float) -> Asked:
+    """One start."""
+    wanted = seeing(problem, degrees, visible)
+    free, _ = planned(problem, DEFAULT_TIME_BUDGET)
+    began = time.perf_counter()
+    plan, reason = planned(wanted, DEFAULT_TIME_BUDGET)
+    seconds = time.perf_counter() - began
+    known = [one.path for one in (free, plan) if one is not None]
+    if plan is None and free is not None:
+        patient, _ = planned(wanted, PATIENT)
+        known += [patient.path] if patient is not None else []
+        known += by_stages(problem)
+    lengths = [path.driven for path in known if sees(path, problem, degrees, visible)]
+    if plan is not None and not sees(plan.path, problem, degrees, visible):
+        raise AssertionError(f"{name}: certified, and the marker is out of view")
+    return Asked(
+        name,
+        side_of(problem.dock, problem.start),
+        None if free is None else free.path.driven,
+        None if plan is None else plan.path.driven,
+        min(lengths, default=None),
+        seconds,
+        reason,
+    )
+
+
+def row(side: str, some: list[Asked]) -> tuple[object, ...]:
+    """What came of some of the starts."""
+    existing = [one for one in some if one.exists]
+    hit = sum(one.seeing is not None for one in existing)
+    longer = [one.seeing / one.free for one in some if one.seeing is not None and one.free is not None]
+    milliseconds = [1e3 * one.seconds for one in some if one.seeing is not None]
+    return (
+        side,
+        len(some),
+        sum(one.free is not None for one in some),
+        len(milliseconds),
+        len(existing),
+        hit,
+        100.0 * hit / len(existing) if existing else math.nan,
+        percentile(longer, 50),
+        percentile(longer, 90),
+        percentile(milliseconds, 50),
+        percentile(milliseconds, 90),
+    )
+
+
+def main(arguments: list[str]) -> None:
+    """Print the table, and every start that has a way and no plan."""
+    parser = argparse.ArgumentParser(prog="views", description=__doc__.splitlines()[0])
+    parser.add_argument("--count", type=int, default=200, help="starts (default: %(default)s)")
+    parser.add_argument("--degrees", type=float, default=60.0, help="of the cone (default: %(default)s)")
+    parser.add_argument("--visible", type=float, default=1.5, help="metres before the dock (default: %(default)s)")
+    parser.add_argument("--seed", type=int, default=SEED)
+    options = parser.parse_args(arguments)
+    warm_up()
+    found = [
+        ask(name, problem, options.degrees, options.visible) for name, problem in starts(options.count, options.seed)
+    ]
+    sides = ("before", "oblique", "beside or behind")
+    table = tuple(row(side, [one for one in found if one.side == side]) for side in sides)
+    header: tuple[str, ...] = (
+        "start",
+        "starts",
+        "planned without",
+        "certified with",
+        "way exists",
+        "of these certified",
+        "%",
+    )
+    header = (*header, "longer p50", "p90", "ms p50", "p90")
+    note = f"cone of {options.degrees:g} degrees over the last {options.visible:g} m, seed {options.seed}"
+    print(Table("Docks that stay in view", header, (*table, row("all", found)), note))
+    for one in found:
+        if one.exists and one.seeing is None:
+            print(f"{one.name} ({one.side}): a way of {one.shortest:.2f} m, {one.free:.2f} m without; {one.reason}")

@@ -1,0 +1,256 @@
+"""Visibility: the proof that the marker of the dock stays in the camera's view, at every point of a stretch of a path.
+
+In the robot's frame the marker is at q = R(-yaw) (m - p). With v = R(-yaw) p' and J the rotation by a quarter turn,
+
+    q'  = -yaw' J q - v
+    q'' = -yaw'' J q - yaw'^2 q + 2 yaw' J v - R(-yaw) p''
+
+so |q''| <= M = |q| (|yaw''| + yaw'^2) + 2 |yaw'| |p'| + |p''|. The mount of the camera is a fixed rigid transform and
+changes none of the norms. How far q lies inside the view is bounded from below along the stretch that begins at u0, as
+in `conservative_advancement`, by what is exact at u0 and of second order beyond it:
+
+    edge of the cone   g(u0) + n.q' du - M du^2 / 2           n: normal of the edge, pointing inwards
+    nearest distance   |q(u0)| + n.q' du - M du^2 / 2 - min_range,   n = q(u0) / |q(u0)|
+    farthest distance  max_range - |q(u0) + q' du| - M du^2 / 2
+
+All three are concave in du, so they are smallest at one of the two ends of the stretch. A cone of at most half a turn
+is where two half-planes meet, and both bounds count. A wider one is a union of half-planes whose normals lie between
+those of its two edges: the one that attains the signed distance at u0 is a valid lower bound everywhere.
+
+The robot may pass the marker at any distance, 0 included: no angle is divided by it.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Literal, NamedTuple
+
+import numpy as np
+
+from optdock.deadline import never_late
+from optdock.path import PolylineSegment
+from optdock.verification.certificate import TOLERANCE, Violation
+from optdock.verification.motion_bounds import Cells, PathMotion
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from optdock.camera import Camera, RequiredView
+    from optdock.geometry.arrays import FloatArray
+    from optdock.path import Path
+    from optdock.problem import DockingProblem
+    from optdock.verification.motion_bounds import CellEnds, CellMotion, Nodes
+
+__all__ = ["ViewProof", "prove_view"]
+
+_MAX_STEP = 0.1  # [m], first cells: some twenty on the last two metres
+_MOST_FIRST = 100_000  # of them; on longer stretches they are longer
+_MAX_LEVELS = 24  # of bisection: cells of 6 nanometres
+_MAX_POSES = 60_000  # added by bisection
+
+
+class ViewProof(NamedTuple):
+    """What the proof of visibility found; it counts as true where it holds.
+
+    Attributes:
+        margin: Proven lower bound of how far the marker is inside the view, anywhere on the stretch [m]; not sharp, as
+            cells are bisected until they are proven and no further. Where poses break the rule, the smallest margin
+            among those found. inf where nothing must be seen.
+        violations: The worst pose that breaks the rule, or the worst cell given up; empty where it holds.
+    """
+
+    margin: float
+    violations: tuple[Violation, ...]
+
+    def __bool__(self) -> bool:
+        return not self.violations
+
+
+def prove_view(path: Path, problem: DockingProblem, is_late: Callable[[], bool] = never_late) -> ViewProof:
+    """Prove that the marker stays in view where the dock of `problem` asks for it, or find the pose that loses it.
+
+    Args:
+        path: The path to judge.
+        problem: What must hold; see `DockingProblem.required_view`.
+        is_late: Asked after every round of cells, each well below a millisecond; once it is True cells that are still
+            open are given up.
+    """
+    view = problem.required_view
+    stretch = view.stretch(path) if view is not None else None
+    if view is None or stretch is None:
+        return ViewProof(np.inf, ())
+    motion = PathMotion(path)
+    cells = _clipped(motion, stretch)
+    budget, level, margin = cells.first.size + _MAX_POSES, 0, np.inf
+    while True:
+        ends = cells.ends()
+        nodes = motion.nodes(ends.segment, ends.u)
+        broken = _broken(view, problem, nodes)
+        if broken is not None:
+            return broken
+        bounds = motion.bounds(cells, nodes.poses[ends.first], nodes.poses[ends.last])
+        lowest = _lowest_margins(view, nodes, ends, bounds)
+        required = _required_in_cells(view, problem, nodes, ends, bounds)
+        proven = lowest >= required - TOLERANCE  # what is not a number is not proven
+        margin = min(margin, float(np.min(lowest[proven], initial=np.inf)))
+        left = np.flatnonzero(~proven)
+        budget -= nodes.s.size
+        if left.size == 0:
+            return ViewProof(margin, ())
+        if level >= _MAX_LEVELS or budget <= 0 or is_late():
+            k = left[np.argmin((lowest - required)[left])]
+            return _unproven(float(nodes.s[ends.first[k]]), float(required[k] - lowest[k]), min(margin, lowest[k]))
+        cells, level = cells.rows(left).cut(2), level + 1
+
+
+def _clipped(motion: PathMotion, stretch: tuple[float, float]) -> Cells:
+    """Cells of the motion that cover a stretch of the path and nothing else."""
+    path, (begin, end) = motion.path, stretch
+    cells = motion.cells(max(_MAX_STEP, path.length / _MOST_FIRST))
+    first, last = cells.first.copy(), cells.last.copy()
+    for i, (segment, start) in enumerate(zip(path.segments, path.segment_starts[:-1].tolist(), strict=True)):
+        low, high = begin - start, end - start
+        if isinstance(segment, PolylineSegment):  # counted in poses; steps that only turn belong to the stretch
+            low, high = _pose_number(segment, low, "left"), _pose_number(segment, high, "right")
+        own = cells.segment == i
+        first[own], last[own] = np.clip(first[own], low, high), np.clip(last[own], low, high)
+    kept = np.flatnonzero(last > first)
+    return Cells(cells.segment[kept], first[kept], last[kept])
+
+
+def _pose_number(segment: PolylineSegment, s: float, side: Literal["left", "right"]) -> float:
+    """The first (`left`) or the last (`right`) parameter of a polyline at an arc length [m], clipped to it."""
+    knots = segment.knots
+    i = int(np.searchsorted(knots, s, side=side))
+    if i in (0, knots.size):
+        return float(min(i, knots.size - 1))
+    before, after = float(knots[i - 1]), float(knots[i])
+    return i - 1 + (s - before) / (after - before)
+
+
+def _broken(view: RequiredView, problem: DockingProblem, nodes: Nodes) -> ViewProof | None:
+    """The pose that breaks the rule most, where one does."""
+    found = view.margins(nodes.poses)
+    required = problem.required_view_margin(*_distances(problem, view, nodes.poses))
+    short = required - found.smallest
+    k = int(np.argmax(short)) if short.size else -1
+    if k < 0 or short[k] <= TOLERANCE:
+        return None
+    worst, s = view.worst(found, k, float(required[k])), float(nodes.s[k])
+    message = f"the dock leaves the camera's view at s = {s:.3f} m: {worst}"
+    if required[k] > 0.0:
+        message += f", with {required[k]:.4f} m kept for the tube about the path"
+    where = {
+        "pose": nodes.poses[k].tolist(),
+        "quantity": worst.name,
+        "unit": worst.unit,
+        "value": worst.value,
+        "limit": worst.limit,
+        "margin": float(found.smallest[k]),
+        "required": float(required[k]),
+    }
+    return ViewProof(float(found.smallest[k]), (Violation("view", message, s, worst.excess, where),))
+
+
+def _unproven(s: float, short: float, margin: float) -> ViewProof:
+    message = (
+        f"that the dock is in the camera's view near s = {s:.4f} m cannot be proven; the bound is {short:.3g} m short"
+    )
+    return ViewProof(margin, (Violation("unproven", message, s, short),))
+
+
+def _distances(problem: DockingProblem, view: RequiredView, poses: FloatArray) -> tuple[FloatArray, ...]:
+    """From the goal, from the start and from the marker, Shape (n,) [m] each."""
+    points = (problem.goal.as_array()[:2], problem.start.as_array()[:2], view.marker)
+    return tuple(np.hypot(*(poses[:, :2] - point).T) for point in points)
+
+
+def _required_in_cells(
+    view: RequiredView, problem: DockingProblem, nodes: Nodes, ends: CellEnds, bounds: CellMotion
+) -> FloatArray:
+    """Largest requirement within each cell: distance to a fixed point is convex along the chord. Shape (n,) [m]."""
+    sag = bounds.bend * bounds.width**2 / 8.0
+    distances = _distances(problem, view, nodes.poses)
+    from_goal, from_start, to_marker = (np.maximum(d[ends.first], d[ends.last]) + sag for d in distances)
+    return problem.required_view_margin(from_goal, from_start, to_marker)
+
+
+class _Advance(NamedTuple):
+    """Stretches of motion, each from a known pose on: where the marker is seen, and how that moves.
+
+    `point`, `velocity`: q and q' in the camera's frame, Shape (n, 2); `width` in u, and `bend`, the bound M of |q''|,
+    Shape (n,).
+    """
+
+    point: FloatArray
+    velocity: FloatArray
+    width: FloatArray
+    bend: FloatArray
+
+    def linear(self, normal: FloatArray) -> FloatArray:
+        """Smallest n.q over the stretches, for normals of Shape (n, 2) or (2,). Shape (n,) [m]."""
+        here = np.sum(normal * self.point, axis=1)
+        gained = self.width * np.sum(normal * self.velocity, axis=1) - self.stray
+        smallest: FloatArray = here + np.minimum(0.0, gained)
+        return smallest
+
+    @property
+    def stray(self) -> FloatArray:
+        """How far q may be from where its velocity leads it, at most. Shape (n,) [m]."""
+        stray: FloatArray = 0.5 * self.bend * self.width**2
+        return stray
+
+
+def _lowest_margins(view: RequiredView, nodes: Nodes, ends: CellEnds, bounds: CellMotion) -> FloatArray:
+    """Lower bounds of the margin over cells: the first half from the first pose, the last half from the last one."""
+    halves = (
+        _advance(view, nodes.poses[ends.first], bounds.velocity_first, bounds),
+        _advance(view, nodes.poses[ends.last], -bounds.velocity_last, bounds),
+    )
+    first, last = (_lowest(view.camera, half) for half in halves)
+    return np.minimum(first, last)
+
+
+def _advance(view: RequiredView, poses: FloatArray, velocity: FloatArray, bounds: CellMotion) -> _Advance:
+    """The marker as it is seen over half of each cell, from its poses on with d pose / du = `velocity`."""
+    width = 0.5 * bounds.width
+    yaw, turning = poses[:, 2], velocity[:, 2]
+    c, s = np.cos(yaw), np.sin(yaw)
+    dx, dy = view.marker[0] - poses[:, 0], view.marker[1] - poses[:, 1]
+    x, y = c * dx + s * dy, c * dy - s * dx  # q in the robot's frame
+    moved = np.column_stack(
+        (
+            turning * y - c * velocity[:, 0] - s * velocity[:, 1],
+            -turning * x - c * velocity[:, 1] + s * velocity[:, 0],
+        )
+    )
+    mount = view.camera.mount
+    to_camera = np.array([[np.cos(mount.yaw), -np.sin(mount.yaw)], [np.sin(mount.yaw), np.cos(mount.yaw)]])
+    farthest = np.hypot(x, y) + bounds.speed * width
+    bend = farthest * bounds.twist + 2.0 * bounds.turn * bounds.speed + bounds.bend
+    return _Advance(view.camera.points_seen(poses, view.marker), moved @ to_camera, width, bend)
+
+
+def _lowest(camera: Camera, advance: _Advance) -> FloatArray:
+    """The three bounds of the chapter's head, the smallest of them. Shape (n,) [m]."""
+    point, moved = advance.point, advance.width[:, None] * advance.velocity
+    distance = np.hypot(point[:, 0], point[:, 1])
+    farthest = np.maximum(distance, np.hypot(*(point + moved).T) + advance.stray)
+    lowest: FloatArray = np.minimum(_lowest_in_cone(camera, advance), camera.max_range - farthest)
+    if camera.min_range > 0.0:
+        outward = point / np.maximum(distance, np.finfo(np.float64).tiny)[:, None]
+        lowest = np.minimum(lowest, advance.linear(outward) - camera.min_range)
+    return lowest
+
+
+def _lowest_in_cone(camera: Camera, advance: _Advance) -> FloatArray:
+    """Smallest distance to the edges of the cone. Shape (n,) [m]."""
+    if camera.sees_all_around:
+        return np.full(advance.width.size, np.inf)
+    half = 0.5 * camera.field_of_view
+    if half <= 0.5 * np.pi:
+        edges = (np.array([np.sin(half), side * np.cos(half)]) for side in (1.0, -1.0))
+        left, right = (advance.linear(edge) for edge in edges)
+        return np.minimum(left, right)
+    most = half - 0.5 * np.pi
+    bearing = np.clip(np.arctan2(advance.point[:, 1], advance.point[:, 0]), -most, most)
+    return advance.linear(np.column_stack((np.cos(bearing), np.sin(bearing))))

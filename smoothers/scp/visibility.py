@@ -1,0 +1,211 @@
+"""Visibility: the marker of the dock inside the camera's view, at the nodes of the last stretch of the path.
+
+As clearance it is a length, how far the marker would have to move in the camera's frame to leave the view, so that its
+shortfalls and rows stand beside those of clearance. Every edge of the view gives one row per node: the two half-planes
+of a cone of at most half a turn, or the nearest one of a wider cone, and the two circles of the ranges. Between two
+nodes a margin g dips below its chord by g'' h^2 / 8, to leading order an eighth of its second difference; so much more
+is asked for at the nodes, and the certificate decides.
+
+Where the stretch begins and ends lies between nodes, and moves as the path becomes longer or shorter. There the pose is
+driven on from the node before.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+from smoothers.scp.collision.linearization import ClearanceRows
+
+if TYPE_CHECKING:
+    from optdock.camera import RequiredView
+    from optdock.geometry.arrays import BoolArray, FloatArray, IntArray
+    from optdock.problem import DockingProblem
+    from smoothers.scp.basis import Basis
+    from smoothers.scp.rollout import Rollout, Sensitivity, Variables
+
+__all__ = ["SeenPlaces", "ViewBound", "linearized_view", "view_along"]
+
+_SAME_PLACE = 1e-9  # [m]: rounding of the places where the stretch begins and ends
+
+
+@dataclass(frozen=True, eq=False)
+class ViewBound:
+    """What must be seen along a path.
+
+    Args:
+        view: Camera, marker and stretch.
+        problem: The whole problem, whose start and goal count for the margin that the tube asks for.
+        signs: Gears, Shape (num_gears,).
+        after: How far the robot drives after the last node [m]: the final straight, and later pieces of the path.
+    """
+
+    view: RequiredView
+    problem: DockingProblem
+    signs: FloatArray
+    after: float
+
+
+class SeenPlaces(NamedTuple):
+    """The view at places of a driven path.
+
+    Attributes:
+        node: The node before each place, Shape (p,).
+        ahead: How far after it the place is [m], Shape (p,); 0 at nodes.
+        poses: Shape (p, 3).
+        seen: The marker in the robot's frame, Shape (p, 2) [m].
+        normals: Direction, in the robot's frame, in which each margin grows with the place of the marker,
+            Shape (edges, p, 2).
+        margin: Of every edge, less what is required and what may be lost between nodes, Shape (edges, p) [m].
+    """
+
+    node: IntArray
+    ahead: FloatArray
+    poses: FloatArray
+    seen: FloatArray
+    normals: FloatArray
+    margin: FloatArray
+
+
+def view_along(bound: ViewBound, basis: Basis, variables: Variables, rollout: Rollout) -> SeenPlaces:
+    """The view where the path must have it."""
+    left = _left_to_drive(bound, basis, variables)
+    node, ahead = _places(bound.view, left)
+    poses = _driven_on(bound, basis, rollout, node, ahead)
+    seen, normals, margin = _edges(bound.view, poses)
+    lost = _lost_between(basis, _edges(bound.view, rollout.poses)[2])
+    to_ends = [np.hypot(*(poses[:, :2] - at.as_array()[:2]).T) for at in (bound.problem.goal, bound.problem.start)]
+    required = bound.problem.required_view_margin(to_ends[0], to_ends[1], np.hypot(*seen.T))
+    return SeenPlaces(node, ahead, poses, seen, normals, margin - required - lost[:, node])
+
+
+def linearized_view(
+    bound: ViewBound, basis: Basis, rollout: Rollout, by: Sensitivity, places: SeenPlaces, reach: float
+) -> ClearanceRows:
+    """Rows of the margins within reach.
+
+    Args:
+        bound: What must be seen.
+        basis: Shape of the path.
+        rollout: The driven path.
+        by: Derivatives of its poses.
+        places: The view along it.
+        reach: Margins beyond it get no row [m].
+    """
+    edge, place = np.nonzero(places.margin < reach)
+    by_place = _sensitivity(bound, basis, rollout, by, places)
+    cosine, sine = np.cos(places.poses[place, 2]), np.sin(places.poses[place, 2])
+    normal, seen = places.normals[edge, place], places.seen[place]
+    # d seen / d x = (-cos, sin), d seen / d y = (-sin, -cos), d seen / d yaw = (y, -x)
+    gradient = (sine * normal[:, 1] - cosine * normal[:, 0])[:, None] * by_place[0][place]
+    gradient -= (sine * normal[:, 0] + cosine * normal[:, 1])[:, None] * by_place[1][place]
+    gradient += (normal[:, 0] * seen[:, 1] - normal[:, 1] * seen[:, 0])[:, None] * by_place[2][place]
+    rows = ClearanceRows(gradient, places.margin[edge, place], places.node[place])
+    return rows.subset(np.abs(gradient).max(axis=1, initial=0.0) > _SAME_PLACE)  # the start is given
+
+
+def _left_to_drive(bound: ViewBound, basis: Basis, variables: Variables) -> FloatArray:
+    """Distance from each node to the end of the path, Shape (num_nodes,) [m]; it falls from node to node."""
+    lengths = variables.lengths
+    later = np.append(np.cumsum(lengths[::-1])[::-1][1:], 0.0)
+    left: FloatArray = (1.0 - basis.fraction) * lengths[basis.node_gear] + later[basis.node_gear] + bound.after
+    return left
+
+
+def _places(view: RequiredView, left: FloatArray) -> tuple[IntArray, FloatArray]:
+    """The nodes of the stretch, and where it begins and ends: nodes, and how far beyond each, Shape (p,) each."""
+    far, near = view.visible_distance, view.blind_distance
+    inside = np.flatnonzero((left <= far + _SAME_PLACE) & (left >= near - _SAME_PLACE))
+    between = [edge for edge in (far, near) if left[-1] < edge < left[0]]
+    before = [int(np.flatnonzero(left >= edge)[-1]) for edge in between]
+    ahead = [left[node] - edge for node, edge in zip(before, between, strict=True)]
+    return np.append(inside, np.array(before, dtype=np.int64)), np.append(np.zeros(inside.size), ahead)
+
+
+def _driven_on(bound: ViewBound, basis: Basis, rollout: Rollout, node: IntArray, ahead: FloatArray) -> FloatArray:
+    """Poses a little ahead of nodes, on arcs of the curvature there. Shape (p, 3)."""
+    sign = bound.signs[basis.node_gear[node]]
+    turn = ahead * rollout.curvature[node]
+    x, y, yaw = rollout.poses[node].T
+    middle = yaw + 0.5 * turn
+    return np.column_stack((x + sign * ahead * np.cos(middle), y + sign * ahead * np.sin(middle), yaw + turn))
+
+
+def _edges(view: RequiredView, poses: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """The marker in the robot's frame (n, 2), directions inwards (edges, n, 2) and margins (edges, n) of every edge."""
+    camera, mount = view.camera, view.camera.mount
+    point = camera.points_seen(poses, view.marker)
+    c, s = np.cos(mount.yaw), np.sin(mount.yaw)
+    turned = np.array([[c, s], [-s, c]])  # row vectors of the camera's frame into the robot's
+    distance = np.maximum(np.hypot(*point.T), 1e-9)
+    outward = point / distance[:, None]
+    normals, margins = _cone(view, point)
+    if camera.min_range > 0.0:
+        normals.append(outward)
+        margins.append(distance - camera.min_range)
+    if np.isfinite(camera.max_range):
+        normals.append(-outward)
+        margins.append(camera.max_range - distance)
+    seen: FloatArray = point @ turned + [mount.x, mount.y]
+    shape = len(margins), len(poses)
+    return seen, np.reshape(normals, (*shape, 2)) @ turned, np.reshape(margins, shape)
+
+
+def _cone(view: RequiredView, point: FloatArray) -> tuple[list[FloatArray], list[FloatArray]]:
+    """Inward normals, Shape (n, 2), and margins, Shape (n,), of the edges of the cone, in the camera's frame."""
+    if view.camera.sees_all_around:
+        return [], []
+    half = 0.5 * view.camera.field_of_view
+    if half <= 0.5 * np.pi:
+        edges = [np.tile([np.sin(half), side * np.cos(half)], (len(point), 1)) for side in (1.0, -1.0)]
+    else:
+        most = half - 0.5 * np.pi
+        bearing = np.clip(np.arctan2(point[:, 1], point[:, 0]), -most, most)
+        edges = [np.column_stack((np.cos(bearing), np.sin(bearing)))]
+    return edges, [np.sum(edge * point, axis=1) for edge in edges]
+
+
+def _lost_between(basis: Basis, margin: FloatArray) -> FloatArray:
+    """How far margins at nodes, Shape (edges, n), may fall below them in the intervals beside, to leading order [m]."""
+    lost = np.zeros_like(margin)
+    inner = _inner_nodes(basis)
+    lost[:, inner] = np.maximum(margin[:, inner - 1] - 2.0 * margin[:, inner] + margin[:, inner + 1], 0.0) / 8.0
+    return lost
+
+
+def _inner_nodes(basis: Basis) -> IntArray:
+    """Nodes that are no end of a gear."""
+    is_inner: BoolArray = (basis.fraction > 0.0) & (basis.fraction < 1.0)
+    return np.flatnonzero(is_inner)
+
+
+def _sensitivity(
+    bound: ViewBound, basis: Basis, rollout: Rollout, by: Sensitivity, places: SeenPlaces
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Derivatives of the poses at places by the variables, Shape (p, size) each.
+
+    Where the stretch begins or ends between nodes, the way there from the node before is what the node has left to
+    drive less a constant.
+    """
+    node, ahead = places.node, places.ahead
+    between = np.flatnonzero(ahead > 0.0)
+    x, y, yaw = by.x[node], by.y[node], by.yaw[node]
+    if between.size:
+        node, ahead = node[between], ahead[between, None]
+        gear, sign = basis.node_gear[node], bound.signs[basis.node_gear[node]][:, None]
+        further = np.zeros((between.size, basis.size))
+        gears = np.arange(basis.num_gears)
+        further[:, basis.num_knots :] = np.where(gears > gear[:, None], 1.0, 0.0)
+        further[np.arange(between.size), basis.num_knots + gear] = 1.0 - basis.fraction[node]
+        turning = np.zeros((between.size, basis.size))
+        turning[:, : basis.num_knots] = basis.node_curvatures[node]
+        bend = rollout.curvature[node][:, None]
+        swing = ahead * turning + bend * further
+        middle = places.poses[between, 2:] - 0.5 * ahead * bend
+        turned = yaw[between] + 0.5 * swing
+        x[between] += sign * (further * np.cos(middle) - ahead * np.sin(middle) * turned)
+        y[between] += sign * (further * np.sin(middle) + ahead * np.cos(middle) * turned)
+        yaw[between] += swing
+    return x, y, yaw

@@ -1,0 +1,204 @@
+"""The view of the dock in the smoother: its margins and rows, what it mends, and what it refuses."""
+
+import dataclasses
+import itertools
+import math
+
+import numpy as np
+import pytest
+
+from optdock.camera import Camera
+from optdock.dock import DockDirection
+from optdock.errors import FailedToSmoothPath
+from optdock.geometry.clothoid import ClothoidSpline
+from optdock.geometry.pose import Pose2
+from optdock.path import ClothoidSegment, Path, TurnSegment
+from optdock.verification import certify_path
+from optdock.verification.visibility import prove_view
+from smoothers import CasadiSmoother
+from smoothers.scp.rollout import Variables, roll_out, sensitivity
+from smoothers.scp.visibility import ViewBound, linearized_view, view_along
+
+NARROW = Camera(Pose2(0.4, 0.0, 0.0), math.radians(60.0))
+
+
+def seen_problem(cases, goal, camera=NARROW, *, visible=1.5, blind=0.0, marker=(0.6, 0.0), **others):
+    task = cases.open_problem(goal, **others)
+    robot = dataclasses.replace(task.robot, camera=camera)
+    dock = dataclasses.replace(task.dock, marker=marker, visible_distance=visible, blind_distance=blind)
+    return dataclasses.replace(task, robot=robot, dock=dock)
+
+
+CAMERAS = {
+    "narrow": Camera(Pose2(0.3, 0.1, 0.2), 0.8, 0.3, 1.5),
+    "half a turn": Camera(Pose2(0.3, 0.1, 0.2), math.pi),
+    "wide": Camera(Pose2(-0.2, 0.0, 2.0), 4.5, 0.2, 2.0),
+    "all around": Camera(Pose2(0.1, 0.0, 0.0), 2.0 * math.pi, 0.4, 1.8),
+}
+
+
+@pytest.fixture(params=CAMERAS)
+def driven(cases, request):
+    """A roll-out of two gears and what must be seen along it, in a stretch that begins and ends between nodes."""
+    basis, variables, start, signs = cases.random_path(3)
+    rollout = roll_out(basis, variables, start, signs)
+    # What must be seen lies ahead of the middle of the path, and on it at some distance.
+    goal = Pose2.from_sequence(rollout.poses[-1])
+    task = seen_problem(cases, goal, CAMERAS[request.param], visible=1.71, blind=0.33, marker=(0.2, 0.4))
+    return basis, variables, start, signs, ViewBound(task.required_view, task, signs, 0.1)
+
+
+def margins(basis, variables, start, signs, bound):
+    return view_along(bound, basis, variables, roll_out(basis, variables, start, signs))
+
+
+def test_margins_are_those_of_the_camera_and_only_of_the_stretch(driven):
+    basis, variables, _, _, bound = driven
+    found = margins(*driven)
+    left = (
+        variables.lengths.sum()
+        + bound.after
+        - np.array(
+            [
+                variables.lengths[: basis.node_gear[k]].sum()
+                + basis.fraction[k] * variables.lengths[basis.node_gear[k]]
+                for k in found.node
+            ]
+        )
+        - found.ahead
+    )
+    assert left.min() == pytest.approx(bound.view.blind_distance)
+    assert left.max() == pytest.approx(bound.view.visible_distance)
+    assert np.sum(found.ahead > 0.0) == 2
+    truth = bound.view.margins(found.poses).smallest
+    assert np.all(found.margin.min(axis=0) <= truth + 1e-12)
+    assert np.median(truth - found.margin.min(axis=0)) < 0.01
+
+
+def test_rows_are_the_derivatives_of_the_margins(driven):
+    basis, variables, start, signs, bound = driven
+    rollout = roll_out(basis, variables, start, signs)
+    found = view_along(bound, basis, variables, rollout)
+    # Without what is lost between nodes, and without the limit of reach: every margin by itself.
+    edges = bound.view.camera.margins(bound.view.camera.points_seen(found.poses, bound.view.marker))
+    bare = found._replace(margin=np.minimum(found.margin, 0.0))
+    rows = linearized_view(bound, basis, rollout, sensitivity(basis, variables, rollout), bare, 0.35)
+    assert np.isfinite(edges.smallest).all()
+    flat, step = np.concatenate(variables), 1e-6
+    columns = []
+    for i in range(basis.size):
+        both = []
+        for sign in (1.0, -1.0):
+            moved = flat.copy()
+            moved[i] += sign * step
+            other = Variables(moved[: basis.num_knots], moved[basis.num_knots :])
+            there = view_along(bound, basis, other, roll_out(basis, other, start, signs))
+            assert np.array_equal(there.node, found.node)
+            # The fixed edge that counted: its normal turned with the robot stays where it is in the robot's frame.
+            both.append(np.sum(found.normals * (there.seen - found.seen), axis=2))
+        columns.append((both[0] - both[1]) / (2.0 * step))
+    truth = np.stack(columns, axis=-1).reshape(-1, basis.size)
+    truth = truth[np.abs(truth).max(axis=1) > 1e-9]
+    # Places ahead of a node are driven there on an arc of the node's own curvature.
+    assert rows.gradient == pytest.approx(truth, abs=2e-5)
+
+
+def test_the_result_keeps_the_view_that_without_the_bound_it_loses(cases):
+    task = seen_problem(cases, Pose2(2.5, 1.0, 0.0))
+    free = dataclasses.replace(task, dock=task.dock.without_view)
+    guess = cases.kinked((0.0, 0.0), (1.0, 0.0), (1.5, 1.0), (2.5, 1.0))
+    alone = CasadiSmoother().smooth(guess, 2.0, problem=free).path
+    assert not prove_view(alone, task)
+    result = CasadiSmoother().smooth(guess, 2.0, problem=task)
+    assert result.report.certificate.certified
+    assert result.report.certificate.view_margin >= -1e-6
+    assert certify_path(result.path, task).certified
+    assert result.path.length >= alone.length - 1e-3
+
+
+def test_where_the_view_costs_nothing_the_result_is_the_same(cases):
+    wide = seen_problem(cases, Pose2(2.5, 0.3, 0.0), Camera(Pose2(0.4, 0.0, 0.0), math.radians(170.0)))
+    free = dataclasses.replace(wide, dock=wide.dock.without_view)
+    guess = cases.kinked((0.0, 0.0), (1.2, 0.0), (1.8, 0.3), (2.5, 0.3))
+    with_view, without = (CasadiSmoother().smooth(guess, 2.0, problem=task).path for task in (wide, free))
+    assert with_view.length == pytest.approx(without.length, abs=1e-9)
+    assert np.allclose(with_view.sample(0.1).poses, without.sample(0.1).poses, atol=1e-9)
+
+
+@pytest.mark.parametrize(
+    "camera", [Camera(Pose2(0.4, 0.0, 0.0), 2.0 * math.pi), Camera(Pose2(0.4, 0.0, 0.0), 2.0 * math.pi, 0.1, 3.0)]
+)
+def test_a_camera_that_sees_all_around_asks_for_ranges_alone(cases, camera):
+    task = seen_problem(cases, Pose2(2.5, 0.3, 0.0), camera)
+    guess = cases.kinked((0.0, 0.0), (1.2, 0.0), (1.8, 0.3), (2.5, 0.3))
+    assert CasadiSmoother().smooth(guess, 2.0, problem=task).report.certificate.certified
+
+
+def test_a_robot_with_a_camera_in_front_looks_turns_and_backs_in(cases):
+    task = seen_problem(cases, Pose2(0.0, 0.0, 0.0), start=Pose2(2.8, 0.2, math.pi), visible=1.7, blind=1.3,
+                        marker=(-0.6, 0.0), max_yaw_rate=1.0, max_yaw_acceleration=1.0)  # fmt: skip
+    robot = dataclasses.replace(task.robot, turns_in_place=True)
+    task = dataclasses.replace(task, robot=robot, dock=dataclasses.replace(task.dock, direction=DockDirection.BACKWARD))
+    here = Pose2(1.2, 0.0, math.pi)
+    facing = cases.kinked((2.8, 0.2), (2.0, 0.1), (1.2, 0.0)).segments
+    back = ClothoidSpline(Pose2(1.2, 0.0, 0.0), [0.0, 1.2], [0.0, 0.0], -1)
+    guess = Path((*facing, TurnSegment(here, -math.pi), ClothoidSegment(back)))
+    result = CasadiSmoother().smooth(guess, 2.0, problem=task)
+    assert result.report.certificate.certified
+    seen = task.required_view.stretch(result.path)
+    # Begin and end of what must see: 0.4 m of the way there, and nothing of the turn.
+    assert math.isfinite(result.report.certificate.view_margin)
+    assert seen[1] - seen[0] == pytest.approx(0.4, abs=1e-6)
+
+
+def test_in_reverse_gear_a_camera_at_the_back_sees(cases):
+    behind = Camera(Pose2(-0.4, 0.0, math.pi), math.radians(60.0))
+    task = seen_problem(cases, Pose2(-2.5, -1.0, 0.0), behind, marker=(-0.6, 0.0))
+    task = dataclasses.replace(task, dock=dataclasses.replace(task.dock, direction=DockDirection.BACKWARD))
+    points = [(0.0, 0.0), (-1.0, 0.0), (-1.5, -1.0), (-2.5, -1.0)]
+    guess = Path.from_poses([[x, y, 0.0] for a, b in itertools.pairwise(points) for x, y in np.linspace(a, b, 8)])
+    result = CasadiSmoother().smooth(guess, 2.0, problem=task)
+    assert result.report.certificate.certified
+    ahead = dataclasses.replace(task, robot=dataclasses.replace(task.robot, camera=NARROW))
+    with pytest.raises(FailedToSmoothPath, match="approach_unseen: the dock is not in the camera's view") as caught:
+        CasadiSmoother().smooth(guess, 2.0, problem=ahead)
+    assert caught.value.where["reason"] == "approach_unseen"
+
+
+def test_pieces_between_turns_in_place_see_as_well(cases):
+    task = seen_problem(cases, Pose2(2.5, 1.0, 0.0), max_yaw_rate=1.0, max_yaw_acceleration=1.0)
+    task = dataclasses.replace(task, robot=dataclasses.replace(task.robot, turns_in_place=True))
+    turned = TurnSegment(Pose2(0.0, 0.0, 0.0), 0.9)
+    first = ClothoidSpline(turned.end, [0.0, 0.4], [0.0, 0.0])
+    rest = cases.kinked((first.end.x, first.end.y), (1.0, 0.8), (1.5, 1.0), (2.5, 1.0)).segments
+    guess = Path((turned, ClothoidSegment(first), TurnSegment(first.end, -0.5), *rest))
+    result = CasadiSmoother().smooth(guess, 2.0, problem=task)
+    assert result.report.certificate.certified
+    assert math.isfinite(result.report.certificate.view_margin)
+
+
+@pytest.mark.parametrize("straight", [0.0, 0.3])
+def test_a_dock_that_is_too_near_to_be_seen_is_refused_before_any_search(cases, straight):
+    near = dataclasses.replace(NARROW, min_range=0.3)
+    task = seen_problem(cases, Pose2(2.5, 0.0, 0.0), near)
+    task = dataclasses.replace(task, dock=dataclasses.replace(task.dock, final_straight=straight))
+    guess = cases.kinked((0.0, 0.0), (2.5, 0.0))
+    with pytest.raises(FailedToSmoothPath, match=r"at the goal: distance 0\.200 m, at least 0\.300 m") as caught:
+        CasadiSmoother().smooth(guess, 2.0, problem=task)
+    assert caught.value.where["s"] == pytest.approx(2.5)
+    blind = dataclasses.replace(task, dock=dataclasses.replace(task.dock, blind_distance=0.1))
+    assert CasadiSmoother().smooth(guess, 2.0, problem=blind).report.certificate.certified
+
+
+def test_a_search_in_vain_names_the_view_and_the_place(cases):
+    # The marker stands beside the dock's axis, and the camera sees next to nothing: no path has it in view for 2 m.
+    blinkered = Camera(Pose2(0.4, 0.0, 0.0), math.radians(8.0))
+    task = seen_problem(cases, Pose2(2.5, 0.8, 0.0), blinkered, visible=2.4)
+    guess = cases.kinked((0.0, 0.0), (1.0, 0.0), (1.5, 0.8), (2.5, 0.8))
+    with pytest.raises(
+        FailedToSmoothPath, match=r"view: .*leaves the camera's view at s = .* of 4\.0 degrees"
+    ) as caught:
+        CasadiSmoother().smooth(guess, 2.0, problem=task)
+    assert caught.value.where["reason"] == "view"
+    assert caught.value.where["quantity"] == "bearing"
+    assert caught.value.partial.path is not None
