@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 import numpy as np
 
 from optdock.costmap.cell_obstacles import obstacles_from_costmap
+from optdock.costmap.contact_zone import with_contact_zone
 from optdock.dock import Dock, DockDirection
 from optdock.errors import ControllerException
 from optdock.executor.approach import can_be_planned_away, left_at_dock, staging_distance
@@ -46,6 +47,7 @@ logger = logging.getLogger(__name__)
 _AT_REST = 0.01, 0.02  # [m/s], [rad/s] by odometry: a robot that stands, its encoders not quite
 _REST_PATIENCE = 2.0  # [s]: an odometry that never says so must not hold the task up
 _PLANNING_PATIENCE = 5.0  # [s] beyond its budget: a thread that shares its core is late, not dead
+_SAME_DOCK = 0.01  # [m], [rad]: a dock that is seen elsewhere by less stands in the same cells
 _CLEAR_OF_CONTACT = 0.005  # [m]: a way back is planned from there; nearer, noise could make an overlap of it
 # Standard deviations that the accepted errors of the dock must hold: one docking in 400 is then off by one more, were
 # the robot believed to stand at the edge of what is accepted; it is believed to stand in the middle.
@@ -154,6 +156,7 @@ class Procedure:
         self._jobs = 0
         self._signal_seen = False
         self._stalled_since: float | None = None
+        self._cleared: tuple[Costmap | None, Costmap | None, Pose2] = (None, None, problem.goal)
 
     # The whole.
 
@@ -598,8 +601,23 @@ class Procedure:
 
     @property
     def _costmap(self) -> Costmap | None:
-        """The newest picture of the surroundings."""
-        return self._perception.costmap or self._base.costmap
+        """The newest picture of the surroundings, without what it shows of the station where the docked robot touches.
+
+        A station that scanners see stands a cell or two too fat in it.
+        """
+        seen, dock = self._perception.costmap or self._base.costmap, self._perception.dock
+        if seen is None:
+            return None
+        known, cleared, place = self._cleared
+        if seen is not known or dock.gap_to(place) > _SAME_DOCK:
+            cleared = with_contact_zone(
+                seen,
+                dataclasses.replace(self._base.dock, pose=dock),
+                self._base.robot.footprint,
+                self._settings.contact_margin,
+            )
+            self._cleared = seen, cleared, dock
+        return cleared
 
     @property
     def _station(self) -> ObstacleSet:
@@ -840,7 +858,7 @@ class _Drive:
         controller = self.owner._controller
         if controller.state is LifecycleState.INACTIVE:
             controller.cleanup()
-        costmap = self.owner._perception.costmap
+        costmap = self.owner._costmap if self.owner._perception.costmap is not None else None
         controller.configure(PluginContext(name=controller.name, problem=motion.problem, local_costmap=costmap))
 
     @property
@@ -901,7 +919,7 @@ class _Drive:
     def _look_around(self) -> None:
         """A new picture of the surroundings: does the rest of the motion still hold?"""
         owner = self.owner
-        costmap = owner._perception.costmap
+        costmap = owner._costmap
         if costmap is None or costmap is self._costmap:
             return
         self._costmap = costmap

@@ -108,6 +108,11 @@ class ExecutorSettings(PluginParameters):
         description="surroundings older than this stop the robot [s]; None: they may stay the same",
     )
     costmap_timeout: float = Field(default=5.0, gt=0.0, description="at rest without newer ones for so long: end [s]")
+    contact_margin: float = Field(
+        default=0.05,
+        ge=0.0,
+        description="cells of a costmap this near to the edge of the docked robot that touches are the station's [m]",
+    )
     obstacle_patience: float = Field(
         default=5.0, ge=0.0, description="at rest before an obstacle that nothing leads around [s]"
     )

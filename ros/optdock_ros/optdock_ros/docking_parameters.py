@@ -169,6 +169,7 @@ _SAID_ELSEWHERE: Mapping[str, str] = {
     "use_detections": "<dock type>.use_external_detection_pose",
     "wait_for_charge": "<dock type>.use_battery_status",
     "contact": "<dock type>.contact",
+    "contact_margin": "dock.contact_margin",
     "costmap_patience": "controller.costmap_timeout",
     "navigate_to_staging_pose": "navigate_to_staging_pose of the goal",
     "max_staging_time": "max_staging_time of the goal",
@@ -237,6 +238,7 @@ class DockingSettings:
             "use_detections": of_type.use_external_detection_pose,
             "wait_for_charge": plugin.waits_for_charge,
             "contact": plugin.contact,
+            "contact_margin": self.dock_parameters[plugin.name].contact_margin,
             **of_goal,
         }
         if self.controller.use_collision_detection:

@@ -28,6 +28,7 @@ from sensor_msgs.msg import BatteryState, JointState
 from std_srvs.srv import Trigger
 
 from optdock import ros
+from optdock.costmap.contact_zone import contact_reach
 from optdock.errors import DockNotValid, InvalidMessage, InvalidValue, OptdockError
 from optdock.executor import DockingExecutor, EndingKind, PlanningProcess, State, ThreadPlanning
 from optdock.geometry.pose import Pose2, Twist2
@@ -43,7 +44,7 @@ from optdock_ros.navigator import Navigator
 from optdock_ros.server import Server, run
 from optdock_ros.surroundings import CostmapTopic, FootprintTopic, SurroundingsError, nav2_footprint
 from optdock_ros.transforms import TransformBuffer
-from optdock_ros.world import contact_reach, joined, moved, with_contact_zone
+from optdock_ros.world import joined, moved
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -703,9 +704,6 @@ class DockingServer(Server[DockingSettings]):
         costmap = self._in_frame(local, box)
         if wide is not None:
             costmap = joined(self._in_frame(wide, box), costmap)
-        dock = dataclasses.replace(task.problem.dock, pose=docked)
-        margin = self.settings.dock_parameters[task.plugin.name].contact_margin
-        costmap = with_contact_zone(costmap, dock, task.problem.robot.footprint, margin)
         task.local, task.wide = local, wide
         task.measuring.take_surroundings(Surroundings(costmap, local.stamp))
 
