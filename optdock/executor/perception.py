@@ -87,6 +87,7 @@ class Perception:
         self.detections = self.rejected = 0
         self.too_far = 0.0
         self.has_twist, self._twist_at = True, math.inf
+        self._turns: list[tuple[float, float]] = []  # of the localization against the odometry: stamps [s], turns [rad]
         self._pose_was_lost = self._dock_was_lost = self._delay_was_said = False
 
     @property
@@ -140,6 +141,15 @@ class Perception:
     def is_contradicted(self) -> bool:
         """Whether the newest detections agree with each other and not with the estimate."""
         return self._settings.use_detections and self._dock.is_contradicted
+
+    @property
+    def unseen_turn(self) -> float:
+        """How far the localization has turned against the odometry since the dock was seen [rad].
+
+        A wheel that slips turns the robot unseen by its odometry; the localization sees it.
+        """
+        self._turns = [(stamp, turn) for stamp, turn in self._turns if stamp > self.seen_at]
+        return sum(turn for _, turn in self._turns)
 
     @property
     def robot_from_dock(self) -> Pose2:
@@ -235,6 +245,7 @@ class Perception:
         self._report("pose jumped", f"by {way:.3f} m and {jump.yaw:.3f} rad against the odometry")
         if self.sees_dock:
             # The localization has moved; or the robot has been, as the next detection then tells.
+            self._turns.append((self.stamp, jump.yaw))
             self._dock.suppose(self._dock.pose @ jump, self._dock.covariance[:3, :3] + 4.0 * self._noise)
 
     def _stored_noise(self) -> FloatArray:

@@ -326,8 +326,12 @@ class Procedure:
         """
         if self._settings.use_detections:
             since = self._now
-            while self._perception.moved_since_seen > _UNSEEN_WAY and self._now - since < _CONFIRMATION:
+            while self._perception.moved_since_seen > _UNSEEN_WAY or self._may_have_turned:
+                patience = self._settings.initial_perception_timeout if self._may_have_turned else _CONFIRMATION
+                if self._now - since >= patience:
+                    break
                 yield from self._cycle(_STOP)
+        self._require_certainty()
         if not self._may_stand_in_dock:
             raise _Interrupted(_BESIDE, self._where)
 
@@ -407,6 +411,12 @@ class Procedure:
         perception = self._perception
         if perception.is_contradicted:
             raise _AttemptFailed(EndingKind.FAILED_TO_DETECT_DOCK, "the last detections contradict where the dock was")
+        if self._may_have_turned:
+            raise _AttemptFailed(
+                EndingKind.FAILED_TO_DETECT_DOCK,
+                f"it cannot be known whether the robot is docked: the localization has turned by "
+                f"{perception.unseen_turn:.3f} rad against the odometry, and the dock was not seen since",
+            )
         if not self._will_know(0.0):
             sigma = perception.sigma_after(0.0)
             raise _AttemptFailed(
@@ -564,6 +574,11 @@ class Procedure:
         (place, turn), most = perception.sigma, min(accepted.along, accepted.cross)
         is_sure = _CERTAINTY * place <= most and _CERTAINTY * turn <= accepted.yaw
         return seen and is_sure and not perception.is_contradicted
+
+    @property
+    def _may_have_turned(self) -> bool:
+        """Whether the localization says that the robot has turned out of its dock since that was seen."""
+        return self._settings.use_detections and abs(self._perception.unseen_turn) > self._base.dock.tolerances.yaw
 
     @property
     def _may_stand_in_dock(self) -> bool:
