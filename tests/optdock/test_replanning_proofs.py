@@ -304,6 +304,19 @@ def test_a_tube_that_narrows_before_the_joint_covers_no_robot_there():
     assert found.trajectory.path.start.y == pytest.approx(-0.03, abs=1e-6)
 
 
+def test_a_tube_that_tapers_before_the_joint_covers_no_robot_there():
+    """4 cm off; the tube of 5 cm narrows over the last half metre, and the joint is in it."""
+    plan = straight_plan([], ClearanceRule(0.02, 0.0, 0.5), TrackingTube(0.05))
+    time = 0.55 * plan.trajectory.duration
+    for lead, aside in ((0.3, 0.0), (1.0, -0.04)):
+        now = plan.trajectory.at(time).pose
+        target = plan.problem.goal @ Pose2(0.0, -0.03, 0.0)
+        world = dataclasses.replace(plan.problem, dock=dataclasses.replace(plan.problem.dock, pose=target))
+        found = replan(plan, world, DriveState(time, 1.0, Pose2(now.x, -0.04, 0.0)), 0.2, lead=lead)
+        assert found.proven
+        assert found.trajectory.path.start.y == pytest.approx(aside, abs=1e-6)
+
+
 def test_a_clock_that_runs_fast_keeps_no_plan_that_breaks_a_limit_then():
     slow = dataclasses.replace(LIMITS, max_speed=0.2, max_acceleration=0.1, max_deceleration=0.1, max_jerk=0.2)
     problem = dataclasses.replace(running().problem, robot=Robot(OUTLINE, slow))
