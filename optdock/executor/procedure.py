@@ -70,6 +70,7 @@ _PROGRESS = 0.05  # [s] on the trajectory's own clock that count as progress
 _INSTANT = 1e-9  # [s]
 _SETTLED = 3e-4, 5e-4  # [m/s], [rad/s] commanded at the end of the path: by the usual gains 0.15 mm and 0.03 degrees
 _NOISE_GAIN = 1.0  # [1/s]: what noise makes of the commands, by the usual gains
+_WATCHED = 0.005  # [m]: a tube that is narrower, where it begins and ends in contact, is left by any noise
 _LAST_REPLAN = 0.15  # [m] before the dock: nearer, no robot can be moved sideways by more than a millimetre
 _LOOK = 0.1  # [s] between two looks at what is left to be corrected
 _AFTER_REFUSAL = 3.0  # times the usual pause: what could not be planned now cannot be planned a moment later
@@ -204,7 +205,7 @@ class Procedure:
         yield from self._locate()
         if self._distance > self._reach_of_contact and not self._measured_contact:
             return EndingKind.NOT_DOCKED, f"the robot is {self._distance:.3f} m from the dock"
-        yield from self._back_out()
+        yield from self._back_out(max(self._settings.back_out_distance, self._base.dock.final_straight))
         yield from self._drive_to_staging(State.UNDOCKING, EndingKind.FAILED_TO_STAGE)
         return EndingKind.UNDOCKED, ""
 
@@ -453,20 +454,24 @@ class Procedure:
                 )
             yield from self._cycle(_STOP)
 
-    def _back_out(self) -> Cycles:
-        """Straight out of contact, no deeper into anything, until a way back can be planned."""
-        direction = -self._gear
-        origin, begun, is_straight = self._perception.robot, self._now, False
-        limit = 2.0 * self._settings.back_out_distance / _BACK_OUT_SPEED + _REST_PATIENCE
-        footprint = self._base.robot.footprint
+    def _back_out(self, least: float = 0.0) -> Cycles:
+        """Straight out of contact, no deeper into anything, until a way back can be planned.
+
+        Args:
+            least: So far in any case, if nothing is in the way [m].
+        """
+        direction, footprint = -self._gear, self._base.robot.footprint
+        origin, begun, is_straight = self._perception.robot_from_dock, self._now, False
+        farthest = max(least, self._settings.back_out_distance)
+        limit = 2.0 * farthest / _BACK_OUT_SPEED + _REST_PATIENCE
         while True:
             yield from self._locate()
-            robot, driven = self._perception.robot, origin.distance_to(self._perception.robot)
+            robot, driven = self._perception.robot, origin.distance_to(self._perception.robot_from_dock)
             near = self._near(robot, footprint.circumscribed_radius + _CLEAR_OF_CONTACT)
-            if pose_clearance(robot, footprint, near)[0] >= _CLEAR_OF_CONTACT:
+            if driven >= least and pose_clearance(robot, footprint, near)[0] >= _CLEAR_OF_CONTACT:
                 break
             self.state = State.BACKING_OUT
-            if driven >= self._settings.back_out_distance or self._now - begun > limit:
+            if driven >= farthest or self._now - begun > limit:
                 break
             twist = Twist2(direction * _BACK_OUT_SPEED)
             deepest = self._reach_of_contact  # by estimates and bumpers that yield, or pressed in by late commands
@@ -981,7 +986,8 @@ class _Drive:
             self._is_outside = is_outside
             said = f"{off.y:.4f} m and {off.yaw:.4f} rad off, {moved:.4f} m with its outline; proven: {width:.4f} m"
             owner._report("tube left" if is_outside else "tube entered", said)
-            self._is_urgent = self._is_urgent or (is_outside and path.length - s > _LAST_REPLAN)
+            is_worth_it = width >= _WATCHED and path.length - s > _LAST_REPLAN
+            self._is_urgent = self._is_urgent or (is_outside and is_worth_it)
 
     def _replan(self) -> None:
         """Hand in a job where one is worth it, and take over what the last one gave."""

@@ -265,15 +265,17 @@ def deaf(executor, world, measurements):
     return measurements._replace(contact=None)
 
 
-@pytest.mark.parametrize("distance", [0.01, 0.025])
-def test_a_robot_backs_out_no_farther_than_it_may(distance, lawful):
-    """Pressed in deeper than that it is still in contact then, and plans from there."""
+@pytest.mark.parametrize("distance", [0.01, 0.13])
+def test_a_robot_backs_out_no_farther_than_it_may_and_straight_as_it_came_in(distance, lawful):
+    """By the final straight of its dock in any case; pressed in deeper than that it plans from there."""
     chosen = ExecutorSettings(**QUICK, back_out_distance=distance, use_detections=False)
     planning = Recording(reason="a wall")
     start = Pose2(0.04, 0.0, 0.0)
     docking = run(perfect(start), problem_with(), chosen, rate=25.0, task="undock", planning=planning)
     assert lawful(docking, touch=0.05).kind is EndingKind.FAILED_TO_STAGE
-    assert distance <= start.x - docking.world.error.x <= distance + 0.01, "and the way of braking"
+    least = max(distance, problem_with().dock.final_straight)
+    assert least <= start.x - docking.world.error.x <= least + 0.01, "and the way of braking"
+    assert np.abs(docking.world.record().poses[:, 2]).max() < 1e-6
     assert planning.jobs
 
 
