@@ -69,6 +69,7 @@ _MOST_BLOCKS = 5  # stops on one approach, until it counts as failed
 _PROGRESS = 0.05  # [s] on the trajectory's own clock that count as progress
 _INSTANT = 1e-9  # [s]
 _SETTLED = 3e-4, 5e-4  # [m/s], [rad/s] commanded at the end of the path: by the usual gains 0.15 mm and 0.03 degrees
+_OF_NOISE = 1.5  # standard deviations: of a smaller error nobody knows whether it is one
 _NOISE_GAIN = 1.0  # [1/s]: what noise makes of the commands, by the usual gains
 _WATCHED = 0.005  # [m]: a tube that is narrower, where it begins and ends in contact, is left by any noise
 _LAST_REPLAN = 0.15  # [m] before the dock: nearer, no robot can be moved sideways by more than a millimetre
@@ -893,12 +894,6 @@ class _Drive:
     def _check_contact(self) -> None:
         owner = self.owner
         kind = owner._contact()
-        if (
-            kind is EndingKind.DOCKED_BY_SIGNAL
-            and owner._settings.contact == "distance"
-            and not owner._may_stand_in_dock
-        ):
-            raise _Interrupted(_BESIDE, owner._where)
         if kind is not None:
             raise _Docked(kind)
         if self._finished_since is None or owner._settings.contact == "touch":
@@ -907,9 +902,11 @@ class _Drive:
             max(least, _NOISE_GAIN * sigma) for least, sigma in zip(_SETTLED, owner._perception.sigma, strict=True)
         ]
         moves = abs(owner.commanded.linear) > still[0] or abs(owner.commanded.angular) > still[1]
-        if moves and owner._now - self._finished_since < 0.5 * owner._settings.settling_time:
-            return  # what is left is still being corrected
         relative, goal = owner._perception.robot_from_dock, Pose2(0.0, 0.0, 0.0)
+        errors = zip(relative.as_array(), owner._perception.sigma_after(0.0), strict=True)
+        is_noise = all(abs(error) <= _OF_NOISE * sigma for error, sigma in errors)
+        if moves and not is_noise and owner._now - self._finished_since < 0.5 * owner._settings.settling_time:
+            return  # what is left is still being corrected
         path = [Pose2(-0.1 * owner._gear, 0.0, 0.0), goal]
         if not owner._goal_checker.is_goal_reached(relative, goal, owner._twist, path):
             return
