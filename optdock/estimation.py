@@ -11,6 +11,7 @@ estimate jumps there. Innovations that keep to one side are none of a correct mo
 
 from __future__ import annotations
 
+import itertools
 import math
 from bisect import bisect_right
 from collections import deque
@@ -170,6 +171,7 @@ _ALWAYS_NEAR = 0.005, 0.01  # [m], [rad]: no measurement is left out for less
 _MEMORY = 2.0  # [s] of motion that is remembered for what arrives late, and of measurements put aside
 _LONGEST_DELAY = 0.5  # [s]: more is not learned, but a fault
 _INNOVATIONS = 8  # of which the mean is looked at
+_SLIPPED = 0.05  # [m] in the last two seconds: what jumps away from a robot that stands was moved itself
 _DOUBT = 3.0  # times the systematic errors that were expected: after innovations that keep to one side
 
 
@@ -411,14 +413,29 @@ class PoseFilter:
         is_confirmed = is_supposed or count >= self._confirmations
         if not is_confirmed or max((other.accepted_since for other in measured_there), default=-1) >= count - 1:
             return "rejected"
-        before = self.pose
+        before, driven = self.pose, self._driven()
         offsets = [_difference(other.moved_to(one.reckoned), now) for other in measured_there]
         x, y, yaw = (np.sum(offsets, axis=0) / count).tolist() if offsets else (0.0, 0.0, 0.0)
         self.place(Pose2(now.x + x, now.y + y, now.yaw + yaw), noise / count)
         self.jump = self.pose.in_frame_of(before)
+        if driven > _SLIPPED and not is_supposed:
+            self._expect_slip(self.jump, driven)
         self.accepted, self.rejected = self.accepted + count, 0
         self.measured_at = max(self.measured_at, stamp)
         return "moved"
+
+    def _driven(self) -> float:
+        """Way that is remembered [m]."""
+        poses = [pose for _, pose in self._reckoned]
+        return sum(before.distance_to(after) for before, after in itertools.pairwise(poses))
+
+    def _expect_slip(self, jump: Pose2, driven: float) -> None:
+        """Expect of the odometry what it has just done: where wheels have slipped they slip again."""
+        errors, root = self._errors, math.sqrt(driven)
+        self._errors = errors._replace(
+            along=max(errors.along, math.hypot(jump.x, jump.y) / root),
+            yaw_per_way=max(errors.yaw_per_way, abs(jump.yaw) / root),
+        )
 
     @staticmethod
     def _agree(one: _Outside, other: _Outside) -> bool:

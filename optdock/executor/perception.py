@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from optdock.estimation import DeadReckoning, OdometryErrors, PoseFilter
-from optdock.geometry.pose import Pose2
+from optdock.geometry.pose import Pose2, normalize_angle
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -87,7 +87,7 @@ class Perception:
         self.detections = self.rejected = 0
         self.too_far = 0.0
         self.has_twist, self._twist_at = True, math.inf
-        self._turns: list[tuple[float, float]] = []  # of the localization against the odometry: stamps [s], turns [rad]
+        self._seen_yaw = 0.0  # of the dock in the fixed frame, when it was seen last [rad]
         self._pose_was_lost = self._dock_was_lost = self._delay_was_said = False
 
     @property
@@ -148,8 +148,7 @@ class Perception:
 
         A wheel that slips turns the robot unseen by its odometry; the localization sees it.
         """
-        self._turns = [(stamp, turn) for stamp, turn in self._turns if stamp > self.seen_at]
-        return sum(turn for _, turn in self._turns)
+        return normalize_angle(self.dock.yaw - self._seen_yaw) if self.sees_dock else 0.0
 
     @property
     def robot_from_dock(self) -> Pose2:
@@ -245,7 +244,6 @@ class Perception:
         self._report("pose jumped", f"by {way:.3f} m and {jump.yaw:.3f} rad against the odometry")
         if self.sees_dock:
             # The localization has moved; or the robot has been, as the next detection then tells.
-            self._turns.append((self.stamp, jump.yaw))
             self._dock.suppose(self._dock.pose @ jump, self._dock.covariance[:3, :3] + 4.0 * self._noise)
 
     def _stored_noise(self) -> FloatArray:
@@ -272,6 +270,7 @@ class Perception:
                 self._report("detection rejected", f"{gap.x:.3f} m, {gap.y:.3f} m, {gap.yaw:.3f} rad off the estimate")
             elif verdict != "too far":
                 self.detections += 1
+                self._seen_yaw = self.dock.yaw
                 if verdict == "moved":
                     gap = self._dock.pose.in_frame_of(before).inverse()
                     self._report("dock moved", f"by {gap.x:.3f} m, {gap.y:.3f} m, {gap.yaw:.3f} rad")
