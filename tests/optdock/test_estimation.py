@@ -360,3 +360,19 @@ def test_it_says_that_it_was_not_started_and_which_sigma_is_wrong():
         PoseFilter(OdometryErrors()).predict(0.0, Pose2(0.0, 0.0, 0.0))
     with pytest.raises(InvalidValue, match="drift: must be >= 0"):
         PoseFilter(OdometryErrors(drift=-0.1))
+
+
+def test_wheels_that_have_slipped_are_expected_to_slip():
+    """A jump in the heading of a robot under way is what its odometry does; of one that stands it was moved."""
+    grown = []
+    for speed in (0.3, 0.0):
+        found, pose = started(confirmations=3), START
+        for k in range(1, 80):
+            step = Pose2(0.05 * speed, 0.0, 0.0)
+            pose = pose @ (step @ Pose2(0.0, 0.0, 0.08) if k == 40 else step)
+            found.predict(10.0 + 0.05 * k, step)
+            found.correct(found.stamp, pose, NOISE)
+        assert found.pose.gap_to(pose) < 1e-3
+        grown.append(math.sqrt(found.after(0.4)[2, 2] - found.after(0.0)[2, 2]))
+    assert grown[0] > 0.05
+    assert grown[1] < 0.01

@@ -62,3 +62,17 @@ def test_the_first_detection_after_a_jump_says_which_of_the_two_has_moved(robot)
     perception.update(Measurements(stamp, PUSHED, detections=(seen(robot, stamp),)), stamp, 0.0)
     assert perception.robot_from_dock.gap_to(robot.in_frame_of(DOCK)) < 1e-3
     assert perception.sigma[0] < 0.005
+
+
+def test_a_turn_that_the_localization_alone_sees_is_told_until_the_dock_is_seen():
+    """A wheel slips: the localization turns little by little, as it is filtered, and the odometry does not."""
+    perception, stamp = resting(1.0)
+    for k in range(1, 81):
+        stamp += PERIOD
+        perception.update(Measurements(stamp, Pose2(HERE.x, HERE.y, 0.0005 * k)), stamp, 0.0)
+    assert perception.unseen_turn == pytest.approx(0.035, abs=0.006)
+    for _ in range(40):
+        stamp += PERIOD
+        robot = Pose2(HERE.x, HERE.y, 0.04)
+        perception.update(Measurements(stamp, robot, detections=(seen(robot, stamp),)), stamp, 0.0)
+    assert abs(perception.unseen_turn) < 0.002
