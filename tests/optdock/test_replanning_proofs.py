@@ -333,10 +333,11 @@ def test_a_robot_is_on_the_leg_of_a_cusp_that_its_clock_shows():
     path = Path((there, drive(Pose2(1.0, 0.0, 0.0), 1.0, 0.5, -1)), "map")
     back = path.pose_at(1.6)
     off = path.pose_at(0.4).distance_to(back)
-    side = -math.copysign(0.25 + 0.4 * off, back.y)
+    side = -math.copysign(0.25 + 1.2 * off, back.y)
     wall = [[-1.0, side], [2.0, side], [2.0, 2.0 * side], [-1.0, 2.0 * side]]
     plan = plan_of(path.segments, Robot(OUTLINE, LIMITS))
     for obstacles, kept in (([], True), ([wall], False)):
         world = dataclasses.replace(plan.problem, obstacles=obstacles)
+        assert asked(plan, 0.4, path.pose_at(0.4), world).outcome is ReplanOutcome.KEPT, "on its path"
         found = asked(plan, 0.4, back, world)
         assert (found.outcome is ReplanOutcome.KEPT) is kept
