@@ -53,6 +53,7 @@ class Measurements(NamedTuple):
         costmap: A new picture of the surroundings; None where it has not changed.
         odometry: The newest pose of the odometry; None where there is none.
         pose_stamp: When `pose` was measured [s]; None: at `stamp`.
+        held: Whether the robot must stand, as after an emergency stop; the task goes on when it is released.
     """
 
     stamp: float
@@ -63,3 +64,4 @@ class Measurements(NamedTuple):
     costmap: Costmap | None = None
     odometry: OdometryPose | None = None
     pose_stamp: float | None = None
+    held: bool = False

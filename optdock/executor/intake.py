@@ -81,4 +81,5 @@ _ACCEPTED: dict[str, tuple[Callable[[object], bool], object]] = {
     "costmap": (_is_none_or(_is_a(Costmap)), None),
     "odometry": (_is_none_or(_is_odometry), None),
     "pose_stamp": (_is_none_or(_is_finite), None),
+    "held": (_is_a(bool), True),
 }

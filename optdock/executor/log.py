@@ -383,6 +383,8 @@ def _measured_values(m: Measurements) -> dict[str, object]:
         value["odometry"] = [m.odometry.stamp, m.odometry.pose.x, m.odometry.pose.y, m.odometry.pose.yaw]
     if m.pose_stamp is not None:
         value["pose_stamp"] = m.pose_stamp
+    if m.held:
+        value["held"] = True
     return value
 
 
@@ -587,6 +589,7 @@ class _CycleLine(_Line):
     costmap: _CostmapValues | None = None
     odometry: tuple[float, float, float, float] | None = None
     pose_stamp: float | None = None
+    held: bool = False
     events: list[tuple[float, str, str]] = []
     ending: tuple[str, str, int, float] | None = None
 
@@ -601,6 +604,7 @@ class _CycleLine(_Line):
             None if self.costmap is None else self.costmap.costmap(),
             None if self.odometry is None else OdometryPose(self.odometry[0], Pose2(*self.odometry[1:])),
             self.pose_stamp,
+            self.held,
         )
         return Cycle(
             line,

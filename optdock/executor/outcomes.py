@@ -39,6 +39,7 @@ class State(str, Enum):
     RETURNING = "returning to the staging pose"
     UNDOCKING = "undocking"
     STOPPING = "stopping"
+    HELD = "held"
     ENDED = "ended"
 
 

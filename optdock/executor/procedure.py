@@ -64,6 +64,7 @@ _TOO_FAR_OFF, _BESIDE = "too far off to correct", "not docked"
 _AT_THE_DOCK = (_TOO_FAR_OFF, _BESIDE)  # what stops the robot where it may be in contact with the station
 # [s] for a detection at rest in the dock: of ten a second, half of them lost, one of 1000 takes longer.
 _CONFIRMATION = 1.0
+_HELD = "held"
 _UNSEEN_WAY = 0.015  # [m]: on less than that no wheel that slips turns a robot by a degree
 _MOST_BLOCKS = 5  # stops on one approach, until it counts as failed
 _PROGRESS = 0.05  # [s] on the trajectory's own clock that count as progress
@@ -238,6 +239,9 @@ class Procedure:
 
     def _locate(self) -> Cycles:
         """At rest until robot and surroundings are known as they are now."""
+        while self._is_held:
+            self.state = State.HELD
+            yield from self._cycle(_STOP)
         self.state = State.WAITING_FOR_POSE
         since = self._now
         while not self._perception.started or self._oldest > self._settings.pose_patience:
@@ -298,7 +302,7 @@ class Procedure:
                 yield from self._stop()
                 if blocks == 0 or self._now - blocked_since > 2.0 * self._settings.obstacle_patience:
                     blocked_since = self._now
-                blocks += 1
+                blocks += stopped.name != _HELD
                 if blocks > _MOST_BLOCKS:
                     reason = f"stopped {blocks} times on one approach, last: {stopped.name}: {stopped.reason}"
                     raise _AttemptFailed(EndingKind.FAILED_TO_CONTROL, reason) from None
@@ -510,7 +514,7 @@ class Procedure:
             except _Interrupted as stopped:
                 self._say_why(stopped)
                 yield from self._stop()
-                blocks += 1
+                blocks += stopped.name != _HELD
                 since = self._now
                 if blocks > _MOST_BLOCKS:
                     raise _Failed(failure, f"{stopped.name}: {stopped.reason}") from None
@@ -716,12 +720,19 @@ class Procedure:
         return max(self._perception.pose_age, self._perception.twist_age)
 
     @property
+    def _is_held(self) -> bool:
+        measurements = self._perception.measurements
+        return measurements is not None and measurements.held
+
+    @property
     def _is_blind(self) -> bool:
         """Whether the picture of the surroundings is too old to be moved in."""
         patience = self._settings.costmap_patience
         return patience is not None and self._perception.costmap_age > patience
 
     def _require_no_interruption(self) -> None:
+        if self._is_held:
+            raise _Interrupted(_HELD, "it goes on from here when it is released")
         name, reason = self.interruption
         if name:
             raise _Interrupted(name, reason)

@@ -160,6 +160,26 @@ def test_localization_that_jumps_does_not_matter(lawful):
     assert abs(docking.world.error.y) <= 0.006
 
 
+@pytest.mark.parametrize("distance", [0.6, 0.25])
+def test_a_robot_that_is_held_stands_and_goes_on_when_it_is_released(distance, lawful):
+    """For longer than any patience; it counts as no failure, and the robot may be carried elsewhere meanwhile."""
+    held = []
+
+    def before(executor, world, measurements):
+        if not held and within(distance)(executor, world):
+            held.append(world.time)
+        return measurements._replace(held=bool(held) and world.time < held[0] + 12.0)
+
+    docking = run(simulated(seed=4), before=before)
+    ending = lawful(docking)
+    assert ending.kind is EndingKind.DOCKED_BY_DISTANCE
+    assert ending.num_retries == 0
+    waiting = [step.command for step in docking.steps if step.state is State.HELD]
+    assert len(waiting) > 10.0 * 25.0
+    assert set(waiting) == {Twist2()}
+    assert len(docking.said("held")) == 1
+
+
 def test_robot_that_is_pushed_aside_goes_back_as_far_as_it_must(lawful):
     """What cannot be corrected any more is not driven to the end; a plan with another gear begins where it stands."""
 
