@@ -184,6 +184,8 @@ class Procedure:
         yield from self._locate()
         if self._measured_contact and self._distance <= self._reach_of_contact:
             return EndingKind.ALREADY_DOCKED, "the external signal says so"
+        if (yield from self._stands_docked()):
+            return EndingKind.ALREADY_DOCKED, self._where
         if self._settings.navigate_to_staging_pose and self._from_staging() > self._settings.prestaging_tolerance:
             yield from self._drive_to_staging(State.STAGING, EndingKind.FAILED_TO_STAGE)
         while True:
@@ -201,6 +203,19 @@ class Procedure:
                 self.num_retries += 1
             yield from self._back_out()
             yield from self._drive_to_staging(State.RETURNING, EndingKind.FAILED_TO_CONTROL)
+
+    def _stands_docked(self) -> Generator[Wish, None, bool]:
+        """Whether the robot stands in its dock before anything is done, as a dock without a signal cannot tell."""
+        settings = self._settings
+        needs_signal = settings.contact == "touch" or settings.wait_for_charge
+        if needs_signal or self._distance > self._reach_of_contact:
+            return False
+        self.state, since = State.PERCEIVING, self._now
+        while settings.use_detections and not self._is_dock_known:
+            if self._now - since >= _CONFIRMATION:
+                return False
+            yield from self._cycle(_STOP)
+        return self._will_know(0.0) and self._may_stand_in_dock and not self._may_have_turned
 
     def _undock(self) -> Generator[Wish, None, tuple[EndingKind, str]]:
         yield from self._stop()

@@ -160,6 +160,23 @@ def test_localization_that_jumps_does_not_matter(lawful):
     assert abs(docking.world.error.y) <= 0.006
 
 
+@pytest.mark.parametrize(
+    ("start", "settings", "docked"),
+    [
+        (Pose2(0.002, 0.001, 0.0), {}, True),
+        (Pose2(-0.002, 0.001, 0.0), {"use_detections": False}, True),
+        (Pose2(-0.03, 0.0, 0.0), {}, False),
+        (Pose2(0.0, 0.0, 0.04), {}, False),
+        (Pose2(0.0, 0.0, 0.0), {"contact": "touch"}, False),
+    ],
+)
+def test_a_robot_that_stands_in_its_dock_is_docked_already(start, settings, docked):
+    docking = run(simulated(start, PERFECT), problem_with(), ExecutorSettings(**settings), timeout=3.0)
+    ended = docking.ending is not None and docking.ending.kind is EndingKind.ALREADY_DOCKED
+    assert ended is docked
+    assert not docked or not any(step.command != Twist2() for step in docking.steps)
+
+
 @pytest.mark.parametrize("distance", [0.6, 0.25])
 def test_a_robot_that_is_held_stands_and_goes_on_when_it_is_released(distance, lawful):
     """For longer than any patience; it counts as no failure, and the robot may be carried elsewhere meanwhile."""
