@@ -201,6 +201,7 @@ class PoseFilter:
             if not finite_number(value, f"pose filter: {name}") >= 0.0:
                 raise InvalidValue(f"pose filter: {name}: must be >= 0, got {value}")
         self._errors, self._confirmations = errors, confirmations
+        self._seen_errors = errors  # with what wheels that slipped have shown
         self.covariance: FloatArray = np.zeros((6, 6))
         self.systematic: FloatArray = np.zeros(3)
         self.jump: Pose2 | None = None
@@ -280,7 +281,7 @@ class PoseFilter:
         scale, drift = float(self.systematic[0]), float(self.systematic[1])
         corrected = Pose2(step.x * (1.0 + scale), step.y, step.yaw + drift * step.x)
         after = self._estimate = before @ corrected
-        self.covariance = _grown(self.covariance, before, after, step, stamp - last, self._errors)
+        self.covariance = _grown(self.covariance, before, after, step, stamp - last, self._seen_errors)
         reckoned = self._reckoned
         if stamp > last:
             reckoned.append((stamp, reckoned[-1][1] @ corrected))
@@ -362,7 +363,7 @@ class PoseFilter:
         return any(self._agree(one, newest[-1]) for one in newest[:-1])
 
     def after(self, way: float) -> FloatArray:
-        """The covariance of x, y and yaw after a straight way without a measurement, Shape (3, 3).
+        """The covariance of x, y and yaw after a straight way without a measurement or a slip, Shape (3, 3).
 
         Args:
             way: Forward [m], negative in reverse.
@@ -431,8 +432,8 @@ class PoseFilter:
 
     def _expect_slip(self, jump: Pose2, driven: float) -> None:
         """Expect of the odometry what it has just done: where wheels have slipped they slip again."""
-        errors, root = self._errors, math.sqrt(driven)
-        self._errors = errors._replace(
+        errors, root = self._seen_errors, math.sqrt(driven)
+        self._seen_errors = errors._replace(
             along=max(errors.along, math.hypot(jump.x, jump.y) / root),
             yaw_per_way=max(errors.yaw_per_way, abs(jump.yaw) / root),
         )

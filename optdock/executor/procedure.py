@@ -347,7 +347,7 @@ class Procedure:
         """
         if self._settings.use_detections:
             since = self._now
-            while self._perception.moved_since_seen > _UNSEEN_WAY or self._may_have_turned:
+            while self._perception.moved_since_seen > _UNSEEN_WAY or self._may_have_turned or self._is_on_the_edge:
                 patience = self._settings.initial_perception_timeout if self._may_have_turned else _CONFIRMATION
                 if self._now - since >= patience:
                     break
@@ -599,6 +599,18 @@ class Procedure:
         (place, turn), most = perception.sigma, min(accepted.along, accepted.cross)
         is_sure = _CERTAINTY * place <= most and _CERTAINTY * turn <= accepted.yaw
         return seen and is_sure and not perception.is_contradicted
+
+    @property
+    def _is_on_the_edge(self) -> bool:
+        """Whether the robot may stand within the tolerances of the dock as well as beside them, by what is known."""
+        accepted, found = self._base.dock.tolerances, self._perception.robot_from_dock
+        asked = zip(
+            (found.x, found.y, found.yaw),
+            self._perception.sigma_after(0.0),
+            (accepted.along, accepted.cross, accepted.yaw),
+            strict=True,
+        )
+        return any(abs(abs(error) - most) < _CERTAINTY * sigma for error, sigma, most in asked)
 
     @property
     def _may_have_turned(self) -> bool:
