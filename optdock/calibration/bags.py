@@ -67,7 +67,8 @@ def _topic(bag: Bag, source: Path, names: tuple[str, ...], kinds: tuple[str, ...
 
 
 def _rising(rows: FloatArray) -> FloatArray:
-    return rows[_are_rising(rows[:, 0])]
+    found: FloatArray = rows[_are_rising(rows[:, 0])]
+    return found
 
 
 def _are_rising(stamps: FloatArray) -> FloatArray:

@@ -86,10 +86,10 @@ def calibrate(
     if motion is None:
         quantities += [unknown(name, unit, "the dock was not detected often enough") for name, unit in _BY_DETECTIONS]
     else:
-        found = localization_errors(motion.of)
+        found = localization_errors(motion)
         width = max((one.track_width for one in recordings), default=0.0)
         quantities += [*odometry_quantities(motion, width), *detection_quantities(motion)]
-        quantities += [*found.quantities, *stored_dock(motion.of)]
+        quantities += [*found.quantities, *stored_dock(motion)]
     return Calibration((*quantities, *tube.quantities), tuple(recordings), response, motion, found, tube)
 
 

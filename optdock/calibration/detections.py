@@ -72,9 +72,12 @@ def detection_noise(seen: Sequence[Seen]) -> DetectionNoise:
 
     least = np.array([_LEAST[0], 0.0, _LEAST[0], 0.0, _LEAST[1], 0.02, 0.03, -7.0]) / scale
     most = np.array([0.2, 0.2, 0.5, 0.5, 0.2, 0.5, 1.0, 0.0]) / scale
-    found = minimize(
-        lambda z: -float(np.sum(each(z))), start, method="L-BFGS-B", bounds=list(zip(least, most, strict=True))
-    )
+
+    def misfit(z: FloatArray) -> float:
+        return -float(np.sum(each(z)))
+
+    bounds = list(zip(least.tolist(), most.tolist(), strict=True))
+    found = minimize(misfit, start, method="L-BFGS-B", bounds=bounds)
     z = found.x
     right, wrong = parts(z * scale)
     values = z * scale

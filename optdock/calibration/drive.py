@@ -1,14 +1,17 @@
-"""How a drive answers its commands: latency, first-order lag and gain of speed and yaw rate, dead band of the wheels.
+"""How a drive answers its commands: latency and first-order lag of speed and yaw rate, dead band of the wheels.
 
 The commanded speed is delayed by the latency and then followed with a time constant,
 
     speed' = (gain * command(t - latency) - speed) / lag,
 
-whose way between two readings of the odometry is compared with the way that they tell.
+whose way between two readings of the odometry is compared with the way that they tell. The latency of single commands
+is spread about the mean one, evenly as far as the answer knows: that smooths the answer as the lag does, so the spread
+is estimated too.
 """
 
 from __future__ import annotations
 
+import math
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -27,8 +30,12 @@ __all__ = ["DriveResponse", "answered", "drive_response"]
 _GRID = 0.005  # [s]: a tenth of the shortest lag of motors, so that the grid is no part of the answer
 _SPAN = 0.1  # [s] of a residual: longer than the stamps of odometry jitter, shorter than any change of speed
 _CLUSTER = 2.0  # [s]: residuals further apart than that have nothing in common, as the answer to a command takes less
-_GUESS, _SCALE = (0.08, 0.1, 1.0), (0.02, 0.02, 0.02)  # [s], [s], [1]: of latency, lag and gain
-_BOUNDS = (0.0, 1e-3, 0.2), (1.0, 2.0, 2.0)
+# Latency [s], lag [s], gain [1], and the square of half the spread of the latency [s^2], from which the answer depends
+# evenly down to 0.
+_GUESS, _SCALE = (0.08, 0.1, 1.0, 5e-4), (0.02, 0.02, 0.02, 1e-3)
+_LEAST_SPREAD = 4e-6  # [s^2]: 2 ms, of which nobody sees anything
+_BOUNDS = (0.0, 1e-3, 0.2, _LEAST_SPREAD), (1.0, 2.0, 2.0, 0.04)
+_FINE = 0.0025  # [s] of the integral of the commands that the spread is taken of
 _LEAST_CHANGE = 0.05, 0.1  # [m/s], [rad/s]: commands that change by less than this tell nothing of delays
 _MOST_BAND, _BAND_STEP = 0.12, 0.001  # [m/s] of the dead bands that are looked at; motors beyond that are broken
 
@@ -37,7 +44,7 @@ class DriveResponse(NamedTuple):
     """What was found, and what the picture of it needs.
 
     Attributes:
-        quantities: Latency, lag and gain, linear and angular; dead bands.
+        quantities: Latency and lag, linear and angular; dead bands.
         answers: Of each recording: times, Shape (n,), and linear and angular speed as told and as fitted, Shape (n, 4).
     """
 
@@ -57,7 +64,7 @@ class _Axis(NamedTuple):
 
 
 def drive_response(recordings: Sequence[Recording]) -> DriveResponse:
-    """Latency, lag and gain of the drive, and the dead bands of its wheels, from commands against the odometry."""
+    """Latency and lag of the drive, and the dead bands of its wheels, from commands against the odometry."""
     used = [one for one in recordings if len(one.path.times) > 20]
     width = used[0].track_width if used else 0.0
     bands, quantities = (0.0, 0.0), []
@@ -75,7 +82,7 @@ def drive_response(recordings: Sequence[Recording]) -> DriveResponse:
         axes = [_axis(one, index, bands, width) for one in used]
         found_axis, rows = _fitted(axes, name, _LEAST_CHANGE[index])
         fits.append(found_axis)
-        quantities = [*rows, *quantities] if index == 0 else [*quantities[:3], *rows, *quantities[3:]]
+        quantities = [*rows, *quantities] if index == 0 else [*quantities[:2], *rows, *quantities[2:]]
     return DriveResponse(quantities, [_answer(one, fits, bands, width) for one in used])
 
 
@@ -88,17 +95,22 @@ def answered(times: FloatArray, commands: FloatArray, values: Sequence[float], a
     Args:
         times: Of the commands, Shape (m,) [s]; each holds until the next one.
         commands: Shape (m,) [m/s or rad/s].
-        values: Latency [s], lag [s], gain [1].
+        values: Latency [s], lag [s], gain [1], square of half the spread of the latency [s^2].
         at: Times, Shape (n,) [s].
     """
     from scipy.signal import lfilter
 
-    latency, lag, gain = values
+    latency, lag, gain, spread = values
+    half = math.sqrt(max(spread, 0.25 * _LEAST_SPREAD))
     begin, end = times[0], max(float(at[-1]), float(times[-1])) + _GRID
     grid = begin + _GRID * np.arange(int(np.ceil((end - begin) / _GRID)) + 1)
     knots = np.concatenate((times, [end + 2.0]))
     asked = np.concatenate(([0.0], np.cumsum(commands * np.diff(knots))))  # the integral of what was commanded
-    target = gain * np.diff(np.interp(grid - latency, knots, asked)) / _GRID
+    fine = np.arange(begin - latency - half - _GRID, end + _GRID + half, _FINE)
+    rough = np.interp(fine, knots, asked)
+    summed = np.concatenate(([0.0], np.cumsum(0.5 * (rough[1:] + rough[:-1]) * _FINE)))
+    ahead, back = (np.interp(grid - latency + off, fine, summed) for off in (half, -half))
+    target = gain * np.diff((ahead - back) / (2.0 * half)) / _GRID
     keep = np.exp(-_GRID / lag)
     speed = lfilter([0.0, 1.0 - keep], [1.0, -keep], target)
     way = target * _GRID + (speed - target) * lag * (1.0 - keep)  # exact within a step of the grid
@@ -107,7 +119,7 @@ def answered(times: FloatArray, commands: FloatArray, values: Sequence[float], a
 
 
 def _fitted(axes: list[_Axis], name: str, least_change: float) -> tuple[Fit | None, list[Quantity]]:
-    rows = [(f"command latency, {name}", "s"), (f"drive lag, {name}", "s"), (f"drive gain, {name}", "1")]
+    rows = [(f"command latency, {name}", "s"), (f"drive lag, {name}", "s")]
     count = sum(len(axis.first) for axis in axes)
     changes = max((float(np.ptp(axis.commands)) for axis in axes), default=0.0)
     if changes < least_change:
@@ -182,34 +194,49 @@ def _dead_band(axes: list[_Axis], name: str) -> Quantity:
     title, unit = f"dead band, {name} wheel", "m/s"
     if not axes or max(float(np.max(np.abs(axis.commands))) for axis in axes) < _MOST_BAND:
         return unknown(title, unit, "the wheel was never told to turn fast enough")
-    clusters = _clusters(axes)
-    values = np.array(_GUESS)
     bands = np.arange(0.0, _MOST_BAND, _BAND_STEP)
-    best = 0.0
-    for _ in range(2):  # latency and lag for the best band so far; then the best band for these
-        moved = [axis._replace(commands=_beyond(axis.commands, best)) for axis in axes]
-        values = fit(lambda x, m=moved: _residuals(m, x), values.tolist(), clusters, _SCALE, bounds=_BOUNDS).values
-        misfits = np.array(
-            [
-                np.bincount(
-                    clusters,
-                    _residuals([axis._replace(commands=_beyond(axis.commands, band)) for axis in axes], values) ** 2,
-                )
-                for band in bands.tolist()
-            ]
-        )
-        # A stretch with a slipping or stalled wheel counts no more than others: misfits beyond the usual ones are cut.
-        misfits = np.minimum(misfits, np.percentile(np.min(misfits, axis=0), 90.0) * 4.0 + 1e-12)
-        total = np.sum(misfits, axis=1)
-        lowest = float(np.min(total))
-        alike = np.flatnonzero(total <= lowest * (1.0 + 1e-9) + 1e-15)
-        best = float(0.5 * (bands[alike[0]] + bands[alike[-1]]))
-    row = int(alike[len(alike) // 2])
+    misfits = _misfits(axes, bands, 0.0)  # latency and lag of a drive without a band, ...
+    row = _lowest(misfits)
+    misfits = _misfits(axes, bands, float(bands[row]))  # ... and of one with the band that these have shown
+    row = _lowest(misfits)
     worse = misfits - misfits[row]
     spread = np.sqrt(np.sum((worse - np.mean(worse, axis=1, keepdims=True)) ** 2, axis=1))
-    fits = np.flatnonzero(np.sum(worse, axis=1) <= student(worse.shape[1] - 1.0) * spread + 1e-15)
+    fits = np.flatnonzero(np.sum(worse, axis=1) <= student(worse.shape[1] - 1.0) * spread + _ROUNDING)
     low, high = float(bands[fits[0]]) - _BAND_STEP, float(bands[fits[-1]]) + _BAND_STEP
-    return Quantity(title, unit, best, max(low, 0.0), high, sum(len(a.first) for a in axes), len(axes))
+    return Quantity(title, unit, float(bands[row]), max(low, 0.0), high, sum(len(a.first) for a in axes), len(axes))
+
+
+_ROUNDING = 1e-15  # [m^2] of sums of squares
+
+
+def _misfits(axes: list[_Axis], bands: FloatArray, band: float) -> FloatArray:
+    """Sums of squared residuals of each cluster for each dead band, with latency and lag as fitted with one of them.
+
+    A stretch with a slipping or stalled wheel counts no more than others: misfits beyond the usual ones are cut.
+
+    Returns:
+        Shape (b, c) [m^2].
+    """
+    clusters = _clusters(axes)
+
+    def left(values: FloatArray, width: float) -> FloatArray:
+        return _residuals([axis._replace(commands=_beyond(axis.commands, width)) for axis in axes], values)
+
+    def without(values: FloatArray) -> FloatArray:
+        return left(values, band)
+
+    values = fit(without, _GUESS, clusters, _SCALE, bounds=_BOUNDS).values
+    found = np.array([np.bincount(clusters, left(values, width) ** 2) for width in bands.tolist()])
+    usual = float(np.percentile(np.min(found, axis=0), 90.0))
+    misfits: FloatArray = np.minimum(found, 4.0 * usual + _ROUNDING)
+    return misfits
+
+
+def _lowest(misfits: FloatArray) -> int:
+    """The row whose sum is lowest; of several, as where nothing was commanded between them, the middle one."""
+    total = np.sum(misfits, axis=1)
+    alike = np.flatnonzero(total <= float(np.min(total)) * (1.0 + 1e-9) + _ROUNDING)
+    return int(alike[len(alike) // 2])
 
 
 def _beyond(commands: FloatArray, band: float) -> FloatArray:

@@ -1,125 +1,133 @@
 """How far localization is off, how often it jumps, and where in the map the dock truly is.
 
-The robot is known from the dock by its smoothed motion. Whatever else the localization says is its own error, and one
-thing that is common to all recordings: the dock's pose in the map.
+A detection together with an estimate of the localization puts the dock in the map. Where that is, is the same in all
+recordings; how it moves about is the error of the localization.
 """
 
 from __future__ import annotations
 
+import dataclasses
 import math
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
 from optdock.calibration.statistics import Quantity, mean_of, poisson_rate, unknown
-from optdock.geometry.pose import Pose2, normalize_angle
+from optdock.geometry.pose import normalize_angle
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from optdock.calibration.motion import Smoothed
+    from optdock.calibration.motion import Motion, Smoothed
     from optdock.geometry.arrays import FloatArray
 
 __all__ = ["LocalizationErrors", "docks_in_map", "localization_errors", "stored_dock"]
 
-_SEEN_WITHIN = 0.5  # [s]: without a detection for longer the odometry alone says where the robot is
-_GAP = 1.0  # [s] between two estimates, after which a change may be drift
-_SIDE = 3  # estimates on either side whose medians are compared for a jump
-_LEAST_JUMP = 0.02  # [m]: AMCL drifts by less than that in half a second, and so does odometry that slips
-_EVERY = 1.0  # [s] between the estimates that the spread is computed of: their errors last for seconds
-_LEAST = 12  # estimates in all
+_NEAR = 0.3  # [s] between a detection and an estimate: the odometry leads over so long without an error that counts
+_RIGHT = 4.0  # standard deviations: detections that are farther off are wrong ones
+_BIN = 0.5  # [s]: medians over so long are exact to millimetres, and few localizations are told more slowly
+_SIDE = 2  # bins on either side whose means are compared for a jump
+_GAP = 1.5  # [s] between two bins, after which a change may be drift
+_LEAST_JUMP = 0.025  # [m]: AMCL drifts by less than that in a second
+_JUMP_OF_USUAL = 3.5  # times the usual change
+_EVERY = 1.0  # [s] between the values that the spread is computed of: their errors last for seconds
+_LEAST = 12  # values in all
 _UNKNOWN = 1.0  # [m], [rad]: standard deviation of what a jump may be, and of the dock
 _LIKELY = 3.841 / 2.0  # by how much the logarithm of the likelihood falls at the ends of the interval: chi2(1) / 2
 
 
 class LocalizationErrors(NamedTuple):
-    """What is measured against the smoothed motion.
+    """What is measured against the detections.
 
     Attributes:
         quantities: Spread, rate and size of jumps.
-        series: Of each recording: stamps and errors of x, y [m], yaw [rad] against the mean dock, Shape (n, 4).
+        series: Of each recording: stamps and errors of x, y [m], yaw [rad] at the robot, Shape (n, 4).
     """
 
     quantities: list[Quantity]
     series: list[FloatArray]
 
 
-def docks_in_map(one: Smoothed) -> FloatArray:
-    """Stamps, and where each estimate of the localization puts the dock in the map, Shape (n, 4)."""
-    rows = one.recording.localization
-    seen = one.recording.detections[:, 0]
-    inside = (rows[:, 0] >= one.times[0]) & (rows[:, 0] <= one.times[-1])
-    rows = rows[inside]
-    after = np.clip(np.searchsorted(seen, rows[:, 0]), 1, len(seen) - 1)
-    near = np.minimum(np.abs(seen[after] - rows[:, 0]), np.abs(rows[:, 0] - seen[after - 1])) < _SEEN_WITHIN
-    rows = rows[near]
-    robot = _at(one, rows[:, 0])
-    yaw = rows[:, 3] - robot[:, 2]
-    c, s = np.cos(yaw), np.sin(yaw)
-    x, y = rows[:, 1] - c * robot[:, 0] + s * robot[:, 1], rows[:, 2] - s * robot[:, 0] - c * robot[:, 1]
-    return np.column_stack((rows[:, 0], x, y, yaw))
+def docks_in_map(one: Smoothed, delay: float) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Where localization and each detection put the robot and the dock; wrong detections are left out.
+
+    Args:
+        one: A recording.
+        delay: By which its detections are late [s].
+
+    Returns:
+        Stamps, Shape (n,) [s]; robot and dock in the map, Shape (n, 3) each.
+    """
+    told, seen = one.recording.localization, one.seen
+    times, poses = one.recording.path
+    stamps = seen.stamps - delay
+    if len(told) < 2:
+        return stamps[:0], seen.detected[:0], seen.detected[:0]
+    near = np.clip(np.searchsorted(told[:, 0], stamps), 1, len(told) - 1)
+    near = np.where(stamps - told[near - 1, 0] < told[near, 0] - stamps, near - 1, near)
+    kept = np.all(np.abs(seen.residuals) < _RIGHT * seen.sigmas, axis=1)
+    kept &= (np.abs(told[near, 0] - stamps) < _NEAR) & (stamps >= times[0]) & (stamps <= times[-1])
+    then, now = (
+        np.column_stack([np.interp(at[kept], times, poses[:, k]) for k in range(3)]) for at in (told[near, 0], stamps)
+    )
+    robot = _composed(told[near[kept], 1:], _seen_from(then, now))
+    return stamps[kept], robot, _composed(robot, seen.detected[kept])
 
 
-def stored_dock(of: Sequence[Smoothed]) -> list[Quantity]:
+def stored_dock(motion: Motion) -> list[Quantity]:
     """The dock's pose in the map, of the recordings whose dockings succeeded: a mean with Student's interval."""
     names = (("stored dock, x", "m"), ("stored dock, y", "m"), ("stored dock, yaw", "rad"))
-    rows = [docks_in_map(one) for one in of if one.recording.docked_at is not None]
+    rows = [docks_in_map(one, float(motion.values[3]))[2] for one in motion.of if one.recording.docked_at is not None]
     rows = [one for one in rows if len(one) > 0]
+    count = sum(map(len, rows))
     if len(rows) < 2:
-        reason = "no docking succeeded" if not rows else "one successful docking: localization may have been off"
-        return [unknown(name, unit, reason, len(rows)) for name, unit in names]
-    first = float(rows[0][0, 3])
+        reason = "no docking succeeded" if not rows else "one docking succeeded; its localization may have been off"
+        return [unknown(name, unit, reason, count) for name, unit in names]
+    first = float(rows[0][0, 2])
     poses = np.array(
-        [
-            [
-                *np.mean(one[:, 1:3], axis=0),
-                np.mean(first + np.remainder(one[:, 3] - first + math.pi, 2 * math.pi) - math.pi),
-            ]
-            for one in rows
-        ]
+        [[*np.mean(one[:, :2], axis=0), first + float(np.mean(_wrapped(one[:, 2] - first)))] for one in rows]
     )
     kept = _without_outliers(poses)
-    count = sum(map(len, rows))
-    found = [Quantity(name, unit, *mean_of(kept[:, k]), count, len(kept)) for k, (name, unit) in enumerate(names)]
-    shift = normalize_angle(found[2].value) - found[2].value
-    yaw = found[2]
-    found[2] = Quantity(yaw.name, yaw.unit, yaw.value + shift, yaw.low + shift, yaw.high + shift, count, len(kept))
-    return found
+    x, y, yaw = (Quantity(*name, *mean_of(kept[:, k]), count, len(kept)) for k, name in enumerate(names))
+    whole = normalize_angle(yaw.value) - yaw.value
+    yaw = dataclasses.replace(yaw, value=yaw.value + whole, low=yaw.low + whole, high=yaw.high + whole)
+    return [x, y, yaw]
 
 
 def _without_outliers(poses: FloatArray) -> FloatArray:
-    """Poses within six robust standard deviations of the median in every coordinate: all, where none is of another dock."""
+    """Poses near the median in every coordinate: all but those of another dock, or of a robot that was lost."""
     middle = np.median(poses, axis=0)
-    spread = 1.4826 * np.median(np.abs(poses - middle), axis=0) + np.array([0.01, 0.01, 0.01])
+    spread = 1.4826 * np.median(np.abs(poses - middle), axis=0) + _USUAL
     kept: FloatArray = poses[np.all(np.abs(poses - middle) <= 6.0 * spread, axis=1)]
     return kept
 
 
-def localization_errors(of: Sequence[Smoothed]) -> LocalizationErrors:
+_USUAL = np.array([0.01, 0.01, 0.01])  # [m, m, rad]: a localization that agrees with itself better does so by chance
+
+
+def localization_errors(motion: Motion) -> LocalizationErrors:
     """Spread and jumps of the localization."""
     names = (
         ("localization sigma, position", "m"), ("localization sigma, yaw", "rad"),
         ("localization jumps", "1/s"), ("size of localization jumps", "m"),
     )  # fmt: skip
-    docks = [(one, docks_in_map(one)) for one in of]
-    docks = [(one, rows) for one, rows in docks if len(rows) >= 2 * _SIDE]
-    if sum(len(rows) for _, rows in docks) < _LEAST:
+    found = [docks_in_map(one, float(motion.values[3])) for one in motion.of]
+    found = [one for one in found if len(one[0]) > 0]
+    if sum(len(stamps) for stamps, _, _ in found) < _LEAST:
         reason = "localization and dock were hardly ever known at the same time"
         return LocalizationErrors([unknown(name, unit, reason) for name, unit in names], [])
-    first = docks[0][1][0, 3]
-    middle = np.median(np.concatenate([rows for _, rows in docks])[:, 1:3], axis=0)
-    yaws = np.concatenate([np.remainder(rows[:, 3] - first + math.pi, 2 * math.pi) - math.pi for _, rows in docks])
-    dock = Pose2(*middle.tolist(), first + float(np.median(yaws)))
-    series = [_errors(one, rows, dock) for one, rows in docks]
+    docks = np.concatenate([dock for _, _, dock in found])
+    first = float(docks[0, 2])
+    dock = np.array([*np.median(docks[:, :2], axis=0), first + float(np.median(_wrapped(docks[:, 2] - first)))])
+    series = [_binned(stamps, _errors(robot, seen, dock), _BIN) for stamps, robot, seen in found]
     jumps = [_jumps(rows) for rows in series]
-    sizes = np.array([size for found in jumps for _, size in found])
-    exposure = sum(float(np.sum(steps[steps < _GAP])) for steps in (np.diff(rows[:, 0]) for rows in series))
-    count = sum(map(len, series))
-    cut = [[stamp for stamp, _ in found] for found in jumps]
+    sizes = np.array([size for one in jumps for _, size in one])
+    steps = np.concatenate([np.diff(rows[:, 0]) for rows in series])
+    exposure, count = max(float(np.sum(steps[steps < _GAP])), _BIN), sum(map(len, series))
+    thin = [_binned(stamps, _errors(robot, seen, dock), _EVERY) for stamps, robot, seen in found]
+    cut = [[stamp for stamp, _ in one] for one in jumps]
     quantities = [
-        _spread(names[0], series, cut, (1, 2), count),
-        _spread(names[1], series, cut, (3,), count),
-        Quantity(*names[2], *poisson_rate(len(sizes), max(exposure, 1e-3)), count, len(series)),
+        _spread(names[0], thin, cut, (1, 2)),
+        _spread(names[1], thin, cut, (3,)),
+        Quantity(*names[2], *poisson_rate(len(sizes), exposure), count, len(series)),
         Quantity(*names[3], *mean_of(sizes), len(sizes), len(series))
         if len(sizes) > 1
         else unknown(*names[3], f"{len(sizes)} jumps in {exposure:.0f} s", len(sizes)),
@@ -127,97 +135,119 @@ def localization_errors(of: Sequence[Smoothed]) -> LocalizationErrors:
     return LocalizationErrors(quantities, series)
 
 
-def _at(one: Smoothed, stamps: FloatArray) -> FloatArray:
-    yaw = np.unwrap(one.seen_from_dock[:, 2])
-    columns = one.seen_from_dock[:, 0], one.seen_from_dock[:, 1], yaw
-    return np.column_stack([np.interp(stamps, one.times, column) for column in columns])
+def _errors(robot: FloatArray, seen: FloatArray, dock: FloatArray) -> FloatArray:
+    """Of the localization at the robot, x, y [m], yaw [rad] in the map, Shape (n, 3).
+
+    Args:
+        robot: In the map by localization, Shape (n, 3).
+        seen: The dock in the map by these and detections, Shape (n, 3).
+        dock: Where it is in the map, Shape (3,).
+    """
+    truly = _composed(np.broadcast_to(dock, seen.shape), _seen_from(seen, robot))
+    return np.column_stack((robot[:, :2] - truly[:, :2], _wrapped(robot[:, 2] - truly[:, 2])))
 
 
-def _errors(one: Smoothed, rows: FloatArray, dock: Pose2) -> FloatArray:
-    """Of the localization at the robot, with a dock at a pose in the map: stamps, x, y, yaw, Shape (n, 4)."""
-    robot = _at(one, rows[:, 0])
-    turned = rows[:, 3] - dock.yaw
-    off = np.remainder(turned + math.pi, 2.0 * math.pi) - math.pi
-    there = np.array([(dock @ Pose2(*pose)).as_array() for pose in robot.tolist()])
-    c, s = np.cos(rows[:, 3]), np.sin(rows[:, 3])
-    x = rows[:, 1] + c * robot[:, 0] - s * robot[:, 1] - there[:, 0]
-    y = rows[:, 2] + s * robot[:, 0] + c * robot[:, 1] - there[:, 1]
-    return np.column_stack((rows[:, 0], x, y, off))
+def _composed(frames: FloatArray, poses: FloatArray) -> FloatArray:
+    """Poses in frames, seen from where the frames are given in, Shape (n, 3)."""
+    c, s = np.cos(frames[:, 2]), np.sin(frames[:, 2])
+    x, y = frames[:, 0] + c * poses[:, 0] - s * poses[:, 1], frames[:, 1] + s * poses[:, 0] + c * poses[:, 1]
+    return np.column_stack((x, y, frames[:, 2] + poses[:, 2]))
 
 
-def _jumps(rows: FloatArray) -> list[tuple[float, float]]:
-    """Stamps and sizes [s, m] of jumps: where the medians before and after differ, and most near by."""
-    steps = np.zeros(len(rows))
-    for k in range(_SIDE, len(rows) - _SIDE + 1):
-        if rows[k, 0] - rows[k - 1, 0] < _GAP:
-            change = np.median(rows[k : k + _SIDE, 1:3], axis=0) - np.median(rows[k - _SIDE : k, 1:3], axis=0)
-            steps[k] = math.hypot(*change.tolist())
-    usual = float(np.median(steps[steps > 0.0])) if np.any(steps > 0.0) else 0.0
-    least = max(_LEAST_JUMP, 3.5 * usual)
-    found = []
-    for k in np.flatnonzero(steps > least).tolist():
-        if steps[k] >= np.max(steps[max(0, k - _SIDE) : k + _SIDE + 1]):
-            found.append((float(rows[k, 0]), float(steps[k])))
+def _seen_from(frames: FloatArray, poses: FloatArray) -> FloatArray:
+    """Poses as seen from frames, Shape (n, 3)."""
+    c, s = np.cos(frames[:, 2]), np.sin(frames[:, 2])
+    x, y = poses[:, 0] - frames[:, 0], poses[:, 1] - frames[:, 1]
+    return np.column_stack((c * x + s * y, c * y - s * x, poses[:, 2] - frames[:, 2]))
+
+
+def _wrapped(angles: FloatArray) -> FloatArray:
+    found: FloatArray = np.remainder(angles + math.pi, 2.0 * math.pi) - math.pi
     return found
 
 
+def _binned(stamps: FloatArray, errors: FloatArray, width: float) -> FloatArray:
+    """Mean stamps and median errors of bins of some width [s], Shape (b, 4)."""
+    number = np.floor((stamps - stamps[0]) / width)
+    bins = [number == one for one in np.unique(number).tolist()]
+    return np.array([[float(np.mean(stamps[one])), *np.median(errors[one], axis=0)] for one in bins])
+
+
+def _jumps(rows: FloatArray) -> list[tuple[float, float]]:
+    """Stamps and sizes [s, m] of jumps: where the means before and after differ, and most near by."""
+    steps = np.zeros(len(rows))
+    for k in range(_SIDE, len(rows) - _SIDE + 1):
+        if rows[k, 0] - rows[k - 1, 0] < _GAP:
+            change = np.mean(rows[k : k + _SIDE, 1:3], axis=0) - np.mean(rows[k - _SIDE : k, 1:3], axis=0)
+            steps[k] = math.hypot(*change.tolist())
+    usual = float(np.median(steps[steps > 0.0])) if np.any(steps > 0.0) else 0.0
+    around = [float(np.max(steps[max(0, k - _SIDE) : k + _SIDE + 1])) for k in range(len(steps))]
+    jumping = (steps > max(_LEAST_JUMP, _JUMP_OF_USUAL * usual)) & (steps >= np.array(around))
+    return [(float(rows[k, 0]), float(steps[k])) for k in np.flatnonzero(jumping)]
+
+
 def _spread(
-    name: tuple[str, str], series: list[FloatArray], jumps: list[list[float]], columns: tuple[int, ...], count: int
+    name: tuple[str, str], series: list[FloatArray], jumps: list[list[float]], columns: tuple[int, ...]
 ) -> Quantity:
     """Standard deviation of an error that drifts: a Gauss-Markov process, by maximum likelihood.
 
-    Its correlation time and a white part are estimated too; the dock and what each jump has added are not known. The
-    interval is that of the profile of the likelihood.
+    Its correlation time and a white part, of the detections, are estimated too; the dock and what each jump has added
+    are not known. The interval is that of the profile of the likelihood ([Pawitan2001] ch. 3).
     """
-    from scipy.linalg import cho_factor, cho_solve
-    from scipy.optimize import brentq, minimize, minimize_scalar
+    from scipy.optimize import brentq, minimize_scalar
 
-    thin = [_thinned(rows) for rows in series]
-    number = np.repeat(np.arange(len(thin)), [len(rows) for rows in thin])
-    rows = np.concatenate(thin)
-    apart = np.abs(rows[:, 0, None] - rows[:, 0])
-    together = number[:, None] == number
-    known = np.full(apart.shape, _UNKNOWN**2)
-    for k, stamps in enumerate(jumps):
-        for stamp in stamps:
-            after = ((number == k) & (rows[:, 0] >= stamp)).astype(np.float64)
-            known += _UNKNOWN**2 * np.multiply.outer(after, after)
-    values = rows[:, list(columns)]
-
-    def misfit(sigma: float, others: FloatArray) -> float:
-        """Negative logarithm of the likelihood."""
-        lasting, white = np.exp(others).tolist()
-        cov = known + sigma**2 * together * np.exp(-apart / lasting) + (white**2 + 1e-10) * np.eye(len(rows))
-        factor = cho_factor(cov, lower=True)
-        fits = float(np.sum(values * cho_solve(factor, values)))
-        return 0.5 * fits + len(columns) * float(np.sum(np.log(np.diag(factor[0]))))
-
-    guess = np.log([10.0, 0.003])
-    limits = [(math.log(1.0), math.log(60.0)), (math.log(2e-4), math.log(0.05))]
+    process = _Process(series, jumps, columns)
+    lowest, highest = _LIMITS
 
     def profile(logarithm: float) -> float:
-        sigma = math.exp(logarithm)
-        return float(minimize(lambda x: misfit(sigma, x), guess, method="L-BFGS-B", bounds=limits).fun)
+        return process.profile(math.exp(logarithm))
 
-    lowest, highest = math.log(3e-4), math.log(0.3)
     best = minimize_scalar(profile, bounds=(lowest, highest), method="bounded", options={"xatol": 0.02})
-    level = float(best.fun) + _LIKELY
-
-    def end(limit: float) -> float:
-        if profile(limit) < level:
-            return limit
-        return float(brentq(lambda x: profile(x) - level, limit, float(best.x), xtol=0.02))
-
-    low, high = end(lowest), end(highest)
-    if high >= highest:
+    level, at = float(best.fun) + _LIKELY, float(best.x)
+    ends = [
+        limit if profile(limit) < level else float(brentq(lambda x: profile(x) - level, limit, at, xtol=0.02))
+        for limit in (lowest, highest)
+    ]
+    count = sum(map(len, series))
+    if ends[1] >= highest:
         return unknown(*name, f"{len(series)} recordings are too short for an error that lasts for seconds", count)
-    return Quantity(*name, math.exp(best.x), math.exp(low), math.exp(high), count, len(series))
+    return Quantity(*name, math.exp(at), math.exp(ends[0]), math.exp(ends[1]), count, len(series))
 
 
-def _thinned(rows: FloatArray) -> FloatArray:
-    kept, last = [], -math.inf
-    for row in rows:
-        if row[0] >= last + _EVERY:
-            kept.append(row)
-            last = row[0]
-    return np.array(kept)
+_LIMITS = math.log(3e-4), math.log(0.3)  # [m] or [rad], of the standard deviation that is looked for
+_OTHERS = (math.log(1.0), math.log(60.0)), (math.log(2e-4), math.log(0.05))  # of correlation time and white part
+_GUESS = math.log(10.0), math.log(0.003)  # likewise: as AMCL drifts, and as a second of detections is exact
+
+
+class _Process:
+    """The likelihood of errors of localization."""
+
+    def __init__(self, series: list[FloatArray], jumps: list[list[float]], columns: tuple[int, ...]) -> None:
+        number = np.repeat(np.arange(len(series)), [len(rows) for rows in series])
+        rows = np.concatenate(series)
+        self._values = rows[:, list(columns)]
+        self._apart = np.abs(rows[:, 0, None] - rows[:, 0])
+        self._together = number[:, None] == number
+        self._known = np.full(self._apart.shape, _UNKNOWN**2)
+        for k, stamps in enumerate(jumps):
+            for stamp in stamps:
+                after = ((number == k) & (rows[:, 0] >= stamp)).astype(np.float64)
+                self._known += _UNKNOWN**2 * np.multiply.outer(after, after)
+
+    def profile(self, sigma: float) -> float:
+        """Negative logarithm of the likelihood of a standard deviation, with the others as fit best."""
+        from scipy.optimize import minimize
+
+        def misfit(others: FloatArray) -> float:
+            return self._misfit(sigma, others)
+
+        return float(minimize(misfit, np.array(_GUESS), method="L-BFGS-B", bounds=_OTHERS).fun)
+
+    def _misfit(self, sigma: float, others: FloatArray) -> float:
+        from scipy.linalg import cho_factor, cho_solve
+
+        lasting, white = np.exp(others).tolist()
+        drifting = sigma**2 * self._together * np.exp(-self._apart / lasting)
+        factor = cho_factor(self._known + drifting + white**2 * np.eye(len(self._apart)), lower=True)
+        fits = float(np.sum(self._values * cho_solve(factor, self._values)))
+        return 0.5 * fits + self._values.shape[1] * float(np.sum(np.log(np.diag(factor[0]))))

@@ -4,7 +4,7 @@ With p the pose by odometry, its increments are corrected,
 
     way' = (1 + scale + a) way,    turn' = (1 + turn_scale) turn + drift way + b |way|,
 
-where a and b are random and change every 0.3 s (slip), and the dock D, at rest, must be seen at p(stamp - delay)^-1 D.
+where a and b are random and change every 0.2 s (slip), and the dock D, at rest, must be seen at p(stamp - delay)^-1 D.
 Unknown are scale, drift, turn scale and delay, common to all recordings, and of each recording D and all a and b; it is
 one nonlinear least squares problem, the maximum a posteriori estimate of a smoother ([BarShalom2001]). The spread of a
 and b and of the detections is estimated from what is left, and the problem solved again.
@@ -27,13 +27,14 @@ if TYPE_CHECKING:
 
 __all__ = ["Motion", "Noise", "Seen", "Smoothed", "odometry_quantities", "smoothed"]
 
-_CELL = 0.3  # [s]: a slip lasts about as long
+_CELL = 0.2  # [s]: no slip is shorter than that by much
 _LEAST_WAY = 1e-3  # [m] in a cell, below which the robot stands and nothing slips
 _LEAST_DETECTIONS = 8  # twice as many numbers as there are unknowns of one recording at least
 _LEVER = 0.2  # [m]: half of a usual track width, by which turning counts as way of the wheels
 _CAUCHY = 2.5  # standard deviations from which on a detection counts less
+_EVALUATIONS = 40  # most of a recording's problem, which is nearly linear
 _PRIOR = np.array([0.1, 0.5, 0.2, 0.5])  # of scale [1], drift [rad/m], turn scale [1], delay [s]: hardly any
-_ROUNDS = 3  # of estimating the spreads, after which they change by less than their own uncertainty
+_ROUNDS = 2  # of estimating the spreads, after which they change by less than their own uncertainty
 
 
 class Noise(NamedTuple):
@@ -73,12 +74,18 @@ class Seen(NamedTuple):
     """Detections of one recording, beside what the smoothed motion makes of them.
 
     Attributes:
+        stamps: As told, Shape (n,) [s].
+        detected: The docked pose seen from the robot, Shape (n, 3).
+        sigmas: Of x, y [m], yaw [rad], as estimated, Shape (n, 3).
         ranges: Distance of the docked pose, Shape (n,) [m].
         velocity: Of the dock as the robot sees it, Shape (n, 3) [m/s, m/s, rad/s].
         residuals: Detected minus expected: x, y [m], yaw [rad], in the robot's frame, Shape (n, 3).
         leverage: Share of each residual's variance that the fit has taken away, Shape (n, 3).
     """
 
+    stamps: FloatArray
+    detected: FloatArray
+    sigmas: FloatArray
     ranges: FloatArray
     velocity: FloatArray
     residuals: FloatArray
@@ -126,12 +133,12 @@ def smoothed(recordings: Sequence[Recording]) -> Motion | None:
     if not problems:
         return None
     noise = _FIRST
-    values = np.zeros(4)
+    solutions = [problem.solve(noise, np.zeros(4)) for problem in problems]
     for _ in range(_ROUNDS):
+        noise = noise_of([solution.seen for solution in solutions])._replace(**_slip_of(solutions))
+        values, _ = _together(solutions)
         solutions = [problem.solve(noise, values) for problem in problems]
-        values, covariance = _together(solutions)
-        seen = [solution.seen for solution in solutions]
-        noise = noise_of(seen)._replace(**_slip_of(solutions))
+    values, covariance = _together(solutions)
     found = tuple(problem.smoothed(solution) for problem, solution in zip(problems, solutions, strict=True))
     return Motion(values, covariance, noise, found)
 
@@ -185,23 +192,16 @@ class _Problem:
         sigmas = noise.sigmas(np.hypot(relative[:, 0], relative[:, 1]), velocity)
         count = 3 * len(self.stamps)
 
-        def loss(z: FloatArray) -> FloatArray:
-            """Cauchy's for detections, and none for the rest."""
-            found = np.stack((z, np.ones_like(z), np.zeros_like(z)))
-            seen, most = z[:count], _CAUCHY**2
-            found[:, :count] = (
-                most * np.log1p(seen / most), 1.0 / (1.0 + seen / most), -1.0 / most / (1.0 + seen / most) ** 2
-            )  # fmt: skip
-            return found
+        def residuals(x: FloatArray) -> FloatArray:
+            plain = self._residuals(x, sigmas, noise)
+            return np.concatenate((_robust(plain[:count])[0], plain[count:]))
 
-        found = least_squares(
-            lambda x: self._residuals(x, sigmas, noise),
-            start,
-            lambda x: self._slopes(x, sigmas, noise),
-            x_scale="jac",
-            loss=loss,
-            max_nfev=25,
-        )
+        def slopes(x: FloatArray) -> FloatArray:
+            plain = self._slopes(x, sigmas, noise)
+            plain[:count] *= _robust(self._residuals(x, sigmas, noise)[:count])[1][:, None]
+            return plain
+
+        found = least_squares(residuals, start, slopes, x_scale="jac", max_nfev=_EVALUATIONS)
         return self._solution(found.x, sigmas, noise)
 
     def smoothed(self, solution: _Solution) -> Smoothed:
@@ -228,6 +228,9 @@ class _Problem:
         relative, velocity = self._expected(x)[:2]
         leverage = np.einsum("ij,jk,ik->i", slopes[:count], inverse, slopes[:count]).reshape(-1, 3)
         seen = Seen(
+            self.stamps,
+            self._detected,
+            sigmas,
             np.hypot(relative[:, 0], relative[:, 1]),
             velocity,
             residuals[:count].reshape(-1, 3) * sigmas,
@@ -261,7 +264,7 @@ class _Problem:
         return np.column_stack((*(np.concatenate(([0.0], np.cumsum(step))) for step in steps), yaw))
 
     def _spread(self, cells: FloatArray) -> FloatArray:
-        """Values of the cells at the steps of the odometry, Shape (n - 1,); a step counts for the cell of its middle."""
+        """Values of the cells at the steps of the odometry, each for the cell of its middle, Shape (n - 1,)."""
         middle = 0.5 * (self.times[1:] + self.times[:-1])
         row = np.searchsorted(self._begins, middle, side="right") - 1
         inside = (row >= 0) & (middle < self._ends[np.maximum(row, 0)]) if len(self._ends) else np.zeros(0, dtype=bool)
@@ -336,6 +339,15 @@ class _Problem:
         until = np.clip(stamps[:, None], begins, ends)
         found: FloatArray = np.interp(until, self.times, total) - np.interp(begins, self.times, total)
         return found
+
+
+def _robust(residuals: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Numbers whose squares are Cauchy's loss of residuals, and their derivatives, Shape (n,) each."""
+    ratio = residuals / _CAUCHY
+    found = np.sign(ratio) * _CAUCHY * np.sqrt(np.log1p(ratio**2))
+    small = np.abs(ratio) < 1e-6
+    slopes = residuals / (1.0 + ratio**2) / np.where(small, 1.0, found)
+    return np.where(small, residuals, found), np.where(small, 1.0, slopes)
 
 
 def _seen_from(poses: FloatArray, dock: FloatArray) -> FloatArray:

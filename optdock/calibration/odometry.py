@@ -19,6 +19,7 @@ __all__ = ["odometry_age", "twist_window"]
 _STARTS = 0.03, 0.1, 0.2, 0.4  # [s]: the misfit has several minima where the speed hardly changes
 _LONGEST = 1.0  # [s]: a twist that is older steers no robot
 _LEAST_ACCELERATION = 0.05  # [m/s]: of a speed that changes by less, means over different windows are the same
+_ROUGH = 0.1  # of the time between two poses
 _CLUSTER = 2.0  # [s]: longer than the windows
 _SPAN = 0.3  # [s] of a residual: longer than the usual windows, so that all of a change of speed is in it
 _GRID = 0.002  # [s]: half of the jitter of stamps
@@ -43,7 +44,9 @@ def twist_window(recordings: Sequence[Recording]) -> Quantity:
     start = min(_STARTS, key=lambda window: float(np.sum(np.abs(residuals(np.array([window]))))))
     found = fit(residuals, (start,), clusters, (0.01,), bounds=((1e-3,), (_LONGEST,)))
     value, low, high = found.interval(0)
-    return Quantity(name, unit, value, max(low, 0.0), high, len(clusters), len(used))
+    # Between two poses the way is taken as straight in time; what that does to means is a share of their distance.
+    rough = _ROUGH * float(np.median(np.concatenate([np.diff(one.odometry[:, 0]) for one in used])))
+    return Quantity(name, unit, value, max(low - rough, 0.0), high + rough, len(clusters), len(used))
 
 
 def odometry_age(recordings: Sequence[Recording]) -> Quantity:

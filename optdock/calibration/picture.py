@@ -20,6 +20,7 @@ if TYPE_CHECKING:
 __all__ = ["save_calibration_picture"]
 
 _SHOWN = 15.0  # [s] of the answer of the drive: as much as can be told apart
+_PAUSE = 1.5  # [s] after which no line joins two errors
 
 
 def save_calibration_picture(target: str | Path, calibration: Calibration) -> None:
@@ -90,9 +91,10 @@ def _draw_localization(axes: Axes, calibration: Calibration) -> None:
     if calibration.localization is None:
         return
     for rows in calibration.localization.series:
-        t = rows[:, 0] - rows[0, 0]
-        axes.plot(t, 1e3 * rows[:, 1], color=COLOURS["path"], linewidth=0.8)
-        axes.plot(t, 1e3 * rows[:, 2], color=COLOURS["goal"], linewidth=0.8)
+        for part in np.split(rows, np.flatnonzero(np.diff(rows[:, 0]) > _PAUSE) + 1):
+            t = part[:, 0] - rows[0, 0]
+            axes.plot(t, 1e3 * part[:, 1], ".-", color=COLOURS["path"], linewidth=0.8, markersize=2.0)
+            axes.plot(t, 1e3 * part[:, 2], ".-", color=COLOURS["goal"], linewidth=0.8, markersize=2.0)
 
 
 def _draw_docks(axes: Axes, calibration: Calibration) -> None:
@@ -103,10 +105,10 @@ def _draw_docks(axes: Axes, calibration: Calibration) -> None:
     _grid(axes)
     if calibration.motion is not None:
         for k, one in enumerate(calibration.motion.of):
-            rows = docks_in_map(one)
-            axes.plot(rows[:, 1], rows[:, 2], ".", color=COLOURS["limit"], markersize=2.0, label="" if k else "single")
+            rows = docks_in_map(one, float(calibration.motion.values[3]))[2]
+            axes.plot(rows[:, 0], rows[:, 1], ".", color=COLOURS["limit"], markersize=2.0, label="" if k else "single")
             if len(rows):
-                middle = np.mean(rows[:, 1:3], axis=0)
+                middle = np.mean(rows[:, :2], axis=0)
                 axes.plot(*middle, "o", color=COLOURS["path"], markersize=4.0, label="" if k else "of a recording")
     stored = next((one.stored for one in calibration.recordings if one.stored is not None), None)
     if stored is not None:
@@ -115,7 +117,7 @@ def _draw_docks(axes: Axes, calibration: Calibration) -> None:
     if len(found) == 3:
         x, y, _ = found
         axes.errorbar(
-            x.value, y.value, x.half_width, y.half_width, "D", color=COLOURS["goal"], markersize=5.0, label="found"
+            x.value, y.value, y.half_width, x.half_width, "D", color=COLOURS["goal"], markersize=5.0, label="found"
         )
     axes.legend(fontsize=7, loc="best")
 

@@ -128,7 +128,7 @@ def _localization(measured: list[Measurements]) -> FloatArray:
     if all(odometry is None for _, _, odometry in told):
         return np.array([(stamp, *pose.as_array()) for stamp, pose, _ in told]).reshape(-1, 4)
     rows, before = [], None
-    for stamp, pose, odometry in told:
+    for _, pose, odometry in told:
         if odometry is None:
             continue
         correction = pose @ odometry.pose.inverse()

@@ -55,29 +55,10 @@ def as_text(calibration: Calibration) -> str:
 
 def written_values(calibration: Calibration) -> dict[str, dict[str, object]]:
     """Keys of a scenario (`dock`, `robot`) and of `ExecutorSettings` (`executor`), those alone that were found."""
-    executor: dict[str, object] = {}
-    pairs = (
-        ("odometry_scale_sigma", "scale of the way"),
-        ("odometry_drift_sigma", "turn per metre"),
-        ("detection_delay_sigma", "detections late by"),
-    )
-    for key, name in pairs:
-        found = _found(calibration, name)
-        if found is not None:  # of what is learned from 0 on: the value, and what is uncertain of it
-            executor[key] = _rounded(math.hypot(found.value, found.half_width / 1.96))
-    if calibration.motion is not None:
-        executor["odometry_sigma"] = _rounded(max(calibration.motion.noise.slip, _LEAST["odometry_sigma"]))
-    for key, name in (("position_sigma", "localization sigma, position"), ("yaw_sigma", "localization sigma, yaw")):
-        found = _found(calibration, name)
-        if found is not None:
-            executor[key] = _rounded(max(found.value, _LEAST[key]))
-    blind = _found(calibration, "blind distance")
-    if blind is not None and blind.low > 0.0:
-        executor["detection_blind_distance"] = _rounded(blind.high)
+    executor = _sigmas(calibration)
     values: dict[str, dict[str, object]] = {}
-    dock = [_found(calibration, f"stored dock, {part}") for part in ("x", "y", "yaw")]
-    if all(one is not None for one in dock):
-        x, y, yaw = (one for one in dock if one is not None)
+    x, y, yaw = (_found(calibration, f"stored dock, {part}") for part in ("x", "y", "yaw"))
+    if x is not None and y is not None and yaw is not None:
         values["dock"] = {"pose": [_rounded(one.value) for one in (x, y, yaw)]}
         # How far from there it will seem to be: by what is uncertain of it, and by the localization of that day.
         place, turn = max(x.half_width, y.half_width) / 1.96, yaw.half_width / 1.96
@@ -91,11 +72,39 @@ def written_values(calibration: Calibration) -> dict[str, dict[str, object]]:
     return values
 
 
+def _sigmas(calibration: Calibration) -> dict[str, object]:
+    """Settings that need nothing but one quantity each."""
+    executor: dict[str, object] = {}
+    for key, name in _LEARNED.items():
+        found = _found(calibration, name)
+        if found is not None:  # of what is learned from 0 on: the value, and what is uncertain of it
+            executor[key] = _rounded(math.hypot(found.value, found.half_width / 1.96))
+    if calibration.motion is not None:
+        executor["odometry_sigma"] = _rounded(max(calibration.motion.noise.slip, _LEAST["odometry_sigma"]))
+    for key, name in _MEASURED.items():
+        found = _found(calibration, name)
+        if found is not None:
+            executor[key] = _rounded(max(found.value, _LEAST[key]))
+    blind = _found(calibration, "blind distance")
+    if blind is not None and blind.low > 0.0:
+        executor["detection_blind_distance"] = _rounded(blind.high)
+    return executor
+
+
+_LEARNED = {
+    "odometry_scale_sigma": "scale of the way",
+    "odometry_drift_sigma": "turn per metre",
+    "detection_delay_sigma": "detections late by",
+}
+_MEASURED = {"position_sigma": "localization sigma, position", "yaw_sigma": "localization sigma, yaw"}
+
+
 def as_yaml(calibration: Calibration) -> str:
     """`written_values` as YAML, with the recordings that they are of."""
     head = "".join(f"#   {line}\n" for line in _lines(calibration))
     body = yaml.safe_dump(written_values(calibration), sort_keys=False, default_flow_style=None)
-    return f"# Made by optdock calibrate, of:\n{head}# dock and robot: keys of a scenario; executor: ExecutorSettings.\n{body}"
+    meaning = "# dock and robot: keys of a scenario; executor: ExecutorSettings.\n"
+    return f"# Made by optdock calibrate, of:\n{head}{meaning}{body}"
 
 
 def _sigma(calibration: Calibration, name: str, otherwise: float) -> float:

@@ -16,6 +16,7 @@ if TYPE_CHECKING:
 __all__ = ["CONFIDENCE", "Fit", "Quantity", "fit", "mean_of", "poisson_rate", "share_of", "unknown"]
 
 CONFIDENCE = 0.95
+_EVALUATIONS = 60  # of problems with three parameters that are solved within ten
 _STEP = 1e-4  # of the spread of a parameter: where its central difference is exact to eight digits
 
 
@@ -110,28 +111,31 @@ def fit(
 
     start, steps = np.array(guess, dtype=np.float64), np.array(scales, dtype=np.float64)
     limits = bounds if bounds is not None else (-np.inf, np.inf)
-    first = residuals(start)
-    for _ in range(2):  # the second time with the spread of what the first one has left
-        spread = 1.4826 * float(np.median(np.abs(first))) + 1e-12
+
+    def solved(begin: FloatArray) -> tuple[FloatArray, FloatArray, float]:
+        """Parameters, residuals, and the size from which on a residual counts less."""
+        size = 2.5 * 1.4826 * float(np.median(np.abs(residuals(begin)))) + 1e-12
         found = least_squares(
-            residuals, start, x_scale=steps, loss="soft_l1", f_scale=2.5 * spread, bounds=limits, max_nfev=60
+            residuals, begin, x_scale=steps, loss="soft_l1", f_scale=size, bounds=limits, max_nfev=_EVALUATIONS
         )
-        start, first = found.x, residuals(found.x)
-    weights = 1.0 / np.sqrt(1.0 + (first / (2.5 * spread)) ** 2)
+        return found.x, residuals(found.x), size
+
+    values, left, size = solved(solved(start)[0])  # the second time with the size of what the first one has left
+    weights = 1.0 / np.sqrt(1.0 + (left / size) ** 2)
     slopes = np.column_stack(
         [
-            (residuals(found.x + step) - residuals(found.x - step)) / (2.0 * step[k])
+            (residuals(values + step) - residuals(values - step)) / (2.0 * step[k])
             for k, step in enumerate(np.diag(_STEP * steps))
         ]
     )
-    scored = slopes * (weights * first)[:, None]
+    scored = slopes * (weights * left)[:, None]
     names, index = np.unique(clusters, return_inverse=True)
     gradients = np.zeros((len(names), len(start)))
     np.add.at(gradients, index, scored)
     inverse = np.linalg.pinv(slopes.T @ (weights[:, None] * slopes))
     count = max(len(names), 2)
     covariance = inverse @ (gradients.T @ gradients) @ inverse * (count / (count - 1.0))
-    return Fit(found.x, covariance, count - 1.0, first)
+    return Fit(values, covariance, count - 1.0, left)
 
 
 def mean_of(values: FloatArray) -> tuple[float, float, float]:

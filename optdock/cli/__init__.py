@@ -1,4 +1,4 @@
-"""The command line: `optdock plan | simulate | certify | compare | demo | replay | calibrate | bag | import | plugins | schema`.
+"""The command line: `optdock plan | simulate | certify | compare | demo | replay | calibrate | bag | import | ...`.
 
 Commands load the library when they run, so that `--help` stays quick.
 """
