@@ -18,7 +18,7 @@ __all__ = ["DetectionNoise", "detection_noise", "detection_quantities", "noise_o
 
 # Wrong detections: of another tag, of another pose of the same one. Their spread is estimated too, from here on.
 _WRONG = 0.08, 0.15  # [m], [rad]
-_LEAST = 2e-4, 1e-3  # [m], [rad]; [s] of jitter: no detector is better
+_LEAST = 2e-4  # [m], [rad]: no detector is better
 _FLOOR = 1e-12
 
 
@@ -27,7 +27,7 @@ class DetectionNoise(NamedTuple):
 
     Attributes:
         noise: Standard deviations.
-        covariance: Of position, position slope, yaw, yaw slope and jitter, Shape (5, 5).
+        covariance: Of position, position slope, yaw, yaw slope and the square of the jitter, Shape (5, 5).
         wrong: How probably each detection is a wrong one, Shape (n,).
     """
 
@@ -58,20 +58,20 @@ def detection_noise(seen: Sequence[Seen]) -> DetectionNoise:
 
     def parts(x: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Logarithms of the densities of right and wrong ones, Shape (n,) each."""
-        spread = Noise(*np.abs(x[:5]).tolist()).sigmas(ranges, velocity) ** 2 * left + _FLOOR
+        spread = _variances(x, ranges, velocity) * left + _FLOOR
         far = np.array([x[5], x[5], x[6]]) ** 2 + spread
         share = 1.0 / (1.0 + np.exp(-x[7]))
         right, wrong = (-0.5 * np.sum(residuals**2 / var + np.log(2.0 * np.pi * var), axis=1) for var in (spread, far))
         return right + np.log1p(-share), wrong + np.log(share)
 
-    scale = np.array([1e-3, 1e-3, 1e-3, 1e-3, 1e-2, 0.1, 0.1, 1.0])
-    start = np.array([3e-3, 4e-3, 6e-3, 8e-3, 1e-2, *_WRONG, -3.0]) / scale
+    scale = np.array([1e-3, 1e-3, 1e-3, 1e-3, 1e-4, 0.1, 0.1, 1.0])
+    start = np.array([3e-3, 4e-3, 6e-3, 8e-3, 1e-4, *_WRONG, -3.0]) / scale
 
     def each(z: FloatArray) -> FloatArray:
         return np.logaddexp(*parts(z * scale))
 
-    least = np.array([_LEAST[0], 0.0, _LEAST[0], 0.0, _LEAST[1], 0.02, 0.03, -7.0]) / scale
-    most = np.array([0.2, 0.2, 0.5, 0.5, 0.2, 0.5, 1.0, 0.0]) / scale
+    least = np.array([_LEAST, -0.05, _LEAST, -0.05, 0.0, 0.02, 0.03, -7.0]) / scale
+    most = np.array([0.2, 0.2, 0.5, 0.5, 0.04, 0.5, 1.0, 0.0]) / scale
 
     def misfit(z: FloatArray) -> float:
         return -float(np.sum(each(z)))
@@ -82,9 +82,16 @@ def detection_noise(seen: Sequence[Seen]) -> DetectionNoise:
     right, wrong = parts(z * scale)
     values = z * scale
     covariance = _sandwich(each, z)[:5, :5] * np.outer(scale[:5], scale[:5])
-    return DetectionNoise(
-        Noise(*values[:5].tolist()), covariance, 1.0 / (1.0 + np.exp(np.clip(right - wrong, -50, 50)))
-    )
+    position, position_slope, yaw, yaw_slope, square = values[:5].tolist()
+    noise = Noise(position, position_slope, yaw, yaw_slope, max(square, 0.0) ** 0.5)
+    return DetectionNoise(noise, covariance, 1.0 / (1.0 + np.exp(np.clip(right - wrong, -50, 50))))
+
+
+def _variances(x: FloatArray, ranges: FloatArray, velocity: FloatArray) -> FloatArray:
+    """Of right detections' x, y and yaw, Shape (n, 3); smooth also where a slope or the jitter is a little below 0."""
+    position, yaw = (np.maximum(x[k] + x[k + 1] * ranges, _LEAST) for k in (0, 2))
+    found: FloatArray = np.column_stack((position, position, yaw)) ** 2 + x[4] * velocity**2
+    return np.maximum(found, _LEAST**2)
 
 
 def _sandwich(each: object, z: FloatArray) -> FloatArray:
@@ -120,15 +127,16 @@ def detection_quantities(motion: Motion) -> list[Quantity]:
         ("detection sigma, yaw, at range 0", "rad"), ("detection sigma, yaw, per range", "rad/m"),
         ("jitter of the detections' stamps", "s"),
     )  # fmt: skip
-    half = student(max(count - 8.0, 1.0)) * np.sqrt(np.diag(found.covariance))
+    half = student(max(count - 8.0, 1.0)) * np.sqrt(np.maximum(np.diag(found.covariance), 0.0))
     ranges = np.concatenate([one.seen.ranges for one in motion.of])
     rows = []
     for k, (name, unit) in enumerate(names):
         value, off = float(found.noise[k]), float(half[k])
-        if k in (1, 3) and float(np.ptp(ranges)) < _LEAST_RANGES:
+        if k in _SLOPES and float(np.ptp(ranges)) < _LEAST_RANGES:
             rows.append(unknown(name, unit, "the dock was always seen from the same distance", count))
         else:
-            rows.append(Quantity(name, unit, value, max(value - off, 0.0), value + off, count, sources))
+            low, high = (value - off, value + off) if k != 4 else _roots(value**2, off)
+            rows.append(Quantity(name, unit, value, low if k in _SLOPES else max(low, 0.0), high, count, sources))
     wrong = int(np.sum(found.wrong > 0.5))
     return [
         *rows,
@@ -137,6 +145,12 @@ def detection_quantities(motion: Motion) -> list[Quantity]:
     ]
 
 
+def _roots(value: float, off: float) -> tuple[float, float]:
+    """Of the bounds of a square."""
+    return max(value - off, 0.0) ** 0.5, (value + off) ** 0.5
+
+
+_SLOPES = 1, 3
 _LEAST_RANGES = 0.3  # [m]
 _MOST_MISSED = 3  # pictures on the last centimetres without a detection that are no blindness yet
 _NEAR = 0.5  # [m] beyond the nearest detection, where it is counted how many pictures show the dock

@@ -35,7 +35,7 @@ _CLUSTER = 2.0  # [s]: residuals further apart than that have nothing in common,
 _GUESS, _SCALE = (0.08, 0.1, 1.0, 5e-4), (0.02, 0.02, 0.02, 1e-3)
 _LEAST_SPREAD = 4e-6  # [s^2]: 2 ms, of which nobody sees anything
 _BOUNDS = (0.0, 1e-3, 0.2, _LEAST_SPREAD), (1.0, 2.0, 2.0, 0.04)
-_FINE = 0.0025  # [s] of the integral of the commands that the spread is taken of
+_MOST_UNCERTAIN = 0.5  # [s]: who knows no better knows nothing of a drive
 _LEAST_CHANGE = 0.05, 0.1  # [m/s], [rad/s]: commands that change by less than this tell nothing of delays
 _MOST_BAND, _BAND_STEP = 0.12, 0.001  # [m/s] of the dead bands that are looked at; motors beyond that are broken
 
@@ -67,23 +67,27 @@ def drive_response(recordings: Sequence[Recording]) -> DriveResponse:
     """Latency and lag of the drive, and the dead bands of its wheels, from commands against the odometry."""
     used = [one for one in recordings if len(one.path.times) > 20]
     width = used[0].track_width if used else 0.0
-    bands, quantities = (0.0, 0.0), []
-    if width > 0.0:
-        found = [_dead_band([_wheel(one, side, width) for one in used], name) for side, name in _SIDES]
-        bands = found[0].value if found[0] else 0.0, found[1].value if found[1] else 0.0
-        quantities += found
-    else:
-        quantities += [
+    bands, found_bands = (
+        (0.0, 0.0),
+        [
             unknown(f"dead band, {name} wheel", "m/s", "the distance between the wheels, track_width, is not known")
             for _, name in _SIDES
-        ]
+        ],
+    )
+    if width > 0.0:
+        for _ in range(2):  # with latency and lag of a drive without bands, and then of one with those
+            found_bands = _dead_bands(used, bands, width)
+            left, right = (one.value if one else 0.0 for one in found_bands)
+            if bands == (left, right):
+                break
+            bands = left, right
     fits: list[Fit | None] = []
+    quantities: list[Quantity] = []
     for index, name in enumerate(("linear", "angular")):
-        axes = [_axis(one, index, bands, width) for one in used]
-        found_axis, rows = _fitted(axes, name, _LEAST_CHANGE[index])
-        fits.append(found_axis)
-        quantities = [*rows, *quantities] if index == 0 else [*quantities[:2], *rows, *quantities[2:]]
-    return DriveResponse(quantities, [_answer(one, fits, bands, width) for one in used])
+        found, rows = _fitted([_axis(one, index, bands, width) for one in used], name, _LEAST_CHANGE[index])
+        fits.append(found)
+        quantities += rows
+    return DriveResponse([*quantities, *found_bands], [_answer(one, fits, bands, width) for one in used])
 
 
 _SIDES = (-1.0, "left"), (1.0, "right")
@@ -104,13 +108,19 @@ def answered(times: FloatArray, commands: FloatArray, values: Sequence[float], a
     half = math.sqrt(max(spread, 0.25 * _LEAST_SPREAD))
     begin, end = times[0], max(float(at[-1]), float(times[-1])) + _GRID
     grid = begin + _GRID * np.arange(int(np.ceil((end - begin) / _GRID)) + 1)
-    knots = np.concatenate((times, [end + 2.0]))
-    asked = np.concatenate(([0.0], np.cumsum(commands * np.diff(knots))))  # the integral of what was commanded
-    fine = np.arange(begin - latency - half - _GRID, end + _GRID + half, _FINE)
-    rough = np.interp(fine, knots, asked)
-    summed = np.concatenate(([0.0], np.cumsum(0.5 * (rough[1:] + rough[:-1]) * _FINE)))
-    ahead, back = (np.interp(grid - latency + off, fine, summed) for off in (half, -half))
-    target = gain * np.diff((ahead - back) / (2.0 * half)) / _GRID
+    # Of what was commanded, the integral and the integral of that: the mean over the spread needs the second.
+    steps = np.diff(times)
+    once = np.concatenate(([0.0], np.cumsum(commands[:-1] * steps)))
+    twice = np.concatenate(([0.0], np.cumsum(once[:-1] * steps + 0.5 * commands[:-1] * steps**2)))
+
+    def summed(at_times: FloatArray) -> FloatArray:
+        row = np.maximum(np.searchsorted(times, at_times, side="right") - 1, 0)
+        since = np.maximum(at_times - times[row], 0.0)
+        found: FloatArray = twice[row] + since * (once[row] + 0.5 * commands[row] * since)
+        return found
+
+    asked = (summed(grid - latency + half) - summed(grid - latency - half)) / (2.0 * half)
+    target = gain * np.diff(asked) / _GRID
     keep = np.exp(-_GRID / lag)
     speed = lfilter([0.0, 1.0 - keep], [1.0, -keep], target)
     way = target * _GRID + (speed - target) * lag * (1.0 - keep)  # exact within a step of the grid
@@ -128,7 +138,14 @@ def _fitted(axes: list[_Axis], name: str, least_change: float) -> tuple[Fit | No
     clusters = _clusters(axes)
     found = fit(lambda values: _residuals(axes, values), _GUESS, clusters, _SCALE, bounds=_BOUNDS)
     sources = sum(float(np.ptp(axis.commands)) >= least_change for axis in axes)
-    return found, [Quantity(row, unit, *found.interval(k), count, sources) for k, (row, unit) in enumerate(rows)]
+    return found, [_checked(row, unit, found.interval(k), count, sources) for k, (row, unit) in enumerate(rows)]
+
+
+def _checked(name: str, unit: str, interval: tuple[float, float, float], count: int, sources: int) -> Quantity:
+    value, low, high = interval
+    if high - low > _MOST_UNCERTAIN:
+        return unknown(name, unit, "the answers fit with latencies and lags of any length", count)
+    return Quantity(name, unit, value, max(low, 0.0), high, count, sources)
 
 
 def _residuals(axes: list[_Axis], values: FloatArray) -> FloatArray:
@@ -186,47 +203,53 @@ def _spans(recording: Recording, commands: FloatArray, stamps: FloatArray, way: 
     return _Axis(recording.times, commands, stamps, way, first, last[first])
 
 
-def _dead_band(axes: list[_Axis], name: str) -> Quantity:
-    """The speed below which a wheel stands still: the one with which the answer of the drive fits best.
+def _dead_bands(recordings: list[Recording], bands: tuple[float, float], width: float) -> list[Quantity]:
+    """The speed below which each wheel stands still: the one with which the answer of the drive fits best.
 
     Its interval are the speeds that fit no worse than chance allows, the misfits being summed by clusters.
+
+    Args:
+        recordings: What was driven.
+        bands: With which latency and lag are fitted first [m/s].
+        width: Between the wheels [m].
     """
-    title, unit = f"dead band, {name} wheel", "m/s"
-    if not axes or max(float(np.max(np.abs(axis.commands))) for axis in axes) < _MOST_BAND:
-        return unknown(title, unit, "the wheel was never told to turn fast enough")
-    bands = np.arange(0.0, _MOST_BAND, _BAND_STEP)
-    misfits = _misfits(axes, bands, 0.0)  # latency and lag of a drive without a band, ...
-    row = _lowest(misfits)
-    misfits = _misfits(axes, bands, float(bands[row]))  # ... and of one with the band that these have shown
-    row = _lowest(misfits)
-    worse = misfits - misfits[row]
-    spread = np.sqrt(np.sum((worse - np.mean(worse, axis=1, keepdims=True)) ** 2, axis=1))
-    fits = np.flatnonzero(np.sum(worse, axis=1) <= student(worse.shape[1] - 1.0) * spread + _ROUNDING)
-    low, high = float(bands[fits[0]]) - _BAND_STEP, float(bands[fits[-1]]) + _BAND_STEP
-    return Quantity(title, unit, float(bands[row]), max(low, 0.0), high, sum(len(a.first) for a in axes), len(axes))
+    linear = [_axis(one, 0, bands, width) for one in recordings]
+    clusters = _clusters(linear)
+    values = fit(lambda x: _residuals(linear, x), _GUESS, clusters, _SCALE, bounds=_BOUNDS).values
+    tried, found = np.arange(0.0, _MOST_BAND, _BAND_STEP), []
+    for side, wheel in _SIDES:
+        axes = [_wheel(one, side, width) for one in recordings]
+        title, unit, count = f"dead band, {wheel} wheel", "m/s", len(clusters)
+        if max(float(np.max(np.abs(axis.commands))) for axis in axes) < _MOST_BAND:
+            found.append(unknown(title, unit, "the wheel was never told to turn fast enough", count))
+            continue
+        misfits = _misfits(axes, tried, values)
+        row = _lowest(misfits)
+        worse = misfits - misfits[row]
+        spread = np.sqrt(np.sum((worse - np.mean(worse, axis=1, keepdims=True)) ** 2, axis=1))
+        fits = np.flatnonzero(np.sum(worse, axis=1) <= student(worse.shape[1] - 1.0) * spread + _ROUNDING)
+        low, high = float(tried[fits[0]]) - _BAND_STEP, float(tried[fits[-1]]) + _BAND_STEP
+        found.append(Quantity(title, unit, float(tried[row]), max(low, 0.0), high, count, len(axes)))
+    return found
 
 
 _ROUNDING = 1e-15  # [m^2] of sums of squares
 
 
-def _misfits(axes: list[_Axis], bands: FloatArray, band: float) -> FloatArray:
-    """Sums of squared residuals of each cluster for each dead band, with latency and lag as fitted with one of them.
+def _misfits(axes: list[_Axis], bands: FloatArray, values: FloatArray) -> FloatArray:
+    """Sums of squared residuals of each cluster for each dead band, Shape (b, c) [m^2].
 
     A stretch with a slipping or stalled wheel counts no more than others: misfits beyond the usual ones are cut.
-
-    Returns:
-        Shape (b, c) [m^2].
     """
-    clusters = _clusters(axes)
-
-    def left(values: FloatArray, width: float) -> FloatArray:
-        return _residuals([axis._replace(commands=_beyond(axis.commands, width)) for axis in axes], values)
-
-    def without(values: FloatArray) -> FloatArray:
-        return left(values, band)
-
-    values = fit(without, _GUESS, clusters, _SCALE, bounds=_BOUNDS).values
-    found = np.array([np.bincount(clusters, left(values, width) ** 2) for width in bands.tolist()])
+    clusters, before = _clusters(axes), np.zeros(0)
+    rows: list[FloatArray] = []
+    for band in bands.tolist():
+        moved = [axis._replace(commands=np.where(np.abs(axis.commands) < band, 0.0, axis.commands)) for axis in axes]
+        commands = np.concatenate([axis.commands for axis in moved])
+        is_new = not np.array_equal(commands, before)  # between two commands that were given nothing changes
+        rows.append(np.bincount(clusters, _residuals(moved, values) ** 2).astype(np.float64) if is_new else rows[-1])
+        before = commands
+    found = np.array(rows)
     usual = float(np.percentile(np.min(found, axis=0), 90.0))
     misfits: FloatArray = np.minimum(found, 4.0 * usual + _ROUNDING)
     return misfits
@@ -237,11 +260,6 @@ def _lowest(misfits: FloatArray) -> int:
     total = np.sum(misfits, axis=1)
     alike = np.flatnonzero(total <= float(np.min(total)) * (1.0 + 1e-9) + _ROUNDING)
     return int(alike[len(alike) // 2])
-
-
-def _beyond(commands: FloatArray, band: float) -> FloatArray:
-    found: FloatArray = np.where(np.abs(commands) < band, 0.0, commands)
-    return found
 
 
 def _answer(

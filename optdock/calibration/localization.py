@@ -27,7 +27,7 @@ _BIN = 0.5  # [s]: medians over so long are exact to millimetres, and few locali
 _SIDE = 2  # bins on either side whose means are compared for a jump
 _GAP = 1.5  # [s] between two bins, after which a change may be drift
 _LEAST_JUMP = 0.025  # [m]: AMCL drifts by less than that in a second
-_JUMP_OF_USUAL = 3.5  # times the usual change
+_BY_CHANCE = 3.5  # standard deviations of a change that detections make up
 _EVERY = 1.0  # [s] between the values that the spread is computed of: their errors last for seconds
 _LEAST = 12  # values in all
 _UNKNOWN = 1.0  # [m], [rad]: standard deviation of what a jump may be, and of the dock
@@ -46,21 +46,35 @@ class LocalizationErrors(NamedTuple):
     series: list[FloatArray]
 
 
-def docks_in_map(one: Smoothed, delay: float) -> tuple[FloatArray, FloatArray, FloatArray]:
+class Placed(NamedTuple):
+    """Robot and dock in the map.
+
+    Attributes:
+        stamps: Of detections, Shape (n,) [s].
+        robot: By localization, Shape (n, 3).
+        dock: As then detected, Shape (n, 3).
+        variances: Of the robot's x and y, each [m^2], and yaw [rad^2], where the dock is known; Shape (n, 2).
+    """
+
+    stamps: FloatArray
+    robot: FloatArray
+    dock: FloatArray
+    variances: FloatArray
+
+
+def docks_in_map(one: Smoothed, delay: float) -> Placed:
     """Where localization and each detection put the robot and the dock; wrong detections are left out.
 
     Args:
         one: A recording.
         delay: By which its detections are late [s].
 
-    Returns:
-        Stamps, Shape (n,) [s]; robot and dock in the map, Shape (n, 3) each.
     """
     told, seen = one.recording.localization, one.seen
     times, poses = one.recording.path
     stamps = seen.stamps - delay
     if len(told) < 2:
-        return stamps[:0], seen.detected[:0], seen.detected[:0]
+        return Placed(stamps[:0], seen.detected[:0], seen.detected[:0], seen.detected[:0, :2])
     near = np.clip(np.searchsorted(told[:, 0], stamps), 1, len(told) - 1)
     near = np.where(stamps - told[near - 1, 0] < told[near, 0] - stamps, near - 1, near)
     kept = np.all(np.abs(seen.residuals) < _RIGHT * seen.sigmas, axis=1)
@@ -69,13 +83,15 @@ def docks_in_map(one: Smoothed, delay: float) -> tuple[FloatArray, FloatArray, F
         np.column_stack([np.interp(at[kept], times, poses[:, k]) for k in range(3)]) for at in (told[near, 0], stamps)
     )
     robot = _composed(told[near[kept], 1:], _seen_from(then, now))
-    return stamps[kept], robot, _composed(robot, seen.detected[kept])
+    sigmas, ranges = seen.sigmas[kept], seen.ranges[kept]
+    variances = sigmas[:, 0] ** 2 + (ranges * sigmas[:, 2]) ** 2, sigmas[:, 2] ** 2
+    return Placed(stamps[kept], robot, _composed(robot, seen.detected[kept]), np.column_stack(variances))
 
 
 def stored_dock(motion: Motion) -> list[Quantity]:
     """The dock's pose in the map, of the recordings whose dockings succeeded: a mean with Student's interval."""
     names = (("stored dock, x", "m"), ("stored dock, y", "m"), ("stored dock, yaw", "rad"))
-    rows = [docks_in_map(one, float(motion.values[3]))[2] for one in motion.of if one.recording.docked_at is not None]
+    rows = [docks_in_map(one, float(motion.values[3])).dock for one in motion.of if one.recording.docked_at is not None]
     rows = [one for one in rows if len(one) > 0]
     count = sum(map(len, rows))
     if len(rows) < 2:
@@ -110,19 +126,19 @@ def localization_errors(motion: Motion) -> LocalizationErrors:
         ("localization jumps", "1/s"), ("size of localization jumps", "m"),
     )  # fmt: skip
     found = [docks_in_map(one, float(motion.values[3])) for one in motion.of]
-    found = [one for one in found if len(one[0]) > 0]
-    if sum(len(stamps) for stamps, _, _ in found) < _LEAST:
+    found = [one for one in found if len(one.stamps) > 0]
+    if sum(len(one.stamps) for one in found) < _LEAST:
         reason = "localization and dock were hardly ever known at the same time"
         return LocalizationErrors([unknown(name, unit, reason) for name, unit in names], [])
-    docks = np.concatenate([dock for _, _, dock in found])
+    docks = np.concatenate([one.dock for one in found])
     first = float(docks[0, 2])
     dock = np.array([*np.median(docks[:, :2], axis=0), first + float(np.median(_wrapped(docks[:, 2] - first)))])
-    series = [_binned(stamps, _errors(robot, seen, dock), _BIN) for stamps, robot, seen in found]
+    series = [_binned(one, dock, _BIN) for one in found]
     jumps = [_jumps(rows) for rows in series]
     sizes = np.array([size for one in jumps for _, size in one])
     steps = np.concatenate([np.diff(rows[:, 0]) for rows in series])
     exposure, count = max(float(np.sum(steps[steps < _GAP])), _BIN), sum(map(len, series))
-    thin = [_binned(stamps, _errors(robot, seen, dock), _EVERY) for stamps, robot, seen in found]
+    thin = [_binned(one, dock, _EVERY) for one in found]
     cut = [[stamp for stamp, _ in one] for one in jumps]
     quantities = [
         _spread(names[0], thin, cut, (1, 2)),
@@ -132,7 +148,7 @@ def localization_errors(motion: Motion) -> LocalizationErrors:
         if len(sizes) > 1
         else unknown(*names[3], f"{len(sizes)} jumps in {exposure:.0f} s", len(sizes)),
     ]
-    return LocalizationErrors(quantities, series)
+    return LocalizationErrors(quantities, [rows[:, :4] for rows in series])
 
 
 def _errors(robot: FloatArray, seen: FloatArray, dock: FloatArray) -> FloatArray:
@@ -166,24 +182,43 @@ def _wrapped(angles: FloatArray) -> FloatArray:
     return found
 
 
-def _binned(stamps: FloatArray, errors: FloatArray, width: float) -> FloatArray:
-    """Mean stamps and median errors of bins of some width [s], Shape (b, 4)."""
-    number = np.floor((stamps - stamps[0]) / width)
-    bins = [number == one for one in np.unique(number).tolist()]
-    return np.array([[float(np.mean(stamps[one])), *np.median(errors[one], axis=0)] for one in bins])
+def _binned(one: Placed, dock: FloatArray, width: float) -> FloatArray:
+    """Errors of the localization with a dock at a pose in the map, in means of bins of some width [s].
+
+    Returns:
+        Stamps, errors of x, y, yaw, and variances of what detections make of position and yaw, Shape (b, 6).
+    """
+    number = np.floor((one.stamps - one.stamps[0]) / width)
+    errors, certain = _errors(one.robot, one.dock, dock), 1.0 / one.variances
+    rows = []
+    for bin_ in np.unique(number).tolist():
+        inside = number == bin_
+        weights = certain[inside][:, [0, 0, 1]]
+        total = np.sum(weights, axis=0)
+        mean = np.sum(weights * errors[inside], axis=0) / total
+        rows.append([float(np.mean(one.stamps[inside])), *mean, *(1.0 / total[1:])])
+    return np.array(rows)
 
 
 def _jumps(rows: FloatArray) -> list[tuple[float, float]]:
     """Stamps and sizes [s, m] of jumps: where the means before and after differ, and most near by."""
     steps = np.zeros(len(rows))
     for k in range(_SIDE, len(rows) - _SIDE + 1):
-        if rows[k, 0] - rows[k - 1, 0] < _GAP:
-            change = np.mean(rows[k : k + _SIDE, 1:3], axis=0) - np.mean(rows[k - _SIDE : k, 1:3], axis=0)
-            steps[k] = math.hypot(*change.tolist())
-    usual = float(np.median(steps[steps > 0.0])) if np.any(steps > 0.0) else 0.0
+        sides = slice(k - _SIDE, k), slice(k, k + _SIDE)
+        (before, _), (after, _) = means = [_mean(rows[side]) for side in sides]
+        chance = math.sqrt(means[0][1] + means[1][1])
+        size = math.hypot(*(after - before).tolist())
+        if rows[k, 0] - rows[k - 1, 0] < _GAP and size > max(_LEAST_JUMP, _BY_CHANCE * chance):
+            steps[k] = size
     around = [float(np.max(steps[max(0, k - _SIDE) : k + _SIDE + 1])) for k in range(len(steps))]
-    jumping = (steps > max(_LEAST_JUMP, _JUMP_OF_USUAL * usual)) & (steps >= np.array(around))
-    return [(float(rows[k, 0]), float(steps[k])) for k in np.flatnonzero(jumping)]
+    return [(float(rows[k, 0]), float(steps[k])) for k in np.flatnonzero((steps > 0.0) & (steps >= np.array(around)))]
+
+
+def _mean(rows: FloatArray) -> tuple[FloatArray, float]:
+    """Mean x and y by their variances, and the variance of each."""
+    weights = 1.0 / rows[:, 4]
+    mean: FloatArray = weights @ rows[:, 1:3] / np.sum(weights)
+    return mean, float(1.0 / np.sum(weights))
 
 
 def _spread(
@@ -191,8 +226,8 @@ def _spread(
 ) -> Quantity:
     """Standard deviation of an error that drifts: a Gauss-Markov process, by maximum likelihood.
 
-    Its correlation time and a white part, of the detections, are estimated too; the dock and what each jump has added
-    are not known. The interval is that of the profile of the likelihood ([Pawitan2001] ch. 3).
+    Its correlation time and a white part, beside that of the detections, are estimated too; the dock and what each jump
+    has added are not known. The interval is that of the profile of the likelihood ([Pawitan2001] ch. 3).
     """
     from scipy.optimize import brentq, minimize_scalar
 
@@ -215,7 +250,7 @@ def _spread(
 
 
 _LIMITS = math.log(3e-4), math.log(0.3)  # [m] or [rad], of the standard deviation that is looked for
-_OTHERS = (math.log(1.0), math.log(60.0)), (math.log(2e-4), math.log(0.05))  # of correlation time and white part
+_OTHERS = (math.log(1.0), math.log(60.0)), (math.log(2e-4), math.log(0.01))  # of correlation time and white part
 _GUESS = math.log(10.0), math.log(0.003)  # likewise: as AMCL drifts, and as a second of detections is exact
 
 
@@ -226,6 +261,7 @@ class _Process:
         number = np.repeat(np.arange(len(series)), [len(rows) for rows in series])
         rows = np.concatenate(series)
         self._values = rows[:, list(columns)]
+        self._seen = np.diag(rows[:, 4 if columns[0] == 1 else 5])
         self._apart = np.abs(rows[:, 0, None] - rows[:, 0])
         self._together = number[:, None] == number
         self._known = np.full(self._apart.shape, _UNKNOWN**2)
@@ -248,6 +284,7 @@ class _Process:
 
         lasting, white = np.exp(others).tolist()
         drifting = sigma**2 * self._together * np.exp(-self._apart / lasting)
-        factor = cho_factor(self._known + drifting + white**2 * np.eye(len(self._apart)), lower=True)
+        factor = cho_factor(self._known + drifting + self._seen + white**2 * np.eye(len(self._apart)), lower=True)
         fits = float(np.sum(self._values * cho_solve(factor, self._values)))
-        return 0.5 * fits + self._values.shape[1] * float(np.sum(np.log(np.diag(factor[0]))))
+        size: int = self._values.shape[1]
+        return 0.5 * fits + size * float(np.sum(np.log(np.diag(factor[0]))))

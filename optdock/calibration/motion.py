@@ -37,6 +37,9 @@ _PRIOR = np.array([0.1, 0.5, 0.2, 0.5])  # of scale [1], drift [rad/m], turn sca
 _ROUNDS = 2  # of estimating the spreads, after which they change by less than their own uncertainty
 
 
+_LEAST_SIGMA = 2e-4  # [m], [rad]: no detector is better
+
+
 class Noise(NamedTuple):
     """Standard deviations of detections and of slip.
 
@@ -65,7 +68,8 @@ class Noise(NamedTuple):
             ranges: Distance of the dock, Shape (n,) [m].
             velocity: Of the dock as the robot sees it, Shape (n, 3) [m/s, m/s, rad/s].
         """
-        position, yaw = self.position + self.position_slope * ranges, self.yaw + self.yaw_slope * ranges
+        position = np.maximum(self.position + self.position_slope * ranges, _LEAST_SIGMA)
+        yaw = np.maximum(self.yaw + self.yaw_slope * ranges, _LEAST_SIGMA)
         found: FloatArray = np.sqrt(np.column_stack((position, position, yaw)) ** 2 + (self.jitter * velocity) ** 2)
         return found
 
@@ -378,8 +382,10 @@ def _together(solutions: list[_Solution]) -> tuple[FloatArray, FloatArray]:
 
 def _slip_of(solutions: list[_Solution]) -> dict[str, float]:
     """Standard deviations of slip after a metre: the mean square of what the cells were given."""
-    squares = np.mean(np.concatenate([one.slip for one in solutions]), axis=0)
-    along, yaw = np.sqrt(squares).tolist()
+    cells = np.concatenate([one.slip for one in solutions])
+    if len(cells) == 0:  # the robot stood all the time
+        return {}
+    along, yaw = np.sqrt(np.mean(cells, axis=0)).tolist()
     return {"slip": max(along, 1e-3), "slip_yaw": max(yaw, 1e-3)}
 
 

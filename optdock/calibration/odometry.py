@@ -44,6 +44,8 @@ def twist_window(recordings: Sequence[Recording]) -> Quantity:
     start = min(_STARTS, key=lambda window: float(np.sum(np.abs(residuals(np.array([window]))))))
     found = fit(residuals, (start,), clusters, (0.01,), bounds=((1e-3,), (_LONGEST,)))
     value, low, high = found.interval(0)
+    if high - low > _LONGEST:
+        return unknown(name, unit, "the twists fit with windows of any length", len(clusters))
     # Between two poses the way is taken as straight in time; what that does to means is a share of their distance.
     rough = _ROUGH * float(np.median(np.concatenate([np.diff(one.odometry[:, 0]) for one in used])))
     return Quantity(name, unit, value, max(low - rough, 0.0), high + rough, len(clusters), len(used))

@@ -105,7 +105,7 @@ def _draw_docks(axes: Axes, calibration: Calibration) -> None:
     _grid(axes)
     if calibration.motion is not None:
         for k, one in enumerate(calibration.motion.of):
-            rows = docks_in_map(one, float(calibration.motion.values[3]))[2]
+            rows = docks_in_map(one, float(calibration.motion.values[3])).dock
             axes.plot(rows[:, 0], rows[:, 1], ".", color=COLOURS["limit"], markersize=2.0, label="" if k else "single")
             if len(rows):
                 middle = np.mean(rows[:, :2], axis=0)
@@ -119,7 +119,8 @@ def _draw_docks(axes: Axes, calibration: Calibration) -> None:
         axes.errorbar(
             x.value, y.value, y.half_width, x.half_width, "D", color=COLOURS["goal"], markersize=5.0, label="found"
         )
-    axes.legend(fontsize=7, loc="best")
+    if axes.get_legend_handles_labels()[0]:
+        axes.legend(fontsize=7, loc="best")
 
 
 def _grid(axes: Axes) -> None:
