@@ -146,8 +146,11 @@ def detection_quantities(motion: Motion) -> list[Quantity]:
 
 
 def _roots(value: float, off: float) -> tuple[float, float]:
-    """Of the bounds of a square."""
-    return max(value - off, 0.0) ** 0.5, (value + off) ** 0.5
+    """Of the bounds of the square of a jitter; from the lower one what unseen slip of the wheels makes up is taken."""
+    return max(value - off - _SLIPPED**2, 0.0) ** 0.5, (value + off) ** 0.5
+
+
+_SLIPPED = 0.012  # [s]: 3 mm at 0.25 m/s, of slip that begins or ends within the 0.2 s of a cell of the motion
 
 
 _SLOPES = 1, 3
@@ -155,6 +158,7 @@ _LEAST_RANGES = 0.3  # [m]
 _MOST_MISSED = 3  # pictures on the last centimetres without a detection that are no blindness yet
 _NEAR = 0.5  # [m] beyond the nearest detection, where it is counted how many pictures show the dock
 _CHANCE = 0.05
+_AS_NEAR = 0.01  # [m]: who saw the dock from as near as that to where it stopped was not blind
 
 
 def _blind(motion: Motion, wrong: FloatArray) -> Quantity:
@@ -173,16 +177,21 @@ def _blind(motion: Motion, wrong: FloatArray) -> Quantity:
     if not np.isfinite(nearest):
         return unknown(name, unit, "all detections are wrong ones")
     pictures = [_pictures(one) for one in motion.of]
-    missed = np.sort(np.concatenate(pictures))[::-1]
-    missed = missed[missed < nearest]
-    count = sum(map(len, seen))
-    if len(missed) < _MOST_MISSED:
+    passed = np.concatenate(pictures) if pictures else np.zeros(0)
+    count, closest = sum(map(len, seen)), float(np.min(passed, initial=np.inf))
+    missed = np.sort(passed[passed < nearest])[::-1]
+    if len(missed) < _MOST_MISSED or nearest < closest + _AS_NEAR:
         return Quantity(name, unit, 0.0, 0.0, nearest, count, len(seen))
     beyond = sum(int(np.sum(ranges < nearest + _NEAR)) for ranges in seen)
-    expected = sum(int(np.sum((ranges >= nearest) & (ranges < nearest + _NEAR))) for ranges in pictures)
+    expected = int(np.sum((passed >= nearest) & (passed < nearest + _NEAR)))
     share = min(max(beyond / max(expected, 1), 0.1), 0.95)
     most = min(int(np.ceil(np.log(_CHANCE) / np.log(1.0 - share))), len(missed))
-    off = float(np.max(motion.noise.sigmas(np.array([nearest]), np.zeros((1, 3)))[0, :1]))
+    # How well either range is known: by where the dock was seen, and by how far the robot drove while a stamp jitters.
+    speeds = np.concatenate(
+        [np.hypot(*one.seen.velocity[one.seen.ranges < nearest + _NEAR, :2].T) for one in motion.of]
+    )
+    still = motion.noise.sigmas(np.array([nearest]), np.zeros((1, 3)))[0, 0]
+    off = 2.0 * float(np.hypot(still, motion.noise.jitter * np.median(speeds)))
     low = max(float(missed[most - 1]) - off, 0.0)
     return Quantity(name, unit, 0.5 * (low + nearest), low, nearest + off, count, len(seen))
 

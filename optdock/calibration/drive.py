@@ -35,6 +35,8 @@ _CLUSTER = 2.0  # [s]: residuals further apart than that have nothing in common,
 _GUESS, _SCALE = (0.08, 0.1, 1.0, 5e-4), (0.02, 0.02, 0.02, 1e-3)
 _LEAST_SPREAD = 4e-6  # [s^2]: 2 ms, of which nobody sees anything
 _BOUNDS = (0.0, 1e-3, 0.2, _LEAST_SPREAD), (1.0, 2.0, 2.0, 0.04)
+# [s]: lost commands, and latencies that are not spread evenly, move latency and lag against each other by about this.
+_UNMODELLED = 0.0015
 _MOST_UNCERTAIN = 0.5  # [s]: who knows no better knows nothing of a drive
 _LEAST_CHANGE = 0.05, 0.1  # [m/s], [rad/s]: commands that change by less than this tell nothing of delays
 _MOST_BAND, _BAND_STEP = 0.12, 0.001  # [m/s] of the dead bands that are looked at; motors beyond that are broken
@@ -145,7 +147,7 @@ def _checked(name: str, unit: str, interval: tuple[float, float, float], count: 
     value, low, high = interval
     if high - low > _MOST_UNCERTAIN:
         return unknown(name, unit, "the answers fit with latencies and lags of any length", count)
-    return Quantity(name, unit, value, max(low, 0.0), high, count, sources)
+    return Quantity(name, unit, value, max(low - _UNMODELLED, 0.0), high + _UNMODELLED, count, sources)
 
 
 def _residuals(axes: list[_Axis], values: FloatArray) -> FloatArray:

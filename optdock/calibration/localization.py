@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from optdock.calibration.statistics import Quantity, mean_of, poisson_rate, unknown
+from optdock.calibration.statistics import Quantity, mean_of, poisson_rate, student, unknown
 from optdock.geometry.pose import normalize_angle
 
 if TYPE_CHECKING:
@@ -31,7 +31,7 @@ _BY_CHANCE = 3.5  # standard deviations of a change that detections make up
 _EVERY = 1.0  # [s] between the values that the spread is computed of: their errors last for seconds
 _LEAST = 12  # values in all
 _UNKNOWN = 1.0  # [m], [rad]: standard deviation of what a jump may be, and of the dock
-_LIKELY = 3.841 / 2.0  # by how much the logarithm of the likelihood falls at the ends of the interval: chi2(1) / 2
+_IN_A_JUMP = 0.005  # [m] of drift and of detections that a size has in it
 
 
 class LocalizationErrors(NamedTuple):
@@ -144,11 +144,17 @@ def localization_errors(motion: Motion) -> LocalizationErrors:
         _spread(names[0], thin, cut, (1, 2)),
         _spread(names[1], thin, cut, (3,)),
         Quantity(*names[2], *poisson_rate(len(sizes), exposure), count, len(series)),
-        Quantity(*names[3], *mean_of(sizes), len(sizes), len(series))
-        if len(sizes) > 1
-        else unknown(*names[3], f"{len(sizes)} jumps in {exposure:.0f} s", len(sizes)),
+        _size(names[3], sizes, exposure, len(series)),
     ]
     return LocalizationErrors(quantities, [rows[:, :4] for rows in series])
+
+
+def _size(name: tuple[str, str], sizes: FloatArray, exposure: float, sources: int) -> Quantity:
+    """The mean size of jumps."""
+    if len(sizes) < 2:
+        return unknown(*name, f"{len(sizes)} jumps in {exposure:.0f} s", len(sizes))
+    value, low, high = mean_of(sizes)
+    return Quantity(*name, value, max(low - _IN_A_JUMP, 0.0), high + _IN_A_JUMP, len(sizes), sources)
 
 
 def _errors(robot: FloatArray, seen: FloatArray, dock: FloatArray) -> FloatArray:
@@ -238,7 +244,8 @@ def _spread(
         return process.profile(math.exp(logarithm))
 
     best = minimize_scalar(profile, bounds=(lowest, highest), method="bounded", options={"xatol": 0.02})
-    level, at = float(best.fun) + _LIKELY, float(best.x)
+    # How far the likelihood falls to the ends: Student's quantile instead of the normal one, as recordings are few.
+    level, at = float(best.fun) + 0.5 * student(max(len(series) - 1.0, 1.0)) ** 2, float(best.x)
     ends = [
         limit if profile(limit) < level else float(brentq(lambda x: profile(x) - level, limit, at, xtol=0.02))
         for limit in (lowest, highest)

@@ -39,8 +39,9 @@ def calibrate(
         ),
     ] = None,
     coverage: Annotated[
-        float, typer.Option(help="Share of dockings that are to stay inside the tube, robot.tracking.")
-    ] = 0.99,
+        int,
+        typer.Option(metavar="PERCENT", min=1, max=99, help="Of dockings, to stay inside the tube, robot.tracking."),
+    ] = 99,
     verbose: VerboseOption = False,
 ) -> None:
     """Estimate from recorded drives what is true of a robot, its sensors and its dock, with 95 % intervals.
@@ -64,7 +65,7 @@ def calibrate(
                 files.append(read_recording(log))
                 read(log.name)
         deviations = [one.deviation for one in files if one.deviation is not None]
-        found = found_in([one.recording for one in files], deviations, coverage=coverage)
+        found = found_in([one.recording for one in files], deviations, coverage=coverage / 100.0)
         text = as_text(found)
         typer.echo(text)
         if report is not None:
