@@ -15,6 +15,7 @@ if TYPE_CHECKING:
 
 __all__ = ["truths"]
 
+_INSTANT = 1e-9  # [s]: rounding of times that are sums
 _CYCLES = 20_000  # of which means are taken: a hundredth of a millisecond
 _MARKER_BEYOND_CAMERA = 0.2  # [m]: range is of the docked pose, the camera's of its marker, see `MARKER`, `Camera`
 
@@ -83,7 +84,7 @@ def _latency(hidden: HiddenRobot, rate: float) -> float:
     arrived = np.maximum.accumulate(sent + random.uniform(*drive.latency, _CYCLES))
     got = random.random(_CYCLES) >= drive.command_loss
     times = np.arange(sent[0] + 1.0, sent[-1], SUBSTEP)
-    in_force = sent[got][np.searchsorted(arrived[got], times, side="right") - 1]
+    in_force = sent[got][np.searchsorted(arrived[got], times + _INSTANT, side="right") - 1]
     half_steps = np.arange(sent[0] + 1.0, sent[-1], SUBSTEP) + 0.5 * SUBSTEP
     newest = sent[np.searchsorted(sent, half_steps, side="right") - 1]
     return float(np.mean(half_steps - in_force) - np.mean(half_steps - newest))

@@ -54,7 +54,9 @@ def read_recording(source: str | Path) -> ReadFile:
     from optdock.executor.log import LOG_FORMAT, read_log
 
     if kind != LOG_FORMAT:
-        raise InvalidFile(f"{source}: must be a {LOG_FORMAT}, a {RUN_FORMAT}, or a recording (.mcap, .db3)")
+        raise InvalidFile(
+            f"{source}: must be a log ({LOG_FORMAT}), a run file ({RUN_FORMAT}) or a recording (.mcap, .db3)"
+        )
     log = read_log(source)
     return ReadFile(recording_of_log(log), _deviation_of_log(log))
 

@@ -56,7 +56,7 @@ def odometry_age(recordings: Sequence[Recording]) -> Quantity:
     name, unit = "age of the odometry", "s"
     ages = [one.odometry_ages for one in recordings if len(one.odometry_ages) > 20]
     if not ages:
-        return unknown(name, unit, "the odometry told no poses")
+        return unknown(name, unit, "no control cycle is recorded with the pose of the odometry that it used")
     # Means over 50 cycles are independent, as messages wait for each other for a few cycles only.
     blocks = [np.mean(part) for one in ages for part in np.array_split(one, max(1, len(one) // 50))]
     if len(blocks) < 2:

@@ -21,7 +21,9 @@ from optdock.calibration.tube import conformal_rank, conformal_tube
 from optdock.cli import app
 from optdock.errors import InvalidFile, InvalidValue
 from optdock.executor import ExecutorSettings
-from optdock.geometry.pose import Pose2, displacement
+from optdock.geometry.pose import Pose2, Twist2, displacement
+from optdock.ros.bag import BagMessage, bag_types, write_bag
+from optdock.ros.motion import odometry_message, pose_message, twist_message
 
 from .conftest import DOCK, ROBOT, drive
 
@@ -297,6 +299,37 @@ def test_files_of_other_kinds_are_refused_by_name(tmp_path, text):
     with pytest.raises(InvalidFile, match=r"other\.jsonl"):
         read_recording(source)
     assert CliRunner().invoke(app, ["calibrate", str(source)]).exit_code == 2
+
+
+def bag_of(path, recording, base="base_link", without=()):
+    """The same drive as a recording of ROS 2."""
+    start, messages = 100.0, []
+    for (stamp, *pose), (linear, angular) in zip(recording.odometry, recording.odometry_twists, strict=True):
+        at = Pose2(*pose), Twist2(linear, angular)
+        messages.append(("/odom", stamp, odometry_message(bag_types, *at, "odom", "base_link", start + stamp)))
+    for stamp, (linear, angular) in zip(recording.times.tolist(), recording.commands, strict=True):
+        messages.append(("/cmd_vel", stamp, twist_message(bag_types, Twist2(linear, angular), stamped=False)))
+    for stamp, x, y, yaw, *_ in recording.detections:
+        found = pose_message(bag_types, Pose2(x, y, yaw), base, start + stamp)
+        messages.append(("/detected_dock_pose", stamp + 0.1, found))
+    write_bag(path, [BagMessage(topic, start + at, one) for topic, at, one in messages if topic not in without])
+    return path
+
+
+def test_a_recording_of_ros_tells_the_same(tmp_path):
+    one = drive(seed=6, late=0.1)
+    read = read_recording(bag_of(tmp_path / "drive.mcap", one)).recording
+    assert read.commands == pytest.approx(one.commands)
+    assert read.odometry[:, 0] == pytest.approx(one.odometry[:, 0], abs=1e-6)
+    assert smoothed([read]).values == pytest.approx(smoothed([one]).values, abs=2e-3)
+
+
+def test_recordings_that_lack_something_are_refused_by_name(tmp_path):
+    one = drive(seed=6)
+    with pytest.raises(InvalidFile, match="has no commands"):
+        read_recording(bag_of(tmp_path / "no.mcap", one, without=("/cmd_vel",)))
+    with pytest.raises(InvalidFile, match="must be in frame base_link, is in map"):
+        read_recording(bag_of(tmp_path / "other.mcap", one, base="map"))
 
 
 def test_a_missing_file_is_refused(tmp_path):
