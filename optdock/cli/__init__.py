@@ -1,4 +1,4 @@
-"""The command line: `optdock plan | simulate | certify | compare | demo | replay | bag | import | plugins | schema`.
+"""The command line: `optdock plan | simulate | certify | compare | demo | replay | calibrate | bag | import | ...`.
 
 Commands load the library when they run, so that `--help` stays quick.
 """
@@ -13,6 +13,7 @@ import typer
 
 from optdock import __version__
 from optdock.cli.bag import bag
+from optdock.cli.calibrate import calibrate
 from optdock.cli.certify import certify
 from optdock.cli.common import VerboseOption, listen, reported
 from optdock.cli.exit_status import EXIT_STATUSES
@@ -96,6 +97,6 @@ def schema(
             write_text(out, text + "\n")
 
 
-for _command in (plan, simulate, certify, compare, demo, replay, bag, plugins, schema):
+for _command in (plan, simulate, certify, compare, demo, replay, calibrate, bag, plugins, schema):
     app.command()(_command)
 app.add_typer(importing, name="import")

@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from experiments.docking.field.world import FieldRobot
     from experiments.docking.outcome import Followed
     from optdock.executor import ExecutorSettings
+    from optdock.executor.log import LogWriter
 
 __all__ = ["FIELD_METHODS", "by_executor"]
 
@@ -30,7 +31,7 @@ SETTLING = 1.0  # [s] after the end, until what was commanded has arrived and th
 SAME_GOAL = 0.3  # [m]: a plan that ends nearer to the stored dock than this is one into the dock
 
 
-def by_executor(
+def by_executor(  # noqa: PLR0913 - what may be chosen
     layout: Layout,
     robot: FieldRobot,
     rate: float,
@@ -38,6 +39,7 @@ def by_executor(
     task: Literal["dock", "undock"] = "dock",
     controller: str | None = None,
     settings: ExecutorSettings | None = None,
+    log: LogWriter | None = None,
 ) -> Steered:
     """Dock or undock by the executor.
 
@@ -48,10 +50,18 @@ def by_executor(
         task: Which of the two.
         controller: By name; None: the default one.
         settings: None: the default ones.
+        log: Takes the docking down.
     """
     planning, cycles, belief = WatchedPlanning(), Cycles(), Belief()
     chosen = {} if controller is None else {"controller": controller}
-    executor = DockingExecutor(layout.problem, settings, task=task, planning=planning, **chosen)  # type: ignore[arg-type]
+    executor = DockingExecutor(
+        layout.problem,
+        settings,
+        task=task,
+        planning=planning,
+        log=log,
+        **chosen,  # type: ignore[arg-type]
+    )
     stamps: list[float] = []
     commands: list[tuple[float, float]] = []
     raised: Exception | None = None

@@ -1,0 +1,65 @@
+"""The calibration study: robots of the field world with hidden truths; intervals, fresh dockings, the tube.
+
+    python -m experiments.calibration                             # 50 robots of 6 recordings, 2 fresh pairs each
+    python -m experiments.calibration --robots 4 --fresh 1
+
+Writes results/calibration/: recordings, which are not driven again where they are there, intervals.csv and table.md.
+"""
+
+from __future__ import annotations
+
+import argparse
+import csv
+import os
+import sys
+from concurrent.futures import ProcessPoolExecutor
+from multiprocessing import get_context
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+OUT = Path("results") / "calibration"
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Drive, calibrate, count, print."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--robots", type=int, default=50, help="how many (default: %(default)s)")
+    parser.add_argument("--recordings", type=int, default=6, help="of each robot (default: %(default)s)")
+    parser.add_argument("--fresh", type=int, default=2, help="pairs of fresh dockings of each (default: %(default)s)")
+    parser.add_argument("--jobs", type=int, default=2, help="processes (default: %(default)s)")
+    parser.add_argument("--out", type=Path, default=OUT)
+    options = parser.parse_args(arguments)
+    for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):  # before NumPy is loaded
+        os.environ.setdefault(name, "1")
+    from experiments.calibration.robots import hidden_robot
+    from experiments.calibration.study import Judged, RobotTask, calibrated, driven
+    from experiments.calibration.tables import coverage_table, paired_table, tube_table
+
+    options.out.mkdir(parents=True, exist_ok=True)
+    tasks = [RobotTask(number, options.recordings, options.fresh, str(options.out)) for number in range(options.robots)]
+    with ProcessPoolExecutor(options.jobs, get_context("spawn")) as pool:
+        deviations = list(pool.map(driven, tasks))
+        found = list(pool.map(calibrated, tasks))
+    judged = [one for robot, _ in found for one in robot]
+    pairs = [one for _, robot in found for one in robot]
+    with (options.out / "intervals.csv").open("w", newline="", encoding="utf-8") as file:
+        writer = csv.writer(file)
+        writer.writerow(Judged._fields)
+        writer.writerows(judged)
+    radius = hidden_robot(0).layout.problem.robot.footprint.circumscribed_radius
+    parts = [coverage_table(judged)]
+    if pairs:
+        parts.append(paired_table(pairs))
+    if len(deviations) > 1:
+        parts.append(tube_table(deviations, radius))
+    text = "\n\n".join(parts)
+    (options.out / "table.md").write_text(text + "\n", encoding="utf-8")
+    sys.stdout.write(text + "\n")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

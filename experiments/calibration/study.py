@@ -1,0 +1,118 @@
+"""What the study drives and counts: recordings of hidden robots, truths inside intervals, fresh dockings by pairs."""
+
+from __future__ import annotations
+
+import contextlib
+import dataclasses
+from pathlib import Path
+from typing import TYPE_CHECKING, NamedTuple
+
+from experiments.calibration.robots import hidden_robot, set_down
+from experiments.calibration.truths import truths
+from experiments.docking.field.methods import by_executor
+from experiments.docking.field.outcome import field_outcome
+from experiments.docking.field.run import FieldTask
+from optdock.calibration import calibrate, read_recording, written_values
+from optdock.executor import ExecutorSettings
+from optdock.executor.log import LogWriter
+from optdock.geometry.pose import Pose2
+
+if TYPE_CHECKING:
+    from experiments.docking.field.outcome import FieldOutcome
+    from optdock.calibration import Calibration
+
+__all__ = ["RATE", "Judged", "Paired", "RobotTask", "calibrated", "driven"]
+
+RATE = 50.0  # [Hz]
+_FRESH = 1000  # number of the first run that nothing was calibrated with
+
+
+class RobotTask(NamedTuple):
+    """One robot: its number, how many recordings it is calibrated with, how many fresh dockings, and where logs go."""
+
+    number: int
+    recordings: int
+    fresh: int
+    folder: str
+
+
+class Judged(NamedTuple):
+    """One quantity of one robot: the truth, the estimate, its interval, and why there is none."""
+
+    robot: int
+    name: str
+    truth: float
+    value: float
+    low: float
+    high: float
+    reason: str
+
+    @property
+    def inside(self) -> bool:
+        """Whether the interval contains the truth."""
+        return self.low <= self.truth <= self.high
+
+
+class Paired(NamedTuple):
+    """A fresh docking of one robot, with the defaults and with what the calibration wrote."""
+
+    robot: int
+    run: int
+    before: FieldOutcome
+    after: FieldOutcome
+
+
+def driven(task: RobotTask) -> list[tuple[float, float]]:
+    """Drive what is not recorded yet, and return how far each docking was off its path, driven again."""
+    hidden = hidden_robot(task.number)
+    found = []
+    for run, file in enumerate(_files(task)):
+        if not file.exists():
+            layout, robot = set_down(hidden, run)
+            part = file.with_suffix(".part")
+            with LogWriter(part) as log:
+                by_executor(layout, robot, RATE, log=log)
+            part.rename(file)
+        deviation = read_recording(file).deviation
+        if deviation is not None:
+            found.append(deviation)
+    return found
+
+
+def calibrated(task: RobotTask) -> tuple[list[Judged], list[Paired]]:
+    """Calibrate a robot with its recordings, compare with what is true, and dock by pairs."""
+    read = [read_recording(file) for file in _files(task)]
+    found = calibrate([one.recording for one in read], [one.deviation for one in read if one.deviation is not None])
+    known = truths(hidden_robot(task.number), RATE)
+    judged = [
+        Judged(task.number, one.name, known[one.name], one.value, one.low, one.high, one.reason)
+        for one in found.quantities
+        if one.name in known
+    ]
+    return judged, [_paired(task.number, _FRESH + run, found) for run in range(task.fresh)]
+
+
+def _paired(number: int, run: int, found: Calibration) -> Paired:
+    return Paired(number, run, _docked(number, run, None), _docked(number, run, found))
+
+
+def _docked(number: int, run: int, found: Calibration | None) -> FieldOutcome:
+    """A fresh docking: with settings and stored dock of a calibration, or with the defaults and the dock as stored."""
+    layout, robot = set_down(hidden_robot(number), run)
+    settings = None
+    if found is not None:
+        values = written_values(found)
+        settings = ExecutorSettings(**values.get("executor", {}))
+        with contextlib.suppress(KeyError):
+            pose = values["dock"]["pose"]
+            assert isinstance(pose, list)
+            dock = dataclasses.replace(layout.problem.dock, pose=Pose2(*pose))
+            layout = layout._replace(problem=dataclasses.replace(layout.problem, dock=dock))
+    steered = by_executor(layout, robot, RATE, settings=settings)
+    task = FieldTask("executor", robot.world.name, "wider", RATE, run)
+    return field_outcome(task, layout, robot, steered)
+
+
+def _files(task: RobotTask) -> list[Path]:
+    folder = Path(task.folder)
+    return [folder / f"robot-{task.number:03d}-{run:02d}.jsonl" for run in range(task.recordings)]

@@ -1,0 +1,113 @@
+"""The tables of the study."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from optdock.calibration.tube import conformal_rank, conformal_tube
+from optdock.geometry.pose import displacement
+from optdock.report import table
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from experiments.calibration.study import Judged, Paired
+    from experiments.docking.field.outcome import FieldOutcome
+
+__all__ = ["coverage_table", "paired_table", "tube_table"]
+
+
+def coverage_table(judged: Sequence[Judged]) -> str:
+    """Of each quantity: how many intervals contain the truth, how wide they are, how far the estimates are off."""
+    names = list(dict.fromkeys(one.name for one in judged))
+    rows = [("quantity", "truths inside", "cannot tell", "mean half interval", "mean error", "rms error")]
+    told = [one for one in judged if not one.reason]
+    for name in names:
+        mine = [one for one in told if one.name == name]
+        silent = sum(one.name == name for one in judged) - len(mine)
+        errors = np.array([one.value - one.truth for one in mine] or [np.nan])
+        half = np.mean([0.5 * (one.high - one.low) for one in mine] or [np.nan])
+        rows.append(
+            (
+                name,
+                f"{sum(one.inside for one in mine)}/{len(mine)}",
+                str(silent),
+                f"{half:.4f}",
+                f"{np.mean(errors):+.4f}",
+                f"{np.sqrt(np.mean(errors**2)):.4f}",
+            )
+        )
+    inside = sum(one.inside for one in told)
+    rows.append(("all", f"{inside}/{len(told)} = {100.0 * inside / max(len(told), 1):.1f} %", "", "", "", ""))
+    return table(rows)
+
+
+_HEAD = "", "good", "false docked", "collisions", "across p95, mm", "yaw p95, deg", "along p95, mm", "time p50, s"
+
+
+def paired_table(pairs: Sequence[Paired]) -> str:
+    """The same fresh dockings with the defaults and with what the calibration wrote."""
+    head = (
+        "",
+        "good",
+        "false docked",
+        "collisions",
+        "across p95, mm",
+        "yaw p95, degrees",
+        "along p95, mm",
+        "time p50, s",
+    )
+    rows = [head, _row("defaults", [one.before for one in pairs]), _row("calibrated", [one.after for one in pairs])]
+    better = sum(one.after.good and not one.before.good for one in pairs)
+    worse = sum(one.before.good and not one.after.good for one in pairs)
+    faster = sum(one.after.duration < one.before.duration - 0.1 for one in pairs)
+    slower = sum(one.after.duration > one.before.duration + 0.1 for one in pairs)
+    return (
+        f"{table(rows)}\nof {len(pairs)} pairs: good only when calibrated {better}, only with the defaults {worse}; "
+        f"faster when calibrated {faster}, slower {slower}"
+    )
+
+
+def _row(name: str, found: Sequence[FieldOutcome]) -> tuple[str, ...]:
+    docked = [one for one in found if one.docked]
+    columns = (
+        [1e3 * abs(one.cross) for one in docked],
+        [np.degrees(abs(one.yaw)) for one in docked],
+        [1e3 * abs(one.along) for one in docked],
+    )
+    return (
+        name,
+        f"{sum(one.good for one in found)}/{len(found)}",
+        str(sum(one.falsely_docked for one in found)),
+        str(sum(one.collided for one in found)),
+        *(f"{np.percentile(column, 95.0):.2f}" if column else "-" for column in columns),
+        f"{np.median([one.duration for one in found]):.1f}",
+    )
+
+
+def tube_table(deviations: Sequence[Sequence[tuple[float, float]]], radius: float) -> str:
+    """How often fresh dockings stay in the tube that dockings of other robots have shown, for several coverages.
+
+    Half of the robots show the tube, the other half drive afresh: dockings of one robot are alike, so that the
+    coverage holds for robots drawn at random.
+
+    Args:
+        deviations: Of each robot, of each of its dockings: largest distance across [m] and turn [rad].
+        radius: Circumscribed radius of the footprint [m].
+    """
+    shown = [one for robot in deviations[::2] for one in robot]
+    fresh = np.array([displacement(cross, yaw, radius) for robot in deviations[1::2] for cross, yaw in robot])
+    rows = [("asked for", "tube, cross", "tube, yaw", "fresh dockings inside")]
+    for coverage in (0.8, 0.9, 0.95, 0.99):
+        if conformal_rank(len(shown), coverage) > len(shown):
+            rows.append((f"{coverage:.0%}", "-", "-", f"cannot be told of {len(shown)} dockings"))
+            continue
+        tube = conformal_tube(shown, radius, coverage).tube
+        assert tube is not None
+        width = float(displacement(tube.cross, tube.yaw, radius))
+        inside = int(np.sum(fresh <= width * (1.0 + 1e-9)))
+        share = f"{inside}/{len(fresh)} = {100.0 * inside / len(fresh):.1f} %"
+        rows.append((f"{coverage:.0%}", f"{tube.cross:.4f} m", f"{tube.yaw:.4f} rad", share))
+    return table(rows)

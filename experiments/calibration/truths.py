@@ -1,0 +1,110 @@
+"""What is true of a hidden robot, under the names of `optdock.calibration`."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from experiments.calibration.robots import TRACK_WIDTH
+from experiments.docking.field.drive import SUBSTEP
+from experiments.docking.field.odometry import OdometryState
+
+if TYPE_CHECKING:
+    from experiments.calibration.robots import HiddenRobot
+
+__all__ = ["truths"]
+
+_INSTANT = 1e-9  # [s]: rounding of times that are sums
+_CYCLES = 20_000  # of which means are taken: a hundredth of a millisecond
+_MARKER_BEYOND_CAMERA = 0.2  # [m]: range is of the docked pose, the camera's of its marker, see `MARKER`, `Camera`
+
+
+def truths(hidden: HiddenRobot, rate: float) -> dict[str, float]:
+    """The values that intervals should contain.
+
+    Args:
+        hidden: The robot.
+        rate: Control cycles per second [Hz].
+    """
+    drive, camera, localization = hidden.world.drive, hidden.world.camera, hidden.world.localization
+    # The odometry is stamped after it was read: to whoever takes it at its word all else happens so much later, and
+    # detections so much earlier.
+    stamped = 0.5 * hidden.world.odometry.stamp_jitter
+    latency = _latency(hidden, rate) + stamped
+    slip = _slip_share(hidden)
+    left, right = (radius / drive.wheel_radius for radius in hidden.radii)
+    track = hidden.track_width / TRACK_WIDTH
+    mean = 0.5 * (left + right)
+    told_late = 0.5 * sum(camera.latency) if camera.stamped_on_arrival else 0.0
+    jitter = camera.latency[1] - camera.latency[0] if camera.stamped_on_arrival else 0.0
+    dock = hidden.layout.true_dock
+    return {
+        "command latency, linear": latency,
+        "drive lag, linear": drive.lag,
+        "command latency, angular": latency,
+        "drive lag, angular": drive.lag,
+        "dead band, left wheel": hidden.dead_bands[0],
+        "dead band, right wheel": hidden.dead_bands[1],
+        "twist window": hidden.world.odometry.window,
+        "age of the odometry": _odometry_age(hidden, rate),
+        "scale of the way": mean * (1.0 - slip) - 1.0,
+        "turn per metre": (right - left) / hidden.track_width * (1.0 - slip),
+        "scale of turns": mean / track * (1.0 - slip) - 1.0,
+        "detections late by": told_late - stamped,
+        "left wheel's radius beyond what is believed": left * (1.0 - slip) - 1.0,
+        "right wheel's radius beyond what is believed": right * (1.0 - slip) - 1.0,
+        "track width beyond what is believed": track - 1.0,
+        "detection sigma, position, at range 0": camera.sigmas(_MARKER_BEYOND_CAMERA)[0],
+        "detection sigma, position, per range": camera.position_slope,
+        "detection sigma, yaw, at range 0": camera.sigmas(_MARKER_BEYOND_CAMERA)[1],
+        "detection sigma, yaw, per range": camera.yaw_slope,
+        "jitter of the detections' stamps": np.hypot(jitter, 2.0 * stamped).item() / 12.0**0.5,
+        "wrong detections": camera.outliers,
+        "blind distance": camera.near if camera.near_loss == 1.0 else 0.0,
+        "localization sigma, position": localization.drift,
+        "localization sigma, yaw": localization.drift_yaw,
+        "localization jumps": 1.0 / localization.jump_pause,
+        "size of localization jumps": 0.5 * sum(localization.jump),
+        "stored dock, x": dock.x,
+        "stored dock, y": dock.y,
+        "stored dock, yaw": dock.yaw,
+    }
+
+
+def _latency(hidden: HiddenRobot, rate: float) -> float:
+    """How much older the command in force is than it would be if none were late, in the mean [s].
+
+    Commands wait for each other, so that it is more than the mean of the latencies; and one is taken at the next
+    sub-step.
+    """
+    random, drive = np.random.default_rng(7), hidden.world.drive
+    dropped = random.random(_CYCLES) < hidden.world.dropped_cycles
+    sent = np.cumsum(np.where(dropped, 2.0, 1.0) / rate)
+    arrived = np.maximum.accumulate(sent + random.uniform(*drive.latency, _CYCLES))
+    got = random.random(_CYCLES) >= drive.command_loss
+    times = np.arange(sent[0] + 1.0, sent[-1], SUBSTEP)
+    in_force = sent[got][np.searchsorted(arrived[got], times + _INSTANT, side="right") - 1]
+    half_steps = np.arange(sent[0] + 1.0, sent[-1], SUBSTEP) + 0.5 * SUBSTEP
+    newest = sent[np.searchsorted(sent, half_steps, side="right") - 1]
+    return float(np.mean(half_steps - in_force) - np.mean(half_steps - newest))
+
+
+def _odometry_age(hidden: HiddenRobot, rate: float) -> float:
+    """The age of the newest message by its stamp, in the mean [s]."""
+    world = hidden.world
+    state = OdometryState(world.odometry, world.drive, np.random.default_rng(8))
+    readings = round(1.0 / (rate * world.odometry.period))
+    ages = []
+    for cycle in range(1, _CYCLES):
+        for reading in range(readings):
+            state.read(((cycle - 1) * readings + reading + 1) * world.odometry.period, 0.0, 0.0)
+        ages.append(cycle / rate - state.newest(cycle / rate).stamp)
+    return float(np.mean(ages))
+
+
+def _slip_share(hidden: HiddenRobot) -> float:
+    """The share of a wheel's way that is lost: of the time in bursts, in two of three of which a wheel slips."""
+    drive = hidden.world.drive
+    duration, share = 0.5 * sum(drive.slip_duration), 0.5 * sum(drive.slip_share)
+    return duration / (duration + 1.0 / drive.slip_rate) * share * 2.0 / 3.0

@@ -1,0 +1,21 @@
+"""Calibration: what recorded drives tell of a robot, its sensors and its dock, each with a confidence interval."""
+
+from optdock.calibration.calibrate import Calibration, calibrate
+from optdock.calibration.files import ReadFile, read_recording
+from optdock.calibration.picture import save_calibration_picture
+from optdock.calibration.recording import Recording
+from optdock.calibration.report import as_text, as_yaml, written_values
+from optdock.calibration.statistics import Quantity
+
+__all__ = [
+    "Calibration",
+    "Quantity",
+    "ReadFile",
+    "Recording",
+    "as_text",
+    "as_yaml",
+    "calibrate",
+    "read_recording",
+    "save_calibration_picture",
+    "written_values",
+]

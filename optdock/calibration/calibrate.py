@@ -1,0 +1,125 @@
+"""All that a set of recordings tells of a robot, its sensors and its dock."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING, NamedTuple
+
+from optdock.calibration.detections import detection_quantities
+from optdock.calibration.drive import drive_response
+from optdock.calibration.localization import localization_errors, stored_dock
+from optdock.calibration.motion import odometry_quantities, smoothed
+from optdock.calibration.odometry import odometry_age, twist_window
+from optdock.calibration.statistics import Quantity, unknown
+from optdock.calibration.tube import conformal_tube
+from optdock.errors import InvalidValue
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from optdock.calibration.drive import DriveResponse
+    from optdock.calibration.localization import LocalizationErrors
+    from optdock.calibration.motion import Motion
+    from optdock.calibration.recording import Recording
+    from optdock.calibration.tube import DrivenTube
+    from optdock.geometry.pose import Pose2
+
+__all__ = ["Calibration", "calibrate"]
+
+_SAME_DOCK = 0.01, 0.01  # [m], [rad]: docks stored so near to each other are one
+
+
+class Calibration(NamedTuple):
+    """What was found; `quantities` are all of it, the rest is for files and pictures.
+
+    Attributes:
+        quantities: In the order of the report.
+        recordings: What it is of.
+        response: Of the drive.
+        motion: Odometry against detections; None: there were none.
+        localization: Against the motion; None: likewise.
+        tube: As driven.
+    """
+
+    quantities: tuple[Quantity, ...]
+    recordings: tuple[Recording, ...]
+    response: DriveResponse
+    motion: Motion | None
+    localization: LocalizationErrors | None
+    tube: DrivenTube
+
+    def __getitem__(self, name: object) -> Quantity:  # type: ignore[override]
+        for one in self.quantities:
+            if one.name == name:
+                return one
+        raise KeyError(name)
+
+
+def calibrate(
+    recordings: Sequence[Recording],
+    deviations: Sequence[tuple[float, float]] = (),
+    *,
+    coverage: float = 0.99,
+) -> Calibration:
+    """Estimate all quantities, each with a 95 % confidence interval or the reason why it cannot be told.
+
+    Args:
+        recordings: Of one robot, at one dock.
+        deviations: Of dockings that were replayed: largest distance across the path [m], largest turn off it [rad].
+        coverage: The probability that another docking stays inside the tube.
+
+    Raises:
+        InvalidValue: There is no recording, the coverage is not between 0 and 1, or the docks are different ones.
+    """
+    if not recordings:
+        raise InvalidValue("calibrate: needs a recording at least")
+    if not 0.0 < coverage < 1.0:
+        raise InvalidValue(f"coverage: must be > 0 and < 1, got {coverage}")
+    _check_docks(recordings)
+    response = drive_response(recordings)
+    motion = smoothed(recordings)
+    robots = [one.robot for one in recordings if one.robot is not None]
+    radius = robots[0].footprint.circumscribed_radius if robots else 0.0
+    tube = conformal_tube(deviations, radius, coverage)
+    quantities = [*response.quantities, twist_window(recordings), odometry_age(recordings)]
+    found = None
+    if motion is None:
+        quantities += [unknown(name, unit, "the dock was not detected often enough") for name, unit in _BY_DETECTIONS]
+    else:
+        found = localization_errors(motion)
+        width = max((one.track_width for one in recordings), default=0.0)
+        quantities += [*odometry_quantities(motion, width), *detection_quantities(motion)]
+        quantities += [*found.quantities, *stored_dock(motion)]
+    return Calibration((*quantities, *tube.quantities), tuple(recordings), response, motion, found, tube)
+
+
+_BY_DETECTIONS = (
+    ("scale of the way", "1"),
+    ("turn per metre", "rad/m"),
+    ("scale of turns", "1"),
+    ("detections late by", "s"),
+    ("detection sigma, position, at range 0", "m"),
+    ("detection sigma, yaw, at range 0", "rad"),
+    ("wrong detections", "1"),
+    ("blind distance", "m"),
+    ("localization sigma, position", "m"),
+    ("stored dock, x", "m"),
+    ("stored dock, y", "m"),
+    ("stored dock, yaw", "rad"),
+)
+
+
+def _check_docks(recordings: Sequence[Recording]) -> None:
+    first: tuple[Recording, Pose2] | None = None
+    for one in recordings:
+        if one.stored is None:
+            continue
+        if first is None:
+            first = one, one.stored
+            continue
+        off = one.stored.in_frame_of(first[1])
+        if math.hypot(off.x, off.y) > _SAME_DOCK[0] or abs(off.yaw) > _SAME_DOCK[1]:
+            raise InvalidValue(
+                f"{one.source}: its dock is stored at {one.stored.brief}, that of {first[0].source} at "
+                f"{first[1].brief}; calibrate one dock at a time"
+            )
