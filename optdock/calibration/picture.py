@@ -90,6 +90,9 @@ def _draw_localization(axes: Axes, calibration: Calibration) -> None:
     _grid(axes)
     if calibration.localization is None:
         return
+    for colour, name in (("path", "x"), ("goal", "y")):
+        axes.plot([], [], ".-", color=COLOURS[colour], label=name)
+    axes.legend(fontsize=7, loc="best")
     for rows in calibration.localization.series:
         for part in np.split(rows, np.flatnonzero(np.diff(rows[:, 0]) > _PAUSE) + 1):
             t = part[:, 0] - rows[0, 0]
