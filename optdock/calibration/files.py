@@ -19,8 +19,6 @@ if TYPE_CHECKING:
 
 __all__ = ["ReadFile", "read_recording", "recording_of_run"]
 
-_NONE4, _NONE6 = np.zeros((0, 4)), np.zeros((0, 6))
-
 
 class ReadFile(NamedTuple):
     """A recording, and how far its docking was off its path.
@@ -72,7 +70,7 @@ def recording_of_run(source: str, run: RunColumns) -> Recording:
         run.twists,
         np.zeros(0),
         np.column_stack((run.times, run.measured)),
-        _NONE6,
+        np.zeros((0, 6)),
         None,
         float(run.times[-1]) if run.docked else None,
         None,

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from optdock.calibration.statistics import Quantity, mean_of, poisson_rate, student, unknown
+from optdock.geometry.arrays import readonly
 from optdock.geometry.pose import normalize_angle
 
 if TYPE_CHECKING:
@@ -116,7 +117,9 @@ def _without_outliers(poses: FloatArray) -> FloatArray:
     return kept
 
 
-_USUAL = np.array([0.01, 0.01, 0.01])  # [m, m, rad]: a localization that agrees with itself better does so by chance
+_USUAL = readonly(
+    np.array([0.01, 0.01, 0.01])
+)  # [m, m, rad]: a localization that agrees with itself better does so by chance
 
 
 def localization_errors(motion: Motion) -> LocalizationErrors:

@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from optdock.calibration.statistics import Quantity, student, unknown
+from optdock.geometry.arrays import readonly
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -33,7 +34,7 @@ _LEAST_DETECTIONS = 8  # twice as many numbers as there are unknowns of one reco
 _LEVER = 0.2  # [m]: half of a usual track width, by which turning counts as way of the wheels
 _CAUCHY = 2.5  # standard deviations from which on a detection counts less
 _EVALUATIONS = 40  # most of a recording's problem, which is nearly linear
-_PRIOR = np.array([0.1, 0.5, 0.2, 0.5])  # of scale [1], drift [rad/m], turn scale [1], delay [s]: hardly any
+_PRIOR = readonly(np.array([0.1, 0.5, 0.2, 0.5]))  # of scale [1], drift [rad/m], turn scale [1], delay [s]: hardly any
 _ROUNDS = 2  # of estimating the spreads, after which they change by less than their own uncertainty
 
 
