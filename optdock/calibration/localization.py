@@ -117,9 +117,8 @@ def _without_outliers(poses: FloatArray) -> FloatArray:
     return kept
 
 
-_USUAL = readonly(
-    np.array([0.01, 0.01, 0.01])
-)  # [m, m, rad]: a localization that agrees with itself better does so by chance
+# [m, m, rad]: a localization that agrees with itself better does so by chance
+_USUAL = readonly(np.array([0.01, 0.01, 0.01]))
 
 
 def localization_errors(motion: Motion) -> LocalizationErrors:
