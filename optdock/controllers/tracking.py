@@ -39,6 +39,7 @@ _TURN_LEVER = 0.5  # [m]: a turn in place tells the drive's delay as a drive doe
 _ROOM = 2e-4  # [m] beyond the next rest: a motion that brakes as hard as it can is not slowed down by rounding
 _NOTHING = 5e-5  # [m/s], [rad/s]: at the end less than this is not commanded
 _SHORTEST_CONVERGENCE = 0.05  # [m]
+_AT_END = 0.78  # of what the delay asks for, where too much would be left: a phase margin of 37 degrees, once
 _ASIDE_SMOOTHING = 0.2  # [s], of the error across: more hides a jump from what is left of the way
 _SCATTER_SMOOTHING = 1.0  # [s], of its squared noise
 _GROWTH, _LEAST_SCATTER = 4.0, 4e-6  # [1], [m^2]: what a single error may add to that
@@ -429,7 +430,7 @@ class TrackingController(Controller):
         self._scatter += min(1.0, period / _SCATTER_SMOOTHING) * (min(0.5 * off * off, most) - self._scatter)
 
     def _convergence_distance(self, now: ReferenceState, error: Pose2, accepted: Accepted, shortest: float) -> float:
-        """As given; less where too much would be left at the end, but never less than `shortest`.
+        """As given, or `shortest` where that is more; less where too much would be left at the end.
 
         What counts is the error across, smoothed and beyond its own noise, which a shorter distance would amplify.
         """
@@ -438,7 +439,7 @@ class TrackingController(Controller):
         self._aside += share * (error.y - self._aside)
         noise = math.sqrt(self._scatter * share / (2.0 - share))
         aside = abs(self._aside) if abs(self._aside) > _NOISES * noise else 0.0
-        left, least = now.ahead.left, max(_SHORTEST_CONVERGENCE, shortest)
+        left, least = now.ahead.left, max(_SHORTEST_CONVERGENCE, _AT_END * shortest)
         found = usual = max(self.parameters.convergence_distance, shortest)
         # Critically damped, an error decays by (1 + d / L) exp(-d / L) over a distance d.
         while found > least and aside * (1.0 + left / found) * math.exp(-left / found) > _LEFT * accepted.cross:
