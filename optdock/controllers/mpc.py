@@ -325,8 +325,9 @@ class MpcController(TrackingController):
         v = nominal[:, 0]
         travel = np.sign(v + np.concatenate((v[:1], v[:-1])))
         rise, fall = limits.max_acceleration, limits.max_deceleration
-        up = np.select([travel > 0.0, travel < 0.0], [rise, fall], min(rise, fall))
-        down = np.select([travel > 0.0, travel < 0.0], [fall, rise], min(rise, fall))
+        either = min(rise, fall)
+        up = np.where(travel > 0.0, rise, np.where(travel < 0.0, fall, either))
+        down = np.where(travel > 0.0, fall, np.where(travel < 0.0, rise, either))
         acceleration = np.array([-down, up])
         acceleration[:, 0] = (lowest.linear - last.linear) / period, (highest.linear - last.linear) / period
         speed = np.tile([[-limits.max_reverse_speed], [limits.max_speed]], n)
