@@ -196,15 +196,13 @@ class Reference:
     def poses_ahead(self, previews: FloatArray) -> FloatArray:
         """Poses so many seconds from now, Shape (n,) [s], at the present rate; yaw continuous. Shape (n, 3)."""
         if not self._joints:
-            row = self.trajectory.sample_at(self.time + (self.rate if self.time >= 0.0 else 1.0) * previews)
-            poses = np.column_stack((row.x, row.y, row.yaw))
+            poses = _poses(self.trajectory, self.time + (self.rate if self.time >= 0.0 else 1.0) * previews)
         else:
             poses = np.empty((previews.size, 3))
             shown = [self._at(float(preview)) for preview in previews]
             for trajectory in dict.fromkeys(each for each, _, _ in shown):
                 mine = [k for k, (each, _, _) in enumerate(shown) if each is trajectory]
-                row = trajectory.sample_at([shown[k][1] for k in mine])
-                poses[mine] = np.column_stack((row.x, row.y, row.yaw))
+                poses[mine] = _poses(trajectory, np.array([shown[k][1] for k in mine]))
         poses[:, 2] = np.unwrap(poses[:, 2])
         return poses
 
@@ -328,6 +326,12 @@ class Reference:
             shown, rate = joint.trajectory, joint.rate_after(rate)
             time = rate * left
         return shown, time, rate
+
+
+def _poses(trajectory: Trajectory, times: FloatArray) -> FloatArray:
+    """Poses at so many times on its own clock, clipped, Shape (n,) [s]; without speeds and rates. Shape (n, 3)."""
+    s = trajectory.time_law.at(times)[:, 0]
+    return trajectory.path.poses_at(np.minimum(np.maximum(s, 0.0), trajectory.path.length))
 
 
 def _next_rest(trajectory: Trajectory, s: float) -> float:

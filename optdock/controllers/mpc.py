@@ -12,7 +12,7 @@ from pydantic import Field
 
 from optdock.controllers.command_limits import CommandLimiter, rate_limited
 from optdock.controllers.finish import Accepted
-from optdock.controllers.moving_reference import Reference, ReferenceState
+from optdock.controllers.moving_reference import Reference, ReferenceState, peaks
 from optdock.controllers.mpc_program import (
     CommandBounds,
     Cycle,
@@ -52,7 +52,9 @@ class MpcControllerParameters(TrackingControllerParameters):
     and `along_error` are larger and the yaw weighs more: of noise at 20 Hz half is then left along and in yaw.
     """
 
-    horizon: float = Field(default=0.7, gt=0.0, le=5.0, description="how far ahead it looks [s]")
+    horizon: float = Field(
+        default=0.7, gt=0.0, le=5.0, description="how far ahead it looks, at least as long as braking takes [s]"
+    )
     steps: int = Field(default=14, ge=3, le=60, description="of the horizon")
     latency: float | None = Field(
         default=None, ge=0.0, le=0.5, description="between a command and its first effect [s]; None: identified"
@@ -99,11 +101,12 @@ class _Plan(NamedTuple):
 class MpcController(TrackingController):
     """Follows a trajectory by model predictive control: a TrackingController with another law.
 
-    **Law.** In every cycle the commands of the next `horizon` seconds are chosen that cost least, in errors and effort,
-    among those that the robot's limits allow: speeds, acceleration, deceleration, jerk, yaw rate and acceleration,
-    wheel speed, lateral acceleration, and for an Ackermann drive curvature and steering rate; the first of them is
-    given (`mpc_program`). What comes after the horizon counts by the cost to go along the rest of the trajectory, with
-    a weight on the errors at its end, so an error is made good before the dock as far as the way left allows.
+    **Law.** In every cycle the commands of the next `horizon` seconds, or as long as braking takes, are chosen that
+    cost least, in errors and effort, among those that the robot's limits allow: speeds, acceleration, deceleration,
+    jerk, yaw rate and acceleration, wheel speed, lateral acceleration, and for an Ackermann drive curvature and
+    steering rate; the first of them is given (`mpc_program`). What comes after the horizon counts by the cost to go
+    along the rest of the trajectory, with a weight on the errors at its end, so an error is made good before the dock
+    as far as the way left allows.
 
     **Drive.** Latency and lag, given or identified on the way, are part of the model: the pose is predicted to when the
     command will take effect, from the commands that are under way.
@@ -134,6 +137,7 @@ class MpcController(TrackingController):
         self.status = MpcStatus(CycleOutcome.SOLVED, 0.0)
         self._program: TrackingProgram | None = None
         self._built_for: MpcControllerParameters | None = None
+        self._horizon = self.parameters.horizon
         self._to_go: dict[Trajectory, tuple[FloatArray, FloatArray]] = {}
         self._measured = Pose2(0.0, 0.0, 0.0), Twist2()
         self._given: deque[tuple[float, Twist2]] = deque()
@@ -162,9 +166,13 @@ class MpcController(TrackingController):
         """Build the program and the costs to go, those that are missing, or all after a change of parameters."""
         if self._built_for is not self.parameters:
             self._build()
+        self._horizon = self.parameters.horizon
         if self._reference is not None:
             live = self._reference.trajectory, self._reference.last
             self._to_go = {each: self._to_go[each] if each in self._to_go else self._cost_to_go(each) for each in live}
+            # The cost to go knows no limits: a horizon shorter than braking takes would see the end too late.
+            fastest = max(peaks(each)[0] for each in live)
+            self._horizon = max(self._horizon, _braking_time(fastest, self._limits))
 
     def compute_velocity_commands(
         self, pose: Pose2, velocity: Twist2, goal_checker: GoalChecker | None, *, stamp: float | None = None
@@ -239,14 +247,15 @@ class MpcController(TrackingController):
         if self._built_for is not self.parameters:
             self._prepare()
         if self._cancelled:
-            self._nominal = None  # it brakes as the tracker does: the horizon does not know that the reference will
+            # It brakes as the tracker does: the horizon does not know that the reference will.
+            self._nominal = self._limiter.allowed = None
             return super()._wanted(reference, now, error, accepted)
         if self._drive is Drive.ACKERMANN and now.ahead.speed < _AT_REST and not reference.finished:
-            self._nominal = None  # steered wheels turn at rest as the tracker's do
+            self._nominal = self._limiter.allowed = None  # steered wheels turn at rest as the tracker's do
             return super()._wanted(reference, now, error, accepted)
-        p, n, period = self.parameters, self.parameters.steps, self._clock.period
+        n, period = self.parameters.steps, self._clock.period
         latency, lag = self._delays
-        h = np.full(n, max(period, (p.horizon - period) / (n - 1)))
+        h = np.full(n, max(period, (self._horizon - period) / (n - 1)))
         h[0] = period
         t = np.concatenate(([0.0], np.cumsum(h)))
         # From when the command takes effect: where the reference is; and later by the lag, what it takes to keep up.
@@ -310,7 +319,7 @@ class MpcController(TrackingController):
         self.status = MpcStatus(CycleOutcome.SHIFTED, 0.0)
         if self._plan is None or now - self._plan.stamp > self._plan.times[-1]:
             raise NoValidControl(
-                f"{self.name}: no commands were found for {self.parameters.horizon} s, and none are left from before; "
+                f"{self.name}: no commands were found for {self._horizon:g} s, and none are left from before; "
                 f"plan again from here"
             )
         times, commands = self._plan.times + self._plan.stamp, self._plan.commands
@@ -325,8 +334,9 @@ class MpcController(TrackingController):
         v = nominal[:, 0]
         travel = np.sign(v + np.concatenate((v[:1], v[:-1])))
         rise, fall = limits.max_acceleration, limits.max_deceleration
-        up = np.select([travel > 0.0, travel < 0.0], [rise, fall], min(rise, fall))
-        down = np.select([travel > 0.0, travel < 0.0], [fall, rise], min(rise, fall))
+        either = min(rise, fall)
+        up = np.where(travel > 0.0, rise, np.where(travel < 0.0, fall, either))
+        down = np.where(travel > 0.0, fall, np.where(travel < 0.0, rise, either))
         acceleration = np.array([-down, up])
         acceleration[:, 0] = (lowest.linear - last.linear) / period, (highest.linear - last.linear) / period
         speed = np.tile([[-limits.max_reverse_speed], [limits.max_speed]], n)
@@ -407,7 +417,7 @@ class _Remembering(CommandLimiter):
         """The command nearest to `wanted` that the last one can become."""
         before, is_first = self.command, self._feed_forward is None
         command = super().follow(wanted, feed_forward, period, limits, drive, in_place=in_place, room=room)
-        if wanted == self.allowed and not is_first:
+        if self._is_allowed(wanted) and not is_first:
             self.command = command = admissible(rate_limited(before, wanted, limits, period), limits, drive)
             self._acceleration = (command.linear - before.linear) / period
             if abs(command.linear) > _AT_REST:
@@ -415,6 +425,11 @@ class _Remembering(CommandLimiter):
         if self._curvature is not None:
             self.curvature = self._curvature
         return command
+
+    def _is_allowed(self, wanted: Twist2) -> bool:
+        """Whether it is the program's own command, but for a turn of almost nothing that the finish leaves out."""
+        allowed = self.allowed
+        return allowed is not None and wanted.linear == allowed.linear and wanted.angular in (allowed.angular, 0.0)
 
 
 def _both_ways(bound: float, count: int) -> FloatArray:

@@ -119,11 +119,9 @@ def predicted(state: FloatArray, matrices: tuple[FloatArray, FloatArray, FloatAr
     errors, by = np.empty((n, 5)), np.zeros((n, 5, 2 * n))
     now, effect = state, np.zeros((5, 2 * n))
     for k in range(n):
-        now = a[k] @ now + c[k]
-        np.matmul(a[k], effect, out=by[k])
-        by[k, :, 2 * k : 2 * k + 2] += b[k]
-        effect = by[k]
-        errors[k] = now
+        now = errors[k] = a[k] @ now + c[k]
+        effect = np.matmul(a[k], effect, out=by[k])
+        effect[:, 2 * k : 2 * k + 2] = b[k]  # nothing earlier depends on this command
     return Prediction(errors, by)
 
 
@@ -361,8 +359,8 @@ class TrackingProgram:
                 a[row, 2 * at + 1] = sign * np.where(steering, bounds.gear, 1.0)
                 upper[row] = np.where(steering, 0.0, slow)
             self._fill_curvature_changes(cycle.nominal[1:], bounds)
-        for values in (lower, upper, program.lbx, program.ubx):
-            np.clip(values, -UNBOUNDED, UNBOUNDED, out=values)
+        for values in (lower, upper, program.lbx, program.ubx):  # as np.clip, which takes several times as long
+            np.minimum(np.maximum(values, -UNBOUNDED, out=values), UNBOUNDED, out=values)
 
     def _fill_curvature_changes(self, nominal: FloatArray, bounds: CommandBounds) -> None:
         """Curvatures w / v, linear about the nominal commands, from each to the next where both are in motion."""

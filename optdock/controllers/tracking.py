@@ -15,7 +15,7 @@ from optdock.controllers.delay_estimate import DelayEstimate
 from optdock.controllers.finish import Accepted, DeadBandPush, Patience, accepted_errors
 from optdock.controllers.look_ahead import LookAhead, collision_ahead, stopping_time, stopping_way
 from optdock.controllers.moving_reference import Progress, Reference, ReferenceState, peaks
-from optdock.controllers.tracking_law import Gains, tracking_command
+from optdock.controllers.tracking_law import Gains, delay_bounds, tracking_command
 from optdock.errors import ControllerInvalidPath, FailedToTimePath, NoValidControl
 from optdock.geometry.checked import finite_number
 from optdock.geometry.pose import Pose2, Twist2
@@ -39,7 +39,7 @@ _TURN_LEVER = 0.5  # [m]: a turn in place tells the drive's delay as a drive doe
 _ROOM = 2e-4  # [m] beyond the next rest: a motion that brakes as hard as it can is not slowed down by rounding
 _NOTHING = 5e-5  # [m/s], [rad/s]: at the end less than this is not commanded
 _SHORTEST_CONVERGENCE = 0.05  # [m]
-_DELAYS_TO_CONVERGE = 3.0  # a lateral error may decay within the way of so many delays; less overshoots
+_AT_END = 0.78  # of what the delay asks for, where too much would be left: a phase margin of 37 degrees, once
 _ASIDE_SMOOTHING = 0.2  # [s], of the error across: more hides a jump from what is left of the way
 _SCATTER_SMOOTHING = 1.0  # [s], of its squared noise
 _GROWTH, _LEAST_SCATTER = 4.0, 4e-6  # [1], [m^2]: what a single error may add to that
@@ -58,7 +58,7 @@ class TrackingControllerParameters(PluginParameters):
     )
     along_gain: float = Field(default=2.0, gt=0.0, description="speed per error along the travel [1/s]")
     convergence_distance: float = Field(
-        default=0.25, gt=0.0, description="distance over which lateral errors decay [m]"
+        default=0.25, gt=0.0, description="distance over which lateral errors decay, longer for late drives [m]"
     )
     damping: float = Field(default=1.0, gt=0.0, description="damping ratio of the lateral error")
     turn_gain: float = Field(default=1.0, gt=0.0, description="least yaw rate per heading error [1/s]")
@@ -99,8 +99,9 @@ class TrackingController(Controller):
     reference rests as its time law does. A trajectory with a `start_stamp` takes over just then, in motion: the
     reference goes on from one to the other without a jump where they meet, and the feed-forward looks across.
 
-    **Law.** See `tracking_law`; the feed-forward is that of the middle of the coming period, `preview` ahead. Without a
-    given `preview` it is identified from the first ramp on, by comparing the measured speed with the commands
+    **Law.** See `tracking_law`; gains are lower where the drive's delay asks for it (`delay_bounds`). The feed-forward
+    is that of the middle of the coming period, `preview` ahead. Without a given `preview` it is identified from the
+    first ramp on, by comparing the measured speed with the commands
     (`delay_estimate`); it is kept from path to path, until `reset`.
 
     **Finish.** At the trajectory's end the same law holds the last pose: errors along and in yaw decay exponentially
@@ -401,9 +402,11 @@ class TrackingController(Controller):
     def _wanted(self, reference: Reference, now: ReferenceState, error: Pose2, accepted: Accepted) -> Twist2:
         if self._cancelled and reference.rate == 0.0:
             return Twist2()
-        p = self.parameters
-        distance = self._convergence_distance(now, error, accepted)
-        wanted = tracking_command(error, now.ahead.twist, Gains(p.along_gain, distance, p.damping, p.turn_gain))
+        p, twist = self.parameters, now.ahead.twist
+        bounds = delay_bounds(twist.linear, self._known_delay + 0.5 * self._clock.period, p.damping)
+        distance = self._convergence_distance(now, error, accepted, bounds.distance)
+        gains = Gains(min(p.along_gain, bounds.rate), distance, p.damping, min(p.turn_gain, bounds.rate))
+        wanted = tracking_command(error, twist, gains)
         if self._drive is Drive.ACKERMANN and now.ahead.speed < _CREEPING:
             # A rest tells no curvature, and the feedback's would swing the wheels; a creeping command does tell it.
             arc = reference.next_arc()
@@ -426,8 +429,8 @@ class TrackingController(Controller):
         most = _GROWTH * self._scatter + _LEAST_SCATTER  # a jump is no noise
         self._scatter += min(1.0, period / _SCATTER_SMOOTHING) * (min(0.5 * off * off, most) - self._scatter)
 
-    def _convergence_distance(self, now: ReferenceState, error: Pose2, accepted: Accepted) -> float:
-        """As given; less where too much would be left at the end, but no less than the drive's delay allows.
+    def _convergence_distance(self, now: ReferenceState, error: Pose2, accepted: Accepted, shortest: float) -> float:
+        """As given, or `shortest` where that is more; less where too much would be left at the end.
 
         What counts is the error across, smoothed and beyond its own noise, which a shorter distance would amplify.
         """
@@ -436,9 +439,8 @@ class TrackingController(Controller):
         self._aside += share * (error.y - self._aside)
         noise = math.sqrt(self._scatter * share / (2.0 - share))
         aside = abs(self._aside) if abs(self._aside) > _NOISES * noise else 0.0
-        usual, left, speed = self.parameters.convergence_distance, now.ahead.left, abs(now.ahead.twist.linear)
-        least = max(_SHORTEST_CONVERGENCE, _DELAYS_TO_CONVERGE * speed * (self._known_delay + 0.5 * self._clock.period))
-        found = usual
+        left, least = now.ahead.left, max(_SHORTEST_CONVERGENCE, _AT_END * shortest)
+        found = usual = max(self.parameters.convergence_distance, shortest)
         # Critically damped, an error decays by (1 + d / L) exp(-d / L) over a distance d.
         while found > least and aside * (1.0 + left / found) * math.exp(-left / found) > _LEFT * accepted.cross:
             found *= 0.9

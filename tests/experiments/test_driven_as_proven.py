@@ -39,7 +39,7 @@ def test_the_executor_stays_where_its_plan_is_proven_and_takes_as_long(name, dir
 
 @pytest.mark.parametrize(
     ("name", "number", "late", "without"),
-    [("differential", 21, True, 3.0), ("turning in place", 0, True, 1.5), ("car, holds", 28, False, 1.5)],
+    [("differential", 21, True, 1.5), ("turning in place", 0, True, 1.0), ("car, holds", 28, False, 1.5)],
 )
 def test_it_stays_there_where_the_plan_is_at_its_limits(name, number, late, without, monkeypatch):
     """With the reserve of feedback; without it, what is off is never made good while the plan uses all there is."""

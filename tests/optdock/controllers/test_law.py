@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from optdock.controllers.tracking_law import Gains, tracking_command
+from optdock.controllers.tracking_law import Gains, delay_bounds, tracking_command
 from optdock.geometry.pose import Pose2, Twist2
 
 GAINS = Gains(along=2.0, convergence_distance=0.25, damping=1.0, turn=1.0)
@@ -82,3 +82,51 @@ def test_the_lateral_error_decays_over_a_distance_whatever_the_speed(speed):
 def test_the_law_is_smooth_where_the_sine_quotient_changes_form():
     near, far = (tracking_command(Pose2(0.0, 0.1, angle), Twist2(0.5), GAINS).angular for angle in (0.999e-6, 1.001e-6))
     assert near == pytest.approx(far, abs=1e-7)
+
+
+def phase_margin(open_loop, delay=0.0):
+    """Of an open loop that falls with the frequency, at the last one where its gain is 1 [rad]."""
+    frequency = np.geomspace(1e-3, 1e3, 200_001)
+    at = 1j * frequency
+    response = open_loop(at) * np.exp(-delay * at)
+    crossover = np.flatnonzero(np.abs(response) >= 1.0)[-1]
+    return math.pi + np.unwrap(np.angle(response))[crossover] - 2.0 * math.pi * (np.angle(response[0]) > 0.0)
+
+
+@pytest.mark.parametrize("damping", [0.5, 1.0, 2.0])
+@pytest.mark.parametrize(("speed", "delay"), [(0.1, 0.3), (-0.5, 0.1), (1.0, 0.25)])
+def test_a_delay_takes_no_more_than_two_fifths_of_the_phase_margin(damping, speed, delay):
+    bounds = delay_bounds(speed, delay, damping)
+    a = abs(speed) / bounds.distance
+
+    def across(s):
+        return (2.0 * damping * a * s + a * a) / s**2
+
+    assert phase_margin(across, delay) == pytest.approx(0.6 * phase_margin(across), abs=1e-3)
+    assert phase_margin(lambda s: bounds.rate / s, delay) == pytest.approx(0.6 * 0.5 * math.pi, abs=1e-3)
+    # A lag takes less than a latency of its length.
+    assert phase_margin(lambda s: across(s) / (1.0 + delay * s)) > 0.6 * phase_margin(across)
+
+
+def test_without_a_delay_nothing_is_bounded():
+    assert delay_bounds(0.5, 0.0, 1.0) == (math.inf, 0.0)
+
+
+def swing(speed, delay, distance):
+    """The largest error across in the last of forty metres that were begun 1 cm beside a line [m]."""
+    gains, step = GAINS._replace(convergence_distance=distance, turn=1e-6), 0.004
+    y, yaw, told, found = 0.01, 0.0, [0.0] * round(delay / step), []
+    for _ in range(round(40.0 / (abs(speed) * step))):
+        told.append(tracking_command(Pose2(0.0, y, yaw), Twist2(speed), gains).angular)
+        y, yaw = y + step * speed * math.sin(yaw), yaw - step * told[-1 - round(delay / step)]
+        yaw = min(max(yaw, -0.5), 0.5)
+        found.append(abs(y))
+    return max(found[-round(1.0 / (abs(speed) * step)) :])
+
+
+@pytest.mark.parametrize("speed", [0.5, -1.0])
+def test_at_its_bound_a_late_drive_settles_and_well_below_it_never_does(speed):
+    delay = 0.2
+    distance = delay_bounds(speed, delay, GAINS.damping).distance
+    assert swing(speed, delay, distance) < 1e-6
+    assert swing(speed, delay, 0.35 * distance) > 0.01

@@ -6,6 +6,7 @@ from hypothesis import Phase, given, settings
 from hypothesis import strategies as st
 
 from checkers.dock import DockGoalChecker
+from optdock.controllers import mpc
 from optdock.controllers.mpc import CycleOutcome, MpcController
 from optdock.controllers.tracking import TrackingController
 from optdock.dock import Dock
@@ -224,7 +225,8 @@ def test_without_a_solution_the_commands_found_before_go_on_and_then_it_says_so(
         followed.append(command.linear)
         k += 1
     assert "no commands were found" in str(refused)
-    assert 0.6 / PERIOD < len(followed) < 0.85 / PERIOD
+    horizon = 0.4 / 0.6 + 0.6 / 2.0  # [s]: braking from 0.4 m/s takes longer than the parameter
+    assert horizon - 0.2 < len(followed) * PERIOD < horizon + 0.2
     assert followed[0] == pytest.approx(trajectory.at(61 * PERIOD).twist.linear, abs=0.02)
 
 
@@ -241,3 +243,38 @@ def test_it_stops_before_what_stands_in_its_way():
 
 def test_it_is_found_by_name():
     assert isinstance(create_plugin(Controller, "MpcController", {"horizon": 0.6}), MpcController)
+
+
+class TestFastAndLate:
+    """1 m/s, a lag of 0.15 s, a latency of 0.1 s: braking takes longer than the default horizon."""
+
+    ROBOT = Robot(FOOTPRINT, MotionLimits(max_speed=1.0, max_reverse_speed=1.0))
+    LINE = rest_to_rest([clothoid(Pose2(0.0, 0.0, 0.0), [0.0, 4.0], [0.0, 0.0])], speed=1.0, acceleration=0.5)
+
+    def run(self, **parameters):
+        controller = ready(self.LINE, self.ROBOT, **parameters)
+        world = SimulationSettings(actuation=Actuation(linear_lag=0.15, angular_lag=0.15, latency=0.1))
+        return run_closed_loop(self.LINE, self.ROBOT, self.LINE.path.end, controller, DockGoalChecker(), world)
+
+    def test_it_brakes_before_the_end(self, monkeypatch):
+        run = self.run()
+        assert run.docked, run.reason
+        assert run.poses[:, 0].max() < 4.02
+        monkeypatch.setattr(mpc, "_braking_time", lambda *_: 0.0)
+        assert self.run().poses[:, 0].max() > 4.05
+
+
+def test_a_turn_that_the_finish_leaves_out_slows_nothing_down():
+    """The speed of such a command is the program's, as much as with the turn."""
+    speeds = []
+    for turn in (1e-6, 0.0):
+        limiter = mpc._Remembering()
+        limiter.follow(Twist2(), Twist2(), PERIOD, LIMITS, Drive.DIFFERENTIAL, in_place=True)
+        for _ in range(50):
+            acceleration = min(limiter.acceleration + LIMITS.max_jerk * PERIOD, LIMITS.max_acceleration)
+            limiter.allowed = Twist2(limiter.command.linear + acceleration * PERIOD, 1e-6)
+            wanted = Twist2(limiter.allowed.linear, turn)
+            limiter.follow(wanted, Twist2(), PERIOD, LIMITS, Drive.DIFFERENTIAL, in_place=True)
+        speeds.append(limiter.command.linear)
+    assert speeds[0] == pytest.approx(speeds[1])
+    assert speeds[0] == pytest.approx(0.5 * (1.0 - 0.5 * 0.5 / 2.0), abs=0.01)

@@ -8,7 +8,9 @@ import pytest
 
 from checkers.axis import AxisGoalChecker
 from checkers.dock import DockGoalChecker
+from optdock.controllers import tracking
 from optdock.controllers.tracking import TrackingController
+from optdock.controllers.tracking_law import DelayBounds
 from optdock.costmap.costmap import Costmap
 from optdock.dock import Dock
 from optdock.errors import ControllerInvalidPath, InvalidValue, NoValidControl
@@ -22,7 +24,7 @@ from optdock.plugins import create_plugin
 from optdock.problem import DockingProblem
 from optdock.robot import Drive, Robot
 from optdock.simulation import Actuation, DifferentialDrive, SimulationSettings, run_closed_loop
-from optdock.testing.drives import cusp_drive, s_curve_drive, straight_drive
+from optdock.testing.drives import clothoid, cusp_drive, rest_to_rest, s_curve_drive, straight_drive
 from optdock.verification import pose_clearances
 
 START = Pose2(0.0, 0.0, 0.3)
@@ -494,3 +496,30 @@ def test_steered_wheels_follow_a_reference_that_leaves_them_a_hundredth():
 
 def test_it_is_found_by_name():
     assert isinstance(create_plugin(Controller, "TrackingController", {"preview": 0.1}), TrackingController)
+
+
+class TestLateDrive:
+    """A lag of 0.15 s, a latency of 0.1 s, poses with 1 cm and 0.02 rad of noise, a robot that turns slowly."""
+
+    def off_line(self, seed):
+        """How far it leaves a straight line of 5 m at 0.8 m/s [m]."""
+        limits = MotionLimits(max_speed=1.0, max_yaw_acceleration=0.8)
+        robot, origin = Robot(ROBOT.footprint, limits), Pose2(0.0, 0.0, 0.0)
+        trajectory = rest_to_rest([clothoid(origin, [0.0, 5.0], [0.0, 0.0])], speed=0.8)
+        controller = TrackingController()
+        controller.configure(PluginContext(problem=DockingProblem(origin, Dock(trajectory.path.end), robot)))
+        world = SimulationSettings(
+            period=0.1,
+            actuation=Actuation(linear_lag=0.15, angular_lag=0.15, latency=0.1),
+            position_noise=0.01,
+            yaw_noise=0.02,
+            seed=seed,
+        )
+        checker = AxisGoalChecker(along_path_tolerance=0.05, cross_track_tolerance=0.05)
+        run = run_closed_loop(trajectory, robot, trajectory.path.end, controller, checker, world)
+        return float(np.abs(run.poses[:, 1]).max())
+
+    def test_it_does_not_weave(self, monkeypatch):
+        assert max(self.off_line(seed) for seed in range(3)) < 0.02
+        monkeypatch.setattr(tracking, "delay_bounds", lambda *_: DelayBounds(math.inf, 0.0))
+        assert min(self.off_line(seed) for seed in range(3)) > 0.1
