@@ -3,13 +3,17 @@
 settings        how: times, distances, sensors
 outcomes        what it says of itself: states, events, endings, with Nav2's codes
 docking         `DockingExecutor`: the clock, and one control cycle after the other
+intake          measurements that can be used, and what is wrong with the others
 procedure       the story of a docking and of an undocking, told from top to bottom
+situation       questions about robot, dock and surroundings, answered from the measurements
+drive           one motion being driven, and replanned
+interruptions   what ends a motion, an attempt or a task early
 approach        how far the robot can still be moved sideways, and what is left of an error at the dock
 perception      robot and dock, brought up to date by every set of measurements
-dock_filter     the dock in the frame of the odometry, from late detections
-command_limits  every command within the limits, jerk included
 planning        jobs beside the control loop: at once, in a thread, out of a log
 planning_process  the process to which a thread may hand them
+plan_requests   jobs numbered, their results reported
+log, replay     everything taken down, and driven again
 """
 
 from optdock.executor.docking import DockingExecutor

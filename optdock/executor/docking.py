@@ -198,7 +198,7 @@ class DockingExecutor:
     def _tick(self, stamp: float) -> _Tick:
         """The time since the last cycle, on a clock that never goes back and makes no leaps."""
         before, self._last_stamp = self._last_stamp, stamp
-        self._procedure.interruption = ("", "")
+        self._procedure.situation.interruption = ("", "")
         self._cycle_count += 1
         if self._began is None:
             self._began = stamp
@@ -228,12 +228,12 @@ class DockingExecutor:
 
     def _interrupt(self, name: str, reason: str) -> None:
         self._report(name, reason)
-        self._procedure.interruption = (name, reason)
+        self._procedure.situation.interruption = (name, reason)
 
     def _command(self, period: float) -> Twist2:
         procedure, wish = self._procedure, None
         if self._ending is None:
-            procedure.commanded = self._limiter.command
+            procedure.situation.commanded = self._limiter.command
             try:
                 wish = next(self._cycles)
             except StopIteration as over:

@@ -1,0 +1,411 @@
+"""One motion being driven: the controller is asked in every cycle, and the motion replanned where that is worth it."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from optdock.errors import ControllerException
+from optdock.executor.approach import can_be_planned_away, left_at_dock
+from optdock.executor.interruptions import TOO_FAR_OFF, AttemptFailed, Interrupted, TaskFailed
+from optdock.executor.outcomes import EndingKind, State
+from optdock.executor.planning import Job, Outcome
+from optdock.geometry.pose import Pose2, displacement, normalize_angle
+from optdock.lifecycle import LifecycleState, PluginContext
+from optdock.tube import Tube
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from optdock.executor.plan_requests import PlanRequests
+    from optdock.executor.planning import Motion, PlanResult
+    from optdock.executor.situation import Situation
+    from optdock.geometry.pose import Twist2
+    from optdock.interfaces import Controller, GoalChecker
+    from optdock.path import Path
+
+__all__ = ["Drive"]
+
+_PROGRESS = 0.05  # [s] on the trajectory's own clock that count as progress
+_INSTANT = 1e-9  # [s]
+_SETTLED = 3e-4, 5e-4  # [m/s], [rad/s] commanded at the end of the path: by the usual gains 0.15 mm and 0.03 degrees
+_OF_NOISE = 1.5  # standard deviations: of a smaller error nobody knows whether it is one
+_NOISE_GAIN = 1.0  # [1/s]: what noise makes of the commands, by the usual gains
+_WATCHED = 0.005  # [m]: a tube that is narrower, where it begins and ends in contact, is left by any noise
+_LAST_REPLAN = 0.15  # [m] before the dock: nearer, no robot can be moved sideways by more than a millimetre
+_LOOK = 0.1  # [s] between two looks at what is left to be corrected
+_AFTER_REFUSAL = 3.0  # times the usual pause: what could not be planned now cannot be planned a moment later
+_LEAP = 0.25  # [m] from its reference, farther off another stretch of the path may be nearer
+_LEAD = 0.06  # [s] beyond the budget: a period at 20 Hz until the result is asked for, and some
+_LATE = 0.05  # [s]: a reference that jumps by so much at the speeds near a dock jumps by millimetres
+_STALE_STOP = 0.3  # [s]: a motion that is proven wrong from later on than this may go on while another is planned
+_SAMPLES = 0.01  # [m] between two poses of a path: between them it bends by micrometres
+
+_LATE_ENDINGS = {State.STAGING: EndingKind.FAILED_TO_STAGE, State.UNDOCKING: EndingKind.TIMEOUT}
+
+
+class Drive:
+    """A motion that is driven; it becomes another one where replanning is worth it.
+
+    Args:
+        motion: To be driven, from rest.
+        state: What for; `State.APPROACHING`: into the dock.
+        situation: Of the robot, brought up to date before every cycle.
+        controller: Drives.
+        goal_checker: Says whether the robot stands in its dock.
+        requests: Of other motions.
+        report: Takes the name of an event and its detail.
+
+    Raises:
+        AttemptFailed: The controller cannot follow such a motion.
+
+    Attributes:
+        motion: What is driven now.
+        docked: How the robot got into its dock, at the end of an approach; None: it is not known to stand there.
+        deviation: The robot as seen from the path; None before the first cycle.
+    """
+
+    def __init__(  # noqa: PLR0913 - what it joins
+        self,
+        motion: Motion,
+        state: State,
+        *,
+        situation: Situation,
+        controller: Controller,
+        goal_checker: GoalChecker,
+        requests: PlanRequests,
+        report: Callable[[str, str], None],
+    ) -> None:
+        self._state, self._is_approach = state, state is State.APPROACHING
+        self._situation, self._controller, self._goal_checker = situation, controller, goal_checker
+        self._requests, self._report = requests, report
+        self.docked: EndingKind | None = None
+        self.deviation: Pose2 | None = None
+        self._goal = motion.problem.goal
+        self._next_goal: tuple[float, Pose2] | None = None  # from when on [s]
+        self._is_urgent = self._is_stop = False
+        self._costmap = motion.problem.costmap  # a newer one is looked at in the first cycle
+        self._blocked = math.inf, ""  # when the motion meets what was not there when it was planned, and what that is
+        self._looked_at, self._where = -math.inf, ""
+        self._submitted_at, self._pause = -math.inf, situation.settings.replan_pause
+        self._finished_since: float | None = None
+        self._until = situation.now + motion.trajectory.duration + self._allowance
+        requests.forget()
+        goal_checker.reset()
+        self._give(motion, None)
+        self._become(motion)
+
+    def _give(self, motion: Motion, start_stamp: float | None) -> None:
+        """Hand a motion to the controller.
+
+        Raises:
+            AttemptFailed: It cannot follow such a one.
+        """
+        self._configure(motion)
+        try:
+            self._controller.set_path(motion.trajectory, start_stamp=start_stamp)
+        except ControllerException as error:
+            raise AttemptFailed(EndingKind.FAILED_TO_CONTROL, f"{type(error).__name__}: {error}") from error
+
+    def _become(self, motion: Motion) -> None:
+        """What is driven from now on."""
+        law, tracking = motion.trajectory.time_law, self._situation.problem.robot.tracking
+        self.motion, self._progress = motion, (-math.inf, self._situation.now)
+        self._way = _Way(motion.trajectory.path)
+        self._times_of_places, self._time_of_place = (law.states[:, 0], law.times), 0.0
+        proven = not self._is_stop and (tracking.cross > 0.0 or tracking.yaw > 0.0)
+        self._tube = Tube(motion.trajectory.path, motion.problem, motion.start_relief) if proven else None
+        self._is_outside = False
+
+    @property
+    def _allowance(self) -> float:
+        settings, state = self._situation.settings, self._state
+        if state is State.STAGING:
+            return settings.max_staging_time
+        return settings.max_undocking_time if state is State.UNDOCKING else settings.dock_approach_timeout
+
+    def is_over(self) -> bool:
+        """Whether the motion ends in this cycle: its end is reached, or the robot is docked.
+
+        Raises:
+            Interrupted: It cannot go on.
+            AttemptFailed: An approach takes too long.
+            TaskFailed: Another drive does.
+        """
+        situation, settings = self._situation, self._situation.settings
+        situation.require_no_interruption()
+        if self._next_goal is not None and situation.now >= self._next_goal[0] - _INSTANT:
+            self._goal, self._next_goal = self._next_goal[1], None
+        if self._is_approach:
+            self.docked = self._contact()
+            if self.docked is not None:
+                return True
+            if settings.use_detections and situation.detection_is_old:
+                place, turn = situation.perception.sigma
+                reason = (
+                    f"not seen for {situation.perception.detection_age:.1f} s, sigma {place:.4f} m and {turn:.4f} rad"
+                )
+                raise Interrupted("detection missing", reason)
+        if situation.now > self._until:
+            reason = f"timeout while {self._state.value}: {situation.where}"
+            if self._is_approach:
+                raise AttemptFailed(EndingKind.FAILED_TO_CONTROL, reason)
+            raise TaskFailed(_LATE_ENDINGS.get(self._state, EndingKind.FAILED_TO_CONTROL), reason)
+        self._look_around()
+        self._stop_in_time()
+        self._watch_place()
+        return self._is_finished()
+
+    def command(self) -> Twist2:
+        """What the controller asks for.
+
+        Raises:
+            Interrupted: It has no command, or the motion cannot go on.
+        """
+        situation = self._situation
+        measurements = situation.perception.measurements
+        assert measurements is not None
+        try:
+            target = self._controller.compute_velocity_commands(
+                self._pose, measurements.twist, self._goal_checker, stamp=situation.now
+            )
+        except ControllerException as error:
+            raise Interrupted("no valid control", f"{type(error).__name__}: {error}") from error
+        self._replan()
+        return target
+
+    @property
+    def _pose(self) -> Pose2:
+        """The robot as the controller is told: where it stands relative to the dock, of which the plan may be older."""
+        perception = self._situation.perception
+        return self._goal @ perception.robot_from_dock if self._is_approach else perception.robot
+
+    def _configure(self, motion: Motion) -> None:
+        controller = self._controller
+        if controller.state is LifecycleState.INACTIVE:
+            controller.cleanup()
+        costmap = self._situation.costmap if self._situation.perception.costmap is not None else None
+        controller.configure(PluginContext(name=controller.name, problem=motion.problem, local_costmap=costmap))
+
+    @property
+    def _reference(self) -> tuple[float, float]:
+        """Time of the reference on the trajectory's own clock [s], and its rate.
+
+        A controller that follows no trajectory in time has none: there it is when the plan would be where the robot is.
+        """
+        progress = getattr(self._controller, "progress", None)
+        return (self._time_of_place, 1.0) if progress is None else (float(progress.time), float(progress.rate))
+
+    def _contact(self) -> EndingKind | None:
+        """How the robot is docked: contact is felt, or the goal checker says so once the robot has settled."""
+        situation, settings = self._situation, self._situation.settings
+        kind = situation.contact()
+        if kind is not None:
+            return kind
+        if self._finished_since is None or settings.contact == "touch":
+            return None
+        still = [
+            max(least, _NOISE_GAIN * sigma) for least, sigma in zip(_SETTLED, situation.perception.sigma, strict=True)
+        ]
+        moves = abs(situation.commanded.linear) > still[0] or abs(situation.commanded.angular) > still[1]
+        relative, goal = situation.perception.robot_from_dock, Pose2(0.0, 0.0, 0.0)
+        errors = zip(relative.as_array(), situation.perception.sigma_after(0.0), strict=True)
+        is_noise = all(abs(error) <= _OF_NOISE * sigma for error, sigma in errors)
+        if moves and not is_noise and situation.now - self._finished_since < 0.5 * settings.settling_time:
+            return None  # what is left is still being corrected
+        path = [Pose2(-0.1 * situation.gear, 0.0, 0.0), goal]
+        if not self._goal_checker.is_goal_reached(relative, goal, situation.twist, path):
+            return None
+        is_known = not situation.perception.is_contradicted and situation.will_know(0.0)
+        return EndingKind.DOCKED_BY_DISTANCE if is_known else None
+
+    def _is_finished(self) -> bool:
+        situation, settings = self._situation, self._situation.settings
+        now, (time, _) = situation.now, self._reference
+        if time >= self.motion.trajectory.duration - _INSTANT:
+            if self._is_stop:
+                raise Interrupted("stopped", "nothing that is certified leads on from here")
+            self._finished_since = self._finished_since if self._finished_since is not None else now
+            if not self._is_approach:
+                return True
+            return now - self._finished_since > settings.settling_time
+        self._finished_since = None
+        best, since = self._progress
+        if time > best + _PROGRESS:
+            self._progress = time, now
+        elif now - since > settings.progress_time:
+            raise Interrupted("no progress", f"the motion stands at {time:.2f} s of its time since {now - since:.1f} s")
+        return False
+
+    def _look_around(self) -> None:
+        """A new picture of the surroundings: does the rest of the motion still hold?"""
+        situation = self._situation
+        costmap = situation.costmap
+        if costmap is None or costmap is self._costmap:
+            return
+        self._costmap = costmap
+        self._configure(self.motion)
+        time, _ = self._reference
+        verdict = self._requests.still_holds(self.motion, costmap, max(0.0, time))
+        if verdict.holds:
+            self._blocked = math.inf, ""
+            return
+        self._report("motion does not hold any more", verdict.reason)
+        self._blocked = verdict.at_time, verdict.reason
+        self._is_urgent = True
+        self._requests.forget()
+
+    def _stop_in_time(self) -> None:
+        """Whoever plans the way round what is ahead may take his time; the robot does not."""
+        at_time, reason = self._blocked
+        if at_time - self._reference[0] < self._situation.braking_time + _STALE_STOP:
+            raise Interrupted("obstacle ahead", reason)
+
+    def _watch_place(self) -> None:
+        """Where on its path the robot is, and whether it is within the tube that was proven around it."""
+        situation = self._situation
+        trajectory, path = self.motion.trajectory, self.motion.trajectory.path
+        time, _ = self._reference
+        if time < 0.0:
+            return
+        robot, way = situation.perception.robot, self._way
+        begin = float(trajectory.time_law.at(time)[0, 0])
+        place, gear = way.at(begin)
+        ahead = gear * robot.in_frame_of(place).x
+        s = min(max(begin + min(max(ahead, -_LEAP), _LEAP), 0.0), path.length)
+        self.deviation = off = robot.in_frame_of(way.at(s)[0])
+        if not hasattr(self._controller, "progress"):
+            self._time_of_place = max(time, float(np.interp(s, *self._times_of_places)))
+        if self._tube is None:
+            return
+        radius = situation.problem.robot.footprint.circumscribed_radius
+        moved = float(displacement(math.hypot(off.x, off.y), off.yaw, radius))
+        width = float(self._tube.width_at(np.array([s]))[0])
+        if moved > width:  # from there; another place may be the better one
+            found = self._tube.deviations(robot.as_array()[None], near=s, within=_LEAP)
+            moved, width = float(found.displacement[0]), float(found.width[0])
+        is_outside = moved > width
+        if is_outside != self._is_outside:
+            self._is_outside = is_outside
+            said = f"{off.y:.4f} m and {off.yaw:.4f} rad off, {moved:.4f} m with its outline; proven: {width:.4f} m"
+            self._report("tube left" if is_outside else "tube entered", said)
+            is_worth_it = width >= _WATCHED and path.length - s > _LAST_REPLAN
+            self._is_urgent = self._is_urgent or (is_outside and is_worth_it)
+
+    def _replan(self) -> None:
+        """Hand in a job where one is worth it, and take over what the last one gave."""
+        situation, settings = self._situation, self._situation.settings
+        if self._requests.pending:
+            result = self._requests.result(situation.now)
+            if result is not None:
+                self._take(result)
+            return
+        if self._is_stop or self._next_goal is not None or not settings.replanning:
+            return
+        time, rate = self._reference
+        if not self._is_urgent:
+            if not self._is_approach or situation.now - self._looked_at < _LOOK - _INSTANT:
+                return
+            self._looked_at = situation.now
+            if not self._is_worth_it(time) or situation.now - self._submitted_at < self._pause:
+                return
+            self._report("plan asked for", self._where)
+        problem = (
+            situation.to_dock()
+            if self._is_approach
+            else dataclasses.replace(self.motion.problem, costmap=self._costmap)
+        )
+        self._submitted_at = situation.now
+        budget = settings.replan_budget
+        self._requests.submit(
+            Job(
+                0,
+                situation.now,
+                problem,
+                budget,
+                running=self.motion,
+                time=time,
+                rate=rate,
+                pose=situation.perception.robot,
+                lead=budget + _LEAD,
+                # The controller is told where the robot is relative to the dock, so it follows the motion there.
+                moved=situation.perception.dock @ self._goal.inverse() if self._is_approach else None,
+            )
+        )
+
+    def _is_worth_it(self, time: float) -> bool:
+        """Whether feedback would leave more of the present error at the dock than is worth a plan.
+
+        Raises:
+            Interrupted: More than the dock accepts would be left without another gear.
+        """
+        situation, settings = self._situation, self._situation.settings
+        trajectory = self.motion.trajectory
+        perception = situation.perception
+        if settings.use_detections and not perception.sees_dock:
+            return False
+        if not 0.0 <= time < trajectory.duration:
+            return False
+        now = trajectory.at(time)
+        left = trajectory.path.length - now.s
+        error = self._pose.in_frame_of(now.pose)
+        limits, dock, sigma = situation.problem.robot.limits, situation.problem.dock, perception.sigma
+        left_over = [abs(part) for part in left_at_dock(error.y, error.yaw, left, situation.gear)]
+        if not can_be_planned_away(error.y, error.yaw, left - dock.final_straight, situation.gear, limits):
+            cusps, accepted = trajectory.path.cusps, dock.tolerances
+            off = left_over[0] > max(accepted.cross, 3.0 * sigma[0])
+            turned = left_over[1] > max(accepted.yaw, 3.0 * sigma[1])
+            if (off or turned) and (not cusps or now.s >= cusps[-1]):
+                raise Interrupted(
+                    TOO_FAR_OFF, f"{error.y:.3f} m and {error.yaw:.3f} rad off the path, {left:.3f} m left"
+                )
+            return False
+        off = left_over[0] > settings.worth_position and abs(error.y) > sigma[0]
+        turned = left_over[1] > settings.worth_yaw and abs(error.yaw) > sigma[1]
+        self._where = f"{error.y:.4f} m and {error.yaw:.4f} rad off, {left:.3f} m before the end"
+        return off or turned
+
+    def _take(self, result: PlanResult) -> None:
+        situation, settings = self._situation, self._situation.settings
+        was_urgent, self._is_urgent = self._is_urgent, False
+        self._pause = settings.replan_pause
+        if result.motion is None or (result.outcome is Outcome.STOP and not was_urgent):
+            self._pause *= _AFTER_REFUSAL
+            if was_urgent and result.outcome is Outcome.FAILED:
+                raise Interrupted("no way on", result.reason)
+            return
+        time, rate = self._reference
+        ahead = result.starts_at - time
+        if ahead < -_LATE:
+            self._report("plan came too late", f"{-ahead:.3f} s after it was to take over")
+            self._is_urgent = was_urgent
+            return
+        start = situation.now + (ahead / rate if rate > 0.0 else 0.0)
+        self._is_stop = result.outcome is Outcome.STOP
+        self._give(result.motion, start)
+        self._next_goal = start, result.motion.problem.goal
+        self._become(result.motion)
+        self._costmap, self._blocked = result.motion.problem.costmap, (math.inf, "")  # a newer one: in the next cycle
+
+
+class _Way:
+    """The poses of a path at equal distances, to find one quickly."""
+
+    def __init__(self, path: Path) -> None:
+        count = max(1, math.ceil(path.length / _SAMPLES))
+        places = np.linspace(0.0, path.length, count + 1)
+        self._step = path.length / count
+        self._poses: list[list[float]] = path.poses_at(places).tolist()
+        self._gears: list[float] = path.direction_at(places).astype(np.float64).tolist()
+
+    def at(self, s: float) -> tuple[Pose2, float]:
+        """The pose at a place [m] of the path, and the gear."""
+        i = min(max(int(s / self._step), 0), len(self._poses) - 2)
+        share = s / self._step - i
+        (x, y, yaw), (far_x, far_y, far_yaw) = self._poses[i : i + 2]
+        turned = normalize_angle(far_yaw - yaw)
+        pose = Pose2(x + share * (far_x - x), y + share * (far_y - y), yaw + share * turned)
+        return pose, self._gears[i]

@@ -1,0 +1,37 @@
+"""What ends a motion, an attempt or a task early."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from optdock.executor.outcomes import EndingKind
+
+__all__ = ["HELD", "NOT_DOCKED", "TOO_FAR_OFF", "AttemptFailed", "Cancelled", "Interrupted", "TaskFailed"]
+
+# Names of interruptions that are answered in ways of their own.
+HELD, TOO_FAR_OFF, NOT_DOCKED = "held", "too far off to correct", "not docked"
+
+
+class Cancelled(Exception):
+    """The caller has cancelled the task."""
+
+
+class TaskFailed(Exception):
+    """The task has failed."""
+
+    def __init__(self, kind: EndingKind, reason: str) -> None:
+        super().__init__(reason)
+        self.kind, self.reason = kind, reason
+
+
+class AttemptFailed(TaskFailed):
+    """This approach has failed; another one may succeed."""
+
+
+class Interrupted(Exception):
+    """The motion cannot go on; another one from here may."""
+
+    def __init__(self, name: str, reason: str) -> None:
+        super().__init__(reason)
+        self.name, self.reason = name, reason

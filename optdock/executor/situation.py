@@ -1,0 +1,315 @@
+"""What is known of the task at this moment: where the robot stands, what it sees and touches, what may be asked for."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from optdock.costmap.cell_obstacles import obstacles_from_costmap
+from optdock.costmap.contact_zone import with_contact_zone
+from optdock.dock import Dock, DockDirection
+from optdock.executor.approach import staging_distance
+from optdock.executor.interruptions import HELD, Interrupted
+from optdock.executor.outcomes import EndingKind
+from optdock.geometry.pose import Pose2, Twist2
+from optdock.obstacles import ObstacleSet
+from optdock.problem import ClearanceRule
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from optdock.costmap.costmap import Costmap
+    from optdock.executor.perception import Perception
+    from optdock.executor.settings import ExecutorSettings
+    from optdock.problem import DockingProblem
+
+__all__ = ["Situation"]
+
+_AT_REST = 0.01, 0.02  # [m/s], [rad/s] by odometry: a robot that stands, its encoders not quite
+_SAME_DOCK = 0.01  # [m], [rad]: a dock that is seen elsewhere by less stands in the same cells
+# Standard deviations that the accepted errors of the dock must hold: one docking in 400 is then off by one more, were
+# the robot believed to stand at the edge of what is accepted; it is believed to stand in the middle.
+_CERTAINTY = 2.0
+_BLINK = 0.5  # [s] without a detection that nothing is made of
+_LONG = 3.0  # [s] without one, after which a robot that is not sure looks for it before it drives on
+_LAST_LOOK = 0.2  # [m] before the dock: as near it drives without being sure, for a detection may come on the way
+_ARRIVED = 0.05, 0.05  # [m], [rad] from the staging pose: Nav2's undock_linear_tolerance and undock_angular_tolerance
+_AT_A_STAND: dict[str, Any] = {"start_speed": 0.0, "start_acceleration": 0.0, "start_curvature": None}
+
+
+class Situation:
+    """Questions about robot, dock and surroundings, answered from the measurements so far.
+
+    Args:
+        problem: Robot, dock as stored, obstacles, clearance; its start plays no part.
+        settings: How the task is to be done.
+        perception: Brought up to date before every cycle.
+        report: Takes the name of an event and its detail.
+
+    Attributes:
+        interruption: Name and reason of what stops a motion from outside, such as a clock that jumped; empty: nothing.
+        commanded: The last command; set before every cycle.
+    """
+
+    def __init__(
+        self,
+        problem: DockingProblem,
+        settings: ExecutorSettings,
+        perception: Perception,
+        report: Callable[[str, str], None],
+    ) -> None:
+        self.problem, self.settings, self.perception, self._report = problem, settings, perception, report
+        self.interruption = ("", "")
+        self.commanded = Twist2()
+        self._signal_seen = False
+        self._stalled_since: float | None = None
+        self._cleared: tuple[Costmap | None, Costmap | None, Pose2] = (None, None, problem.goal)
+
+    @property
+    def is_commanded_to_rest(self) -> bool:
+        """Whether the commands have come to rest."""
+        return self.commanded == Twist2()
+
+    @property
+    def now(self) -> float:
+        """Stamp of the last measurements, on the clock that never goes back [s]."""
+        return self.perception.stamp
+
+    @property
+    def twist(self) -> Twist2:
+        """The robot's body velocity by odometry."""
+        measurements = self.perception.measurements
+        return Twist2() if measurements is None else measurements.twist
+
+    @property
+    def stands(self) -> bool:
+        """Whether the robot stands, by its commands and its odometry."""
+        return (
+            self.is_commanded_to_rest
+            and abs(self.twist.linear) <= _AT_REST[0]
+            and abs(self.twist.angular) <= _AT_REST[1]
+        )
+
+    @property
+    def braking_time(self) -> float:
+        """From the largest speed to rest [s]."""
+        limits = self.problem.robot.limits
+        return limits.max_speed / limits.max_deceleration + limits.max_deceleration / limits.max_jerk
+
+    @property
+    def has_signal(self) -> bool:
+        """Whether the external signal says that the robot is docked."""
+        measurements = self.perception.measurements
+        return measurements is not None and measurements.contact is True
+
+    @property
+    def distance(self) -> float:
+        """Of the robot from the docked pose [m]."""
+        relative = self.perception.robot_from_dock
+        return math.hypot(relative.x, relative.y)
+
+    @property
+    def reach_of_contact(self) -> float:
+        """As far from the estimated dock contact may be made: what the estimate may be wrong comes on top [m]."""
+        return self.settings.contact_range + 3.0 * self.perception.sigma[0]
+
+    @property
+    def where(self) -> str:
+        """The robot seen from the docked pose, for a message."""
+        relative = self.perception.robot_from_dock
+        return f"{relative.x:.4f} m along, {relative.y:.4f} m across and {relative.yaw:.4f} rad from the docked pose"
+
+    @property
+    def detection_is_old(self) -> bool:
+        """Whether the dock has not been seen for so long that the robot would not know at the dock where it stands."""
+        age, settings = self.perception.detection_age, self.settings
+        left = abs(self.perception.robot_from_dock.x)
+        if age <= _BLINK or self.distance <= settings.detection_blind_distance:
+            return False
+        patience = settings.detection_patience
+        if patience is not None and age > patience:
+            return True
+        return (left <= _LAST_LOOK or age > _LONG) and not self.will_know(left)
+
+    @property
+    def is_dock_known(self) -> bool:
+        """Whether the dock was seen on the way here, often and well enough to be driven to."""
+        perception, accepted = self.perception, self.problem.dock.tolerances
+        seen = perception.detections >= self.settings.least_detections and not self.detection_is_old
+        (place, turn), most = perception.sigma, min(accepted.along, accepted.cross)
+        is_sure = _CERTAINTY * place <= most and _CERTAINTY * turn <= accepted.yaw
+        return seen and is_sure and not perception.is_contradicted
+
+    @property
+    def is_on_the_edge(self) -> bool:
+        """Whether the robot may stand within the tolerances of the dock as well as beside them, by what is known."""
+        accepted, found = self.problem.dock.tolerances, self.perception.robot_from_dock
+        asked = zip(
+            (found.x, found.y, found.yaw),
+            self.perception.sigma_after(0.0),
+            (accepted.along, accepted.cross, accepted.yaw),
+            strict=True,
+        )
+        return any(abs(abs(error) - most) < _CERTAINTY * sigma for error, sigma, most in asked)
+
+    @property
+    def may_have_turned(self) -> bool:
+        """Whether the localization says that the robot has turned out of its dock since that was seen."""
+        return self.settings.use_detections and abs(self.perception.unseen_turn) > self.problem.dock.tolerances.yaw
+
+    @property
+    def may_stand_in_dock(self) -> bool:
+        """False where it is known that the robot stands outside the tolerances of the dock."""
+        origin = Pose2(0.0, 0.0, 0.0)
+        return not self.will_know(0.0) or self.problem.dock.tolerances.accept(self.perception.robot_from_dock, origin)
+
+    def will_know(self, left: float) -> bool:
+        """Whether the tolerances of the dock can be told from the noise after so much more of the way [m]."""
+        sigma, accepted = self.perception.sigma_after(self.gear * left), self.problem.dock.tolerances
+        asked = zip(sigma, (accepted.along, accepted.cross, accepted.yaw), strict=True)
+        return all(_CERTAINTY * found <= most for found, most in asked)
+
+    @property
+    def gear(self) -> float:
+        """Of the last motion into the dock."""
+        direction = self.problem.dock.direction
+        if direction is DockDirection.AUTO:
+            return 1.0 if self.perception.robot_from_dock.x <= 0.0 else -1.0
+        return 1.0 if direction is DockDirection.FORWARD else -1.0
+
+    def staging_pose(self) -> Pose2:
+        """Where an approach begins, in the fixed frame."""
+        distance = self.settings.staging_distance or staging_distance(self.problem)
+        return self.perception.dock @ Pose2(-self.gear * distance, 0.0, 0.0)
+
+    def from_staging(self) -> float:
+        """Nav2's norm of the way to the staging pose, metres and radians mixed."""
+        gap = self.perception.robot.in_frame_of(self.staging_pose())
+        return math.sqrt(gap.x**2 + gap.y**2 + gap.yaw**2)
+
+    def has_arrived_at(self, place: Pose2) -> bool:
+        """Whether the robot is at a staging pose."""
+        gap = self.perception.robot.in_frame_of(place)
+        return math.hypot(gap.x, gap.y) <= _ARRIVED[0] and abs(gap.yaw) <= _ARRIVED[1]
+
+    @property
+    def costmap(self) -> Costmap | None:
+        """The newest picture of the surroundings, without what it shows of the station where the docked robot touches.
+
+        A station that scanners see stands a cell or two too fat in it.
+        """
+        seen, dock = self.perception.costmap or self.problem.costmap, self.perception.dock
+        if seen is None:
+            return None
+        known, cleared, place = self._cleared
+        if seen is not known or dock.gap_to(place) > _SAME_DOCK:
+            cleared = with_contact_zone(
+                seen,
+                dataclasses.replace(self.problem.dock, pose=dock),
+                self.problem.robot.footprint,
+                self.settings.contact_margin,
+            )
+            self._cleared = seen, cleared, dock
+        return cleared
+
+    @property
+    def station(self) -> ObstacleSet:
+        """The station where the dock is seen."""
+        station = self.problem.dock.footprint
+        return (
+            ObstacleSet.empty()
+            if station is None
+            else ObstacleSet.from_footprint(station, self.perception.dock, "dock")
+        )
+
+    def to_dock(self) -> DockingProblem:
+        """From where the robot is to where the dock is seen."""
+        return dataclasses.replace(
+            self.problem,
+            start=self.perception.robot,
+            dock=dataclasses.replace(self.problem.dock, pose=self.perception.dock),
+            costmap=self.costmap,
+            **_AT_A_STAND,
+        )
+
+    def to(self, place: Pose2) -> DockingProblem:
+        """From where the robot is to a place before the dock, among everything and the station.
+
+        There is nothing to be touched at that place: the whole clearance is kept up to it.
+        """
+        kept = self.problem.clearance.required
+        return dataclasses.replace(
+            self.problem,
+            start=self.perception.robot,
+            dock=Dock(place),
+            obstacles=self.problem.obstacles + self.station,
+            clearance=ClearanceRule(kept, kept, 0.0),
+            costmap=self.costmap,
+            **_AT_A_STAND,
+        )
+
+    def near(self, robot: Pose2, reach: float) -> ObstacleSet:
+        """Whatever stands within reach of a pose, the station included."""
+        centre = np.array([robot.x, robot.y])
+        found = self.problem.obstacles.in_box(centre - reach, centre + reach) + self.station
+        costmap = self.costmap
+        if costmap is None:
+            return found
+        return found + obstacles_from_costmap(costmap, region=(centre - reach, centre + reach))
+
+    @property
+    def oldest(self) -> float:
+        """Age of the pose or of the odometry, the larger one [s]."""
+        return max(self.perception.pose_age, self.perception.twist_age)
+
+    @property
+    def is_held(self) -> bool:
+        """Whether the robot must stand until it is released."""
+        measurements = self.perception.measurements
+        return measurements is not None and measurements.held
+
+    @property
+    def is_blind(self) -> bool:
+        """Whether the picture of the surroundings is too old to be moved in."""
+        patience = self.settings.costmap_patience
+        return patience is not None and self.perception.costmap_age > patience
+
+    def require_no_interruption(self) -> None:
+        """Raises Interrupted if the robot is held, or does not know where it is or what is around it."""
+        if self.is_held:
+            raise Interrupted(HELD, "it goes on from here when it is released")
+        name, reason = self.interruption
+        if name:
+            raise Interrupted(name, reason)
+        if self.perception.pose_age > self.settings.pose_patience:
+            raise Interrupted("no pose", f"the last one is {self.perception.pose_age:.2f} s old")
+        if self.perception.twist_age > self.settings.pose_patience:
+            raise Interrupted("no odometry", f"the last one is {self.perception.twist_age:.2f} s old")
+        if self.is_blind:
+            raise Interrupted("no costmap", f"the last one is {self.perception.costmap_age:.2f} s old")
+
+    def contact(self) -> EndingKind | None:
+        """Contact that is felt: by the external signal, or by a stall."""
+        is_near = self.distance <= self.reach_of_contact
+        if self.has_signal:
+            if is_near:
+                return EndingKind.DOCKED_BY_SIGNAL
+            if not self._signal_seen:
+                self._report("external signal far from the dock", self.where)
+        self._signal_seen = self.has_signal
+        if not self.is_stalled():
+            self._stalled_since = None
+            return None
+        if self._stalled_since is None:
+            self._stalled_since = self.now
+        if self.now - self._stalled_since < self.settings.stall_time or not is_near:
+            return None
+        return EndingKind.DOCKED_BY_STALL if self.settings.contact == "touch" else None
+
+    def is_stalled(self) -> bool:
+        """Whether the robot is commanded to move, and does not by its odometry."""
+        wanted = abs(self.commanded.linear) > 2.0 * self.settings.stall_speed
+        return wanted and abs(self.twist.linear) < self.settings.stall_speed
