@@ -1,14 +1,12 @@
 """Hypothesis profiles, the clock of budgets, and where the real inputs live."""
 
 import os
-import time
 from pathlib import Path
 
 import pytest
 from hypothesis import HealthCheck, settings
 
-from optdock.deadline import Deadline
-from optdock.lifecycle import PluginContext
+from experiments.cpu_budgets import count_cpu
 
 # Lazily imported libraries make a first example slow; a deadline would blame the code for it.
 settings.register_profile("dev", deadline=None, suppress_health_check=[HealthCheck.too_slow])
@@ -19,17 +17,8 @@ ROOT = Path(__file__).resolve().parents[1]
 REAL_DATA = Path(os.environ.get("OPTDOCK_DATA", ROOT.parent / "shared" / "data"))
 
 
-def with_cpu_clock(function):
-    """Let a function count CPU seconds of the process where it is given no clock."""
-    defaults = tuple(time.process_time if value is time.monotonic else value for value in function.__defaults__)
-    assert defaults != function.__defaults__
-    function.__defaults__ = defaults
-
-
 # What a budget allows must not depend on what else the machine does while the tests run.
-with_cpu_clock(Deadline.__init__)
-with_cpu_clock(Deadline.of_allowance.__func__)
-with_cpu_clock(PluginContext.__init__)
+count_cpu()
 
 
 @pytest.fixture(scope="session")

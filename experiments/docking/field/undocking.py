@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
+from experiments.cpu_budgets import count_cpu
 from experiments.docking.field.methods import by_executor
 from experiments.docking.field.outcome import clearances
 from experiments.docking.field.run import FieldTask, set_up
@@ -66,6 +67,7 @@ class Undocking(NamedTuple):
 
 def undocked_in_field(task: FieldTask) -> Undocking:
     """Undock a robot that stands in the dock, as well as dockings end."""
+    count_cpu()
     layout, robot = _docked(task)
     by = by_executor(layout, robot, task.rate, task="undock")
     over, limit = worst_ratio(by.commands, np.diff(by.stamps), layout.problem.robot.limits)
