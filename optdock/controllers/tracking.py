@@ -15,7 +15,7 @@ from optdock.controllers.delay_estimate import DelayEstimate
 from optdock.controllers.finish import Accepted, DeadBandPush, Patience, accepted_errors
 from optdock.controllers.look_ahead import LookAhead, collision_ahead, stopping_time, stopping_way
 from optdock.controllers.moving_reference import Progress, Reference, ReferenceState, peaks
-from optdock.controllers.tracking_law import Gains, delay_bounds, tracking_command
+from optdock.controllers.tracking_law import Gains, delay_bounds, left_after, tracking_command
 from optdock.errors import ControllerInvalidPath, FailedToTimePath, NoValidControl
 from optdock.geometry.checked import finite_number
 from optdock.geometry.pose import Pose2, Twist2
@@ -39,13 +39,14 @@ _TURN_LEVER = 0.5  # [m]: a turn in place tells the drive's delay as a drive doe
 _ROOM = 2e-4  # [m] beyond the next rest: a motion that brakes as hard as it can is not slowed down by rounding
 _NOTHING = 5e-5  # [m/s], [rad/s]: at the end less than this is not commanded
 _SHORTEST_CONVERGENCE = 0.05  # [m]
+_QUICKEST_TURN = 4.0  # [1/s], of the heading alone before the end, where the delay allows it
 _AT_END = 0.78  # of what the delay asks for, where too much would be left: a phase margin of 37 degrees, once
-_ASIDE_SMOOTHING = 0.2  # [s], of the error across: more hides a jump from what is left of the way
+_ERROR_SMOOTHING = 0.2  # [s], of the errors across and of the heading: more hides a jump from what is left of the way
 _SCATTER_SMOOTHING = 1.0  # [s], of its squared noise
-_GROWTH, _LEAST_SCATTER = 4.0, 4e-6  # [1], [m^2]: what a single error may add to that
+_GROWTH, _LEAST_SCATTER = 4.0, 4e-6  # [1], [m^2] or [rad^2]: what a single error may add to that
 _NOISES = 3.0  # standard deviations
 _SEEN_NOISE = 2.0  # standard deviations of a pose across, of depth that is taken for noise
-_LEFT = 0.25  # of the accepted error across, that may be left at the end by what is seen now
+_LEFT = 0.25  # of the accepted errors across and of the heading, that may be left at the end by what is seen now
 _STEERED_RATE = 0.99  # of steered wheels: leaves feedback 3 % of the jerk and 1 % of the steering rate
 _PEAK_MARGIN = 1.2  # without a configured robot: headroom for feedback above the trajectory's own peaks
 
@@ -316,7 +317,7 @@ class TrackingController(Controller):
 
     def _attempt(self) -> None:
         """A new path is a new attempt; one that takes over in motion is none: a robot that stands is named still."""
-        self._aside = self._scatter = 0.0
+        self._aside = self._askew = self._scatter = self._yaw_scatter = 0.0
         self._pose_before: tuple[Pose2, Twist2] | None = None
         self._following, self._arriving, self._push = Patience(), Patience(), DeadBandPush()
 
@@ -403,10 +404,7 @@ class TrackingController(Controller):
         if self._cancelled and reference.rate == 0.0:
             return Twist2()
         p, twist = self.parameters, now.ahead.twist
-        bounds = delay_bounds(twist.linear, self._known_delay + 0.5 * self._clock.period, p.damping)
-        distance = self._convergence_distance(now, error, accepted, bounds.distance)
-        gains = Gains(min(p.along_gain, bounds.rate), distance, p.damping, min(p.turn_gain, bounds.rate))
-        wanted = tracking_command(error, twist, gains)
+        wanted = tracking_command(error, twist, self._gains(reference, now, error, accepted))
         if self._drive is Drive.ACKERMANN and now.ahead.speed < _CREEPING:
             # A rest tells no curvature, and the feedback's would swing the wheels; a creeping command does tell it.
             arc = reference.next_arc()
@@ -425,26 +423,48 @@ class TrackingController(Controller):
             return
         last, speed = before
         driven = Twist2(0.5 * (speed.linear + velocity.linear), 0.5 * (speed.angular + velocity.angular))
-        off = last.moved(driven, period).in_frame_of(pose).y
+        off, share = last.moved(driven, period).in_frame_of(pose), min(1.0, period / _SCATTER_SMOOTHING)
         most = _GROWTH * self._scatter + _LEAST_SCATTER  # a jump is no noise
-        self._scatter += min(1.0, period / _SCATTER_SMOOTHING) * (min(0.5 * off * off, most) - self._scatter)
+        self._scatter += share * (min(0.5 * off.y * off.y, most) - self._scatter)
+        most = _GROWTH * self._yaw_scatter + _LEAST_SCATTER
+        self._yaw_scatter += share * (min(0.5 * off.yaw * off.yaw, most) - self._yaw_scatter)
 
-    def _convergence_distance(self, now: ReferenceState, error: Pose2, accepted: Accepted, shortest: float) -> float:
-        """As given, or `shortest` where that is more; less where too much would be left at the end.
+    def _gains(self, reference: Reference, now: ReferenceState, error: Pose2, accepted: Accepted) -> Gains:
+        """As the parameters say, as far as the drive's delay allows; where too much would be left at the end, others.
 
-        What counts is the error across, smoothed and beyond its own noise, which a shorter distance would amplify.
+        What counts are the errors across and of the heading in units of what is accepted, smoothed and beyond their own
+        noise, which higher gains would amplify. An error across is taken back by turning the robot: where too little of
+        the way is left for turning it back, the heading is taken back and the error across is left.
         """
-        period = self._clock.elapsed
-        share = min(1.0, period / _ASIDE_SMOOTHING)
+        p, ahead = self.parameters, now.ahead
+        bounds = delay_bounds(ahead.twist.linear, self._known_delay + 0.5 * self._clock.period, p.damping)
+        share = min(1.0, self._clock.elapsed / _ERROR_SMOOTHING)
         self._aside += share * (error.y - self._aside)
-        noise = math.sqrt(self._scatter * share / (2.0 - share))
-        aside = abs(self._aside) if abs(self._aside) > _NOISES * noise else 0.0
-        left, least = now.ahead.left, max(_SHORTEST_CONVERGENCE, _AT_END * shortest)
-        found = usual = max(self.parameters.convergence_distance, shortest)
-        # Critically damped, an error decays by (1 + d / L) exp(-d / L) over a distance d.
-        while found > least and aside * (1.0 + left / found) * math.exp(-left / found) > _LEFT * accepted.cross:
-            found *= 0.9
-        return max(found, min(least, usual))
+        self._askew += share * (error.yaw - self._askew)
+        smoothed = math.sqrt(share / (2.0 - share))
+        aside = self._aside if abs(self._aside) > _NOISES * smoothed * math.sqrt(self._scatter) else 0.0
+        askew = self._askew if abs(self._askew) > _NOISES * smoothed * math.sqrt(self._yaw_scatter) else 0.0
+        slope, speed = now.gear * askew, max(abs(ahead.twist.linear), _CREEPING)
+
+        def left_with(distance: float, turn: float) -> float:
+            pull = max(turn / speed, 2.0 * p.damping / distance)
+            across, turned = left_after(ahead.left, aside, slope, distance, pull)
+            return max(abs(across) / accepted.cross, abs(turned) / accepted.yaw)
+
+        turns = min(p.turn_gain, bounds.rate), min(_QUICKEST_TURN, bounds.rate)
+        usual = max(p.convergence_distance, bounds.distance)
+        least = min(max(_SHORTEST_CONVERGENCE, _AT_END * bounds.distance), usual)
+        best, least_left = (usual, turns[0]), left_with(usual, turns[0])
+        if reference.finished and abs(askew) > _LEFT * accepted.yaw:
+            return Gains(min(p.along_gain, bounds.rate), usual, p.damping, turns[1])
+        if least_left > _LEFT:
+            distance = usual
+            while distance > least:
+                for turn in turns:
+                    if (found := left_with(distance, turn)) < least_left:
+                        best, least_left = (distance, turn), found
+                distance *= 0.85
+        return Gains(min(p.along_gain, bounds.rate), best[0], p.damping, best[1])
 
     def _finishing(self, wanted: Twist2, error: Pose2, accepted: Accepted, velocity: Twist2) -> Twist2:
         """The command that ends the drive: above the dead band while more is left than needs to be, then nothing."""

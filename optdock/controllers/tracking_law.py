@@ -26,11 +26,14 @@ from optdock.geometry.pose import Twist2
 if TYPE_CHECKING:
     from optdock.geometry.pose import Pose2
 
-__all__ = ["DelayBounds", "Gains", "delay_bounds", "tracking_command"]
+__all__ = ["DelayBounds", "Gains", "delay_bounds", "left_after", "tracking_command"]
 
 # Of the phase margin, that a delay may take: 0.4 leaves 46 of 76 degrees across at a damping of 1, and 54 of 90 along.
 # Textbooks ask for 30 to 60 degrees.
 _SHARE = 0.4
+
+
+_SAME_ROOTS = 1e-6  # half the difference of the two exponents: smaller, their quotient is all rounding
 
 
 class Gains(NamedTuple):
@@ -69,6 +72,30 @@ def delay_bounds(speed: float, delay: float, damping: float) -> DelayBounds:
     margin = math.atan(2.0 * damping * crossover)
     rate = _SHARE * 0.5 * math.pi / delay if delay > 0.0 else math.inf
     return DelayBounds(rate, abs(speed) * delay * crossover / (_SHARE * margin))
+
+
+def left_after(
+    distance: float, offset: float, slope: float, convergence_distance: float, pull: float = 0.0
+) -> tuple[float, float]:
+    """What the law leaves of an error across after a distance: offset [m] and slope [rad], critically damped or more (E5).
+
+    With y the offset and y' the slope, y'' + 2 m y' + y / L^2 = 0 over the distance, where 2 m is `pull`, or 2 / L where
+    that is more.
+
+    Args:
+        distance: To be driven [m], >= 0.
+        offset: Now [m].
+        slope: By which the offset rises with the distance, now [rad].
+        convergence_distance: L > 0 [m].
+        pull: Curvature per slope [1/m].
+    """
+    m = max(1.0 / convergence_distance, 0.5 * pull)
+    bent = offset / convergence_distance**2
+    root = math.sqrt(max(0.0, m * m - convergence_distance**-2.0))
+    slow, fast = math.exp(-(m - root) * distance), math.exp(-(m + root) * distance)
+    even = 0.5 * (slow + fast)
+    odd = distance * slow if root * distance < _SAME_ROOTS else 0.5 * (slow - fast) / root
+    return offset * even + (slope + m * offset) * odd, slope * even - (m * slope + bent) * odd
 
 
 def tracking_command(error: Pose2, reference: Twist2, gains: Gains) -> Twist2:

@@ -5,13 +5,17 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING
 
+from optdock.controllers.tracking_law import left_after
+
 if TYPE_CHECKING:
     from optdock.limits import MotionLimits
     from optdock.problem import DockingProblem
 
-__all__ = ["can_be_planned_away", "left_at_dock", "reachable_offset", "staging_distance"]
+__all__ = ["DECAY", "SHORTEST_DECAY", "can_be_planned_away", "left_at_dock", "reachable_offset", "staging_distance"]
 
-_DECAY = 0.25  # [m]: over which lateral errors decay, the TrackingController's convergence_distance
+# [m]: over which lateral errors decay, the TrackingController's convergence_distance; and the shortest to which it goes
+# before the dock, at 0.1 m/s in a drive that is 0.25 s late.
+DECAY, SHORTEST_DECAY = 0.25, 0.08
 _LEAST_STAGING = 0.7  # [m], Nav2's staging_x_offset
 _STORED_OFFSET = 0.15  # [m] to the side that the approach must be able to correct: 10 cm, and 5 degrees over 0.6 m
 
@@ -50,22 +54,18 @@ def can_be_planned_away(offset: float, turn: float, distance: float, gear: float
     return beside <= 0.5 * reachable_offset(distance, limits) and abs(turn) <= 0.5 * turned
 
 
-def left_at_dock(offset: float, turn: float, distance: float, gear: float) -> tuple[float, float]:
-    """What feedback leaves of an error at the dock: offset [m] and turn [rad].
-
-    The tracking law makes the lateral error decay with the way, critically damped: with y the offset and w the turn
-    seen along the travel, y'' + 2 y' / L + y / L^2 = 0 and y' = w [DeLuca2001].
+def left_at_dock(offset: float, turn: float, distance: float, gear: float, decay: float) -> tuple[float, float]:
+    """What feedback leaves of an error at the dock: offset [m] and turn [rad], see `left_after`.
 
     Args:
         offset: To the left of the path now [m].
         turn: Of the heading, to the left [rad].
         distance: Left to drive [m].
         gear: 1 forward, -1 in reverse.
+        decay: Distance over which the feedback lets errors decay [m].
     """
-    passed = max(0.0, distance) / _DECAY
-    slope = gear * turn
-    pull, fading = slope + offset / _DECAY, math.exp(-passed)
-    return (offset + pull * passed * _DECAY) * fading, gear * (slope - passed * pull) * fading
+    beside, slope = left_after(max(0.0, distance), offset, gear * turn, decay)
+    return beside, gear * slope
 
 
 def staging_distance(problem: DockingProblem) -> float:

@@ -9,12 +9,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from optdock.errors import ControllerException
-from optdock.executor.approach import can_be_planned_away, left_at_dock
+from optdock.executor.approach import DECAY, SHORTEST_DECAY, can_be_planned_away, left_at_dock
 from optdock.executor.interruptions import TOO_FAR_OFF, AttemptFailed, Interrupted, TaskFailed
 from optdock.executor.outcomes import EndingKind, State
 from optdock.executor.planning import Job, Outcome
 from optdock.geometry.pose import Pose2, displacement, normalize_angle
 from optdock.lifecycle import LifecycleState, PluginContext
+from optdock.segments import TurnSegment
 from optdock.tube import Tube
 
 if TYPE_CHECKING:
@@ -347,15 +348,15 @@ class Drive:
         perception = situation.perception
         if settings.use_detections and not perception.sees_dock:
             return False
-        if not 0.0 <= time < trajectory.duration:
-            return False
+        if not 0.0 <= time < trajectory.duration or isinstance(trajectory.path.segments[-1], TurnSegment):
+            return False  # a turn at the end takes back the heading, and no way is left for an offset
         now = trajectory.at(time)
         left = trajectory.path.length - now.s
         error = self._pose.in_frame_of(now.pose)
         limits, dock, sigma = situation.problem.robot.limits, situation.problem.dock, perception.sigma
-        left_over = [abs(part) for part in left_at_dock(error.y, error.yaw, left, situation.gear)]
         if not can_be_planned_away(error.y, error.yaw, left - dock.final_straight, situation.gear, limits):
             cusps, accepted = trajectory.path.cusps, dock.tolerances
+            left_over = [abs(part) for part in left_at_dock(error.y, error.yaw, left, situation.gear, SHORTEST_DECAY)]
             off = left_over[0] > max(accepted.cross, 3.0 * sigma[0])
             turned = left_over[1] > max(accepted.yaw, 3.0 * sigma[1])
             if (off or turned) and (not cusps or now.s >= cusps[-1]):
@@ -363,6 +364,7 @@ class Drive:
                     TOO_FAR_OFF, f"{error.y:.3f} m and {error.yaw:.3f} rad off the path, {left:.3f} m left"
                 )
             return False
+        left_over = [abs(part) for part in left_at_dock(error.y, error.yaw, left, situation.gear, DECAY)]
         off = left_over[0] > settings.worth_position and abs(error.y) > sigma[0]
         turned = left_over[1] > settings.worth_yaw and abs(error.yaw) > sigma[1]
         self._where = f"{error.y:.4f} m and {error.yaw:.4f} rad off, {left:.3f} m before the end"

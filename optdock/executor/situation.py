@@ -33,7 +33,7 @@ _SAME_DOCK = 0.01  # [m], [rad]: a dock that is seen elsewhere by less stands in
 # Standard deviations that the accepted errors of the dock must hold: one docking in 400 is then off by one more, were
 # the robot believed to stand at the edge of what is accepted; it is believed to stand in the middle.
 _CERTAINTY = 2.0
-_BLINK = 0.5  # [s] without a detection that nothing is made of
+_BLINK = 1.0  # [s] without a detection that nothing is made of
 _LONG = 3.0  # [s] without one, after which a robot that is not sure looks for it before it drives on
 _LAST_LOOK = 0.2  # [m] before the dock: as near it drives without being sure, for a detection may come on the way
 _ARRIVED = 0.05, 0.05  # [m], [rad] from the staging pose: Nav2's undock_linear_tolerance and undock_angular_tolerance

@@ -6,7 +6,14 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from optdock.executor.approach import can_be_planned_away, left_at_dock, reachable_offset, staging_distance
+from optdock.executor.approach import (
+    DECAY,
+    SHORTEST_DECAY,
+    can_be_planned_away,
+    left_at_dock,
+    reachable_offset,
+    staging_distance,
+)
 from optdock.geometry.pose import Pose2, Twist2
 from optdock.limits import MotionLimits
 
@@ -15,15 +22,21 @@ from .conftest import LIMITS, problem_with
 offsets, turns, ways = st.floats(-0.1, 0.1), st.floats(-0.2, 0.2), st.floats(0.0, 2.0)
 
 
-@given(offset=offsets, turn=turns, way=ways, gear=st.sampled_from([1.0, -1.0]))
-def test_errors_decay_as_the_tracking_law_says(offset, turn, way, gear):
+@given(
+    offset=offsets,
+    turn=turns,
+    way=ways,
+    gear=st.sampled_from([1.0, -1.0]),
+    decay=st.sampled_from([DECAY, SHORTEST_DECAY]),
+)
+def test_errors_decay_as_the_tracking_law_says(offset, turn, way, gear, decay):
     """Against its own steps: d offset / ds = turn, and the heading is pulled back by both; in both gears alike."""
-    y, w, step = offset, gear * turn, way / 500
-    for _ in range(500):
-        y, w = y + step * w, w - step * (2.0 * w / 0.25 + y / 0.25**2)
-    found = left_at_dock(offset, turn, way, gear)
+    y, w, step = offset, gear * turn, way / 2000
+    for _ in range(2000):
+        y, w = y + step * w, w - step * (2.0 * w / decay + y / decay**2)
+    found = left_at_dock(offset, turn, way, gear, decay)
     assert found == pytest.approx((y, gear * w), abs=5e-3)
-    mirrored = left_at_dock(-offset, -turn, way, gear)
+    mirrored = left_at_dock(-offset, -turn, way, gear, decay)
     assert mirrored == pytest.approx((-found[0], -found[1]))
 
 

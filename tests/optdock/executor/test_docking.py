@@ -1,17 +1,20 @@
 """Whole tasks in simulation: the robot docks, and every fault ends under a name, at rest, without a collision."""
 
+import dataclasses
 import math
 
 import numpy as np
 import pytest
 
 from optdock.costmap.costmap import Costmap
+from optdock.dock import Dock, DockTolerances
 from optdock.executor import EndingKind, ExecutorSettings, FeedbackState, InlinePlanning, State
 from optdock.executor.log import LogWriter, read_log
 from optdock.executor.replay import replay
 from optdock.geometry.pose import Pose2, Twist2
 from optdock.obstacles import ObstacleSet
-from optdock.simulation import Actuation, DifferentialDrive, Station, StuckWheel, Wheels
+from optdock.problem import DockingProblem
+from optdock.simulation import Actuation, DifferentialDrive, SimulatedRobot, Station, StuckWheel, Wheels
 
 from .conftest import PERFECT, ROBOT, TRUE_DOCK, once, problem_with, run, simulated, within
 
@@ -333,3 +336,21 @@ def test_planning_is_told_where_the_running_motion_leads_relative_to_the_dock():
     assert any(job.moved.gap_to(Pose2(0.0, 0.0, 0.0)) > 1e-6 for job in asked)
     for job in asked:
         assert (job.moved @ job.running.problem.goal).gap_to(job.problem.goal) <= 1e-9
+
+
+def test_a_turn_at_the_end_takes_back_the_heading():
+    """Turned by 4 degrees while it turns in the dock, with no way left to drive."""
+
+    def turned(executor, world, measurements):
+        world.state = world.state._replace(pose=world.state.pose @ Pose2(0.0, 0.0, -0.07))
+
+    robot = dataclasses.replace(ROBOT, turns_in_place=True)
+    dock = Dock(TRUE_DOCK, direction="forward", tolerances=DockTolerances(0.01, 0.01, 0.026))
+    start = Pose2(0.0, 0.0, 0.6)
+    settings = ExecutorSettings(navigate_to_staging_pose=False, use_detections=False)
+    world = SimulatedRobot(start=start, dock_pose=TRUE_DOCK, sensors=PERFECT, plant=DifferentialDrive(robot))
+    push = once(lambda executor, world: abs(world.error.yaw) < 0.3, turned)
+    docking = run(world, DockingProblem(start, dock, robot), settings, before=push)
+    assert docking.ending.kind is EndingKind.DOCKED_BY_DISTANCE
+    assert len(docking.said("plan new")) == 1
+    assert not docking.said("too far off to correct")
