@@ -172,6 +172,8 @@ _MEMORY = 2.0  # [s] of motion that is remembered for what arrives late, and of 
 _LONGEST_DELAY = 0.5  # [s]: more is not learned, but a fault
 _INNOVATIONS = 8  # of which the mean is looked at
 _SLIPPED = 0.05  # [m] in the last two seconds: what jumps away from a robot that stands was moved itself
+_ESTABLISHED = 8  # measurements that were believed; what jumps before may have been begun with a wrong one
+_SLIP_MEMORY = 2.0  # [m] without another slip, after which a third of what was expected of one is left
 _DOUBT = 3.0  # times the systematic errors that were expected: after innovations that keep to one side
 
 
@@ -282,6 +284,7 @@ class PoseFilter:
         corrected = Pose2(step.x * (1.0 + scale), step.y, step.yaw + drift * step.x)
         after = self._estimate = before @ corrected
         self.covariance = _grown(self.covariance, before, after, step, stamp - last, self._seen_errors)
+        self._forget_slip(math.hypot(step.x, step.y))
         reckoned = self._reckoned
         if stamp > last:
             reckoned.append((stamp, reckoned[-1][1] @ corrected))
@@ -419,7 +422,7 @@ class PoseFilter:
         x, y, yaw = (np.sum(offsets, axis=0) / count).tolist() if offsets else (0.0, 0.0, 0.0)
         self.place(Pose2(now.x + x, now.y + y, now.yaw + yaw), noise / count)
         self.jump = self.pose.in_frame_of(before)
-        if driven > _SLIPPED and not is_supposed:
+        if driven > _SLIPPED and not is_supposed and self.accepted >= _ESTABLISHED:
             self._expect_slip(self.jump, driven)
         self.accepted, self.rejected = self.accepted + count, 0
         self.measured_at = max(self.measured_at, stamp)
@@ -436,6 +439,16 @@ class PoseFilter:
         self._seen_errors = errors._replace(
             along=max(errors.along, math.hypot(jump.x, jump.y) / root),
             yaw_per_way=max(errors.yaw_per_way, abs(jump.yaw) / root),
+        )
+
+    def _forget_slip(self, driven: float) -> None:
+        """Expect less of what the odometry did a while ago."""
+        errors, seen, left = self._errors, self._seen_errors, math.exp(-driven / _SLIP_MEMORY)
+        if seen is errors:
+            return
+        self._seen_errors = errors._replace(
+            along=errors.along + left * (seen.along - errors.along),
+            yaw_per_way=errors.yaw_per_way + left * (seen.yaw_per_way - errors.yaw_per_way),
         )
 
     @staticmethod

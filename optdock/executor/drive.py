@@ -150,6 +150,8 @@ class Drive:
                     f"not seen for {situation.perception.detection_age:.1f} s, sigma {place:.4f} m and {turn:.4f} rad"
                 )
                 raise Interrupted("detection missing", reason)
+            if settings.use_detections and situation.is_dock_hidden:
+                raise Interrupted("dock hidden", f"not seen for {situation.perception.detection_age:.1f} s")
         if situation.now > self._until:
             reason = f"timeout while {self._state.value}: {situation.where}"
             if self._is_approach:

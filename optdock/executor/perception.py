@@ -56,6 +56,7 @@ class Perception:
         costmap: The newest one; None before the first.
         detections: Number of detections that were believed.
         rejected: Number of those that were not.
+        seen_from: The smallest distance from the docked pose at which the dock has been seen [m]; infinite before.
         too_far: How far from the stored dock the last one was that was of another dock [m]; 0: there was none.
         has_twist: Whether the measurements that come next have a body velocity of the odometry.
     """
@@ -85,7 +86,7 @@ class Perception:
         self.costmap: Costmap | None = None
         self._costmap_at: float | None = None
         self.detections = self.rejected = 0
-        self.too_far = 0.0
+        self.seen_from, self.too_far = math.inf, 0.0
         self.has_twist, self._twist_at = True, math.inf
         self._seen_yaw = 0.0  # of the dock in the fixed frame, when it was seen last [rad]
         self._pose_was_lost = self._dock_was_lost = self._delay_was_said = False
@@ -270,6 +271,8 @@ class Perception:
                 self._report("detection rejected", f"{gap.x:.3f} m, {gap.y:.3f} m, {gap.yaw:.3f} rad off the estimate")
             elif verdict != "too far":
                 self.detections += 1
+                place = self._dock.pose_at(detection.stamp)
+                self.seen_from = min(self.seen_from, math.hypot(place.x, place.y))
                 self._seen_yaw = self.dock.yaw
                 if verdict == "moved":
                     gap = self._dock.pose.in_frame_of(before).inverse()

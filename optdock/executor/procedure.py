@@ -48,6 +48,10 @@ _BACK_OUT_LOOK = 0.5  # [s] ahead, of straight motions that no plan covers
 _CREEP = 1e-6  # [m/s]: no drive moves at it; steered wheels turn as its arc says
 # [s] for a detection at rest in the dock: of ten a second, half of them lost, one of 1000 takes longer.
 _CONFIRMATION = 1.0
+_HIDDEN_FOR = 2.5  # [s] for whoever stands before a dock that has been seen from near, to walk on
+# Standard deviations within its tolerances at which a robot stands in the dock: where it was seen there, and where it
+# was not, as every detection of a camera that is blind there is from before.
+_SURE_SEEN, _SURE_UNSEEN = 2.0, 1.0
 _UNSEEN_WAY = 0.015  # [m]: on less than that no wheel that slips turns a robot by a degree
 _MOST_BLOCKS = 5  # stops on one approach, until it counts as failed
 _INSTANT = 1e-9  # [s]
@@ -310,19 +314,18 @@ class Procedure:
             Interrupted: The robot stands elsewhere.
             AttemptFailed: Nobody knows where.
         """
-        situation, since = self.situation, self._now
+        situation, perception, since = self.situation, self.situation.perception, self._now
         if self._settings.use_detections:
-            while (
-                situation.perception.moved_since_seen > _UNSEEN_WAY
-                or situation.may_have_turned
-                or situation.is_on_the_edge
-            ):
-                patience = self._settings.initial_perception_timeout if situation.may_have_turned else _CONFIRMATION
-                if self._now - since >= patience:
+            while perception.moved_since_seen > _UNSEEN_WAY or situation.may_have_turned or situation.is_on_the_edge:
+                patience = _HIDDEN_FOR if situation.sees_from_near else _CONFIRMATION
+                if self._now - since >= (
+                    self._settings.initial_perception_timeout if situation.may_have_turned else patience
+                ):
                     break
                 yield from self._cycle(_STOP)
         self._require_certainty()
-        if not situation.may_stand_in_dock:
+        is_seen = perception.moved_since_seen <= _UNSEEN_WAY
+        if not situation.surely_stands_in_dock(_SURE_SEEN if is_seen else _SURE_UNSEEN):
             raise Interrupted(NOT_DOCKED, situation.where)
 
     def _require_certainty(self) -> None:
@@ -351,14 +354,19 @@ class Procedure:
         Raises:
             AttemptFailed: It is not seen.
         """
-        perception, settings = self.situation.perception, self._settings
-        if not settings.use_detections or not self.situation.detection_is_old:
+        situation, perception, settings = self.situation, self.situation.perception, self._settings
+        is_needed = situation.detection_is_old
+        if not settings.use_detections or not (is_needed or situation.is_dock_hidden):
             return
         since, before, self.state = self._now, perception.detections, State.WAITING_FOR_DETECTION
-        while perception.detections - before < settings.least_detections:
-            if self._now - since > settings.initial_perception_timeout:
+        while perception.detections - before < (settings.least_detections if is_needed else 1):
+            waited = self._now - since
+            if waited > settings.initial_perception_timeout:
                 reason = f"the dock has not been seen for {perception.detection_age:.1f} s"
                 raise AttemptFailed(EndingKind.FAILED_TO_DETECT_DOCK, reason)
+            if waited > _HIDDEN_FOR and not is_needed:
+                situation.looked_in_vain_since = perception.seen_at
+                return
             yield from self._cycle(_STOP)
 
     def _wait_for_obstacle(self, result: PlanResult, since: float) -> Cycles:

@@ -35,6 +35,9 @@ _SAME_DOCK = 0.01  # [m], [rad]: a dock that is seen elsewhere by less stands in
 _CERTAINTY = 2.0
 _BLINK = 1.0  # [s] without a detection that nothing is made of
 _LONG = 3.0  # [s] without one, after which a robot that is not sure looks for it before it drives on
+_HIDDEN = 0.8  # [s] without one, where the dock was seen before: of ten a second, half of them lost, one gap in 250
+_NEAR = 0.25  # [m]: from farther a camera that is blind before the dock sees it
+_NO_ROOM = 0.03  # [m] before the dock nothing can be corrected any more
 _LAST_LOOK = 0.2  # [m] before the dock: as near it drives without being sure, for a detection may come on the way
 _ARRIVED = 0.05, 0.05  # [m], [rad] from the staging pose: Nav2's undock_linear_tolerance and undock_angular_tolerance
 _AT_A_STAND: dict[str, Any] = {"start_speed": 0.0, "start_acceleration": 0.0, "start_curvature": None}
@@ -52,6 +55,7 @@ class Situation:
     Attributes:
         interruption: Name and reason of what stops a motion from outside, such as a clock that jumped; empty: nothing.
         commanded: The last command; set before every cycle.
+        looked_in_vain_since: Stamp of the newest detection when it was last waited for another one in vain [s].
     """
 
     def __init__(
@@ -64,6 +68,7 @@ class Situation:
         self.problem, self.settings, self.perception, self._report = problem, settings, perception, report
         self.interruption = ("", "")
         self.commanded = Twist2()
+        self.looked_in_vain_since = math.nan
         self._signal_seen = False
         self._stalled_since: float | None = None
         self._cleared: tuple[Costmap | None, Costmap | None, Pose2] = (None, None, problem.goal)
@@ -135,6 +140,22 @@ class Situation:
         return (left <= _LAST_LOOK or age > _LONG) and not self.will_know(left)
 
     @property
+    def is_dock_hidden(self) -> bool:
+        """Whether the dock is not seen where it has been, with some way left on which an error could be corrected.
+
+        A camera that is blind before the dock has never seen it from near; then there is nothing to wait for.
+        """
+        perception, left = self.perception, abs(self.perception.robot_from_dock.x)
+        is_late = perception.detection_age > _HIDDEN and self.distance > self.settings.detection_blind_distance
+        is_new = perception.seen_at != self.looked_in_vain_since
+        return is_late and is_new and _NO_ROOM < left <= _LAST_LOOK and self.sees_from_near
+
+    @property
+    def sees_from_near(self) -> bool:
+        """Whether the dock has been seen from as near as the last look before it is taken."""
+        return self.perception.seen_from <= _NEAR
+
+    @property
     def is_dock_known(self) -> bool:
         """Whether the dock was seen on the way here, often and well enough to be driven to."""
         perception, accepted = self.perception, self.problem.dock.tolerances
@@ -146,14 +167,22 @@ class Situation:
     @property
     def is_on_the_edge(self) -> bool:
         """Whether the robot may stand within the tolerances of the dock as well as beside them, by what is known."""
+        return any(abs(abs(error) - most) < _CERTAINTY * sigma for error, sigma, most in self._asked())
+
+    def surely_stands_in_dock(self, certainty: float) -> bool:
+        """Whether the robot stands within the tolerances of the dock, and is not only believed to at their edge.
+
+        Args:
+            certainty: Standard deviations by which it is to stand within them, as far as that leaves half of them.
+        """
+        return all(abs(error) <= max(most - certainty * sigma, 0.5 * most) for error, sigma, most in self._asked())
+
+    def _asked(self) -> list[tuple[float, float, float]]:
+        """Errors in the dock, their standard deviations and tolerances: along, across [m] and yaw [rad]."""
         accepted, found = self.problem.dock.tolerances, self.perception.robot_from_dock
-        asked = zip(
-            (found.x, found.y, found.yaw),
-            self.perception.sigma_after(0.0),
-            (accepted.along, accepted.cross, accepted.yaw),
-            strict=True,
-        )
-        return any(abs(abs(error) - most) < _CERTAINTY * sigma for error, sigma, most in asked)
+        sigma = self.perception.sigma_after(0.0)
+        tolerances = accepted.along, accepted.cross, accepted.yaw
+        return list(zip(found.as_array().tolist(), sigma, tolerances, strict=True))
 
     @property
     def may_have_turned(self) -> bool:
