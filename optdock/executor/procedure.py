@@ -43,7 +43,7 @@ logger = logging.getLogger(__name__)
 _REST_PATIENCE = 2.0  # [s]: an odometry that never says so must not hold the task up
 _PLANNING_PATIENCE = 5.0  # [s] beyond its budget: a thread that shares its core is late, not dead
 _CLEAR_OF_CONTACT = 0.005  # [m]: a way back is planned from there; nearer, noise could make an overlap of it
-_BACK_OUT_SPEED = 0.05  # [m/s]
+_BACK_OUT_SPEED = 0.1  # [m/s]: more than the dead band of either wheel, or the robot turns in contact
 _BACK_OUT_LOOK = 0.5  # [s] ahead, of straight motions that no plan covers
 _CREEP = 1e-6  # [m/s]: no drive moves at it; steered wheels turn as its arc says
 # [s] for a detection at rest in the dock: of ten a second, half of them lost, one of 1000 takes longer.
@@ -269,6 +269,8 @@ class Procedure:
             yield from self._locate()
             result = yield from self._planned(self.situation.to_dock())
             if result.motion is None:
+                if self.situation.distance <= self.situation.reach_of_contact:
+                    yield from self._back_out()  # in contact with the station nothing can be planned
                 yield from self._wait_for_obstacle(result, blocked_since)
                 continue
             try:
@@ -276,6 +278,8 @@ class Procedure:
             except Interrupted as stopped:
                 self._say_why(stopped)
                 yield from self._stop()
+                if stopped.name != NOT_DOCKED and (yield from self._has_arrived()):
+                    return EndingKind.DOCKED_BY_DISTANCE
                 if blocks == 0 or self._now - blocked_since > 2.0 * self._settings.obstacle_patience:
                     blocked_since = self._now
                 blocks += stopped.name != HELD
@@ -306,6 +310,19 @@ class Procedure:
         if self._settings.contact == "distance":
             yield from self._confirm()
         return docked
+
+    def _has_arrived(self) -> Generator[Wish, None, bool]:
+        """Whether a robot that was stopped on its way into the dock stands in it, as one does that rolls on."""
+        situation = self.situation
+        if self._settings.contact != "distance" or situation.is_held:
+            return False
+        if not (situation.will_know(0.0) and situation.surely_stands_in_dock(_SURE_SEEN)):
+            return False
+        try:
+            yield from self._confirm()
+        except (Interrupted, AttemptFailed):
+            return False
+        return True
 
     def _confirm(self) -> Cycles:
         """Look once more, at rest: a wheel that slipped on the last centimetres is seen by the detector alone.
