@@ -12,11 +12,13 @@ from typing import TYPE_CHECKING
 
 from optdock.errors import InvalidPath
 from optdock.geometry.checked import instance
+from optdock.geometry.pose import Pose2
 from optdock.lifecycle import LifecycleState, Plugin, PluginContext
 from optdock.outcomes import (
     BehaviorResult,
     BehaviorStatus,
     Bounds,
+    Contact,
     CostmapInfoType,
     Guess,
     SmoothingReport,
@@ -34,8 +36,9 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping, Sequence
 
     from optdock.costmap.costmap import Costmap
-    from optdock.geometry.pose import Pose2, Twist2
+    from optdock.geometry.pose import Twist2
     from optdock.limits import MotionLimits, SpeedZone
+    from optdock.measurements import AtDock, Detection, Measurements
     from optdock.trajectory import Trajectory
 
 __all__ = [
@@ -43,8 +46,10 @@ __all__ = [
     "BehaviorResult",
     "BehaviorStatus",
     "Bounds",
+    "Contact",
     "Controller",
     "CostmapInfoType",
+    "DockType",
     "GlobalPlanner",
     "GoalChecker",
     "Guess",
@@ -345,3 +350,73 @@ class GoalChecker(Plugin):
 
     def reset(self) -> None:
         """A new path begins: forget latches."""
+
+
+class DockType(Plugin):
+    """A kind of dock: where approaches begin, what counts as a detection, when there is contact, when it charges.
+
+    Whoever drives asks it; it drives nothing itself, and what it is asked takes a small part of a control cycle.
+    """
+
+    @abstractmethod
+    def contact(self, now: AtDock) -> Contact | None:
+        """The contact that is felt now, as far as this kind of dock tells; None: none.
+
+        It is called once in every control cycle in which it is known where the robot is, moving and at rest, in order
+        of the stamps, so that it may count cycles. Contact counts where `now.is_near` only; what is felt farther off is
+        a fault, and reported as one.
+
+        Args:
+            now: The cycle.
+        """
+
+    @property
+    def is_pressed_on(self) -> bool:
+        """Whether the robot is to press on until contact is felt; False: it is docked where the goal checker says so.
+
+        Contact that is felt counts as docked in either case.
+        """
+        return False
+
+    @property
+    def waits_for_charge(self) -> bool:
+        """Whether a robot that stands in the dock has docked only once it charges."""
+        return False
+
+    def is_charging(self, measurements: Measurements) -> bool:
+        """Whether the battery is being charged; by default, whether the external signal says that there is contact.
+
+        Args:
+            measurements: The newest.
+        """
+        return measurements.contact is True
+
+    def staging_poses(self, gear: float, distance: float) -> Sequence[Pose2]:
+        """Where an approach may begin, the preferred one first: poses of the robot seen from the docked pose.
+
+        Where there is no way to one, the next is tried. By default one, at `distance` on the axis of the dock.
+
+        Args:
+            gear: Of the last motion into the dock: 1 forward, -1 in reverse.
+            distance: From the docked pose that the robot needs to correct a dock that is stored wrongly, or that the
+                settings ask for [m].
+        """
+        return (Pose2(-gear * distance, 0.0, 0.0),)
+
+    def detections(self, measurements: Measurements) -> Sequence[Detection]:
+        """What of the measurements is a detection of the dock, as poses of the docked robot; by default all.
+
+        Called once for every set of measurements, before `contact`.
+
+        Args:
+            measurements: As they came.
+        """
+        return measurements.detections
+
+    @property
+    def back_out_distance(self) -> float:
+        """Straight out of contact at most, before a way back is planned [m]; when undocking, the final straight too."""
+        return 0.1  # twice the 5 cm within which contact counts, so that nothing of it is left
+
+    def reset(self) -> None:
+        """A task or another approach begins: forget what was felt."""

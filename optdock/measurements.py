@@ -9,7 +9,7 @@ from optdock.geometry.pose import Pose2, Twist2
 if TYPE_CHECKING:
     from optdock.costmap.costmap import Costmap
 
-__all__ = ["Detection", "Measurements", "OdometryPose"]
+__all__ = ["AtDock", "Detection", "Measurements", "OdometryPose"]
 
 
 class Detection(NamedTuple):
@@ -54,6 +54,7 @@ class Measurements(NamedTuple):
         odometry: The newest pose of the odometry; None where there is none.
         pose_stamp: When `pose` was measured [s]; None: at `stamp`.
         held: Whether the robot must stand, as after an emergency stop; the task goes on when it is released.
+        current: Into the battery [A], negative where it is discharged; None where nothing tells.
     """
 
     stamp: float
@@ -65,3 +66,22 @@ class Measurements(NamedTuple):
     odometry: OdometryPose | None = None
     pose_stamp: float | None = None
     held: bool = False
+    current: float | None = None
+
+
+class AtDock(NamedTuple):
+    """What a dock type is told in a control cycle.
+
+    Attributes:
+        stamp: Of the cycle [s], on a clock that never goes back.
+        measurements: Of the cycle; their detections are those that the dock type has chosen.
+        commanded: The last command.
+        robot: Where the robot is believed to be, seen from the docked pose.
+        is_near: Whether it is as near to the docked pose as contact is possible.
+    """
+
+    stamp: float
+    measurements: Measurements
+    commanded: Twist2
+    robot: Pose2
+    is_near: bool

@@ -19,6 +19,7 @@ __all__ = [
     "BehaviorResult",
     "BehaviorStatus",
     "Bounds",
+    "Contact",
     "CostmapInfoType",
     "Guess",
     "SmoothingReport",
@@ -221,6 +222,13 @@ class BehaviorResult:
 
     def __bool__(self) -> bool:
         return bool(self.status)
+
+
+class Contact(Enum):
+    """How a robot feels that it is in its dock."""
+
+    SIGNAL = "external signal"  # a switch, or the charger
+    STALL = "stall"  # it is driven on and does not move
 
 
 class Bounds(NamedTuple):

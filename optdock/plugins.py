@@ -15,6 +15,7 @@ from optdock.geometry.checked import instance
 from optdock.interfaces import (
     Behavior,
     Controller,
+    DockType,
     GlobalPlanner,
     GoalChecker,
     Layer,
@@ -54,6 +55,7 @@ INTERFACES: Mapping[str, type[Plugin]] = {
     "goal_checkers": GoalChecker,
     "behaviors": Behavior,
     "layers": Layer,
+    "docks": DockType,
 }
 
 # Nav2 pluginlib names (namespace stripped) that differ from our entry point names.

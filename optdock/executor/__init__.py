@@ -4,6 +4,8 @@ settings        how: times, distances, sensors
 outcomes        what it says of itself: states, events, endings, with Nav2's codes
 docking         `DockingExecutor`: the clock, and one control cycle after the other
 intake          measurements that can be used, and what is wrong with the others
+simple_dock     the kind of dock that most are
+checked_dock_type  answers of a dock type, refused where they are none
 procedure       the story of a docking and of an undocking, told from top to bottom
 situation       questions about robot, dock and surroundings, answered from the measurements
 drive           one motion being driven, and replanned
@@ -21,6 +23,7 @@ from optdock.executor.outcomes import Ending, EndingKind, Event, Feedback, Feedb
 from optdock.executor.planning import InlinePlanning, Planning, ThreadPlanning
 from optdock.executor.planning_process import PlanningProcess
 from optdock.executor.settings import ExecutorSettings
+from optdock.executor.simple_dock import SimpleDock
 
 __all__ = [
     "DockingExecutor",
@@ -33,6 +36,7 @@ __all__ = [
     "InlinePlanning",
     "Planning",
     "PlanningProcess",
+    "SimpleDock",
     "State",
     "Step",
     "ThreadPlanning",

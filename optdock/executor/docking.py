@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Literal, NamedTuple, TypeAlias
 
 from optdock.controllers.command_limits import CommandLimiter
 from optdock.errors import InvalidValue
+from optdock.executor.checked_dock_type import CheckedDockType
 from optdock.executor.intake import Intake, usable
 from optdock.executor.log import LoggedPlanning, LogWriter, Task, plugin_choice
 from optdock.executor.outcomes import Ending, Event, Feedback, FeedbackState, State, Step
@@ -14,9 +15,10 @@ from optdock.executor.perception import Perception
 from optdock.executor.planning import InlinePlanning
 from optdock.executor.procedure import Procedure
 from optdock.executor.settings import ExecutorSettings
+from optdock.executor.simple_dock import SimpleDock
 from optdock.geometry.checked import instance
 from optdock.geometry.pose import Pose2, Twist2
-from optdock.interfaces import Controller, GoalChecker
+from optdock.interfaces import Controller, DockType, GoalChecker
 from optdock.lifecycle import PluginContext
 from optdock.plugins import PluginChoice, plugin_from
 from optdock.problem import DockingProblem
@@ -30,6 +32,7 @@ __all__ = ["DockingExecutor"]
 
 ControllerLike: TypeAlias = "str | PluginChoice | Controller"
 GoalCheckerLike: TypeAlias = "str | PluginChoice | GoalChecker"
+DockTypeLike: TypeAlias = "str | PluginChoice | DockType"
 
 _FEEDBACK = {
     State.STAGING: FeedbackState.NAV_TO_STAGING_POSE,
@@ -43,6 +46,8 @@ _FEEDBACK = {
 }
 
 
+# Settings that are parameters of `SimpleDock`, for whoever names no dock type; another one says itself what it does.
+_OF_SIMPLE_DOCK = ("contact", "stall_speed", "stall_time", "wait_for_charge", "back_out_distance")
 _STILL = 1e-6  # [m/s], [rad/s]: what is left of a stop by rounding
 _TURNING = 0.005  # [m/s]: a robot that is to turn and not to drive turns in place
 _MOST_REPEATS = 25  # cycles with one stamp: of measurements at 10 Hz at the fastest rate of control, and some
@@ -66,11 +71,13 @@ class DockingExecutor:
         task: Which of the two.
         controller: Drives; a name, a name with parameters, or a plugin that is not configured.
         goal_checker: Says when the robot is docked; likewise.
+        dock_type: What kind of dock it is, likewise; None: a `SimpleDock` as the settings describe it.
         planning: Plans beside the control loop; None: at once, the results 20 ms later by the stamps.
         log: Takes everything down; None: nobody does.
 
     Raises:
-        InvalidValue: A part is of another class, the task is none of the two, or a parameter of a plugin is wrong.
+        InvalidValue: A part is of another class, the task is none of the two, a parameter of a plugin is wrong, or a
+            setting says what a given `dock_type` says itself.
         PluginError: A plugin is unknown.
     """
 
@@ -82,6 +89,7 @@ class DockingExecutor:
         task: Literal["dock", "undock"] = "dock",
         controller: ControllerLike = "TrackingController",
         goal_checker: GoalCheckerLike = "DockGoalChecker",
+        dock_type: DockTypeLike | None = None,
         planning: Planning | None = None,
         log: LogWriter | None = None,
     ) -> None:
@@ -94,16 +102,20 @@ class DockingExecutor:
         driver = plugin_from(Controller, controller, "controller")
         checker = plugin_from(GoalChecker, goal_checker, "goal_checker")
         checker.configure(PluginContext(name=checker.name, problem=problem))
+        kind = _dock_type(dock_type, self.settings)
+        kind.configure(PluginContext(name=kind.name, problem=problem))
+        self._dock_type = CheckedDockType(kind)
         self._events: list[Event] = []
         self._perception = Perception(problem.goal, self.settings, self._report)
         self._limiter = CommandLimiter()
         self._moving = Twist2()  # what was wished for last
         self._planning: Planning = planning if planning is not None else InlinePlanning()
         if log is not None:
-            log.begin(Task(problem, self.settings, task, plugin_choice(driver), plugin_choice(checker)))
+            said = None if dock_type is None else plugin_choice(kind)
+            log.begin(Task(problem, self.settings, task, plugin_choice(driver), plugin_choice(checker), said))
             self._planning = LoggedPlanning(self._planning, log, problem.frame)
         self._procedure = Procedure(
-            problem, self.settings, self._perception, driver, checker, self._planning, self._report
+            problem, self.settings, self._perception, driver, checker, self._dock_type, self._planning, self._report
         )
         self._cycles = self._procedure.run(undock=task == "undock")
         self._log = log
@@ -113,6 +125,7 @@ class DockingExecutor:
         self._usual_period, self._cycle_count = _FIRST_PERIOD, -1
         self._repeats = 0
         self._faults: set[str] = set()  # of the last cycle
+        self._detections_fail = False
         self._ending: Ending | None = None
 
     @property
@@ -161,7 +174,7 @@ class DockingExecutor:
         if tick.passed > tick.of_commands:  # bases stop by themselves when they are told nothing for long
             self._limiter.restart(admissible(measurements.twist, robot.limits, robot.drive))
         now = max(self._perception.stamp, measurements.stamp + self._offset)  # sums of large numbers are rounded
-        self._perception.update(measurements, now, self._offset)
+        self._perception.update(self._of_dock(measurements), now, self._offset)
         command = self._command(tick.of_commands)
         state = self.state
         deviation = self._procedure.deviation if self._ending is None else None
@@ -185,6 +198,18 @@ class DockingExecutor:
             found = found._replace(twist=self._limiter.command)
         self._perception.has_twist = intake.has_twist
         return found
+
+    def _of_dock(self, measurements: Measurements) -> Measurements:
+        """The measurements with those detections that the dock type takes for its own; none where it fails."""
+        failure = ""
+        try:
+            chosen = self._dock_type.detections(measurements)
+        except Exception as error:  # whatever a plugin raises, the control cycle goes on
+            chosen, failure = (), f"{type(error).__name__}: {error}"
+        if failure and not self._detections_fail:
+            self._report("detections not used", failure)
+        self._detections_fail = bool(failure)
+        return measurements._replace(detections=chosen)
 
     def _watch_log(self) -> None:
         """A log that cannot be written any more is said once, and stops nothing."""
@@ -268,3 +293,21 @@ class DockingExecutor:
             distance = math.hypot(relative.x, relative.y)
         passed = perception.stamp - (self._began or 0.0)
         return Feedback(_FEEDBACK.get(state, FeedbackState.NONE), self._procedure.num_retries, distance, passed)
+
+
+def _dock_type(asked: DockTypeLike | None, settings: ExecutorSettings) -> DockType:
+    """The dock type that a caller asks for, or the one that the settings describe.
+
+    Raises:
+        PluginError: As `plugin_from`.
+        InvalidValue: As `plugin_from`, or the settings describe another one.
+    """
+    described = {name: getattr(settings, name) for name in _OF_SIMPLE_DOCK}
+    if asked is None:
+        return SimpleDock(**described)
+    kind = plugin_from(DockType, asked, "dock_type")
+    defaults = {name: field.default for name, field in ExecutorSettings.model_fields.items()}
+    twice = [name for name, value in described.items() if value != defaults[name]]
+    if twice:
+        raise InvalidValue(f"settings.{twice[0]}: is for the dock type to say, which is given: {type(kind).__name__}")
+    return kind

@@ -208,7 +208,7 @@ class Drive:
         kind = situation.contact()
         if kind is not None:
             return kind
-        if self._finished_since is None or settings.contact == "touch":
+        if self._finished_since is None or situation.dock_type.is_pressed_on:
             return None
         still = [
             max(least, _NOISE_GAIN * sigma) for least, sigma in zip(_SETTLED, situation.perception.sigma, strict=True)

@@ -13,7 +13,7 @@ from optdock.measurements import Detection, Measurements, OdometryPose
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-__all__ = ["Intake", "usable"]
+__all__ = ["Intake", "is_detection", "is_finite", "usable"]
 
 
 class Intake(NamedTuple):
@@ -37,9 +37,9 @@ def usable(given: object) -> Intake:
     kept: dict[str, Any] = given._asdict()
     faults = [_fault(name, kept[name]) for name, (accepts, _) in _ACCEPTED.items() if not accepts(kept[name])]
     kept |= {name: instead for name, (accepts, instead) in _ACCEPTED.items() if not accepts(kept[name])}
-    detections = tuple(one for one in kept["detections"] if _is_detection(one))
-    faults += [_fault("detection", one) for one in kept["detections"] if not _is_detection(one)]
-    if not _is_none_or(_is_finite)(given.pose_stamp):
+    detections = tuple(one for one in kept["detections"] if is_detection(one))
+    faults += [_fault("detection", one) for one in kept["detections"] if not is_detection(one)]
+    if not _is_none_or(is_finite)(given.pose_stamp):
         kept["pose"] = None
     has_twist = isinstance(given.twist, Twist2)
     return Intake(Measurements(**kept | {"detections": detections}), has_twist, tuple(faults))
@@ -49,18 +49,20 @@ def _fault(name: str, value: object) -> tuple[str, str]:
     return f"{name.replace('_', ' ')} not used", f"got {value!r:.80}"
 
 
-def _is_finite(value: object) -> bool:
+def is_finite(value: object) -> bool:
+    """Whether a value is a finite number, and no switch."""
     return type(value) is not bool and isinstance(value, numbers.Real) and math.isfinite(value)
 
 
 def _is_odometry(value: object) -> bool:
-    return isinstance(value, OdometryPose) and isinstance(value.pose, Pose2) and _is_finite(value.stamp)
+    return isinstance(value, OdometryPose) and isinstance(value.pose, Pose2) and is_finite(value.stamp)
 
 
-def _is_detection(value: object) -> bool:
+def is_detection(value: object) -> bool:
+    """Whether a value is a detection of finite numbers."""
     if not (isinstance(value, Detection) and isinstance(value.pose, Pose2)):
         return False
-    return all(_is_finite(one) for one in (value.stamp, value.position_sigma, value.yaw_sigma))
+    return all(is_finite(one) for one in (value.stamp, value.position_sigma, value.yaw_sigma))
 
 
 def _is_a(*kinds: type) -> Callable[[object], bool]:
@@ -73,13 +75,14 @@ def _is_none_or(accepts: Callable[[object], bool]) -> Callable[[object], bool]:
 
 # Of each field what is accepted, and what stands for anything else.
 _ACCEPTED: dict[str, tuple[Callable[[object], bool], object]] = {
-    "stamp": (_is_finite, math.nan),
+    "stamp": (is_finite, math.nan),
     "pose": (_is_none_or(_is_a(Pose2)), None),
     "twist": (_is_a(Twist2), Twist2()),
     "detections": (_is_a(tuple, list), ()),
     "contact": (_is_none_or(_is_a(bool)), None),
     "costmap": (_is_none_or(_is_a(Costmap)), None),
     "odometry": (_is_none_or(_is_odometry), None),
-    "pose_stamp": (_is_none_or(_is_finite), None),
+    "pose_stamp": (_is_none_or(is_finite), None),
     "held": (_is_a(bool), True),
+    "current": (_is_none_or(is_finite), None),
 }

@@ -68,13 +68,14 @@ _MOST_VALUES = 300_000
 
 
 class Task(NamedTuple):
-    """What was asked for, as the first line of a log says it."""
+    """What was asked for, as the first line of a log says it; without a dock type the settings describe it."""
 
     problem: DockingProblem
     settings: ExecutorSettings
     task: Literal["dock", "undock"]
     controller: PluginChoice
     goal_checker: PluginChoice
+    dock_type: PluginChoice | None = None
 
 
 class Start(NamedTuple):
@@ -194,7 +195,7 @@ class LogWriter:
 
     def begin(self, task: Task) -> None:
         """The first line."""
-        problem = task.problem
+        problem, kind = task.problem, task.dock_type
         self._write(
             {
                 "format": LOG_FORMAT,
@@ -207,6 +208,7 @@ class LogWriter:
                 "settings": task.settings.model_dump(),
                 "controller": [task.controller.name, dict(task.controller.parameters)],
                 "goal_checker": [task.goal_checker.name, dict(task.goal_checker.parameters)],
+                **({} if kind is None else {"dock_type": [kind.name, dict(kind.parameters)]}),
             }
         )
 
@@ -385,6 +387,8 @@ def _measured_values(m: Measurements) -> dict[str, object]:
         value["pose_stamp"] = m.pose_stamp
     if m.held:
         value["held"] = True
+    if m.current is not None:
+        value["current"] = float(m.current)
     return value
 
 
@@ -513,6 +517,7 @@ class _TaskLine(_Line):
     settings: dict[str, JsonValue]
     controller: tuple[str, dict[str, JsonValue]]
     goal_checker: tuple[str, dict[str, JsonValue]]
+    dock_type: tuple[str, dict[str, JsonValue]] | None = None
 
     def read(self) -> Task:
         """The task, if its problem is the one that the log was written for.
@@ -534,6 +539,7 @@ class _TaskLine(_Line):
             self.task,
             PluginChoice(*self.controller),
             PluginChoice(*self.goal_checker),
+            None if self.dock_type is None else PluginChoice(*self.dock_type),
         )
 
 
@@ -590,6 +596,7 @@ class _CycleLine(_Line):
     odometry: tuple[float, float, float, float] | None = None
     pose_stamp: float | None = None
     held: bool = False
+    current: float | None = None
     events: list[tuple[float, str, str]] = []
     ending: tuple[str, str, int, float] | None = None
 
@@ -605,6 +612,7 @@ class _CycleLine(_Line):
             None if self.odometry is None else OdometryPose(self.odometry[0], Pose2(*self.odometry[1:])),
             self.pose_stamp,
             self.held,
+            self.current,
         )
         return Cycle(
             line,

@@ -30,6 +30,7 @@ from optdock.verification.time_of_impact import free_motion
 if TYPE_CHECKING:
     from collections.abc import Callable, Generator
 
+    from optdock.executor.checked_dock_type import CheckedDockType
     from optdock.executor.perception import Perception
     from optdock.executor.planning import Motion, Planning
     from optdock.executor.settings import ExecutorSettings
@@ -71,6 +72,7 @@ class Procedure:
         perception: Brought up to date before every cycle.
         controller: Drives the motions.
         goal_checker: Says when the robot is docked.
+        dock_type: Says where approaches begin, and what contact and charge are.
         planning: Makes them.
         report: Takes the name of an event and its detail.
 
@@ -89,11 +91,12 @@ class Procedure:
         perception: Perception,
         controller: Controller,
         goal_checker: GoalChecker,
+        dock_type: CheckedDockType,
         planning: Planning,
         report: Callable[[str, str], None],
     ) -> None:
-        self.situation = Situation(problem, settings, perception, report)
-        self._settings, self._report = settings, report
+        self.situation = Situation(problem, settings, perception, dock_type, report)
+        self._settings, self._dock_type, self._report = settings, dock_type, report
         self._controller, self._goal_checker = controller, goal_checker
         self._requests = PlanRequests(planning, report)
         self.state, self.num_retries = State.READY, 0
@@ -107,6 +110,8 @@ class Procedure:
         """The task; its value is how it ended, the robot being at rest."""
         self._began = self._now
         try:
+            self._dock_type.reset()
+            self.situation.feel()
             kind, reason = yield from self._undock() if undock else self._dock()
         except Cancelled:
             kind, reason = EndingKind.CANCELLED, f"while {self.state.value}"
@@ -123,7 +128,7 @@ class Procedure:
         situation, settings = self.situation, self._settings
         yield from self._stop()
         yield from self._locate()
-        if situation.has_signal and situation.distance <= situation.reach_of_contact:
+        if situation.has_signal and situation.is_near:
             return EndingKind.ALREADY_DOCKED, "the external signal says so"
         if (yield from self._stands_docked()):
             return EndingKind.ALREADY_DOCKED, situation.where
@@ -133,7 +138,7 @@ class Procedure:
             try:
                 yield from self._perceive_from_staging()
                 kind = yield from self._approach()
-                if settings.wait_for_charge:
+                if self._dock_type.waits_for_charge:
                     yield from self._wait_for_charge()
                 return kind, ""
             except AttemptFailed as failure:
@@ -149,9 +154,9 @@ class Procedure:
         situation = self.situation
         yield from self._stop()
         yield from self._locate()
-        if situation.distance > situation.reach_of_contact and not situation.has_signal:
+        if not situation.is_near and not situation.has_signal:
             return EndingKind.NOT_DOCKED, f"the robot is {situation.distance:.3f} m from the dock"
-        yield from self._back_out(max(self._settings.back_out_distance, situation.problem.dock.final_straight))
+        yield from self._back_out(max(self._dock_type.back_out_distance, situation.problem.dock.final_straight))
         yield from self._drive_to_staging(State.UNDOCKING, EndingKind.FAILED_TO_STAGE)
         return EndingKind.UNDOCKED, ""
 
@@ -173,6 +178,7 @@ class Procedure:
             return
         if self.cancelled:
             raise Cancelled
+        self.situation.feel()
         passed, timeout = self._now - self._began, self._settings.timeout
         if timeout is not None and passed > timeout:
             raise TaskFailed(EndingKind.TIMEOUT, f"{passed:.1f} s passed while {self.state.value}")
@@ -215,8 +221,8 @@ class Procedure:
     def _stands_docked(self) -> Generator[Wish, None, bool]:
         """Whether the robot stands in its dock before anything is done, as a dock without a signal cannot tell."""
         situation, settings = self.situation, self._settings
-        needs_signal = settings.contact == "touch" or settings.wait_for_charge
-        if needs_signal or situation.distance > situation.reach_of_contact:
+        needs_signal = self._dock_type.is_pressed_on or self._dock_type.waits_for_charge
+        if needs_signal or not situation.is_near:
             return False
         self.state, since = State.PERCEIVING, self._now
         while settings.use_detections and not situation.is_dock_known:
@@ -230,7 +236,7 @@ class Procedure:
         try:
             yield from self._perceive()
         except TaskFailed as failure:
-            if self.situation.has_arrived_at(self.situation.staging_pose()):
+            if self.situation.has_arrived_at_staging():
                 raise
             self._report("dock not seen from here", failure.reason)
             yield from self._drive_to_staging(State.STAGING, EndingKind.FAILED_TO_STAGE)
@@ -265,6 +271,7 @@ class Procedure:
             AttemptFailed: It is stopped too often.
         """
         blocks, blocked_since = 0, self._now
+        self._dock_type.reset()
         while True:
             yield from self._locate()
             result = yield from self._planned(self.situation.to_dock())
@@ -299,7 +306,7 @@ class Procedure:
         """
         docked = yield from self._drive(motion, State.APPROACHING)
         if docked is None:
-            if self._settings.contact == "touch":
+            if self._dock_type.is_pressed_on:
                 return (yield from self._press())
             self._require_certainty()
             raise Interrupted(NOT_DOCKED, self.situation.where)
@@ -307,7 +314,7 @@ class Procedure:
         if docked is EndingKind.DOCKED_BY_SIGNAL and not self.situation.has_signal:
             self._report("contact lost again", self.situation.where)  # the feedback was taking the robot back
             return (yield from self._press())
-        if self._settings.contact == "distance":
+        if not self._dock_type.is_pressed_on:
             yield from self._confirm()
         return docked
 
@@ -414,6 +421,16 @@ class Procedure:
             if self._now - since > budget + _PLANNING_PATIENCE:
                 return PlanResult(number, Outcome.FAILED, reason="planning does not answer")
 
+    def _planned_to_staging(self) -> Generator[Wish, None, PlanResult]:
+        """The result of a plan to the first staging pose to which there is one; else that of the last."""
+        *others, last = self.situation.staging_poses()
+        for number, place in enumerate(others, start=1):
+            result = yield from self._planned(self.situation.to(place))
+            if result.motion is not None:
+                return result
+            self._report("no way to a staging pose", f"number {number} of {len(others) + 1}: {result.reason}")
+        return (yield from self._planned(self.situation.to(last)))
+
     def _drive(self, motion: Motion, state: State) -> Generator[Wish, None, EndingKind | None]:
         """Drive a motion to its end, replanned on the way where that is worth it.
 
@@ -465,13 +482,13 @@ class Procedure:
             yield from self._cycle(Twist2(gear * speed))
 
     def _wait_for_charge(self) -> Cycles:
-        """At rest until the signal comes.
+        """At rest until the battery is charged.
 
         Raises:
             AttemptFailed: It does not.
         """
         self.state, since = State.WAITING_FOR_CHARGE, self._now
-        while not self.situation.has_signal:
+        while not self.situation.is_charging:
             if self._now - since > self._settings.wait_charge_timeout:
                 raise AttemptFailed(
                     EndingKind.FAILED_TO_CHARGE, f"no signal for {self._now - since:.1f} s: {self.situation.where}"
@@ -487,7 +504,7 @@ class Procedure:
         situation = self.situation
         direction, footprint = -situation.gear, situation.problem.robot.footprint
         origin, begun, is_straight = situation.perception.robot_from_dock, self._now, False
-        farthest = max(least, self._settings.back_out_distance)
+        farthest = max(least, self._dock_type.back_out_distance)
         limit = 2.0 * farthest / _BACK_OUT_SPEED + _REST_PATIENCE
         while True:
             yield from self._locate()
@@ -518,7 +535,7 @@ class Procedure:
             yield from self._cycle(Twist2(gear * _CREEP))
 
     def _drive_to_staging(self, state: State, failure: EndingKind) -> Cycles:
-        """Along a certified path to the staging pose; what stops the robot is planned around, or ends the task.
+        """Along a certified path to a staging pose; what stops the robot is planned around, or ends the task.
 
         Raises:
             TaskFailed: The robot does not get there; of the kind `failure`.
@@ -527,10 +544,9 @@ class Procedure:
         blocks, since = 0, self._now
         while True:
             yield from self._locate()
-            staging = situation.staging_pose()
-            if situation.has_arrived_at(staging):
+            if situation.has_arrived_at_staging():
                 return
-            result = yield from self._planned(situation.to(staging))
+            result = yield from self._planned_to_staging()
             if result.motion is None:
                 if self._now - since > self._settings.obstacle_patience:
                     raise TaskFailed(failure, f"no way to the staging pose: {result.reason}")

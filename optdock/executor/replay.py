@@ -52,6 +52,7 @@ def replay(log: DockingLog) -> Replay:
         task=task.task,
         controller=task.controller,
         goal_checker=task.goal_checker,
+        dock_type=task.dock_type,
         planning=planning,
     )
     across = turned = 0.0

@@ -15,13 +15,16 @@ from optdock.executor.approach import staging_distance
 from optdock.executor.interruptions import HELD, Interrupted
 from optdock.executor.outcomes import EndingKind
 from optdock.geometry.pose import Pose2, Twist2
+from optdock.measurements import AtDock
 from optdock.obstacles import ObstacleSet
+from optdock.outcomes import Contact
 from optdock.problem import ClearanceRule
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
     from optdock.costmap.costmap import Costmap
+    from optdock.executor.checked_dock_type import CheckedDockType
     from optdock.executor.perception import Perception
     from optdock.executor.settings import ExecutorSettings
     from optdock.problem import DockingProblem
@@ -40,6 +43,7 @@ _NEAR = 0.25  # [m]: from farther a camera that is blind before the dock sees it
 _NO_ROOM = 0.03  # [m] before the dock nothing can be corrected any more
 _LAST_LOOK = 0.2  # [m] before the dock: as near it drives without being sure, for a detection may come on the way
 _ARRIVED = 0.05, 0.05  # [m], [rad] from the staging pose: Nav2's undock_linear_tolerance and undock_angular_tolerance
+_DOCKED_BY = {Contact.SIGNAL: EndingKind.DOCKED_BY_SIGNAL, Contact.STALL: EndingKind.DOCKED_BY_STALL}
 _AT_A_STAND: dict[str, Any] = {"start_speed": 0.0, "start_acceleration": 0.0, "start_curvature": None}
 
 
@@ -50,12 +54,14 @@ class Situation:
         problem: Robot, dock as stored, obstacles, clearance; its start plays no part.
         settings: How the task is to be done.
         perception: Brought up to date before every cycle.
+        dock_type: Says where approaches begin, and what contact and charge are.
         report: Takes the name of an event and its detail.
 
     Attributes:
         interruption: Name and reason of what stops a motion from outside, such as a clock that jumped; empty: nothing.
         commanded: The last command; set before every cycle.
         looked_in_vain_since: Stamp of the newest detection when it was last waited for another one in vain [s].
+        felt: The contact that the dock type feels in this cycle, wherever the robot is.
     """
 
     def __init__(
@@ -63,14 +69,16 @@ class Situation:
         problem: DockingProblem,
         settings: ExecutorSettings,
         perception: Perception,
+        dock_type: CheckedDockType,
         report: Callable[[str, str], None],
     ) -> None:
         self.problem, self.settings, self.perception, self._report = problem, settings, perception, report
+        self.dock_type = dock_type
         self.interruption = ("", "")
         self.commanded = Twist2()
         self.looked_in_vain_since = math.nan
-        self._signal_seen = False
-        self._stalled_since: float | None = None
+        self.felt: Contact | None = None
+        self._is_far_contact_said = False
         self._cleared: tuple[Costmap | None, Costmap | None, Pose2] = (None, None, problem.goal)
 
     @property
@@ -106,9 +114,14 @@ class Situation:
 
     @property
     def has_signal(self) -> bool:
-        """Whether the external signal says that the robot is docked."""
+        """Whether a signal says that the robot is docked."""
+        return self.felt is Contact.SIGNAL
+
+    @property
+    def is_charging(self) -> bool:
+        """Whether the battery is being charged."""
         measurements = self.perception.measurements
-        return measurements is not None and measurements.contact is True
+        return measurements is not None and self.dock_type.is_charging(measurements)
 
     @property
     def distance(self) -> float:
@@ -120,6 +133,11 @@ class Situation:
     def reach_of_contact(self) -> float:
         """As far from the estimated dock contact may be made: what the estimate may be wrong comes on top [m]."""
         return self.settings.contact_range + 3.0 * self.perception.sigma[0]
+
+    @property
+    def is_near(self) -> bool:
+        """Whether the robot is as near to the docked pose as contact is possible."""
+        return self.distance <= self.reach_of_contact
 
     @property
     def where(self) -> str:
@@ -209,20 +227,20 @@ class Situation:
             return 1.0 if self.perception.robot_from_dock.x <= 0.0 else -1.0
         return 1.0 if direction is DockDirection.FORWARD else -1.0
 
-    def staging_pose(self) -> Pose2:
-        """Where an approach begins, in the fixed frame."""
+    def staging_poses(self) -> tuple[Pose2, ...]:
+        """Where an approach may begin, in the fixed frame, the preferred one first."""
         distance = self.settings.staging_distance or staging_distance(self.problem)
-        return self.perception.dock @ Pose2(-self.gear * distance, 0.0, 0.0)
+        return tuple(self.perception.dock @ pose for pose in self.dock_type.staging_poses(self.gear, distance))
 
     def from_staging(self) -> float:
-        """Nav2's norm of the way to the staging pose, metres and radians mixed."""
-        gap = self.perception.robot.in_frame_of(self.staging_pose())
-        return math.sqrt(gap.x**2 + gap.y**2 + gap.yaw**2)
+        """Nav2's norm of the way to the nearest staging pose, metres and radians mixed."""
+        gaps = [self.perception.robot.in_frame_of(place) for place in self.staging_poses()]
+        return min(math.sqrt(gap.x**2 + gap.y**2 + gap.yaw**2) for gap in gaps)
 
-    def has_arrived_at(self, place: Pose2) -> bool:
-        """Whether the robot is at a staging pose."""
-        gap = self.perception.robot.in_frame_of(place)
-        return math.hypot(gap.x, gap.y) <= _ARRIVED[0] and abs(gap.yaw) <= _ARRIVED[1]
+    def has_arrived_at_staging(self) -> bool:
+        """Whether the robot is at one of the staging poses."""
+        gaps = [self.perception.robot.in_frame_of(place) for place in self.staging_poses()]
+        return any(math.hypot(gap.x, gap.y) <= _ARRIVED[0] and abs(gap.yaw) <= _ARRIVED[1] for gap in gaps)
 
     @property
     def costmap(self) -> Costmap | None:
@@ -320,25 +338,22 @@ class Situation:
         if self.is_blind:
             raise Interrupted("no costmap", f"the last one is {self.perception.costmap_age:.2f} s old")
 
-    def contact(self) -> EndingKind | None:
-        """Contact that is felt: by the external signal, or by a stall."""
-        is_near = self.distance <= self.reach_of_contact
-        if self.has_signal:
-            if is_near:
-                return EndingKind.DOCKED_BY_SIGNAL
-            if not self._signal_seen:
-                self._report("external signal far from the dock", self.where)
-        self._signal_seen = self.has_signal
-        if not self.is_stalled():
-            self._stalled_since = None
-            return None
-        if self._stalled_since is None:
-            self._stalled_since = self.now
-        if self.now - self._stalled_since < self.settings.stall_time or not is_near:
-            return None
-        return EndingKind.DOCKED_BY_STALL if self.settings.contact == "touch" else None
+    def feel(self) -> None:
+        """Ask the dock type what is felt in this cycle, once it is known where the robot is."""
+        perception = self.perception
+        if perception.measurements is not None and perception.started:
+            self.felt = self.dock_type.contact(
+                AtDock(self.now, perception.measurements, self.commanded, perception.robot_from_dock, self.is_near)
+            )
 
-    def is_stalled(self) -> bool:
-        """Whether the robot is commanded to move, and does not by its odometry."""
-        wanted = abs(self.commanded.linear) > 2.0 * self.settings.stall_speed
-        return wanted and abs(self.twist.linear) < self.settings.stall_speed
+    def contact(self) -> EndingKind | None:
+        """How the robot is docked by what is felt; far from the dock it is by nothing."""
+        if self.felt is None:
+            self._is_far_contact_said = False
+            return None
+        if self.is_near:
+            return _DOCKED_BY[self.felt]
+        if not self._is_far_contact_said:
+            self._report(f"{self.felt.value} far from the dock", self.where)
+        self._is_far_contact_said = True
+        return None

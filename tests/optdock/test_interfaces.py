@@ -17,6 +17,7 @@ from optdock.interfaces import (
     BehaviorStatus,
     Bounds,
     Controller,
+    DockType,
     CostmapInfoType,
     GlobalPlanner,
     GoalChecker,
@@ -82,8 +83,8 @@ METHODS = [
     ),
     (GoalChecker, "getTolerances", "tolerances", True, None),
 ]
-# Of ours alone: Nav2 has no time parameterizer.
-OURS = [(TimeParameterizer, "parameterize")]
+# Of ours alone: Nav2 has no time parameterizer, and its docks are asked other questions.
+OURS = [(TimeParameterizer, "parameterize"), (DockType, "contact")]
 
 
 @pytest.mark.parametrize(("interface", "theirs", "ours", "abstract", "parameters"), METHODS)

@@ -23,6 +23,7 @@ from optdock.plugins import INTERFACES, available_plugins, create_plugin
 from optdock.testing.contracts.behavior import BehaviorContract
 from optdock.testing.contracts.checker import GoalCheckerContract
 from optdock.testing.contracts.controller import ControllerContract
+from optdock.testing.contracts.dock_type import DockTypeContract
 from optdock.testing.contracts.layer import LayerContract
 from optdock.testing.contracts.planner import GlobalPlannerContract
 from optdock.testing.contracts.plugin import PluginContract
@@ -41,6 +42,7 @@ __all__ = [
     "BehaviorContract",
     "ContractBroken",
     "ControllerContract",
+    "DockTypeContract",
     "GlobalPlannerContract",
     "GoalCheckerContract",
     "LayerContract",
@@ -59,6 +61,7 @@ CONTRACTS: Mapping[str, type] = {
     "goal_checkers": GoalCheckerContract,
     "behaviors": BehaviorContract,
     "layers": LayerContract,
+    "docks": DockTypeContract,
 }
 """The suite of every kind of plugin in `optdock.plugins.INTERFACES`."""
 

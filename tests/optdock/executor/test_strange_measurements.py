@@ -44,7 +44,7 @@ def test_a_clock_that_goes_back_by_years_and_stands_still_goes_on():
 STAGING = Pose2(-staging_distance(problem_with()), 0.0, 0.0)
 JUNK = st.sampled_from([None, math.nan, -1.0, True, "3", b"x", [], (), {}, object(), Pose2(0.0, 0.0, 0.0), [None]])
 ODOMETRY = OdometryPose(0.0, BEFORE_DOCK)
-WELL = Measurements(0.0, BEFORE_DOCK, Twist2(), (SEEN,), False, None, ODOMETRY, 0.0)
+WELL = Measurements(0.0, BEFORE_DOCK, Twist2(), (SEEN,), False, None, ODOMETRY, 0.0, current=0.5)
 
 
 @given(st.dictionaries(st.sampled_from(WELL._fields), JUNK), st.lists(JUNK, max_size=2), JUNK, JUNK)
@@ -59,7 +59,7 @@ def test_what_is_usable_is_of_the_right_kinds_and_what_is_left_out_has_a_name(fi
     assert all(isinstance(one.pose, Pose2) and math.isfinite(one.stamp) for one in found.detections)
     assert found.odometry is None or math.isfinite(found.odometry.stamp)
     named = {name.removesuffix(" not used") for name, _ in faults}
-    for name in ("twist", "contact", "costmap", "odometry"):
+    for name in ("twist", "contact", "costmap", "odometry", "current"):
         assert (f"{name}" in named) is (getattr(found, name) is not getattr(given_, name))
     assert usable(found._replace(stamp=0.0)).faults == ()
 
