@@ -1,4 +1,4 @@
-"""The contracts of controllers, behaviors and layers catch every plugin that breaks a sentence of theirs."""
+"""The contracts of controllers, behaviors, layers and dock types catch every plugin that breaks a sentence of theirs."""
 
 import math
 
@@ -8,14 +8,21 @@ from pydantic import Field
 
 from optdock.controllers.tracking import TrackingController
 from optdock.costmap.costs import LETHAL
-from optdock.errors import ControllerException
-from optdock.geometry.pose import Twist2
-from optdock.interfaces import BehaviorResult, BehaviorStatus, Bounds, CostmapInfoType, Layer
+from optdock.errors import ControllerException, PluginError
+from optdock.executor import SimpleDock
+from optdock.geometry.pose import Pose2, Twist2
+from optdock.interfaces import BehaviorResult, BehaviorStatus, Bounds, Contact, CostmapInfoType, Layer
 from optdock.nav2.behaviors.collision import CollisionChecker
 from optdock.nav2.behaviors.drive import DriveOnHeading
 from optdock.parameters import PluginParameters
 from optdock.path import Path
-from optdock.testing.contracts import BehaviorContract, ContractBroken, ControllerContract, LayerContract
+from optdock.testing.contracts import (
+    BehaviorContract,
+    ContractBroken,
+    ControllerContract,
+    DockTypeContract,
+    LayerContract,
+)
 
 Tracking = TrackingController
 
@@ -288,3 +295,65 @@ def test_bounds_that_are_no_numbers_are_caught():
     suite = type("Suite", (LayerContract,), {"make_plugin": lambda suite: nan()})
     with pytest.raises(ContractBroken, match="only grows"):
         suite().test_bounds_only_grow()
+
+
+class Touched(SimpleDock):
+    """Says that it is touched in words of its own."""
+
+    def contact(self, now):
+        return super().contact(now) and "touched"
+
+
+class Believing(SimpleDock):
+    def contact(self, now):
+        return super().contact(now) or (None if now.measurements.contact is False else Contact.SIGNAL)
+
+
+class Remembering(SimpleDock):
+    """Once touched, touched for ever."""
+
+    felt = None
+
+    def contact(self, now):
+        self.felt = super().contact(now) or self.felt
+        return self.felt
+
+
+class Dividing(SimpleDock):
+    """Takes it that time goes on."""
+
+    before = 0.0
+
+    def contact(self, now):
+        rate, self.before = 1.0 / (now.stamp - self.before), now.stamp
+        return super().contact(now) if rate > 0.0 else None
+
+    def reset(self):
+        self.before = 0.0
+
+
+class Inside(SimpleDock):
+    def staging_poses(self, gear, distance):
+        return [*super().staging_poses(gear, distance), Pose2(0.0, 0.0, 0.0)]
+
+
+class Doubling(SimpleDock):
+    def detections(self, measurements):
+        return measurements.detections * 2
+
+
+class Eager(SimpleDock):
+    back_out_distance = 0.0
+
+
+def test_every_gate_of_dock_types_can_fail(every_gate):
+    broken = {
+        "test_contact_is_a_contact_or_none_in_every_cycle": Touched,
+        "test_a_robot_far_away_that_measures_nothing_feels_nothing": Believing,
+        "test_a_reset_forgets_what_was_felt": Remembering,
+        "test_a_repeated_stamp_is_answered": Dividing,
+        "test_approaches_begin_at_poses_outside_the_dock": Inside,
+        "test_detections_are_made_of_detections": Doubling,
+        "test_what_it_says_of_itself_is_of_the_right_kind": Eager,
+    }
+    every_gate(DockTypeContract, SimpleDock, broken, errors=(PluginError, ZeroDivisionError))

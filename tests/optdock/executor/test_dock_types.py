@@ -1,0 +1,372 @@
+"""Dock types: the standard one does as the settings say, another one is asked, and nonsense ends under a name."""
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from optdock.errors import InvalidValue, PluginError
+from optdock.executor import DockingExecutor, EndingKind, ExecutorSettings, InlinePlanning, SimpleDock, State
+from optdock.executor.checked_dock_type import CheckedDockType
+from optdock.executor.log import LogWriter, read_log
+from optdock.executor.replay import replay
+from optdock.geometry.pose import Pose2, Twist2
+from optdock.interfaces import Contact, DockType
+from optdock.measurements import AtDock, Detection, Measurements
+from optdock.plugins import PluginChoice
+from optdock.simulation import Actuation, Station
+from tests.optdock.executor.conftest import PERFECT, TRUE_DOCK, problem_with, run, simulated
+from tests.optdock.executor.test_endings import AFAR, QUICK, Recording, StraightPlanning, perfect
+
+ORIGIN = Pose2(0.0, 0.0, 0.0)
+STANDS = Measurements(0.0, TRUE_DOCK)
+
+
+def docked(dock_type=None, *, start=None, before=None, world=None, planning=None, **settings):
+    """A quick docking in a straight line, without any error."""
+    world = world or (perfect() if start is None else perfect(start))
+    chosen = ExecutorSettings(**(QUICK | settings))
+    planning = planning or StraightPlanning()
+    return run(world, problem_with(), chosen, rate=25.0, dock_type=dock_type, before=before, planning=planning)
+
+
+def commands(docking):
+    return [(step.command.linear.hex(), step.command.angular.hex(), step.state) for step in docking.steps]
+
+
+@pytest.mark.parametrize(
+    "settings",
+    [{}, {"contact": "touch", "stall_time": 0.2, "max_retries": 0}, {"wait_for_charge": True, "max_retries": 1}],
+    ids=["distance", "touch", "charge"],
+)
+def test_the_standard_one_does_as_the_settings_say(settings):
+    of_dock = {name: value for name, value in settings.items() if name in SimpleDock.Parameters.model_fields}
+    rest = {name: value for name, value in settings.items() if name not in of_dock}
+    by_settings = docked(None, **settings)
+    found = docked(PluginChoice("SimpleDock", of_dock), **rest)
+    assert commands(found) == commands(by_settings)
+    assert found.ending == by_settings.ending
+
+
+def test_what_the_dock_type_says_is_not_said_by_the_settings():
+    for name, value in (("contact", "touch"), ("back_out_distance", 0.2), ("wait_for_charge", True)):
+        chosen = ExecutorSettings(**{name: value})
+        with pytest.raises(InvalidValue, match=rf"settings\.{name}: is for the dock type to say"):
+            DockingExecutor(problem_with(), chosen, dock_type="SimpleDock")
+    DockingExecutor(problem_with(), ExecutorSettings(staging_distance=0.9), dock_type="SimpleDock")
+    with pytest.raises(PluginError, match="unknown plugin 'SimpleDoc'; did you mean SimpleDock"):
+        DockingExecutor(problem_with(), dock_type="SimpleDoc")
+    with pytest.raises(InvalidValue, match=r"write SimpleDock\(\)"):
+        DockingExecutor(problem_with(), dock_type=SimpleDock)
+
+
+# Where approaches begin.
+
+
+@pytest.mark.parametrize("gear", [1.0, -1.0])
+def test_staging_is_on_the_axis_in_either_gear_or_where_the_parameters_say(gear):
+    assert SimpleDock().staging_poses(gear, 0.8) == (Pose2(-gear * 0.8, 0.0, 0.0),)
+    assert SimpleDock(staging_distance=1.1).staging_poses(gear, 0.8) == (Pose2(-gear * 1.1, 0.0, 0.0),)
+    poses = [[-0.9, 0.0, 0.0], [-0.7, 0.2, -0.3]]
+    assert SimpleDock(staging_poses=poses).staging_poses(gear, 0.8) == tuple(Pose2(*pose) for pose in poses)
+
+
+@pytest.mark.parametrize("wrong", [[[0.0, 1.0]], [["1", 0.0, 0.0]], [[True, 0.0, 0.0]], [[math.nan, 0.0, 0.0]], 3.0])
+def test_staging_poses_are_three_numbers_each(wrong):
+    with pytest.raises(InvalidValue, match=r"SimpleDock\.staging_poses"):
+        SimpleDock(staging_poses=wrong)
+    with pytest.raises(InvalidValue, match="exclude each other"):
+        SimpleDock(staging_poses=[[-1.0, 0.0, 0.0]], staging_distance=1.0)
+
+
+TWO = PluginChoice("SimpleDock", {"staging_poses": [[-0.9, 0.0, 0.0], [-0.8, 0.3, 0.0]]})
+BOX = [[-1.3, -0.15], [-0.75, -0.15], [-0.75, -0.1], [-1.3, -0.1]]  # where a robot at the first pose would stand
+
+
+def test_an_occupied_staging_pose_gives_way_to_the_next(lawful):
+    """Out of the dock: with one pose there is no way, with two it is the second."""
+    found = {}
+    for name, obstacles, kind in (("two", (BOX,), TWO), ("one", (BOX,), "SimpleDock")):
+        world = simulated(ORIGIN, sensors=PERFECT, actuation=Actuation())
+        settings = ExecutorSettings(staging_distance=0.9, obstacle_patience=0.1, time_budget=0.3, use_detections=False)
+        docking = run(world, problem_with(TRUE_DOCK, obstacles), settings, task="undock", dock_type=kind)
+        lawful(docking)
+        found[name] = docking
+    assert [docking.ending.kind.name for docking in found.values()] == ["UNDOCKED", "FAILED_TO_STAGE"]
+    assert found["two"].world.error.gap_to(Pose2(-0.8, 0.3, 0.0)) < 0.05
+    assert [event.detail[:6] for event in found["two"].said("no way to a staging pose")] == ["number"]
+
+
+def test_after_the_last_staging_pose_it_ends_as_with_one():
+    planning = Recording(reason="a wall")
+    docking = docked(TWO, start=AFAR, planning=planning)
+    asked = [job.problem.goal.in_frame_of(TRUE_DOCK).as_array() for job in planning.jobs]
+    np.testing.assert_allclose(asked[:4], TWO.parameters["staging_poses"] * 2, atol=1e-9)
+    assert docking.ending.kind is EndingKind.FAILED_TO_STAGE
+    assert docking.ending.reason.endswith("no way to the staging pose: a wall")
+    assert docking.said("no way to a staging pose")
+
+
+def test_a_robot_at_any_of_the_staging_poses_has_arrived():
+    for pose in (Pose2(-0.9, 0.0, 0.0), Pose2(-0.8, 0.3, 0.0)):
+        docking = docked(TWO, start=pose, prestaging_tolerance=0.05, planning=StraightPlanning(reason="a wall"))
+        assert State.STAGING not in docking.states
+
+
+# Contact and charge.
+
+
+class Recorder(DockType):
+    """Remembers what it was told; whoever backs out of it is at its staging pose, and it never charges."""
+
+    waits_for_charge = True
+
+    def __init__(self):
+        super().__init__()
+        self.told = []
+
+    def contact(self, now):
+        self.told.append(now)
+
+    def reset(self):
+        self.told.append(None)
+
+    def staging_poses(self, gear, distance):
+        return [Pose2(-0.02, 0.0, 0.0)]
+
+
+def test_contact_is_asked_once_a_cycle_and_reset_before_every_approach():
+    dock_type = Recorder()
+    docking = docked(dock_type, planning=InlinePlanning(), navigate_to_staging_pose=False, max_retries=1)
+    assert docking.ending.kind is EndingKind.FAILED_TO_CHARGE
+    assert docking.ending.num_retries == 1
+    told = [one for one in dock_type.told if one is not None]
+    assert told == sorted(told, key=lambda now: now.stamp)
+    assert len({now.stamp for now in told}) == len(told)
+    assert len(told) == len(docking.steps), "until the task has ended"
+    assert len(dock_type.told) - len(told) == 1 + 2, "once for the task, once for every approach"
+    assert [now.commanded for now in told[1:]] == [step.command for step in docking.steps[:-1]]
+    assert {now.is_near for now in told if abs(now.robot.x) < 0.04} == {True}
+    assert {now.is_near for now in told if abs(now.robot.x) > 0.2 and now.stamp > 1.0} == {False}
+
+
+class Latched(DockType):
+    """A switch that is seen by its own eyes: contact as soon as the robot is nearer than 4 cm."""
+
+    def __init__(self, kind):
+        super().__init__()
+        self.kind = kind
+
+    def contact(self, now):
+        return self.kind if now.robot.x > -0.04 else None
+
+
+@pytest.mark.parametrize(
+    ("kind", "ending"), [(Contact.SIGNAL, EndingKind.DOCKED_BY_SIGNAL), (Contact.STALL, EndingKind.DOCKED_BY_STALL)]
+)
+def test_contact_that_is_felt_ends_the_approach(kind, ending):
+    docking, unfelt = docked(Latched(kind)), docked()
+    assert docking.ending.kind is ending
+    assert docking.ending.stamp < unfelt.ending.stamp
+    assert -0.04 < docking.world.error.x < unfelt.world.error.x
+
+
+def test_contact_far_from_the_dock_is_said_and_not_believed():
+    stuck = type("Stuck", (DockType,), {"contact": lambda self, now: Contact.SIGNAL})
+    docking = docked(stuck(), use_detections=False, stored_position_sigma=0.01)
+    (said,) = docking.said("external signal far from the dock")
+    assert said.stamp < 2.0
+    assert docking.ending.kind is EndingKind.DOCKED_BY_SIGNAL
+    assert docking.world.error.x > -0.09
+
+
+def charger(at=2.0, amperes=4.0):
+    """The current flows from this time on, once the robot is in its dock."""
+
+    def before(executor, world, measurements):
+        flows = world.time > at and world.error.x > -0.01
+        return measurements._replace(contact=None, current=amperes if flows else -0.3)
+
+    return before
+
+
+@pytest.mark.parametrize(("threshold", "is_enough"), [(2.0, True), (5.0, False)])
+def test_a_robot_that_waits_for_charge_waits_for_the_current(threshold, is_enough):
+    dock_type = SimpleDock(wait_for_charge=True, charging_current=threshold)
+    docking = docked(dock_type, before=charger(), max_retries=0)
+    assert docking.ending.kind.succeeded is is_enough
+    assert is_enough or docking.ending.kind is EndingKind.FAILED_TO_CHARGE
+    deaf = docked(SimpleDock(wait_for_charge=True), before=charger(), max_retries=0)
+    assert deaf.ending.kind is EndingKind.FAILED_TO_CHARGE, "the current is none of its parameters"
+
+
+numbers, switches = st.floats(-2.0, 2.0), st.sampled_from([None, False, True])
+cycles = st.lists(
+    st.tuples(st.floats(0.0, 0.3), numbers, numbers, switches, st.none() | numbers, st.booleans()), max_size=30
+)
+
+
+@given(cycles, st.sampled_from(["distance", "touch"]), st.none() | st.floats(0.0, 1.0))
+def test_what_the_standard_one_feels(told, contact, charging_current):
+    """A signal by switch or current; a stall by counting again what lasted how long."""
+    dock_type = SimpleDock(contact=contact, stall_time=0.4, charging_current=charging_current)
+    stamp, lasts_since = 0.0, None
+    for period, commanded, speed, switch, current, is_near in told:
+        stamp += period
+        measurements = Measurements(stamp, None, Twist2(speed), contact=switch, current=current)
+        found = dock_type.contact(AtDock(stamp, measurements, Twist2(commanded), ORIGIN, is_near))
+        lasts_since = (
+            (stamp if lasts_since is None else lasts_since) if abs(commanded) > 0.01 > 2 * abs(speed) else None
+        )
+        charges = charging_current is not None and current is not None and current > charging_current
+        assert dock_type.is_charging(measurements) is (charges if charging_current is not None else switch is True)
+        stalls = contact == "touch" and is_near and lasts_since is not None and stamp - lasts_since >= 0.4
+        signal = Contact.SIGNAL if switch or charges else None
+        assert found is (signal or (Contact.STALL if stalls else None))
+
+
+# Detections.
+
+
+class Shifted(DockType):
+    """The marker hangs beside the dock; the robot's detector tells where the marker is."""
+
+    def __init__(self, offset):
+        super().__init__()
+        self.offset = offset
+
+    def contact(self, now):
+        return None
+
+    def detections(self, measurements):
+        return [one._replace(pose=one.pose @ self.offset) for one in measurements.detections]
+
+
+def test_a_marker_that_hangs_elsewhere_is_told_by_the_dock_type():
+    """Without it the robot stands where the marker says; with it in the dock, to the tolerances."""
+    marker = Pose2(0.0, 0.06, 0.1)
+
+    def seen(executor, world, measurements):
+        moved = tuple(one._replace(pose=one.pose @ marker) for one in measurements.detections)
+        return measurements._replace(detections=moved)
+
+    off = {}
+    for name, dock_type in (("told", Shifted(marker.inverse())), ("not told", "SimpleDock")):
+        world = simulated(Pose2(-0.9, 0.02, 0.0), sensors=PERFECT, actuation=Actuation())
+        docking = run(world, problem_with(TRUE_DOCK), before=seen, dock_type=dock_type)
+        off[name] = abs(world.error.y)
+        assert name != "told" or docking.ending.kind is EndingKind.DOCKED_BY_DISTANCE
+    assert off["told"] < 0.003
+    assert off["not told"] > 0.04
+
+
+# Nonsense.
+
+
+def raising(*_):
+    raise ZeroDivisionError("of an author")
+
+
+POSE = Detection(0.0, Pose2(0.8, 0.0, 0.0), 0.003, 0.005)
+NONSENSE = {
+    "contact": ["touched", True, raising],
+    "is_pressed_on": ["yes", None, raising],
+    "waits_for_charge": [1, raising],
+    "is_charging": [None, "no", raising],
+    "staging_poses": [(), None, [(1.0, 0.0, 0.0)], Pose2(-1.0, 0.0, 0.0), raising],
+    "back_out_distance": [math.nan, math.inf, -1.0, 0.0, True, "far", None, raising],
+    "reset": [raising],
+}
+ARGUMENTS = {
+    "contact": (AtDock(0.0, STANDS, Twist2(), ORIGIN, is_near=True),),
+    "staging_poses": (1.0, 0.7),
+    "reset": (),
+}
+PROPERTIES = {"is_pressed_on", "waits_for_charge", "back_out_distance"}
+
+
+def foreign(name, answer):
+    """A dock type of which one member answers so, or raises."""
+    given_ = answer if callable(answer) else lambda *_: answer
+    return type(
+        "Foreign", (DockType,), {"contact": lambda *_: None, name: property(given_) if name in PROPERTIES else given_}
+    )()
+
+
+@pytest.mark.parametrize(("name", "answer"), [(name, one) for name, answers in NONSENSE.items() for one in answers])
+def test_an_answer_that_is_none_is_refused_by_name(name, answer):
+    def asked():
+        member = getattr(CheckedDockType(foreign(name, answer)), name)
+        return member if name in PROPERTIES else member(*ARGUMENTS.get(name, (STANDS,)))
+
+    refusal = rf"^Foreign\.{name}: must be " if answer is not raising else "of an author"
+    with pytest.raises((PluginError, ZeroDivisionError), match=refusal):
+        asked()
+
+
+ENDS = [("contact", "touched"), ("waits_for_charge", 1), ("staging_poses", ()), ("back_out_distance", math.nan)]
+
+
+@pytest.mark.parametrize(("name", "answer"), [*ENDS, *((name, raising) for name in NONSENSE)])
+def test_an_answer_that_is_none_ends_the_task_at_rest(name, answer, lawful):
+    kind = foreign(name, answer)
+    if name == "is_charging":
+        type(kind).waits_for_charge = True
+    start = {"staging_poses": AFAR, "back_out_distance": ORIGIN}.get(name)
+    task = "undock" if name == "back_out_distance" else "dock"
+    settings = ExecutorSettings(**QUICK)
+    world = perfect() if start is None else perfect(start)
+    docking = run(world, problem_with(), settings, rate=25.0, dock_type=kind, planning=StraightPlanning(), task=task)
+    assert lawful(docking).kind is EndingKind.UNKNOWN
+    if answer is raising:
+        assert docking.ending.reason == "ZeroDivisionError: of an author"
+    else:
+        assert docking.ending.reason.startswith(f"PluginError: Foreign.{name}: must be ")
+
+
+@pytest.mark.parametrize(
+    "answer",
+    [
+        None,
+        3,
+        "x",
+        [None],
+        POSE,
+        [POSE._replace(stamp=math.nan)],
+        [POSE._replace(pose=None)],
+        np.zeros((1, 3)),
+        raising,
+    ],
+)
+def test_detections_that_are_none_are_said_and_left_out(answer):
+    docking = docked(foreign("detections", answer))
+    assert docking.ending.kind is EndingKind.FAILED_TO_DETECT_DOCK
+    assert len(docking.said("detections not used")) == 1, "said once, while it lasts"
+
+
+# Logs.
+
+
+def test_a_log_keeps_the_dock_type_and_replays_it(tmp_path):
+    dock_type = SimpleDock(contact="touch", charging_current=1.0, staging_poses=[[-0.8, 0.1, 0.0]])
+    world = simulated(Pose2(-0.9, 0.05, 0.05), sensors=PERFECT, actuation=Actuation(), station=Station(depth=0.004))
+    with LogWriter(tmp_path / "docking.log") as log:
+        docking = run(world, problem_with(), log=log, dock_type=dock_type, before=charger())
+    found = read_log(tmp_path / "docking.log")
+    assert docking.ending.kind is EndingKind.DOCKED_BY_SIGNAL
+    assert found.task.dock_type == PluginChoice("SimpleDock", dock_type.parameters.model_dump(mode="json"))
+    assert {cycle.measurements.current for cycle in found.cycles} >= {-0.3}
+    assert replay(found).differs_at is None
+    assert replay(found.__class__(found.source, found.task._replace(dock_type=None), found.cycles, False)).differs_at
+
+
+def test_a_log_without_a_dock_type_is_one_of_the_settings(tmp_path):
+    with LogWriter(tmp_path / "docking.log") as log:
+        docked(None, planning=StraightPlanning(reason="a wall"))
+        world = perfect()
+        run(world, problem_with(), ExecutorSettings(**QUICK, timeout=0.2), log=log, planning=StraightPlanning())
+    first = (tmp_path / "docking.log").read_text().splitlines()[0]
+    assert '"dock_type"' not in first
+    assert read_log(tmp_path / "docking.log").task.dock_type is None
