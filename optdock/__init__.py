@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from optdock.config import Scenario, load_scenario
     from optdock.controllers.tracking import TrackingController
     from optdock.costmap.costmap import Costmap
-    from optdock.dock import Dock
+    from optdock.dock import Dock, DockTolerances
     from optdock.errors import (
         Cancelled,
         CertificationFailed,
@@ -38,15 +38,27 @@ if TYPE_CHECKING:
         StartOccupied,
         TimedOut,
     )
-    from optdock.executor import DockingExecutor, ExecutorSettings
+    from optdock.executor import (
+        DockingExecutor,
+        EndingKind,
+        ExecutorSettings,
+        PlanningProcess,
+        SimpleDock,
+        State,
+        ThreadPlanning,
+    )
+    from optdock.executor.log import LogWriter
     from optdock.geometry.footprint import Footprint
     from optdock.geometry.pose import Pose2, Twist2
+    from optdock.interfaces import DockType
     from optdock.io.maps import load_map
     from optdock.io.plan_file import load_plan
     from optdock.lifecycle import PluginContext
     from optdock.limits import MotionLimits
-    from optdock.measurements import Detection, Measurements, OdometryPose
+    from optdock.measurements import AtDock, Detection, Measurements, OdometryPose
     from optdock.obstacles import ObstacleSet
+    from optdock.outcomes import Contact
+    from optdock.parameters import PluginParameters
     from optdock.path import Path
     from optdock.pipeline import plan_dock, warm_up
     from optdock.plan import DockPlan
@@ -72,7 +84,7 @@ _MODULES = {
     "optdock.camera": ("Camera",),
     "optdock.config": ("Scenario", "load_scenario"),
     "optdock.costmap.costmap": ("Costmap",),
-    "optdock.dock": ("Dock",),
+    "optdock.dock": ("Dock", "DockTolerances"),
     "optdock.errors": (
         "Cancelled",
         "CertificationFailed",
@@ -88,15 +100,27 @@ _MODULES = {
         "StartOccupied",
         "TimedOut",
     ),
-    "optdock.executor": ("DockingExecutor", "ExecutorSettings"),
+    "optdock.executor": (
+        "DockingExecutor",
+        "EndingKind",
+        "ExecutorSettings",
+        "PlanningProcess",
+        "SimpleDock",
+        "State",
+        "ThreadPlanning",
+    ),
+    "optdock.executor.log": ("LogWriter",),
     "optdock.geometry.footprint": ("Footprint",),
     "optdock.geometry.pose": ("Pose2", "Twist2"),
+    "optdock.interfaces": ("DockType",),
     "optdock.io.maps": ("load_map",),
     "optdock.io.plan_file": ("load_plan",),
     "optdock.lifecycle": ("PluginContext",),
     "optdock.limits": ("MotionLimits",),
-    "optdock.measurements": ("Detection", "Measurements", "OdometryPose"),
+    "optdock.measurements": ("AtDock", "Detection", "Measurements", "OdometryPose"),
     "optdock.obstacles": ("ObstacleSet",),
+    "optdock.outcomes": ("Contact",),
+    "optdock.parameters": ("PluginParameters",),
     "optdock.path": ("Path",),
     "optdock.pipeline": ("plan_dock", "warm_up"),
     "optdock.plan": ("DockPlan",),
@@ -118,6 +142,7 @@ _HOMES = {name: module for module, names in _MODULES.items() for name in names}
 _PLUGINS = ("AxisGoalChecker", "CasadiSmoother", "DockPlanner", "ManoeuvrePlanner", "NearOptimal", "TrackingController")
 
 __all__ = [
+    "AtDock",
     "AxisGoalChecker",
     "Camera",
     "Cancelled",
@@ -125,14 +150,18 @@ __all__ = [
     "Certificate",
     "CertificationFailed",
     "ClearanceRule",
+    "Contact",
     "Costmap",
     "Detection",
     "Dock",
     "DockPlan",
     "DockPlanner",
+    "DockTolerances",
+    "DockType",
     "DockingExecutor",
     "DockingProblem",
     "DriveState",
+    "EndingKind",
     "ExecutorSettings",
     "FailedToSmoothPath",
     "FailedToTimePath",
@@ -141,6 +170,7 @@ __all__ = [
     "ImpossibilityProof",
     "InvalidFile",
     "InvalidValue",
+    "LogWriter",
     "ManoeuvrePlanner",
     "Measurements",
     "MotionLimits",
@@ -151,12 +181,17 @@ __all__ = [
     "OdometryPose",
     "OptdockError",
     "Path",
+    "PlanningProcess",
     "PluginContext",
     "PluginError",
+    "PluginParameters",
     "Pose2",
     "Robot",
     "Scenario",
+    "SimpleDock",
     "StartOccupied",
+    "State",
+    "ThreadPlanning",
     "TimedOut",
     "TrackingController",
     "TrackingTube",

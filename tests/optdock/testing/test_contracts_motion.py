@@ -1,4 +1,4 @@
-"""The contracts of controllers, behaviors, layers and dock types catch every plugin that breaks a sentence of theirs."""
+"""The contracts of controllers, behaviors, layers and dock types catch whatever breaks a sentence of theirs."""
 
 import math
 
@@ -342,7 +342,7 @@ class Doubling(SimpleDock):
         return measurements.detections * 2
 
 
-class Eager(SimpleDock):
+class Rooted(SimpleDock):
     back_out_distance = 0.0
 
 
@@ -354,6 +354,6 @@ def test_every_gate_of_dock_types_can_fail(every_gate):
         "test_a_repeated_stamp_is_answered": Dividing,
         "test_approaches_begin_at_poses_outside_the_dock": Inside,
         "test_detections_are_made_of_detections": Doubling,
-        "test_what_it_says_of_itself_is_of_the_right_kind": Eager,
+        "test_what_it_says_of_itself_is_of_the_right_kind": Rooted,
     }
     every_gate(DockTypeContract, SimpleDock, broken, errors=(PluginError, ZeroDivisionError))
