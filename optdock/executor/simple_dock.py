@@ -35,7 +35,6 @@ class SimpleDockParameters(PluginParameters):
     wait_for_charge: bool = Field(default=False, description="docked is not enough: it must charge")
     charging_current: float | None = Field(
         default=None,
-        ge=0.0,
         description="a larger current into the battery charges, and is contact [A]; None: the external signal tells",
     )
     staging_distance: float | None = Field(

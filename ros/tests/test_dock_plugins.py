@@ -13,6 +13,7 @@ from sensor_msgs.msg import BatteryState, JointState
 
 from optdock.dock import DockDirection
 from optdock.errors import DockNotInDB, DockNotValid, InvalidFile, InvalidMessage, InvalidValue
+from optdock.executor import SimpleDock
 from optdock.geometry.pose import Pose2
 from optdock.ros.transforms import Transform
 
@@ -115,8 +116,64 @@ def test_a_current_above_the_threshold_charges_while_it_is_fresh() -> None:
     assert dock.is_charging(told(BatteryState(current=0.4)), 10.5) is False
     assert dock.is_charging(told(BatteryState(current=math.nan)), 10.5) is False
     assert dock.is_charging(told(BatteryState(current=0.6)), 30.0) is False
-    assert SimpleChargingDock("dock", {"use_battery_status": False}).is_charging(None, 10.0) is None
-    assert SimpleNonChargingDock("dock", {}).is_charging(told(BatteryState(current=9.0)), 10.0) is None
+    assert SimpleChargingDock("dock", {"use_battery_status": False}).is_charging(None, 10.0) is False
+    assert SimpleNonChargingDock("dock", {}).is_charging(told(BatteryState(current=9.0)), 10.0) is False
+
+
+@pytest.mark.parametrize("use_battery_status", [True, False])
+@pytest.mark.parametrize("stalls", [True, False])
+def test_nav2s_parameters_are_those_of_a_simple_dock(use_battery_status: bool, stalls: bool) -> None:  # noqa: FBT001
+    felt = {"use_stall_detection": True, "stall_joint_names": ["left"]} if stalls else {}
+    dock = SimpleChargingDock("dock", {"use_battery_status": use_battery_status, "charging_threshold": 0.7, **felt})
+    made = dock.dock_type({"back_out_distance": 0.3})
+    assert isinstance(made, SimpleDock)
+    assert made is not dock.dock_type({}), "a new one for every task"
+    assert made.parameters.contact == ("touch" if stalls else "distance")
+    assert made.parameters.charging_current == (0.7 if use_battery_status else None)
+    assert made.waits_for_charge is dock.waits_for_charge is dock.uses_battery is use_battery_status
+    assert made.back_out_distance == 0.3
+    chosen = SimpleNonChargingDock("dock", {**felt, "contact": "distance"}).dock_type({})
+    assert not chosen.is_pressed_on
+
+
+def test_a_dock_type_is_named_by_its_entry_point_and_takes_its_own_parameters() -> None:
+    kind = plugin_class("bay", "SimpleDock")
+    assert {"use_external_detection_pose", "docking_threshold", "charging_current"} <= kind.known_names()
+    own = {"contact": "touch", "wait_for_charge": True, "charging_current": 2.0}
+    poses = [[-0.9, 0.1, 0.2], [-0.8, 0.0, 0.0]]
+    dock = kind("bay", {**own, "staging_poses": poses, "use_battery_status": True, "docking_threshold": 0.03})
+    assert (dock.is_charger, dock.uses_battery, dock.waits_for_charge) == (True, True, True)
+    assert dock.parameters.docking_threshold == 0.03
+    made = dock.dock_type({"stall_time": 9.0})
+    assert isinstance(made, SimpleDock)
+    assert made.parameters == SimpleDock(**own, staging_poses=poses).parameters
+    assert dock.is_charging(told(BatteryState(current=2.5)), 10.5) is True
+    assert dock.is_charging(told(BatteryState(current=1.5)), 10.5) is False
+    assert dock.staging_pose(Pose2(1.0, 0.0, 0.0)).gap_to(Pose2(0.1, 0.1, 0.2)) < 1e-9
+
+
+def test_a_dock_type_is_staged_before_the_dock_in_either_gear() -> None:
+    """Nav2's pose of a dock points into it either way; a robot that docks backward stands with its back to it."""
+    kind, dock = plugin_class("bay", "SimpleDock"), Pose2(2.0, 1.0, 0.5)
+    for direction, turned in (("forward", 0.0), ("backward", math.pi)):
+        found = kind("bay", {"dock_direction": direction, "staging_x_offset": -0.9}).staging_pose(dock)
+        assert found.gap_to(dock @ Pose2(-0.9, 0.0, turned)) < 1e-9
+    seen_first = kind("bay", {"dock_direction": "backward", "rotate_to_dock": True}).staging_pose(dock)
+    assert seen_first.gap_to(dock @ Pose2(-0.7, 0.0, 0.0)) < 1e-9
+
+
+@pytest.mark.parametrize(
+    ("name", "parameters", "words"),
+    [
+        ("SimpleDock", {"contact": "feel"}, r"bay\.contact"),
+        ("SimpleDock", {"staging_poses": [[1.0]]}, r"bay\.staging_poses"),
+        ("SimpleDock", {"docking_threshold": -1.0}, r"bay\.docking_threshold"),
+        ("SimpleDok", {}, "unknown plugin 'SimpleDok'; did you mean SimpleDock"),
+    ],
+)
+def test_a_dock_type_that_is_wrong_is_refused_by_name(name: str, parameters: Mapping[str, object], words: str) -> None:
+    with pytest.raises((InvalidValue, DockNotValid), match=words):
+        plugin_class("bay", name)("bay", parameters)
 
 
 def test_joints_that_push_and_do_not_turn_are_a_stall() -> None:

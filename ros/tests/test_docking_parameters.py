@@ -7,9 +7,15 @@ import math
 import pytest
 from optdock_ros.docking_parameters import DockingParameters, DockingSettings, docking_settings
 
-from optdock.dock import DockDirection
+from optdock.dock import Dock, DockDirection
 from optdock.errors import InvalidValue
+from optdock.executor import DockingExecutor
+from optdock.geometry.footprint import Footprint
 from optdock.geometry.pose import Pose2
+from optdock.interfaces import DockType
+from optdock.limits import MotionLimits
+from optdock.problem import DockingProblem
+from optdock.robot import Robot
 
 CHARGER = {"plugin": "opennav_docking::SimpleChargingDock"}
 
@@ -33,14 +39,41 @@ def test_nav2s_names_reach_the_executor() -> None:
     made = found.executor_settings(found.plugins["bay"], navigate_to_staging_pose=False, max_staging_time=9.0)
     assert (made.max_retries, made.initial_perception_timeout, made.wait_charge_timeout) == (7, 2.0, 3.5)
     assert (made.contact_range, made.staging_distance, made.prestaging_tolerance) == (0.03, 0.9, 0.4)
-    assert (made.use_detections, made.wait_for_charge, made.contact) == (True, True, "distance")
+    assert made.use_detections
+    assert found.dock_type(found.plugins["bay"]).waits_for_charge
     assert (made.replanning, made.navigate_to_staging_pose, made.max_staging_time) == (False, False, 9.0)
     assert made.costmap_patience is not None
     felt = {**CHARGER, "use_stall_detection": True, "stall_joint_names": ["left"]}
-    assert settings(bay=felt).plugins["bay"].contact == "touch"
-    assert settings(bay={**felt, "contact": "distance"}).plugins["bay"].contact == "distance"
+    assert dock_type(settings(bay=felt)).is_pressed_on
+    assert not dock_type(settings(bay={**felt, "contact": "distance"})).is_pressed_on
     blind = settings(controller={"use_collision_detection": False})
     assert blind.executor_settings(blind.plugins["bay"]).costmap_patience is None
+
+
+def dock_type(found: DockingSettings) -> DockType:
+    """What the executor asks about docks of the type `bay`."""
+    return found.dock_type(found.plugins["bay"])
+
+
+def test_what_the_dock_type_does_is_not_a_setting_of_the_executor() -> None:
+    """Where the type is one of Nav2's, the block `executor` still says how a stall is told."""
+    said = {"stall_speed": 0.01, "stall_time": 0.6, "back_out_distance": 0.25}
+    found = settings(executor=said)
+    assert dock_type(found).back_out_distance == 0.25
+    assert dock_type(found).parameters.model_dump().items() >= said.items()
+    made = found.executor_settings(found.plugins["bay"])
+    assert (made.stall_speed, made.contact, made.wait_for_charge) == (0.005, "distance", False), "the defaults"
+    problem = DockingProblem(
+        Pose2(0.0, 0.0, 0.0), Dock(Pose2(1.0, 0.0, 0.0)), Robot(Footprint.from_radius(0.2), MotionLimits())
+    )
+    DockingExecutor(problem, made, dock_type=dock_type(found))
+    own = settings(bay={"plugin": "SimpleDock", "contact": "touch", "use_battery_status": True}, executor=said)
+    assert dock_type(own).is_pressed_on
+    assert dock_type(own).back_out_distance == 0.1, "it says itself what it does"
+    with pytest.raises(InvalidValue, match=r"bay\.charging_curent: unknown parameter; did you mean charging_current"):
+        settings(bay={"plugin": "SimpleDock", "charging_curent": 1.0})
+    with pytest.raises(InvalidValue, match=r"bay\.plugin: docks: unknown plugin 'MyDock'"):
+        settings(bay={"plugin": "MyDock"})
 
 
 def test_limits_are_the_controllers_where_the_robot_block_is_silent() -> None:

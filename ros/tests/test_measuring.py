@@ -93,6 +93,13 @@ def test_pose_and_odometry_come_with_the_stamps_at_which_they_were_measured() ->
     assert found.pose_stamp == 100.12
 
 
+def test_contact_and_current_are_asked_for_at_the_time_of_the_measurements() -> None:
+    told = Measuring(RULES, Frames(), None, contact=lambda now: now > 100.0, current=lambda now: 0.01 * now)
+    assert [told.measurements(now).contact for now in (99.0, 101.0)] == [False, True]
+    assert told.measurements(102.0).current == pytest.approx(1.02)
+    assert measuring(Frames()).measurements(100.0).current is None
+
+
 def test_the_odometry_of_another_frame_of_the_robot_is_that_of_its_base() -> None:
     told = measuring(Frames())
     message = odometry(100.0)

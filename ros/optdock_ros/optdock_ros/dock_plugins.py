@@ -1,7 +1,7 @@
-"""Nav2's simple docks: where to stage, how a detection becomes a docked pose, when there is contact or charge.
+"""Types of docks in a server: where to stage, how a detection becomes a docked pose, what the executor asks.
 
-The parameters are those of opennav_docking's two classes, under their names and with their defaults. What talks to ROS
-is the server; the plugins are told of messages, and asked.
+The parameters are those of opennav_docking's two classes, under their names and with their defaults; a dock type of
+anybody's takes its own beside them. What talks to ROS is the server; the plugins are told of messages, and asked.
 """
 
 from __future__ import annotations
@@ -12,11 +12,15 @@ from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 from pydantic import Field, model_validator
 
 from optdock.dock import DockDirection
-from optdock.errors import DockNotValid, InvalidMessage, InvalidValue
+from optdock.errors import DockNotValid, InvalidMessage, InvalidValue, PluginError
+from optdock.executor import SimpleDock
+from optdock.executor.checked_dock_type import CheckedDockType
 from optdock.geometry.pose import Pose2
-from optdock.measurements import Detection
+from optdock.interfaces import DockType
+from optdock.measurements import Detection, Measurements
 from optdock.nav2.docks import docked_pose
 from optdock.parameters import PluginParameters, closest, parse_parameters
+from optdock.plugins import create_plugin, load_plugin
 from optdock.ros.transforms import Transform
 
 if TYPE_CHECKING:
@@ -25,6 +29,8 @@ if TYPE_CHECKING:
 __all__ = [
     "DOCK_PLUGINS",
     "DockPlugin",
+    "OwnDock",
+    "OwnDockParameters",
     "SimpleChargingDock",
     "SimpleChargingDockParameters",
     "SimpleNonChargingDock",
@@ -119,12 +125,10 @@ class DockPlugin:
     """
 
     Parameters: type[SimpleNonChargingDockParameters] = SimpleNonChargingDockParameters
-    is_charger = False
 
     def __init__(self, name: str, parameters: Mapping[str, object]) -> None:
         self.name = name
-        self.parameters = parse_parameters(self.Parameters, parameters, name)
-        p = self.parameters
+        self.parameters = p = parse_parameters(self.Parameters, parameters, name)
         self._rotation = _quaternion(
             p.external_detection_rotation_roll, p.external_detection_rotation_pitch, p.external_detection_rotation_yaw
         )
@@ -143,10 +147,29 @@ class DockPlugin:
         return dock @ Pose2(p.staging_x_offset, 0.0, p.staging_yaw_offset)
 
     @property
-    def contact(self) -> Literal["distance", "touch"]:
-        """What counts as docked."""
+    def is_charger(self) -> bool:
+        """Whether a robot that is docked may be charged."""
+        return False
+
+    @property
+    def uses_battery(self) -> bool:
+        """Whether the state of the battery counts."""
+        return False
+
+    @classmethod
+    def known_names(cls) -> frozenset[str]:
+        """The names of all parameters."""
+        return frozenset(cls.Parameters.model_fields)
+
+    def dock_type(self, settings: Mapping[str, object]) -> DockType:
+        """What the executor asks: a new one for every task.
+
+        Args:
+            settings: Parameters of `SimpleDock` that the executor's settings give.
+        """
         p = self.parameters
-        return p.contact or ("touch" if p.use_stall_detection else "distance")
+        contact = p.contact or ("touch" if p.use_stall_detection else "distance")
+        return SimpleDock(contact=contact, **settings)
 
     @property
     def direction(self) -> DockDirection:
@@ -212,19 +235,43 @@ class DockPlugin:
         # What is no number is no stall: comparisons with it are false.
         return bool(velocity < p.stall_velocity_threshold and effort > p.stall_effort_threshold)
 
-    def is_charging(self, told: Told | None, now: float) -> bool | None:  # noqa: ARG002 - of those that charge
-        """Whether the battery is being charged; None where it does not tell.
+    def current(self, told: Told | None, now: float) -> float | None:
+        """Into the battery [A]; None where nothing tells, or has told lately, or the current is no number.
 
         Args:
             told: The newest sensor_msgs/BatteryState.
             now: [s].
         """
-        return None
+        if not self.uses_battery or told is None or now - told.at > _CHARGE_AGE:
+            return None
+        current = float(told.message.current)
+        return current if math.isfinite(current) else None
+
+    def is_charging(self, told: Told | None, now: float) -> bool:
+        """Whether the battery is being charged, as far as its state tells.
+
+        Args:
+            told: The newest sensor_msgs/BatteryState.
+            now: [s].
+
+        Raises:
+            PluginError: A dock type gives an answer that is none.
+        """
+        return self._asked.is_charging(Measurements(now, None, current=self.current(told, now)))
 
     @property
     def waits_for_charge(self) -> bool:
-        """Whether contact is not enough."""
-        return False
+        """Whether contact is not enough.
+
+        Raises:
+            PluginError: A dock type gives an answer that is none.
+        """
+        return self._asked.waits_for_charge
+
+    @property
+    def _asked(self) -> CheckedDockType:
+        """A dock type for what is asked beside a task."""
+        return CheckedDockType(self.dock_type({}))
 
 
 class SimpleNonChargingDock(DockPlugin):
@@ -236,22 +283,101 @@ class SimpleChargingDock(DockPlugin):
 
     Parameters = SimpleChargingDockParameters
     parameters: SimpleChargingDockParameters
-    is_charger = True
-
-    def is_charging(self, told: Told | None, now: float) -> bool | None:
-        """Whether the battery is being charged; None where it does not tell. A current that is no number is none."""
-        if not self.parameters.use_battery_status:
-            return None
-        return (
-            told is not None
-            and now - told.at <= _CHARGE_AGE
-            and told.message.current > self.parameters.charging_threshold
-        )
 
     @property
-    def waits_for_charge(self) -> bool:
-        """Whether contact is not enough."""
+    def is_charger(self) -> bool:
+        """True, also where the battery is not asked."""
+        return True
+
+    @property
+    def uses_battery(self) -> bool:
+        """As the parameter says."""
         return self.parameters.use_battery_status
+
+    def dock_type(self, settings: Mapping[str, object]) -> DockType:
+        """With a current above the threshold as contact and charge, and waiting for it."""
+        if not self.uses_battery:
+            return super().dock_type(settings)
+        threshold = self.parameters.charging_threshold
+        return super().dock_type({**settings, "charging_current": threshold, "wait_for_charge": True})
+
+
+class OwnDockParameters(SimpleNonChargingDockParameters):
+    """Parameters of a server's dock whose `DockType` is a plugin's, beside the plugin's own."""
+
+    use_battery_status: bool = Field(default=False, description="battery_state tells the dock type the current")
+
+    @model_validator(mode="after")
+    def _says_nothing_twice(self) -> OwnDockParameters:
+        if self.contact:
+            raise ValueError("contact is for the dock type to say")
+        return self
+
+
+class OwnDock(DockPlugin):
+    """A dock type of anybody's, found by its entry point.
+
+    Parameters that the dock type declares are its own; the others are of `OwnDockParameters`.
+
+    Args:
+        name: As of `DockPlugin`.
+        parameters: Of both.
+
+    Raises:
+        InvalidValue: As `DockPlugin`.
+        PluginError: The dock type cannot be built.
+
+    Attributes:
+        entry_point: Name of the dock type; of a subclass that `plugin_class` makes.
+    """
+
+    Parameters = OwnDockParameters
+    parameters: OwnDockParameters
+    entry_point = ""
+
+    def __init__(self, name: str, parameters: Mapping[str, object]) -> None:
+        kind = load_plugin(DockType, self.entry_point)
+        names = _own_names(kind)
+        self._own = {key: value for key, value in parameters.items() if key in names}
+        parse_parameters(kind.Parameters, self._own, name)  # faults under the name of the block
+        super().__init__(name, {key: value for key, value in parameters.items() if key not in names})
+        self.dock_type({})  # what cannot be built is said before a robot waits for it
+
+    @classmethod
+    def known_names(cls) -> frozenset[str]:
+        """Those of the dock type, and those of the server."""
+        return super().known_names() | _own_names(load_plugin(DockType, cls.entry_point))
+
+    def staging_pose(self, dock: Pose2) -> Pose2:
+        """The first that the dock type prefers; where the dock is seen ahead before the robot turns, as of the others.
+
+        Raises:
+            PluginError: A dock type gives an answer that is none.
+        """
+        p = self.parameters
+        if p.rotate_to_dock:
+            return super().staging_pose(dock)
+        gear = 1.0 if self.direction is DockDirection.FORWARD else -1.0
+        return self.docked_pose(dock) @ self._asked.staging_poses(gear, abs(p.staging_x_offset))[0]
+
+    def dock_type(self, settings: Mapping[str, object]) -> DockType:  # noqa: ARG002 - of SimpleDock alone
+        """The plugin's."""
+        return create_plugin(DockType, self.entry_point, self._own)
+
+    @property
+    def uses_battery(self) -> bool:
+        """As the parameter says."""
+        return self.parameters.use_battery_status
+
+    @property
+    def is_charger(self) -> bool:
+        """Whether the dock type waits for charge."""
+        return self.waits_for_charge
+
+
+def _own_names(kind: type[DockType]) -> frozenset[str]:
+    """The names of a dock type's parameters, as a file has them."""
+    return frozenset(spec.alias or name for name, spec in kind.Parameters.model_fields.items())
 
 
 DOCK_PLUGINS: Mapping[str, type[DockPlugin]] = {
@@ -262,25 +388,32 @@ DOCK_PLUGINS: Mapping[str, type[DockPlugin]] = {
 
 
 def plugin_class(name: str, nav2_class: object) -> type[DockPlugin]:
-    """The plugin of one of Nav2's classes.
+    """The plugin of one of Nav2's classes, or of a dock type.
 
     Args:
         name: Of the instance, for messages.
-        nav2_class: Nav2's name, also in the form with a slash.
+        nav2_class: Nav2's name, also in the form with a slash; or the name of a dock type's entry point.
 
     Raises:
-        DockNotValid: There is none of this class.
+        DockNotValid: There is none of this class or name.
         InvalidValue: None is named.
     """
     if not isinstance(nav2_class, str):
         raise InvalidValue(f"{name}.plugin: is required, the class of the dock plugin; got {nav2_class!r}")
-    found = DOCK_PLUGINS.get(nav2_class.replace("/", "::"))
-    if found is None:
+    asked = nav2_class.replace("/", "::")
+    found = DOCK_PLUGINS.get(asked)
+    if found is not None:
+        return found
+    if "::" in asked:
         raise DockNotValid(
-            f"{name}.plugin: optdock has no dock of the class {nav2_class}{closest(nav2_class, DOCK_PLUGINS)}; it has "
-            f"{', '.join(DOCK_PLUGINS)}"
+            f"{name}.plugin: optdock has no dock of the class {nav2_class}{closest(asked, DOCK_PLUGINS)}; it has "
+            f"{', '.join(DOCK_PLUGINS)}, and the dock types that `optdock plugins` lists"
         )
-    return found
+    try:
+        load_plugin(DockType, asked)
+    except PluginError as error:
+        raise DockNotValid(f"{name}.plugin: {error}") from error
+    return type("OwnDock", (OwnDock,), {"entry_point": asked})
 
 
 def _quaternion(roll: float, pitch: float, yaw: float) -> tuple[float, float, float, float]:

@@ -27,6 +27,7 @@ from optdock_ros.surroundings import nav2_footprint
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable
 
+    from optdock.interfaces import DockType
     from optdock.lifecycle import Plugin
     from optdock_ros.parameters import RobotParameters
 
@@ -167,14 +168,16 @@ _SAID_ELSEWHERE: Mapping[str, str] = {
     "contact_range": "<dock type>.docking_threshold",
     "staging_distance": "<dock type>.staging_x_offset",
     "use_detections": "<dock type>.use_external_detection_pose",
-    "wait_for_charge": "<dock type>.use_battery_status",
-    "contact": "<dock type>.contact",
+    "wait_for_charge": "<dock type>.use_battery_status, or the dock type's own",
+    "contact": "<dock type>.contact, or the dock type's own",
     "contact_margin": "dock.contact_margin",
     "costmap_patience": "controller.costmap_timeout",
     "navigate_to_staging_pose": "navigate_to_staging_pose of the goal",
     "max_staging_time": "max_staging_time of the goal",
     "max_undocking_time": "max_undocking_time of the goal",
 }
+# Settings of the executor that are parameters of the dock type of Nav2's classes.
+_OF_SIMPLE_DOCK = ("stall_speed", "stall_time", "back_out_distance")
 # Limits that Nav2 does not have and that a path for a differential drive needs; those of the docking study.
 _LIMITS = {
     "max_acceleration": 0.5, "max_deceleration": 0.5, "max_jerk": 2.0, "max_yaw_acceleration": 1.5,
@@ -227,7 +230,7 @@ class DockingSettings:
         """
         own, of_type = self.own, plugin.parameters
         values: dict[str, object] = {
-            **self.executor,
+            **{name: value for name, value in self.executor.items() if name not in _OF_SIMPLE_DOCK},
             "max_retries": own.max_retries,
             "initial_perception_timeout": own.initial_perception_timeout,
             "wait_charge_timeout": own.wait_charge_timeout,
@@ -236,8 +239,6 @@ class DockingSettings:
             "contact_range": of_type.docking_threshold,
             "staging_distance": abs(of_type.staging_x_offset) or None,
             "use_detections": of_type.use_external_detection_pose,
-            "wait_for_charge": plugin.waits_for_charge,
-            "contact": plugin.contact,
             "contact_margin": self.dock_parameters[plugin.name].contact_margin,
             **of_goal,
         }
@@ -245,6 +246,10 @@ class DockingSettings:
             # The costmap is handed over in every cycle as long as it is new enough; a few cycles may fail.
             values["costmap_patience"] = max(0.1, 5.0 * self.period)
         return ExecutorSettings(**values)
+
+    def dock_type(self, plugin: DockPlugin) -> DockType:
+        """What the executor asks about docks of a type: a new one."""
+        return plugin.dock_type({name: self.executor[name] for name in _OF_SIMPLE_DOCK if name in self.executor})
 
 
 class _Reader:
@@ -362,7 +367,7 @@ def _read_type(read: _Reader, name: str, plugins: dict[str, DockPlugin], of_dock
     def made() -> DockPlugin | None:
         kind = plugin_class(name, given.get("plugin"))
         block = {key: value for key, value in given.items() if key not in {"plugin", "dock"}}
-        return kind(name, read.known(block, name, kind.Parameters.model_fields))
+        return kind(name, read.known(block, name, kind.known_names()))
 
     plugin = read.checked(made, None)
     if plugin is not None:

@@ -193,7 +193,7 @@ class DockingServer(Server[DockingSettings]):
         self._subscribe(Odometry, self.settings.own.odom_topic, self._take_odometry, 10)
         if any(of_type.use_external_detection_pose and not of_type.subscribe_toggle for of_type in types):
             self._subscribe(PoseStamped, _DETECTIONS, self._take_detection, 10)
-        if any(plugin.waits_for_charge for plugin in self.settings.plugins.values()):
+        if any(plugin.uses_battery for plugin in self.settings.plugins.values()):
             self._subscribe(BatteryState, "battery_state", self._take_battery, 1)
         if any(of_type.use_stall_detection for of_type in types):
             self._subscribe(JointState, "joint_states", self._take_joints, 10)
@@ -342,7 +342,7 @@ class DockingServer(Server[DockingSettings]):
             return done("the robot is in no dock, there is nothing to undock from")
         limit = self._limit(request.max_undocking_time, "max_undocking_time")
         settings = self.settings.executor_settings(
-            plugin, use_detections=False, wait_for_charge=False, max_undocking_time=limit, timeout=limit
+            plugin, use_detections=False, max_undocking_time=limit, timeout=limit
         )
         # As Nav2: the dock is where the robot stands.
         ending = self._carry_out(goal, self._task(goal, plugin, robot, settings, "undock"))
@@ -514,11 +514,18 @@ class DockingServer(Server[DockingSettings]):
             task=what,
             controller=self.settings.tracker,
             goal_checker=self.settings.goal_checker,
+            dock_type=self.settings.dock_type(plugin),
             planning=planning,
         )
         detect = plugin.detection if settings.use_detections else None
         task = _Task(goal, plugin, problem, executor, planning)
-        task.measuring = Measuring(self._rules(plugin), self._frames, detect, lambda now: self._contact(task, now))
+        task.measuring = Measuring(
+            self._rules(plugin),
+            self._frames,
+            detect,
+            contact=lambda now: self._contact(task, now),
+            current=lambda now: plugin.current(self._battery, now),
+        )
         return task
 
     def _rules(self, plugin: DockPlugin) -> MeasurementRules:
@@ -550,11 +557,10 @@ class DockingServer(Server[DockingSettings]):
             raise _Ended(failed(DockRobot.Result.FAILED_TO_CONTROL, str(error))) from error
 
     def _contact(self, task: _Task, now: float) -> bool | None:
-        """What tells of contact: the current, and the joints until the robot has stopped."""
+        """What the joints tell of contact, until the robot has stopped; None where they are not asked."""
         plugin, state = task.plugin, task.executor.state
-        charging = plugin.is_charging(self._battery, now)
-        if state is State.WAITING_FOR_CHARGE or not plugin.parameters.use_stall_detection:
-            return charging
+        if not plugin.parameters.use_stall_detection:
+            return None
         if state in _PRESSES:
             try:
                 task.stalled = task.stalled or plugin.is_stalled(self._joints, now)
@@ -562,7 +568,7 @@ class DockingServer(Server[DockingSettings]):
                 self.get_logger().error(str(error), throttle_duration_sec=5.0)
         elif state is not State.STOPPING:
             task.stalled = False
-        return bool(charging) or task.stalled
+        return task.stalled
 
     def _carry_out(self, goal: Goal, task: _Task) -> Outcome:
         """Drive; returns when the robot stands."""

@@ -72,6 +72,7 @@ class Measuring:
         frames: Where the robot is.
         detect: Makes a detection of a message and of its frame as seen from the robot; None: nothing is detected.
         contact: Says at a time [s] whether the dock is felt; None where nothing tells.
+        current: Says at a time [s] the current into the battery [A]; None where nothing tells.
 
     Attributes:
         faults: What is missing now, and why: `transform`, `odometry`, `costmap`, `detection`.
@@ -83,8 +84,10 @@ class Measuring:
         frames: Frames,
         detect: Callable[[Any, Transform], Detection] | None,
         contact: Callable[[float], bool | None],
+        current: Callable[[float], float | None] = lambda _: None,
     ) -> None:
         self._rules, self._frames, self._detect, self._contact = rules, frames, detect, contact
+        self._current = current
         self._odometry: deque[Any] = deque(maxlen=_QUEUED)
         self._seen: deque[Any] = deque(maxlen=_QUEUED)
         self._surroundings: Surroundings | None = None
@@ -135,7 +138,8 @@ class Measuring:
             # robot does, and what a stop must begin with.
             twist = self._heard if monotonic() - self._heard_at <= self._rules.odom_tolerance else Twist2()
         contact, odometry = self._contact(now), self._odometry_pose
-        return Measurements(now, pose, twist, detections, contact, costmap, odometry, pose_stamp)
+        current = self._current(now)
+        return Measurements(now, pose, twist, detections, contact, costmap, odometry, pose_stamp, current=current)
 
     def _velocity(self, now: float, faults: dict[str, str]) -> Twist2 | None:
         """The newest body velocity; None where it is too old to be believed."""
