@@ -10,6 +10,7 @@ from geometry_msgs.msg import PoseStamped, Quaternion
 from optdock_ros.dock_plugins import DockPlugin, SimpleChargingDock, SimpleNonChargingDock, Told, plugin_class
 from optdock_ros.docks import Docks, docks_of_parameters
 from sensor_msgs.msg import BatteryState, JointState
+from std_msgs.msg import Bool
 
 from optdock.dock import DockDirection
 from optdock.errors import DockNotInDB, DockNotValid, InvalidFile, InvalidMessage, InvalidValue
@@ -150,6 +151,17 @@ def test_a_dock_type_is_named_by_its_entry_point_and_takes_its_own_parameters() 
     assert dock.is_charging(told(BatteryState(current=2.5)), 10.5) is True
     assert dock.is_charging(told(BatteryState(current=1.5)), 10.5) is False
     assert dock.staging_pose(Pose2(1.0, 0.0, 0.0)).gap_to(Pose2(0.1, 0.1, 0.2)) < 1e-9
+
+
+def test_a_switch_tells_as_long_as_it_is_fresh() -> None:
+    dock = plugin_class("bay", "SimpleDock")("bay", {"contact_topic": "photocell", "contact_timeout": 0.3})
+    assert dock.contact_topic == "photocell"
+    assert dock.is_switched(None, 10.0) is None
+    assert dock.is_switched(told(Bool(data=True)), 10.2) is True
+    assert dock.is_switched(told(Bool(data=False)), 10.2) is False
+    assert dock.is_switched(told(Bool(data=True)), 10.4) is None
+    other = SimpleNonChargingDock("dock", {})
+    assert (other.contact_topic, other.is_switched(told(Bool(data=True)), 10.0)) == ("", None)
 
 
 def test_a_dock_type_is_staged_before_the_dock_in_either_gear() -> None:

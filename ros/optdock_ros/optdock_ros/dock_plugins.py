@@ -235,6 +235,20 @@ class DockPlugin:
         # What is no number is no stall: comparisons with it are false.
         return bool(velocity < p.stall_velocity_threshold and effort > p.stall_effort_threshold)
 
+    @property
+    def contact_topic(self) -> str:
+        """The topic of a switch; empty where there is none."""
+        return ""
+
+    def is_switched(self, told: Told | None, now: float) -> bool | None:  # noqa: ARG002 - of those that have a switch
+        """What a switch tells; None where nothing does.
+
+        Args:
+            told: The newest std_msgs/Bool of `contact_topic`.
+            now: [s].
+        """
+        return None
+
     def current(self, told: Told | None, now: float) -> float | None:
         """Into the battery [A]; None where nothing tells, or has told lately, or the current is no number.
 
@@ -307,6 +321,9 @@ class OwnDockParameters(SimpleNonChargingDockParameters):
 
     use_battery_status: bool = Field(default=False, description="battery_state tells the dock type the current")
 
+    contact_topic: str = Field(default="", description="std_msgs/Bool of a switch, such as a photocell; empty: none")
+    contact_timeout: float = Field(default=0.5, gt=0.0, description="what it said before says nothing of now [s]")
+
     @model_validator(mode="after")
     def _says_nothing_twice(self) -> OwnDockParameters:
         if self.contact:
@@ -363,6 +380,17 @@ class OwnDock(DockPlugin):
     def dock_type(self, settings: Mapping[str, object]) -> DockType:  # noqa: ARG002 - of SimpleDock alone
         """The plugin's."""
         return create_plugin(DockType, self.entry_point, self._own)
+
+    @property
+    def contact_topic(self) -> str:
+        """As the parameter says."""
+        return self.parameters.contact_topic
+
+    def is_switched(self, told: Told | None, now: float) -> bool | None:
+        """What the switch tells, as long as that is new enough."""
+        if told is None or now - told.at > self.parameters.contact_timeout:
+            return None
+        return bool(told.message.data)
 
     @property
     def uses_battery(self) -> bool:

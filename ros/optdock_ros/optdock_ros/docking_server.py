@@ -15,6 +15,7 @@ import time
 from collections import deque
 from contextlib import ExitStack, closing, contextmanager, suppress
 from dataclasses import dataclass, field
+from functools import partial
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple, TypeVar
 
 import numpy as np
@@ -25,6 +26,7 @@ from nav_msgs.msg import Odometry
 from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
 from rclpy.duration import Duration
 from sensor_msgs.msg import BatteryState, JointState
+from std_msgs.msg import Bool
 from std_srvs.srv import Trigger
 
 from optdock import ros
@@ -140,6 +142,7 @@ class DockingServer(Server[DockingSettings]):
         self._measuring: Measuring | None = None
         self._battery: Told | None = None
         self._joints: Told | None = None
+        self._switches: dict[str, Told] = {}
         self._docked: _Docked | None = None
         self._loop: ControlLoop | None = None
         self._parts = parts = ExitStack()
@@ -197,6 +200,8 @@ class DockingServer(Server[DockingSettings]):
             self._subscribe(BatteryState, "battery_state", self._take_battery, 1)
         if any(of_type.use_stall_detection for of_type in types):
             self._subscribe(JointState, "joint_states", self._take_joints, 10)
+        for topic in {plugin.contact_topic for plugin in self.settings.plugins.values()} - {""}:
+            self._subscribe(Bool, topic, partial(self._take_switch, topic), 10)
         names = {of_type.detector_service_name for of_type in types} - {""}
         self._detectors: dict[str, Any] = {name: self.create_client(Trigger, name) for name in names}
         for client in self._detectors.values():
@@ -253,6 +258,9 @@ class DockingServer(Server[DockingSettings]):
 
     def _take_joints(self, message: JointState) -> None:
         self._joints = Told(message, self._now())
+
+    def _take_switch(self, topic: str, message: Bool) -> None:
+        self._switches[topic] = Told(message, self._now())
 
     def _send(self, command: Twist2) -> None:
         own = self.settings.own
@@ -557,10 +565,11 @@ class DockingServer(Server[DockingSettings]):
             raise _Ended(failed(DockRobot.Result.FAILED_TO_CONTROL, str(error))) from error
 
     def _contact(self, task: _Task, now: float) -> bool | None:
-        """What the joints tell of contact, until the robot has stopped; None where they are not asked."""
+        """What a switch tells of contact, and the joints until the robot has stopped; None where neither does."""
         plugin, state = task.plugin, task.executor.state
+        switched = plugin.is_switched(self._switches.get(plugin.contact_topic), now)
         if not plugin.parameters.use_stall_detection:
-            return None
+            return switched
         if state in _PRESSES:
             try:
                 task.stalled = task.stalled or plugin.is_stalled(self._joints, now)
@@ -568,7 +577,7 @@ class DockingServer(Server[DockingSettings]):
                 self.get_logger().error(str(error), throttle_duration_sec=5.0)
         elif state is not State.STOPPING:
             task.stalled = False
-        return task.stalled
+        return bool(switched) or task.stalled
 
     def _carry_out(self, goal: Goal, task: _Task) -> Outcome:
         """Drive; returns when the robot stands."""
