@@ -354,6 +354,7 @@ class Situation:
         if self.is_near:
             return _DOCKED_BY[self.felt]
         if not self._is_far_contact_said:
-            self._report(f"{self.felt.value} far from the dock", self.where)
+            is_stall = self.felt is Contact.STALL
+            self._report("stall far from the dock" if is_stall else "external signal far from the dock", self.where)
         self._is_far_contact_said = True
         return None

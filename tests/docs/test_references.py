@@ -109,6 +109,7 @@ def exists(name):
 
 
 GROUPS = {"optdock.planners", "optdock.smoothers", "optdock.goal_checkers", "optdock.behaviors", "optdock.layers"}
+GROUPS |= {"optdock.docks"}
 
 
 def test_every_path_and_module_that_is_named_exists():
@@ -209,7 +210,7 @@ def test_every_state_and_every_event_of_a_docking_is_explained():
         for path in (ROOT / "optdock" / "executor").glob("*.py")
         for call in ast.walk(parsed(path))
         if isinstance(call, ast.Call) and call.args
-        if getattr(call.func, "attr", getattr(call.func, "id", "")) in {"_report", "_interrupt", "_Interrupted"}
+        if getattr(call.func, "attr", getattr(call.func, "id", "")) in {"_report", "_interrupt", "Interrupted"}
         for node in ([call.args[0].body, call.args[0].orelse] if isinstance(call.args[0], ast.IfExp) else call.args[:1])
         if isinstance(node, ast.Constant)
     }
@@ -290,7 +291,7 @@ def test_everything_at_the_front_door_is_on_the_page_of_the_library():
 
 
 @pytest.mark.parametrize(
-    "kind", ["planners", "smoothers", "timing", "controllers", "goal_checkers", "behaviors", "layers"]
+    "kind", ["planners", "smoothers", "timing", "controllers", "goal_checkers", "behaviors", "layers", "docks"]
 )
 def test_every_installed_plugin_is_on_the_page_of_plugins(kind):
     from optdock.plugins import available_plugins
