@@ -6,7 +6,10 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
+from optdock.executor.checked_dock_type import CheckedDockType
 from optdock.geometry.pose import Pose2, normalize_angle, unwrap_yaw
+from optdock.interfaces import DockType
+from optdock.plugins import create_plugin
 
 if TYPE_CHECKING:
     from optdock.executor.log import DockingLog
@@ -76,7 +79,12 @@ class Recording(NamedTuple):
 
 
 def recording_of_log(log: DockingLog) -> Recording:
-    """The drive of a docking log."""
+    """The drive of a docking log; its detections are those that its dock type took for its own.
+
+    Raises:
+        PluginError: The dock type is not installed, or answers something else than it is asked.
+        InvalidValue: Its parameters are not those of the installed one.
+    """
     cycles = [cycle for cycle in log.cycles if np.isfinite(cycle.measurements.stamp)]
     measured = [cycle.measurements for cycle in cycles]
     times = np.array([one.stamp for one in measured])
@@ -96,7 +104,7 @@ def recording_of_log(log: DockingLog) -> Recording:
         odometry_twists,
         np.array(ages),
         _localization(measured),
-        _detections(measured),
+        _detections(_of_dock(log, measured)),
         log.task.problem.goal,
         ending.stamp if is_docked and ending is not None else None,
         log.task.problem.robot,
@@ -140,6 +148,15 @@ def _localization(measured: list[Measurements]) -> FloatArray:
 
 def _is_same(one: Pose2, other: Pose2) -> bool:
     return max(abs(one.x - other.x), abs(one.y - other.y), abs(normalize_angle(one.yaw - other.yaw))) < _SAME
+
+
+def _of_dock(log: DockingLog, measured: list[Measurements]) -> list[Measurements]:
+    """The measurements as the executor was told them: a log keeps detections as they came."""
+    asked = log.task.dock_type
+    if asked is None:
+        return measured
+    kind = CheckedDockType(create_plugin(DockType, asked.name, asked.parameters))
+    return [one._replace(detections=kind.detections(one)) for one in measured]
 
 
 def _detections(measured: list[Measurements]) -> FloatArray:

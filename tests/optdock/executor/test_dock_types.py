@@ -7,10 +7,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from optdock.calibration import recording
+from optdock.calibration.recording import recording_of_log
 from optdock.errors import InvalidValue, PluginError
 from optdock.executor import DockingExecutor, EndingKind, ExecutorSettings, InlinePlanning, SimpleDock, State
 from optdock.executor.checked_dock_type import CheckedDockType
-from optdock.executor.log import LogWriter, read_log
+from optdock.executor.log import DockingLog, LogWriter, read_log
 from optdock.executor.replay import replay
 from optdock.geometry.pose import Pose2, Twist2
 from optdock.interfaces import Contact, DockType
@@ -262,6 +264,20 @@ def test_a_marker_that_hangs_elsewhere_is_told_by_the_dock_type():
     assert off["not told"] > 0.04
 
 
+def test_calibration_learns_of_the_dock_where_the_dock_type_sees_it(tmp_path, monkeypatch):
+    """A log keeps detections as they came; what is learned from them is what the executor was told."""
+    offset, created = Pose2(0.0, -0.06, -0.1), []
+    monkeypatch.setattr(recording, "create_plugin", lambda *asked: created.append(asked) or Shifted(offset))
+    with LogWriter(tmp_path / "docking.log") as log:
+        run(perfect(), problem_with(), ExecutorSettings(timeout=0.5), log=log, dock_type="SimpleDock")
+    found = read_log(tmp_path / "docking.log")
+    (seen, *_) = (one for cycle in found.cycles for one in cycle.measurements.detections)
+    np.testing.assert_array_equal(recording_of_log(found).detections[0, 1:4], (seen.pose @ offset).as_array())
+    assert [asked[1:] for asked in created] == [("SimpleDock", found.task.dock_type.parameters)]
+    plain = DockingLog(found.source, found.task._replace(dock_type=None), found.cycles, cut_off=False)
+    np.testing.assert_array_equal(recording_of_log(plain).detections[0, 1:4], seen.pose.as_array())
+
+
 # Nonsense.
 
 
@@ -359,7 +375,7 @@ def test_a_log_keeps_the_dock_type_and_replays_it(tmp_path):
     assert found.task.dock_type == PluginChoice("SimpleDock", dock_type.parameters.model_dump(mode="json"))
     assert {cycle.measurements.current for cycle in found.cycles} >= {-0.3}
     assert replay(found).differs_at is None
-    assert replay(found.__class__(found.source, found.task._replace(dock_type=None), found.cycles, False)).differs_at
+    assert replay(DockingLog(found.source, found.task._replace(dock_type=None), found.cycles, cut_off=False)).differs_at
 
 
 def test_a_log_without_a_dock_type_is_one_of_the_settings(tmp_path):
