@@ -33,7 +33,7 @@ BAY = {
     "detection_yaw_sigma": 0.005,
 }
 SERVER: dict[str, object] = {
-    "dock_plugins": ["bay", "quay", "blind", "felt", "watched"],
+    "dock_plugins": ["bay", "quay", "blind", "felt", "watched", "own"],
     "bay": BAY,
     "watched": {**BAY, "detector_service_name": "detector", "detector_service_timeout": 3.0},
     "quay": {"plugin": "opennav_docking::SimpleNonChargingDock"},
@@ -49,6 +49,14 @@ SERVER: dict[str, object] = {
         "use_external_detection_pose": True,
         "use_stall_detection": True,
         "stall_joint_names": ["left_wheel_joint", "right_wheel_joint"],
+    },
+    "own": {
+        "plugin": "SimpleDock",
+        "use_external_detection_pose": True,
+        "use_battery_status": True,
+        "contact": "touch",
+        "charging_current": 0.5,
+        "wait_for_charge": True,
     },
     "docks": ["home", "moon", "odd"],
     "home": {"type": "bay", "frame": "map", "pose": [3.0, 1.0, 0.0]},
@@ -197,14 +205,16 @@ def test_what_is_docked_stays_and_undocks(bay: Bay) -> None:
     assert "nothing to undock from" in reply.result.error_msg
 
 
-@pytest.mark.parametrize(("kind", "yaw"), [("blind", math.pi), ("felt", 0.0)])
-def test_docks_that_are_backed_into_unseen_and_docks_that_are_felt(bay: Bay, kind: str, yaw: float) -> None:
+@pytest.mark.parametrize(("kind", "yaw"), [("blind", math.pi), ("felt", 0.0), ("own", 0.0)])
+def test_docks_that_are_backed_into_unseen_that_are_felt_and_of_a_type_by_name(bay: Bay, kind: str, yaw: float) -> None:
     bay.reset()
     goal = bay.dock(use_dock_id=False, dock_type=kind, dock_pose=pose("map"))
     reply = goal.reply(40.0)
     assert (reply.status, reply.result.success) == (SUCCEEDED, True), reply.result
     if kind == "felt":
         assert "signal" in reply.result.error_msg, "the joints'"
+    if kind == "own":
+        assert bay.truth()["charging"] == 1.0
     found = bay.truth()
     # Unseen, the way in is the odometry's.
     within = 0.03 if kind == "blind" else 0.01
