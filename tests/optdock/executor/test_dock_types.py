@@ -24,11 +24,12 @@ from tests.optdock.executor.test_endings import AFAR, QUICK, Recording, Straight
 
 ORIGIN = Pose2(0.0, 0.0, 0.0)
 STANDS = Measurements(0.0, TRUE_DOCK)
+NEAR = Pose2(-0.8, 0.0, 0.0)
 
 
-def docked(dock_type=None, *, start=None, before=None, world=None, planning=None, **settings):
+def docked(dock_type=None, *, start=None, before=None, planning=None, **settings):
     """A quick docking in a straight line, without any error."""
-    world = world or (perfect() if start is None else perfect(start))
+    world = perfect(NEAR if start is None else start)
     chosen = ExecutorSettings(**(QUICK | settings))
     planning = planning or StraightPlanning()
     return run(world, problem_with(), chosen, rate=25.0, dock_type=dock_type, before=before, planning=planning)
@@ -40,7 +41,7 @@ def commands(docking):
 
 @pytest.mark.parametrize(
     "settings",
-    [{}, {"contact": "touch", "stall_time": 0.2, "max_retries": 0}, {"wait_for_charge": True, "max_retries": 1}],
+    [{}, {"contact": "touch", "stall_time": 0.2, "max_retries": 0}, {"wait_for_charge": True, "max_retries": 0}],
     ids=["distance", "touch", "charge"],
 )
 def test_the_standard_one_does_as_the_settings_say(settings):
@@ -83,8 +84,8 @@ def test_staging_poses_are_three_numbers_each(wrong):
         SimpleDock(staging_poses=[[-1.0, 0.0, 0.0]], staging_distance=1.0)
 
 
-TWO = PluginChoice("SimpleDock", {"staging_poses": [[-0.9, 0.0, 0.0], [-0.8, 0.3, 0.0]]})
-BOX = [[-1.3, -0.15], [-0.75, -0.15], [-0.75, -0.1], [-1.3, -0.1]]  # where a robot at the first pose would stand
+TWO = PluginChoice("SimpleDock", {"staging_poses": [[-0.9, 0.0, 0.0], [-0.6, 0.0, 0.0]]})
+BOX = [[-1.3, -0.2], [-1.1, -0.2], [-1.1, 0.2], [-1.3, 0.2]]  # where a robot at the first pose would stand
 
 
 def test_an_occupied_staging_pose_gives_way_to_the_next(lawful):
@@ -92,12 +93,12 @@ def test_an_occupied_staging_pose_gives_way_to_the_next(lawful):
     found = {}
     for name, obstacles, kind in (("two", (BOX,), TWO), ("one", (BOX,), "SimpleDock")):
         world = simulated(ORIGIN, sensors=PERFECT, actuation=Actuation())
-        settings = ExecutorSettings(staging_distance=0.9, obstacle_patience=0.1, time_budget=0.3, use_detections=False)
+        settings = ExecutorSettings(staging_distance=0.9, obstacle_patience=0.1, use_detections=False, replanning=False)
         docking = run(world, problem_with(TRUE_DOCK, obstacles), settings, task="undock", dock_type=kind)
         lawful(docking)
         found[name] = docking
     assert [docking.ending.kind.name for docking in found.values()] == ["UNDOCKED", "FAILED_TO_STAGE"]
-    assert found["two"].world.error.gap_to(Pose2(-0.8, 0.3, 0.0)) < 0.05
+    assert found["two"].world.error.gap_to(Pose2(-0.6, 0.0, 0.0)) < 0.05
     assert [event.detail[:6] for event in found["two"].said("no way to a staging pose")] == ["number"]
 
 
@@ -112,7 +113,7 @@ def test_after_the_last_staging_pose_it_ends_as_with_one():
 
 
 def test_a_robot_at_any_of_the_staging_poses_has_arrived():
-    for pose in (Pose2(-0.9, 0.0, 0.0), Pose2(-0.8, 0.3, 0.0)):
+    for pose in (Pose2(-0.9, 0.0, 0.0), Pose2(-0.6, 0.0, 0.0)):
         docking = docked(TWO, start=pose, prestaging_tolerance=0.05, planning=StraightPlanning(reason="a wall"))
         assert State.STAGING not in docking.states
 
@@ -151,7 +152,7 @@ def test_contact_is_asked_once_a_cycle_and_reset_before_every_approach():
     assert len(dock_type.told) - len(told) == 1 + 2, "once for the task, once for every approach"
     assert [now.commanded for now in told[1:]] == [step.command for step in docking.steps[:-1]]
     assert {now.is_near for now in told if abs(now.robot.x) < 0.04} == {True}
-    assert {now.is_near for now in told if abs(now.robot.x) > 0.2 and now.stamp > 1.0} == {False}
+    assert {now.is_near for now in told if abs(now.robot.x) > 0.1 and now.stamp > 0.5} == {False}
 
 
 class Latched(DockType):
@@ -256,7 +257,7 @@ def test_a_marker_that_hangs_elsewhere_is_told_by_the_dock_type():
 
     off = {}
     for name, dock_type in (("told", Shifted(marker.inverse())), ("not told", "SimpleDock")):
-        world = simulated(Pose2(-0.9, 0.02, 0.0), sensors=PERFECT, actuation=Actuation())
+        world = simulated(Pose2(-0.5, 0.0, 0.0), sensors=PERFECT, actuation=Actuation())
         docking = run(world, problem_with(TRUE_DOCK), before=seen, dock_type=dock_type)
         off[name] = abs(world.error.y)
         assert name != "told" or docking.ending.kind is EndingKind.DOCKED_BY_DISTANCE
@@ -293,6 +294,7 @@ NONSENSE = {
     "is_charging": [None, "no", raising],
     "staging_poses": [(), None, [(1.0, 0.0, 0.0)], Pose2(-1.0, 0.0, 0.0), raising],
     "back_out_distance": [math.nan, math.inf, -1.0, 0.0, True, "far", None, raising],
+    "detections": [None, 3, "x", [None], POSE, [POSE._replace(stamp=math.nan)], [POSE._replace(pose=None)], raising],
     "reset": [raising],
 }
 ARGUMENTS = {
@@ -325,7 +327,7 @@ def test_an_answer_that_is_none_is_refused_by_name(name, answer):
 ENDS = [("contact", "touched"), ("waits_for_charge", 1), ("staging_poses", ()), ("back_out_distance", math.nan)]
 
 
-@pytest.mark.parametrize(("name", "answer"), [*ENDS, *((name, raising) for name in NONSENSE)])
+@pytest.mark.parametrize(("name", "answer"), [*ENDS, *((name, raising) for name in NONSENSE if name != "detections")])
 def test_an_answer_that_is_none_ends_the_task_at_rest(name, answer, lawful):
     kind = foreign(name, answer)
     if name == "is_charging":
@@ -333,8 +335,8 @@ def test_an_answer_that_is_none_ends_the_task_at_rest(name, answer, lawful):
     start = {"staging_poses": AFAR, "back_out_distance": ORIGIN}.get(name)
     task = "undock" if name == "back_out_distance" else "dock"
     settings = ExecutorSettings(**QUICK)
-    world = perfect() if start is None else perfect(start)
-    docking = run(world, problem_with(), settings, rate=25.0, dock_type=kind, planning=StraightPlanning(), task=task)
+    world, planning = perfect(NEAR if start is None else start), StraightPlanning()
+    docking = run(world, problem_with(), settings, rate=25.0, dock_type=kind, planning=planning, task=task)
     assert lawful(docking).kind is EndingKind.UNKNOWN
     if answer is raising:
         assert docking.ending.reason == "ZeroDivisionError: of an author"
@@ -342,20 +344,7 @@ def test_an_answer_that_is_none_ends_the_task_at_rest(name, answer, lawful):
         assert docking.ending.reason.startswith(f"PluginError: Foreign.{name}: must be ")
 
 
-@pytest.mark.parametrize(
-    "answer",
-    [
-        None,
-        3,
-        "x",
-        [None],
-        POSE,
-        [POSE._replace(stamp=math.nan)],
-        [POSE._replace(pose=None)],
-        np.zeros((1, 3)),
-        raising,
-    ],
-)
+@pytest.mark.parametrize("answer", [[POSE._replace(stamp=math.nan)], np.zeros((1, 3)), raising])
 def test_detections_that_are_none_are_said_and_left_out(answer):
     docking = docked(foreign("detections", answer))
     assert docking.ending.kind is EndingKind.FAILED_TO_DETECT_DOCK
@@ -367,7 +356,7 @@ def test_detections_that_are_none_are_said_and_left_out(answer):
 
 def test_a_log_keeps_the_dock_type_and_replays_it(tmp_path):
     dock_type = SimpleDock(contact="touch", charging_current=1.0, staging_poses=[[-0.8, 0.1, 0.0]])
-    world = simulated(Pose2(-0.9, 0.05, 0.05), sensors=PERFECT, actuation=Actuation(), station=Station(depth=0.004))
+    world = simulated(Pose2(-0.5, 0.0, 0.0), sensors=PERFECT, actuation=Actuation(), station=Station(depth=0.004))
     with LogWriter(tmp_path / "docking.log") as log:
         docking = run(world, problem_with(), log=log, dock_type=dock_type, before=charger())
     found = read_log(tmp_path / "docking.log")
