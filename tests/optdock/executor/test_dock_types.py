@@ -179,7 +179,7 @@ def test_contact_that_is_felt_ends_the_approach(kind, ending):
 
 
 def test_contact_far_from_the_dock_is_said_and_not_believed():
-    stuck = type("Stuck", (DockType,), {"contact": lambda self, now: Contact.SIGNAL})
+    stuck = type("Stuck", (DockType,), {"contact": lambda self, now: Contact.SIGNAL, "is_pressed_on": True})
     docking = docked(stuck(), use_detections=False, stored_position_sigma=0.01)
     (said,) = docking.said("external signal far from the dock")
     assert said.stamp < 2.0
