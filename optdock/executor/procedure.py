@@ -276,7 +276,7 @@ class Procedure:
             yield from self._locate()
             result = yield from self._planned(self.situation.to_dock())
             if result.motion is None:
-                if self.situation.distance <= self.situation.reach_of_contact:
+                if self.situation.is_near:
                     yield from self._back_out()  # in contact with the station nothing can be planned
                 yield from self._wait_for_obstacle(result, blocked_since)
                 continue
@@ -321,7 +321,7 @@ class Procedure:
     def _has_arrived(self) -> Generator[Wish, None, bool]:
         """Whether a robot that was stopped on its way into the dock stands in it, as one does that rolls on."""
         situation = self.situation
-        if self._settings.contact != "distance" or situation.is_held:
+        if self._dock_type.is_pressed_on or situation.is_held:
             return False
         if not (situation.will_know(0.0) and situation.surely_stands_in_dock(_SURE_SEEN)):
             return False
