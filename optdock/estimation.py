@@ -171,6 +171,7 @@ _ALWAYS_NEAR = 0.005, 0.01  # [m], [rad]: no measurement is left out for less
 _MEMORY = 2.0  # [s] of motion that is remembered for what arrives late, and of measurements put aside
 _LONGEST_DELAY = 0.5  # [s]: more is not learned, but a fault
 _INNOVATIONS = 8  # of which the mean is looked at
+_SUDDEN, _SUDDEN_GATE = 3, 11.34  # innovations of a wheel that has just slipped; one mean of 100 exceeds the second
 _SLIPPED = 0.05  # [m] in the last two seconds: what jumps away from a robot that stands was moved itself
 _ESTABLISHED = 8  # measurements that were believed; what jumps before may have been begun with a wrong one
 _SLIP_MEMORY = 2.0  # [m] without another slip, after which a third of what was expected of one is left
@@ -461,6 +462,12 @@ class PoseFilter:
     def _check_innovations(self, whitened: FloatArray, miss: FloatArray) -> None:
         """Grow the covariance where the innovations keep to one side; those of a correct model are white."""
         self._whitened.append(whitened)
+        for count in range(2, min(_SUDDEN, len(self._whitened)) + 1):
+            total = np.sum(list(self._whitened)[-count:], axis=0)
+            if float(total @ total) / count > _SUDDEN_GATE and self._driven() > _SLIPPED:
+                self.covariance[:3, :3] += np.multiply.outer(miss, miss)
+                self._whitened.clear()
+                return
         if len(self._whitened) < _INNOVATIONS:
             return
         total = np.sum(self._whitened, axis=0)

@@ -8,6 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from optdock import estimation
 from optdock.errors import InvalidValue
 from optdock.estimation import DeadReckoning, OdometryErrors, PoseFilter
 from optdock.geometry.pose import Pose2, Twist2
@@ -304,6 +305,22 @@ def test_outliers_here_and_there_are_no_jump():
         found.correct(stamp, pose @ Pose2(*random.uniform(-1.0, 1.0, 3)) if k % 10 > 3 else noisy(pose, random), NOISE)
         assert found.jump is None
         assert found.pose.distance_to(pose) < 0.006
+
+
+def test_a_turn_that_the_wheels_do_not_see_is_soon_known(monkeypatch):
+    """Of a slip within the gate nine tenths are made good by four measurements; by the white noise alone six tenths."""
+    left, slip = [], 3.0 * SIGMA[1]
+    for sudden in (estimation._SUDDEN, 1):
+        monkeypatch.setattr(estimation, "_SUDDEN", sudden)
+        found, pose = started(), START
+        for k in range(1, 64):
+            step = Pose2(0.01, 0.0, 0.0)
+            pose = pose @ (step @ Pose2(0.0, 0.0, slip) if k == 60 else step)
+            found.predict(10.0 + 0.1 * k, step)
+            found.correct(found.stamp, pose, NOISE)
+        left.append(abs(found.pose.in_frame_of(pose).yaw) / slip)
+    assert left[0] < 0.1
+    assert left[1] > 0.35
 
 
 def test_innovations_that_keep_to_one_side_grow_the_covariance():
