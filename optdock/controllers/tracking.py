@@ -403,8 +403,7 @@ class TrackingController(Controller):
     def _wanted(self, reference: Reference, now: ReferenceState, error: Pose2, accepted: Accepted) -> Twist2:
         if self._cancelled and reference.rate == 0.0:
             return Twist2()
-        p, twist = self.parameters, now.ahead.twist
-        wanted = tracking_command(error, twist, self._gains(reference, now, error, accepted))
+        wanted = tracking_command(error, now.ahead.twist, self._gains(reference, now, error, accepted))
         if self._drive is Drive.ACKERMANN and now.ahead.speed < _CREEPING:
             # A rest tells no curvature, and the feedback's would swing the wheels; a creeping command does tell it.
             arc = reference.next_arc()

@@ -77,10 +77,10 @@ def delay_bounds(speed: float, delay: float, damping: float) -> DelayBounds:
 def left_after(
     distance: float, offset: float, slope: float, convergence_distance: float, pull: float = 0.0
 ) -> tuple[float, float]:
-    """What the law leaves of an error across after a distance: offset [m] and slope [rad], critically damped or more (E5).
+    """What the law leaves of an error across after a distance: offset [m] and slope [rad] (E5).
 
-    With y the offset and y' the slope, y'' + 2 m y' + y / L^2 = 0 over the distance, where 2 m is `pull`, or 2 / L where
-    that is more.
+    With y the offset and y' the slope, y'' + 2 m y' + y / L^2 = 0 over the distance; 2 m is `pull`, or 2 / L where that
+    is more: critically damped at least.
 
     Args:
         distance: To be driven [m], >= 0.

@@ -116,6 +116,9 @@ class Drive:
         law, tracking = motion.trajectory.time_law, self._situation.problem.robot.tracking
         self.motion, self._progress = motion, (-math.inf, self._situation.now)
         self._way = _Way(motion.trajectory.path)
+        if self._is_approach and not self._is_stop:
+            gears = [int(segment.direction) for segment in motion.trajectory.path.segments]
+            self._situation.approach_gear = next((float(gear) for gear in reversed(gears) if gear), None)
         self._times_of_places, self._time_of_place = (law.states[:, 0], law.times), 0.0
         proven = not self._is_stop and (tracking.cross > 0.0 or tracking.yaw > 0.0)
         self._tube = Tube(motion.trajectory.path, motion.problem, motion.start_relief) if proven else None

@@ -273,12 +273,8 @@ class Procedure:
         blocks, blocked_since = 0, self._now
         self._dock_type.reset()
         while True:
-            yield from self._locate()
-            result = yield from self._planned(self.situation.to_dock())
+            result = yield from self._planned_from_rest(blocked_since)
             if result.motion is None:
-                if self.situation.is_near:
-                    yield from self._back_out()  # in contact with the station nothing can be planned
-                yield from self._wait_for_obstacle(result, blocked_since)
                 continue
             try:
                 return (yield from self._attempt(result.motion))
@@ -296,6 +292,23 @@ class Procedure:
                 if stopped.name in {TOO_FAR_OFF, NOT_DOCKED}:
                     yield from self._back_out()  # where the robot may touch the station
                 yield from self._wait_for_detection()
+
+    def _planned_from_rest(self, since: float) -> Generator[Wish, None, PlanResult]:
+        """A plan into the dock; where there is none, after a wait for the obstacle in the way.
+
+        Args:
+            since: When there was a way last [s].
+
+        Raises:
+            AttemptFailed: There has been no way for too long.
+        """
+        yield from self._locate()
+        result = yield from self._planned(self.situation.to_dock())
+        if result.motion is None:
+            if self.situation.is_near:
+                yield from self._back_out()  # in contact with the station nothing can be planned
+            yield from self._wait_for_obstacle(result, since)
+        return result
 
     def _attempt(self, motion: Motion) -> Generator[Wish, None, EndingKind]:
         """Drive a motion into the dock, and see that the robot stands in it.

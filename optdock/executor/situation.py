@@ -60,6 +60,7 @@ class Situation:
     Attributes:
         interruption: Name and reason of what stops a motion from outside, such as a clock that jumped; empty: nothing.
         commanded: The last command; set before every cycle.
+        approach_gear: Of the last piece of the motion into the dock that was driven last; None before.
         looked_in_vain_since: Stamp of the newest detection when it was last waited for another one in vain [s].
         felt: The contact that the dock type feels in this cycle, wherever the robot is.
     """
@@ -76,6 +77,7 @@ class Situation:
         self.dock_type = dock_type
         self.interruption = ("", "")
         self.commanded = Twist2()
+        self.approach_gear: float | None = None
         self.looked_in_vain_since = math.nan
         self.felt: Contact | None = None
         self._is_far_contact_said = False
@@ -224,6 +226,8 @@ class Situation:
         """Of the last motion into the dock."""
         direction = self.problem.dock.direction
         if direction is DockDirection.AUTO:
+            if self.approach_gear is not None:
+                return self.approach_gear  # also of a robot that stands a little beyond the docked pose
             return 1.0 if self.perception.robot_from_dock.x <= 0.0 else -1.0
         return 1.0 if direction is DockDirection.FORWARD else -1.0
 
@@ -325,7 +329,11 @@ class Situation:
         return patience is not None and self.perception.costmap_age > patience
 
     def require_no_interruption(self) -> None:
-        """Raises Interrupted if the robot is held, or does not know where it is or what is around it."""
+        """See that a motion may go on.
+
+        Raises:
+            Interrupted: The robot is held, or does not know where it is or what is around it.
+        """
         if self.is_held:
             raise Interrupted(HELD, "it goes on from here when it is released")
         name, reason = self.interruption
