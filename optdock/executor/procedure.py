@@ -517,6 +517,9 @@ class Procedure:
         situation = self.situation
         direction, footprint = -situation.gear, situation.problem.robot.footprint
         origin, begun, is_straight = situation.perception.robot_from_dock, self._now, False
+        limits = situation.problem.robot.limits
+        braking_time = _BACK_OUT_SPEED / limits.max_deceleration + limits.max_deceleration / limits.max_jerk
+        braking = 0.5 * _BACK_OUT_SPEED * braking_time
         farthest = max(least, self._dock_type.back_out_distance)
         limit = 2.0 * farthest / _BACK_OUT_SPEED + _REST_PATIENCE
         while True:
@@ -524,10 +527,10 @@ class Procedure:
             robot = situation.perception.robot
             driven = origin.distance_to(situation.perception.robot_from_dock)
             near = situation.near(robot, footprint.circumscribed_radius + _CLEAR_OF_CONTACT)
-            if driven >= least and pose_clearance(robot, footprint, near)[0] >= _CLEAR_OF_CONTACT:
+            if driven >= least - braking and pose_clearance(robot, footprint, near)[0] >= _CLEAR_OF_CONTACT:
                 break
             self.state = State.BACKING_OUT
-            if driven >= farthest or self._now - begun > limit:
+            if driven >= farthest - braking or self._now - begun > limit:
                 break
             twist = Twist2(direction * _BACK_OUT_SPEED)
             deepest = situation.reach_of_contact  # by estimates and bumpers that yield, or pressed in by late commands

@@ -1,6 +1,7 @@
 """Every ending can be reached, every state can be cancelled; whatever is measured, the commands stay lawful."""
 
 import dataclasses
+import itertools
 import math
 import time
 
@@ -23,7 +24,7 @@ from optdock.simulation import Actuation, Station
 from optdock.testing.drives import clothoid, rest_to_rest
 from optdock.verification import pose_clearance
 
-from .conftest import PERFECT, ROBOT, STATION, TRUE_DOCK, assert_lawful, once, problem_with, run, simulated
+from .conftest import LIMITS, PERFECT, ROBOT, STATION, TRUE_DOCK, assert_lawful, once, problem_with, run, simulated
 
 QUICK = {"initial_perception_timeout": 0.5, "localization_timeout": 0.5, "wait_charge_timeout": 0.3}
 QUICK |= {"obstacle_patience": 0.1, "time_budget": 0.2, "settling_time": 0.5}
@@ -274,7 +275,7 @@ def test_a_robot_backs_out_no_farther_than_it_may_and_straight_as_it_came_in(dis
     docking = run(perfect(start), problem_with(), chosen, rate=25.0, task="undock", planning=planning)
     assert lawful(docking, touch=0.05).kind is EndingKind.FAILED_TO_STAGE
     least = max(distance, problem_with().dock.final_straight)
-    assert least <= start.x - docking.world.error.x <= least + 0.01, "and the way of braking"
+    assert abs(start.x - docking.world.error.x - least) <= 0.006, "with the way of braking"
     assert np.abs(docking.world.record().poses[:, 2]).max() < 1e-6
     assert planning.jobs
 
@@ -472,7 +473,7 @@ def test_whatever_is_measured_commands_are_lawful_and_the_task_ends(script, rate
         detections = () if lie == "lost" else (Detection(stamp - 0.04, seen, 0.003, 0.005),)
         told = Twist2() if lie == "stuck" else twist
         step = executor.step(Measurements(stamp, pose, told, detections, lie == "contact"))
-        stamps.append(stamps[-1] + (period if period < 0.5 else 1.0 / rate) if stamps else 0.0)
+        stamps.append(stamps[-1] + period if stamps else 0.0)
         commands.append((step.command.linear, step.command.angular))
         states.append(step.state)
         twist = step.command
@@ -482,7 +483,12 @@ def test_whatever_is_measured_commands_are_lawful_and_the_task_ends(script, rate
             break
     assert step.ending is not None, f"still {step.state.value}"
     assert step.command == Twist2()
-    assert_lawful(np.array(stamps), np.array(commands))
+    # While nothing is measured the drive holds its command: afterwards it changes from rest, as much as in one period.
+    silences = [k for k, period in enumerate(np.diff(stamps), 1) if period > 0.5]
+    assert all(np.abs(commands[k][0] - commands[k - 1][0]) <= LIMITS.max_deceleration / rate + 1e-9 for k in silences)
+    for begin, end in itertools.pairwise([0, *silences, len(stamps)]):
+        if end - begin > 2:
+            assert_lawful(np.array(stamps[begin:end]), np.array(commands[begin:end]))
 
 
 def test_a_thread_plans_beside_the_loop(lawful):
