@@ -218,7 +218,9 @@ class Drive:
         ]
         moves = abs(situation.commanded.linear) > still[0] or abs(situation.commanded.angular) > still[1]
         relative, goal = situation.perception.robot_from_dock, Pose2(0.0, 0.0, 0.0)
-        errors = zip(relative.as_array(), situation.perception.sigma_after(0.0), strict=True)
+        errors = zip(
+            (relative.x, relative.y, normalize_angle(relative.yaw)), situation.perception.sigma_after(0.0), strict=True
+        )
         is_noise = all(abs(error) <= _OF_NOISE * sigma for error, sigma in errors)
         if moves and not is_noise and situation.now - self._finished_since < 0.5 * settings.settling_time:
             return None  # what is left is still being corrected

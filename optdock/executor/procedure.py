@@ -133,10 +133,10 @@ class Procedure:
         if (yield from self._stands_docked()):
             return EndingKind.ALREADY_DOCKED, situation.where
         if settings.navigate_to_staging_pose and situation.from_staging() > settings.prestaging_tolerance:
-            yield from self._drive_to_staging(State.STAGING, EndingKind.FAILED_TO_STAGE)
+            yield from self._drive_to(situation.staging_poses, State.STAGING, EndingKind.FAILED_TO_STAGE)
         while True:
             try:
-                yield from self._perceive_from_staging()
+                yield from self._perceive_from_somewhere()
                 kind = yield from self._approach()
                 if self._dock_type.waits_for_charge:
                     yield from self._wait_for_charge()
@@ -148,7 +148,7 @@ class Procedure:
                 yield from self._stop()
                 self.num_retries += 1
             yield from self._back_out()
-            yield from self._drive_to_staging(State.RETURNING, EndingKind.FAILED_TO_CONTROL)
+            yield from self._drive_to(situation.staging_poses, State.RETURNING, EndingKind.FAILED_TO_CONTROL)
 
     def _undock(self) -> Generator[Wish, None, tuple[EndingKind, str]]:
         situation = self.situation
@@ -157,7 +157,7 @@ class Procedure:
         if not situation.is_near and not situation.has_signal:
             return EndingKind.NOT_DOCKED, f"the robot is {situation.distance:.3f} m from the dock"
         yield from self._back_out(max(self._dock_type.back_out_distance, situation.problem.dock.final_straight))
-        yield from self._drive_to_staging(State.UNDOCKING, EndingKind.FAILED_TO_STAGE)
+        yield from self._drive_to(situation.staging_poses, State.UNDOCKING, EndingKind.FAILED_TO_STAGE)
         return EndingKind.UNDOCKED, ""
 
     # Its parts, in the order in which they come.
@@ -231,16 +231,27 @@ class Procedure:
             yield from self._cycle(_STOP)
         return situation.will_know(0.0) and situation.may_stand_in_dock and not situation.may_have_turned
 
-    def _perceive_from_staging(self) -> Cycles:
-        """Look at the dock from here; where it is not seen, from the staging pose, which faces it."""
-        try:
-            yield from self._perceive()
-        except TaskFailed as failure:
-            if self.situation.has_arrived_at_staging():
-                raise
-            self._report("dock not seen from here", failure.reason)
-            yield from self._drive_to_staging(State.STAGING, EndingKind.FAILED_TO_STAGE)
-            yield from self._perceive()
+    def _perceive_from_somewhere(self) -> Cycles:
+        """Look at the dock from here; where it is not seen, from a staging pose.
+
+        A dock that is entered in reverse is behind a camera in front. So it is looked at from a staging pose turned
+        round as well; from there the way in is the odometry's, as far as that is good enough.
+
+        Raises:
+            TaskFailed: It is not seen from anywhere, or the robot does not get there.
+        """
+        situation = self.situation
+        views = [situation.staging_poses, *([situation.facing_poses] if situation.gear < 0.0 else [])]
+        while True:
+            try:
+                return (yield from self._perceive())
+            except TaskFailed as failure:
+                while views and situation.has_arrived_at(views[0]()):
+                    views.pop(0)
+                if not views:
+                    raise
+                self._report("dock not seen from here", failure.reason)
+            yield from self._drive_to(views.pop(0), State.STAGING, EndingKind.FAILED_TO_STAGE)
 
     def _perceive(self) -> Cycles:
         """Look at the dock, at rest, until it has been seen often enough.
@@ -434,9 +445,9 @@ class Procedure:
             if self._now - since > budget + _PLANNING_PATIENCE:
                 return PlanResult(number, Outcome.FAILED, reason="planning does not answer")
 
-    def _planned_to_staging(self) -> Generator[Wish, None, PlanResult]:
-        """The result of a plan to the first staging pose to which there is one; else that of the last."""
-        *others, last = self.situation.staging_poses()
+    def _planned_to(self, places: tuple[Pose2, ...]) -> Generator[Wish, None, PlanResult]:
+        """The result of a plan to the first pose to which there is one; else that of the last."""
+        *others, last = places
         for number, place in enumerate(others, start=1):
             result = yield from self._planned(self.situation.to(place))
             if result.motion is not None:
@@ -550,8 +561,13 @@ class Procedure:
         while self._now < until - _INSTANT:
             yield from self._cycle(Twist2(gear * _CREEP))
 
-    def _drive_to_staging(self, state: State, failure: EndingKind) -> Cycles:
-        """Along a certified path to a staging pose; what stops the robot is planned around, or ends the task.
+    def _drive_to(self, places: Callable[[], tuple[Pose2, ...]], state: State, failure: EndingKind) -> Cycles:
+        """Along a certified path to one of some poses; what stops the robot is planned around, or ends the task.
+
+        Args:
+            places: In the fixed frame, the preferred one first, as the dock is known now.
+            state: What for.
+            failure: What it is if the robot does not get there.
 
         Raises:
             TaskFailed: The robot does not get there; of the kind `failure`.
@@ -560,9 +576,9 @@ class Procedure:
         blocks, since = 0, self._now
         while True:
             yield from self._locate()
-            if situation.has_arrived_at_staging():
+            if situation.has_arrived_at(places()):
                 return
-            result = yield from self._planned_to_staging()
+            result = yield from self._planned_to(places())
             if result.motion is None:
                 if self._now - since > self._settings.obstacle_patience:
                     raise TaskFailed(failure, f"no way to the staging pose: {result.reason}")

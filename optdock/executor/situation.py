@@ -14,7 +14,7 @@ from optdock.dock import Dock, DockDirection
 from optdock.executor.approach import staging_distance
 from optdock.executor.interruptions import HELD, Interrupted
 from optdock.executor.outcomes import EndingKind
-from optdock.geometry.pose import Pose2, Twist2
+from optdock.geometry.pose import Pose2, Twist2, normalize_angle
 from optdock.measurements import AtDock
 from optdock.obstacles import ObstacleSet
 from optdock.outcomes import Contact
@@ -145,7 +145,8 @@ class Situation:
     def where(self) -> str:
         """The robot seen from the docked pose, for a message."""
         relative = self.perception.robot_from_dock
-        return f"{relative.x:.4f} m along, {relative.y:.4f} m across and {relative.yaw:.4f} rad from the docked pose"
+        turned = normalize_angle(relative.yaw)
+        return f"{relative.x:.4f} m along, {relative.y:.4f} m across and {turned:.4f} rad from the docked pose"
 
     @property
     def detection_is_old(self) -> bool:
@@ -202,7 +203,7 @@ class Situation:
         accepted, found = self.problem.dock.tolerances, self.perception.robot_from_dock
         sigma = self.perception.sigma_after(0.0)
         tolerances = accepted.along, accepted.cross, accepted.yaw
-        return list(zip(found.as_array().tolist(), sigma, tolerances, strict=True))
+        return list(zip((found.x, found.y, normalize_angle(found.yaw)), sigma, tolerances, strict=True))
 
     @property
     def may_have_turned(self) -> bool:
@@ -241,9 +242,13 @@ class Situation:
         gaps = [self.perception.robot.in_frame_of(place) for place in self.staging_poses()]
         return min(math.sqrt(gap.x**2 + gap.y**2 + gap.yaw**2) for gap in gaps)
 
-    def has_arrived_at_staging(self) -> bool:
-        """Whether the robot is at one of the staging poses."""
-        gaps = [self.perception.robot.in_frame_of(place) for place in self.staging_poses()]
+    def facing_poses(self) -> tuple[Pose2, ...]:
+        """The staging poses turned round: from where a camera sees a dock that is entered the other way."""
+        return tuple(place @ Pose2(0.0, 0.0, math.pi) for place in self.staging_poses())
+
+    def has_arrived_at(self, places: tuple[Pose2, ...]) -> bool:
+        """Whether the robot is at one of some poses in the fixed frame."""
+        gaps = [self.perception.robot.in_frame_of(place) for place in places]
         return any(math.hypot(gap.x, gap.y) <= _ARRIVED[0] and abs(gap.yaw) <= _ARRIVED[1] for gap in gaps)
 
     @property

@@ -14,14 +14,13 @@ from experiments.docking.field.belief import Belief
 from experiments.docking.field.nav2 import by_nav2
 from experiments.docking.field.outcome import Steered
 from experiments.docking.watched import Cycles, WatchedPlanning
-from optdock.executor import DockingExecutor
+from optdock.executor import DockingExecutor, ExecutorSettings
 from optdock.geometry.pose import Twist2
 
 if TYPE_CHECKING:
     from experiments.docking.cases import Layout
     from experiments.docking.field.world import FieldRobot
     from experiments.docking.outcome import Followed
-    from optdock.executor import ExecutorSettings
     from optdock.executor.log import LogWriter
 
 __all__ = ["FIELD_METHODS", "by_executor"]
@@ -49,9 +48,11 @@ def by_executor(  # noqa: PLR0913 - what may be chosen
         rate: Control cycles per second [Hz].
         task: Which of the two.
         controller: By name; None: the default one.
-        settings: None: the default ones.
+        settings: None: the default ones, but for what the world tells.
         log: Takes the docking down.
     """
+    if settings is None and robot.world.told:
+        settings = ExecutorSettings(**robot.world.told)
     planning, cycles, belief = WatchedPlanning(), Cycles(), Belief()
     chosen = {} if controller is None else {"controller": controller}
     executor = DockingExecutor(

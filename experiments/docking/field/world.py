@@ -18,6 +18,8 @@ from optdock.geometry.pose import Pose2, Twist2
 from optdock.measurements import Measurements, OdometryPose
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping
+
     from experiments.docking.cases import Layout
     from optdock.costmap.costmap import Costmap
     from optdock.geometry.arrays import FloatArray
@@ -48,6 +50,7 @@ class FieldWorld:
         pushed: How far it is pushed [m], and turned at most [rad], when the robot is 0.6 m away from it.
         dropped_cycles: Share of the control cycles that are left out [1].
         costmap: Whether a local costmap shows the station.
+        told: Settings of the executor other than its defaults, as of a robot that was calibrated.
     """
 
     name: str = "field"
@@ -61,6 +64,7 @@ class FieldWorld:
     pushed: tuple[float, float] = (0.0, 0.0)
     dropped_cycles: float = 0.01
     costmap: bool = False
+    told: Mapping[str, float] = field(default_factory=dict)
 
 
 class FieldRobot:

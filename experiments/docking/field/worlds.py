@@ -20,6 +20,8 @@ FIELD = FieldWorld()
 PUSHED = (0.03, math.radians(1.5))
 # Wheels that are calibrated: driven blind for 0.4 m, 1 % of a radius alone turns the robot by 0.6 degrees and more.
 GOOD_WHEELS = Drive(radius_spread=0.002, track_spread=0.002, slip_rate=0.0)
+# What is told of them to the executor of a robot that turns round unseen before it backs in.
+CALIBRATED = {"odometry_yaw_sigma": 0.003, "odometry_scale_sigma": 0.002, "odometry_drift_sigma": 0.004}
 BLIND = Camera(near_loss=1.0)
 AVERAGED = Odometry(window=0.2)
 
@@ -40,6 +42,7 @@ _VARIANTS: dict[str, dict[str, object]] = {
     "localization lost": {"localization": Localization(lost_for=5.0)},
     "raw localization": {"localization": Localization(composed=False)},
     "backward": {"direction": DockDirection.BACKWARD},
+    "backward, good wheels": {"direction": DockDirection.BACKWARD, "drive": GOOD_WHEELS, "told": CALIBRATED},
     "rear camera": {"direction": DockDirection.BACKWARD, "camera": Camera(mount=Pose2(-0.25, 0.0, math.pi))},
 }
 FIELD_WORLDS: dict[str, FieldWorld] = {

@@ -16,7 +16,7 @@ from optdock.obstacles import ObstacleSet
 from optdock.problem import DockingProblem
 from optdock.simulation import Actuation, DifferentialDrive, SimulatedRobot, Station, StuckWheel, Wheels
 
-from .conftest import PERFECT, ROBOT, TRUE_DOCK, once, problem_with, run, simulated, within
+from .conftest import PERFECT, ROBOT, SLUGGISH, TRUE_DOCK, once, problem_with, run, simulated, within
 
 NO_STAGING = ExecutorSettings(navigate_to_staging_pose=False)
 
@@ -354,3 +354,39 @@ def test_a_turn_at_the_end_takes_back_the_heading():
     assert docking.ending.kind is EndingKind.DOCKED_BY_DISTANCE
     assert len(docking.said("plan new")) == 1
     assert not docking.said("too far off to correct")
+
+
+def seen_ahead(executor, world, measurements):
+    """A camera in front: the dock is seen within 30 degrees of straight ahead."""
+    ahead = [one for one in measurements.detections if abs(math.atan2(one.pose.y, one.pose.x)) < math.radians(30.0)]
+    return measurements._replace(detections=tuple(ahead))
+
+
+@pytest.mark.parametrize("turns", [0, 1])
+def test_a_dock_behind_a_camera_in_front_is_looked_at_turned_round(turns, lawful):
+    """Then the way in is the odometry's; whole turns of its heading on the way count for nothing."""
+    problem = problem_with()
+    dock = dataclasses.replace(problem.dock, pose=TRUE_DOCK, direction="backward", footprint=None)
+    problem = dataclasses.replace(problem, dock=dock)
+    start = Pose2(0.75, 0.05, 0.1 + 2.0 * math.pi * turns)
+    sigmas = {"odometry_sigma": 0.002, "odometry_scale_sigma": 0.001, "odometry_drift_sigma": 0.001}
+    told = ExecutorSettings(**sigmas, odometry_yaw_sigma=0.002, initial_perception_timeout=1.0)
+    world = SimulatedRobot(start=start, dock_pose=TRUE_DOCK, sensors=PERFECT, plant=DifferentialDrive(ROBOT, SLUGGISH))
+    docking = run(world, problem, told, before=seen_ahead)
+    assert lawful(docking).kind is EndingKind.DOCKED_BY_DISTANCE, docking.ending
+    assert docking.said("dock not seen from here")
+    assert max(abs(world.error.x), abs(world.error.y)) < 0.01
+    assert abs(math.remainder(world.error.yaw, 2.0 * math.pi)) < math.radians(1.0)
+    assert docking.ending.num_retries == 0
+
+
+def test_a_robot_that_is_stopped_in_its_dock_is_docked():
+    """Contact makes a plan impossible, and is no reason to go away: the robot stands where it should."""
+    stop = once(
+        within(0.006), lambda executor, world, measurements: measurements._replace(stamp=measurements.stamp + 5.0)
+    )
+    docking = run(simulated(Pose2(-0.6, 0.0, 0.0), PERFECT, Actuation()), problem_with(), NO_STAGING, before=stop)
+    assert docking.said("no cycle for long")
+    assert docking.ending.kind is EndingKind.DOCKED_BY_DISTANCE
+    assert len(docking.said("plan new")) == 1
+    assert docking.ending.num_retries == 0
