@@ -254,7 +254,9 @@ def _spread(
     ]
     count = sum(map(len, series))
     if ends[1] >= highest:
-        return unknown(*name, f"{len(series)} recordings are too short for an error that lasts for seconds", count)
+        return unknown(
+            *name, f"{count} s with detections, in {len(series)} drives, are too few for errors that last", count
+        )
     return Quantity(*name, math.exp(at), math.exp(ends[0]), math.exp(ends[1]), count, len(series))
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING
 
+import numpy as np
 import yaml
 
 from optdock.report import table
@@ -40,7 +41,7 @@ def as_text(calibration: Calibration) -> str:
         )
         for one in known
     ]
-    parts = [table(rows)]
+    parts = [table(rows)] if known else []
     missing = [one for one in calibration.quantities if not one]
     if missing:
         parts.append("These recordings cannot tell:\n" + "\n".join(f"  {one.name}: {one.reason}" for one in missing))
@@ -121,7 +122,11 @@ def _matters(one: Quantity) -> bool:
 
 
 def _lines(calibration: Calibration) -> list[str]:
-    return [one.source for one in calibration.recordings]
+    return [
+        f"{one.source}: {float(np.ptp(one.times)) if len(one.times) else 0.0:.1f} s, {len(one.detections)} detections, "
+        f"{'not docked' if one.docked_at is None else 'docked'}"
+        for one in calibration.recordings
+    ]
 
 
 def _rounded(value: float) -> float:
