@@ -54,7 +54,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     if pairs:
         parts.append(paired_table(pairs))
     if len(deviations) > 1:
-        parts.append(tube_table(deviations, radius))
+        parts.append(tube_table(deviations, [one.deviation for one in pairs if one.deviation is not None], radius))
     text = "\n\n".join(parts)
     (options.out / "table.md").write_text(text + "\n", encoding="utf-8")
     sys.stdout.write(text + "\n")

@@ -54,12 +54,21 @@ class Judged(NamedTuple):
 
 
 class Paired(NamedTuple):
-    """A fresh docking of one robot, with the defaults and with what the calibration wrote."""
+    """A fresh docking of one robot, with the defaults and with what the calibration wrote.
+
+    Attributes:
+        robot: Which.
+        run: From which start, with which noise.
+        before: With the defaults.
+        after: With what was written.
+        deviation: How far the one with the defaults was off its path, see `ReadFile`.
+    """
 
     robot: int
     run: int
     before: FieldOutcome
     after: FieldOutcome
+    deviation: tuple[float, float] | None
 
 
 def driven(task: RobotTask) -> list[tuple[float, float]]:
@@ -89,14 +98,18 @@ def calibrated(task: RobotTask) -> tuple[list[Judged], list[Paired]]:
         for one in found.quantities
         if one.name in known
     ]
-    return judged, [_paired(task.number, _FRESH + run, found) for run in range(task.fresh)]
+    return judged, [_paired(task, _FRESH + run, found) for run in range(task.fresh)]
 
 
-def _paired(number: int, run: int, found: Calibration) -> Paired:
-    return Paired(number, run, _docked(number, run, None), _docked(number, run, found))
+def _paired(task: RobotTask, run: int, found: Calibration) -> Paired:
+    file = Path(task.folder) / f"fresh-{task.number:03d}-{run:02d}.jsonl"
+    with LogWriter(file) as log:
+        before = _docked(task.number, run, None, log)
+    after = _docked(task.number, run, found)
+    return Paired(task.number, run, before, after, read_recording(file).deviation)
 
 
-def _docked(number: int, run: int, found: Calibration | None) -> FieldOutcome:
+def _docked(number: int, run: int, found: Calibration | None, log: LogWriter | None = None) -> FieldOutcome:
     """A fresh docking: with settings and stored dock of a calibration, or with the defaults and the dock as stored."""
     layout, robot = set_down(hidden_robot(number), run)
     settings = None
@@ -108,7 +121,7 @@ def _docked(number: int, run: int, found: Calibration | None) -> FieldOutcome:
             assert isinstance(pose, list)
             dock = dataclasses.replace(layout.problem.dock, pose=Pose2(*pose))
             layout = layout._replace(problem=dataclasses.replace(layout.problem, dock=dock))
-    steered = by_executor(layout, robot, RATE, settings=settings)
+    steered = by_executor(layout, robot, RATE, settings=settings, log=log)
     task = FieldTask("executor", robot.world.name, "wider", RATE, run)
     return field_outcome(task, layout, robot, steered)
 

@@ -69,6 +69,8 @@ def test_the_tables_count():
     assert "1/2" in text
     assert "all" in text.splitlines()[-1]
     assert "50.0 %" in text.splitlines()[-1]
-    tubes = tube_table([[(0.01, 0.01)] * 10, [(0.005, 0.005)] * 4], 0.4)
+    tubes = tube_table([[(0.01, 0.01)] * 10, [(0.005, 0.005)] * 4], [(0.01, 0.01)] * 2 + [(0.02, 0.01)], 0.4)
+    assert "2/3 = 66.7 %" in tubes
     assert "4/4 = 100.0 %" in tubes
+    assert "cannot be told of 14 dockings" in tubes
     assert "cannot be told of 10 dockings" in tubes
