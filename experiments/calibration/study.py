@@ -19,9 +19,9 @@ from optdock.geometry.pose import Pose2
 
 if TYPE_CHECKING:
     from experiments.docking.field.outcome import FieldOutcome
-    from optdock.calibration import Calibration
+    from optdock.calibration import Calibration, ReadFile
 
-__all__ = ["RATE", "Judged", "Paired", "RobotTask", "calibrated", "driven"]
+__all__ = ["RATE", "Judged", "Paired", "RobotTask", "Studied", "studied"]
 
 RATE = 50.0  # [Hz]
 _FRESH = 1000  # number of the first run that nothing was calibrated with
@@ -70,35 +70,49 @@ class Paired(NamedTuple):
     after: FieldOutcome
     deviation: tuple[float, float] | None
 
-
-def driven(task: RobotTask) -> list[tuple[float, float]]:
-    """Drive what is not recorded yet, and return how far each docking was off its path, driven again."""
-    hidden = hidden_robot(task.number)
-    found = []
-    for run, file in enumerate(_files(task)):
-        if not file.exists():
-            layout, robot = set_down(hidden, run)
-            part = file.with_suffix(".part")
-            with LogWriter(part) as log:
-                by_executor(layout, robot, RATE, log=log)
-            part.rename(file)
-        deviation = read_recording(file).deviation
-        if deviation is not None:
-            found.append(deviation)
-    return found
+    @property
+    def outcomes(self) -> tuple[tuple[str, FieldOutcome], tuple[str, FieldOutcome]]:
+        """Both, by the names of their settings."""
+        return ("defaults", self.before), ("calibrated", self.after)
 
 
-def calibrated(task: RobotTask) -> tuple[list[Judged], list[Paired]]:
-    """Calibrate a robot with its recordings, compare with what is true, and dock by pairs."""
-    read = [read_recording(file) for file in _files(task)]
-    found = calibrate([one.recording for one in read], [one.deviation for one in read if one.deviation is not None])
-    known = truths(hidden_robot(task.number), RATE)
+class Studied(NamedTuple):
+    """What came of one robot.
+
+    Attributes:
+        deviations: Of its recordings, see `ReadFile`; of fewer where one could not be driven again.
+        judged: All quantities whose truth is known.
+        pairs: Its fresh dockings.
+    """
+
+    deviations: list[tuple[float, float]]
+    judged: list[Judged]
+    pairs: list[Paired]
+
+
+def studied(task: RobotTask) -> Studied:
+    """Drive what is not recorded yet, calibrate, compare with what is true, and dock by pairs."""
+    hidden, read = hidden_robot(task.number), [_recorded(task, run) for run in range(task.recordings)]
+    deviations = [one.deviation for one in read if one.deviation is not None]
+    found = calibrate([one.recording for one in read], deviations)
+    known = truths(hidden, RATE)
     judged = [
         Judged(task.number, one.name, known[one.name], one.value, one.low, one.high, one.reason)
         for one in found.quantities
         if one.name in known
     ]
-    return judged, [_paired(task, _FRESH + run, found) for run in range(task.fresh)]
+    return Studied(deviations, judged, [_paired(task, _FRESH + run, found) for run in range(task.fresh)])
+
+
+def _recorded(task: RobotTask, run: int) -> ReadFile:
+    file = Path(task.folder) / f"robot-{task.number:03d}-{run:02d}.jsonl"
+    if not file.exists():
+        layout, robot = set_down(hidden_robot(task.number), run)
+        part = file.with_suffix(".part")
+        with LogWriter(part) as log:
+            by_executor(layout, robot, RATE, log=log)
+        part.rename(file)
+    return read_recording(file)
 
 
 def _paired(task: RobotTask, run: int, found: Calibration) -> Paired:
@@ -124,8 +138,3 @@ def _docked(number: int, run: int, found: Calibration | None, log: LogWriter | N
     steered = by_executor(layout, robot, RATE, settings=settings, log=log)
     task = FieldTask("executor", robot.world.name, "wider", RATE, run)
     return field_outcome(task, layout, robot, steered)
-
-
-def _files(task: RobotTask) -> list[Path]:
-    folder = Path(task.folder)
-    return [folder / f"robot-{task.number:03d}-{run:02d}.jsonl" for run in range(task.recordings)]

@@ -21,6 +21,7 @@ from optdock.calibration.tube import conformal_rank, conformal_tube
 from optdock.cli import app
 from optdock.errors import InvalidFile, InvalidValue
 from optdock.executor import ExecutorSettings
+from optdock.geometry.footprint import Footprint
 from optdock.geometry.pose import Pose2, Twist2, displacement
 from optdock.ros.bag import BagMessage, bag_types, write_bag
 from optdock.ros.motion import odometry_message, pose_message, twist_message
@@ -203,6 +204,39 @@ def test_one_recording_and_none_that_docked():
         assert all(reason in one.reason for one in stored_dock(motion))
 
 
+@pytest.mark.parametrize("cycles", [0, 1, 2, 25, 60])
+def test_a_recording_that_ends_early_is_too_short_and_no_error(cycles):
+    one = drive(duration=2.0)
+    end = one.times[cycles]
+    told = {"odometry": one.odometry[:cycles], "odometry_twists": one.odometry_twists[:cycles]}
+    cut = one._replace(
+        times=one.times[:cycles], commands=one.commands[:cycles], twists=one.twists[:cycles], **told,
+        odometry_ages=one.odometry_ages[:cycles], localization=one.localization[one.localization[:, 0] < end],
+        detections=one.detections[one.detections[:, 0] < end], docked_at=None,
+    )  # fmt: skip
+    found = calibrate([cut])
+    for name in ("command latency, linear", "dead band, left wheel", "drive lag, angular", "twist window"):
+        assert any(part in found[name].reason for part in ("less than 4 s", "no poses", "was never told"))
+    as_text(found)
+
+
+def test_robots_that_differ_are_refused():
+    one = drive(duration=1.0, detections=False)
+    wide = dataclasses.replace(ROBOT, limits=dataclasses.replace(ROBOT.limits, track_width=0.5))
+    long = dataclasses.replace(ROBOT, footprint=Footprint.rectangle(0.3, 0.3, 0.6))
+    for other, message in ((wide, "track width of 0.5 m"), (long, "outline")):
+        with pytest.raises(InvalidValue, match=message):
+            calibrate([one, drive(seed=1, duration=1.0, detections=False, robot=other)])
+    faster = dataclasses.replace(ROBOT, limits=dataclasses.replace(ROBOT.limits, max_wheel_speed=0.7))
+    assert calibrate([one, drive(seed=1, duration=1.0, detections=False, robot=faster)])
+
+
+def test_a_drive_that_is_given_twice_is_refused():
+    one = drive(duration=1.0, detections=False)
+    with pytest.raises(InvalidValue, match=r"copy\.jsonl: is the same drive as drive-0"):
+        calibrate([one, one._replace(source="copy.jsonl")])
+
+
 def test_docks_that_differ_are_refused():
     with pytest.raises(InvalidValue, match="one dock at a time"):
         calibrate([drive(detections=False), drive(seed=1, stored=Pose2(0.0, 0.0, 0.0), detections=False)])
@@ -328,6 +362,9 @@ def test_recordings_that_lack_something_are_refused_by_name(tmp_path):
     one = drive(seed=6)
     with pytest.raises(InvalidFile, match="has no commands"):
         read_recording(bag_of(tmp_path / "no.mcap", one, without=("/cmd_vel",)))
+    once = one._replace(odometry=one.odometry[:1], odometry_twists=one.odometry_twists[:1])
+    with pytest.raises(InvalidFile, match="needs two messages at least, has 1"):
+        read_recording(bag_of(tmp_path / "once.mcap", once))
     with pytest.raises(InvalidFile, match="must be in frame base_link, is in map"):
         read_recording(bag_of(tmp_path / "other.mcap", one, base="map"))
 
