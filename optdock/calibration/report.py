@@ -23,7 +23,7 @@ _USES = {
     "scale of the way": "the executor learns it; multiply the wheels' radii by 1 + it in the base",
     "dead band, left wheel": "min_speed of the TrackingController, where it is more than that",
 }
-_LEAST = {"odometry_sigma": 0.001, "position_sigma": 0.001, "yaw_sigma": 0.001}  # [m/m^0.5], [m], [rad]
+_LEAST = {"position_sigma": 0.001, "yaw_sigma": 0.001}  # [m], [rad]
 
 
 def as_text(calibration: Calibration) -> str:
@@ -74,14 +74,16 @@ def written_values(calibration: Calibration) -> dict[str, dict[str, object]]:
 
 
 def _sigmas(calibration: Calibration) -> dict[str, object]:
-    """Settings that need nothing but one quantity each."""
+    """Settings that need nothing but one quantity each.
+
+    `odometry_sigma` is none of them: it is of wheels that do not slip, as the executor expects slip where it sees it,
+    and without slip odometry is more exact than detections can tell.
+    """
     executor: dict[str, object] = {}
     for key, name in _LEARNED.items():
         found = _found(calibration, name)
         if found is not None:  # of what is learned from 0 on: the value, and what is uncertain of it
             executor[key] = _rounded(math.hypot(found.value, found.half_width / 1.96))
-    if calibration.motion is not None:
-        executor["odometry_sigma"] = _rounded(max(calibration.motion.noise.slip, _LEAST["odometry_sigma"]))
     for key, name in _MEASURED.items():
         found = _found(calibration, name)
         if found is not None:
