@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import dataclasses
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
@@ -16,6 +15,7 @@ from optdock.calibration import calibrate, read_recording, written_values
 from optdock.executor import ExecutorSettings
 from optdock.executor.log import LogWriter
 from optdock.geometry.pose import Pose2
+from optdock.plugins import PluginChoice
 
 if TYPE_CHECKING:
     from experiments.docking.field.outcome import FieldOutcome
@@ -124,17 +124,20 @@ def _paired(task: RobotTask, run: int, found: Calibration) -> Paired:
 
 
 def _docked(number: int, run: int, found: Calibration | None, log: LogWriter | None = None) -> FieldOutcome:
-    """A fresh docking: with settings and stored dock of a calibration, or with the defaults and the dock as stored."""
+    """A fresh docking: with what a calibration has written, or with the defaults and the dock as stored."""
     layout, robot = set_down(hidden_robot(number), run)
-    settings = None
+    settings, controller = None, None
     if found is not None:
         values = written_values(found)
         settings = ExecutorSettings(**values.get("executor", {}))
-        with contextlib.suppress(KeyError):
+        if "controller" in values:
+            plugin, *parameters = values["controller"].items()
+            controller = PluginChoice(str(plugin[1]), dict(parameters))
+        if "dock" in values:
             pose = values["dock"]["pose"]
             assert isinstance(pose, list)
             dock = dataclasses.replace(layout.problem.dock, pose=Pose2(*pose))
             layout = layout._replace(problem=dataclasses.replace(layout.problem, dock=dock))
-    steered = by_executor(layout, robot, RATE, settings=settings, log=log)
+    steered = by_executor(layout, robot, RATE, controller=controller, settings=settings, log=log)
     task = FieldTask("executor", robot.world.name, "wider", RATE, run)
     return field_outcome(task, layout, robot, steered)

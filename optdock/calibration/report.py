@@ -21,7 +21,7 @@ _USES = {
     "detections late by": "the executor learns it; take it off the stamps in the detector's driver",
     "twist window": "hand in the odometry's poses (Measurements.odometry): a twist is late by half of it",
     "scale of the way": "the executor learns it; multiply the wheels' radii by 1 + it in the base",
-    "dead band, left wheel": "min_speed of the TrackingController, where it is more than that",
+    "dead band, left wheel": "the TrackingController tells such wheels more, bit by bit; its min_speed does so at once",
 }
 _LEAST = {"position_sigma": 0.001, "yaw_sigma": 0.001}  # [m], [rad]
 
@@ -55,7 +55,7 @@ def as_text(calibration: Calibration) -> str:
 
 
 def written_values(calibration: Calibration) -> dict[str, dict[str, object]]:
-    """Keys of a scenario (`dock`, `robot`) and of `ExecutorSettings` (`executor`), those alone that were found."""
+    """Keys of a scenario (`dock`, `robot`, `controller`) and of `ExecutorSettings` (`executor`), as far as found."""
     executor = _sigmas(calibration)
     values: dict[str, dict[str, object]] = {}
     x, y, yaw = (_found(calibration, f"stored dock, {part}") for part in ("x", "y", "yaw"))
@@ -68,6 +68,9 @@ def written_values(calibration: Calibration) -> dict[str, dict[str, object]]:
     tube = calibration.tube.tube
     if tube is not None:
         values["robot"] = {"tracking": {"cross": _rounded(tube.cross), "yaw": _rounded(tube.yaw)}}
+    latency, lag = (_found(calibration, f"{part}, linear") for part in ("command latency", "drive lag"))
+    if latency is not None and lag is not None:
+        values["controller"] = {"plugin": "TrackingController", "preview": _rounded(latency.value + lag.value)}
     if executor:
         values["executor"] = executor
     return values
@@ -106,7 +109,7 @@ def as_yaml(calibration: Calibration) -> str:
     """`written_values` as YAML, with the recordings that they are of."""
     head = "".join(f"#   {line}\n" for line in _lines(calibration))
     body = yaml.safe_dump(written_values(calibration), sort_keys=False, default_flow_style=None)
-    meaning = "# dock and robot: keys of a scenario; executor: ExecutorSettings.\n"
+    meaning = "# dock, robot and controller: keys of a scenario; executor: ExecutorSettings.\n"
     return f"# Made by optdock calibrate, of:\n{head}{meaning}{body}"
 
 
