@@ -56,7 +56,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parts = [coverage_table(judged)]
     if pairs:
         parts.append(paired_table(pairs))
-    if len(deviations) > 1:
+    if any(deviations):
         parts.append(tube_table(deviations, [one.deviation for one in pairs if one.deviation is not None], radius))
     text = "\n\n".join(parts)
     (options.out / "table.md").write_text(text + "\n", encoding="utf-8")

@@ -133,11 +133,14 @@ def _docked(number: int, run: int, found: Calibration | None, log: LogWriter | N
         if "controller" in values:
             plugin, *parameters = values["controller"].items()
             controller = PluginChoice(str(plugin[1]), dict(parameters))
+        problem = layout.problem
         if "dock" in values:
             pose = values["dock"]["pose"]
             assert isinstance(pose, list)
-            dock = dataclasses.replace(layout.problem.dock, pose=Pose2(*pose))
-            layout = layout._replace(problem=dataclasses.replace(layout.problem, dock=dock))
+            problem = dataclasses.replace(problem, dock=dataclasses.replace(problem.dock, pose=Pose2(*pose)))
+        if found.tube.tube is not None:
+            problem = dataclasses.replace(problem, robot=dataclasses.replace(problem.robot, tracking=found.tube.tube))
+        layout = layout._replace(problem=problem)
     steered = by_executor(layout, robot, RATE, controller=controller, settings=settings, log=log)
     task = FieldTask("executor", robot.world.name, "wider", RATE, run)
     return field_outcome(task, layout, robot, steered)

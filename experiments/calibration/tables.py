@@ -117,9 +117,11 @@ def tube_table(
 def _inside(
     shown: Sequence[tuple[float, float]], fresh: Sequence[tuple[float, float]], radius: float, coverage: float
 ) -> str:
+    if not fresh:
+        return "-"
     tube = conformal_tube(shown, radius, coverage).tube
     if tube is None:
         return f"cannot be told of {len(shown)} dockings"
     width = float(displacement(tube.cross, tube.yaw, radius)) * (1.0 + 1e-9)
     inside = sum(float(displacement(cross, yaw, radius)) <= width for cross, yaw in fresh)
-    return f"{inside}/{len(fresh)} = {100.0 * inside / max(len(fresh), 1):.1f} %"
+    return f"{inside}/{len(fresh)} = {100.0 * inside / len(fresh):.1f} %"
