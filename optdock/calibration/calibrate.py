@@ -50,11 +50,16 @@ class Calibration(NamedTuple):
     localization: LocalizationErrors | None
     tube: DrivenTube
 
-    def __getitem__(self, name: object) -> Quantity:  # type: ignore[override]
+    def quantity(self, name: str) -> Quantity:
+        """The quantity with a name, as in the report.
+
+        Raises:
+            InvalidValue: There is none.
+        """
         for one in self.quantities:
             if one.name == name:
                 return one
-        raise KeyError(name)
+        raise InvalidValue(f"calibration: no quantity is named {name!r}; see Calibration.quantities")
 
 
 def calibrate(
