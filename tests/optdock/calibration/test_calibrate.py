@@ -272,6 +272,9 @@ def test_too_few_dockings_tell_no_coverage():
     assert found.tube is None
     assert "99 are needed" in found.quantities[0].reason
     assert conformal_tube([(0.01, 0.01)] * 99, 0.4, 0.99).tube is not None
+    outlineless = conformal_tube([(0.01, 0.01)] * 99, 0.0, 0.99)  # as run files are
+    assert outlineless.tube is None
+    assert "outline" in outlineless.quantities[0].reason
 
 
 # Reports and files.
