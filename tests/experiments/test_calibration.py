@@ -17,6 +17,7 @@ from tests.optdock.calibration.conftest import drive
 @pytest.fixture(autouse=True)
 def few_cycles(monkeypatch):
     monkeypatch.setattr(module, "_CYCLES", 2000)
+    monkeypatch.setattr(module, "_MESSAGES", 2000)
 
 
 def with_drive(hidden, **changes):
