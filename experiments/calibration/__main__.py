@@ -3,7 +3,8 @@
     python -m experiments.calibration                             # 50 robots of 6 recordings, 2 fresh pairs each
     python -m experiments.calibration --robots 4 --fresh 1
 
-Writes results/calibration/: recordings, which are not driven again where they are there, intervals.csv and table.md.
+Writes results/calibration/: recordings, which are not driven again where they are there, intervals.csv, pairs.csv and
+table.md.
 """
 
 from __future__ import annotations
@@ -35,30 +36,39 @@ def main(arguments: Sequence[str] | None = None) -> int:
     for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):  # before NumPy is loaded
         os.environ.setdefault(name, "1")
     from experiments.calibration.robots import hidden_robot
-    from experiments.calibration.study import Judged, RobotTask, calibrated, driven
+    from experiments.calibration.study import Judged, RobotTask, studied
     from experiments.calibration.tables import coverage_table, paired_table, tube_table
+    from experiments.docking.field.outcome import FieldOutcome
 
     options.out.mkdir(parents=True, exist_ok=True)
     tasks = [RobotTask(number, options.recordings, options.fresh, str(options.out)) for number in range(options.robots)]
     with ProcessPoolExecutor(options.jobs, get_context("spawn")) as pool:
-        deviations = list(pool.map(driven, tasks))
-        found = list(pool.map(calibrated, tasks))
-    judged = [one for robot, _ in found for one in robot]
-    pairs = [one for _, robot in found for one in robot]
-    with (options.out / "intervals.csv").open("w", newline="", encoding="utf-8") as file:
-        writer = csv.writer(file)
-        writer.writerow(Judged._fields)
-        writer.writerows(judged)
+        found = []
+        for robot in pool.map(studied, tasks):
+            found.append(robot)
+            sys.stderr.write(f"\r{len(found)} of {len(tasks)} robots")
+    judged, pairs = [one for robot in found for one in robot.judged], [one for robot in found for one in robot.pairs]
+    deviations = [robot.deviations for robot in found]
+    _write(options.out / "intervals.csv", Judged._fields, judged)
+    rows = [(one.robot, one.run, name, *outcome) for one in pairs for name, outcome in one.outcomes]
+    _write(options.out / "pairs.csv", ("robot", "run", "settings", *FieldOutcome._fields), rows)
     radius = hidden_robot(0).layout.problem.robot.footprint.circumscribed_radius
     parts = [coverage_table(judged)]
     if pairs:
         parts.append(paired_table(pairs))
-    if len(deviations) > 1:
-        parts.append(tube_table(deviations, radius))
+    if any(deviations):
+        parts.append(tube_table(deviations, [one.deviation for one in pairs if one.deviation is not None], radius))
     text = "\n\n".join(parts)
     (options.out / "table.md").write_text(text + "\n", encoding="utf-8")
     sys.stdout.write(text + "\n")
     return 0
+
+
+def _write(file: Path, head: Sequence[str], rows: Sequence[tuple[object, ...]]) -> None:
+    with file.open("w", newline="", encoding="utf-8") as target:
+        writer = csv.writer(target)
+        writer.writerow(head)
+        writer.writerows(rows)
 
 
 if __name__ == "__main__":

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import dataclasses
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
@@ -16,12 +15,13 @@ from optdock.calibration import calibrate, read_recording, written_values
 from optdock.executor import ExecutorSettings
 from optdock.executor.log import LogWriter
 from optdock.geometry.pose import Pose2
+from optdock.plugins import PluginChoice
 
 if TYPE_CHECKING:
     from experiments.docking.field.outcome import FieldOutcome
-    from optdock.calibration import Calibration
+    from optdock.calibration import Calibration, ReadFile
 
-__all__ = ["RATE", "Judged", "Paired", "RobotTask", "calibrated", "driven"]
+__all__ = ["RATE", "Judged", "Paired", "RobotTask", "Studied", "studied"]
 
 RATE = 50.0  # [Hz]
 _FRESH = 1000  # number of the first run that nothing was calibrated with
@@ -54,65 +54,93 @@ class Judged(NamedTuple):
 
 
 class Paired(NamedTuple):
-    """A fresh docking of one robot, with the defaults and with what the calibration wrote."""
+    """A fresh docking of one robot, with the defaults and with what the calibration wrote.
+
+    Attributes:
+        robot: Which.
+        run: From which start, with which noise.
+        before: With the defaults.
+        after: With what was written.
+        deviation: How far the one with the defaults was off its path, see `ReadFile`.
+    """
 
     robot: int
     run: int
     before: FieldOutcome
     after: FieldOutcome
+    deviation: tuple[float, float] | None
+
+    @property
+    def outcomes(self) -> tuple[tuple[str, FieldOutcome], tuple[str, FieldOutcome]]:
+        """Both, by the names of their settings."""
+        return ("defaults", self.before), ("calibrated", self.after)
 
 
-def driven(task: RobotTask) -> list[tuple[float, float]]:
-    """Drive what is not recorded yet, and return how far each docking was off its path, driven again."""
-    hidden = hidden_robot(task.number)
-    found = []
-    for run, file in enumerate(_files(task)):
-        if not file.exists():
-            layout, robot = set_down(hidden, run)
-            part = file.with_suffix(".part")
-            with LogWriter(part) as log:
-                by_executor(layout, robot, RATE, log=log)
-            part.rename(file)
-        deviation = read_recording(file).deviation
-        if deviation is not None:
-            found.append(deviation)
-    return found
+class Studied(NamedTuple):
+    """What came of one robot.
+
+    Attributes:
+        deviations: Of its recordings, see `ReadFile`; of fewer where one could not be driven again.
+        judged: All quantities whose truth is known.
+        pairs: Its fresh dockings.
+    """
+
+    deviations: list[tuple[float, float]]
+    judged: list[Judged]
+    pairs: list[Paired]
 
 
-def calibrated(task: RobotTask) -> tuple[list[Judged], list[Paired]]:
-    """Calibrate a robot with its recordings, compare with what is true, and dock by pairs."""
-    read = [read_recording(file) for file in _files(task)]
-    found = calibrate([one.recording for one in read], [one.deviation for one in read if one.deviation is not None])
-    known = truths(hidden_robot(task.number), RATE)
+def studied(task: RobotTask) -> Studied:
+    """Drive what is not recorded yet, calibrate, compare with what is true, and dock by pairs."""
+    hidden, read = hidden_robot(task.number), [_recorded(task, run) for run in range(task.recordings)]
+    deviations = [one.deviation for one in read if one.deviation is not None]
+    found = calibrate([one.recording for one in read], deviations)
+    known = truths(hidden, RATE)
     judged = [
         Judged(task.number, one.name, known[one.name], one.value, one.low, one.high, one.reason)
         for one in found.quantities
         if one.name in known
     ]
-    return judged, [_paired(task.number, _FRESH + run, found) for run in range(task.fresh)]
+    return Studied(deviations, judged, [_paired(task, _FRESH + run, found) for run in range(task.fresh)])
 
 
-def _paired(number: int, run: int, found: Calibration) -> Paired:
-    return Paired(number, run, _docked(number, run, None), _docked(number, run, found))
+def _recorded(task: RobotTask, run: int) -> ReadFile:
+    file = Path(task.folder) / f"robot-{task.number:03d}-{run:02d}.jsonl"
+    if not file.exists():
+        layout, robot = set_down(hidden_robot(task.number), run)
+        part = file.with_suffix(".part")
+        with LogWriter(part) as log:
+            by_executor(layout, robot, RATE, log=log)
+        part.rename(file)
+    return read_recording(file)
 
 
-def _docked(number: int, run: int, found: Calibration | None) -> FieldOutcome:
-    """A fresh docking: with settings and stored dock of a calibration, or with the defaults and the dock as stored."""
+def _paired(task: RobotTask, run: int, found: Calibration) -> Paired:
+    file = Path(task.folder) / f"fresh-{task.number:03d}-{run:02d}.jsonl"
+    with LogWriter(file) as log:
+        before = _docked(task.number, run, None, log)
+    after = _docked(task.number, run, found)
+    return Paired(task.number, run, before, after, read_recording(file).deviation)
+
+
+def _docked(number: int, run: int, found: Calibration | None, log: LogWriter | None = None) -> FieldOutcome:
+    """A fresh docking: with what a calibration has written, or with the defaults and the dock as stored."""
     layout, robot = set_down(hidden_robot(number), run)
-    settings = None
+    settings, controller = None, None
     if found is not None:
         values = written_values(found)
         settings = ExecutorSettings(**values.get("executor", {}))
-        with contextlib.suppress(KeyError):
+        if "controller" in values:
+            plugin, *parameters = values["controller"].items()
+            controller = PluginChoice(str(plugin[1]), dict(parameters))
+        problem = layout.problem
+        if "dock" in values:
             pose = values["dock"]["pose"]
             assert isinstance(pose, list)
-            dock = dataclasses.replace(layout.problem.dock, pose=Pose2(*pose))
-            layout = layout._replace(problem=dataclasses.replace(layout.problem, dock=dock))
-    steered = by_executor(layout, robot, RATE, settings=settings)
+            problem = dataclasses.replace(problem, dock=dataclasses.replace(problem.dock, pose=Pose2(*pose)))
+        if found.tube.tube is not None:
+            problem = dataclasses.replace(problem, robot=dataclasses.replace(problem.robot, tracking=found.tube.tube))
+        layout = layout._replace(problem=problem)
+    steered = by_executor(layout, robot, RATE, controller=controller, settings=settings, log=log)
     task = FieldTask("executor", robot.world.name, "wider", RATE, run)
     return field_outcome(task, layout, robot, steered)
-
-
-def _files(task: RobotTask) -> list[Path]:
-    folder = Path(task.folder)
-    return [folder / f"robot-{task.number:03d}-{run:02d}.jsonl" for run in range(task.recordings)]

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from optdock.calibration.tube import conformal_rank, conformal_tube
+from optdock.calibration.tube import conformal_tube
 from optdock.geometry.pose import displacement
 from optdock.report import table
 
@@ -42,9 +42,6 @@ def coverage_table(judged: Sequence[Judged]) -> str:
     inside = sum(one.inside for one in told)
     rows.append(("all", f"{inside}/{len(told)} = {100.0 * inside / max(len(told), 1):.1f} %", "", "", "", ""))
     return table(rows)
-
-
-_HEAD = "", "good", "false docked", "collisions", "across p95, mm", "yaw p95, deg", "along p95, mm", "time p50, s"
 
 
 def paired_table(pairs: Sequence[Paired]) -> str:
@@ -87,27 +84,44 @@ def _row(name: str, found: Sequence[FieldOutcome]) -> tuple[str, ...]:
     )
 
 
-def tube_table(deviations: Sequence[Sequence[tuple[float, float]]], radius: float) -> str:
-    """How often fresh dockings stay in the tube that dockings of other robots have shown, for several coverages.
+def tube_table(
+    deviations: Sequence[Sequence[tuple[float, float]]], fresh: Sequence[tuple[float, float]], radius: float
+) -> str:
+    """How often dockings stay in the tube that others have shown, for several coverages.
 
-    Half of the robots show the tube, the other half drive afresh: dockings of one robot are alike, so that the
-    coverage holds for robots drawn at random.
+    Fresh dockings are of the robots that have shown the tube with all of their recordings. The second check is harder:
+    half of the robots show a tube, and the recordings of the other half are held against it.
 
     Args:
-        deviations: Of each robot, of each of its dockings: largest distance across [m] and turn [rad].
+        deviations: Of each robot, of each of its recordings: largest distance across [m] and turn [rad].
+        fresh: Likewise of fresh dockings of all robots.
         radius: Circumscribed radius of the footprint [m].
     """
-    shown = [one for robot in deviations[::2] for one in robot]
-    fresh = np.array([displacement(cross, yaw, radius) for robot in deviations[1::2] for cross, yaw in robot])
-    rows = [("asked for", "tube, cross", "tube, yaw", "fresh dockings inside")]
+    every, half = ([one for robot in part for one in robot] for part in (deviations, deviations[::2]))
+    others = [one for robot in deviations[1::2] for one in robot]
+    rows = [("asked for", "tube, cross", "tube, yaw", "fresh dockings inside", "those of robots never seen")]
     for coverage in (0.8, 0.9, 0.95, 0.99):
-        if conformal_rank(len(shown), coverage) > len(shown):
-            rows.append((f"{coverage:.0%}", "-", "-", f"cannot be told of {len(shown)} dockings"))
-            continue
-        tube = conformal_tube(shown, radius, coverage).tube
-        assert tube is not None
-        width = float(displacement(tube.cross, tube.yaw, radius))
-        inside = int(np.sum(fresh <= width * (1.0 + 1e-9)))
-        share = f"{inside}/{len(fresh)} = {100.0 * inside / len(fresh):.1f} %"
-        rows.append((f"{coverage:.0%}", f"{tube.cross:.4f} m", f"{tube.yaw:.4f} rad", share))
+        tube = conformal_tube(every, radius, coverage).tube
+        width = ("-", "-") if tube is None else (f"{tube.cross:.4f} m", f"{tube.yaw:.4f} rad")
+        rows.append(
+            (
+                f"{coverage:.0%}",
+                *width,
+                _inside(every, fresh, radius, coverage),
+                _inside(half, others, radius, coverage),
+            )
+        )
     return table(rows)
+
+
+def _inside(
+    shown: Sequence[tuple[float, float]], fresh: Sequence[tuple[float, float]], radius: float, coverage: float
+) -> str:
+    if not fresh:
+        return "-"
+    tube = conformal_tube(shown, radius, coverage).tube
+    if tube is None:
+        return f"cannot be told of {len(shown)} dockings"
+    width = float(displacement(tube.cross, tube.yaw, radius)) * (1.0 + 1e-9)
+    inside = sum(float(displacement(cross, yaw, radius)) <= width for cross, yaw in fresh)
+    return f"{inside}/{len(fresh)} = {100.0 * inside / len(fresh):.1f} %"

@@ -5,6 +5,8 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING, NamedTuple
 
+import numpy as np
+
 from optdock.calibration.detections import detection_quantities
 from optdock.calibration.drive import drive_response
 from optdock.calibration.localization import localization_errors, stored_dock
@@ -48,11 +50,16 @@ class Calibration(NamedTuple):
     localization: LocalizationErrors | None
     tube: DrivenTube
 
-    def __getitem__(self, name: object) -> Quantity:  # type: ignore[override]
+    def quantity(self, name: str) -> Quantity:
+        """The quantity with a name, as in the report.
+
+        Raises:
+            InvalidValue: There is none.
+        """
         for one in self.quantities:
             if one.name == name:
                 return one
-        raise KeyError(name)
+        raise InvalidValue(f"calibration: no quantity is named {name!r}; see Calibration.quantities")
 
 
 def calibrate(
@@ -69,13 +76,16 @@ def calibrate(
         coverage: The probability that another docking stays inside the tube.
 
     Raises:
-        InvalidValue: There is no recording, the coverage is not between 0 and 1, or the docks are different ones.
+        InvalidValue: There is no recording, the coverage is not between 0 and 1, robots or docks are different ones, or
+            a drive is given twice.
     """
     if not recordings:
         raise InvalidValue("calibrate: needs a recording at least")
     if not 0.0 < coverage < 1.0:
         raise InvalidValue(f"coverage: must be > 0 and < 1, got {coverage}")
+    _check_robots(recordings)
     _check_docks(recordings)
+    _check_drives(recordings)
     response = drive_response(recordings)
     motion = smoothed(recordings)
     robots = [one.robot for one in recordings if one.robot is not None]
@@ -123,3 +133,25 @@ def _check_docks(recordings: Sequence[Recording]) -> None:
                 f"{one.source}: its dock is stored at {one.stored.brief}, that of {first[0].source} at "
                 f"{first[1].brief}; calibrate one dock at a time"
             )
+
+
+def _check_robots(recordings: Sequence[Recording]) -> None:
+    """Limits may have been changed from one drive to the next, outline and wheels not."""
+    known = [(one.source, one.robot) for one in recordings if one.robot is not None]
+    for source, robot in known[1:]:
+        first, other = known[0]
+        if robot.drive is not other.drive or not np.array_equal(robot.footprint.vertices, other.footprint.vertices):
+            raise InvalidValue(f"{source}: its robot has another drive or outline than that of {first}")
+        width, others = robot.limits.track_width, other.limits.track_width
+        if width != others:
+            raise InvalidValue(f"{source}: its robot has a track width of {width:g} m, that of {first} {others:g} m")
+
+
+def _check_drives(recordings: Sequence[Recording]) -> None:
+    """A drive that counts twice would make intervals narrow that are not."""
+    seen: dict[bytes, str] = {}
+    for one in recordings:
+        key = one.times.tobytes() + one.commands.tobytes() + one.twists.tobytes() + one.odometry.tobytes()
+        if key in seen:
+            raise InvalidValue(f"{one.source}: is the same drive as {seen[key]}")
+        seen[key] = one.source

@@ -12,7 +12,7 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from optdock.calibration.motion import Motion, Noise, Seen, Smoothed
-    from optdock.geometry.arrays import FloatArray
+    from optdock.geometry.arrays import FloatArray, IntArray
 
 __all__ = ["DetectionNoise", "detection_noise", "detection_quantities", "noise_of"]
 
@@ -20,6 +20,7 @@ __all__ = ["DetectionNoise", "detection_noise", "detection_quantities", "noise_o
 _WRONG = 0.08, 0.15  # [m], [rad]
 _LEAST = 2e-4  # [m], [rad]: no detector is better
 _FLOOR = 1e-12
+_STRETCH = 1.0  # [s]: slip lasts for less
 
 
 class DetectionNoise(NamedTuple):
@@ -45,7 +46,8 @@ def detection_noise(seen: Sequence[Seen]) -> DetectionNoise:
     """Standard deviations of detections by maximum likelihood.
 
     A detection is a right one, with standard deviations that grow with the range and, by the jitter of its stamp, with
-    the speed; or a wrong one, with large ones. The covariance is the sandwich of single detections.
+    the speed; or a wrong one, with large ones. The covariance is the sandwich of [Cameron2015], clustered by stretches
+    of a second: what the wheels have slipped and the smoothed motion has not is in all detections of one.
     """
     from scipy.optimize import minimize
 
@@ -81,7 +83,7 @@ def detection_noise(seen: Sequence[Seen]) -> DetectionNoise:
     z = found.x
     right, wrong = parts(z * scale)
     values = z * scale
-    covariance = _sandwich(each, z)[:5, :5] * np.outer(scale[:5], scale[:5])
+    covariance = _sandwich(each, z, _stretches(seen))[:5, :5] * np.outer(scale[:5], scale[:5])
     position, position_slope, yaw, yaw_slope, square = values[:5].tolist()
     noise = Noise(position, position_slope, yaw, yaw_slope, max(square, 0.0) ** 0.5)
     return DetectionNoise(noise, covariance, 1.0 / (1.0 + np.exp(np.clip(right - wrong, -50, 50))))
@@ -94,8 +96,19 @@ def _variances(x: FloatArray, ranges: FloatArray, velocity: FloatArray) -> Float
     return np.maximum(found, _LEAST**2)
 
 
-def _sandwich(each: object, z: FloatArray) -> FloatArray:
-    """Covariance of a maximum likelihood estimate."""
+def _stretches(seen: Sequence[Seen]) -> IntArray:
+    """Of each detection: which stretch of which recording it is of."""
+    found: list[IntArray] = []
+    count = 0
+    for one in seen:
+        number = np.floor((one.stamps - np.min(one.stamps, initial=np.inf)) / _STRETCH).astype(np.intp) + count
+        count = int(number.max()) + 1 if len(number) else count
+        found.append(number)
+    return np.concatenate(found)
+
+
+def _sandwich(each: object, z: FloatArray, clusters: IntArray) -> FloatArray:
+    """Covariance of a maximum likelihood estimate whose terms depend on each other within clusters."""
     assert callable(each)
     step = 1e-3 * np.maximum(np.abs(z), 0.1)
     count = len(z)
@@ -111,7 +124,9 @@ def _sandwich(each: object, z: FloatArray) -> FloatArray:
             for k, row in enumerate(np.diag(10.0 * step))
         ]
     )
-    scores = slopes(z)
+    single = slopes(z)
+    scores = np.zeros((int(clusters.max()) + 1, count))
+    np.add.at(scores, clusters, single)
     inverse = np.linalg.pinv(-0.5 * (curvature + curvature.T), rcond=1e-10)
     found: FloatArray = inverse @ (scores.T @ scores) @ inverse
     assert found.shape == (count, count)

@@ -30,6 +30,7 @@ __all__ = ["DriveResponse", "answered", "drive_response"]
 _GRID = 0.005  # [s]: a tenth of the shortest lag of motors, so that the grid is no part of the answer
 _SPAN = 0.1  # [s] of a residual: longer than the stamps of odometry jitter, shorter than any change of speed
 _CLUSTER = 2.0  # [s]: residuals further apart than that have nothing in common, as the answer to a command takes less
+_LEAST_CLUSTERS = 3  # with fewer of them an interval is that of one degree of freedom: 13 standard deviations
 # Latency [s], lag [s], gain [1], and the square of half the spread of the latency [s^2], from which the answer depends
 # evenly down to 0.
 _GUESS, _SCALE = (0.08, 0.1, 1.0, 5e-4), (0.02, 0.02, 0.02, 1e-3)
@@ -67,16 +68,11 @@ class _Axis(NamedTuple):
 
 def drive_response(recordings: Sequence[Recording]) -> DriveResponse:
     """Latency and lag of the drive, and the dead bands of its wheels, from commands against the odometry."""
-    used = [one for one in recordings if len(one.path.times) > 20]
-    width = used[0].track_width if used else 0.0
-    bands, found_bands = (
-        (0.0, 0.0),
-        [
-            unknown(f"dead band, {name} wheel", "m/s", "the distance between the wheels, track_width, is not known")
-            for _, name in _SIDES
-        ],
-    )
-    if width > 0.0:
+    used = [one for one in recordings if len(one.path.times) > 20 and len(_axis(one, 0, (0.0, 0.0), 0.0).first)]
+    width = max((one.track_width for one in used), default=0.0)
+    bands, reason = (0.0, 0.0), _no_dead_bands(used, width)
+    found_bands = [unknown(f"dead band, {name} wheel", "m/s", reason) for _, name in _SIDES]
+    if not reason:
         for _ in range(2):  # with latency and lag of a drive without bands, and then of one with those
             found_bands = _dead_bands(used, bands, width)
             left, right = (one.value if one else 0.0 for one in found_bands)
@@ -93,6 +89,20 @@ def drive_response(recordings: Sequence[Recording]) -> DriveResponse:
 
 
 _SIDES = (-1.0, "left"), (1.0, "right")
+
+
+def _no_dead_bands(used: list[Recording], width: float) -> str:
+    """Why dead bands cannot be told; empty where they can."""
+    if used and width == 0.0:
+        return "the distance between the wheels, robot.limits.track_width, is not known"
+    return _too_short([_axis(one, 0, (0.0, 0.0), 0.0) for one in used])
+
+
+def _too_short(axes: list[_Axis]) -> str:
+    """Why intervals cannot be told of so few residuals; empty where they can."""
+    if axes and len(np.unique(_clusters(axes))) >= _LEAST_CLUSTERS:
+        return ""
+    return f"commands and odometry were recorded for less than {_CLUSTER * (_LEAST_CLUSTERS - 1):g} s"
 
 
 def answered(times: FloatArray, commands: FloatArray, values: Sequence[float], at: FloatArray) -> FloatArray:
@@ -134,9 +144,11 @@ def _fitted(axes: list[_Axis], name: str, least_change: float) -> tuple[Fit | No
     rows = [(f"command latency, {name}", "s"), (f"drive lag, {name}", "s")]
     count = sum(len(axis.first) for axis in axes)
     changes = max((float(np.ptp(axis.commands)) for axis in axes), default=0.0)
-    if changes < least_change:
+    reason = _too_short(axes)
+    if axes and changes < least_change:
         reason = "the robot was never told to turn" if name == "angular" else "the robot was never told to drive"
-        return None, [unknown(row, unit, reason) for row, unit in rows]
+    if reason:
+        return None, [unknown(row, unit, reason, count) for row, unit in rows]
     clusters = _clusters(axes)
     found = fit(lambda values: _residuals(axes, values), _GUESS, clusters, _SCALE, bounds=_BOUNDS)
     sources = sum(float(np.ptp(axis.commands)) >= least_change for axis in axes)

@@ -26,7 +26,7 @@ class ReadFile(NamedTuple):
     Attributes:
         recording: The drive.
         deviation: Largest distance across the path [m] and largest turn off it [rad], driven again; None: no docking,
-            or not driven again as it was.
+            one that has not ended or that drove along no path, or not driven again as it was.
     """
 
     recording: Recording
@@ -89,13 +89,13 @@ def _deviation_of_run(run: RunColumns) -> tuple[float, float] | None:
 def _deviation_of_log(log: DockingLog) -> tuple[float, float] | None:
     from optdock.executor.replay import replay
 
-    if log.task.task != "dock":
+    if log.task.task != "dock" or log.cycles[-1].ending is None:
         return None
     try:
         again = replay(log)
     except OptdockError:  # of a plugin that is not installed here, or another version of it
         return None
-    return again.off_path if again else None
+    return again.off_path if again and again.off_path != (0.0, 0.0) else None
 
 
 def _format_of(source: Path) -> str:

@@ -27,7 +27,9 @@ _RIGHT = 4.0  # standard deviations: detections that are farther off are wrong o
 _BIN = 0.5  # [s]: medians over so long are exact to millimetres, and few localizations are told more slowly
 _SIDE = 2  # bins on either side whose means are compared for a jump
 _GAP = 1.5  # [s] between two bins, after which a change may be drift
-_LEAST_JUMP = 0.025  # [m]: AMCL drifts by less than that in a second
+_LEAST_JUMP = 0.025  # [m]: AMCL drifts by less than that in a second, mostly; else see `_by_drift`
+_MOST_JUMP = 0.04  # [m]: where no less can be told from drift, jumps as particle filters make them cannot be counted
+_TIMES_DRIFT = 3.5  # standard deviations of drift: by chance one change of 500 is more, of a hundred that are looked at
 _BY_CHANCE = 3.5  # standard deviations of a change that detections make up
 _EVERY = 1.0  # [s] between the values that the spread is computed of: their errors last for seconds
 _LEAST = 12  # values in all
@@ -136,19 +138,26 @@ def localization_errors(motion: Motion) -> LocalizationErrors:
     first = float(docks[0, 2])
     dock = np.array([*np.median(docks[:, :2], axis=0), first + float(np.median(_wrapped(docks[:, 2] - first)))])
     series = [_binned(one, dock, _BIN) for one in found]
-    jumps = [_jumps(rows) for rows in series]
+    least = _by_drift(series)
+    jumps = [_jumps(rows, least) for rows in series]
     sizes = np.array([size for one in jumps for _, size in one])
     steps = np.concatenate([np.diff(rows[:, 0]) for rows in series])
-    exposure, count = max(float(np.sum(steps[steps < _GAP])), _BIN), sum(map(len, series))
+    exposure = max(float(np.sum(steps[steps < _GAP])), _BIN)
     thin = [_binned(one, dock, _EVERY) for one in found]
     cut = [[stamp for stamp, _ in one] for one in jumps]
     quantities = [
         _spread(names[0], thin, cut, (1, 2)),
         _spread(names[1], thin, cut, (3,)),
-        Quantity(*names[2], *poisson_rate(len(sizes), exposure), count, len(series)),
+        _rate(names[2], len(sizes), exposure, least, len(series)),
         _size(names[3], sizes, exposure, len(series)),
     ]
     return LocalizationErrors(quantities, [rows[:, :4] for rows in series])
+
+
+def _rate(name: tuple[str, str], jumps: int, exposure: float, least: float, sources: int) -> Quantity:
+    if least > _MOST_JUMP:
+        return unknown(*name, f"the localization wanders: no jump of less than {least:.2f} m could be told from that")
+    return Quantity(*name, *poisson_rate(jumps, exposure), jumps, sources)
 
 
 def _size(name: tuple[str, str], sizes: FloatArray, exposure: float, sources: int) -> Quantity:
@@ -208,15 +217,30 @@ def _binned(one: Placed, dock: FloatArray, width: float) -> FloatArray:
     return np.array(rows)
 
 
-def _jumps(rows: FloatArray) -> list[tuple[float, float]]:
+def _by_drift(series: list[FloatArray]) -> float:
+    """The size from which on a change is a jump [m]: changes by drift have the median that all of them have."""
+    changes = np.array([size for rows in series for _, size, _ in _changes(rows)])
+    if len(changes) == 0:
+        return _LEAST_JUMP
+    sigma = float(np.median(changes)) / math.sqrt(2.0 * math.log(2.0))  # of x and y each: a length is Rayleigh's
+    return max(_LEAST_JUMP, _TIMES_DRIFT * sigma)
+
+
+def _changes(rows: FloatArray) -> list[tuple[int, float, float]]:
+    """Rows, how far the means before and after are apart, and by how much they are by chance, x and y each [m]."""
+    found = []
+    for k in range(_SIDE, len(rows) - _SIDE + 1):
+        (before, one), (after, other) = _mean(rows[k - _SIDE : k]), _mean(rows[k : k + _SIDE])
+        if rows[k, 0] - rows[k - 1, 0] < _GAP:
+            found.append((k, math.hypot(*(after - before).tolist()), math.sqrt(one + other)))
+    return found
+
+
+def _jumps(rows: FloatArray, least: float) -> list[tuple[float, float]]:
     """Stamps and sizes [s, m] of jumps: where the means before and after differ, and most near by."""
     steps = np.zeros(len(rows))
-    for k in range(_SIDE, len(rows) - _SIDE + 1):
-        sides = slice(k - _SIDE, k), slice(k, k + _SIDE)
-        (before, _), (after, _) = means = [_mean(rows[side]) for side in sides]
-        chance = math.sqrt(means[0][1] + means[1][1])
-        size = math.hypot(*(after - before).tolist())
-        if rows[k, 0] - rows[k - 1, 0] < _GAP and size > max(_LEAST_JUMP, _BY_CHANCE * chance):
+    for k, size, chance in _changes(rows):
+        if size > max(least, _BY_CHANCE * chance):
             steps[k] = size
     around = [float(np.max(steps[max(0, k - _SIDE) : k + _SIDE + 1])) for k in range(len(steps))]
     return [(float(rows[k, 0]), float(steps[k])) for k in np.flatnonzero((steps > 0.0) & (steps >= np.array(around)))]
@@ -235,32 +259,41 @@ def _spread(
     """Standard deviation of an error that drifts: a Gauss-Markov process, by maximum likelihood.
 
     Its correlation time and a white part, beside that of the detections, are estimated too; the dock and what each jump
-    has added are not known. The interval is that of the profile of the likelihood ([Pawitan2001] ch. 3).
+    has added are not known. The interval is that of the profile of the likelihood ([Pawitan2001] ch. 3). A jump while
+    the dock was not seen moves all that a recording shows; so the lower bound is that of a model in which recordings
+    are off by offsets of their own, whose standard deviation is one more unknown.
     """
     from scipy.optimize import brentq, minimize_scalar
 
     process = _Process(series, jumps, columns)
     lowest, highest = _LIMITS
 
-    def profile(logarithm: float) -> float:
-        return process.profile(math.exp(logarithm))
+    def bound(limit: float, *, offsets: bool) -> tuple[float, float]:
+        """The best standard deviation, and the end of its interval towards a limit, as logarithms."""
 
-    best = minimize_scalar(profile, bounds=(lowest, highest), method="bounded", options={"xatol": 0.02})
-    # How far the likelihood falls to the ends: Student's quantile instead of the normal one, as recordings are few.
-    level, at = float(best.fun) + 0.5 * student(max(len(series) - 1.0, 1.0)) ** 2, float(best.x)
-    ends = [
-        limit if profile(limit) < level else float(brentq(lambda x: profile(x) - level, limit, at, xtol=0.02))
-        for limit in (lowest, highest)
-    ]
+        def profile(logarithm: float) -> float:
+            return process.profile(math.exp(logarithm), offsets=offsets)
+
+        best = minimize_scalar(profile, bounds=(lowest, highest), method="bounded", options={"xatol": 0.02})
+        # How far the likelihood falls to the end: Student's quantile instead of the normal one, as recordings are few.
+        level, at = float(best.fun) + 0.5 * student(max(len(series) - 1.0, 1.0)) ** 2, float(best.x)
+        if profile(limit) < level:
+            return at, limit
+        return at, float(brentq(lambda x: profile(x) - level, limit, at, xtol=0.02))
+
+    at, high = bound(highest, offsets=False)
     count = sum(map(len, series))
-    if ends[1] >= highest:
-        return unknown(*name, f"{len(series)} recordings are too short for an error that lasts for seconds", count)
-    return Quantity(*name, math.exp(at), math.exp(ends[0]), math.exp(ends[1]), count, len(series))
+    if high >= highest:
+        reason = f"{count} s with detections, in {len(series)} drives, are too few for errors that last"
+        return unknown(*name, reason, count)
+    low = min(bound(lowest, offsets=True)[1], at)
+    return Quantity(*name, math.exp(at), math.exp(low), math.exp(high), count, len(series))
 
 
 _LIMITS = math.log(3e-4), math.log(0.3)  # [m] or [rad], of the standard deviation that is looked for
-_OTHERS = (math.log(1.0), math.log(60.0)), (math.log(2e-4), math.log(0.01))  # of correlation time and white part
-_GUESS = math.log(10.0), math.log(0.003)  # likewise: as AMCL drifts, and as a second of detections is exact
+# Of correlation time, white part and offsets of recordings.
+_OTHERS = (math.log(1.0), math.log(60.0)), (math.log(2e-4), math.log(0.01)), (math.log(2e-4), math.log(0.2))
+_GUESS = math.log(10.0), math.log(0.003), math.log(0.01)  # as AMCL drifts, and as a second of detections is exact
 
 
 class _Process:
@@ -279,20 +312,22 @@ class _Process:
                 after = ((number == k) & (rows[:, 0] >= stamp)).astype(np.float64)
                 self._known += _UNKNOWN**2 * np.multiply.outer(after, after)
 
-    def profile(self, sigma: float) -> float:
+    def profile(self, sigma: float, *, offsets: bool) -> float:
         """Negative logarithm of the likelihood of a standard deviation, with the others as fit best."""
         from scipy.optimize import minimize
 
         def misfit(others: FloatArray) -> float:
             return self._misfit(sigma, others)
 
-        return float(minimize(misfit, np.array(_GUESS), method="L-BFGS-B", bounds=_OTHERS).fun)
+        count = 3 if offsets else 2
+        return float(minimize(misfit, np.array(_GUESS[:count]), method="L-BFGS-B", bounds=_OTHERS[:count]).fun)
 
     def _misfit(self, sigma: float, others: FloatArray) -> float:
         from scipy.linalg import cho_factor, cho_solve
 
-        lasting, white = np.exp(others).tolist()
-        drifting = sigma**2 * self._together * np.exp(-self._apart / lasting)
+        lasting, white, *offsets = np.exp(others).tolist()
+        lasts = sigma**2 * np.exp(-self._apart / lasting) + sum(offset**2 for offset in offsets)
+        drifting = self._together * lasts
         factor = cho_factor(self._known + drifting + self._seen + white**2 * np.eye(len(self._apart)), lower=True)
         fits = float(np.sum(self._values * cho_solve(factor, self._values)))
         size: int = self._values.shape[1]

@@ -21,6 +21,7 @@ _LONGEST = 1.0  # [s]: a twist that is older steers no robot
 _LEAST_ACCELERATION = 0.05  # [m/s]: of a speed that changes by less, means over different windows are the same
 _ROUGH = 0.1  # of the time between two poses
 _CLUSTER = 2.0  # [s]: longer than the windows
+_LEAST_CLUSTERS = 3  # with fewer of them an interval is that of one degree of freedom: 13 standard deviations
 _SPAN = 0.3  # [s] of a residual: longer than the usual windows, so that all of a change of speed is in it
 _GRID = 0.002  # [s]: half of the jitter of stamps
 _LEVER = 0.3  # [m] by which yaw rates are compared with speeds: about half of a robot's width
@@ -37,6 +38,8 @@ def twist_window(recordings: Sequence[Recording]) -> Quantity:
         return unknown(name, unit, "the speed of the robot never changed")
     parts = [_Increments(one) for one in used]
     clusters = _clusters(parts)
+    if len(np.unique(clusters)) < _LEAST_CLUSTERS:
+        return unknown(name, unit, f"the odometry was recorded for less than {_CLUSTER * (_LEAST_CLUSTERS - 1):g} s")
 
     def residuals(values: FloatArray) -> FloatArray:
         return np.concatenate([part.residuals(float(values[0])) for part in parts])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -93,6 +94,7 @@ def recording_of_log(log: DockingLog) -> Recording:
     twists = np.array([(one.twist.linear, one.twist.angular) for one in measured]).reshape(-1, 2)
     odometry, odometry_twists = _odometry(measured)
     ages = [one.stamp - one.odometry.stamp for one in measured if one.odometry is not None]
+    ages = [age for age in ages if math.isfinite(age)]
     ending = log.cycles[-1].ending
     is_docked = log.task.task == "dock" and ending is not None and ending.kind.succeeded
     return Recording(

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING
 
+import numpy as np
 import yaml
 
 from optdock.report import table
@@ -20,9 +21,9 @@ _USES = {
     "detections late by": "the executor learns it; take it off the stamps in the detector's driver",
     "twist window": "hand in the odometry's poses (Measurements.odometry): a twist is late by half of it",
     "scale of the way": "the executor learns it; multiply the wheels' radii by 1 + it in the base",
-    "dead band, left wheel": "min_speed of the TrackingController, where it is more than that",
+    "dead band, left wheel": "the TrackingController tells such wheels more, bit by bit; its min_speed does so at once",
 }
-_LEAST = {"odometry_sigma": 0.001, "position_sigma": 0.001, "yaw_sigma": 0.001}  # [m/m^0.5], [m], [rad]
+_LEAST = {"position_sigma": 0.001, "yaw_sigma": 0.001}  # [m], [rad]
 
 
 def as_text(calibration: Calibration) -> str:
@@ -40,7 +41,7 @@ def as_text(calibration: Calibration) -> str:
         )
         for one in known
     ]
-    parts = [table(rows)]
+    parts = [table(rows)] if known else []
     missing = [one for one in calibration.quantities if not one]
     if missing:
         parts.append("These recordings cannot tell:\n" + "\n".join(f"  {one.name}: {one.reason}" for one in missing))
@@ -54,7 +55,7 @@ def as_text(calibration: Calibration) -> str:
 
 
 def written_values(calibration: Calibration) -> dict[str, dict[str, object]]:
-    """Keys of a scenario (`dock`, `robot`) and of `ExecutorSettings` (`executor`), those alone that were found."""
+    """Keys of a scenario (`dock`, `robot`, `controller`) and of `ExecutorSettings` (`executor`), as far as found."""
     executor = _sigmas(calibration)
     values: dict[str, dict[str, object]] = {}
     x, y, yaw = (_found(calibration, f"stored dock, {part}") for part in ("x", "y", "yaw"))
@@ -67,20 +68,25 @@ def written_values(calibration: Calibration) -> dict[str, dict[str, object]]:
     tube = calibration.tube.tube
     if tube is not None:
         values["robot"] = {"tracking": {"cross": _rounded(tube.cross), "yaw": _rounded(tube.yaw)}}
+    latency, lag = (_found(calibration, f"{part}, linear") for part in ("command latency", "drive lag"))
+    if latency is not None and lag is not None:
+        values["controller"] = {"plugin": "TrackingController", "preview": _rounded(latency.value + lag.value)}
     if executor:
         values["executor"] = executor
     return values
 
 
 def _sigmas(calibration: Calibration) -> dict[str, object]:
-    """Settings that need nothing but one quantity each."""
+    """Settings that need nothing but one quantity each.
+
+    `odometry_sigma` is none of them: it is of wheels that do not slip, as the executor expects slip where it sees it,
+    and without slip odometry is more exact than detections can tell.
+    """
     executor: dict[str, object] = {}
     for key, name in _LEARNED.items():
         found = _found(calibration, name)
         if found is not None:  # of what is learned from 0 on: the value, and what is uncertain of it
             executor[key] = _rounded(math.hypot(found.value, found.half_width / 1.96))
-    if calibration.motion is not None:
-        executor["odometry_sigma"] = _rounded(max(calibration.motion.noise.slip, _LEAST["odometry_sigma"]))
     for key, name in _MEASURED.items():
         found = _found(calibration, name)
         if found is not None:
@@ -103,7 +109,7 @@ def as_yaml(calibration: Calibration) -> str:
     """`written_values` as YAML, with the recordings that they are of."""
     head = "".join(f"#   {line}\n" for line in _lines(calibration))
     body = yaml.safe_dump(written_values(calibration), sort_keys=False, default_flow_style=None)
-    meaning = "# dock and robot: keys of a scenario; executor: ExecutorSettings.\n"
+    meaning = "# dock, robot and controller: keys of a scenario; executor: ExecutorSettings.\n"
     return f"# Made by optdock calibrate, of:\n{head}{meaning}{body}"
 
 
@@ -121,7 +127,11 @@ def _matters(one: Quantity) -> bool:
 
 
 def _lines(calibration: Calibration) -> list[str]:
-    return [one.source for one in calibration.recordings]
+    return [
+        f"{one.source}: {float(np.ptp(one.times)) if len(one.times) else 0.0:.1f} s, {len(one.detections)} detections, "
+        f"{'not docked' if one.docked_at is None else 'docked'}"
+        for one in calibration.recordings
+    ]
 
 
 def _rounded(value: float) -> float:

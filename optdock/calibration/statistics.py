@@ -45,6 +45,7 @@ class Quantity:
     reason: str = ""
 
     def __bool__(self) -> bool:
+        """Whether the recordings can tell it."""
         return not self.reason
 
     @property

@@ -48,15 +48,22 @@ def conformal_tube(deviations: Sequence[tuple[float, float]], radius: float, cov
 
     Args:
         deviations: Of each docking: the largest distance across the path [m], the largest turn off it [rad].
-        radius: Circumscribed radius of the footprint [m].
+        radius: Circumscribed radius of the footprint [m]; 0: not known.
         coverage: The probability asked for.
+
+    Returns:
+        The tube; None in its place with the reason in its quantities where dockings are too few for the coverage or the
+        footprint is not known.
     """
     names = ("tube, cross", "m"), ("tube, yaw", "rad")
     count = len(deviations)
-    rank = conformal_rank(count, coverage)
+    rank, reason = conformal_rank(count, coverage), ""
     if rank > count:
         needed = math.ceil(coverage / (1.0 - coverage) - 1e-9)
-        reason = f"{count} dockings, of which {100 * coverage:g} % cannot be told; {needed} are needed"
+        reason = f"there are {count} whole dockings; to tell of {100 * coverage:g} %, {needed} are needed"
+    elif radius <= 0.0:
+        reason = "the outline of the robot is not known"
+    if reason:
         return DrivenTube(None, 0.0, [unknown(name, unit, reason, count) for name, unit in names])
     rows = np.array(deviations)
     scores = np.array([float(displacement(cross, yaw, radius)) for cross, yaw in deviations])

@@ -17,6 +17,7 @@ from tests.optdock.calibration.conftest import drive
 @pytest.fixture(autouse=True)
 def few_cycles(monkeypatch):
     monkeypatch.setattr(module, "_CYCLES", 2000)
+    monkeypatch.setattr(module, "_MESSAGES", 2000)
 
 
 def with_drive(hidden, **changes):
@@ -69,6 +70,8 @@ def test_the_tables_count():
     assert "1/2" in text
     assert "all" in text.splitlines()[-1]
     assert "50.0 %" in text.splitlines()[-1]
-    tubes = tube_table([[(0.01, 0.01)] * 10, [(0.005, 0.005)] * 4], 0.4)
+    tubes = tube_table([[(0.01, 0.01)] * 10, [(0.005, 0.005)] * 4], [(0.01, 0.01)] * 2 + [(0.02, 0.01)], 0.4)
+    assert "2/3 = 66.7 %" in tubes
     assert "4/4 = 100.0 %" in tubes
+    assert "cannot be told of 14 dockings" in tubes
     assert "cannot be told of 10 dockings" in tubes

@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from experiments.docking.field.world import FieldRobot
     from experiments.docking.outcome import Followed
     from optdock.executor.log import LogWriter
+    from optdock.plugins import PluginChoice
 
 __all__ = ["FIELD_METHODS", "by_executor"]
 
@@ -36,7 +37,7 @@ def by_executor(  # noqa: PLR0913 - what may be chosen
     rate: float,
     *,
     task: Literal["dock", "undock"] = "dock",
-    controller: str | None = None,
+    controller: str | PluginChoice | None = None,
     settings: ExecutorSettings | None = None,
     log: LogWriter | None = None,
 ) -> Steered:
@@ -47,7 +48,7 @@ def by_executor(  # noqa: PLR0913 - what may be chosen
         robot: At its start.
         rate: Control cycles per second [Hz].
         task: Which of the two.
-        controller: By name; None: the default one.
+        controller: By name, or with parameters; None: the default one.
         settings: None: the default ones, but for what the world tells.
         log: Takes the docking down.
     """

@@ -21,6 +21,7 @@ from optdock.calibration.tube import conformal_rank, conformal_tube
 from optdock.cli import app
 from optdock.errors import InvalidFile, InvalidValue
 from optdock.executor import ExecutorSettings
+from optdock.geometry.footprint import Footprint
 from optdock.geometry.pose import Pose2, Twist2, displacement
 from optdock.ros.bag import BagMessage, bag_types, write_bag
 from optdock.ros.motion import odometry_message, pose_message, twist_message
@@ -83,9 +84,9 @@ def test_the_answer_to_a_step_is_the_first_order_one():
 
 def test_latency_and_lag_are_found(found, drives):
     for axis in ("linear", "angular"):
-        contains(found[f"command latency, {axis}"], drives[1]["latency"], 1e-3)
-        contains(found[f"drive lag, {axis}"], drives[1]["lag"], 1e-3)
-        assert found[f"command latency, {axis}"].half_width < 0.02
+        contains(found.quantity(f"command latency, {axis}"), drives[1]["latency"], 1e-3)
+        contains(found.quantity(f"drive lag, {axis}"), drives[1]["lag"], 1e-3)
+        assert found.quantity(f"command latency, {axis}").half_width < 0.02
 
 
 def test_dead_bands_are_found_wheel_by_wheel():
@@ -106,26 +107,28 @@ def test_what_is_wrong_with_the_odometry_is_found(found, drives, name):
         "turn_scale": "scale of turns",
         "late": "detections late by",
     }
-    contains(found[names[name]], drives[1][name])
+    contains(found.quantity(names[name]), drives[1][name])
 
 
 def test_wheels_follow_from_way_and_turns(found):
-    scale, drift, turns = (found[name].value for name in ("scale of the way", "turn per metre", "scale of turns"))
-    radii = [found[f"{side} wheel's radius beyond what is believed"].value for side in ("left", "right")]
+    scale, drift, turns = (
+        found.quantity(name).value for name in ("scale of the way", "turn per metre", "scale of turns")
+    )
+    radii = [found.quantity(f"{side} wheel's radius beyond what is believed").value for side in ("left", "right")]
     assert np.mean(radii) == pytest.approx(scale)
     assert radii[1] - radii[0] == pytest.approx(drift * ROBOT.limits.track_width)
-    assert found["track width beyond what is believed"].value == pytest.approx(scale - turns)
+    assert found.quantity("track width beyond what is believed").value == pytest.approx(scale - turns)
 
 
 def test_the_window_of_the_twist_is_found(found, drives):
-    contains(found["twist window"], drives[1]["window"])
+    contains(found.quantity("twist window"), drives[1]["window"])
 
 
 def test_detections_are_as_exact_as_they_are(found, drives):
-    contains(found["detection sigma, position, at range 0"], 0.002, 5e-4)
-    contains(found["detection sigma, position, per range"], 0.004, 5e-4)
-    contains(found["detection sigma, yaw, per range"], 0.006, 1e-3)
-    contains(found["wrong detections"], drives[1]["wrong"])
+    contains(found.quantity("detection sigma, position, at range 0"), 0.002, 5e-4)
+    contains(found.quantity("detection sigma, position, per range"), 0.004, 5e-4)
+    contains(found.quantity("detection sigma, yaw, per range"), 0.006, 1e-3)
+    contains(found.quantity("wrong detections"), drives[1]["wrong"])
 
 
 def test_a_camera_that_sees_nothing_near_the_dock_is_blind():
@@ -149,7 +152,7 @@ def test_the_motion_is_the_same_wherever_the_frames_lie(drives):
 
 def test_the_stored_dock_is_found(found):
     for part, truth in zip(("x", "y", "yaw"), DOCK.as_array().tolist(), strict=True):
-        contains(found[f"stored dock, {part}"], truth)
+        contains(found.quantity(f"stored dock, {part}"), truth)
 
 
 def test_a_jump_of_the_localization_is_found():
@@ -190,17 +193,50 @@ def test_no_detections_no_track_width_and_no_odometry_pose():
     one = drive(robot=bare, detections=False)
     one = one._replace(odometry=np.zeros((0, 4)), odometry_twists=np.zeros((0, 2)), odometry_ages=np.zeros(0))
     found = calibrate([one])
-    assert found["scale of the way"].reason == found["stored dock, x"].reason
-    assert "not detected" in found["stored dock, x"].reason
-    assert "track_width" in found["dead band, left wheel"].reason
-    assert "no poses" in found["twist window"].reason
-    assert found["command latency, linear"]
+    assert found.quantity("scale of the way").reason == found.quantity("stored dock, x").reason
+    assert "not detected" in found.quantity("stored dock, x").reason
+    assert "track_width" in found.quantity("dead band, left wheel").reason
+    assert "no poses" in found.quantity("twist window").reason
+    assert found.quantity("command latency, linear")
 
 
 def test_one_recording_and_none_that_docked():
     for docked, reason in ((True, "one docking succeeded"), (False, "no docking succeeded")):
         motion = smoothed([drive(docked=docked)])
         assert all(reason in one.reason for one in stored_dock(motion))
+
+
+@pytest.mark.parametrize("cycles", [0, 1, 2, 25, 60])
+def test_a_recording_that_ends_early_is_too_short_and_no_error(cycles):
+    one = drive(duration=2.0)
+    end = one.times[cycles]
+    told = {"odometry": one.odometry[:cycles], "odometry_twists": one.odometry_twists[:cycles]}
+    cut = one._replace(
+        times=one.times[:cycles], commands=one.commands[:cycles], twists=one.twists[:cycles], **told,
+        odometry_ages=one.odometry_ages[:cycles], localization=one.localization[one.localization[:, 0] < end],
+        detections=one.detections[one.detections[:, 0] < end], docked_at=None,
+    )  # fmt: skip
+    found = calibrate([cut])
+    for name in ("command latency, linear", "dead band, left wheel", "drive lag, angular", "twist window"):
+        assert any(part in found.quantity(name).reason for part in ("less than 4 s", "no poses", "was never told"))
+    as_text(found)
+
+
+def test_robots_that_differ_are_refused():
+    one = drive(duration=1.0, detections=False)
+    wide = dataclasses.replace(ROBOT, limits=dataclasses.replace(ROBOT.limits, track_width=0.5))
+    long = dataclasses.replace(ROBOT, footprint=Footprint.rectangle(0.3, 0.3, 0.6))
+    for other, message in ((wide, "track width of 0.5 m"), (long, "outline")):
+        with pytest.raises(InvalidValue, match=message):
+            calibrate([one, drive(seed=1, duration=1.0, detections=False, robot=other)])
+    faster = dataclasses.replace(ROBOT, limits=dataclasses.replace(ROBOT.limits, max_wheel_speed=0.7))
+    assert calibrate([one, drive(seed=1, duration=1.0, detections=False, robot=faster)])
+
+
+def test_a_drive_that_is_given_twice_is_refused():
+    one = drive(duration=1.0, detections=False)
+    with pytest.raises(InvalidValue, match=r"copy\.jsonl: is the same drive as drive-0"):
+        calibrate([one, one._replace(source="copy.jsonl")])
 
 
 def test_docks_that_differ_are_refused():
@@ -236,6 +272,9 @@ def test_too_few_dockings_tell_no_coverage():
     assert found.tube is None
     assert "99 are needed" in found.quantities[0].reason
     assert conformal_tube([(0.01, 0.01)] * 99, 0.4, 0.99).tube is not None
+    outlineless = conformal_tube([(0.01, 0.01)] * 99, 0.0, 0.99)  # as run files are
+    assert outlineless.tube is None
+    assert "outline" in outlineless.quantities[0].reason
 
 
 # Reports and files.
@@ -328,6 +367,9 @@ def test_recordings_that_lack_something_are_refused_by_name(tmp_path):
     one = drive(seed=6)
     with pytest.raises(InvalidFile, match="has no commands"):
         read_recording(bag_of(tmp_path / "no.mcap", one, without=("/cmd_vel",)))
+    once = one._replace(odometry=one.odometry[:1], odometry_twists=one.odometry_twists[:1])
+    with pytest.raises(InvalidFile, match="needs two messages at least, has 1"):
+        read_recording(bag_of(tmp_path / "once.mcap", once))
     with pytest.raises(InvalidFile, match="must be in frame base_link, is in map"):
         read_recording(bag_of(tmp_path / "other.mcap", one, base="map"))
 
