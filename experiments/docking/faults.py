@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import collections
+import itertools
 import math
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, field
@@ -20,6 +21,7 @@ from optdock.costmap.costmap import Costmap
 from optdock.costmap.costs import LETHAL
 from optdock.executor import DockingExecutor, ExecutorSettings, State
 from optdock.geometry.pose import Pose2, Twist2, transform_points
+from optdock.measurements import Measurements, OdometryPose
 from optdock.obstacles import ObstacleSet
 from optdock.plugins import PluginChoice
 from optdock.report import table
@@ -41,7 +43,6 @@ if TYPE_CHECKING:
     from experiments.docking.outcome import Outcome
     from optdock.executor import Step
     from optdock.geometry.arrays import FloatArray
-    from optdock.measurements import Measurements
 
 __all__ = ["FAULTS", "Told", "fault_table"]
 
@@ -87,6 +88,8 @@ class Run:
     clock: float = 0.0  # [s] added to every stamp
     struck: bool = False
     blind: bool = False
+    change: Callable[[Measurements], Measurements] | None = None  # of what is measured, as long as the fault lasts
+    lost_commands: bool = False
     box: FloatArray = field(default_factory=lambda: np.zeros((0, 2)))
     memory: dict[str, float] = field(default_factory=dict)
 
@@ -195,6 +198,99 @@ def seen_no_more(run: Run) -> None:
         run.robot.dock_sensor.lose(math.inf)
 
 
+def told_otherwise(
+    distance: float, lasts: float, change: Callable[[Run], Callable[[Measurements], Measurements]]
+) -> Callable[[Run], None]:
+    """What is measured is changed, from so near to the dock [m] and for so long [s]."""
+
+    def fault(run: Run) -> None:
+        if run.nearer_than(distance):
+            run.memory["until"] = run.robot.time + lasts
+            run.change = change(run)
+        elif run.change is not None and run.robot.time >= run.memory["until"]:
+            run.change = None
+
+    return fault
+
+
+def no_number(_: Run) -> Callable[[Measurements], Measurements]:
+    """Localization and odometry tell what is no number."""
+    return lambda now: now._replace(pose=math.nan, twist=math.nan)  # type: ignore[arg-type]  # on purpose
+
+
+def same_stamp(run: Run) -> Callable[[Measurements], Measurements]:
+    """The clock stands still."""
+    stamp = run.robot.time + run.clock
+    return lambda now: now._replace(stamp=stamp)
+
+
+def held(_: Run) -> Callable[[Measurements], Measurements]:
+    """An emergency stop."""
+    return lambda now: now._replace(held=True)
+
+
+def other_dock(_: Run) -> Callable[[Measurements], Measurements]:
+    """Every detection is that of another dock, 30 cm to the left."""
+    return lambda now: now._replace(
+        detections=tuple(one._replace(pose=one.pose @ Pose2(0.0, 0.3, 0.0)) for one in now.detections)
+    )
+
+
+def late_stamps(_: Run) -> Callable[[Measurements], Measurements]:
+    """Detections are stamped 150 ms after the picture."""
+    return lambda now: now._replace(detections=tuple(one._replace(stamp=one.stamp + 0.15) for one in now.detections))
+
+
+def glare(run: Run) -> Callable[[Measurements], Measurements]:
+    """The costmap is lethal everywhere for 1 s, and empty afterwards."""
+    empty, until = _grid(run.case, None), run.robot.time + 1.0
+    full = Costmap(np.full_like(empty.data, LETHAL), empty.resolution, empty.origin)
+    return lambda now: now._replace(costmap=full if run.robot.time < until else empty)
+
+
+def signal(*, flickers: bool) -> Callable[[Run], Callable[[Measurements], Measurements]]:
+    """The switch says contact, all the time or in every other cycle."""
+
+    def change(_: Run) -> Callable[[Measurements], Measurements]:
+        count = itertools.count()
+        return lambda now: now._replace(contact=not flickers or next(count) % 2 == 0)
+
+    return change
+
+
+def no_twist(_: Run) -> Callable[[Measurements], Measurements]:
+    """The odometry tells no velocity."""
+    return lambda now: now._replace(twist=None)  # type: ignore[arg-type]  # as a driver that has stopped
+
+
+def began_anew(run: Run) -> Callable[[Measurements], Measurements]:
+    """The pose of the odometry, which is perfect but for that, begins anew."""
+    begins = run.robot.time
+    origin = run.robot.state.pose
+
+    def change(now: Measurements) -> Measurements:
+        pose = run.robot.state.pose
+        seen = pose.in_frame_of(origin) if run.robot.time > begins + 0.5 else pose
+        return now._replace(odometry=OdometryPose(now.stamp, seen))
+
+    return change
+
+
+def pushed(run: Run) -> None:
+    """Somebody pushes the robot 3 cm to its left."""
+    if run.nearer_than(0.4):
+        run.robot.state = run.robot.state._replace(pose=run.robot.state.pose @ Pose2(0.0, 0.03, 0.0))
+
+
+def commands_lost(run: Run) -> None:
+    """The base gets no commands for 0.6 s and stops."""
+    if run.nearer_than(0.4):
+        run.memory["until"] = run.robot.time + 0.6
+        run.lost_commands = True
+    elif run.lost_commands and run.robot.time >= run.memory["until"]:
+        run.lost_commands = False
+
+
 def cancel_in(state: State, provoked: Callable[[Run], None] | None = None) -> Callable[[Run], None]:
     """Cancelled in the first cycle of a state, which a fault may bring about."""
 
@@ -223,6 +319,18 @@ FAULTS: dict[str, Callable[[Run], None]] = {
     "clock goes back by 0.5 s": clock_back,
     "pose lost": pose_lost,
     "dock not seen any more": seen_no_more,
+    "pose and velocity no numbers for 1 s": told_otherwise(0.5, 1.0, no_number),
+    "velocity missing for 2 s": told_otherwise(0.5, 2.0, no_twist),
+    "stamps stand still for 1 s": told_otherwise(0.5, 1.0, same_stamp),
+    "held for 3 s": told_otherwise(0.4, 3.0, held),
+    "another dock is seen for 2 s": told_otherwise(0.5, 2.0, other_dock),
+    "detections stamped 150 ms late": told_otherwise(2.0, math.inf, late_stamps),
+    "costmap lethal everywhere for 1 s": told_otherwise(0.6, math.inf, glare),
+    "switch closed 0.6 m before the dock": told_otherwise(0.6, 1.0, signal(flickers=False)),
+    "switch flickers 0.1 m before the dock": told_otherwise(0.1, math.inf, signal(flickers=True)),
+    "odometry begins anew": told_otherwise(0.6, math.inf, began_anew),
+    "robot pushed by 3 cm": pushed,
+    "commands lost for 0.6 s": commands_lost,
 }
 PROVOKED: dict[State, Callable[[Run], None]] = {
     State.WAITING_FOR_DETECTION: seen_no_more,
@@ -266,7 +374,7 @@ def run_fault(name: str, number: int, world_name: str) -> Told:
         longest = max(longest, standing)
         if run.step.ending is not None and command == Twist2():
             break
-        run.robot.advance(command, run.period)
+        run.robot.advance(Twist2() if run.lost_commands else command, run.period)
     for _ in range(25):
         run.robot.advance(Twist2(), run.period)
     return _told(run, name, longest)
@@ -276,7 +384,8 @@ def _measured(run: Run) -> Measurements:
     """What the executor is told, with the faults of clock and localization."""
     now = run.robot.measurements
     seen = tuple(one._replace(stamp=one.stamp + run.clock) for one in now.detections)
-    return now._replace(stamp=now.stamp + run.clock, detections=seen, pose=None if run.blind else now.pose)
+    found = now._replace(stamp=now.stamp + run.clock, detections=seen, pose=None if run.blind else now.pose)
+    return found if run.change is None else run.change(found)
 
 
 def _told(run: Run, name: str, longest: float) -> Told:
@@ -325,7 +434,7 @@ def fault_table(jobs: int, count: int = COUNT) -> tuple[str, bool]:
         by_name.setdefault(name, []).append(told)
     head = [
         "fault", "came", "ends", "within 10 mm, 1.5 degrees", "retries", "closest, mm", "into station, mm",
-        "still, s",
+        "still, s", "longest, s",
         "over limit", "at rest",
     ]  # fmt: skip
     is_sound = all(
@@ -351,6 +460,7 @@ def _row(name: str, runs: list[Told]) -> list[str]:
         f"{1e3 * min(told.outcome.clearance for told in runs):.0f}",
         f"{-1e3 * min(0.0, *(told.station for told in runs)):.1f}",
         f"{max(told.standing for told in runs):.1f}",
+        f"{max(told.outcome.duration for told in runs):.0f}",
         f"{max(told.outcome.over for told in runs):.3f}",
         "all" if all(told.at_rest for told in runs) else f"{sum(not told.at_rest for told in runs)} not",
     ]
