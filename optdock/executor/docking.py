@@ -74,6 +74,8 @@ class DockingExecutor:
         dock_type: What kind of dock it is, likewise; None: a `SimpleDock` as the settings describe it.
         planning: Plans beside the control loop; None: at once, the results 20 ms later by the stamps.
         log: Takes everything down; None: nobody does.
+        last_command: What the drive was told last, where it is taken over in motion, as from another executor; None:
+            the velocity that is measured first.
 
     Raises:
         InvalidValue: A part is of another class, the task is none of the two, a parameter of a plugin is wrong, or a
@@ -92,6 +94,7 @@ class DockingExecutor:
         dock_type: DockTypeLike | None = None,
         planning: Planning | None = None,
         log: LogWriter | None = None,
+        last_command: Twist2 | None = None,
     ) -> None:
         instance(DockingProblem, problem, "problem")
         self.settings = settings if settings is not None else ExecutorSettings()
@@ -108,11 +111,13 @@ class DockingExecutor:
         self._events: list[Event] = []
         self._perception = Perception(problem.goal, self.settings, self._report)
         self._limiter = CommandLimiter()
+        self._last_command = None if last_command is None else instance(Twist2, last_command, "last_command")
         self._moving = Twist2()  # what was wished for last
         self._planning: Planning = planning if planning is not None else InlinePlanning()
         if log is not None:
             said = None if dock_type is None else plugin_choice(kind)
-            log.begin(Task(problem, self.settings, task, plugin_choice(driver), plugin_choice(checker), said))
+            choices = plugin_choice(driver), plugin_choice(checker), said
+            log.begin(Task(problem, self.settings, task, *choices, last_command))
             self._planning = LoggedPlanning(self._planning, log, problem.frame)
         self._procedure = Procedure(
             problem, self.settings, self._perception, driver, checker, self._dock_type, self._planning, self._report
@@ -166,7 +171,8 @@ class DockingExecutor:
         robot, intake = self.problem.robot, usable(measurements)
         measurements = self._believable(intake)
         if self._began is None:
-            self._limiter.restart(admissible(measurements.twist, robot.limits, robot.drive))
+            before = measurements.twist if self._last_command is None else self._last_command
+            self._limiter.restart(admissible(before, robot.limits, robot.drive))
             if self._limiter.command == Twist2():
                 self._limiter.stop(_FIRST_PERIOD)
         self._watch_log()

@@ -76,6 +76,7 @@ class Task(NamedTuple):
     controller: PluginChoice
     goal_checker: PluginChoice
     dock_type: PluginChoice | None = None
+    last_command: Twist2 | None = None
 
 
 class Start(NamedTuple):
@@ -195,7 +196,7 @@ class LogWriter:
 
     def begin(self, task: Task) -> None:
         """The first line."""
-        problem, kind = task.problem, task.dock_type
+        problem, kind, last = task.problem, task.dock_type, task.last_command
         self._write(
             {
                 "format": LOG_FORMAT,
@@ -209,6 +210,7 @@ class LogWriter:
                 "controller": [task.controller.name, dict(task.controller.parameters)],
                 "goal_checker": [task.goal_checker.name, dict(task.goal_checker.parameters)],
                 **({} if kind is None else {"dock_type": [kind.name, dict(kind.parameters)]}),
+                **({} if last is None else {"last_command": [last.linear, last.angular]}),
             }
         )
 
@@ -518,6 +520,7 @@ class _TaskLine(_Line):
     controller: tuple[str, dict[str, JsonValue]]
     goal_checker: tuple[str, dict[str, JsonValue]]
     dock_type: tuple[str, dict[str, JsonValue]] | None = None
+    last_command: tuple[float, float] | None = None
 
     def read(self) -> Task:
         """The task, if its problem is the one that the log was written for.
@@ -540,6 +543,7 @@ class _TaskLine(_Line):
             PluginChoice(*self.controller),
             PluginChoice(*self.goal_checker),
             None if self.dock_type is None else PluginChoice(*self.dock_type),
+            None if self.last_command is None else Twist2(*self.last_command),
         )
 
 

@@ -207,7 +207,7 @@ class Procedure:
             yield from self._cycle(_STOP)
         self.state = State.WAITING_FOR_POSE
         since, perception = self._now, situation.perception
-        while not perception.started or situation.oldest > settings.pose_patience:
+        while not situation.is_located:
             if self._now - since > settings.localization_timeout:
                 missing = "odometry" if perception.started and perception.twist_age > 0.0 else "pose"
                 raise TaskFailed(EndingKind.UNKNOWN, f"no {missing} for {self._now - since:.1f} s")

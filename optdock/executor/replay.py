@@ -53,6 +53,7 @@ def replay(log: DockingLog) -> Replay:
         controller=task.controller,
         goal_checker=task.goal_checker,
         dock_type=task.dock_type,
+        last_command=task.last_command,
         planning=planning,
     )
     across = turned = 0.0

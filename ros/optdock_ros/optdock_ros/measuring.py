@@ -96,7 +96,7 @@ class Measuring:
         self._heard, self._heard_at = Twist2(), -math.inf
         self._pose_stamp = -math.inf
         self.faults: Mapping[str, str] = {}
-        self._now = -math.inf
+        self._now, self._asked_at = -math.inf, math.inf
         self._began: float | None = None
 
     @property
@@ -123,6 +123,7 @@ class Measuring:
             self._twist = self._odometry_pose = None
             self._pose_stamp = -math.inf
         self._now, is_first = now, self._began is None
+        asked_before, self._asked_at = self._asked_at, monotonic()
         if self._began is None:
             self._began = now  # what was seen before cannot be placed on the way that the robot makes from now on
         faults: dict[str, str] = {}
@@ -135,8 +136,9 @@ class Measuring:
             twist = Twist2()  # encoders are never quite at rest; a robot that stands is commanded nothing to begin with
         if twist is None:
             # Stamps of another clock, or a clock that was set, place nothing; but what has just been heard is what the
-            # robot does, and what a stop must begin with.
-            twist = self._heard if monotonic() - self._heard_at <= self._rules.odom_tolerance else Twist2()
+            # robot does, and what a stop must begin with; but not what has waited for a process that was suspended.
+            is_new = monotonic() - min(self._heard_at, asked_before) <= self._rules.odom_tolerance
+            twist = self._heard if is_new else Twist2()
         contact, odometry = self._contact(now), self._odometry_pose
         current = self._current(now)
         return Measurements(now, pose, twist, detections, contact, costmap, odometry, pose_stamp, current=current)

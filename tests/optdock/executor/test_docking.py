@@ -8,7 +8,8 @@ import pytest
 
 from optdock.costmap.costmap import Costmap
 from optdock.dock import Dock, DockTolerances
-from optdock.executor import EndingKind, ExecutorSettings, FeedbackState, InlinePlanning, State
+from optdock.errors import InvalidValue
+from optdock.executor import DockingExecutor, EndingKind, ExecutorSettings, FeedbackState, InlinePlanning, State
 from optdock.executor.log import LogWriter, read_log
 from optdock.executor.replay import replay
 from optdock.geometry.pose import Pose2, Twist2
@@ -16,7 +17,7 @@ from optdock.obstacles import ObstacleSet
 from optdock.problem import DockingProblem
 from optdock.simulation import Actuation, DifferentialDrive, SimulatedRobot, Station, StuckWheel, Wheels
 
-from .conftest import PERFECT, ROBOT, SLUGGISH, TRUE_DOCK, once, problem_with, run, simulated, within
+from .conftest import LIMITS, PERFECT, ROBOT, SLUGGISH, TRUE_DOCK, once, problem_with, run, simulated, within
 
 NO_STAGING = ExecutorSettings(navigate_to_staging_pose=False)
 
@@ -390,3 +391,37 @@ def test_a_robot_that_is_stopped_in_its_dock_is_docked():
     assert docking.ending.kind is EndingKind.DOCKED_BY_DISTANCE
     assert len(docking.said("plan new")) == 1
     assert docking.ending.num_retries == 0
+
+
+def test_a_robot_that_is_taken_over_in_motion_is_not_jerked(tmp_path):
+    """The first command goes on from the last one that was given, whatever a late odometry says; so does a replay."""
+    told = Twist2(0.3, 0.1)
+    with LogWriter(tmp_path / "taken_over.log") as log:
+        executor = DockingExecutor(problem_with(), NO_STAGING, last_command=told, log=log)
+        world = simulated(Pose2(-1.2, 0.0, 0.0), PERFECT, Actuation())
+        measurements, commands = world.measurements._replace(twist=Twist2(0.1, 0.0)), [told]
+        for _ in range(40):
+            commands.append(executor.step(measurements).command)
+            measurements = world.advance(commands[-1], 0.04)
+    assert commands[1] == told
+    speeds = np.array([command.linear for command in commands])
+    assert np.abs(np.diff(speeds, 2)).max() <= LIMITS.max_jerk * 0.04**2 + 1e-9
+    assert speeds.min() == 0.0, "it stops before it plans"
+    assert replay(read_log(tmp_path / "taken_over.log")).differs_at is None
+    with pytest.raises(InvalidValue, match="last_command: must be a Twist2"):
+        DockingExecutor(problem_with(), last_command=(0.3, 0.1))
+
+
+@pytest.mark.parametrize("seen", [True, False])
+def test_the_dock_in_view_takes_the_place_of_a_lost_localization(seen, lawful):
+    """For a metre at most; without it the robot waits for a pose, and ends without one."""
+
+    def lost(executor, world, measurements):
+        near = world.error.x > -0.6
+        detections = measurements.detections if seen or not near else ()
+        return measurements._replace(pose=None if near else measurements.pose, detections=detections)
+
+    docking = run(simulated(Pose2(-0.9, 0.0, 0.0), seed=3), problem_with(), NO_STAGING, before=lost)
+    kind = lawful(docking).kind
+    assert kind is (EndingKind.DOCKED_BY_DISTANCE if seen else EndingKind.UNKNOWN)
+    assert bool(docking.said("no pose")) is not seen
