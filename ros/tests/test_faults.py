@@ -67,17 +67,24 @@ class World:
         self.truth.clear()
         self.client.until(lambda: self.truth)
 
-    def fault(self, name: str, *, on: bool) -> None:
-        """Switch a fault of the simulated robot."""
-        request = SetParameters.Request(parameters=[Parameter(f"faults.{name}", value=on).to_parameter_msg()])
-        (result,) = self.client.call(SetParameters, "/simulated_robot/set_parameters", request).results
-        assert result.successful, result.reason
+    def fault(self, names: str, *, on: bool) -> None:
+        """Switch faults of the simulated robot, with commas between them."""
+        switches = [Parameter(f"faults.{name}", value=on).to_parameter_msg() for name in names.split(",")]
+        request = SetParameters.Request(parameters=switches)
+        results = self.client.call(SetParameters, "/simulated_robot/set_parameters", request).results
+        assert all(result.successful for result in results), results
 
     @property
     def speed(self) -> float:
         """True, now [m/s]."""
         twist = self.truth[-1].twist.twist
         return max(abs(twist.linear.x), 0.3 * abs(twist.angular.z))
+
+    @property
+    def driven(self) -> float:
+        """Distance from where it was reset [m]."""
+        begin, end = (self.truth[k].pose.pose.position for k in (0, -1))
+        return math.hypot(end.x - begin.x, end.y - begin.y)
 
     def send(self, client: Client | None = None) -> Goal:
         """Dock."""
@@ -204,7 +211,7 @@ def test_a_transition_out_of_active_stops_the_robot_first(world: World, how: str
 @pytest.mark.parametrize(
     ("fault", "within"),
     [
-        ("transforms", 0.1 + 0.5 + SLOWEST_STOP),  # transform_tolerance, pose_patience
+        ("transforms,detections", 0.1 + 0.5 + SLOWEST_STOP),  # transform_tolerance, pose_patience
         ("odometry", 0.3 + 0.5 + SLOWEST_STOP),  # odom_duration, pose_patience
         ("costmap", 1.0 + 0.1 + SLOWEST_STOP),  # costmap_timeout, and a few cycles
     ],
@@ -218,9 +225,16 @@ def test_what_is_not_renewed_stops_the_robot(world: World, fault: str, within: f
     assert not goal.is_done, goal.reply()
 
 
+def test_a_dock_in_view_takes_the_place_of_transforms_on_the_last_metre(world: World) -> None:
+    goal = world.approach()
+    world.client.until(lambda: world.driven > 0.5, 20.0, "the last metre")
+    world.fault("transforms", on=True)
+    assert goal.reply(30.0).result.success, goal.reply()
+
+
 def test_a_robot_that_never_gets_its_transforms_back_is_told_why(world: World) -> None:
     goal = world.approach()
-    world.fault("transforms", on=True)
+    world.fault("transforms,detections", on=True)
     world.stops(0.1 + 0.5 + SLOWEST_STOP)
     reply = goal.reply(30.0)
     assert reply.status == GoalStatus.STATUS_ABORTED
