@@ -243,8 +243,11 @@ class Procedure:
         situation = self.situation
         views = [situation.staging_poses, *([situation.facing_poses] if situation.gear < 0.0 else [])]
         while True:
+            views = [places for places in views if situation.may_see_dock_from(places())]
+            is_worth_it = situation.may_see_dock_from((situation.perception.robot,))
             try:
-                return (yield from self._perceive())
+                if is_worth_it or situation.is_dock_known or not views:
+                    return (yield from self._perceive())
             except TaskFailed as failure:
                 while views and situation.has_arrived_at(views[0]()):
                     views.pop(0)

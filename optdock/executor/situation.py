@@ -14,7 +14,7 @@ from optdock.dock import Dock, DockDirection
 from optdock.executor.approach import staging_distance
 from optdock.executor.interruptions import HELD, Interrupted
 from optdock.executor.outcomes import EndingKind
-from optdock.geometry.pose import Pose2, Twist2, normalize_angle
+from optdock.geometry.pose import Pose2, Twist2, normalize_angle, transform_points
 from optdock.measurements import AtDock
 from optdock.obstacles import ObstacleSet
 from optdock.outcomes import Contact
@@ -248,6 +248,15 @@ class Situation:
     def facing_poses(self) -> tuple[Pose2, ...]:
         """The staging poses turned round: from where a camera sees a dock that is entered the other way."""
         return tuple(place @ Pose2(0.0, 0.0, math.pi) for place in self.staging_poses())
+
+    def may_see_dock_from(self, places: tuple[Pose2, ...]) -> bool:
+        """Whether the marker may be in the camera's view from one of some poses; True where either is not known."""
+        camera, marker = self.problem.robot.camera, self.problem.dock.marker
+        if camera is None or marker is None:
+            return True
+        at = transform_points(self.perception.dock.as_array()[None], np.array([marker]))[0, 0]
+        seen = camera.points_seen(np.array([place.as_array() for place in places]), at)
+        return bool(np.any(camera.margins(seen).smallest > -3.0 * self.perception.sigma[0]))
 
     def has_arrived_at(self, places: tuple[Pose2, ...]) -> bool:
         """Whether the robot is at one of some poses in the fixed frame."""
