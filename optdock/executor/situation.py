@@ -32,9 +32,9 @@ if TYPE_CHECKING:
 __all__ = ["Situation"]
 
 _AT_REST = 0.01, 0.02  # [m/s], [rad/s] by odometry: a robot that stands, its encoders not quite
-# [m] that odometry takes the robot among the obstacles of the map while the dock is in view: by wheels of 1 % it is
-# then 1 cm off, a fifth of a usual clearance.
-_UNLOCATED = 1.0
+# [m], [s] for which odometry takes the robot among the obstacles of the map while the dock is in view: by wheels of 1 %
+# it is then 1 cm off, a fifth of a usual clearance; the last metre before a dock takes less time.
+_UNLOCATED = 1.0, 10.0
 _SAME_DOCK = 0.01  # [m], [rad]: a dock that is seen elsewhere by less stands in the same cells
 # Standard deviations that the accepted errors of the dock must hold: one docking in 400 is then off by one more, were
 # the robot believed to stand at the edge of what is accepted; it is believed to stand in the middle.
@@ -335,7 +335,8 @@ class Situation:
         if not perception.started or perception.twist_age > patience:
             return False
         sees_dock = perception.detection_age <= patience and self.is_dock_known
-        return perception.pose_age <= patience or (sees_dock and perception.way_unlocated <= _UNLOCATED)
+        is_near = perception.way_unlocated <= _UNLOCATED[0] and perception.pose_age <= _UNLOCATED[1]
+        return perception.pose_age <= patience or (sees_dock and is_near)
 
     @property
     def is_held(self) -> bool:

@@ -252,7 +252,7 @@ def test_lost_pose_stops_the_robot_until_it_comes_again(lawful):
 
     def before(executor, world, measurements):
         lose(executor, world, measurements)
-        return measurements._replace(pose=None) if world.time < getattr(world, "until", 0.0) else None
+        return measurements._replace(pose=None, detections=()) if world.time < getattr(world, "until", 0.0) else None
 
     docking = run(simulated(sensors=PERFECT), before=before)
     assert lawful(docking).kind is EndingKind.DOCKED_BY_DISTANCE
