@@ -10,9 +10,9 @@ from checkers.axis import AxisGoalChecker
 from checkers.dock import DockGoalChecker
 from optdock.controllers import tracking
 from optdock.controllers.tracking import TrackingController
-from optdock.controllers.tracking_law import DelayBounds
+from optdock.controllers.tracking_law import DelayBounds, Gains
 from optdock.costmap.costmap import Costmap
-from optdock.dock import Dock
+from optdock.dock import Dock, DockTolerances
 from optdock.errors import ControllerInvalidPath, InvalidValue, NoValidControl
 from optdock.geometry.footprint import Footprint
 from optdock.geometry.pose import Pose2, Twist2
@@ -23,7 +23,7 @@ from optdock.path import Direction, Path
 from optdock.plugins import create_plugin
 from optdock.problem import DockingProblem
 from optdock.robot import Drive, Robot
-from optdock.simulation import Actuation, DifferentialDrive, SimulationSettings, run_closed_loop
+from optdock.simulation import Actuation, DifferentialDrive, SimulatedRobot, SimulationSettings, run_closed_loop
 from optdock.testing.drives import clothoid, cusp_drive, rest_to_rest, s_curve_drive, straight_drive
 from optdock.verification import pose_clearances
 
@@ -523,3 +523,42 @@ class TestLateDrive:
         assert max(self.off_line(seed) for seed in range(3)) < 0.02
         monkeypatch.setattr(tracking, "delay_bounds", lambda *_: DelayBounds(math.inf, 0.0))
         assert min(self.off_line(seed) for seed in range(3)) > 0.1
+
+
+class TestBeforeTheEnd:
+    """A push shortly before the end of a straight line at 0.1 m/s, in a drive that is 0.15 s late."""
+
+    LINE = rest_to_rest([clothoid(Pose2(0.0, 0.0, 0.0), [0.0, 0.6], [0.0, 0.0])], speed=0.1)
+
+    def left(self, push, at):
+        """Errors across [m] and of the heading [rad] when the reference ends, after a push so far before that."""
+        controller = TrackingController()
+        dock = Dock(self.LINE.path.end, tolerances=DockTolerances(0.01, 0.01, math.radians(1.5)))
+        controller.configure(PluginContext(problem=DockingProblem(Pose2(0.0, 0.0, 0.0), dock, ROBOT)))
+        controller.set_path(self.LINE)
+        world = SimulatedRobot(DifferentialDrive(ROBOT, Actuation(0.05, 0.05, 0.1)), Pose2(0.0, 0.0, 0.0), dock.pose)
+        pushed = False
+        while controller.progress is None or controller.progress.time < self.LINE.duration:
+            if not pushed and world.error.x > -at:
+                world.state, pushed = world.state._replace(pose=world.state.pose @ push), True
+            command = controller.compute_velocity_commands(
+                world.state.pose, world.measurements.twist, DockGoalChecker(), stamp=world.time
+            )
+            world.advance(command, 0.04)
+        return abs(world.error.y), abs(world.error.yaw)
+
+    def test_an_offset_that_cannot_be_taken_back_turns_the_robot_no_more(self, monkeypatch):
+        across, turned = self.left(Pose2(0.0, 0.004, 0.0), 0.05)
+        assert across < 0.0045
+        assert turned < math.radians(0.3)
+        shortest = Gains(2.0, 0.05, 1.0, 1.0)
+        monkeypatch.setattr(TrackingController, "_gains", lambda *_: shortest)
+        assert self.left(Pose2(0.0, 0.004, 0.0), 0.05)[1] > math.radians(0.8)
+
+    def test_a_turn_is_taken_back_as_fast_as_the_drive_allows(self, monkeypatch):
+        across, turned = self.left(Pose2(0.0, 0.0, math.radians(3.0)), 0.1)
+        assert across < 0.005
+        assert turned < math.radians(0.3)
+        monkeypatch.setattr(tracking, "_LEFT", math.inf)
+        monkeypatch.setattr(tracking, "_QUICKEST_TURN", 1.0)
+        assert self.left(Pose2(0.0, 0.0, math.radians(3.0)), 0.1)[1] > math.radians(0.6)
