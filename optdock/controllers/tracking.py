@@ -46,6 +46,9 @@ _SCATTER_SMOOTHING = 1.0  # [s], of its squared noise
 _GROWTH, _LEAST_SCATTER = 4.0, 4e-6  # [1], [m^2] or [rad^2]: what a single error may add to that
 _NOISES = 3.0  # standard deviations
 _SEEN_NOISE = 2.0  # standard deviations of a pose across, of depth that is taken for noise
+# [m] before the end, with no rest between: farther off an error decays anyway, and in the bends of a manoeuvre, at the
+# robot's limits, nothing is left for higher gains.
+_NEAR_END, _NOTHING_LEFT = 0.5, 1e-6
 _LEFT = 0.25  # of the accepted errors across and of the heading, that may be left at the end by what is seen now
 _STEERED_RATE = 0.99  # of steered wheels: leaves feedback 3 % of the jerk and 1 % of the steering rate
 _PEAK_MARGIN = 1.2  # without a configured robot: headroom for feedback above the trajectory's own peaks
@@ -456,7 +459,8 @@ class TrackingController(Controller):
         best, least_left = (usual, turns[0]), left_with(usual, turns[0])
         if reference.finished and abs(askew) > _LEFT * accepted.yaw:
             return Gains(min(p.along_gain, bounds.rate), usual, p.damping, turns[1])
-        if least_left > _LEFT:
+        is_near = ahead.left <= min(_NEAR_END, ahead.to_rest + _NOTHING_LEFT)
+        if least_left > _LEFT and is_near:
             distance = usual
             while distance > least:
                 for turn in turns:
