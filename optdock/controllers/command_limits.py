@@ -73,6 +73,12 @@ class CommandLimiter:
         if period > 0.0:
             self._period, self._usual, self._feed_forward = period, usual, 0.0
 
+    def round_to_rest(self) -> None:
+        """Take the last command for rest: what is left of it is rounding."""
+        if self._period > 0.0:
+            self._acceleration -= self.command.linear / self._period
+        self.command = Twist2()
+
     def follow(  # noqa: PLR0913 - two commands, their time, and what bounds them
         self,
         wanted: Twist2,

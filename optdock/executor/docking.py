@@ -288,7 +288,7 @@ class DockingExecutor:
         target = wish if wish is not None else Twist2()
         command = limiter.follow(target, self._moving, period, robot.limits, robot.drive, in_place=turns)
         if wish is None and abs(command.linear) < _STILL and abs(command.angular) < _STILL:
-            limiter.stop(period)
+            limiter.round_to_rest()
         return limiter.command
 
     def _feedback(self, state: State) -> Feedback:
