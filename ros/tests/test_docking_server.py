@@ -277,18 +277,23 @@ def test_no_costmap_to_begin_with_is_905(bay: Bay) -> None:
 
 
 @pytest.mark.parametrize(
-    ("fault", "code", "words"),
-    [("transforms", 999, "transform"), ("odometry", 999, "odometry"), ("costmap", 905, "costmap")],
+    ("faults", "code", "words"),
+    [
+        (("transforms", "detections"), 999, "transform"),
+        (("odometry",), 999, "odometry"),
+        (("costmap",), 905, "costmap"),
+    ],
 )
-def test_what_is_lost_on_the_way_stops_the_robot(bay: Bay, fault: str, code: int, words: str) -> None:
+def test_what_is_lost_on_the_way_stops_the_robot(bay: Bay, faults: tuple[str, ...], code: int, words: str) -> None:
+    """Transforms together with the dock: while that is in view the robot does not need them for the last metre."""
     bay.reset(start=[2.2, 1.0, 0.0])
     goal = bay.dock()
     bay.driving()
-    bay.set(**{f"faults__{fault}": True})
+    bay.set(**{f"faults__{fault}": True for fault in faults})
     reply = goal.reply(20.0)
     assert (reply.status, reply.result.error_code) == (ABORTED, code), reply.result
     assert words in reply.result.error_msg
-    bay.set(**{f"faults__{fault}": False})
+    bay.set(**{f"faults__{fault}": False for fault in faults})
     time.sleep(0.1)
     bay.assert_stopped()
     assert bay.truth()["along"] < -0.1, "before the dock"
