@@ -56,7 +56,7 @@ class Perception:
         costmap: The newest one; None before the first.
         detections: Number of detections that were believed.
         rejected: Number of those that were not.
-        way_unlocated: Way driven since localization told a pose [m].
+        way: Driven so far, by odometry [m].
         seen_from: The smallest distance from the docked pose at which the dock has been seen [m]; infinite before.
         too_far: How far from the stored dock the last one was that was of another dock [m]; 0: there was none.
         has_twist: Whether the measurements that come next have a body velocity of the odometry.
@@ -88,7 +88,7 @@ class Perception:
         self._costmap_at: float | None = None
         self.detections = self.rejected = 0
         self.seen_from, self.too_far = math.inf, 0.0
-        self.way_unlocated = 0.0
+        self.way = self._way_located = 0.0
         self.has_twist, self._twist_at = True, math.inf
         self._seen_yaw = 0.0  # of the dock in the fixed frame, when it was seen last [rad]
         self._pose_was_lost = self._dock_was_lost = self._delay_was_said = False
@@ -107,6 +107,11 @@ class Perception:
     def pose_age(self) -> float:
         """Since a measured pose was believed [s]; infinite before the first."""
         return self.stamp - self._robot.measured_at
+
+    @property
+    def way_unlocated(self) -> float:
+        """Way driven since localization told a pose [m]."""
+        return self.way - self._way_located
 
     @property
     def twist_age(self) -> float:
@@ -223,9 +228,9 @@ class Perception:
             self._report("odometry began anew", "its frame has moved; the twist tells the way in between")
         robot.predict(stamp, step)
         self._dock.predict(stamp, step)
-        self.way_unlocated += math.hypot(step.x, step.y)
+        self.way += math.hypot(step.x, step.y)
         if pose is not None and measured_at > self._pose_used:  # else delivered twice, or too late
-            self._pose_used, self.way_unlocated = measured_at, 0.0
+            self._pose_used, self._way_located = measured_at, self.way
             robot.correct(measured_at, pose, self._noise)
             self._look_at_jump()
         if not self.sees_dock:

@@ -45,6 +45,7 @@ _REST_PATIENCE = 2.0  # [s]: an odometry that never says so must not hold the ta
 _PLANNING_PATIENCE = 5.0  # [s] beyond its budget: a thread that shares its core is late, not dead
 _CLEAR_OF_CONTACT = 0.005  # [m]: a way back is planned from there; nearer, noise could make an overlap of it
 _BACK_OUT_SPEED = 0.1  # [m/s]: more than the dead band of either wheel, or the robot turns in contact
+_SURELY_OUT = 0.03  # [m] more than the way in which nothing may turn: by what the estimate and the braking may be wrong
 _BACK_OUT_LOOK = 0.5  # [s] ahead, of straight motions that no plan covers
 _CREEP = 1e-6  # [m/s]: no drive moves at it; steered wheels turn as its arc says
 # [s] for a detection at rest in the dock: of ten a second, half of them lost, one of 1000 takes longer.
@@ -156,7 +157,8 @@ class Procedure:
         yield from self._locate()
         if not situation.is_near and not situation.has_signal:
             return EndingKind.NOT_DOCKED, f"the robot is {situation.distance:.3f} m from the dock"
-        yield from self._back_out(max(self._dock_type.back_out_distance, situation.problem.dock.final_straight))
+        straight = max(self._dock_type.back_out_distance, situation.problem.dock.final_straight)
+        yield from self._back_out(straight + _SURELY_OUT)
         yield from self._drive_to(situation.staging_poses, State.UNDOCKING, EndingKind.FAILED_TO_STAGE)
         return EndingKind.UNDOCKED, ""
 
@@ -530,7 +532,7 @@ class Procedure:
         """
         situation = self.situation
         direction, footprint = -situation.gear, situation.problem.robot.footprint
-        origin, begun, is_straight = situation.perception.robot_from_dock, self._now, False
+        begun_at, begun, is_straight = situation.perception.way, self._now, False
         limits = situation.problem.robot.limits
         braking_time = _BACK_OUT_SPEED / limits.max_deceleration + limits.max_deceleration / limits.max_jerk
         braking = 0.5 * _BACK_OUT_SPEED * braking_time
@@ -539,7 +541,7 @@ class Procedure:
         while True:
             yield from self._locate()
             robot = situation.perception.robot
-            driven = origin.distance_to(situation.perception.robot_from_dock)
+            driven = situation.perception.way - begun_at  # the dock may be seen elsewhere meanwhile
             near = situation.near(robot, footprint.circumscribed_radius + _CLEAR_OF_CONTACT)
             if driven >= least - braking and pose_clearance(robot, footprint, near)[0] >= _CLEAR_OF_CONTACT:
                 break

