@@ -176,9 +176,11 @@ def test_a_server_that_was_suspended_does_not_throw_a_standing_robot_forward(wor
     """The base has stopped by itself; what the server wanted before says nothing any more."""
     world.approach()
     os.kill(world.server.pid, signal.SIGSTOP)
-    world.stops(within=SLOWEST_STOP)
-    count = len(world.commands)
-    os.kill(world.server.pid, signal.SIGCONT)
+    try:
+        world.stops(within=SLOWEST_STOP)
+        count = len(world.commands)
+    finally:  # a server that stays suspended would fail every test that follows
+        os.kill(world.server.pid, signal.SIGCONT)
     world.client.until(lambda: len(world.commands) >= count + 8, what="commands again")
     assert max(abs(linear) for _, linear, _ in world.commands[count : count + 8]) < 0.5 * MOVING
 
