@@ -8,14 +8,18 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from enum import Enum
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from optdock.errors import InvalidValue
 from optdock.geometry.checked import exactly, finite_number, member, number
 from optdock.geometry.footprint import Footprint
-from optdock.geometry.pose import Pose2
+from optdock.geometry.pose import Pose2, transform_points
 from optdock.limits import SpeedZone
+
+if TYPE_CHECKING:
+    from optdock.geometry.arrays import FloatArray
 
 __all__ = ["Dock", "DockDirection", "DockTolerances"]
 
@@ -109,6 +113,14 @@ class Dock:
         if self.marker is not None:
             object.__setattr__(self, "marker", _point(self.marker, "dock.marker"))
         self._check_view()
+
+    @property
+    def marker_in_world(self) -> FloatArray | None:
+        """The marker where the dock stands, Shape (2,) [m]; None without one."""
+        if self.marker is None:
+            return None
+        found: FloatArray = transform_points(self.pose.as_array()[None], np.array([self.marker]))[0, 0]
+        return found
 
     def _check_view(self) -> None:
         for name in ("visible_distance", "blind_distance"):

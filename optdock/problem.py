@@ -353,10 +353,9 @@ class DockingProblem(FrozenArrays):
     @functools.cached_property
     def required_view(self) -> RequiredView | None:
         """What the robot must see on which part of its path; None: nothing."""
-        dock, camera = self.dock, self.robot.camera
-        if dock.visible_distance == 0.0 or dock.marker is None or camera is None:
+        dock, camera, marker = self.dock, self.robot.camera, self.dock.marker_in_world
+        if dock.visible_distance == 0.0 or marker is None or camera is None:
             return None
-        marker = transform_points(dock.pose.as_array()[None], np.array([dock.marker]))[0, 0]
         return RequiredView(camera, marker, dock.visible_distance, dock.blind_distance)
 
     def required_view_margin(self, from_goal: FloatArray, from_start: FloatArray, to_marker: FloatArray) -> FloatArray:

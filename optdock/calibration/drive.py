@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from optdock.calibration.statistics import Quantity, fit, student, unknown
+from optdock.calibration.statistics import LEAST_CLUSTERS, Quantity, clusters_of, fit, student, unknown
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -30,7 +30,6 @@ __all__ = ["DriveResponse", "answered", "drive_response"]
 _GRID = 0.005  # [s]: a tenth of the shortest lag of motors, so that the grid is no part of the answer
 _SPAN = 0.1  # [s] of a residual: longer than the stamps of odometry jitter, shorter than any change of speed
 _CLUSTER = 2.0  # [s]: residuals further apart than that have nothing in common, as the answer to a command takes less
-_LEAST_CLUSTERS = 3  # with fewer of them an interval is that of one degree of freedom: 13 standard deviations
 # Latency [s], lag [s], gain [1], and the square of half the spread of the latency [s^2], from which the answer depends
 # evenly down to 0.
 _GUESS, _SCALE = (0.08, 0.1, 1.0, 5e-4), (0.02, 0.02, 0.02, 1e-3)
@@ -100,9 +99,9 @@ def _no_dead_bands(used: list[Recording], width: float) -> str:
 
 def _too_short(axes: list[_Axis]) -> str:
     """Why intervals cannot be told of so few residuals; empty where they can."""
-    if axes and len(np.unique(_clusters(axes))) >= _LEAST_CLUSTERS:
+    if axes and len(np.unique(_clusters(axes))) >= LEAST_CLUSTERS:
         return ""
-    return f"commands and odometry were recorded for less than {_CLUSTER * (_LEAST_CLUSTERS - 1):g} s"
+    return f"commands and odometry were recorded for less than {_CLUSTER * (LEAST_CLUSTERS - 1):g} s"
 
 
 def answered(times: FloatArray, commands: FloatArray, values: Sequence[float], at: FloatArray) -> FloatArray:
@@ -172,13 +171,7 @@ def _residuals(axes: list[_Axis], values: FloatArray) -> FloatArray:
 
 def _clusters(axes: list[_Axis]) -> IntArray:
     """Of each residual: which stretch of which recording it is of."""
-    found: list[IntArray] = []
-    count = 0
-    for axis in axes:
-        number = ((axis.stamps[axis.first] - axis.stamps[0]) / _CLUSTER).astype(np.intp) + count
-        count = int(number[-1]) + 1 if len(number) else count
-        found.append(number)
-    return np.concatenate(found)
+    return np.concatenate(clusters_of((axis.stamps[axis.first] - axis.stamps[0] for axis in axes), _CLUSTER))
 
 
 def _way(recording: Recording) -> tuple[FloatArray, FloatArray, FloatArray]:

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from optdock.calibration.statistics import Quantity, fit, mean_of, unknown
+from optdock.calibration.statistics import LEAST_CLUSTERS, Quantity, clusters_of, fit, mean_of, unknown
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -21,7 +21,6 @@ _LONGEST = 1.0  # [s]: a twist that is older steers no robot
 _LEAST_ACCELERATION = 0.05  # [m/s]: of a speed that changes by less, means over different windows are the same
 _ROUGH = 0.1  # of the time between two poses
 _CLUSTER = 2.0  # [s]: longer than the windows
-_LEAST_CLUSTERS = 3  # with fewer of them an interval is that of one degree of freedom: 13 standard deviations
 _SPAN = 0.3  # [s] of a residual: longer than the usual windows, so that all of a change of speed is in it
 _GRID = 0.002  # [s]: half of the jitter of stamps
 _LEVER = 0.3  # [m] by which yaw rates are compared with speeds: about half of a robot's width
@@ -38,8 +37,8 @@ def twist_window(recordings: Sequence[Recording]) -> Quantity:
         return unknown(name, unit, "the speed of the robot never changed")
     parts = [_Increments(one) for one in used]
     clusters = _clusters(parts)
-    if len(np.unique(clusters)) < _LEAST_CLUSTERS:
-        return unknown(name, unit, f"the odometry was recorded for less than {_CLUSTER * (_LEAST_CLUSTERS - 1):g} s")
+    if len(np.unique(clusters)) < LEAST_CLUSTERS:
+        return unknown(name, unit, f"the odometry was recorded for less than {_CLUSTER * (LEAST_CLUSTERS - 1):g} s")
 
     def residuals(values: FloatArray) -> FloatArray:
         return np.concatenate([part.residuals(float(values[0])) for part in parts])
@@ -100,10 +99,6 @@ class _Increments:
 
 
 def _clusters(parts: list[_Increments]) -> IntArray:
-    found: list[IntArray] = []
-    count = 0
-    for part in parts:
-        number = ((part.stamps[part.rows] - part.stamps[0]) / _CLUSTER).astype(np.intp) + count
-        count = int(number.max()) + 1 if len(number) else count
-        found += [number, number]
-    return np.concatenate(found)
+    """As `clusters_of`; each part has residuals of the way and, at the same times, of the turn."""
+    found = clusters_of((part.stamps[part.rows] - part.stamps[0] for part in parts), _CLUSTER)
+    return np.concatenate([number for number in found for _ in range(2)])

@@ -9,13 +9,25 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
+    from collections.abc import Callable, Iterable, Sequence
 
     from optdock.geometry.arrays import FloatArray, IntArray
 
-__all__ = ["CONFIDENCE", "Fit", "Quantity", "fit", "mean_of", "poisson_rate", "share_of", "unknown"]
+__all__ = [
+    "CONFIDENCE",
+    "LEAST_CLUSTERS",
+    "Fit",
+    "Quantity",
+    "clusters_of",
+    "fit",
+    "mean_of",
+    "poisson_rate",
+    "share_of",
+    "unknown",
+]
 
 CONFIDENCE = 0.95
+LEAST_CLUSTERS = 3  # with fewer of them an interval is that of one degree of freedom: 13 standard deviations
 _EVALUATIONS = 60  # of problems with three parameters that are solved within ten
 _STEP = 1e-4  # of the spread of a parameter: where its central difference is exact to eight digits
 
@@ -86,6 +98,25 @@ def student(freedom: float) -> float:
     from scipy.stats import t
 
     return float(t.ppf(0.5 + 0.5 * CONFIDENCE, freedom))
+
+
+def clusters_of(times: Iterable[FloatArray], length: float) -> list[IntArray]:
+    """Of each residual: which stretch of which recording it is of, numbered through all recordings.
+
+    Args:
+        times: Of the residuals of each recording, since it began, Shape (n,) [s].
+        length: Of a stretch [s].
+
+    Returns:
+        An array for each recording, Shape (n,).
+    """
+    found: list[IntArray] = []
+    count = 0
+    for since in times:
+        number = (since / length).astype(np.intp) + count
+        count = int(number.max()) + 1 if len(number) else count
+        found.append(number)
+    return found
 
 
 def fit(

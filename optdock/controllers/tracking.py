@@ -456,11 +456,10 @@ class TrackingController(Controller):
         turns = min(p.turn_gain, bounds.rate), min(_QUICKEST_TURN, bounds.rate)
         usual = max(p.convergence_distance, bounds.distance)
         least = min(max(_SHORTEST_CONVERGENCE, _AT_END * bounds.distance), usual)
-        best, least_left = (usual, turns[0]), left_with(usual, turns[0])
+        best, is_near = (usual, turns[0]), ahead.left <= min(_NEAR_END, ahead.to_rest + _NOTHING_LEFT)
         if reference.finished and abs(askew) > _LEFT * accepted.yaw:
-            return Gains(min(p.along_gain, bounds.rate), usual, p.damping, turns[1])
-        is_near = ahead.left <= min(_NEAR_END, ahead.to_rest + _NOTHING_LEFT)
-        if least_left > _LEFT and is_near:
+            best = usual, turns[1]
+        elif is_near and (least_left := left_with(*best)) > _LEFT:
             distance = usual
             while distance > least:
                 for turn in turns:

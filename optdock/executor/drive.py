@@ -218,10 +218,7 @@ class Drive:
         ]
         moves = abs(situation.commanded.linear) > still[0] or abs(situation.commanded.angular) > still[1]
         relative, goal = situation.perception.robot_from_dock, Pose2(0.0, 0.0, 0.0)
-        errors = zip(
-            (relative.x, relative.y, normalize_angle(relative.yaw)), situation.perception.sigma_after(0.0), strict=True
-        )
-        is_noise = all(abs(error) <= _OF_NOISE * sigma for error, sigma in errors)
+        is_noise = all(abs(error) <= _OF_NOISE * sigma for error, sigma, _ in situation.errors_in_dock())
         if moves and not is_noise and situation.now - self._finished_since < 0.5 * settings.settling_time:
             return None  # what is left is still being corrected
         path = [Pose2(-0.1 * situation.gear, 0.0, 0.0), goal]

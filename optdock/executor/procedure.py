@@ -231,7 +231,7 @@ class Procedure:
             if self._now - since >= _CONFIRMATION:
                 return False
             yield from self._cycle(_STOP)
-        return situation.will_know(0.0) and situation.may_stand_in_dock and not situation.may_have_turned
+        return situation.will_know(0.0) and situation.stands_in_dock(0.0) and not situation.may_have_turned
 
     def _perceive_from_somewhere(self) -> Cycles:
         """Look at the dock from here; where it is not seen, from a staging pose.
@@ -352,7 +352,7 @@ class Procedure:
         situation = self.situation
         if self._dock_type.is_pressed_on or situation.is_held:
             return False
-        if not (situation.will_know(0.0) and situation.surely_stands_in_dock(_SURE_SEEN)):
+        if not (situation.will_know(0.0) and situation.stands_in_dock(_SURE_SEEN)):
             return False
         try:
             yield from self._confirm()
@@ -371,14 +371,14 @@ class Procedure:
         if self._settings.use_detections:
             while perception.moved_since_seen > _UNSEEN_WAY or situation.may_have_turned or situation.is_on_the_edge:
                 patience = _HIDDEN_FOR if situation.sees_from_near else _CONFIRMATION
-                if self._now - since >= (
-                    self._settings.initial_perception_timeout if situation.may_have_turned else patience
-                ):
+                if situation.may_have_turned:
+                    patience = self._settings.initial_perception_timeout
+                if self._now - since >= patience:
                     break
                 yield from self._cycle(_STOP)
         self._require_certainty()
         is_seen = perception.moved_since_seen <= _UNSEEN_WAY
-        if not situation.surely_stands_in_dock(_SURE_SEEN if is_seen else _SURE_UNSEEN):
+        if not situation.stands_in_dock(_SURE_SEEN if is_seen else _SURE_UNSEEN):
             raise Interrupted(NOT_DOCKED, situation.where)
 
     def _require_certainty(self) -> None:
@@ -533,9 +533,7 @@ class Procedure:
         situation = self.situation
         direction, footprint = -situation.gear, situation.problem.robot.footprint
         begun_at, begun, is_straight = situation.perception.way, self._now, False
-        limits = situation.problem.robot.limits
-        braking_time = _BACK_OUT_SPEED / limits.max_deceleration + limits.max_deceleration / limits.max_jerk
-        braking = 0.5 * _BACK_OUT_SPEED * braking_time
+        braking = 0.5 * _BACK_OUT_SPEED * situation.braking_time_from(_BACK_OUT_SPEED)
         farthest = max(least, self._dock_type.back_out_distance)
         limit = 2.0 * farthest / _BACK_OUT_SPEED + _REST_PATIENCE
         while True:

@@ -14,7 +14,7 @@ from optdock.dock import Dock, DockDirection
 from optdock.executor.approach import staging_distance
 from optdock.executor.interruptions import HELD, Interrupted
 from optdock.executor.outcomes import EndingKind
-from optdock.geometry.pose import Pose2, Twist2, normalize_angle, transform_points
+from optdock.geometry.pose import Pose2, Twist2, normalize_angle
 from optdock.measurements import AtDock
 from optdock.obstacles import ObstacleSet
 from optdock.outcomes import Contact
@@ -87,6 +87,11 @@ class Situation:
         self._cleared: tuple[Costmap | None, Costmap | None, Pose2] = (None, None, problem.goal)
 
     @property
+    def dock(self) -> Dock:
+        """The dock where it is seen."""
+        return dataclasses.replace(self.problem.dock, pose=self.perception.dock)
+
+    @property
     def is_commanded_to_rest(self) -> bool:
         """Whether the commands have come to rest."""
         return self.commanded == Twist2()
@@ -113,9 +118,13 @@ class Situation:
 
     @property
     def braking_time(self) -> float:
-        """From the largest speed to rest [s]."""
+        """From the largest speed to rest [s], see `braking_time_from`."""
+        return self.braking_time_from(self.problem.robot.limits.max_speed)
+
+    def braking_time_from(self, speed: float) -> float:
+        """From a speed [m/s] to rest, at most: exact where the deceleration reaches its limit on the way [s]."""
         limits = self.problem.robot.limits
-        return limits.max_speed / limits.max_deceleration + limits.max_deceleration / limits.max_jerk
+        return speed / limits.max_deceleration + limits.max_deceleration / limits.max_jerk
 
     @property
     def has_signal(self) -> bool:
@@ -147,9 +156,8 @@ class Situation:
     @property
     def where(self) -> str:
         """The robot seen from the docked pose, for a message."""
-        relative = self.perception.robot_from_dock
-        turned = normalize_angle(relative.yaw)
-        return f"{relative.x:.4f} m along, {relative.y:.4f} m across and {turned:.4f} rad from the docked pose"
+        (x, *_), (y, *_), (yaw, *_) = self.errors_in_dock()
+        return f"{x:.4f} m along, {y:.4f} m across and {yaw:.4f} rad from the docked pose"
 
     @property
     def detection_is_old(self) -> bool:
@@ -191,18 +199,20 @@ class Situation:
     @property
     def is_on_the_edge(self) -> bool:
         """Whether the robot may stand within the tolerances of the dock as well as beside them, by what is known."""
-        return any(abs(abs(error) - most) < _CERTAINTY * sigma for error, sigma, most in self._asked())
+        return any(abs(abs(error) - most) < _CERTAINTY * sigma for error, sigma, most in self.errors_in_dock())
 
-    def surely_stands_in_dock(self, certainty: float) -> bool:
+    def stands_in_dock(self, certainty: float) -> bool:
         """Whether the robot stands within the tolerances of the dock, and is not only believed to at their edge.
 
         Args:
             certainty: Standard deviations by which it is to stand within them, as far as that leaves half of them.
         """
-        return all(abs(error) <= max(most - certainty * sigma, 0.5 * most) for error, sigma, most in self._asked())
+        return all(
+            abs(error) <= max(most - certainty * sigma, 0.5 * most) for error, sigma, most in self.errors_in_dock()
+        )
 
-    def _asked(self) -> list[tuple[float, float, float]]:
-        """Errors in the dock, their standard deviations and tolerances: along, across [m] and yaw [rad]."""
+    def errors_in_dock(self) -> list[tuple[float, float, float]]:
+        """Errors in the dock, their standard deviations and tolerances: along, across [m], yaw in (-pi, pi] [rad]."""
         accepted, found = self.problem.dock.tolerances, self.perception.robot_from_dock
         sigma = self.perception.sigma_after(0.0)
         tolerances = accepted.along, accepted.cross, accepted.yaw
@@ -212,12 +222,6 @@ class Situation:
     def may_have_turned(self) -> bool:
         """Whether the localization says that the robot has turned out of its dock since that was seen."""
         return self.settings.use_detections and abs(self.perception.unseen_turn) > self.problem.dock.tolerances.yaw
-
-    @property
-    def may_stand_in_dock(self) -> bool:
-        """False where it is known that the robot stands outside the tolerances of the dock."""
-        origin = Pose2(0.0, 0.0, 0.0)
-        return not self.will_know(0.0) or self.problem.dock.tolerances.accept(self.perception.robot_from_dock, origin)
 
     def will_know(self, left: float) -> bool:
         """Whether the tolerances of the dock can be told from the noise after so much more of the way [m]."""
@@ -251,11 +255,10 @@ class Situation:
 
     def may_see_dock_from(self, places: tuple[Pose2, ...]) -> bool:
         """Whether the marker may be in the camera's view from one of some poses; True where either is not known."""
-        camera, marker = self.problem.robot.camera, self.problem.dock.marker
+        camera, marker = self.problem.robot.camera, self.dock.marker_in_world
         if camera is None or marker is None:
             return True
-        at = transform_points(self.perception.dock.as_array()[None], np.array([marker]))[0, 0]
-        seen = camera.points_seen(np.array([place.as_array() for place in places]), at)
+        seen = camera.points_seen(np.array([place.as_array() for place in places]), marker)
         return bool(np.any(camera.margins(seen).smallest > -3.0 * self.perception.sigma[0]))
 
     def has_arrived_at(self, places: tuple[Pose2, ...]) -> bool:
@@ -276,7 +279,7 @@ class Situation:
         if seen is not known or dock.gap_to(place) > _SAME_DOCK:
             cleared = with_contact_zone(
                 seen,
-                dataclasses.replace(self.problem.dock, pose=dock),
+                self.dock,
                 self.problem.robot.footprint,
                 self.settings.contact_margin,
             )
@@ -298,7 +301,7 @@ class Situation:
         return dataclasses.replace(
             self.problem,
             start=self.perception.robot,
-            dock=dataclasses.replace(self.problem.dock, pose=self.perception.dock),
+            dock=self.dock,
             costmap=self.costmap,
             **_AT_A_STAND,
         )
@@ -334,9 +337,10 @@ class Situation:
         perception, patience = self.perception, self.settings.pose_patience
         if not perception.started or perception.twist_age > patience:
             return False
-        sees_dock = perception.detection_age <= patience and self.is_dock_known
+        if perception.pose_age <= patience:
+            return True
         is_near = perception.way_unlocated <= _UNLOCATED[0] and perception.pose_age <= _UNLOCATED[1]
-        return perception.pose_age <= patience or (sees_dock and is_near)
+        return is_near and perception.detection_age <= patience and self.is_dock_known
 
     @property
     def is_held(self) -> bool:
