@@ -248,7 +248,7 @@ class Procedure:
             views = [places for places in views if situation.may_see_dock_from(places())]
             is_worth_it = situation.may_see_dock_from((situation.perception.robot,))
             try:
-                if is_worth_it or situation.is_dock_known or not views:
+                if is_worth_it or situation.is_dock_found or not views:
                     return (yield from self._perceive())
             except TaskFailed as failure:
                 while views and situation.has_arrived_at(views[0]()):
@@ -265,7 +265,7 @@ class Procedure:
             TaskFailed: It is not seen.
         """
         settings, perception = self._settings, self.situation.perception
-        if not settings.use_detections or self.situation.is_dock_known:
+        if not settings.use_detections or self.situation.is_dock_found:
             return
         self.state = State.PERCEIVING
         since, before = self._now, perception.detections

@@ -11,7 +11,7 @@ import numpy as np
 from optdock.costmap.cell_obstacles import obstacles_from_costmap
 from optdock.costmap.contact_zone import with_contact_zone
 from optdock.dock import Dock, DockDirection
-from optdock.executor.approach import staging_distance
+from optdock.executor.approach import can_be_planned_away, staging_distance
 from optdock.executor.interruptions import HELD, Interrupted
 from optdock.executor.outcomes import EndingKind
 from optdock.geometry.pose import Pose2, Twist2, normalize_angle
@@ -195,6 +195,22 @@ class Situation:
         (place, turn), most = perception.sigma, min(accepted.along, accepted.cross)
         is_sure = _CERTAINTY * place <= most and _CERTAINTY * turn <= accepted.yaw
         return seen and is_sure and not perception.is_contradicted
+
+    @property
+    def is_dock_found(self) -> bool:
+        """Whether the dock was seen on the way here, often and well enough to be approached.
+
+        What is not known of it yet can still be corrected on the second half of the way in.
+        """
+        perception, limits = self.perception, self.problem.robot.limits
+        if self.is_dock_known:
+            return True
+        if perception.detections < self.settings.least_detections or perception.is_contradicted:
+            return False
+        place, turn = (_CERTAINTY * sigma for sigma in perception.sigma)
+        way = 0.5 * abs(perception.robot_from_dock.x) - self.problem.dock.final_straight
+        is_recent = perception.detection_age <= _LONG and not self.detection_is_old
+        return is_recent and can_be_planned_away(place, turn, way, 1.0, limits)
 
     @property
     def is_on_the_edge(self) -> bool:
