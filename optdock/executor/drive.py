@@ -13,6 +13,7 @@ from optdock.executor.approach import DECAY, SHORTEST_DECAY, can_be_planned_away
 from optdock.executor.interruptions import TOO_FAR_OFF, AttemptFailed, Interrupted, TaskFailed
 from optdock.executor.outcomes import EndingKind, State
 from optdock.executor.planning import Job, Outcome
+from optdock.executor.situation import LONGEST_HIDDEN, NO_ROOM
 from optdock.geometry.pose import Pose2, displacement, normalize_angle
 from optdock.lifecycle import LifecycleState, PluginContext
 from optdock.segments import TurnSegment
@@ -42,6 +43,7 @@ _AFTER_REFUSAL = 3.0  # times the usual pause: what could not be planned now can
 _LEAP = 0.25  # [m] from its reference, farther off another stretch of the path may be nearer
 _LEAD = 0.06  # [s] beyond the budget: a period at 20 Hz until the result is asked for, and some
 _LATE = 0.05  # [s]: a reference that jumps by so much at the speeds near a dock jumps by millimetres
+_SLOWEST = 0.2  # of the planned speed: most drives still move at a fifth of the speed before a dock
 _STALE_STOP = 0.3  # [s]: a motion that is proven wrong from later on than this may go on while another is planned
 _SAMPLES = 0.01  # [m] between two poses of a path: between them it bends by micrometres
 
@@ -93,6 +95,7 @@ class Drive:
         self._looked_at, self._where = -math.inf, ""
         self._submitted_at, self._pause = -math.inf, situation.settings.replan_pause
         self._finished_since: float | None = None
+        self._speed_share, self._is_hidden_said = 1.0, False
         self._until = situation.now + motion.trajectory.duration + self._allowance
         requests.forget()
         goal_checker.reset()
@@ -147,14 +150,14 @@ class Drive:
             self.docked = self._contact()
             if self.docked is not None:
                 return True
-            if settings.use_detections and situation.detection_is_old:
+            is_hidden = settings.use_detections and situation.is_dock_hidden
+            self._wait_on_the_way(is_hidden)
+            if settings.use_detections and situation.detection_is_old and not is_hidden:
                 place, turn = situation.perception.sigma
                 reason = (
                     f"not seen for {situation.perception.detection_age:.1f} s, sigma {place:.4f} m and {turn:.4f} rad"
                 )
                 raise Interrupted("detection missing", reason)
-            if settings.use_detections and situation.is_dock_hidden:
-                raise Interrupted("dock hidden", f"not seen for {situation.perception.detection_age:.1f} s")
         if situation.now > self._until:
             reason = f"timeout while {self._state.value}: {situation.where}"
             if self._is_approach:
@@ -182,6 +185,31 @@ class Drive:
             raise Interrupted("no valid control", f"{type(error).__name__}: {error}") from error
         self._replan()
         return target
+
+    def end(self) -> None:
+        """Take back what the controller was asked for that is no part of the motion."""
+        self._limit_speed(1.0)
+
+    def _wait_on_the_way(self, is_hidden: bool) -> None:
+        """Drive so slowly, while the dock is hidden, that it may be seen again before it is too late for corrections.
+
+        The way on which they are possible is stretched over the time for which a hidden dock is waited for.
+        """
+        if not is_hidden:
+            self._limit_speed(1.0)
+            return
+        trajectory, age = self.motion.trajectory, self._situation.perception.detection_age
+        until = float(np.interp(trajectory.path.length - NO_ROOM, *self._times_of_places))
+        left = max(until - self._reference[0], 0.0)
+        self._limit_speed(min(max(left / max(LONGEST_HIDDEN - age, _LOOK), _SLOWEST), 1.0))
+        if not self._is_hidden_said:
+            self._report("dock hidden", f"not seen for {age:.1f} s: at {100.0 * self._speed_share:.0f} % of the speed")
+            self._is_hidden_said = True
+
+    def _limit_speed(self, share: float) -> None:
+        if share != self._speed_share:
+            self._speed_share = share
+            self._controller.set_speed_limit(100.0 * share if share < 1.0 else 0.0, True)  # noqa: FBT003 - Nav2's order
 
     @property
     def _pose(self) -> Pose2:
@@ -218,7 +246,8 @@ class Drive:
         ]
         moves = abs(situation.commanded.linear) > still[0] or abs(situation.commanded.angular) > still[1]
         relative, goal = situation.perception.robot_from_dock, Pose2(0.0, 0.0, 0.0)
-        is_noise = all(abs(error) <= _OF_NOISE * sigma for error, sigma, _ in situation.errors_in_dock())
+        along, _, yaw = situation.errors_in_dock()  # no way is left on which the error across could be corrected
+        is_noise = all(abs(error) <= _OF_NOISE * sigma for error, sigma, _ in (along, yaw))
         if moves and not is_noise and situation.now - self._finished_since < 0.5 * settings.settling_time:
             return None  # what is left is still being corrected
         path = [Pose2(-0.1 * situation.gear, 0.0, 0.0), goal]

@@ -417,8 +417,7 @@ class Procedure:
             if waited > settings.initial_perception_timeout:
                 reason = f"the dock has not been seen for {perception.detection_age:.1f} s"
                 raise AttemptFailed(EndingKind.FAILED_TO_DETECT_DOCK, reason)
-            if waited > _HIDDEN_FOR and not is_needed:
-                situation.looked_in_vain_since = perception.seen_at
+            if not (is_needed or situation.is_dock_hidden or perception.detections > before):
                 return
             yield from self._cycle(_STOP)
 
@@ -481,9 +480,12 @@ class Procedure:
             requests=self._requests,
             report=self._report,
         )
-        while not drive.is_over():
-            self.deviation = drive.deviation
-            yield from self._cycle(drive.command())
+        try:
+            while not drive.is_over():
+                self.deviation = drive.deviation
+                yield from self._cycle(drive.command())
+        finally:
+            drive.end()
         return drive.docked
 
     def _press(self) -> Generator[Wish, None, EndingKind]:

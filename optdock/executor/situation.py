@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from optdock.executor.settings import ExecutorSettings
     from optdock.problem import DockingProblem
 
-__all__ = ["Situation"]
+__all__ = ["LONGEST_HIDDEN", "NO_ROOM", "Situation"]
 
 _AT_REST = 0.01, 0.02  # [m/s], [rad/s] by odometry: a robot that stands, its encoders not quite
 # [m], [s] for which odometry takes the robot among the obstacles of the map while the dock is in view: by wheels of 1 %
@@ -40,10 +40,10 @@ _SAME_DOCK = 0.01  # [m], [rad]: a dock that is seen elsewhere by less stands in
 # the robot believed to stand at the edge of what is accepted; it is believed to stand in the middle.
 _CERTAINTY = 2.0
 _BLINK = 1.0  # [s] without a detection that nothing is made of
-_LONG = 3.0  # [s] without one, after which a robot that is not sure looks for it before it drives on
+LONGEST_HIDDEN = 3.0  # [s] without one, after which a robot that is not sure looks for it before it drives on
 _HIDDEN = 0.8  # [s] without one, where the dock was seen before: of ten a second, half of them lost, one gap in 250
 _NEAR = 0.25  # [m]: from farther a camera that is blind before the dock sees it
-_NO_ROOM = 0.03  # [m] before the dock nothing can be corrected any more
+NO_ROOM = 0.03  # [m] before the dock nothing can be corrected any more
 _LAST_LOOK = 0.2  # [m] before the dock: as near it drives without being sure, for a detection may come on the way
 _ARRIVED = 0.05, 0.05  # [m], [rad] from the staging pose: Nav2's undock_linear_tolerance and undock_angular_tolerance
 _DOCKED_BY = {Contact.SIGNAL: EndingKind.DOCKED_BY_SIGNAL, Contact.STALL: EndingKind.DOCKED_BY_STALL}
@@ -64,7 +64,6 @@ class Situation:
         interruption: Name and reason of what stops a motion from outside, such as a clock that jumped; empty: nothing.
         commanded: The last command; set before every cycle.
         approach_gear: Of the last piece of the motion into the dock that was driven last; None before.
-        looked_in_vain_since: Stamp of the newest detection when it was last waited for another one in vain [s].
         felt: The contact that the dock type feels in this cycle, wherever the robot is.
     """
 
@@ -81,7 +80,6 @@ class Situation:
         self.interruption = ("", "")
         self.commanded = Twist2()
         self.approach_gear: float | None = None
-        self.looked_in_vain_since = math.nan
         self.felt: Contact | None = None
         self._is_far_contact_said = False
         self._cleared: tuple[Costmap | None, Costmap | None, Pose2] = (None, None, problem.goal)
@@ -169,18 +167,18 @@ class Situation:
         patience = settings.detection_patience
         if patience is not None and age > patience:
             return True
-        return (left <= _LAST_LOOK or age > _LONG) and not self.will_know(left)
+        return (left <= _LAST_LOOK or age > LONGEST_HIDDEN) and not self.will_know(left)
 
     @property
     def is_dock_hidden(self) -> bool:
         """Whether the dock is not seen where it has been, with some way left on which an error could be corrected.
 
-        A camera that is blind before the dock has never seen it from near; then there is nothing to wait for.
+        A camera that is blind before the dock has never seen it from near; then there is nothing to wait for. Nor is
+        there for ever: whatever walks by has walked on.
         """
-        perception, left = self.perception, abs(self.perception.robot_from_dock.x)
-        is_late = perception.detection_age > _HIDDEN and self.distance > self.settings.detection_blind_distance
-        is_new = perception.seen_at != self.looked_in_vain_since
-        return is_late and is_new and _NO_ROOM < left <= _LAST_LOOK and self.sees_from_near
+        age, left = self.perception.detection_age, abs(self.perception.robot_from_dock.x)
+        is_visible = self.distance > self.settings.detection_blind_distance and self.sees_from_near
+        return _HIDDEN < age <= LONGEST_HIDDEN and NO_ROOM < left <= _LAST_LOOK and is_visible
 
     @property
     def sees_from_near(self) -> bool:
@@ -209,7 +207,7 @@ class Situation:
             return False
         place, turn = (_CERTAINTY * sigma for sigma in perception.sigma)
         way = 0.5 * abs(perception.robot_from_dock.x) - self.problem.dock.final_straight
-        is_recent = perception.detection_age <= _LONG and not self.detection_is_old
+        is_recent = perception.detection_age <= LONGEST_HIDDEN and not self.detection_is_old
         return is_recent and can_be_planned_away(place, turn, way, 1.0, limits)
 
     @property
