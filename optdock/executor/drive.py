@@ -152,7 +152,7 @@ class Drive:
                 return True
             is_hidden = settings.use_detections and situation.is_dock_hidden
             self._wait_on_the_way(is_hidden)
-            if settings.use_detections and situation.detection_is_old and not is_hidden:
+            if settings.use_detections and situation.detection_is_old and not is_hidden and situation.left > NO_ROOM:
                 place, turn = situation.perception.sigma
                 reason = (
                     f"not seen for {situation.perception.detection_age:.1f} s, sigma {place:.4f} m and {turn:.4f} rad"
@@ -251,10 +251,8 @@ class Drive:
         if moves and not is_noise and situation.now - self._finished_since < 0.5 * settings.settling_time:
             return None  # what is left is still being corrected
         path = [Pose2(-0.1 * situation.gear, 0.0, 0.0), goal]
-        if not self._goal_checker.is_goal_reached(relative, goal, situation.twist, path):
-            return None
-        is_known = not situation.perception.is_contradicted and situation.will_know(0.0)
-        return EndingKind.DOCKED_BY_DISTANCE if is_known else None
+        is_reached = self._goal_checker.is_goal_reached(relative, goal, situation.twist, path)
+        return EndingKind.DOCKED_BY_DISTANCE if is_reached else None
 
     def _is_finished(self) -> bool:
         situation, settings = self._situation, self._situation.settings

@@ -334,18 +334,15 @@ class Procedure:
             AttemptFailed: Nobody knows.
         """
         docked = yield from self._drive(motion, State.APPROACHING)
-        if docked is None:
-            if self._dock_type.is_pressed_on:
-                return (yield from self._press())
-            self._require_certainty()
-            raise Interrupted(NOT_DOCKED, self.situation.where)
+        if docked is None and self._dock_type.is_pressed_on:
+            return (yield from self._press())
         yield from self._stop()
         if docked is EndingKind.DOCKED_BY_SIGNAL and not self.situation.has_signal:
             self._report("contact lost again", self.situation.where)  # the feedback was taking the robot back
             return (yield from self._press())
         if not self._dock_type.is_pressed_on:
             yield from self._confirm()
-        return docked
+        return docked or EndingKind.DOCKED_BY_DISTANCE
 
     def _has_arrived(self) -> Generator[Wish, None, bool]:
         """Whether a robot that was stopped on its way into the dock stands in it, as one does that rolls on."""
@@ -369,7 +366,7 @@ class Procedure:
         """
         situation, perception, since = self.situation, self.situation.perception, self._now
         if self._settings.use_detections:
-            while perception.moved_since_seen > _UNSEEN_WAY or situation.may_have_turned or situation.is_on_the_edge:
+            while perception.moved_since_seen > _UNSEEN_WAY or situation.is_in_doubt:
                 patience = _HIDDEN_FOR if situation.sees_from_near else _CONFIRMATION
                 if situation.may_have_turned:
                     patience = self._settings.initial_perception_timeout

@@ -142,6 +142,11 @@ class Situation:
         return math.hypot(relative.x, relative.y)
 
     @property
+    def left(self) -> float:
+        """Along the dock's axis to the docked pose, or back to it [m]."""
+        return abs(self.perception.robot_from_dock.x)
+
+    @property
     def reach_of_contact(self) -> float:
         """As far from the estimated dock contact may be made: what the estimate may be wrong comes on top [m]."""
         return self.settings.contact_range + 3.0 * self.perception.sigma[0]
@@ -161,7 +166,7 @@ class Situation:
     def detection_is_old(self) -> bool:
         """Whether the dock has not been seen for so long that the robot would not know at the dock where it stands."""
         age, settings = self.perception.detection_age, self.settings
-        left = abs(self.perception.robot_from_dock.x)
+        left = self.left
         if age <= _BLINK or self.distance <= settings.detection_blind_distance:
             return False
         patience = settings.detection_patience
@@ -171,14 +176,16 @@ class Situation:
 
     @property
     def is_dock_hidden(self) -> bool:
-        """Whether the dock is not seen where it has been, with some way left on which an error could be corrected.
+        """Whether the dock is not seen where it should be, with some way left on which an error could be corrected.
 
-        A camera that is blind before the dock has never seen it from near; then there is nothing to wait for. Nor is
-        there for ever: whatever walks by has walked on.
+        A camera that is blind before the dock has never seen it from near; then there is nothing to wait for, if the
+        robot will know without it where it stands. Nor is there for ever: whatever walks by has walked on.
         """
-        age, left = self.perception.detection_age, abs(self.perception.robot_from_dock.x)
-        is_visible = self.distance > self.settings.detection_blind_distance and self.sees_from_near
-        return _HIDDEN < age <= LONGEST_HIDDEN and NO_ROOM < left <= _LAST_LOOK and is_visible
+        age, left = self.perception.detection_age, self.left
+        if not (_HIDDEN < age <= LONGEST_HIDDEN and NO_ROOM < left <= _LAST_LOOK):
+            return False
+        is_visible = self.distance > self.settings.detection_blind_distance
+        return is_visible and (self.sees_from_near or not self.will_know(left))
 
     @property
     def sees_from_near(self) -> bool:
@@ -211,8 +218,10 @@ class Situation:
         return is_recent and can_be_planned_away(place, turn, way, 1.0, limits)
 
     @property
-    def is_on_the_edge(self) -> bool:
+    def is_in_doubt(self) -> bool:
         """Whether the robot may stand within the tolerances of the dock as well as beside them, by what is known."""
+        if self.may_have_turned or self.perception.is_contradicted or not self.will_know(0.0):
+            return True
         return any(abs(abs(error) - most) < _CERTAINTY * sigma for error, sigma, most in self.errors_in_dock())
 
     def stands_in_dock(self, certainty: float) -> bool:
