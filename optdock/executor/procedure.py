@@ -7,6 +7,7 @@ has a name and a limit, and so has every motion.
 from __future__ import annotations
 
 import logging
+import math
 from typing import TYPE_CHECKING, TypeAlias
 
 from optdock.executor.drive import Drive
@@ -47,6 +48,7 @@ _CLEAR_OF_CONTACT = 0.005  # [m]: a way back is planned from there; nearer, nois
 _BACK_OUT_SPEED = 0.1  # [m/s]: more than the dead band of either wheel, or the robot turns in contact
 _SURELY_OUT = 0.03  # [m] more than the way in which nothing may turn: by what the estimate and the braking may be wrong
 _BACK_OUT_LOOK = 0.5  # [s] ahead, of straight motions that no plan covers
+_TURN_RATE = 0.06  # [rad/s]: a degree takes 0.3 s, and the last period of it turns by 0.3 degrees at 10 Hz
 _CREEP = 1e-6  # [m/s]: no drive moves at it; steered wheels turn as its arc says
 # [s] for a detection at rest in the dock: of ten a second, half of them lost, one of 1000 takes longer.
 _CONFIRMATION = 1.0
@@ -297,7 +299,9 @@ class Procedure:
             except Interrupted as stopped:
                 self._say_why(stopped)
                 yield from self._stop()
-                if stopped.name != NOT_DOCKED and (yield from self._has_arrived()):
+                is_off = stopped.name in {TOO_FAR_OFF, NOT_DOCKED}
+                is_straight = is_off and (yield from self._align())
+                if (stopped.name != NOT_DOCKED or is_straight) and (yield from self._has_arrived()):
                     return EndingKind.DOCKED_BY_DISTANCE
                 if blocks == 0 or self._now - blocked_since > 2.0 * self._settings.obstacle_patience:
                     blocked_since = self._now
@@ -305,7 +309,7 @@ class Procedure:
                 if blocks > _MOST_BLOCKS:
                     reason = f"stopped {blocks} times on one approach, last: {stopped.name}: {stopped.reason}"
                     raise AttemptFailed(EndingKind.FAILED_TO_CONTROL, reason) from None
-                if stopped.name in {TOO_FAR_OFF, NOT_DOCKED}:
+                if is_off:
                     yield from self._back_out()  # where the robot may touch the station
                 yield from self._wait_for_detection()
 
@@ -342,6 +346,8 @@ class Procedure:
             return (yield from self._press())
         if not self._dock_type.is_pressed_on:
             yield from self._confirm()
+            if (yield from self._align()):
+                yield from self._confirm()
         return docked or EndingKind.DOCKED_BY_DISTANCE
 
     def _has_arrived(self) -> Generator[Wish, None, bool]:
@@ -377,6 +383,39 @@ class Procedure:
         is_seen = perception.moved_since_seen <= _UNSEEN_WAY
         if not situation.stands_in_dock(_SURE_SEEN if is_seen else _SURE_UNSEEN):
             raise Interrupted(NOT_DOCKED, situation.where)
+
+    def _align(self) -> Generator[Wish, None, bool]:
+        """Turn in place, at rest before or in the dock, where the heading is off and no way is left to correct it on.
+
+        The turn is counted by the commands, so that no delay of the drive makes it too large.
+
+        Returns:
+            Whether the robot was turned.
+
+        Raises:
+            Interrupted: It cannot go on.
+        """
+        situation = self.situation
+        robot, angle = situation.problem.robot, situation.turn_to_dock
+        if angle == 0.0:
+            return False
+        twist = Twist2(0.0, math.copysign(_TURN_RATE, angle))
+        place = situation.perception.robot
+        near = situation.near(place, robot.footprint.circumscribed_radius)
+        lasts, deepest = abs(angle) / _TURN_RATE, situation.reach_of_contact
+        if free_motion(robot.footprint, near, place, twist, lasts, overlap=deepest).free < lasts:
+            return False
+        turning, braking = robot.limits.turning, 0.0
+        if math.isfinite(turning.acceleration):
+            braking = 0.5 * _TURN_RATE * (_TURN_RATE / turning.acceleration + turning.acceleration / turning.jerk)
+        turned, before = 0.0, self._now
+        while abs(turned) + braking < abs(angle):
+            situation.require_no_interruption()
+            yield from self._cycle(twist)
+            turned += situation.commanded.angular * (self._now - before)
+            before = self._now
+        yield from self._stop()
+        return True
 
     def _require_certainty(self) -> None:
         """Raises AttemptFailed if nobody knows whether the robot stands in its dock."""

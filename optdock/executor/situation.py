@@ -19,6 +19,7 @@ from optdock.measurements import AtDock
 from optdock.obstacles import ObstacleSet
 from optdock.outcomes import Contact
 from optdock.problem import ClearanceRule
+from optdock.robot import Drive
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -42,6 +43,8 @@ _CERTAINTY = 2.0
 _BLINK = 1.0  # [s] without a detection that nothing is made of
 LONGEST_HIDDEN = 3.0  # [s] without one, after which a robot that is not sure looks for it before it drives on
 _HIDDEN = 0.8  # [s] without one, where the dock was seen before: of ten a second, half of them lost, one gap in 250
+_ALIGNED, _NOISE = 0.35, 1.5  # of the tolerance, standard deviations: a heading that is less off stays as it is
+_LARGEST_TURN = 0.1  # [rad] at a dock: the corners of a usual robot then move by 3 cm
 _NEAR = 0.25  # [m]: from farther a camera that is blind before the dock sees it
 NO_ROOM = 0.03  # [m] before the dock nothing can be corrected any more
 _LAST_LOOK = 0.2  # [m] before the dock: as near it drives without being sure, for a detection may come on the way
@@ -233,6 +236,16 @@ class Situation:
         return all(
             abs(error) <= max(most - certainty * sigma, 0.5 * most) for error, sigma, most in self.errors_in_dock()
         )
+
+    @property
+    def turn_to_dock(self) -> float:
+        """Turn by which the heading becomes that of the docked robot, where that is all that is off [rad]; else 0."""
+        if self.problem.robot.drive is not Drive.DIFFERENTIAL or self.dock_type.is_pressed_on:
+            return 0.0
+        _, (across, _, most_across), (yaw, sigma, most) = self.errors_in_dock()
+        is_worth_it = abs(yaw) > max(_ALIGNED * most, _NOISE * sigma)
+        is_all = abs(across) <= 0.5 * most_across and self.left <= _LAST_LOOK and abs(yaw) <= _LARGEST_TURN
+        return -yaw if is_worth_it and is_all else 0.0
 
     def errors_in_dock(self) -> list[tuple[float, float, float]]:
         """Errors in the dock, their standard deviations and tolerances: along, across [m], yaw in (-pi, pi] [rad]."""
