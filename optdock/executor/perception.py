@@ -31,7 +31,7 @@ _MISSED = 0.5  # [s] without a measurement that is said in the log
 _LEAST_SIGMA = 2e-4, 2e-4  # [m], [rad]: no detector is better, and none may make the covariance singular
 _LATE = 0.04  # [s]: a delay of the detections against the odometry that is said, where it is known that well
 _JITTER = 0.01  # [s]: of the stamps of detections, by exposure and drivers
-_STRAIGHT_YAW = 0.003  # [rad/m^0.5], random, of odometry that drives straight; what is systematic is learned
+_STRAIGHT_YAW = 0.008  # [rad/m^0.5], random, of odometry that drives straight; what is systematic is learned
 
 
 class Sigma(NamedTuple):

@@ -343,7 +343,7 @@ class Procedure:
         yield from self._stop()
         if docked is EndingKind.DOCKED_BY_SIGNAL and not self.situation.has_signal:
             self._report("contact lost again", self.situation.where)  # the feedback was taking the robot back
-            return (yield from self._press())
+            docked = yield from self._press()
         if not self._dock_type.is_pressed_on:
             yield from self._confirm()
             if (yield from self._align()):

@@ -44,6 +44,7 @@ _BLINK = 1.0  # [s] without a detection that nothing is made of
 LONGEST_HIDDEN = 3.0  # [s] without one, after which a robot that is not sure looks for it before it drives on
 _HIDDEN = 0.8  # [s] without one, where the dock was seen before: of ten a second, half of them lost, one gap in 250
 _ALIGNED, _NOISE = 0.35, 1.5  # of the tolerance, standard deviations: a heading that is less off stays as it is
+_BESIDE = 0.4  # of the tolerance: with more a robot that is straight again is better off with another approach
 _LARGEST_TURN = 0.1  # [rad] at a dock: the corners of a usual robot then move by 3 cm
 _NEAR = 0.25  # [m]: from farther a camera that is blind before the dock sees it
 NO_ROOM = 0.03  # [m] before the dock nothing can be corrected any more
@@ -244,7 +245,7 @@ class Situation:
             return 0.0
         _, (across, _, most_across), (yaw, sigma, most) = self.errors_in_dock()
         is_worth_it = abs(yaw) > max(_ALIGNED * most, _NOISE * sigma)
-        is_all = abs(across) <= 0.5 * most_across and self.left <= _LAST_LOOK and abs(yaw) <= _LARGEST_TURN
+        is_all = abs(across) <= _BESIDE * most_across and self.left <= _LAST_LOOK and abs(yaw) <= _LARGEST_TURN
         return -yaw if is_worth_it and is_all else 0.0
 
     def errors_in_dock(self) -> list[tuple[float, float, float]]:
