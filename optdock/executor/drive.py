@@ -202,7 +202,7 @@ class Drive:
         until = float(np.interp(trajectory.path.length - NO_ROOM, *self._times_of_places))
         left = max(until - self._reference[0], 0.0)
         self._limit_speed(min(max(left / max(LONGEST_HIDDEN - age, _LOOK), _SLOWEST), 1.0))
-        if not self._is_hidden_said:
+        if not self._is_hidden_said and self._speed_share < 1.0:
             self._report("dock hidden", f"not seen for {age:.1f} s: at {100.0 * self._speed_share:.0f} % of the speed")
             self._is_hidden_said = True
 

@@ -432,3 +432,62 @@ def test_the_dock_in_view_takes_the_place_of_a_lost_localization(seen, lawful):
     kind = lawful(docking).kind
     assert kind is (EndingKind.DOCKED_BY_DISTANCE if seen else EndingKind.UNKNOWN)
     assert bool(docking.said("no pose")) is not seen
+
+
+def test_a_dock_that_is_hidden_is_waited_for_on_the_way(lawful):
+    """Somebody stands before it for 1.5 s: the robot slows down, and still has way left when it sees the dock again."""
+    hidden, left = [], []
+
+    def walks_by(executor, world, measurements):
+        if not hidden and within(0.2)(executor, world):
+            hidden.append(world.time)
+        if not hidden or world.time > hidden[0] + 1.5:
+            return None
+        left.append(-world.error.x)
+        return measurements._replace(detections=())
+
+    docking = run(simulated(Pose2(-0.7, 0.02, 0.0), seed=3), problem_with(), NO_STAGING, before=walks_by)
+    assert lawful(docking).kind is EndingKind.DOCKED_BY_DISTANCE
+    assert docking.said("dock hidden")
+    assert left[-1] > 0.015
+    before_end = docking.states[: docking.states.index(State.STOPPING, docking.states.index(State.APPROACHING))]
+    assert docking.times[len(before_end)] > hidden[0] + 1.5, "it does not stop for that"
+    assert docking.ending.num_retries == 0
+
+
+def test_a_heading_that_slips_in_the_dock_is_turned_back_there(lawful):
+    """By 1.3 degrees, which its tolerance would accept; nothing else is off, and no way is left for a path."""
+
+    def slip(executor, world, measurements):
+        world.state = world.state._replace(pose=world.state.pose @ Pose2(0.0, 0.0, math.radians(1.3)))
+
+    start, before = Pose2(-0.6, 0.0, 0.0), once(within(0.003), slip)
+    docking = run(simulated(start, PERFECT, Actuation()), problem_with(), NO_STAGING, before=before)
+    assert lawful(docking, touch=0.008).kind is EndingKind.DOCKED_BY_DISTANCE
+    assert abs(docking.world.error.yaw) < math.radians(0.4)
+    assert State.BACKING_OUT not in docking.states
+    assert max(abs(docking.world.error.x), abs(docking.world.error.y)) < 0.005
+
+
+def test_contact_that_is_made_again_askew_is_no_dock(lawful):
+    """The robot is turned by 4 degrees as its contact opens: pressing on closes it, and the robot looks once more."""
+
+    def turned(executor, world, measurements):
+        world.state = world.state._replace(pose=world.state.pose @ Pose2(-0.002, 0.0, math.radians(4.0)))
+        return measurements._replace(contact=False)
+
+    opens = once(lambda executor, world: executor.state is State.STOPPING and world.measurements.contact, turned)
+    lost = []
+
+    def before(executor, world, measurements):
+        found = opens(executor, world, measurements)
+        lost.extend([world.time] if found else [])
+        is_lost = bool(lost) and world.time < lost[0] + 0.5
+        return measurements._replace(contact=False) if is_lost else found
+
+    station = Station(depth=0.0)
+    world = simulated(Pose2(-0.6, 0.0, 0.0), PERFECT, Actuation(), station=station)
+    docking = run(world, problem_with(), NO_STAGING, before=before)
+    assert docking.said("contact lost again")
+    assert docking.ending.kind.succeeded
+    assert abs(world.error.yaw) <= math.radians(1.5)
