@@ -8,6 +8,7 @@ part; the first is needed for obstacles, and for a dock that has not been seen y
 from __future__ import annotations
 
 import math
+from collections import deque
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -30,6 +31,7 @@ _STALE = 1.0  # [s]: a detection that took longer says where the dock was
 _MISSED = 0.5  # [s] without a measurement that is said in the log
 _LEAST_SIGMA = 2e-4, 2e-4  # [m], [rad]: no detector is better, and none may make the covariance singular
 _LATE = 0.04  # [s]: a delay of the detections against the odometry that is said, where it is known that well
+_LOOKS = 8  # detections that are remembered
 _JITTER = 0.01  # [s]: of the stamps of detections, by exposure and drivers
 _STRAIGHT_YAW = 0.008  # [rad/m^0.5], random, of odometry that drives straight; what is systematic is learned
 
@@ -57,6 +59,7 @@ class Perception:
         detections: Number of detections that were believed.
         rejected: Number of those that were not.
         way: Driven so far, by odometry [m].
+        turned: Turned so far, by odometry, to the left [rad].
         seen_from: The smallest distance from the docked pose at which the dock has been seen [m]; infinite before.
         too_far: How far from the stored dock the last one was that was of another dock [m]; 0: there was none.
         has_twist: Whether the measurements that come next have a body velocity of the odometry.
@@ -88,8 +91,9 @@ class Perception:
         self._costmap_at: float | None = None
         self.detections = self.rejected = 0
         self.seen_from, self.too_far = math.inf, 0.0
-        self.way = self._way_located = 0.0
+        self.way = self._way_located = self.turned = 0.0
         self.has_twist, self._twist_at = True, math.inf
+        self._seen: deque[float] = deque(maxlen=_LOOKS)  # stamps of detections that were believed [s]
         self._seen_yaw = 0.0  # of the dock in the fixed frame, when it was seen last [rad]
         self._pose_was_lost = self._dock_was_lost = self._delay_was_said = False
 
@@ -133,12 +137,19 @@ class Perception:
         """Stamp of the newest detection that was believed [s]; -inf before."""
         return self._dock.measured_at
 
-    @property
-    def moved_since_seen(self) -> float:
-        """How far the robot has moved since the newest detection that was believed [m]; infinite where nobody knows."""
-        if not self.seen_at >= self._dock.remembered_from:
+    def moved_since_seen(self, times: int = 1) -> float:
+        """How far the robot has moved since the newest detections that were believed.
+
+        Args:
+            times: How many of them.
+
+        Returns:
+            Way since the oldest one of these [m]; infinite where nobody knows.
+        """
+        seen = self._seen[-times] if len(self._seen) >= times else -math.inf
+        if not seen >= self._dock.remembered_from:
             return math.inf
-        return self._dock.pose.distance_to(self._dock.pose_at(self.seen_at))
+        return self._dock.pose.distance_to(self._dock.pose_at(seen))
 
     @property
     def detection_age(self) -> float:
@@ -229,6 +240,7 @@ class Perception:
         robot.predict(stamp, step)
         self._dock.predict(stamp, step)
         self.way += math.hypot(step.x, step.y)
+        self.turned += step.yaw
         if pose is not None and measured_at > self._pose_used:  # else delivered twice, or too late
             self._pose_used, self._way_located = measured_at, self.way
             robot.correct(measured_at, pose, self._noise)
@@ -282,6 +294,7 @@ class Perception:
                 place = self._dock.pose_at(detection.stamp)
                 self.seen_from = min(self.seen_from, math.hypot(place.x, place.y))
                 self._seen_yaw = self.dock.yaw
+                self._seen.append(detection.stamp)
                 if verdict == "moved":
                     gap = self._dock.pose.in_frame_of(before).inverse()
                     self._report("dock moved", f"by {gap.x:.3f} m, {gap.y:.3f} m, {gap.yaw:.3f} rad")

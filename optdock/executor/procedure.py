@@ -48,7 +48,12 @@ _CLEAR_OF_CONTACT = 0.005  # [m]: a way back is planned from there; nearer, nois
 _BACK_OUT_SPEED = 0.1  # [m/s]: more than the dead band of either wheel, or the robot turns in contact
 _SURELY_OUT = 0.03  # [m] more than the way in which nothing may turn: by what the estimate and the braking may be wrong
 _BACK_OUT_LOOK = 0.5  # [s] ahead, of straight motions that no plan covers
-_TURN_RATE = 0.06  # [rad/s]: a degree takes 0.3 s, and the last period of it turns by 0.3 degrees at 10 Hz
+# [rad/s] in place: in one period at 20 Hz by less than the noise of a detector; by wheels 0.4 m apart that roll at
+# 0.08 m/s, which dead bands seldom exceed.
+_SLOWEST_TURN, _FASTEST_TURN = 0.06, 0.4
+_MOST_TURNS = 6  # by each of which the part that a dead band leaves out grows by what is missing
+_MOST_LOST = 0.3  # [rad]: a drive that does not answer to that turns by no more
+_ANSWER = 0.3  # [s], in which the drive and its odometry have answered to the last command
 _CREEP = 1e-6  # [m/s]: no drive moves at it; steered wheels turn as its arc says
 # [s] for a detection at rest in the dock: of ten a second, half of them lost, one of 1000 takes longer.
 _CONFIRMATION = 1.0
@@ -56,6 +61,7 @@ _HIDDEN_FOR = 2.5  # [s] for whoever stands before a dock that has been seen fro
 # Standard deviations within its tolerances at which a robot stands in the dock: where it was seen there, and where it
 # was not, as every detection of a camera that is blind there is from before.
 _SURE_SEEN, _SURE_UNSEEN = 2.0, 1.0
+_UNSURE_WAY = 0.04  # [m], on which it is to be seen twice: one detection may be wrong by less than is noticed
 _UNSEEN_WAY = 0.015  # [m]: on less than that no wheel that slips turns a robot by a degree
 _MOST_BLOCKS = 5  # stops on one approach, until it counts as failed
 _INSTANT = 1e-9  # [s]
@@ -372,7 +378,11 @@ class Procedure:
         """
         situation, perception, since = self.situation, self.situation.perception, self._now
         if self._settings.use_detections:
-            while perception.moved_since_seen > _UNSEEN_WAY or situation.is_in_doubt:
+            while (
+                perception.moved_since_seen() > _UNSEEN_WAY
+                or perception.moved_since_seen(2) > _UNSURE_WAY
+                or situation.is_in_doubt
+            ):
                 patience = _HIDDEN_FOR if situation.sees_from_near else _CONFIRMATION
                 if situation.may_have_turned:
                     patience = self._settings.initial_perception_timeout
@@ -380,14 +390,14 @@ class Procedure:
                     break
                 yield from self._cycle(_STOP)
         self._require_certainty()
-        is_seen = perception.moved_since_seen <= _UNSEEN_WAY
+        is_seen = perception.moved_since_seen() <= _UNSEEN_WAY
         if not situation.stands_in_dock(_SURE_SEEN if is_seen else _SURE_UNSEEN):
             raise Interrupted(NOT_DOCKED, situation.where)
 
     def _align(self) -> Generator[Wish, None, bool]:
         """Turn in place, at rest before or in the dock, where the heading is off and no way is left to correct it on.
 
-        The turn is counted by the commands, so that no delay of the drive makes it too large.
+        What the dead band of a drive leaves out of one turn is added to the next.
 
         Returns:
             Whether the robot was turned.
@@ -395,27 +405,42 @@ class Procedure:
         Raises:
             Interrupted: It cannot go on.
         """
-        situation = self.situation
-        robot, angle = situation.problem.robot, situation.turn_to_dock
-        if angle == 0.0:
-            return False
-        twist = Twist2(0.0, math.copysign(_TURN_RATE, angle))
-        place = situation.perception.robot
-        near = situation.near(place, robot.footprint.circumscribed_radius)
-        lasts, deepest = abs(angle) / _TURN_RATE, situation.reach_of_contact
-        if free_motion(robot.footprint, near, place, twist, lasts, overlap=deepest).free < lasts:
-            return False
-        turning, braking = robot.limits.turning, 0.0
-        if math.isfinite(turning.acceleration):
-            braking = 0.5 * _TURN_RATE * (_TURN_RATE / turning.acceleration + turning.acceleration / turning.jerk)
-        turned, before = 0.0, self._now
-        while abs(turned) + braking < abs(angle):
-            situation.require_no_interruption()
-            yield from self._cycle(twist)
-            turned += situation.commanded.angular * (self._now - before)
-            before = self._now
-        yield from self._stop()
+        situation, perception, lost = self.situation, self.situation.perception, 0.0
+        footprint, deepest = situation.problem.robot.footprint, situation.reach_of_contact
+        for number in range(_MOST_TURNS):
+            angle, robot = situation.turn_to_dock, perception.robot
+            near = situation.near(robot, footprint.circumscribed_radius)
+            ahead = free_motion(footprint, near, robot, Twist2(0.0, angle), 1.0, overlap=deepest)
+            if angle == 0.0 or ahead.free < 1.0:
+                return number > 0
+            before = perception.turned
+            yield from self._turn(math.copysign(abs(angle) + lost, angle))
+            lost = min(max(lost + abs(angle) - abs(perception.turned - before), 0.0), _MOST_LOST)
         return True
+
+    def _turn(self, angle: float) -> Cycles:
+        """Turn in place by an angle of the commands [rad], whatever the delay of the drive, and rest until it has.
+
+        Raises:
+            Interrupted: The robot cannot go on.
+        """
+        situation, (rate, acceleration, jerk) = self.situation, self.situation.problem.robot.limits.turning
+        most, turned, before = min(rate, _FASTEST_TURN), 0.0, self._now
+        while True:
+            situation.require_no_interruption()
+            now, commanded = self._now, abs(situation.commanded.angular)
+            turned += commanded * (now - before)
+            ramp = 2.0 * math.sqrt(commanded / jerk) if commanded * jerk < acceleration**2 else commanded / acceleration
+            left = abs(angle) - turned - 0.5 * commanded * ramp
+            if left <= 0.0:
+                break
+            wanted = min(max(0.5 * left / max(now - before, _INSTANT), _SLOWEST_TURN), most)
+            before = now
+            yield from self._cycle(Twist2(0.0, math.copysign(wanted, angle)))
+        since = self._now
+        while self._now - since < _ANSWER:
+            yield from self._cycle(_STOP)
+        yield from self._stop()
 
     def _require_certainty(self) -> None:
         """Raises AttemptFailed if nobody knows whether the robot stands in its dock."""
