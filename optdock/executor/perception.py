@@ -59,6 +59,7 @@ class Perception:
         detections: Number of detections that were believed.
         rejected: Number of those that were not.
         way: Driven so far, by odometry [m].
+        forward: Driven forward so far, less the way in reverse, by odometry [m].
         turned: Turned so far, by odometry, to the left [rad].
         seen_from: The smallest distance from the docked pose at which the dock has been seen [m]; infinite before.
         too_far: How far from the stored dock the last one was that was of another dock [m]; 0: there was none.
@@ -91,7 +92,7 @@ class Perception:
         self._costmap_at: float | None = None
         self.detections = self.rejected = 0
         self.seen_from, self.too_far = math.inf, 0.0
-        self.way = self._way_located = self.turned = 0.0
+        self.way = self._way_located = self.forward = self.turned = 0.0
         self.has_twist, self._twist_at = True, math.inf
         self._seen: deque[float] = deque(maxlen=_LOOKS)  # stamps of detections that were believed [s]
         self._seen_yaw = 0.0  # of the dock in the fixed frame, when it was seen last [rad]
@@ -240,6 +241,7 @@ class Perception:
         robot.predict(stamp, step)
         self._dock.predict(stamp, step)
         self.way += math.hypot(step.x, step.y)
+        self.forward += step.x
         self.turned += step.yaw
         if pose is not None and measured_at > self._pose_used:  # else delivered twice, or too late
             self._pose_used, self._way_located = measured_at, self.way

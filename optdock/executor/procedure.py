@@ -48,11 +48,12 @@ _CLEAR_OF_CONTACT = 0.005  # [m]: a way back is planned from there; nearer, nois
 _BACK_OUT_SPEED = 0.1  # [m/s]: more than the dead band of either wheel, or the robot turns in contact
 _SURELY_OUT = 0.03  # [m] more than the way in which nothing may turn: by what the estimate and the braking may be wrong
 _BACK_OUT_LOOK = 0.5  # [s] ahead, of straight motions that no plan covers
-# [rad/s] in place: in one period at 20 Hz by less than the noise of a detector; by wheels 0.4 m apart that roll at
-# 0.08 m/s, which dead bands seldom exceed.
-_SLOWEST_TURN, _FASTEST_TURN = 0.06, 0.4
-_MOST_TURNS = 6  # by each of which the part that a dead band leaves out grows by what is missing
-_MOST_LOST = 0.3  # [rad]: a drive that does not answer to that turns by no more
+# [m/s] of a wheel: in one period at 20 Hz by half a millimetre; and more than the dead bands of usual drives.
+_SLOWEST_NUDGE, _FASTEST_NUDGE = 0.012, 0.12
+_MOST_NUDGES = 10  # by each of which the part that a dead band leaves out grows by what is missing
+_LEAST_FREE = 0.3  # of what is missing: less is not worth a motion
+_DEAD_BAND = 0.004  # [m] left out of a motion: more than is left out by chance
+_MOST_LEFT_OUT = 0.05  # [m]: a wheel that does not answer to that moves by no more
 _ANSWER = 0.3  # [s], in which the drive and its odometry have answered to the last command
 _CREEP = 1e-6  # [m/s]: no drive moves at it; steered wheels turn as its arc says
 # [s] for a detection at rest in the dock: of ten a second, half of them lost, one of 1000 takes longer.
@@ -111,6 +112,7 @@ class Procedure:
         self.state, self.num_retries = State.READY, 0
         self.cancelled = False
         self.deviation: Pose2 | None = None
+        self._left_out = [0.0, 0.0]  # of a short motion of the left and the right wheel by their dead bands [m]
         self._ending, self._began = False, 0.0
 
     # The whole.
@@ -306,8 +308,8 @@ class Procedure:
                 self._say_why(stopped)
                 yield from self._stop()
                 is_off = stopped.name in {TOO_FAR_OFF, NOT_DOCKED}
-                is_straight = is_off and (yield from self._align())
-                if (stopped.name != NOT_DOCKED or is_straight) and (yield from self._has_arrived()):
+                is_moved = stopped.name != HELD and (yield from self._nudge())
+                if (stopped.name != NOT_DOCKED or is_moved) and (yield from self._has_arrived()):
                     return EndingKind.DOCKED_BY_DISTANCE
                 if blocks == 0 or self._now - blocked_since > 2.0 * self._settings.obstacle_patience:
                     blocked_since = self._now
@@ -352,7 +354,7 @@ class Procedure:
             docked = yield from self._press()
         if not self._dock_type.is_pressed_on:
             yield from self._confirm()
-            if (yield from self._align()):
+            if (yield from self._nudge()):
                 yield from self._confirm()
         return docked or EndingKind.DOCKED_BY_DISTANCE
 
@@ -394,49 +396,75 @@ class Procedure:
         if not situation.stands_in_dock(_SURE_SEEN if is_seen else _SURE_UNSEEN):
             raise Interrupted(NOT_DOCKED, situation.where)
 
-    def _align(self) -> Generator[Wish, None, bool]:
-        """Turn in place, at rest before or in the dock, where the heading is off and no way is left to correct it on.
+    def _nudge(self) -> Generator[Wish, None, bool]:
+        """Move by what is missing, at rest before or in the dock, where no way is left to correct an error on.
 
-        What the dead band of a drive leaves out of one turn is added to the next.
+        What the dead band of a wheel leaves out of one motion is added to the next. A drive that has left something out
+        moves one wheel at a time: the wheel with the smaller dead band would else answer alone, and turn the robot.
 
         Returns:
-            Whether the robot was turned.
+            Whether the robot was moved.
 
         Raises:
             Interrupted: It cannot go on.
         """
-        situation, perception, lost = self.situation, self.situation.perception, 0.0
-        footprint, deepest = situation.problem.robot.footprint, situation.reach_of_contact
-        for number in range(_MOST_TURNS):
-            angle, robot = situation.turn_to_dock, perception.robot
-            near = situation.near(robot, footprint.circumscribed_radius)
-            ahead = free_motion(footprint, near, robot, Twist2(0.0, angle), 1.0, overlap=deepest)
-            if angle == 0.0 or ahead.free < 1.0:
+        situation, perception, footprint = self.situation, self.situation.perception, self.situation.footprint
+        for number in range(_MOST_NUDGES):
+            missing, robot = situation.nudge_to_dock, perception.robot
+            rims = situation.rims(missing.linear, missing.angular)
+            has_dead_band = max(self._left_out) > _DEAD_BAND
+            if has_dead_band and situation.stands_in_dock(_SURE_SEEN):
                 return number > 0
-            before = perception.turned
-            yield from self._turn(math.copysign(abs(angle) + lost, angle))
-            lost = min(max(lost + abs(angle) - abs(perception.turned - before), 0.0), _MOST_LOST)
+            if has_dead_band:
+                rims = (rims[0], 0.0) if abs(rims[0]) > abs(rims[1]) else (0.0, rims[1])
+            motion = situation.body_motion(rims)
+            near = situation.near(robot, footprint.circumscribed_radius + abs(motion.linear))
+            deepest = situation.reach_of_contact
+            free = free_motion(footprint, near, robot, motion, 1.0, overlap=deepest).free  # the last of it is contact
+            if missing == Twist2() or free < _LEAST_FREE:
+                return number > 0
+            rims = free * rims[0], free * rims[1]
+            asked = [
+                math.copysign(abs(rim) + out, rim) if rim else 0.0
+                for rim, out in zip(rims, self._left_out, strict=True)
+            ]
+            before = perception.forward, perception.turned
+            yield from self._roll(situation.body_motion(tuple(asked)))
+            moved = situation.rims(perception.forward - before[0], perception.turned - before[1])
+            self._left_out = [
+                min(max(out + math.copysign(1.0, rim) * (rim - way), 0.0), _MOST_LEFT_OUT) if rim else out
+                for out, rim, way in zip(self._left_out, rims, moved, strict=True)
+            ]
         return True
 
-    def _turn(self, angle: float) -> Cycles:
-        """Turn in place by an angle of the commands [rad], whatever the delay of the drive, and rest until it has.
+    def _roll(self, motion: Twist2) -> Cycles:
+        """Move by so much of the commands, whatever the delay of the drive, and rest until it has.
+
+        Args:
+            motion: Way [m] and turn [rad] as a whole.
 
         Raises:
             Interrupted: The robot cannot go on.
         """
-        situation, (rate, acceleration, jerk) = self.situation, self.situation.problem.robot.limits.turning
-        most, turned, before = min(rate, _FASTEST_TURN), 0.0, self._now
+        situation, limits = self.situation, self.situation.problem.robot.limits
+        way = max(map(abs, situation.rims(motion.linear, motion.angular)))  # of the faster wheel
+        bounds = [(limits.max_speed, min(limits.max_acceleration, limits.max_deceleration), limits.max_jerk)]
+        parts = [(bound / max(abs(motion.linear) / way, _INSTANT)) for bound in bounds[0]]
+        turns = [(bound / max(abs(motion.angular) / way, _INSTANT)) for bound in limits.turning]
+        highest, acceleration, jerk = map(min, parts, turns)
+        fastest, rolled, before = min(_FASTEST_NUDGE, highest), 0.0, self._now
         while True:
             situation.require_no_interruption()
-            now, commanded = self._now, abs(situation.commanded.angular)
-            turned += commanded * (now - before)
-            ramp = 2.0 * math.sqrt(commanded / jerk) if commanded * jerk < acceleration**2 else commanded / acceleration
-            left = abs(angle) - turned - 0.5 * commanded * ramp
+            now = self._now
+            speed = max(map(abs, situation.rims(situation.commanded.linear, situation.commanded.angular)))
+            rolled += speed * (now - before)
+            ramp = 2.0 * math.sqrt(speed / jerk) if speed * jerk < acceleration**2 else speed / acceleration
+            left = way - rolled - 0.5 * speed * ramp
             if left <= 0.0:
                 break
-            wanted = min(max(0.5 * left / max(now - before, _INSTANT), _SLOWEST_TURN), most)
+            rate = min(max(0.5 * left / max(now - before, _INSTANT), _SLOWEST_NUDGE), fastest) / way
             before = now
-            yield from self._cycle(Twist2(0.0, math.copysign(wanted, angle)))
+            yield from self._cycle(Twist2(rate * motion.linear, rate * motion.angular))
         since = self._now
         while self._now - since < _ANSWER:
             yield from self._cycle(_STOP)

@@ -28,6 +28,7 @@ if TYPE_CHECKING:
     from optdock.executor.checked_dock_type import CheckedDockType
     from optdock.executor.perception import Perception
     from optdock.executor.settings import ExecutorSettings
+    from optdock.geometry.footprint import Footprint
     from optdock.problem import DockingProblem
 
 __all__ = ["LONGEST_HIDDEN", "NO_ROOM", "Situation"]
@@ -46,6 +47,7 @@ _HIDDEN = 0.8  # [s] without one, where the dock was seen before: of ten a secon
 _ALIGNED, _NOISE = 0.35, 1.5  # of the tolerance, standard deviations: a heading that is less off stays as it is
 _BESIDE = 0.4  # of the tolerance: with more a robot that is straight again is better off with another approach
 _LARGEST_TURN = 0.1  # [rad] at a dock: the corners of a usual robot then move by 3 cm
+_WHEELS_WITHIN = 0.9  # of the inscribed circle, where nobody tells the track width
 _NEAR = 0.25  # [m]: from farther a camera that is blind before the dock sees it
 NO_ROOM = 0.03  # [m] before the dock nothing can be corrected any more
 _LAST_LOOK = 0.2  # [m] before the dock: as near it drives without being sure, for a detection may come on the way
@@ -92,6 +94,11 @@ class Situation:
     def dock(self) -> Dock:
         """The dock where it is seen."""
         return dataclasses.replace(self.problem.dock, pose=self.perception.dock)
+
+    @property
+    def footprint(self) -> Footprint:
+        """The robot's outline."""
+        return self.problem.robot.footprint
 
     @property
     def is_commanded_to_rest(self) -> bool:
@@ -239,14 +246,34 @@ class Situation:
         )
 
     @property
-    def turn_to_dock(self) -> float:
-        """Turn by which the heading becomes that of the docked robot, where that is all that is off [rad]; else 0."""
+    def nudge_to_dock(self) -> Twist2:
+        """The way [m] and the turn [rad] after which the robot stands in its dock, where no more than these is missing.
+
+        An error across neither of them takes back.
+        """
         if self.problem.robot.drive is not Drive.DIFFERENTIAL or self.dock_type.is_pressed_on:
-            return 0.0
-        _, (across, _, most_across), (yaw, sigma, most) = self.errors_in_dock()
-        is_worth_it = abs(yaw) > max(_ALIGNED * most, _NOISE * sigma)
-        is_all = abs(across) <= _BESIDE * most_across and self.left <= _LAST_LOOK and abs(yaw) <= _LARGEST_TURN
-        return -yaw if is_worth_it and is_all else 0.0
+            return Twist2()
+        (along, _, most_along), (across, _, most_across), (yaw, sigma, most) = self.errors_in_dock()
+        if abs(across) > _BESIDE * most_across or self.left > _LAST_LOOK or abs(yaw) > _LARGEST_TURN:
+            return Twist2()
+        is_short = 0.8 * most_along < self.gear * -along <= NO_ROOM
+        is_turned = abs(yaw) > max(_ALIGNED * most, _NOISE * sigma)
+        return Twist2(-along if is_short else 0.0, -yaw if is_turned else 0.0)
+
+    @property
+    def _lever(self) -> float:
+        """Half of the distance between the wheels, as far as it is known [m]."""
+        width = self.problem.robot.limits.track_width
+        return 0.5 * width if width > 0.0 else _WHEELS_WITHIN * self.footprint.inscribed_radius
+
+    def rims(self, linear: float, angular: float) -> tuple[float, float]:
+        """Ways or speeds of the left and the right wheel [m], [m/s] in a motion of the robot [m, rad], [m/s, rad/s]."""
+        return linear - self._lever * angular, linear + self._lever * angular
+
+    def body_motion(self, rims: tuple[float, float]) -> Twist2:
+        """The motion of the robot whose wheels roll so far, or so fast; see `rims`."""
+        left, right = rims
+        return Twist2(0.5 * (left + right), 0.5 * (right - left) / self._lever)
 
     def errors_in_dock(self) -> list[tuple[float, float, float]]:
         """Errors in the dock, their standard deviations and tolerances: along, across [m], yaw in (-pi, pi] [rad]."""
