@@ -151,7 +151,7 @@ class Drive:
             if self.docked is not None:
                 return True
             is_hidden = settings.use_detections and situation.is_dock_hidden
-            self._wait_on_the_way(is_hidden)
+            self._limit_speed(self._share_while_hidden() if is_hidden else 1.0)
             if settings.use_detections and situation.detection_is_old and not is_hidden and situation.left > NO_ROOM:
                 place, turn = situation.perception.sigma
                 reason = (
@@ -190,21 +190,19 @@ class Drive:
         """Take back what the controller was asked for that is no part of the motion."""
         self._limit_speed(1.0)
 
-    def _wait_on_the_way(self, is_hidden: bool) -> None:
-        """Drive so slowly, while the dock is hidden, that it may be seen again before it is too late for corrections.
+    def _share_while_hidden(self) -> float:
+        """At which share of the planned speed the dock may be seen again before it is too late for corrections.
 
         The way on which they are possible is stretched over the time for which a hidden dock is waited for.
         """
-        if not is_hidden:
-            self._limit_speed(1.0)
-            return
         trajectory, age = self.motion.trajectory, self._situation.perception.detection_age
         until = float(np.interp(trajectory.path.length - NO_ROOM, *self._times_of_places))
         left = max(until - self._reference[0], 0.0)
-        self._limit_speed(min(max(left / max(LONGEST_HIDDEN - age, _LOOK), _SLOWEST), 1.0))
-        if not self._is_hidden_said and self._speed_share < 1.0:
-            self._report("dock hidden", f"not seen for {age:.1f} s: at {100.0 * self._speed_share:.0f} % of the speed")
+        share = min(max(left / max(LONGEST_HIDDEN - age, _LOOK), _SLOWEST), 1.0)
+        if not self._is_hidden_said and share < 1.0:
+            self._report("dock hidden", f"not seen for {age:.1f} s: at {100.0 * share:.0f} % of the speed")
             self._is_hidden_said = True
+        return share
 
     def _limit_speed(self, share: float) -> None:
         if share != self._speed_share:

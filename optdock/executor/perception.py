@@ -33,7 +33,6 @@ _LEAST_SIGMA = 2e-4, 2e-4  # [m], [rad]: no detector is better, and none may mak
 _LATE = 0.04  # [s]: a delay of the detections against the odometry that is said, where it is known that well
 _LOOKS = 8  # detections that are remembered
 _JITTER = 0.01  # [s]: of the stamps of detections, by exposure and drivers
-_STRAIGHT_YAW = 0.008  # [rad/m^0.5], random, of odometry that drives straight; what is systematic is learned
 
 
 class Sigma(NamedTuple):
@@ -73,7 +72,7 @@ class Perception:
         self._dock = PoseFilter(
             OdometryErrors(
                 along=settings.odometry_sigma,
-                yaw_per_way=_STRAIGHT_YAW,
+                yaw_per_way=settings.odometry_straight_yaw_sigma,
                 yaw_per_turn=settings.odometry_yaw_sigma,
                 wander=settings.dock_drift,
                 yaw_wander=0.0,

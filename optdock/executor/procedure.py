@@ -404,37 +404,38 @@ class Procedure:
 
         Returns:
             Whether the robot was moved.
-
-        Raises:
-            Interrupted: It cannot go on.
         """
         situation, perception, footprint = self.situation, self.situation.perception, self.situation.footprint
         for number in range(_MOST_NUDGES):
             missing, robot = situation.nudge_to_dock, perception.robot
-            rims = situation.rims(missing.linear, missing.angular)
             has_dead_band = max(self._left_out) > _DEAD_BAND
-            if has_dead_band and situation.stands_in_dock(_SURE_SEEN):
+            if missing == Twist2() or (has_dead_band and situation.stands_in_dock(_SURE_SEEN)):
                 return number > 0
+            left, right = situation.rims(missing.linear, missing.angular)
             if has_dead_band:
-                rims = (rims[0], 0.0) if abs(rims[0]) > abs(rims[1]) else (0.0, rims[1])
-            motion = situation.body_motion(rims)
+                left, right = (left, 0.0) if abs(left) > abs(right) else (0.0, right)
+            motion = situation.body_motion(left, right)
             near = situation.near(robot, footprint.circumscribed_radius + abs(motion.linear))
-            deepest = situation.reach_of_contact
-            free = free_motion(footprint, near, robot, motion, 1.0, overlap=deepest).free  # the last of it is contact
-            if missing == Twist2() or free < _LEAST_FREE:
+            free = free_motion(footprint, near, robot, motion, 1.0, overlap=situation.reach_of_contact).free
+            if free < _LEAST_FREE:
                 return number > 0
-            rims = free * rims[0], free * rims[1]
+            ways = free * left, free * right
             asked = [
-                math.copysign(abs(rim) + out, rim) if rim else 0.0
-                for rim, out in zip(rims, self._left_out, strict=True)
+                math.copysign(abs(way) + out, way) if way else 0.0
+                for way, out in zip(ways, self._left_out, strict=True)
             ]
             before = perception.forward, perception.turned
-            yield from self._roll(situation.body_motion(tuple(asked)))
+            try:
+                yield from self._roll(situation.body_motion(*asked))
+            except Interrupted as stopped:
+                self._say_why(stopped)
+                yield from self._stop()
+                return True
             moved = situation.rims(perception.forward - before[0], perception.turned - before[1])
-            self._left_out = [
-                min(max(out + math.copysign(1.0, rim) * (rim - way), 0.0), _MOST_LEFT_OUT) if rim else out
-                for out, rim, way in zip(self._left_out, rims, moved, strict=True)
-            ]
+            for wheel in (0, 1):
+                if ways[wheel]:
+                    missed = math.copysign(1.0, ways[wheel]) * (ways[wheel] - moved[wheel])
+                    self._left_out[wheel] = min(max(self._left_out[wheel] + missed, 0.0), _MOST_LEFT_OUT)
         return True
 
     def _roll(self, motion: Twist2) -> Cycles:

@@ -92,6 +92,9 @@ class ExecutorSettings(PluginParameters):
     yaw_sigma: float = Field(default=0.009, gt=0.0, description="of the measured yaw [rad]")
     odometry_sigma: float = Field(default=0.005, gt=0.0, description="of odometry per way driven [m/sqrt(m)]")
     odometry_yaw_sigma: float = Field(default=0.02, gt=0.0, description="of its yaw per turn [rad/sqrt(rad)]")
+    odometry_straight_yaw_sigma: float = Field(
+        default=0.008, gt=0.0, description="of its yaw per way driven; small slips of the wheels included [rad/sqrt(m)]"
+    )
     odometry_scale_sigma: float = Field(
         default=0.003, ge=0.0, description="of a systematic error of the way driven, which is learned [1]"
     )

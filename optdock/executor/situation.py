@@ -270,9 +270,8 @@ class Situation:
         """Ways or speeds of the left and the right wheel [m], [m/s] in a motion of the robot [m, rad], [m/s, rad/s]."""
         return linear - self._lever * angular, linear + self._lever * angular
 
-    def body_motion(self, rims: tuple[float, float]) -> Twist2:
+    def body_motion(self, left: float, right: float) -> Twist2:
         """The motion of the robot whose wheels roll so far, or so fast; see `rims`."""
-        left, right = rims
         return Twist2(0.5 * (left + right), 0.5 * (right - left) / self._lever)
 
     def errors_in_dock(self) -> list[tuple[float, float, float]]:

@@ -21,13 +21,19 @@ PUSHED = (0.03, math.radians(1.5))
 # Wheels that are calibrated: driven blind for 0.4 m, 1 % of a radius alone turns the robot by 0.6 degrees and more.
 GOOD_WHEELS = Drive(radius_spread=0.002, track_spread=0.002, slip_rate=0.0)
 # What is told of them to the executor of a robot that turns round unseen before it backs in.
-CALIBRATED = {"odometry_yaw_sigma": 0.003, "odometry_scale_sigma": 0.002, "odometry_drift_sigma": 0.004}
+CALIBRATED = {
+    "odometry_yaw_sigma": 0.003,
+    "odometry_straight_yaw_sigma": 0.003,
+    "odometry_scale_sigma": 0.002,
+    "odometry_drift_sigma": 0.004,
+}
 BLIND = Camera(near_loss=1.0)
 AVERAGED = Odometry(window=0.2)
 
 _VARIANTS: dict[str, dict[str, object]] = {
     "blind": {"drive": GOOD_WHEELS, "camera": BLIND},
-    "blind, unequal wheels": {"camera": BLIND},
+    "blind, unequal wheels": {"drive": Drive(slip_rate=0.0), "camera": BLIND},
+    "blind, slipping wheels": {"camera": BLIND},
     "averaged twist": {"odometry": AVERAGED},
     "averaged twist, no pose": {"odometry": dataclasses.replace(AVERAGED, tells_pose=False)},
     "averaged twist, blind": {"drive": GOOD_WHEELS, "camera": BLIND, "odometry": AVERAGED},

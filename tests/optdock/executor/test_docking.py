@@ -378,7 +378,7 @@ def test_a_dock_behind_a_camera_in_front_is_looked_at_turned_round(turns, knows_
         problem = dataclasses.replace(problem, robot=robot, dock=dataclasses.replace(dock, marker=(0.0, 0.0)))
     start = Pose2(0.75, 0.05, 0.1 + 2.0 * math.pi * turns)
     sigmas = {"odometry_sigma": 0.002, "odometry_scale_sigma": 0.001, "odometry_drift_sigma": 0.001}
-    told = ExecutorSettings(**sigmas, odometry_yaw_sigma=0.002, initial_perception_timeout=1.0)
+    told = ExecutorSettings(**sigmas, odometry_yaw_sigma=0.002, odometry_straight_yaw_sigma=0.003, initial_perception_timeout=1.0)
     world = SimulatedRobot(start=start, dock_pose=TRUE_DOCK, sensors=PERFECT, plant=DifferentialDrive(ROBOT, SLUGGISH))
     docking = run(world, problem, told, before=seen_ahead)
     assert lawful(docking).kind is EndingKind.DOCKED_BY_DISTANCE, docking.ending
