@@ -10,6 +10,8 @@ import logging
 import math
 from typing import TYPE_CHECKING, TypeAlias
 
+import numpy as np
+
 from optdock.executor.drive import Drive
 from optdock.executor.interruptions import (
     HELD,
@@ -35,6 +37,7 @@ if TYPE_CHECKING:
     from optdock.executor.perception import Perception
     from optdock.executor.planning import Motion, Planning
     from optdock.executor.settings import ExecutorSettings
+    from optdock.geometry.arrays import FloatArray
     from optdock.interfaces import Controller, GoalChecker
     from optdock.problem import DockingProblem
 
@@ -112,8 +115,10 @@ class Procedure:
         self.state, self.num_retries = State.READY, 0
         self.cancelled = False
         self.deviation: Pose2 | None = None
-        self._left_out = [0.0, 0.0]  # of a short motion of the left and the right wheel by their dead bands [m]
-        self._ending, self._began = False, 0.0
+        self._left_out: FloatArray = np.zeros(
+            2
+        )  # of short motions, by the dead bands of the left and the right wheel [m]
+        self._ending, self._began, self._period = False, 0.0, 0.0
 
     # The whole.
 
@@ -185,7 +190,9 @@ class Procedure:
             Cancelled: The caller wants an end.
             TaskFailed: The task takes too long.
         """
+        before = self._now
         yield wish
+        self._period = self._now - before
         if self._ending:
             return
         if self.cancelled:
@@ -399,43 +406,47 @@ class Procedure:
     def _nudge(self) -> Generator[Wish, None, bool]:
         """Move by what is missing, at rest before or in the dock, where no way is left to correct an error on.
 
-        What the dead band of a wheel leaves out of one motion is added to the next. A drive that has left something out
-        moves one wheel at a time: the wheel with the smaller dead band would else answer alone, and turn the robot.
-
         Returns:
             Whether the robot was moved.
         """
-        situation, perception, footprint = self.situation, self.situation.perception, self.situation.footprint
+        missing = self.situation.nudge_to_dock
         for number in range(_MOST_NUDGES):
-            missing, robot = situation.nudge_to_dock, perception.robot
-            has_dead_band = max(self._left_out) > _DEAD_BAND
-            if missing == Twist2() or (has_dead_band and situation.stands_in_dock(_SURE_SEEN)):
+            if not (yield from self._nudge_once()):
                 return number > 0
-            left, right = situation.rims(missing.linear, missing.angular)
-            if has_dead_band:
-                left, right = (left, 0.0) if abs(left) > abs(right) else (0.0, right)
-            motion = situation.body_motion(left, right)
-            near = situation.near(robot, footprint.circumscribed_radius + abs(motion.linear))
-            free = free_motion(footprint, near, robot, motion, 1.0, overlap=situation.reach_of_contact).free
-            if free < _LEAST_FREE:
-                return number > 0
-            ways = free * left, free * right
-            asked = [
-                math.copysign(abs(way) + out, way) if way else 0.0
-                for way, out in zip(ways, self._left_out, strict=True)
-            ]
-            before = perception.forward, perception.turned
-            try:
-                yield from self._roll(situation.body_motion(*asked))
-            except Interrupted as stopped:
-                self._say_why(stopped)
-                yield from self._stop()
-                return True
-            moved = situation.rims(perception.forward - before[0], perception.turned - before[1])
-            for wheel in (0, 1):
-                if ways[wheel]:
-                    missed = math.copysign(1.0, ways[wheel]) * (ways[wheel] - moved[wheel])
-                    self._left_out[wheel] = min(max(self._left_out[wheel] + missed, 0.0), _MOST_LEFT_OUT)
+            if number == 0:
+                self._report("nudged", f"by {missing.linear:.4f} m and {missing.angular:.4f} rad")
+        return True
+
+    def _nudge_once(self) -> Generator[Wish, None, bool]:
+        """As `_nudge`, one motion of it.
+
+        What the dead band of a wheel leaves out of one motion is added to the next. A drive that has left something out
+        moves one wheel at a time: the wheel with the smaller dead band would else answer alone, and turn the robot.
+        """
+        situation, perception, footprint = self.situation, self.situation.perception, self.situation.footprint
+        missing, robot = situation.nudge_to_dock, perception.robot
+        has_dead_band = float(self._left_out.max()) > _DEAD_BAND
+        if missing == Twist2() or (has_dead_band and situation.stands_in_dock(_SURE_SEEN)):
+            return False
+        left, right = situation.rims(missing.linear, missing.angular)
+        if has_dead_band:
+            left, right = (left, 0.0) if abs(left) > abs(right) else (0.0, right)
+        motion = situation.body_motion(left, right)
+        near = situation.near(robot, footprint.circumscribed_radius + abs(motion.linear))
+        free = free_motion(footprint, near, robot, motion, 1.0, overlap=situation.reach_of_contact).free
+        if free < _LEAST_FREE:
+            return False
+        ways = np.array([free * left, free * right])
+        asked = ways + np.sign(ways) * self._left_out
+        before = np.array(situation.rims(perception.forward, perception.turned))
+        try:
+            yield from self._roll(situation.body_motion(*asked.tolist()))
+        except Interrupted as stopped:
+            self._say_why(stopped)
+            yield from self._stop()
+            return False
+        moved = np.array(situation.rims(perception.forward, perception.turned)) - before
+        self._left_out = np.clip(self._left_out + np.sign(ways) * (ways - moved), 0.0, _MOST_LEFT_OUT)
         return True
 
     def _roll(self, motion: Twist2) -> Cycles:
@@ -449,10 +460,12 @@ class Procedure:
         """
         situation, limits = self.situation, self.situation.problem.robot.limits
         way = max(map(abs, situation.rims(motion.linear, motion.angular)))  # of the faster wheel
-        bounds = [(limits.max_speed, min(limits.max_acceleration, limits.max_deceleration), limits.max_jerk)]
-        parts = [(bound / max(abs(motion.linear) / way, _INSTANT)) for bound in bounds[0]]
-        turns = [(bound / max(abs(motion.angular) / way, _INSTANT)) for bound in limits.turning]
-        highest, acceleration, jerk = map(min, parts, turns)
+        straight = limits.max_speed, min(limits.max_acceleration, limits.max_deceleration), limits.max_jerk
+        turning = limits.turning.rate, limits.turning.acceleration, math.inf  # the jerk of a turn is not limited
+        shares = max(abs(motion.linear) / way, _INSTANT), max(abs(motion.angular) / way, _INSTANT)
+        highest, acceleration, jerk = (
+            min(s / shares[0], t / shares[1]) for s, t in zip(straight, turning, strict=True)
+        )
         fastest, rolled, before = min(_FASTEST_NUDGE, highest), 0.0, self._now
         while True:
             situation.require_no_interruption()
@@ -463,7 +476,7 @@ class Procedure:
             left = way - rolled - 0.5 * speed * ramp
             if left <= 0.0:
                 break
-            rate = min(max(0.5 * left / max(now - before, _INSTANT), _SLOWEST_NUDGE), fastest) / way
+            rate = min(max(0.5 * left / max(self._period, _INSTANT), _SLOWEST_NUDGE), fastest) / way
             before = now
             yield from self._cycle(Twist2(rate * motion.linear, rate * motion.angular))
         since = self._now

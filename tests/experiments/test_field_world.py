@@ -531,6 +531,13 @@ def test_the_executor_docks_and_the_law_says_so_too(outcomes):
     assert law._replace(clearance=-1e-6).collided
 
 
+def test_wheels_that_stand_below_their_dead_bands_are_moved_into_the_dock():
+    """One wheel stops a centimetre before the other; without short motions counted by wheel it never gets there."""
+    outcome = driven_in_field(FieldTask("executor", "field, dead band", "wider", 10.0, 3000015))
+    assert outcome.good
+    assert outcome.retries == 0
+
+
 def test_the_table_counts(outcomes):
     ours, law = outcomes
     failed = ours._replace(docked=False, ending="timeout", cross=1.0, duration=99.0)

@@ -378,7 +378,9 @@ def test_a_dock_behind_a_camera_in_front_is_looked_at_turned_round(turns, knows_
         problem = dataclasses.replace(problem, robot=robot, dock=dataclasses.replace(dock, marker=(0.0, 0.0)))
     start = Pose2(0.75, 0.05, 0.1 + 2.0 * math.pi * turns)
     sigmas = {"odometry_sigma": 0.002, "odometry_scale_sigma": 0.001, "odometry_drift_sigma": 0.001}
-    told = ExecutorSettings(**sigmas, odometry_yaw_sigma=0.002, odometry_straight_yaw_sigma=0.003, initial_perception_timeout=1.0)
+    told = ExecutorSettings(
+        **sigmas, odometry_yaw_sigma=0.002, odometry_straight_yaw_sigma=0.003, initial_perception_timeout=1.0
+    )
     world = SimulatedRobot(start=start, dock_pose=TRUE_DOCK, sensors=PERFECT, plant=DifferentialDrive(ROBOT, SLUGGISH))
     docking = run(world, problem, told, before=seen_ahead)
     assert lawful(docking).kind is EndingKind.DOCKED_BY_DISTANCE, docking.ending
@@ -455,16 +457,32 @@ def test_a_dock_that_is_hidden_is_waited_for_on_the_way(lawful):
     assert docking.ending.num_retries == 0
 
 
-def test_a_heading_that_slips_in_the_dock_is_turned_back_there(lawful):
-    """By 1.3 degrees, which its tolerance would accept; nothing else is off, and no way is left for a path."""
+@pytest.mark.parametrize("held", [False, True])
+def test_a_heading_that_slips_in_the_dock_is_turned_back_there(held, lawful):
+    """By 1.3 degrees, which its tolerance would accept; nothing else is off, and no way is left for a path.
+
+    Whoever is held while he turns, is where he may stay.
+    """
 
     def slip(executor, world, measurements):
         world.state = world.state._replace(pose=world.state.pose @ Pose2(0.0, 0.0, math.radians(1.3)))
 
-    start, before = Pose2(-0.6, 0.0, 0.0), once(within(0.003), slip)
-    docking = run(simulated(start, PERFECT, Actuation()), problem_with(), NO_STAGING, before=before)
-    assert lawful(docking, touch=0.008).kind is EndingKind.DOCKED_BY_DISTANCE
-    assert abs(docking.world.error.yaw) < math.radians(0.4)
+    slips, held_at = once(within(0.012), slip), []
+
+    def before(executor, world, measurements):
+        slips(executor, world, measurements)
+        last = getattr(world, "last", Twist2())
+        if held and (held_at or (last.linear == 0.0 and last.angular != 0.0)):
+            held_at.append(world.time)
+        return measurements._replace(held=bool(held_at) and world.time < held_at[0] + 1.0)
+
+    start = Pose2(-0.6, 0.0, 0.0)
+    world = simulated(start, PERFECT, Actuation(), station=Station())
+    docking = run(world, problem_with(), NO_STAGING, before=before)
+    assert lawful(docking, touch=0.008).kind is EndingKind.DOCKED_BY_SIGNAL
+    assert bool(docking.said("nudged")) is not held
+    assert bool(held_at) is held
+    assert abs(docking.world.error.yaw) < math.radians(1.4 if held else 0.2)
     assert State.BACKING_OUT not in docking.states
     assert max(abs(docking.world.error.x), abs(docking.world.error.y)) < 0.005
 
