@@ -350,6 +350,17 @@ class PoseFilter:
         self._check_innovations(np.linalg.solve(np.linalg.cholesky(spread), miss), miss)
         return "accepted"
 
+    def allow_for_slip(self, along: float, yaw: float) -> None:
+        """Expect that wheels have slipped since the last measurement.
+
+        Args:
+            along: Standard deviation of the way that was lost [m].
+            yaw: Of the turn [rad].
+        """
+        c, s = math.cos(self.pose.yaw), math.sin(self.pose.yaw)
+        self.covariance[:2, :2] += along**2 * np.array([[c * c, c * s], [c * s, s * s]])
+        self.covariance[2, 2] += yaw**2
+
     def suppose(self, pose: Pose2, covariance: FloatArray) -> None:
         """Note where the robot may be if something else is right: a single measurement there is then believed.
 
