@@ -419,3 +419,15 @@ def test_a_slip_is_forgotten_on_the_way_and_a_wrong_first_measurement_is_none():
     assert grown[0] > 0.04
     assert grown[1] < 0.02
     assert grown[2] < 0.01
+
+
+@pytest.mark.parametrize("yaw", [0.0, 0.7, -2.0])
+def test_a_slip_that_is_allowed_for_is_one_along_the_heading_and_a_turn(yaw):
+    found = started(pose=Pose2(0.3, 0.2, yaw))
+    before = found.covariance.copy()
+    found.allow_for_slip(0.01, 0.02)
+    ahead, aside = np.array([math.cos(yaw), math.sin(yaw)]), np.array([-math.sin(yaw), math.cos(yaw)])
+    grown = found.covariance - before
+    assert ahead @ grown[:2, :2] @ ahead == pytest.approx(1e-4, rel=1e-9)
+    assert np.abs(grown[:2, :2] @ aside).max() < 1e-18
+    assert grown[2, 2] == pytest.approx(4e-4, rel=1e-9)

@@ -5,7 +5,7 @@ import pytest
 
 from optdock.executor import ExecutorSettings
 from optdock.executor.perception import Perception
-from optdock.geometry.pose import Pose2
+from optdock.geometry.pose import Pose2, Twist2
 from optdock.measurements import Detection, Measurements
 
 DOCK, HERE, PUSHED = Pose2(0.0, 0.0, 0.0), Pose2(-0.6, 0.0, 0.0), Pose2(-0.6, 0.08, 0.0)
@@ -76,3 +76,20 @@ def test_a_turn_that_the_localization_alone_sees_is_told_until_the_dock_is_seen(
         robot = Pose2(HERE.x, HERE.y, 0.04)
         perception.update(Measurements(stamp, robot, detections=(seen(robot, stamp),)), stamp, 0.0)
     assert abs(perception.unseen_turn) < 0.002
+
+
+@pytest.mark.parametrize(("left", "believed"), [(0.06, True), (0.6, False)], ids=["at the dock", "before it"])
+def test_after_a_gap_near_the_dock_a_detection_counts_for_more(left, believed):
+    """A wheel has slipped unseen by 8 mm on the last 5 cm: no mean of many detections will show it there."""
+    perception, stamp, place = Perception(DOCK, ExecutorSettings(), lambda *_: None), 0.0, Pose2(-left - 0.05, 0.0, 0.0)
+    for _ in range(41):
+        perception.update(Measurements(stamp, place, detections=(seen(place, stamp),)), stamp, 0.0)
+        stamp += PERIOD
+    for _ in range(10):  # the odometry tells 5 cm
+        place = Pose2(place.x + 0.005, 0.0, 0.0)
+        perception.update(Measurements(stamp, place, Twist2(0.1)), stamp, 0.0)
+        stamp += PERIOD
+    slipped = Pose2(place.x - 0.008, 0.0, 0.0)
+    perception.update(Measurements(stamp, place, detections=(seen(slipped, stamp),)), stamp, 0.0)
+    moved = (place.x - perception.robot_from_dock.x) / 0.008
+    assert moved > 0.75 if believed else moved < 0.6
