@@ -115,9 +115,8 @@ class Procedure:
         self.state, self.num_retries = State.READY, 0
         self.cancelled = False
         self.deviation: Pose2 | None = None
-        self._left_out: FloatArray = np.zeros(
-            2
-        )  # of short motions, by the dead bands of the left and the right wheel [m]
+        # Of short motions, by the dead bands of the left and the right wheel [m].
+        self._left_out: FloatArray = np.zeros(2)
         self._ending, self._began, self._period = False, 0.0, 0.0
 
     # The whole.
@@ -432,15 +431,17 @@ class Procedure:
         if has_dead_band:
             left, right = (left, 0.0) if abs(left) > abs(right) else (0.0, right)
         motion = situation.body_motion(left, right)
-        near = situation.near(robot, footprint.circumscribed_radius + abs(motion.linear))
-        free = free_motion(footprint, near, robot, motion, 1.0, overlap=situation.reach_of_contact).free
-        if free < _LEAST_FREE:
-            return False
+        reach = footprint.circumscribed_radius + abs(motion.linear) + _MOST_LEFT_OUT
+        everything, others = situation.near(robot, reach), situation.near(robot, reach, with_station=False)
+        free = free_motion(footprint, everything, robot, motion, 1.0, overlap=situation.reach_of_contact).free
         ways = np.array([free * left, free * right])
-        asked = ways + np.sign(ways) * self._left_out
+        asked = situation.body_motion(*(ways + np.sign(ways) * self._left_out).tolist())
+        # If nothing is left out this time, the robot presses against its station, and against nothing else.
+        if free < _LEAST_FREE or free_motion(footprint, others, robot, asked, 1.0).free < 1.0:
+            return False
         before = np.array(situation.rims(perception.forward, perception.turned))
         try:
-            yield from self._roll(situation.body_motion(*asked.tolist()))
+            yield from self._roll(asked)
         except Interrupted as stopped:
             self._say_why(stopped)
             yield from self._stop()
@@ -469,6 +470,8 @@ class Procedure:
         fastest, rolled, before = min(_FASTEST_NUDGE, highest), 0.0, self._now
         while True:
             situation.require_no_interruption()
+            if situation.contact() is not None and motion.linear * situation.gear > _INSTANT:
+                break
             now = self._now
             speed = max(map(abs, situation.rims(situation.commanded.linear, situation.commanded.angular)))
             rolled += speed * (now - before)

@@ -45,6 +45,7 @@ _BLINK = 1.0  # [s] without a detection that nothing is made of
 LONGEST_HIDDEN = 3.0  # [s] without one, after which a robot that is not sure looks for it before it drives on
 _HIDDEN = 0.8  # [s] without one, where the dock was seen before: of ten a second, half of them lost, one gap in 250
 _ALIGNED, _NOISE = 0.35, 1.5  # of the tolerance, standard deviations: a heading that is less off stays as it is
+_SHORT = 0.8  # of the tolerance: a robot that is believed to stand as far before its dock may stand too far
 _BESIDE = 0.4  # of the tolerance: with more a robot that is straight again is better off with another approach
 _LARGEST_TURN = 0.1  # [rad] at a dock: the corners of a usual robot then move by 3 cm
 _WHEELS_WITHIN = 0.9  # of the inscribed circle, where nobody tells the track width
@@ -256,7 +257,7 @@ class Situation:
         (along, _, most_along), (across, _, most_across), (yaw, sigma, most) = self.errors_in_dock()
         if abs(across) > _BESIDE * most_across or self.left > _LAST_LOOK or abs(yaw) > _LARGEST_TURN:
             return Twist2()
-        is_short = 0.8 * most_along < self.gear * -along <= NO_ROOM
+        is_short = _SHORT * most_along < self.gear * -along <= NO_ROOM
         is_turned = abs(yaw) > max(_ALIGNED * most, _NOISE * sigma)
         return Twist2(-along if is_short else 0.0, -yaw if is_turned else 0.0)
 
@@ -385,10 +386,12 @@ class Situation:
             **_AT_A_STAND,
         )
 
-    def near(self, robot: Pose2, reach: float) -> ObstacleSet:
-        """Whatever stands within reach of a pose, the station included."""
+    def near(self, robot: Pose2, reach: float, *, with_station: bool = True) -> ObstacleSet:
+        """Whatever stands within reach of a pose, the station included or not."""
         centre = np.array([robot.x, robot.y])
-        found = self.problem.obstacles.in_box(centre - reach, centre + reach) + self.station
+        found = self.problem.obstacles.in_box(centre - reach, centre + reach)
+        if with_station:
+            found += self.station
         costmap = self.costmap
         if costmap is None:
             return found
