@@ -44,7 +44,7 @@ _CERTAINTY = 2.0
 _BLINK = 1.0  # [s] without a detection that nothing is made of
 LONGEST_HIDDEN = 3.0  # [s] without one, after which a robot that is not sure looks for it before it drives on
 _HIDDEN = 0.8  # [s] without one, where the dock was seen before: of ten a second, half of them lost, one gap in 250
-_ALIGNED, _NOISE = 0.35, 1.5  # of the tolerance, standard deviations: a heading that is less off stays as it is
+_ALIGNED, _NOISE = 0.3, 1.0  # of the tolerance, standard deviations: a heading that is less off stays as it is
 _SHORT = 0.8  # of the tolerance: a robot that is believed to stand as far before its dock may stand too far
 _BESIDE = 0.4  # of the tolerance: with more a robot that is straight again is better off with another approach
 _LARGEST_TURN = 0.1  # [rad] at a dock: the corners of a usual robot then move by 3 cm
@@ -255,7 +255,8 @@ class Situation:
         if self.problem.robot.drive is not Drive.DIFFERENTIAL or self.dock_type.is_pressed_on:
             return Twist2()
         (along, _, most_along), (across, _, most_across), (yaw, sigma, most) = self.errors_in_dock()
-        if abs(across) > _BESIDE * most_across or self.left > _LAST_LOOK or abs(yaw) > _LARGEST_TURN:
+        is_beside = abs(across) > _BESIDE * most_across and not self.stands_in_dock(0.0)
+        if is_beside or self.left > _LAST_LOOK or abs(yaw) > _LARGEST_TURN:
             return Twist2()
         is_short = _SHORT * most_along < self.gear * -along <= NO_ROOM
         is_turned = abs(yaw) > max(_ALIGNED * most, _NOISE * sigma)
