@@ -358,6 +358,7 @@ class PoseFilter:
             yaw: Of the turn [rad].
         """
         c, s = math.cos(self.pose.yaw), math.sin(self.pose.yaw)
+        self.covariance = self.covariance.copy()
         self.covariance[:2, :2] += along**2 * np.array([[c * c, c * s], [c * s, s * s]])
         self.covariance[2, 2] += yaw**2
 

@@ -48,7 +48,7 @@ _FEEDBACK = {
 
 # Settings that are parameters of `SimpleDock`, for whoever names no dock type; another one says itself what it does.
 _OF_SIMPLE_DOCK = ("contact", "stall_speed", "stall_time", "wait_for_charge", "back_out_distance")
-_STILL = 1e-6  # [m/s], [rad/s]: what is left of a stop by rounding
+_STILL = 1e-8  # [m/s], [rad/s]: what is left of a stop by rounding, of no jerk at any rate
 _TURNING = 0.005  # [m/s]: a robot that is to turn and not to drive turns in place
 _MOST_REPEATS = 25  # cycles with one stamp: of measurements at 10 Hz at the fastest rate of control, and some
 _LATE = 1.5  # times as long as the period before

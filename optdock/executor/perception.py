@@ -98,7 +98,7 @@ class Perception:
         self.seen_from, self.too_far = math.inf, 0.0
         self.way = self._way_located = self.forward = self.turned = 0.0
         self.has_twist, self._twist_at = True, math.inf
-        self._way_seen = 0.0, False  # driven when it was seen last [m], and whether a slip since then was allowed for
+        self._way_seen = 0.0  # driven when it was seen last [m]
         self._seen: deque[float] = deque(maxlen=_LOOKS)  # stamps of detections that were believed [s]
         self._seen_yaw = 0.0  # of the dock in the fixed frame, when it was seen last [rad]
         self._pose_was_lost = self._dock_was_lost = self._delay_was_said = False
@@ -302,7 +302,7 @@ class Perception:
                 self.seen_from = min(self.seen_from, math.hypot(place.x, place.y))
                 self._seen_yaw = self.dock.yaw
                 self._seen.append(detection.stamp)
-                self._way_seen = self.way, False
+                self._way_seen = self.way
                 if verdict == "moved":
                     gap = self._dock.pose.in_frame_of(before).inverse()
                     self._report("dock moved", f"by {gap.x:.3f} m, {gap.y:.3f} m, {gap.yaw:.3f} rad")
@@ -319,11 +319,13 @@ class Perception:
             self.too_far = far
             self._report("detection too far", f"{far:.3f} m from the stored dock, max_detection_offset is {most:.3f} m")
             return "too far"
-        unseen = self.way - self._way_seen[0] - _USUAL_GAP
-        if self.sees_dock and unseen > 0.0 and not self._way_seen[1] and seen.distance_to(_DOCKED) < _NEAR_DOCK:
+        unseen, before = self.way - self._way_seen - _USUAL_GAP, self._dock.covariance
+        if self.sees_dock and unseen > 0.0 and seen.distance_to(_DOCKED) < _NEAR_DOCK:
             self._dock.allow_for_slip(_SLIP * unseen, _SLIP_TURN * unseen)
-            self._way_seen = self._way_seen[0], True
-        return self._dock.correct(detection.stamp, seen, noise, may_move=not is_far)
+        verdict = self._dock.correct(detection.stamp, seen, noise, may_move=not is_far)
+        if verdict in {"rejected", "forgotten"}:
+            self._dock.covariance = before  # a detection that does not count tells of no slip
+        return verdict
 
     def _say_delay(self) -> None:
         """Say once that detections come with stamps that do not fit the odometry, as far as the motion has told."""

@@ -37,6 +37,7 @@ _AT_REST = 0.01, 0.02  # [m/s], [rad/s] by odometry: a robot that stands, its en
 # [m], [s] for which odometry takes the robot among the obstacles of the map while the dock is in view: by wheels of 1 %
 # it is then 1 cm off, a fifth of a usual clearance; the last metre before a dock takes less time.
 _UNLOCATED = 1.0, 10.0
+_LOCATED = 0.01  # [m], standard deviation: what the odometry of that way may add
 _SAME_DOCK = 0.01  # [m], [rad]: a dock that is seen elsewhere by less stands in the same cells
 # Standard deviations that the accepted errors of the dock must hold: one docking in 400 is then off by one more, were
 # the robot believed to stand at the edge of what is accepted; it is believed to stand in the middle.
@@ -407,7 +408,8 @@ class Situation:
         if perception.pose_age <= patience:
             return True
         is_near = perception.way_unlocated <= _UNLOCATED[0] and perception.pose_age <= _UNLOCATED[1]
-        return is_near and perception.detection_age <= patience and self.is_dock_known
+        is_seen = perception.detections >= self.settings.least_detections and perception.detection_age <= patience
+        return is_near and is_seen and perception.sigma[0] <= _LOCATED and not perception.is_contradicted
 
     @property
     def is_held(self) -> bool:
