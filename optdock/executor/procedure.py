@@ -427,7 +427,9 @@ class Procedure:
         has_dead_band = float(self._left_out.max()) > _DEAD_BAND
         if missing == Twist2() or (has_dead_band and situation.stands_in_dock(_SURE_SEEN)):
             return False
-        left, right = situation.rims(missing.linear, missing.angular)
+        # First the turn: the way ahead is then straight, and the limits of the two do not mix.
+        way = 0.0 if missing.angular and not has_dead_band else missing.linear
+        left, right = situation.rims(way, missing.angular)
         if has_dead_band:
             left, right = (left, 0.0) if abs(left) > abs(right) else (0.0, right)
         motion = situation.body_motion(left, right)
