@@ -307,7 +307,15 @@ class PoseFilter:
             raise InvalidValue(f"pose filter: the motion is remembered from {reckoned[0][0]} s on, asked for {stamp} s")
         return pose @ (reckoned[-1][1].inverse() @ _between(reckoned, stamp))
 
-    def correct(self, stamp: float, measured: Pose2, noise: FloatArray, *, may_move: bool = True) -> Verdict:
+    def correct(
+        self,
+        stamp: float,
+        measured: Pose2,
+        noise: FloatArray,
+        *,
+        may_move: bool = True,
+        slip: tuple[float, float] = (0.0, 0.0),
+    ) -> Verdict:
         """Take in a measured pose.
 
         Args:
@@ -315,6 +323,8 @@ class PoseFilter:
             measured: Of the robot in the fixed frame.
             noise: Covariance, Shape (3, 3) [m, m, rad].
             may_move: Whether it may take part in a jump of the estimate.
+            slip: Standard deviations of the way [m] and the turn [rad] that wheels may have lost since the last
+                measurement; they count only if this one is accepted.
 
         Returns:
             `accepted`, `rejected` where it does not fit, `moved` where the estimate jumped to it and to others that
@@ -333,7 +343,8 @@ class PoseFilter:
         seen[0, 2], seen[1, 2] = pose.y - then.y, then.x - pose.x
         seen[:, 5] = -velocity
         noise = noise + self._errors.jitter**2 * np.multiply.outer(velocity, velocity)
-        shared = seen @ self.covariance
+        covariance = self._with_slip(*slip)
+        shared = seen @ covariance
         spread = shared @ seen.T + noise
         solved = np.linalg.solve(spread, np.column_stack((miss, shared)))
         near = math.hypot(miss[0], miss[1]) <= _ALWAYS_NEAR[0] and abs(miss[2]) <= _ALWAYS_NEAR[1]
@@ -342,25 +353,13 @@ class PoseFilter:
         change = shared.T @ solved[:, 0]
         gain = solved[:, 1:].T
         rest = np.eye(6) - gain @ seen
-        self.covariance = rest @ self.covariance @ rest.T + gain @ noise @ gain.T
+        self.covariance = rest @ covariance @ rest.T + gain @ noise @ gain.T
         self._shift(change)
         self.accepted, self.rejected = self.accepted + 1, 0
         self.measured_at = max(self.measured_at, stamp)
         self._outside = [one._replace(accepted_since=one.accepted_since + 1) for one in self._outside]
         self._check_innovations(np.linalg.solve(np.linalg.cholesky(spread), miss), miss)
         return "accepted"
-
-    def allow_for_slip(self, along: float, yaw: float) -> None:
-        """Expect that wheels have slipped since the last measurement.
-
-        Args:
-            along: Standard deviation of the way that was lost [m].
-            yaw: Of the turn [rad].
-        """
-        c, s = math.cos(self.pose.yaw), math.sin(self.pose.yaw)
-        self.covariance = self.covariance.copy()
-        self.covariance[:2, :2] += along**2 * np.array([[c * c, c * s], [c * s, s * s]])
-        self.covariance[2, 2] += yaw**2
 
     def suppose(self, pose: Pose2, covariance: FloatArray) -> None:
         """Note where the robot may be if something else is right: a single measurement there is then believed.
@@ -391,6 +390,14 @@ class PoseFilter:
             covariance = _grown(covariance, pose, after, step, 0.0, self._errors)
             pose = after
         found: FloatArray = covariance[:3, :3].copy()
+        return found
+
+    def _with_slip(self, along: float, yaw: float) -> FloatArray:
+        """The covariance with standard deviations of a slip along the heading [m] and of a turn [rad], Shape (6, 6)."""
+        c, s = math.cos(self.pose.yaw), math.sin(self.pose.yaw)
+        found: FloatArray = self.covariance.copy()
+        found[:2, :2] += along**2 * np.array([[c * c, c * s], [c * s, s * s]])
+        found[2, 2] += yaw**2
         return found
 
     def _check_clock(self, stamp: float) -> None:

@@ -31,6 +31,7 @@ __all__ = [
     "TrajectoryState",
     "border_states",
     "braking_phases",
+    "braking_time",
     "constant_jerk",
 ]
 
@@ -99,6 +100,19 @@ def braking_phases(v: float, a: float, deceleration: float, jerk: float) -> tupl
         hold = max(0.0, v + (0.5 * a * a - brake * brake) / jerk) / deceleration if brake == deceleration else 0.0
         phases = ((a + brake) / jerk, -jerk), (hold, 0.0), (brake / jerk, jerk)
     return tuple(phase for phase in phases if phase[0] > 0.0)
+
+
+def braking_time(speed: float, deceleration: float, jerk: float) -> float:
+    """Duration of `braking_phases` from a constant speed [s].
+
+    Args:
+        speed: Along the travel, >= 0 [m/s].
+        deceleration: The largest [m/s^2].
+        jerk: The largest [m/s^3].
+    """
+    if speed < deceleration**2 / jerk:
+        return 2.0 * math.sqrt(speed / jerk)
+    return speed / deceleration + deceleration / jerk
 
 
 @dataclass(frozen=True, eq=False, repr=False)

@@ -27,6 +27,7 @@ from optdock.controllers.tracking import TrackingController, TrackingControllerP
 from optdock.errors import NoValidControl
 from optdock.geometry.pose import Pose2, Twist2
 from optdock.robot import Drive, TrackingTube, admissible
+from optdock.trajectory import braking_time
 
 if TYPE_CHECKING:
     from optdock.geometry.arrays import FloatArray
@@ -172,7 +173,9 @@ class MpcController(TrackingController):
             self._to_go = {each: self._to_go[each] if each in self._to_go else self._cost_to_go(each) for each in live}
             # The cost to go knows no limits: a horizon shorter than braking takes would see the end too late.
             fastest = max(peaks(each)[0] for each in live)
-            self._horizon = max(self._horizon, _braking_time(fastest, self._limits))
+            self._horizon = max(
+                self._horizon, braking_time(fastest, self._limits.max_deceleration, self._limits.max_jerk)
+            )
 
     def compute_velocity_commands(
         self, pose: Pose2, velocity: Twist2, goal_checker: GoalChecker | None, *, stamp: float | None = None
@@ -347,7 +350,8 @@ class MpcController(TrackingController):
         if self._drive is Drive.ACKERMANN:
             gear, going = np.sign(np.where(np.abs(v) > _AT_REST, v, 0.0)), math.copysign(1.0, last.linear)
             # While it changes gear its speed is of either sign, and it keeps straight as far as it can.
-            gear[(np.cumsum(h) - h < _braking_time(abs(last.linear), limits)) & (gear != going)] = 0.0
+            braking = braking_time(abs(last.linear), limits.max_deceleration, limits.max_jerk)
+            gear[(np.cumsum(h) - h < braking) & (gear != going)] = 0.0
             speed = np.where([gear > 0.0, gear < 0.0], 0.0, speed)
             curvature = self._reachable_curvature(np.cumsum(h))
         # Speed times yaw rate, about the last command and the nominal ones; of what that leaves out the next command
@@ -446,11 +450,3 @@ def _landing(room: float, jerk: float, period: float) -> float:
     units = max(room, 0.0) / unit
     n = math.floor(0.5 * (math.sqrt(1.0 + 8.0 * units) - 1.0))
     return min(room, unit * (units / (n + 1) + 0.5 * n))
-
-
-def _braking_time(speed: float, limits: MotionLimits) -> float:
-    """How long a robot takes to stop under its jerk limit [s]."""
-    full = limits.max_deceleration**2 / limits.max_jerk
-    if speed < full:
-        return 2.0 * math.sqrt(speed / limits.max_jerk)
-    return speed / limits.max_deceleration + limits.max_deceleration / limits.max_jerk

@@ -35,8 +35,7 @@ _LATE = 0.04  # [s]: a delay of the detections against the odometry that is said
 # takes 2 to 6 tenths of a wheel's way.
 _NEAR_DOCK, _USUAL_GAP = 0.25, 0.01  # [m]
 _SLIP, _SLIP_TURN = 0.3, 0.6  # of the way beyond that gap [1], [rad/m]
-_DOCKED = Pose2(0.0, 0.0, 0.0)
-_LOOKS = 8  # detections that are remembered
+_LOOKS = 2  # detections whose stamps are remembered
 _JITTER = 0.01  # [s]: of the stamps of detections, by exposure and drivers
 
 
@@ -144,13 +143,13 @@ class Perception:
         return self._dock.measured_at
 
     def moved_since_seen(self, times: int = 1) -> float:
-        """How far the robot has moved since the newest detections that were believed.
+        """How far the robot has moved since the detections that were believed last.
 
         Args:
-            times: How many of them.
+            times: How many of them, 1 or 2.
 
         Returns:
-            Way since the oldest one of these [m]; infinite where nobody knows.
+            Distance from where the first of these was taken [m]; infinite if it is not remembered.
         """
         seen = self._seen[-times] if len(self._seen) >= times else -math.inf
         if not seen >= self._dock.remembered_from:
@@ -319,13 +318,10 @@ class Perception:
             self.too_far = far
             self._report("detection too far", f"{far:.3f} m from the stored dock, max_detection_offset is {most:.3f} m")
             return "too far"
-        unseen, before = self.way - self._way_seen - _USUAL_GAP, self._dock.covariance
-        if self.sees_dock and unseen > 0.0 and seen.distance_to(_DOCKED) < _NEAR_DOCK:
-            self._dock.allow_for_slip(_SLIP * unseen, _SLIP_TURN * unseen)
-        verdict = self._dock.correct(detection.stamp, seen, noise, may_move=not is_far)
-        if verdict in {"rejected", "forgotten"}:
-            self._dock.covariance = before  # a detection that does not count tells of no slip
-        return verdict
+        is_near = self.sees_dock and math.hypot(seen.x, seen.y) < _NEAR_DOCK
+        unseen = max(0.0, self.way - self._way_seen - _USUAL_GAP) if is_near else 0.0
+        slip = _SLIP * unseen, _SLIP_TURN * unseen
+        return self._dock.correct(detection.stamp, seen, noise, may_move=not is_far, slip=slip)
 
     def _say_delay(self) -> None:
         """Say once that detections come with stamps that do not fit the odometry, as far as the motion has told."""

@@ -27,6 +27,7 @@ from optdock.executor.plan_requests import PlanRequests
 from optdock.executor.planning import Job, Outcome, PlanResult
 from optdock.executor.situation import Situation
 from optdock.geometry.pose import Pose2, Twist2
+from optdock.trajectory import braking_time
 from optdock.verification import pose_clearance
 from optdock.verification.time_of_impact import free_motion
 
@@ -453,7 +454,9 @@ class Procedure:
         return True
 
     def _roll(self, motion: Twist2) -> Cycles:
-        """Move by so much of the commands, whatever the delay of the drive, and rest until it has.
+        """Command a short motion from rest, and wait until the drive has answered.
+
+        Its end is found by integrating the commands, so the delay of the drive has no part in it.
 
         Args:
             motion: Way [m] and turn [rad] as a whole.
@@ -469,20 +472,17 @@ class Procedure:
         highest, acceleration, jerk = (
             min(s / shares[0], t / shares[1]) for s, t in zip(straight, turning, strict=True)
         )
-        fastest, rolled, before = min(_FASTEST_NUDGE, highest), 0.0, self._now
+        fastest, rolled = min(_FASTEST_NUDGE, highest), 0.0
         while True:
             situation.require_no_interruption()
             if situation.contact() is not None and motion.linear * situation.gear > _INSTANT:
                 break
-            now = self._now
             speed = max(map(abs, situation.rims(situation.commanded.linear, situation.commanded.angular)))
-            rolled += speed * (now - before)
-            ramp = 2.0 * math.sqrt(speed / jerk) if speed * jerk < acceleration**2 else speed / acceleration
-            left = way - rolled - 0.5 * speed * ramp
+            rolled += speed * self._period
+            left = way - rolled - 0.5 * speed * braking_time(speed, acceleration, jerk)
             if left <= 0.0:
                 break
             rate = min(max(0.5 * left / max(self._period, _INSTANT), _SLOWEST_NUDGE), fastest) / way
-            before = now
             yield from self._cycle(Twist2(rate * motion.linear, rate * motion.angular))
         since = self._now
         while self._now - since < _ANSWER:
@@ -525,7 +525,7 @@ class Procedure:
             if waited > settings.initial_perception_timeout:
                 reason = f"the dock has not been seen for {perception.detection_age:.1f} s"
                 raise AttemptFailed(EndingKind.FAILED_TO_DETECT_DOCK, reason)
-            if not (is_needed or situation.is_dock_hidden or perception.detections > before):
+            if not (is_needed or situation.is_dock_hidden):
                 return
             yield from self._cycle(_STOP)
 
@@ -641,7 +641,7 @@ class Procedure:
             least: So far in any case, if nothing is in the way [m].
         """
         situation = self.situation
-        direction, footprint = -situation.gear, situation.problem.robot.footprint
+        direction, footprint = -situation.gear, situation.footprint
         begun_at, begun, is_straight = situation.perception.way, self._now, False
         braking = 0.5 * _BACK_OUT_SPEED * situation.braking_time_from(_BACK_OUT_SPEED)
         farthest = max(least, self._dock_type.back_out_distance)

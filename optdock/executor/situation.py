@@ -49,7 +49,7 @@ _ALIGNED, _NOISE = 0.3, 1.0  # of the tolerance, standard deviations: a heading 
 _SHORT = 0.5  # of the tolerance: most robots that falsely called themselves docked believed to stand so far before it
 _BESIDE = 0.4  # of the tolerance: with more a robot that is straight again is better off with another approach
 _LARGEST_TURN = 0.1  # [rad] at a dock: the corners of a usual robot then move by 3 cm
-_WHEELS_WITHIN = 0.9  # of the inscribed circle, where nobody tells the track width
+_WHEELS_WITHIN = 0.9  # of the radius of the inscribed circle, if the robot has no track width
 _NEAR = 0.25  # [m]: from farther a camera that is blind before the dock sees it
 NO_ROOM = 0.03  # [m] before the dock nothing can be corrected any more
 _LAST_LOOK = 0.2  # [m] before the dock: as near it drives without being sure, for a detection may come on the way
@@ -192,7 +192,7 @@ class Situation:
         """Whether the dock is not seen where it should be, with some way left on which an error could be corrected.
 
         A camera that is blind before the dock has never seen it from near; then there is nothing to wait for, if the
-        robot will know without it where it stands. Nor is there for ever: whatever walks by has walked on.
+        robot will know without it where it stands. After `LONGEST_HIDDEN` it is not waited for any longer.
         """
         age, left = self.perception.detection_age, self.left
         if not (_HIDDEN < age <= LONGEST_HIDDEN and NO_ROOM < left <= _LAST_LOOK):
@@ -206,13 +206,18 @@ class Situation:
         return self.perception.seen_from <= _NEAR
 
     @property
+    def _is_dock_confirmed(self) -> bool:
+        """Whether the dock was seen as often as it must be, and nothing newer contradicts that."""
+        perception = self.perception
+        return perception.detections >= self.settings.least_detections and not perception.is_contradicted
+
+    @property
     def is_dock_known(self) -> bool:
         """Whether the dock was seen on the way here, often and well enough to be driven to."""
-        perception, accepted = self.perception, self.problem.dock.tolerances
-        seen = perception.detections >= self.settings.least_detections and not self.detection_is_old
-        (place, turn), most = perception.sigma, min(accepted.along, accepted.cross)
+        accepted = self.problem.dock.tolerances
+        (place, turn), most = self.perception.sigma, min(accepted.along, accepted.cross)
         is_sure = _CERTAINTY * place <= most and _CERTAINTY * turn <= accepted.yaw
-        return seen and is_sure and not perception.is_contradicted
+        return self._is_dock_confirmed and is_sure and not self.detection_is_old
 
     @property
     def is_dock_found(self) -> bool:
@@ -220,15 +225,12 @@ class Situation:
 
         What is not known of it yet can still be corrected on the second half of the way in.
         """
-        perception, limits = self.perception, self.problem.robot.limits
         if self.is_dock_known:
             return True
-        if perception.detections < self.settings.least_detections or perception.is_contradicted:
-            return False
-        place, turn = (_CERTAINTY * sigma for sigma in perception.sigma)
-        way = 0.5 * abs(perception.robot_from_dock.x) - self.problem.dock.final_straight
-        is_recent = perception.detection_age <= LONGEST_HIDDEN and not self.detection_is_old
-        return is_recent and can_be_planned_away(place, turn, way, 1.0, limits)
+        place, turn = (_CERTAINTY * sigma for sigma in self.perception.sigma)
+        way, limits = 0.5 * self.left - self.problem.dock.final_straight, self.problem.robot.limits
+        is_recent = self.perception.detection_age <= LONGEST_HIDDEN and not self.detection_is_old
+        return self._is_dock_confirmed and is_recent and can_be_planned_away(place, turn, way, 1.0, limits)
 
     @property
     def is_in_doubt(self) -> bool:
@@ -346,7 +348,7 @@ class Situation:
             cleared = with_contact_zone(
                 seen,
                 self.dock,
-                self.problem.robot.footprint,
+                self.footprint,
                 self.settings.contact_margin,
             )
             self._cleared = seen, cleared, dock
@@ -408,8 +410,8 @@ class Situation:
         if perception.pose_age <= patience:
             return True
         is_near = perception.way_unlocated <= _UNLOCATED[0] and perception.pose_age <= _UNLOCATED[1]
-        is_seen = perception.detections >= self.settings.least_detections and perception.detection_age <= patience
-        return is_near and is_seen and perception.sigma[0] <= _LOCATED and not perception.is_contradicted
+        is_seen = self._is_dock_confirmed and perception.detection_age <= patience
+        return is_near and is_seen and perception.sigma[0] <= _LOCATED
 
     @property
     def is_held(self) -> bool:

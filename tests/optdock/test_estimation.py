@@ -425,9 +425,13 @@ def test_a_slip_is_forgotten_on_the_way_and_a_wrong_first_measurement_is_none():
 def test_a_slip_that_is_allowed_for_is_one_along_the_heading_and_a_turn(yaw):
     found = started(pose=Pose2(0.3, 0.2, yaw))
     before = found.covariance.copy()
-    found.allow_for_slip(0.01, 0.02)
+    says_nothing = 1e14 * np.eye(3)
+    assert found.correct(10.0, found.pose, says_nothing, slip=(0.01, 0.02)) == "accepted"
     ahead, aside = np.array([math.cos(yaw), math.sin(yaw)]), np.array([-math.sin(yaw), math.cos(yaw)])
     grown = found.covariance - before
     assert ahead @ grown[:2, :2] @ ahead == pytest.approx(1e-4, rel=1e-9)
     assert np.abs(grown[:2, :2] @ aside).max() < 1e-18
     assert grown[2, 2] == pytest.approx(4e-4, rel=1e-9)
+    kept = found.covariance.copy()
+    assert found.correct(10.0, found.pose @ Pose2(1.0, 0.0, 0.0), NOISE, slip=(0.01, 0.02)) == "rejected"
+    assert np.array_equal(found.covariance, kept), "what is not believed tells of no slip"

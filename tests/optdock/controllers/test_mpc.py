@@ -260,7 +260,7 @@ class TestFastAndLate:
         run = self.run()
         assert run.docked, run.reason
         assert run.poses[:, 0].max() < 4.02
-        monkeypatch.setattr(mpc, "_braking_time", lambda *_: 0.0)
+        monkeypatch.setattr(mpc, "braking_time", lambda *_: 0.0)
         assert self.run().poses[:, 0].max() > 4.05
 
 
