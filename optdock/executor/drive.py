@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from optdock.costmap.costs import LETHAL, NO_INFORMATION
 from optdock.errors import ControllerException
 from optdock.executor.approach import DECAY, SHORTEST_DECAY, can_be_planned_away, left_at_dock
 from optdock.executor.interruptions import TOO_FAR_OFF, AttemptFailed, Interrupted, TaskFailed
@@ -22,6 +23,7 @@ from optdock.tube import Tube
 if TYPE_CHECKING:
     from collections.abc import Callable
 
+    from optdock.costmap.costmap import Costmap
     from optdock.executor.plan_requests import PlanRequests
     from optdock.executor.planning import Motion, PlanResult
     from optdock.executor.situation import Situation
@@ -44,6 +46,9 @@ _LEAP = 0.25  # [m] from its reference, farther off another stretch of the path 
 _LEAD = 0.06  # [s] beyond the budget: a period at 20 Hz until the result is asked for, and some
 _LATE = 0.05  # [s]: a reference that jumps by so much at the speeds near a dock jumps by millimetres
 _SLOWEST = 0.2  # of the planned speed: most drives still move at a fifth of the speed before a dock
+# An obstacle has gone: is a plan from rest so much shorter that stopping for it pays? Usual ones take 30 to 90 ms.
+_FROM_REST_BUDGET = 0.2  # [s]
+_SHORTER, _STOPPING = 0.8, 1.0  # of what is left of the motion; [s] for the stop and a plan
 _STALE_STOP = 0.3  # [s]: a motion that is proven wrong from later on than this may go on while another is planned
 _SAMPLES = 0.01  # [m] between two poses of a path: between them it bends by micrometres
 
@@ -91,6 +96,7 @@ class Drive:
         self._next_goal: tuple[float, Pose2] | None = None  # from when on [s]
         self._is_urgent = self._is_stop = False
         self._costmap = motion.problem.costmap  # a newer one is looked at in the first cycle
+        self._is_from_rest = False  # what the last job was for
         self._blocked = math.inf, ""  # when the motion meets what was not there when it was planned, and what that is
         self._looked_at, self._where = -math.inf, ""
         self._submitted_at, self._pause = -math.inf, situation.settings.replan_pause
@@ -125,7 +131,7 @@ class Drive:
         self._times_of_places, self._time_of_place = (law.states[:, 0], law.times), 0.0
         proven = not self._is_stop and (tracking.cross > 0.0 or tracking.yaw > 0.0)
         self._tube = Tube(motion.trajectory.path, motion.problem, motion.start_relief) if proven else None
-        self._is_outside = False
+        self._is_outside = self._is_freed = False
 
     @property
     def _allowance(self) -> float:
@@ -282,6 +288,7 @@ class Drive:
         verdict = self._requests.still_holds(self.motion, costmap, max(0.0, time))
         if verdict.holds:
             self._blocked = math.inf, ""
+            self._is_freed = _is_freed(self.motion.problem.costmap, costmap)
             return
         self._report("motion does not hold any more", verdict.reason)
         self._blocked = verdict.at_time, verdict.reason
@@ -337,6 +344,9 @@ class Drive:
             return
         time, rate = self._reference
         if not self._is_urgent:
+            if self._may_be_shorter():
+                self._plan_from_rest()
+                return
             if not self._is_approach or situation.now - self._looked_at < _LOOK - _INSTANT:
                 return
             self._looked_at = situation.now
@@ -348,7 +358,7 @@ class Drive:
             if self._is_approach
             else dataclasses.replace(self.motion.problem, costmap=self._costmap)
         )
-        self._submitted_at = situation.now
+        self._submitted_at, self._is_from_rest = situation.now, False
         budget = settings.replan_budget
         self._requests.submit(
             Job(
@@ -365,6 +375,28 @@ class Drive:
                 moved=situation.perception.dock @ self._goal.inverse() if self._is_approach else None,
             )
         )
+
+    def _may_be_shorter(self) -> bool:
+        """Whether something has gone, once for each picture of the surroundings, and a plan from rest may pay."""
+        if not self._is_freed or self._situation.now - self._submitted_at < _AFTER_REFUSAL * self._pause:
+            return False
+        self._is_freed = False
+        distance = self._pose.distance_to(self.motion.trajectory.path.end)
+        return self._pays(distance / self._situation.problem.robot.limits.max_speed)  # no plan takes less
+
+    def _pays(self, duration: float) -> bool:
+        """Whether a plan from rest that takes so long [s] is worth a stop."""
+        left = self.motion.trajectory.duration - self._reference[0]
+        return self._situation.braking_time + _STOPPING + duration < _SHORTER * left
+
+    def _plan_from_rest(self) -> None:
+        """Hand in a job that finds the way from here, as if the motion were not there."""
+        situation = self._situation
+        here = situation.to_dock()
+        if not self._is_approach:
+            here = dataclasses.replace(self.motion.problem, start=here.start, costmap=here.costmap)
+        self._submitted_at, self._is_from_rest = situation.now, True
+        self._requests.submit(Job(0, situation.now, here, _FROM_REST_BUDGET))
 
     def _is_worth_it(self, time: float) -> bool:
         """Whether feedback would leave more of the present error at the dock than is worth a plan.
@@ -400,7 +432,18 @@ class Drive:
         return off or turned
 
     def _take(self, result: PlanResult) -> None:
+        """Take over what was planned, if it is of use.
+
+        Raises:
+            Interrupted: There is no way on, or a much shorter one from rest.
+        """
         situation, settings = self._situation, self._situation.settings
+        if self._is_from_rest:
+            if result.motion is not None and self._pays(result.motion.trajectory.duration):
+                left = self.motion.trajectory.duration - self._reference[0]
+                reason = f"{result.motion.trajectory.duration:.1f} s from rest, {left:.1f} s of this one are left"
+                raise Interrupted("shorter way", reason)
+            return
         was_urgent, self._is_urgent = self._is_urgent, False
         self._pause = settings.replan_pause
         if result.motion is None or (result.outcome is Outcome.STOP and not was_urgent):
@@ -420,6 +463,15 @@ class Drive:
         self._next_goal = start, result.motion.problem.goal
         self._become(result.motion)
         self._costmap, self._blocked = result.motion.problem.costmap, (math.inf, "")  # a newer one: in the next cycle
+
+
+def _is_freed(before: Costmap | None, now: Costmap) -> bool:
+    """Whether a cell in which something stood is seen to be free."""
+    if before is None:
+        return False
+    rows, columns = np.nonzero(before.data == LETHAL)
+    costs = now.cost_at(before.centre_of(np.column_stack((columns, rows))))
+    return bool(np.any((costs != LETHAL) & (costs != NO_INFORMATION)))
 
 
 class _Way:

@@ -101,10 +101,31 @@ def put(half_width, ahead=0.85):
     return once(lambda executor, world: world.state.twist.linear > 0.3, act)
 
 
+def put_away(executor, world, measurements):
+    """Nothing is left of it once the robot is well aside of the straight way."""
+    if world.state.pose.y > 0.6 or world.state.pose.y < -0.3:
+        world.put(ObstacleSet.from_polygons([]), grid_with((-5.0, -3.0, -4.99, -2.99)))
+
+
 def test_obstacle_on_the_path_is_driven_around(lawful):
     docking = run(simulated(Pose2(-3.0, 0.3, 0.0)), settings=NO_STAGING, before=put(0.1))
     assert lawful(docking).kind is EndingKind.DOCKED_BY_DISTANCE
     assert docking.said("motion does not hold any more")
+
+
+@pytest.mark.parametrize("goes", [True, False])
+def test_the_way_round_a_wall_is_left_where_the_wall_has_gone(goes, lawful):
+    build, remove = put(1.9, 1.6), put_away if goes else lambda *_: None
+
+    def before(executor, world, measurements):
+        build(executor, world, measurements)
+        remove(executor, world, measurements)
+
+    docking = run(simulated(Pose2(-3.0, 0.3, 0.0)), settings=NO_STAGING, before=before)
+    touch = math.inf if goes else 0.004  # it may drive where the wall stood
+    assert lawful(docking, touch).kind is EndingKind.DOCKED_BY_DISTANCE
+    assert len(docking.said("shorter way")) == goes
+    assert (docking.times[-1] < 18.0) is goes, docking.times[-1]
 
 
 def test_wall_across_the_way_ends_the_task_at_rest(lawful):
