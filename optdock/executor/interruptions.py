@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from optdock.executor.outcomes import EndingKind
 
-__all__ = ["HELD", "NOT_DOCKED", "TOO_FAR_OFF", "AttemptFailed", "Cancelled", "Interrupted", "TaskFailed"]
+__all__ = ["HELD", "NOT_DOCKED", "TOO_FAR_OFF", "AttemptFailed", "Cancelled", "Interrupted", "NoWay", "TaskFailed"]
 
 # Names of interruptions that are answered in ways of their own.
 HELD, TOO_FAR_OFF, NOT_DOCKED = "held", "too far off to correct", "not docked"
@@ -27,6 +27,10 @@ class TaskFailed(Exception):
 
 class AttemptFailed(TaskFailed):
     """This approach has failed; another one may succeed."""
+
+
+class NoWay(AttemptFailed):
+    """There has been no way into the dock from where the robot stands, for longer than an obstacle is waited for."""
 
 
 class Interrupted(Exception):

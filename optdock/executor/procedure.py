@@ -6,6 +6,7 @@ has a name and a limit, and so has every motion.
 
 from __future__ import annotations
 
+import dataclasses
 import logging
 import math
 from typing import TYPE_CHECKING, TypeAlias
@@ -20,6 +21,7 @@ from optdock.executor.interruptions import (
     AttemptFailed,
     Cancelled,
     Interrupted,
+    NoWay,
     TaskFailed,
 )
 from optdock.executor.outcomes import EndingKind, State
@@ -163,8 +165,9 @@ class Procedure:
                 self._report("attempt failed", f"{failure.kind.value}: {failure.reason}")
                 yield from self._stop()
                 self.num_retries += 1
+                is_blocked = isinstance(failure, NoWay)
             yield from self._back_out()
-            yield from self._drive_to(situation.staging_poses, State.RETURNING, EndingKind.FAILED_TO_CONTROL)
+            yield from self._return(is_blocked=is_blocked)
 
     def _undock(self) -> Generator[Wish, None, tuple[EndingKind, str]]:
         situation = self.situation
@@ -335,7 +338,7 @@ class Procedure:
             since: When there was a way last [s].
 
         Raises:
-            AttemptFailed: There has been no way for too long.
+            NoWay: There has been none for too long.
         """
         yield from self._locate()
         result = yield from self._planned(self.situation.to_dock())
@@ -533,11 +536,11 @@ class Procedure:
         """No way from here: wait for another picture of the surroundings, or some time, and try again.
 
         Raises:
-            AttemptFailed: There has been no way for too long.
+            NoWay: There has been none for too long.
         """
         patience, perception = self._settings.obstacle_patience, self.situation.perception
         if self._now - since >= patience:
-            raise AttemptFailed(EndingKind.FAILED_TO_CONTROL, f"no way to the dock: {result.reason}")
+            raise NoWay(EndingKind.FAILED_TO_CONTROL, f"no way to the dock: {result.reason}")
         self.state = State.WAITING_FOR_OBSTACLE
         seen, until = perception.costmap, min(self._now + 1.0, since + patience)
         self._report("no way", result.reason)
@@ -566,6 +569,23 @@ class Procedure:
                 return result
             self._report("no way to a staging pose", f"number {number} of {len(others) + 1}: {result.reason}")
         return (yield from self._planned(self.situation.to(last)))
+
+    def _return(self, *, is_blocked: bool) -> Cycles:
+        """To a staging pose; where no way leads into the dock, only if one leads there from a staging pose.
+
+        Raises:
+            TaskFailed: The robot does not get there.
+        """
+        situation = self.situation
+        if is_blocked:
+            found = False
+            for place in situation.staging_poses():
+                result = yield from self._planned(dataclasses.replace(situation.to_dock(), start=place))
+                found = found or result.motion is not None
+            if not found:
+                self._report("no way from a staging pose", "the next attempt begins here")
+                return
+        yield from self._drive_to(situation.staging_poses, State.RETURNING, EndingKind.FAILED_TO_CONTROL)
 
     def _drive(self, motion: Motion, state: State) -> Generator[Wish, None, EndingKind | None]:
         """Drive a motion to its end, replanned on the way where that is worth it.

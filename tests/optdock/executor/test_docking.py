@@ -136,6 +136,19 @@ def test_wall_across_the_way_ends_the_task_at_rest(lawful):
     assert docking.world.clearance() > 0.05
 
 
+def test_no_robot_goes_back_where_the_dock_stays_blocked(lawful):
+    settings = ExecutorSettings(
+        navigate_to_staging_pose=False, obstacle_patience=1.5, time_budget=0.1, staging_distance=2.4, max_retries=2
+    )
+    docking = run(simulated(Pose2(-3.0, 0.3, 0.0)), settings=settings, before=put(4.0, 1.7))
+    ending = lawful(docking)
+    assert (ending.kind, ending.num_retries) == (EndingKind.FAILED_TO_CONTROL, 2)
+    assert len(docking.said("no way from a staging pose")) == 2
+    assert State.RETURNING not in docking.states
+    first = docking.states.index(State.WAITING_FOR_OBSTACLE)
+    assert {step.command for step in docking.steps[first:]} == {Twist2()}
+
+
 class Hanging(InlinePlanning):
     """Gives one plan, and then none any more."""
 
