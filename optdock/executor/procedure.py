@@ -475,11 +475,13 @@ class Procedure:
         highest, acceleration, jerk = (
             min(s / shares[0], t / shares[1]) for s, t in zip(straight, turning, strict=True)
         )
-        fastest, rolled = min(_FASTEST_NUDGE, highest), 0.0
+        fastest, rolled, was_felt = min(_FASTEST_NUDGE, highest), 0.0, False
         while True:
             situation.require_no_interruption()
-            if situation.contact() is not None and motion.linear * situation.gear > _INSTANT:
+            is_felt = situation.contact() is not None and motion.linear * situation.gear > _INSTANT
+            if is_felt and was_felt:  # a switch that flickers farther out is no reason to stay there
                 break
+            was_felt = is_felt
             speed = max(map(abs, situation.rims(situation.commanded.linear, situation.commanded.angular)))
             rolled += speed * self._period
             left = way - rolled - 0.5 * speed * braking_time(speed, acceleration, jerk)
