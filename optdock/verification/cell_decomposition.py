@@ -100,16 +100,13 @@ class ImpossibilitySearch:
 
     def __init__(self, problem: DockingProblem) -> None:
         self.problem = problem
-        self._left: list[_Body] = []  # the next one last
-        if len(problem.all_obstacles):
-            body = _body(problem.robot.footprint)
-            self._left = [body, body.largest_disc]
+        self._left: list[_Body] | None = None if len(problem.all_obstacles) else []  # the next one last; None: not made
         self._search: _Search | None = None
 
     @property
     def ended(self) -> bool:
         """Whether there is no use in going on."""
-        return not self._left
+        return self._left == []
 
     def proof(
         self, time_budget: float, cancel_checker: Callable[[], bool] = never_late, *, only_disc: bool = False
@@ -126,6 +123,9 @@ class ImpossibilitySearch:
         """
         deadline = Deadline(time_budget - _STEP, stop=cancel_checker)
         with contextlib.suppress(OutOfTime):
+            if self._left is None:
+                body = _body(self.problem.robot.footprint, deadline.look)
+                self._left = [body, body.largest_disc]
             while len(self._left) > int(only_disc):
                 if self._search is None:
                     self._search = _Search(self.problem, self._left[-1], deadline)
@@ -161,7 +161,25 @@ _SAMPLES, _FEWEST_SAMPLES = 160, 4  # of the outline that discs must cover, and 
 
 
 @functools.lru_cache(maxsize=16)
-def _body(footprint: Footprint) -> _Body:
+def _bodies(footprint: Footprint) -> list[_Body]:  # noqa: ARG001 - the key
+    """Where the body of a footprint is kept once it is made; empty before."""
+    return []
+
+
+def _body(footprint: Footprint, look: Callable[[], None]) -> _Body:
+    """The discs of a footprint, made once.
+
+    Args:
+        footprint: Of the robot.
+        look: Called every few milliseconds; what it raises is passed on, and nothing is kept.
+    """
+    kept = _bodies(footprint)
+    if not kept:
+        kept.append(_discs_within(footprint, look))
+    return kept[0]
+
+
+def _discs_within(footprint: Footprint, look: Callable[[], None]) -> _Body:
     """Few discs that fill a footprint but for `_FIT`: each covers as much of the outline, to that, as is left."""
     outline = footprint.vertices
     centre = 0.5 * (outline.min(axis=0) + outline.max(axis=0))
@@ -170,35 +188,52 @@ def _body(footprint: Footprint) -> _Body:
     step = np.linspace(-reach, reach, 61)
     points = np.stack(np.meshgrid(step, step), axis=-1).reshape(-1, 2)
     points = np.vstack((points, 0.0 * points[:1]))
-    radius = _depth(points, outline)
+    radius = _depth(points, outline, look)
     points, radius = points[radius > 0.0], radius[radius > 0.0]
     largest = radius.max() if radius.size else 0.0
     # Into every corner, ever smaller ones: along the line from the corner on which the depth grows fastest.
-    along = points[:, None] - outline
-    steep = radius[:, None] / np.hypot(along[..., 0], along[..., 1])
-    inward = along[steep.argmax(axis=0), np.arange(len(outline))]
+    inward = np.empty_like(outline)
+    for i, corner in enumerate(outline):
+        look()
+        along = points - corner
+        inward[i] = along[(radius / np.hypot(*along.T)).argmax()]
     shares = _SMALLER ** np.arange(1, 12)
     corners = (outline[:, None] + shares[:, None] * inward[:, None]).reshape(-1, 2)
     points = np.vstack((points, corners))
-    radius = np.concatenate((radius, _depth(corners, outline)))
+    radius = np.concatenate((radius, _depth(corners, outline, look)))
     points, radius = points[radius > 0.0], radius[radius > 0.0]
     ends = np.roll(outline, -1, axis=0)
     per_edge = max(_FEWEST_SAMPLES, -(-_SAMPLES // len(outline)))
     share = np.linspace(0.0, 1.0, per_edge, endpoint=False)[:, None, None]
     samples = (outline + share * (ends - outline)).reshape(-1, 2)
-    gap = np.hypot(*(samples[:, None] - points).transpose(2, 0, 1)) - radius
-    covers = gap <= _FIT * largest
-    covers[np.arange(len(samples)), gap.argmin(axis=1)] = True
-    left, chosen = np.ones(len(samples), dtype=np.bool_), [int(radius.argmax())]
-    left &= ~covers[:, chosen[0]]
+    covers = np.empty((len(samples), len(points)), dtype=np.bool_)
+    for i, sample in enumerate(samples):
+        look()
+        gap = np.hypot(*(sample - points).T) - radius
+        covers[i] = gap <= _FIT * largest
+        covers[i, gap.argmin()] = True
+    chosen = [int(radius.argmax())]
+    left = ~covers[:, chosen[0]]
     while left.any():
+        look()
         chosen.append(int(covers[left].sum(axis=0).argmax()))
         left &= ~covers[:, chosen[-1]]
     return frozen(_Body(centre, np.column_stack((points, radius))[chosen], reach))
 
 
-def _depth(points: FloatArray, outline: FloatArray) -> FloatArray:
+_ROWS = 8192  # pairs of a point and an edge in one go, half a millisecond
+
+
+def _depth(points: FloatArray, outline: FloatArray, look: Callable[[], None]) -> FloatArray:
     """How deep points lie in a polygon, Shape (n,) [m]; not above 0 outside."""
+    blocks, step = [], max(1, _ROWS // len(outline))
+    for k in range(0, len(points), step):
+        look()
+        blocks.append(_depth_of_some(points[k : k + step], outline))
+    return np.concatenate(blocks)
+
+
+def _depth_of_some(points: FloatArray, outline: FloatArray) -> FloatArray:
     start, edge = outline, np.roll(outline, -1, axis=0) - outline
     to = points[:, None] - start
     along = np.clip((to * edge).sum(axis=2) / (edge * edge).sum(axis=1), 0.0, 1.0)
@@ -699,7 +734,7 @@ class _Search:
         (x, y, _), most = self._best_near(np.append(middle, 0.0), np.array([half, half, 0.0]), self.body)
         if most + float(self.body.discs[0, 2]) <= 2.0 * half:
             return None
-        body = _body(self.problem.robot.footprint)
+        body = _body(self.problem.robot.footprint, self.deadline.look)
         shift = self.body.centre - body.centre
         whole = _Body(body.centre, body.discs - (*shift, 0.0), body.reach)
         (_, _, yaw), _ = self._best_near(np.array([x, y, 0.5 * math.pi]), np.array([0.0, 0.0, 0.5 * math.pi]), whole)

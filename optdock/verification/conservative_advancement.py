@@ -23,6 +23,7 @@ Cells that are cleared by the tolerance only are proven a second time: there not
 from __future__ import annotations
 
 import functools
+import math
 from collections import deque
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -149,15 +150,18 @@ def prove_clearance(  # noqa: PLR0913 - what is proven, and which part of it is 
     kept = problem.path_clearance
     rule = functools.partial(kept.required_at, start_clearance=begun.clearance, start_relief=start_relief)
     world = _World(problem.robot.footprint, obstacles, problem.goal, begun.start, rule, kept.required)
-    subdivision = _Subdivision(motion, world, attained, _CROP, is_late)
-    near = subdivision.run()
-    if near.proven <= _CROP or len(subdivision.near) == len(obstacles):
-        return near
-    # What was left out is at least `_CROP` away: it cannot break the rule, but it may hold the minimum.
-    if is_late():
-        margin = min(near.margin, _CROP - problem.path_clearance.required)
-        return near._replace(proven=min(near.proven, _CROP), margin=margin)
-    return _Subdivision(motion, world, attained, np.inf, is_late).run()
+    near = _Subdivision(motion, world, attained, _CROP, is_late)
+    found = near.run() if len(near.near) else None
+    if found is not None and (found.proven <= _CROP or len(near.near) == len(obstacles)):
+        return found
+    # What was left out is at least `_CROP` away: it cannot break the rule, but it may hold the minimum, which is no
+    # more than what the ends attain.
+    if math.isfinite(attained) and not is_late():
+        return _Subdivision(motion, world, attained, attained, is_late).run()
+    if found is None:
+        nothing = np.zeros((0, 7))
+        found = ClearanceProof(_CROP, 0.0, _CROP - kept.required, -1, np.inf, nothing, nothing[:, :2], 0)
+    return found._replace(proven=min(found.proven, _CROP), margin=min(found.margin, _CROP - kept.required))
 
 
 class Begun(NamedTuple):
@@ -292,12 +296,12 @@ class _Subdivision:
         return ends, self.motion.nodes(ends.segment, ends.u)
 
     def _crop(self, nodes: Nodes, crop: float) -> tuple[ObstacleSet, IntArray]:
-        """The obstacles near the swept area, or all of them where none is near; and their rows in the problem."""
+        """The obstacles near the swept area, and their rows in the problem."""
         everything = self.world.obstacles
         at = nodes.poses[:, :2]  # a cell strays from its chord by less than its length
         reach = self.world.footprint.circumscribed_radius + self.step + crop + self.world.most
         rows = everything.rows_in_box(at.min(axis=0) - reach, at.max(axis=0) + reach)
-        if rows.size == 0 or rows.size > _WORTHWHILE * len(everything):
+        if rows.size > _WORTHWHILE * len(everything):
             return everything, np.arange(len(everything))
         return everything.subset(rows), rows
 

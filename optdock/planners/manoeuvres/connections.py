@@ -51,6 +51,11 @@ class Connections(NamedTuple):
             self.prices[keep], self.exits[keep], self.entries[keep], self.lengths[keep], self.curvatures[keep]
         )
 
+    def at_prices(self, prices: FloatArray, most: float) -> Connections:
+        """Those cheaper than `most` at other prices, Shape (n,), in ascending order of these."""
+        order = np.argsort(prices, kind="stable")
+        return self._replace(prices=prices).rows(order[prices[order] < most])
+
     @classmethod
     def merged(cls, blocks: Sequence[Connections]) -> Connections:
         """All of several, in ascending order of price."""

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -22,6 +21,7 @@ __all__ = [
     "ends_cost",
     "gear_changes",
     "least_price",
+    "least_prices",
     "stopping_cost",
     "stops",
     "turning_times",
@@ -31,30 +31,63 @@ __all__ = [
 # more has to save a second.
 CUSP_PRICE = 1.0
 _TURNS_GEAR = 1e-6  # [m]: shorter arcs are no motion
+_STEPS, _EXCESS = 12, 1e-6  # of Newton's method; [m]: of a millimetre a thousandth of its time
 
 
 def least_price(path: Path, problem: DockingProblem) -> float:
-    """The price of the fastest motion along `path` that only speeds, accelerations and the dock's slow zone bound [s].
+    """The price of the fastest motion along `path` that speed, acceleration, jerk and the dock's slow zone bound [s].
 
-    Jerk, curvature and clearance can only make it dearer. A smoother may still find a shorter path nearby.
+    Curvature and clearance can only make it dearer. A smoother may still find a shorter path nearby.
     """
-    limits = problem.robot.limits
-    lengths = [segment.length for segment in path.segments]
-    total = 0.0
-    entry_speed = abs(problem.start_speed)
-    zone = problem.dock.approach
-    for i, (segment, length) in enumerate(zip(path.segments, lengths, strict=True)):
-        if isinstance(segment, TurnSegment):
-            total += float(turning_times(np.array([abs(segment.turn)]), limits.turning)[0])
-            continue
-        top = limits.max_speed if int(segment.direction) > 0 else limits.max_reverse_speed
-        is_last = i == len(lengths) - 1
-        slow = min(zone.distance, length) if is_last and zone.speed < top else 0.0
-        total += _gear_duration(length - slow, entry_speed, zone.speed if slow > 0.0 else 0.0, top, limits)
-        if slow > 0.0:
-            total += _gear_duration(slow, zone.speed, 0.0, zone.speed, limits)
-        entry_speed = 0.0
-    return total + CUSP_PRICE * stops(path)
+    gears = np.array([[0.0 if isinstance(one, TurnSegment) else one.direction * one.length for one in path.segments]])
+    turns = np.array([abs(one.turn) for one in path.segments if isinstance(one, TurnSegment)])
+    turned = float(turning_times(turns, problem.robot.limits.turning).sum()) if turns.size else 0.0
+    return turned + float(_durations(gears, problem)[0].sum()) + CUSP_PRICE * stops(path)
+
+
+def least_prices(lengths: FloatArray, problem: DockingProblem) -> FloatArray:
+    """As `least_price`, of many ways without turns in place.
+
+    Args:
+        lengths: Of the pieces of each way in the order in which they are driven, negative in reverse; those of one gear
+            may be several. Shape (n, k) [m].
+        problem: From rest or in motion, with which robot, to which dock.
+
+    Returns:
+        Shape (n,) [s].
+    """
+    rows = np.arange(len(lengths))
+    gears, gear, now = np.zeros(lengths.shape), np.zeros(len(lengths), dtype=np.int64), np.zeros(len(lengths))
+    for length in lengths.T:
+        sign = np.where(np.abs(length) > _TURNS_GEAR, np.sign(length), 0.0)
+        gear += sign * now < 0.0
+        now = np.where(sign != 0.0, sign, now)
+        gears[rows, gear] += np.where(sign != 0.0, length, 0.0)
+    found: FloatArray = _durations(gears, problem).sum(axis=1) + CUSP_PRICE * gear
+    return found
+
+
+def _durations(gears: FloatArray, problem: DockingProblem) -> FloatArray:
+    """Shortest durations of drives from stop to stop, see `least_price`.
+
+    Args:
+        gears: Lengths, negative in reverse, 0: no drive. Shape (n, k) [m].
+        problem: As of `least_prices`.
+
+    Returns:
+        Shape (n, k) [s].
+    """
+    limits, zone = problem.robot.limits, problem.dock.approach
+    length, drives = np.abs(gears), gears != 0.0
+    top = np.where(gears > 0.0, limits.max_speed, limits.max_reverse_speed)
+    first = np.where(drives & (np.cumsum(drives, axis=1) == 1), abs(problem.start_speed), 0.0)
+    is_last = drives & (np.cumsum(drives[:, ::-1], axis=1)[:, ::-1] == 1)
+    slow = np.where(is_last & (zone.speed < top), np.minimum(zone.distance, length), 0.0)
+    until = np.where(slow > 0.0, zone.speed, 0.0)
+    found: FloatArray = np.where(drives, _gear_durations(length - slow, first, until, top, limits), 0.0)
+    if np.any(slow > 0.0):
+        found += np.where(slow > 0.0, _gear_durations(slow, until, np.zeros(slow.shape), until, limits), 0.0)
+    return found
 
 
 def stops(path: Path) -> int:
@@ -81,14 +114,40 @@ def turning_times(turns: FloatArray, limits: TurnLimits) -> FloatArray:
     return times
 
 
-def _gear_duration(length: float, first: float, last: float, top: float, limits: MotionLimits) -> float:
-    """Shortest duration of a length between two speeds under a top speed, accelerations bounded, jerk not [s]."""
-    up, down = limits.max_acceleration, limits.max_deceleration
-    first, last = min(first, top), min(last, top)
-    peak = math.sqrt(max((2.0 * up * down * length + down * first**2 + up * last**2) / (up + down), 0.0))
-    peak = min(max(peak, first, last), top)
-    used = max(peak**2 - first**2, 0.0) / (2.0 * up) + max(peak**2 - last**2, 0.0) / (2.0 * down)
-    return (peak - first) / up + (peak - last) / down + max(length - used, 0.0) / peak
+def _gear_durations(
+    length: FloatArray, first: FloatArray, last: FloatArray, top: FloatArray, limits: MotionLimits
+) -> FloatArray:
+    """Shortest durations of lengths between two speeds under a top speed, with bounded acceleration and jerk [s]."""
+    first, last = np.minimum(first, top), np.minimum(last, top)
+    low, high = np.maximum(first, last), top
+    peak, up, down, rising, falling = high, first, last, first, last
+    for _ in range(_STEPS):  # Newton's method, and bisection where it leads astray, for the largest speed with room
+        up, rising, faster = _ramp(first, peak, limits.max_acceleration, limits.max_jerk)
+        down, falling, later = _ramp(last, peak, limits.max_deceleration, limits.max_jerk)
+        excess = rising + falling - length
+        is_known = (np.abs(excess) <= _EXCESS) | ((peak >= top) & (excess <= 0.0)) | (high <= low)
+        if is_known.all():
+            break
+        low, high = np.where(excess > 0.0, low, peak), np.where(excess > 0.0, peak, high)
+        step = peak - excess / np.maximum(faster + later, 1e-12)
+        step = np.where((step > low) & (step < high), step, 0.5 * (low + high))
+        peak = np.where(is_known, peak, step)
+    cruise = np.maximum(length - rising - falling, 0.0) / np.maximum(peak, 1e-300)
+    found: FloatArray = up + down + cruise
+    return found
+
+
+def _ramp(
+    slow: FloatArray, fast: FloatArray, acceleration: float, jerk: float
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Time [s] and way [m] between two speeds, and how much the way grows with the faster one [s]."""
+    change = np.maximum(fast - slow, 0.0)
+    full = change >= acceleration**2 / jerk  # the acceleration gets as high as it may
+    root = np.sqrt(change / jerk)
+    time = np.where(full, change / acceleration + acceleration / jerk, 2.0 * root)
+    slope = np.where(full, 1.0 / acceleration, 1.0 / np.maximum(np.sqrt(change * jerk), 1e-12))
+    mean = 0.5 * (slow + fast)
+    return time, mean * time, 0.5 * time + mean * slope
 
 
 def stopping_cost(limits: MotionLimits) -> float:

@@ -17,7 +17,7 @@ from optdock.outcomes import Guess
 from optdock.planners.manoeuvres.connections import Nodes, all_pairs, connections, free_manoeuvres, promising
 from optdock.planners.manoeuvres.free_space import Effort, FreeSpace
 from optdock.planners.manoeuvres.hybrid_a_star import PoseGrid, hybrid_a_star
-from optdock.planners.manoeuvres.price import driving_times, ends_cost, gear_changes, least_price, stopping_cost
+from optdock.planners.manoeuvres.price import ends_cost, least_price, least_prices
 from optdock.planners.manoeuvres.reeds_shepp import reeds_shepp_words
 from optdock.planners.manoeuvres.tree import ArcTree, Moves
 from optdock.planners.manoeuvres.turns import routes, turning_places, turns_and_drives
@@ -79,7 +79,8 @@ class Stages:
         """The guesses of all stages, the first of them in a few milliseconds."""
         stands = self.problem.start_speed == 0.0 and self.problem.start_acceleration == 0.0
         turns = self.problem.robot.turns_in_place and stands
-        if not turns and self._cheapest_word() >= self._worthwhile():
+        most = self._better_than()
+        if self._straight_on() >= most or (not turns and self._cheapest_word() >= most):
             return  # what there is cannot be beaten, were there no obstacle at all
         words = self._words(self._efforts[0])
         yield from self._cheaper_first(self._turn_and_drive(turns_and_drives), words) if turns else words
@@ -100,16 +101,20 @@ class Stages:
         """Where the robot may be."""
         return FreeSpace(self.problem, self._poll)
 
+    def _straight_on(self) -> float:
+        """The least price of a straight line to the dock, were any heading right [s]."""
+        distance = self.problem.start.distance_to(self.problem.goal)
+        return float(least_prices(distance * np.array(self._gears)[:, None], self.problem).min())
+
     def _cheapest_word(self) -> float:
-        """Estimated price of the cheapest word to the final straight, whatever stands in its way [s]."""
-        problem, limits = self.problem, self.problem.robot.limits
-        straight = problem.dock.final_straight
-        ends = np.stack([(problem.goal @ Pose2(-gear * straight, 0.0, 0.0)).as_array() for gear in self._gears])
-        words = reeds_shepp_words(np.tile(problem.start.as_array(), (len(ends), 1)), ends, self.radius).lengths
-        words = np.where(np.isnan(words).any(axis=2, keepdims=True), np.inf, words)
-        along = driving_times(straight * np.array(self._gears), limits)
-        driven = driving_times(words, limits).sum(axis=2)
-        return float((driven + stopping_cost(limits) * gear_changes(words) + along).min())
+        """The least price of a word to the final straight, whatever stands in its way [s]."""
+        straights = -self.problem.dock.final_straight * np.array(self._gears)
+        ends = [self.problem.goal @ Pose2(straight, 0.0, 0.0) for straight in straights.tolist()]
+        starts = np.tile(self.problem.start.as_array(), (len(ends), 1))
+        words = reeds_shepp_words(starts, np.stack([end.as_array() for end in ends]), self.radius).lengths
+        form, end = np.nonzero(~np.isnan(words).any(axis=2))
+        ways = np.column_stack((words[form, end], -straights[end]))
+        return float(least_prices(ways, self.problem).min(initial=math.inf))
 
     def _turn_and_drive(self, search: TurnSearch) -> Iterator[Guess]:
         """Turns in place and straight lines, and the same with rounded corners."""
@@ -200,9 +205,15 @@ class Stages:
         if staging.rows.size == 0:
             return
         found = connections(*all_pairs(self._start, staging), effort.radius, self.space, _WORDS_PER_PAIR)
-        found = promising(found.rows(found.prices < self._worthwhile()), self._start.tree, self.space)
-        ways = free_manoeuvres(found, self._start.tree, staging.tree, self.space, effort, self._worthwhile)
-        yield from self._offered("Reeds-Shepp", ways)
+        found = found.rows(found.prices < self._worthwhile())
+        # The price decides about most of them, so it comes first: a word's poses are a hundred times as much work.
+        ways = np.column_stack((found.lengths, -staging.tree.lengths[found.entries]))
+        found = found.at_prices(least_prices(ways, self.problem), self._better_than())
+        found = promising(found, self._start.tree, self.space)
+        yield from self._offered(
+            "Reeds-Shepp",
+            free_manoeuvres(found, self._start.tree, staging.tree, self.space, effort, self._better_than),
+        )
 
     def _hybrid_a_star(self) -> Iterator[Guess | None]:
         """As far afield as it takes, until there is a plan; with a pause where an effort was in vain."""

@@ -6,6 +6,9 @@ import math
 
 import numpy as np
 import pytest
+import ruckig
+from hypothesis import assume, given
+from hypothesis import strategies as st
 
 from optdock.dock import Dock, DockDirection
 from optdock.errors import InvalidValue, LifecycleError, NoValidPathCouldBeFound, PlannerCancelled
@@ -17,10 +20,11 @@ from optdock.path import Path
 from optdock.planners.manoeuvres import turns
 from optdock.planners.manoeuvres.free_space import Effort, FreeSpace
 from optdock.planners.manoeuvres.manoeuvre_planner import ManoeuvrePlanner
-from optdock.planners.manoeuvres.price import CUSP_PRICE, gear_changes, least_price
+from optdock.planners.manoeuvres.price import CUSP_PRICE, gear_changes, least_price, least_prices
 from optdock.planners.manoeuvres.stages import turning_radius
 from optdock.problem import ClearanceRule, DockingProblem
 from optdock.robot import Robot
+from optdock.trajectory import braking_time
 from optdock.verification import certify_path
 
 LIMITS = MotionLimits(max_curvature=1.5, max_curvature_rate=6.0)
@@ -152,16 +156,54 @@ def test_a_planner_of_one_path_offers_that_one():
     assert guess.path.length == pytest.approx(1.0)
 
 
-def test_the_least_price_of_one_gear_is_that_of_a_trapezoid():
+def ruckig_duration(length, speed, limits):
+    """Of a straight drive of one gear from `speed` to rest."""
+    calculator, profile, drive = ruckig.Ruckig(1), ruckig.Trajectory(1), ruckig.InputParameter(1)
+    drive.current_velocity, drive.target_position = [speed], [length]
+    drive.max_velocity, drive.min_velocity = [limits.max_speed], [-1e-3]
+    drive.max_acceleration, drive.min_acceleration = [limits.max_acceleration], [-limits.max_deceleration]
+    drive.max_jerk = [limits.max_jerk]
+    calculator.calculate(drive, profile)
+    return profile.duration
+
+
+@given(
+    length=st.floats(0.001, 30.0),
+    speed=st.floats(0.0, 1.0),
+    limits=st.builds(
+        MotionLimits,
+        max_speed=st.floats(0.1, 2.0),
+        max_acceleration=st.floats(0.1, 2.0),
+        max_deceleration=st.floats(0.1, 2.0),
+        max_jerk=st.floats(0.3, 20.0),
+    ),
+)
+def test_the_least_price_of_one_gear_is_what_ruckig_needs(length, speed, limits):
+    speed = min(speed, limits.max_speed)
+    assume(length > 1.05 * speed * 0.5 * braking_time(speed, limits.max_deceleration, limits.max_jerk))
+    problem = DockingProblem(
+        Pose2(-length, 0.0, 0.0), Dock(Pose2(0.0, 0.0, 0.0)), Robot(ROBOT.footprint, limits), start_speed=speed
+    )
+    found = least_price(Path.from_poses([problem.start, problem.goal]), problem)
+    assert found == pytest.approx(ruckig_duration(length, speed, limits), rel=1e-3, abs=1e-4)
+
+
+def test_every_gear_has_its_price_and_every_cusp():
     problem = DockingProblem(Pose2(-3.0, 0.0, 0.0), Dock(Pose2(0.0, 0.0, 0.0)), ROBOT)
-    long = least_price(Path.from_poses([problem.start, problem.goal]), problem)
-    limits = ROBOT.limits
-    up, down, top = limits.max_acceleration, limits.max_deceleration, limits.max_speed
-    assert long == pytest.approx(3.0 / top + 0.5 * top / up + 0.5 * top / down)
-    short = least_price(Path.from_poses([Pose2(-0.1, 0.0, 0.0), problem.goal]), problem)
-    assert short == pytest.approx(math.sqrt(2.0 * 0.1 * (1.0 / up + 1.0 / down)))
-    there_and_back = Path.from_poses([Pose2(0.0, 0.0, 0.0), Pose2(3.0, 0.0, 0.0), Pose2(2.9, 0.0, 0.0)])
-    assert least_price(there_and_back, problem) > long + CUSP_PRICE
+    lengths = np.array([[1.0, 0.5, -0.2, 0.0, -0.3, 2.0], [0.0, 3.0, 0.0, 1e-9, 0.0, 0.0]])
+    gears = [[Pose2(x, 0.0, 0.0) for x in (0.0, 1.5, 1.0, 3.0)], [Pose2(x, 0.0, 0.0) for x in (0.0, 3.0)]]
+    expected = [least_price(Path.from_poses(poses), problem) for poses in gears]
+    assert least_prices(lengths, problem) == pytest.approx(expected)
+    one, two, three = (least_prices(np.array([[length]]), problem)[0] for length in (1.5, -0.5, 2.0))
+    assert expected[0] == pytest.approx(one + two + three + 2.0 * CUSP_PRICE)
+
+
+def test_the_slow_zone_before_the_dock_has_its_price():
+    dock = Dock(Pose2(0.0, 0.0, 0.0), approach_speed=0.1, approach_distance=0.5)
+    fast, slow = (DockingProblem(Pose2(-3.0, 0.0, 0.0), one, ROBOT) for one in (Dock(dock.pose), dock))
+    path = Path.from_poses([Pose2(-3.0, 0.0, 0.0), dock.pose])
+    saved = 0.5 / 0.1 - 0.5 / ROBOT.limits.max_speed
+    assert least_price(path, fast) + 0.7 * saved < least_price(path, slow) < least_price(path, fast) + 1.3 * saved
 
 
 def test_gear_changes_leave_out_what_leads_nowhere():
