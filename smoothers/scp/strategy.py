@@ -286,6 +286,7 @@ class Solver:
         self.call = call
         self._nlp, self._guesses = self.prepared(call)
         self.outcome.setup_time = self.deadline.elapsed
+        self._look_at_the_clock()
         for row in STRATEGY:
             if self._take(row) if isinstance(row, Given) else self._try(row):
                 break
@@ -323,6 +324,7 @@ class Solver:
         guess = row.guess(self._guesses)
         if guess is None:
             return False
+        self._look_at_the_clock()
         self._search_and_repair(self._nlp, guess)
         failed, closest = self.outcome.last, self._closest
         if self.outcome.incumbent is not None or not self.outcome.converged or failed is None:
