@@ -410,6 +410,35 @@ def test_far_obstacles_are_reported_with_their_true_distance():
     assert certificate.min_clearance == pytest.approx(30.0 - 0.5 - 1.0 - 0.45, abs=1e-9)
 
 
+@given(st.integers(0, 10_000))
+def test_far_obstacles_are_looked_at_only_as_far_as_they_can_be_the_nearest(seed):
+    """The proof is that of the same path among those alone, and what bounds it is the dense truth."""
+    rng = np.random.default_rng(seed)
+    path = clothoid(np.linspace(0.0, 4.0, 5), rng.uniform(-1.0, 1.0, 5))
+    angles, apart = rng.uniform(0.0, 2.0 * np.pi, 30), rng.uniform(8.0, 12.0, 30)
+    near = [square(x, y, 0.5) for x, y in np.column_stack((apart * np.cos(angles), apart * np.sin(angles)))]
+    far = [square(300.0 + 2.0 * i, 40.0, 0.5) for i in range(100)]
+    among_all, alone = (certify_path(path, problem_for(path, ObstacleSet.from_polygons(o))) for o in (near + far, near))
+    assert among_all.min_clearance == alone.min_clearance > 1.0
+    assert among_all.margin == alone.margin
+    truth = dense_clearance(path, ObstacleSet.from_polygons(near), ROBOT.footprint, 0.01)
+    assert truth - 0.0015 <= among_all.min_clearance <= truth + 1e-9
+
+
+def test_what_is_far_away_costs_nothing(monkeypatch):
+    path, pieces = clothoid([0.0, 1.0], [0.0, 0.0]), []
+    monkeypatch.setattr(
+        conservative_advancement,
+        "advance_bounds",
+        lambda bodies, advances, obstacles, *rest: (
+            pieces.append(len(obstacles)) or advance_bounds(bodies, advances, obstacles, *rest)
+        ),
+    )
+    many = [square(5.0, 0.0), *(square(20.0 + i, 40.0) for i in range(1000))]
+    assert certify_path(path, problem_for(path, ObstacleSet.from_polygons(many))).certified
+    assert set(pieces) == {1}
+
+
 @given(st.floats(-50.0, 50.0), st.floats(-50.0, 50.0), st.floats(-3.0, 3.0), st.sampled_from([-0.002, 0.002]))
 def test_the_verdict_does_not_depend_on_the_frame(x, y, yaw, shift):
     frame = Pose2(x, y, yaw)
