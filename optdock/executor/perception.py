@@ -27,6 +27,8 @@ if TYPE_CHECKING:
 __all__ = ["Perception", "Sigma"]
 
 _VAGUE = 1.0  # [m], [rad]: a detection that is no surer says nothing, and must not pass for one
+# [s]: stamps that are ahead of the clock by less are so by rounding; by more, nothing is known of when it was.
+_AHEAD, _CLOCKS_APART = 0.01, 0.25
 _STALE = 1.0  # [s]: a detection that took longer says where the dock was
 _MISSED = 0.5  # [s] without a measurement that is said in the log
 _LEAST_SIGMA = 2e-4, 2e-4  # [m], [rad]: no detector is better, and none may make the covariance singular
@@ -100,7 +102,7 @@ class Perception:
         self._way_seen = 0.0  # driven when it was seen last [m]
         self._seen: deque[float] = deque(maxlen=_LOOKS)  # stamps of detections that were believed [s]
         self._seen_yaw = 0.0  # of the dock in the fixed frame, when it was seen last [rad]
-        self._pose_was_lost = self._dock_was_lost = self._delay_was_said = False
+        self._pose_was_lost = self._dock_was_lost = self._delay_was_said = self._ahead_was_said = False
 
     @property
     def started(self) -> bool:
@@ -282,7 +284,7 @@ class Perception:
 
     def _see_dock(self, measurements: Measurements, offset: float) -> None:
         for late in sorted(measurements.detections, key=lambda detection: detection.stamp):
-            detection = late._replace(stamp=late.stamp + offset)
+            detection = self._by_our_clock(late._replace(stamp=late.stamp + offset))
             age, sigmas = self.stamp - detection.stamp, (detection.position_sigma, detection.yaw_sigma)
             verdict, before = "forgotten", self._dock.pose
             seen = detection.pose.inverse()
@@ -306,6 +308,16 @@ class Perception:
                     gap = self._dock.pose.in_frame_of(before).inverse()
                     self._report("dock moved", f"by {gap.x:.3f} m, {gap.y:.3f} m, {gap.yaw:.3f} rad")
         self._say_delay()
+
+    def _by_our_clock(self, detection: Detection) -> Detection:
+        """A detection as of this moment, where the clock that stamped it is ahead; its true delay is learned."""
+        ahead = detection.stamp - self.stamp
+        if not _AHEAD < ahead <= _CLOCKS_APART:
+            return detection
+        if not self._ahead_was_said:
+            self._ahead_was_said = True
+            self._report("detections ahead of the clock", f"by {1e3 * ahead:.0f} ms; taken for those of this moment")
+        return detection._replace(stamp=self.stamp)
 
     def _take(self, detection: Detection, seen: Pose2, noise: FloatArray) -> str:
         """Hand a detection to the filter, unless it shows a dock where none is stored."""

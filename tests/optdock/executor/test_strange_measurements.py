@@ -11,7 +11,7 @@ from optdock.executor.approach import staging_distance
 from optdock.executor.intake import usable
 from optdock.geometry.pose import Pose2, Twist2
 from optdock.measurements import Detection, Measurements, OdometryPose
-from tests.optdock.executor.conftest import BEFORE_DOCK, LIMITS, problem_with
+from tests.optdock.executor.conftest import BEFORE_DOCK, LIMITS, problem_with, run, simulated
 
 SEEN = Detection(0.0, Pose2(0.0, 0.0, 0.0).in_frame_of(BEFORE_DOCK), 0.003, 0.005)
 
@@ -23,6 +23,21 @@ def test_a_detection_that_says_nothing_is_not_used(which, sigma):
     executor.step(Measurements(0.0, BEFORE_DOCK))
     step = executor.step(Measurements(0.02, BEFORE_DOCK, detections=(SEEN._replace(**{which: sigma}),)))
     assert "detection not used" in [event.name for event in step.events]
+
+
+@pytest.mark.parametrize(("ahead", "docks"), [(0.2, True), (0.4, False)])
+def test_detections_of_a_clock_that_is_ahead_are_used_and_said_once(ahead, docks):
+    def before(executor, world, measurements):
+        late = tuple(one._replace(stamp=one.stamp + ahead) for one in measurements.detections)
+        return measurements._replace(detections=late)
+
+    settings = ExecutorSettings(initial_perception_timeout=1.0, max_retries=0)
+    docking = run(simulated(seed=1), settings=settings, before=before)
+    assert (docking.ending.kind is EndingKind.DOCKED_BY_DISTANCE) is docks, docking.ending
+    assert len(docking.said("detections ahead of the clock")) == docks
+    assert bool(docking.said("detection not used")) is not docks
+    if docks:
+        assert abs(docking.world.error.y) <= 0.006
 
 
 @pytest.mark.parametrize("twist", [Twist2(5.0, 0.0), Twist2(0.0, -1000.0), Twist2(-1e6, 1e6)])
