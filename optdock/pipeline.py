@@ -62,6 +62,7 @@ from optdock.verification import (
     check_impossibility,
     end_clearances,
     pose_clearances,
+    prepare_footprint,
     prove_impossible,
 )
 
@@ -212,6 +213,8 @@ def warm_up(
     planner: PlannerLike | Sequence[PlannerLike] = DEFAULT_PLANNERS,
     smoother: SmootherLike = DEFAULT_SMOOTHER,
     timing: TimingLike = DEFAULT_TIMING,
+    *,
+    robot: Robot | None = None,
 ) -> None:
     """Load libraries and build what the plugins build once, so that no later call pays for it.
 
@@ -222,12 +225,15 @@ def warm_up(
         planner: As of `plan_dock`.
         smoother: As of `plan_dock`.
         timing: As of `plan_dock`.
+        robot: Of the problems to come: what proofs know of its footprint is made now, which takes up to 0.1 s.
 
     Raises:
         PluginError: A plugin is unknown or cannot be built.
-        InvalidValue: A parameter of a plugin is wrong.
+        InvalidValue: A parameter of a plugin is wrong, or `robot` is none.
     """
     _warm_once(*_Plugins.chosen(planner, smoother, timing).classes)
+    if robot is not None:
+        prepare_footprint(instance(Robot, robot, "robot").footprint)
 
 
 @functools.cache

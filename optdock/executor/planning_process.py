@@ -8,6 +8,7 @@ motions, crosses once, so that what has been found out about them stays known on
 from __future__ import annotations
 
 import contextlib
+import gc
 import io
 import logging
 import multiprocessing
@@ -158,6 +159,8 @@ def _work(line: Connection) -> None:
     signal.signal(signal.SIGTERM, signal.SIG_DFL)  # without the handlers of whatever that one runs
     shared = _Shared("there")
     warm_up()
+    gc.collect()
+    gc.freeze()  # what is loaded by now stays: no later collection looks at it
     with contextlib.suppress(EOFError, OSError):
         line.send_bytes(b"warm")
         while True:

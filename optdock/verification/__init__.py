@@ -40,7 +40,7 @@ chapters, in the order in which a proof uses them:
     time_of_impact          the same advance at a constant body velocity: how long a command is safe
 """
 
-from optdock.verification.cell_decomposition import ImpossibilitySearch, prove_impossible
+from optdock.verification.cell_decomposition import ImpossibilitySearch, prepare_footprint, prove_impossible
 from optdock.verification.certificate import (
     SHARPNESS,
     TOLERANCE,
@@ -101,6 +101,7 @@ __all__ = [
     "end_clearances",
     "pose_clearance",
     "pose_clearances",
+    "prepare_footprint",
     "prove_impossible",
     "prove_motion",
     "prove_way",

@@ -46,7 +46,7 @@ if TYPE_CHECKING:
     from optdock.geometry.footprint import Footprint
     from optdock.problem import DockingProblem
 
-__all__ = ["ImpossibilitySearch", "prove_impossible"]
+__all__ = ["ImpossibilitySearch", "prepare_footprint", "prove_impossible"]
 
 _FINEST = 4  # level of the finest tiles
 _REACH = 0.7  # of a cell's turn: points at this share of the body's reach move as far by it as by half a cell's side
@@ -177,6 +177,11 @@ def _body(footprint: Footprint, look: Callable[[], None]) -> _Body:
     if not kept:
         kept.append(_discs_within(footprint, look))
     return kept[0]
+
+
+def prepare_footprint(footprint: Footprint) -> None:
+    """Make the discs of a footprint now, so that no search for a proof has to: 6 to 40 ms, once per footprint."""
+    _body(footprint, lambda: None)
 
 
 def _discs_within(footprint: Footprint, look: Callable[[], None]) -> _Body:

@@ -14,6 +14,7 @@ from optdock.errors import InvalidFile
 from optdock.geometry.footprint import Footprint
 from optdock.geometry.pose import Pose2
 from optdock.limits import MotionLimits
+from optdock.pipeline import warm_up
 from optdock.problem import ClearanceRule, DockingProblem
 from optdock.robot import Robot
 from optdock.testing.families import FEASIBLE_FAMILIES, instance
@@ -208,6 +209,32 @@ def test_the_search_stops_when_it_is_told_to():
     assert prove_impossible(gap(0.65), cancel_checker=told) is None
     assert asked == 4
     assert prove_impossible(gap(0.65), time_budget=0.0) is None
+
+
+def looks(asked, stop_after=10**6):
+    """How often a search asks whether to stop."""
+    count = iter(range(10**6))
+    prove_impossible(asked, time_budget=ENOUGH, cancel_checker=lambda: next(count) >= stop_after)
+    return next(count)
+
+
+def ellipse(corners, length, width):
+    angles = np.linspace(0.0, 2.0 * np.pi, corners, endpoint=False)
+    return Footprint(np.column_stack((length * np.cos(angles), width * np.sin(angles))))
+
+
+def test_the_discs_of_a_footprint_are_made_under_the_clock_and_once():
+    asked = gap(0.5, body=ellipse(64, 0.5, 0.3))
+    assert looks(asked, 50) == 51, "interrupted while they are made"
+    first = looks(asked)
+    assert looks(asked) < first - 200
+
+
+def test_a_warm_robot_pays_for_its_discs_no_more():
+    asked = gap(0.5, body=ellipse(48, 0.5, 0.29))
+    warm_up(robot=asked.robot)
+    first = looks(asked)
+    assert looks(asked) == first
 
 
 def test_what_no_disc_passes_is_proven_without_headings_and_the_rest_with_them():
