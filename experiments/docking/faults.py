@@ -336,9 +336,9 @@ PROVOKED: dict[State, Callable[[Run], None]] = {
     State.WAITING_FOR_DETECTION: seen_no_more,
     State.WAITING_FOR_OBSTACLE: obstacle(math.inf),
     State.WAITING_FOR_POSE: pose_lost,
-    State.RETURNING: obstacle(math.inf),
+    State.HELD: told_otherwise(0.4, 3.0, held),
 }
-UNCHARGED = (State.WAITING_FOR_CHARGE, State.BACKING_OUT)  # reached where no signal comes
+UNCHARGED = (State.WAITING_FOR_CHARGE, State.BACKING_OUT, State.RETURNING)  # reached where no signal comes
 CANCELLED = {f"cancel while {state.value}": state for state in State if state not in (State.READY, State.ENDED)}
 FAULTS |= {name: cancel_in(state, PROVOKED.get(state)) for name, state in CANCELLED.items()}
 
@@ -409,7 +409,7 @@ def _told(run: Run, name: str, longest: float) -> Told:
         longest,
         executed_clearance(footprint, record.poses, station),
         abs(twist.linear) < STILL and abs(twist.angular) < STILL,
-        run.struck or "cancelled" in run.memory,
+        "cancelled" in run.memory if name in CANCELLED else run.struck,
     )
 
 
