@@ -173,6 +173,7 @@ _LONGEST_DELAY = 0.5  # [s]: more is not learned, but a fault
 _INNOVATIONS = 8  # of which the mean is looked at
 _SUDDEN, _SUDDEN_GATE = 3, 11.34  # innovations of a wheel that has just slipped; one mean of 100 exceeds the second
 _SLIPPED = 0.05  # [m] in the last two seconds: what jumps away from a robot that stands was moved itself
+_CLOSE_GATE = 4.11  # of chi-squared with three degrees of freedom, for a probability of three quarters
 _ESTABLISHED = 8  # measurements that were believed; what jumps before may have been begun with a wrong one
 _SLIP_MEMORY = 2.0  # [m] without another slip, after which a third of what was expected of one is left
 _DOUBT = 3.0  # times the systematic errors that were expected: after innovations that keep to one side
@@ -184,6 +185,7 @@ class PoseFilter:
     Args:
         errors: Of the odometry.
         confirmations: So many measurements that do not fit, but fit each other, are believed.
+        fewer_when_close: So many fewer where they fit each other as closely as three of four right ones do.
 
     Attributes:
         covariance: Of x, y [m], yaw [rad] in the fixed frame, and of scale [1], drift [rad/m] and delay [s];
@@ -199,11 +201,11 @@ class PoseFilter:
         InvalidValue: A standard deviation is negative or not finite.
     """
 
-    def __init__(self, errors: OdometryErrors, *, confirmations: int = 4) -> None:
+    def __init__(self, errors: OdometryErrors, *, confirmations: int = 4, fewer_when_close: int = 0) -> None:
         for name, value in errors._asdict().items():
             if not finite_number(value, f"pose filter: {name}") >= 0.0:
                 raise InvalidValue(f"pose filter: {name}: must be >= 0, got {value}")
-        self._errors, self._confirmations = errors, confirmations
+        self._errors, self._confirmations, self._fewer_when_close = errors, confirmations, fewer_when_close
         self._seen_errors = errors  # with what wheels that slipped have shown
         self.covariance: FloatArray = np.zeros((6, 6))
         self.systematic: FloatArray = np.zeros(3)
@@ -434,7 +436,9 @@ class PoseFilter:
         self.rejected += 1
         measured_there = [other for other in agreeing if other.is_measured]
         count, is_supposed = len(measured_there) + 1, len(measured_there) < len(agreeing)
-        is_confirmed = is_supposed or count >= self._confirmations
+        is_close = all(self._agree(other, one, _CLOSE_GATE) for other in measured_there)
+        needed = self._confirmations - (self._fewer_when_close if is_close else 0)
+        is_confirmed = is_supposed or count >= max(needed, 2)
         if not is_confirmed or max((other.accepted_since for other in measured_there), default=-1) >= count - 1:
             return "rejected"
         before, driven = self.pose, self._driven()
@@ -472,11 +476,11 @@ class PoseFilter:
         )
 
     @staticmethod
-    def _agree(one: _Outside, other: _Outside) -> bool:
+    def _agree(one: _Outside, other: _Outside, gate: float = GATE) -> bool:
         off = _difference(one.moved_to(other.reckoned), other.now)
         near = math.hypot(off[0], off[1]) <= _ALWAYS_NEAR[0] and abs(off[2]) <= _ALWAYS_NEAR[1]
         # Two measurements of one pose differ by the noise of both.
-        return near or float(off @ np.linalg.solve(one.noise + other.noise, off)) <= GATE
+        return near or float(off @ np.linalg.solve(one.noise + other.noise, off)) <= gate
 
     def _check_innovations(self, whitened: FloatArray, miss: FloatArray) -> None:
         """Grow the covariance where the innovations keep to one side; those of a correct model are white."""

@@ -88,6 +88,7 @@ class Perception:
                 jitter=_JITTER,
             ),
             confirmations=settings.dock_confirmations,
+            fewer_when_close=1,
         )
         self._noise = np.diag([settings.position_sigma**2, settings.position_sigma**2, settings.yaw_sigma**2])
         self._pose_used, self._restarts = -math.inf, 0

@@ -78,7 +78,7 @@ class ExecutorSettings(PluginParameters):
         default=0.25, gt=0.0, description="a first detection farther than this from the stored dock is another dock [m]"
     )
     dock_confirmations: int = Field(
-        default=2, ge=2, description="rejected detections that agree with each other until they are believed"
+        default=3, ge=2, description="rejected detections that agree until they are believed, one fewer if closely"
     )
     detection_delay_sigma: float = Field(
         default=0.05, ge=0.0, description="of an unknown delay of the detections' stamps, which is learned [s]"

@@ -266,6 +266,19 @@ def test_a_jump_that_stays_is_taken_up_after_as_many_as_agree_and_reported_once(
     assert math.hypot(jump.x, jump.y) == pytest.approx(size, abs=0.006)
 
 
+@pytest.mark.parametrize(("apart", "needed"), [(0.0, 2), (1.5, 2), (3.5, 3)])
+def test_one_measurement_fewer_is_enough_where_they_agree_closely(apart, needed):
+    """`apart` in standard deviations of the difference of two; beyond 4.0 they do not agree at all."""
+    found, there = started(confirmations=3, fewer_when_close=1), START @ Pose2(0.1, 0.0, 0.0)
+    verdicts = []
+    for k in range(3):
+        stamp = 10.1 + 0.1 * k
+        found.predict(stamp, Pose2(0.0, 0.0, 0.0))
+        aside = apart * math.sqrt(2.0) * SIGMA[0] * (k % 2)
+        verdicts.append(found.correct(stamp, there @ Pose2(aside, 0.0, 0.0), NOISE))
+    assert verdicts.index("moved") == needed - 1, verdicts
+
+
 def test_measurements_that_flicker_between_two_places_move_nobody():
     found, jumps, contradicted = started(confirmations=3), 0, []
     for k, (stamp, pose, step) in enumerate(drive([0.05] * 80)[1:]):
