@@ -458,3 +458,13 @@ def test_a_plan_file_tells_what_was_tried(tmp_path):
     assert [row["stage"] for row in rows] == [attempt.stage for attempt in plan.tried]
     assert all(("price" in row) != ("reason" in row) for row in rows)
     assert DockPlan.load(tmp_path / "plan.json", task).path.digest == plan.path.digest
+
+
+def test_a_robot_that_is_slow_in_reverse_drives_forward_as_far_as_it_can():
+    """No bound for a guess may take the gear in which the dock is entered for that of the way there."""
+    limits = MotionLimits(max_speed=1.5, max_reverse_speed=0.2, max_curvature=1.0, max_curvature_rate=4.0)
+    robot = Robot(Footprint.rectangle(0.6, 0.6, 0.7), limits)
+    problem = DockingProblem(Pose2(14.0, 1.0, 0.0), Dock(Pose2(0.0, 0.0, 0.0), direction="backward"), robot)
+    alone = plan_dock(problem, planner="DockPlanner", time_budget=5.0)
+    assert not alone.path.cusps
+    assert plan_dock(problem, time_budget=5.0).price < 0.6 * alone.price

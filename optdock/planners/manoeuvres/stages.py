@@ -102,9 +102,9 @@ class Stages:
         return FreeSpace(self.problem, self._poll)
 
     def _straight_on(self) -> float:
-        """The least price of a straight line to the dock, were any heading right [s]."""
+        """The least price of a straight line to the dock in the faster gear, were any heading right [s]."""
         distance = self.problem.start.distance_to(self.problem.goal)
-        return float(least_prices(distance * np.array(self._gears)[:, None], self.problem).min())
+        return float(least_prices(np.array([[distance], [-distance]]), self.problem).min())
 
     def _cheapest_word(self) -> float:
         """The least price of a word to the final straight, whatever stands in its way [s]."""
