@@ -11,7 +11,7 @@ import numpy as np
 from optdock.costmap.costs import LETHAL, NO_INFORMATION
 from optdock.errors import ControllerException
 from optdock.executor.approach import DECAY, SHORTEST_DECAY, can_be_planned_away, left_at_dock
-from optdock.executor.interruptions import TOO_FAR_OFF, AttemptFailed, Interrupted, TaskFailed
+from optdock.executor.interruptions import SHORTER_WAY, TOO_FAR_OFF, AttemptFailed, Interrupted, TaskFailed
 from optdock.executor.outcomes import EndingKind, State
 from optdock.executor.planning import Job, Outcome
 from optdock.executor.situation import LONGEST_HIDDEN, NO_ROOM
@@ -27,6 +27,7 @@ if TYPE_CHECKING:
     from optdock.executor.plan_requests import PlanRequests
     from optdock.executor.planning import Motion, PlanResult
     from optdock.executor.situation import Situation
+    from optdock.geometry.arrays import FloatArray
     from optdock.geometry.pose import Twist2
     from optdock.interfaces import Controller, GoalChecker
     from optdock.path import Path
@@ -49,6 +50,7 @@ _SLOWEST = 0.2  # of the planned speed: most drives still move at a fifth of the
 # An obstacle has gone: is a plan from rest so much shorter that stopping for it pays? Usual ones take 30 to 90 ms.
 _FROM_REST_BUDGET = 0.2  # [s]
 _SHORTER, _STOPPING = 0.8, 1.0  # of what is left of the motion; [s] for the stop and a plan
+_BESIDE = 1.0  # [m] beside the straight way: what stands there leads a robot round
 _STALE_STOP = 0.3  # [s]: a motion that is proven wrong from later on than this may go on while another is planned
 _SAMPLES = 0.01  # [m] between two poses of a path: between them it bends by micrometres
 
@@ -96,7 +98,9 @@ class Drive:
         self._next_goal: tuple[float, Pose2] | None = None  # from when on [s]
         self._is_urgent = self._is_stop = False
         self._costmap = motion.problem.costmap  # a newer one is looked at in the first cycle
-        self._is_from_rest = False  # what the last job was for
+        self._planned_among = motion.problem.costmap  # what the way round was chosen for
+        self._is_new_picture = self._is_from_rest = False  # to be compared with that; what the last job was for
+        self._asked_from_rest_at = -math.inf
         self._blocked = math.inf, ""  # when the motion meets what was not there when it was planned, and what that is
         self._looked_at, self._where = -math.inf, ""
         self._submitted_at, self._pause = -math.inf, situation.settings.replan_pause
@@ -131,7 +135,7 @@ class Drive:
         self._times_of_places, self._time_of_place = (law.states[:, 0], law.times), 0.0
         proven = not self._is_stop and (tracking.cross > 0.0 or tracking.yaw > 0.0)
         self._tube = Tube(motion.trajectory.path, motion.problem, motion.start_relief) if proven else None
-        self._is_outside = self._is_freed = False
+        self._is_outside = False
 
     @property
     def _allowance(self) -> float:
@@ -288,7 +292,7 @@ class Drive:
         verdict = self._requests.still_holds(self.motion, costmap, max(0.0, time))
         if verdict.holds:
             self._blocked = math.inf, ""
-            self._is_freed = _is_freed(self.motion.problem.costmap, costmap)
+            self._is_new_picture = True
             return
         self._report("motion does not hold any more", verdict.reason)
         self._blocked = verdict.at_time, verdict.reason
@@ -377,12 +381,18 @@ class Drive:
         )
 
     def _may_be_shorter(self) -> bool:
-        """Whether something has gone, once for each picture of the surroundings, and a plan from rest may pay."""
-        if not self._is_freed or self._situation.now - self._submitted_at < _AFTER_REFUSAL * self._pause:
+        """Whether something has gone that the motion leads round, and a plan from rest may pay."""
+        situation, end = self._situation, self.motion.trajectory.path.end
+        pause = _AFTER_REFUSAL * situation.settings.replan_pause
+        if not self._is_new_picture or situation.now - self._asked_from_rest_at < pause:
             return False
-        self._is_freed = False
-        distance = self._pose.distance_to(self.motion.trajectory.path.end)
-        return self._pays(distance / self._situation.problem.robot.limits.max_speed)  # no plan takes less
+        self._is_new_picture = False
+        least = self._pose.distance_to(end) / situation.problem.robot.limits.max_speed  # no plan takes less
+        before, now = self._planned_among, self._costmap
+        if before is None or now is None or not self._pays(least):
+            return False
+        between = np.stack((situation.perception.robot.as_array()[:2], end.as_array()[:2]))
+        return _has_gone(before, now, between, situation.footprint.circumscribed_radius + _BESIDE)
 
     def _pays(self, duration: float) -> bool:
         """Whether a plan from rest that takes so long [s] is worth a stop."""
@@ -390,13 +400,19 @@ class Drive:
         return self._situation.braking_time + _STOPPING + duration < _SHORTER * left
 
     def _plan_from_rest(self) -> None:
-        """Hand in a job that finds the way from here, as if the motion were not there."""
-        situation = self._situation
-        here = situation.to_dock()
-        if not self._is_approach:
-            here = dataclasses.replace(self.motion.problem, start=here.start, costmap=here.costmap)
-        self._submitted_at, self._is_from_rest = situation.now, True
-        self._requests.submit(Job(0, situation.now, here, _FROM_REST_BUDGET))
+        """Hand in a job that finds the way from where the robot would stop, as if the motion were not there."""
+        situation, trajectory = self._situation, self.motion.trajectory
+        now = trajectory.at(min(max(self._reference[0], 0.0), trajectory.duration))
+        speed = abs(situation.twist.linear)
+        stop = min(now.s + 0.5 * speed * situation.braking_time_from(speed), trajectory.path.length)
+        here = situation.to_dock() if self._is_approach else self.motion.problem
+        start = Pose2.from_sequence(trajectory.path.poses_at(np.array([stop]))[0])
+        problem = dataclasses.replace(
+            here, start=start, start_speed=0.0, start_acceleration=0.0, start_curvature=None, costmap=self._costmap
+        )
+        self._report("plan asked for", "from rest: something that was in the way has gone")
+        self._asked_from_rest_at, self._is_from_rest = situation.now, True
+        self._requests.submit(Job(0, situation.now, problem, _FROM_REST_BUDGET))
 
     def _is_worth_it(self, time: float) -> bool:
         """Whether feedback would leave more of the present error at the dock than is worth a plan.
@@ -442,7 +458,7 @@ class Drive:
             if result.motion is not None and self._pays(result.motion.trajectory.duration):
                 left = self.motion.trajectory.duration - self._reference[0]
                 reason = f"{result.motion.trajectory.duration:.1f} s from rest, {left:.1f} s of this one are left"
-                raise Interrupted("shorter way", reason)
+                raise Interrupted(SHORTER_WAY, reason)
             return
         was_urgent, self._is_urgent = self._is_urgent, False
         self._pause = settings.replan_pause
@@ -465,12 +481,19 @@ class Drive:
         self._costmap, self._blocked = result.motion.problem.costmap, (math.inf, "")  # a newer one: in the next cycle
 
 
-def _is_freed(before: Costmap | None, now: Costmap) -> bool:
-    """Whether a cell in which something stood is seen to be free."""
-    if before is None:
-        return False
-    rows, columns = np.nonzero(before.data == LETHAL)
-    costs = now.cost_at(before.centre_of(np.column_stack((columns, rows))))
+def _has_gone(before: Costmap, now: Costmap, places: FloatArray, reach: float) -> bool:
+    """Whether a cell in which something stood is seen to be free, in the box around places, Shape (n, 2) [m].
+
+    Args:
+        before: Where something stood.
+        now: What is seen.
+        places: Of the robot and its goal.
+        reach: How far the box reaches beyond them [m].
+    """
+    low, high = before.cell_of(np.stack((places.min(axis=0) - reach, places.max(axis=0) + reach)))
+    (i, j), (i1, j1) = np.maximum(low, 0).tolist(), np.maximum(high + 1, 0).tolist()
+    rows, columns = np.nonzero(before.data[j:j1, i:i1] == LETHAL)
+    costs = now.cost_at(before.centre_of(np.column_stack((columns + i, rows + j))))
     return bool(np.any((costs != LETHAL) & (costs != NO_INFORMATION)))
 
 

@@ -7,10 +7,21 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from optdock.executor.outcomes import EndingKind
 
-__all__ = ["HELD", "NOT_DOCKED", "TOO_FAR_OFF", "AttemptFailed", "Cancelled", "Interrupted", "NoWay", "TaskFailed"]
+__all__ = [
+    "HELD",
+    "NOT_DOCKED",
+    "SHORTER_WAY",
+    "TOO_FAR_OFF",
+    "AttemptFailed",
+    "Cancelled",
+    "Interrupted",
+    "NoWay",
+    "TaskFailed",
+]
 
 # Names of interruptions that are answered in ways of their own.
 HELD, TOO_FAR_OFF, NOT_DOCKED = "held", "too far off to correct", "not docked"
+SHORTER_WAY = "shorter way"
 
 
 class Cancelled(Exception):

@@ -17,6 +17,7 @@ from optdock.executor.drive import Drive
 from optdock.executor.interruptions import (
     HELD,
     NOT_DOCKED,
+    SHORTER_WAY,
     TOO_FAR_OFF,
     AttemptFailed,
     Cancelled,
@@ -323,7 +324,7 @@ class Procedure:
                     return EndingKind.DOCKED_BY_DISTANCE
                 if blocks == 0 or self._now - blocked_since > 2.0 * self._settings.obstacle_patience:
                     blocked_since = self._now
-                blocks += stopped.name != HELD
+                blocks += stopped.name not in {HELD, SHORTER_WAY}
                 if blocks > _MOST_BLOCKS:
                     reason = f"stopped {blocks} times on one approach, last: {stopped.name}: {stopped.reason}"
                     raise AttemptFailed(EndingKind.FAILED_TO_CONTROL, reason) from None
@@ -573,21 +574,30 @@ class Procedure:
         return (yield from self._planned(self.situation.to(last)))
 
     def _return(self, *, is_blocked: bool) -> Cycles:
-        """To a staging pose; where no way leads into the dock, only if one leads there from a staging pose.
+        """To a staging pose; where no way led into the dock, only if one leads to a staging pose and from there in.
 
         Raises:
             TaskFailed: The robot does not get there.
         """
-        situation = self.situation
+        places = self.situation.staging_poses
         if is_blocked:
-            found = False
-            for place in situation.staging_poses():
-                result = yield from self._planned(dataclasses.replace(situation.to_dock(), start=place))
-                found = found or result.motion is not None
-            if not found:
+            found = yield from self._staging_pose_on_a_way()
+            if found is None:
                 self._report("no way from a staging pose", "the next attempt begins here")
                 return
-        yield from self._drive_to(situation.staging_poses, State.RETURNING, EndingKind.FAILED_TO_CONTROL)
+            places = lambda: (found,)  # noqa: E731 - as a method of the situation
+        yield from self._drive_to(places, State.RETURNING, EndingKind.FAILED_TO_CONTROL)
+
+    def _staging_pose_on_a_way(self) -> Generator[Wish, None, Pose2 | None]:
+        """The first staging pose that can be reached and from which the dock can be; None where there is none."""
+        situation = self.situation
+        for place in situation.staging_poses():
+            if (yield from self._planned(situation.to(place))).motion is None:
+                continue
+            into_dock = dataclasses.replace(situation.to_dock(), start=place)
+            if (yield from self._planned(into_dock)).motion is not None:
+                return place
+        return None
 
     def _drive(self, motion: Motion, state: State) -> Generator[Wish, None, EndingKind | None]:
         """Drive a motion to its end, replanned on the way where that is worth it.
@@ -729,7 +739,7 @@ class Procedure:
             except Interrupted as stopped:
                 self._say_why(stopped)
                 yield from self._stop()
-                blocks += stopped.name != HELD
+                blocks += stopped.name not in {HELD, SHORTER_WAY}
                 since = self._now
                 if blocks > _MOST_BLOCKS:
                     raise TaskFailed(failure, f"{stopped.name}: {stopped.reason}") from None

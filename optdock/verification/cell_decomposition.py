@@ -195,7 +195,10 @@ def _discs_within(footprint: Footprint, look: Callable[[], None]) -> _Body:
     points = np.vstack((points, 0.0 * points[:1]))
     radius = _depth(points, outline, look)
     points, radius = points[radius > 0.0], radius[radius > 0.0]
-    largest = radius.max() if radius.size else 0.0
+    if radius.size == 0:  # a sliver between all of them
+        points = np.stack([body.vertices.mean(axis=0) - centre for body in footprint.bodies])
+        radius = _depth(points, outline, look)
+    largest = radius.max()
     # Into every corner, ever smaller ones: along the line from the corner on which the depth grows fastest.
     inward = np.empty_like(outline)
     for i, corner in enumerate(outline):
@@ -217,15 +220,25 @@ def _discs_within(footprint: Footprint, look: Callable[[], None]) -> _Body:
         gap = np.hypot(*(sample - points).T) - radius
         covers[i] = gap <= _FIT * largest
         covers[i, gap.argmin()] = True
-    chosen = [int(radius.argmax())]
-    left = ~covers[:, chosen[0]]
-    while left.any():
-        look()
-        chosen.append(int(covers[left].sum(axis=0).argmax()))
-        left &= ~covers[:, chosen[-1]]
+    chosen = _cover(covers, int(radius.argmax()), look)
     return frozen(_Body(centre, np.column_stack((points, radius))[chosen], reach))
 
 
+def _cover(covers: BoolArray, first: int, look: Callable[[], None]) -> list[int]:
+    """Columns that together are true in every row, greedily: each in as many of the rows that are left as it can be."""
+    chosen, left, gains = [first], np.ones(len(covers), dtype=np.bool_), covers.sum(axis=0)
+    while True:
+        newly = np.flatnonzero(left & covers[:, chosen[-1]])
+        left[newly] = False
+        for k in range(0, newly.size, _SOME):
+            look()
+            gains -= covers[newly[k : k + _SOME]].sum(axis=0)
+        if not left.any():
+            return chosen
+        chosen.append(int(gains.argmax()))
+
+
+_SOME = 64  # samples of the outline in one go
 _ROWS = 8192  # pairs of a point and an edge in one go, half a millisecond
 
 

@@ -23,7 +23,6 @@ Cells that are cleared by the tolerance only are proven a second time: there not
 from __future__ import annotations
 
 import functools
-import math
 from collections import deque
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -137,31 +136,32 @@ def prove_clearance(  # noqa: PLR0913 - what is proven, and which part of it is 
     if len(obstacles) == 0:
         nothing = np.zeros((0, 7))
         return ClearanceProof(np.inf, 0.0, problem.path_clearance.required, -1, np.inf, nothing, nothing[:, :2], 0)
-    attained = -np.inf
+    attained = at_end = -np.inf
     if sharp or begun is None:
         ends = np.stack((problem.start.as_array(), path.end.as_array()))
         clearances, _ = pose_clearances(ends, footprint, obstacles)
+        attained = at_end = float(clearances[1])
         if begun is None:
             begun, attained = Begun(problem.start, float(clearances[0])), float(clearances.min())
-        else:
-            attained = float(clearances[1])
     attained = attained if sharp else -np.inf
     motion = PathMotion(path)
     kept = problem.path_clearance
     rule = functools.partial(kept.required_at, start_clearance=begun.clearance, start_relief=start_relief)
-    world = _World(problem.robot.footprint, obstacles, problem.goal, begun.start, rule, kept.required)
+    world = _World(footprint, obstacles, problem.goal, begun.start, rule, kept.required)
     near = _Subdivision(motion, world, attained, _CROP, is_late)
     found = near.run() if len(near.near) else None
     if found is not None and (found.proven <= _CROP or len(near.near) == len(obstacles)):
         return found
-    # What was left out is at least `_CROP` away: it cannot break the rule, but it may hold the minimum, which is no
-    # more than what the ends attain.
-    if math.isfinite(attained) and not is_late():
-        return _Subdivision(motion, world, attained, attained, is_late).run()
+    # What was left out is at least `far` away, so it cannot break the rule. The nearest obstacle may be among it, but
+    # no farther than the clearance at the end of the path: what is beyond that needs no look.
+    if sharp and not is_late():
+        sharper = _Subdivision(motion, world, at_end, at_end, is_late).run()
+        if sharper.holds or not (found is None or found.holds):
+            return sharper
+    far, nothing = _CROP + kept.required, np.zeros((0, 7))
     if found is None:
-        nothing = np.zeros((0, 7))
-        found = ClearanceProof(_CROP, 0.0, _CROP - kept.required, -1, np.inf, nothing, nothing[:, :2], 0)
-    return found._replace(proven=min(found.proven, _CROP), margin=min(found.margin, _CROP - kept.required))
+        return ClearanceProof(far, 0.0, kept.required, -1, _CROP, nothing, nothing[:, :2], 0)
+    return found._replace(proven=min(found.proven, far), margin=min(found.margin, _CROP))
 
 
 class Begun(NamedTuple):

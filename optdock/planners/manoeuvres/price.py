@@ -31,7 +31,7 @@ __all__ = [
 # more has to save a second.
 CUSP_PRICE = 1.0
 _TURNS_GEAR = 1e-6  # [m]: shorter arcs are no motion
-_STEPS, _EXCESS = 12, 1e-6  # of Newton's method; [m]: of a millimetre a thousandth of its time
+_STEPS, _EXCESS = 20, 1e-6  # most iterations; tolerance of the length [m]
 
 
 def least_price(path: Path, problem: DockingProblem) -> float:
@@ -82,11 +82,19 @@ def _durations(gears: FloatArray, problem: DockingProblem) -> FloatArray:
     top = np.where(gears > 0.0, limits.max_speed, limits.max_reverse_speed)
     first = np.where(drives & (np.cumsum(drives, axis=1) == 1), abs(problem.start_speed), 0.0)
     is_last = drives & (np.cumsum(drives[:, ::-1], axis=1)[:, ::-1] == 1)
-    slow = np.where(is_last & (zone.speed < top), np.minimum(zone.distance, length), 0.0)
-    until = np.where(slow > 0.0, zone.speed, 0.0)
-    found: FloatArray = np.where(drives, _gear_durations(length - slow, first, until, top, limits), 0.0)
-    if np.any(slow > 0.0):
-        found += np.where(slow > 0.0, _gear_durations(slow, until, np.zeros(slow.shape), until, limits), 0.0)
+    slow, inside = np.minimum(zone.speed, top), np.zeros(length.shape)
+    if np.any(is_slow := is_last & (slow < top)):
+        # A gear that begins in the zone, or too near to it to get faster than it allows, is slow as a whole; where the
+        # zone is shorter than braking takes, it bounds nothing that braking does not.
+        _, rising, _ = _ramp(np.minimum(first, slow), slow, limits.max_acceleration, limits.max_jerk)
+        _, falling, _ = _ramp(np.zeros(slow.shape), slow, limits.max_deceleration, limits.max_jerk)
+        is_whole = is_slow & (length <= zone.distance + rising)
+        top = np.where(is_whole, slow, top)
+        inside = np.where(is_slow & ~is_whole & (falling <= zone.distance), zone.distance, 0.0)
+    until = np.where(inside > 0.0, slow, 0.0)
+    found: FloatArray = np.where(drives, _gear_durations(length - inside, first, until, top, limits), 0.0)
+    if np.any(inside > 0.0):
+        found += np.where(inside > 0.0, _gear_durations(inside, until, np.zeros(slow.shape), until, limits), 0.0)
     return found
 
 
@@ -132,6 +140,10 @@ def _gear_durations(
         step = peak - excess / np.maximum(faster + later, 1e-12)
         step = np.where((step > low) & (step < high), step, 0.5 * (low + high))
         peak = np.where(is_known, peak, step)
+    else:
+        up, rising, _ = _ramp(first, low, limits.max_acceleration, limits.max_jerk)
+        down, falling, _ = _ramp(last, low, limits.max_deceleration, limits.max_jerk)
+        peak = low
     cruise = np.maximum(length - rising - falling, 0.0) / np.maximum(peak, 1e-300)
     found: FloatArray = up + down + cruise
     return found

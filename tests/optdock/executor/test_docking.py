@@ -136,11 +136,12 @@ def test_wall_across_the_way_ends_the_task_at_rest(lawful):
     assert docking.world.clearance() > 0.05
 
 
-def test_no_robot_goes_back_where_the_dock_stays_blocked(lawful):
+@pytest.mark.parametrize(("ahead", "staging"), [(1.7, 2.4), (1.0, 0.8)], ids=["before the wall", "beyond the wall"])
+def test_no_robot_goes_back_where_the_dock_stays_blocked(ahead, staging, lawful):
     settings = ExecutorSettings(
-        navigate_to_staging_pose=False, obstacle_patience=1.5, time_budget=0.1, staging_distance=2.4, max_retries=2
+        navigate_to_staging_pose=False, obstacle_patience=1.5, time_budget=0.1, staging_distance=staging, max_retries=2
     )
-    docking = run(simulated(Pose2(-3.0, 0.3, 0.0)), settings=settings, before=put(4.0, 1.7))
+    docking = run(simulated(Pose2(-3.0, 0.3, 0.0)), settings=settings, before=put(4.0, ahead))
     ending = lawful(docking)
     assert (ending.kind, ending.num_retries) == (EndingKind.FAILED_TO_CONTROL, 2)
     assert len(docking.said("no way from a staging pose")) == 2

@@ -425,6 +425,36 @@ def test_far_obstacles_are_looked_at_only_as_far_as_they_can_be_the_nearest(seed
     assert truth - 0.0015 <= among_all.min_clearance <= truth + 1e-9
 
 
+@pytest.mark.parametrize("start", [Pose2(0.0, 60.0, 0.0), Pose2(12.0, 0.0, 0.0), Pose2(-40.0, -40.0, 2.0)])
+def test_a_path_that_begins_elsewhere_is_refused_for_that_and_its_clearance_is_its_own(start):
+    """What the start of the problem attains says nothing about the path."""
+    path, obstacles = clothoid([0.0, 1.0], [0.0, 0.0]), ObstacleSet.from_polygons([square(12.0, 0.0, 0.5)])
+    problem = DockingProblem(start, Dock(path.end), ROBOT, obstacles, ClearanceRule(0.0))
+    certificate = certify_path(path, problem)
+    assert not certificate.certified
+    assert "start" in kinds(certificate)
+    assert certificate.min_clearance <= 12.0 - 0.5 - 1.0 - 0.45 + 1e-9
+
+
+@pytest.mark.parametrize("sharp", [True, False])
+def test_more_time_never_proves_less_among_far_obstacles(sharp):
+    path = clothoid([0.0, 3.0], [0.0, 0.0])
+    problem = problem_for(path, ObstacleSet.from_polygons([square(x, 2.0) for x in np.linspace(-0.3, 3.3, 3000)]))
+    begun = conservative_advancement.Begun(path.start, 1.0)
+    found = []
+    for rounds in range(6):
+        clock = iter(range(10**6))
+        proof = conservative_advancement.prove_clearance(
+            path, problem, lambda clock=clock, rounds=rounds: next(clock) >= rounds, begun=begun, sharp=sharp
+        )
+        found.append(proof.holds)
+        if proof.holds:
+            assert proof.proven <= 2.0 - 0.001 - 0.3 + 1e-9
+            assert proof.required == REQUIRED
+            assert 0.0 < proof.margin <= proof.proven
+    assert found == sorted(found)
+
+
 def test_what_is_far_away_costs_nothing(monkeypatch):
     path, pieces = clothoid([0.0, 1.0], [0.0, 0.0]), []
     monkeypatch.setattr(
