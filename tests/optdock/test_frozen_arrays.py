@@ -279,7 +279,7 @@ def test_a_grid_to_write_into_stays_one_when_it_is_copied():
 # What is computed once for everybody: two proofs would share it with whoever asked for it in between.
 SHARED = {
     "mapped_obstacles": lambda: mapped_obstacles(problem().costmap),
-    "_body": lambda: cell_decomposition._body(problem().robot.footprint),
+    "_bodies": lambda: cell_decomposition._body(problem().robot.footprint, lambda: None),
     "_beside": lambda: cell_decomposition._beside(((0, 0, 0, 16, 8, 0), (0, 1, 0, 16, 8, -1)), 0),
     "_footprint_core": lambda: contact_tolerance._footprint_core(problem().robot.footprint),
     "bounded_footprint": lambda: proximity.bounded_footprint(problem().robot.footprint),
