@@ -100,6 +100,7 @@ class Perception:
         self.seen_from, self.too_far = math.inf, 0.0
         self.way = self._way_located = self.forward = self.turned = 0.0
         self.has_twist, self._twist_at = True, math.inf
+        self._odometry_stamp: float | None = None
         self._way_seen = 0.0  # driven when it was seen last [m]
         self._seen: deque[float] = deque(maxlen=_LOOKS)  # stamps of detections that were believed [s]
         self._seen_yaw = 0.0  # of the dock in the fixed frame, when it was seen last [rad]
@@ -127,7 +128,7 @@ class Perception:
 
     @property
     def twist_age(self) -> float:
-        """Since the odometry told a body velocity [s]; 0 before the first."""
+        """Since the odometry told a body velocity, and a new pose where it tells poses [s]; 0 before the first."""
         return max(self.stamp - self._twist_at, 0.0)
 
     @property
@@ -221,8 +222,10 @@ class Perception:
             offset: What that clock is ahead of the one of the detections [s].
         """
         self.measurements, self.stamp = measurements, stamp
-        if self.has_twist:
-            self._twist_at = stamp
+        odometry = measurements.odometry
+        if self.has_twist and (odometry is None or odometry.stamp != self._odometry_stamp):
+            self._twist_at = stamp  # a pose that is handed in again is none, whatever the twist beside it
+        self._odometry_stamp = None if odometry is None else odometry.stamp
         if self._costmap_at is None or measurements.costmap is not None:
             self._costmap_at = stamp
         if measurements.costmap is not None and not _is_same(measurements.costmap, self.costmap):

@@ -232,7 +232,7 @@ class Procedure:
         since, perception = self._now, situation.perception
         while not situation.is_located:
             if self._now - since > settings.localization_timeout:
-                missing = "odometry" if perception.started and perception.twist_age > 0.0 else "pose"
+                missing = "odometry" if perception.started and perception.twist_age > settings.pose_patience else "pose"
                 raise TaskFailed(EndingKind.UNKNOWN, f"no {missing} for {self._now - since:.1f} s")
             yield from self._cycle(_STOP)
         while situation.is_blind:

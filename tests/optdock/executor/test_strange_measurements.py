@@ -116,3 +116,21 @@ def test_what_is_never_measured_ends_under_a_name(broken, kind, reason):
     assert step.command == Twist2()
     if broken.get("stamp") == 7.0:
         assert "clock stands still" in names
+
+
+def test_odometry_that_repeats_its_last_pose_stops_the_robot_whatever_twist_stands_beside_it():
+    """As of a driver that hands in a twist of 0 once nothing comes; a dock in view is no odometry."""
+    frozen = []
+
+    def before(executor, world, measurements):
+        odometry = OdometryPose(measurements.stamp, world.state.pose)
+        if world.time < 3.0:
+            return measurements._replace(odometry=odometry)
+        frozen.append(odometry)
+        return measurements._replace(odometry=frozen[0], twist=Twist2(), pose=None)
+
+    settings = ExecutorSettings(localization_timeout=2.0, max_retries=0)
+    docking = run(simulated(Pose2(-2.0, 0.1, 0.0), seed=1), settings=settings, before=before, timeout=9.0)
+    assert docking.said("no odometry")
+    after = [t for t, step in zip(docking.times, docking.steps, strict=True) if abs(step.command.linear) > 1e-3]
+    assert max(after) < 3.0 + settings.pose_patience + 1.5
