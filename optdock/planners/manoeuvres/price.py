@@ -128,10 +128,10 @@ def _gear_durations(
     """Shortest durations of lengths between two speeds under a top speed, with bounded acceleration and jerk [s]."""
     first, last = np.minimum(first, top), np.minimum(last, top)
     low, high = np.maximum(first, last), top
-    peak, up, down, rising, falling = high, first, last, first, last
+    peak, is_known = high, np.zeros(length.shape, dtype=np.bool_)
     for _ in range(_STEPS):  # Newton's method, and bisection where it leads astray, for the largest speed with room
-        up, rising, faster = _ramp(first, peak, limits.max_acceleration, limits.max_jerk)
-        down, falling, later = _ramp(last, peak, limits.max_deceleration, limits.max_jerk)
+        _, rising, faster = _ramp(first, peak, limits.max_acceleration, limits.max_jerk)
+        _, falling, later = _ramp(last, peak, limits.max_deceleration, limits.max_jerk)
         excess = rising + falling - length
         is_known = (np.abs(excess) <= _EXCESS) | ((peak >= top) & (excess <= 0.0)) | (high <= low)
         if is_known.all():
@@ -140,10 +140,9 @@ def _gear_durations(
         step = peak - excess / np.maximum(faster + later, 1e-12)
         step = np.where((step > low) & (step < high), step, 0.5 * (low + high))
         peak = np.where(is_known, peak, step)
-    else:
-        up, rising, _ = _ramp(first, low, limits.max_acceleration, limits.max_jerk)
-        down, falling, _ = _ramp(last, low, limits.max_deceleration, limits.max_jerk)
-        peak = low
+    peak = np.where(is_known, peak, low)  # `low`: also where no length is left to brake in
+    up, rising, _ = _ramp(first, peak, limits.max_acceleration, limits.max_jerk)
+    down, falling, _ = _ramp(last, peak, limits.max_deceleration, limits.max_jerk)
     cruise = np.maximum(length - rising - falling, 0.0) / np.maximum(peak, 1e-300)
     found: FloatArray = up + down + cruise
     return found

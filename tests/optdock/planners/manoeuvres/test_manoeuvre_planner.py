@@ -199,6 +199,15 @@ def test_every_gear_has_its_price_and_every_cusp():
     assert expected[0] == pytest.approx(one + two + three + 2.0 * CUSP_PRICE)
 
 
+def test_the_price_of_a_way_depends_on_no_other_even_of_one_that_leaves_no_room_to_brake():
+    problem = DockingProblem(Pose2(-3.0, 0.0, 0.0), Dock(Pose2(0.0, 0.0, 0.0)), ROBOT, start_speed=0.4)
+    ways = np.array([[3.0, 0.0, 0.0], [0.01, -0.1, 0.2], [1.0, -0.1, 0.3], [0.0002, 4.0, 0.0]])
+    together, alone = least_prices(ways, problem), [least_prices(way[None], problem)[0] for way in ways]
+    assert together == pytest.approx(alone, rel=1e-5)
+    driven = least_prices(ways[1:2, 1:], dataclasses.replace(problem, start_speed=0.0))[0] + CUSP_PRICE
+    assert driven < together[1] < driven + 3.0
+
+
 @given(
     length=st.floats(0.01, 6.0),
     zone=st.tuples(st.floats(0.05, 0.7), st.floats(0.05, 1.0)),
