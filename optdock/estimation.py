@@ -27,10 +27,10 @@ if TYPE_CHECKING:
     from optdock.geometry.arrays import FloatArray
     from optdock.measurements import OdometryPose
 
-__all__ = ["DeadReckoning", "OdometryErrors", "PoseFilter"]
+__all__ = ["AHEAD", "DeadReckoning", "OdometryErrors", "PoseFilter"]
 
 _ORIGIN = Pose2(0.0, 0.0, 0.0)
-_AHEAD = 0.01  # [s]: rounding and jitter of stamps; what is stamped later than that is of another clock
+AHEAD = 0.01  # [s]: rounding and jitter of stamps; what is stamped later than that is of another clock
 # A new pose of the odometry that is farther than this from where the twists lead is one of a new frame: an odometry
 # that was restarted. Far more than a twist is ever wrong, plus what a fast robot drives while no twist comes.
 _LEAP = 0.3, 0.5  # [m], [rad]
@@ -81,7 +81,7 @@ class DeadReckoning:
             self.pose, self._idle = before.moved(mean, period), self._idle.moved(mean, period)
             self._since.append((stamp, self.pose))
         self._stamp, self._twist = stamp, twist
-        if odometry is not None and math.isfinite(odometry.stamp) and odometry.stamp <= stamp + _AHEAD:
+        if odometry is not None and math.isfinite(odometry.stamp) and odometry.stamp <= stamp + AHEAD:
             self._join(odometry)
         if self._known is None:
             del self._since[:-1]
@@ -185,7 +185,7 @@ class PoseFilter:
     Args:
         errors: Of the odometry.
         confirmations: So many measurements that do not fit, but fit each other, are believed.
-        fewer_when_close: So many fewer where they fit each other as closely as three of four right ones do.
+        fewer_when_close: How many fewer are enough if they agree within the 75 % bound of their noise.
 
     Attributes:
         covariance: Of x, y [m], yaw [rad] in the fixed frame, and of scale [1], drift [rad/m] and delay [s];
@@ -333,7 +333,7 @@ class PoseFilter:
             agree with it, or `forgotten` where it is older than what is remembered, or lies in the future.
         """
         pose, delay = self.pose, float(self.systematic[2])
-        if not self._reckoned[0][0] <= stamp <= self.stamp + _AHEAD:
+        if not self._reckoned[0][0] <= stamp <= self.stamp + AHEAD:
             return "forgotten"
         velocity = self._velocity_at(stamp - delay)
         then, ahead = self.pose_at(max(stamp - delay, self._reckoned[0][0])), max(stamp - delay - self.stamp, 0.0)

@@ -14,7 +14,7 @@ from optdock.executor.approach import DECAY, SHORTEST_DECAY, can_be_planned_away
 from optdock.executor.interruptions import SHORTER_WAY, TOO_FAR_OFF, AttemptFailed, Interrupted, TaskFailed
 from optdock.executor.outcomes import EndingKind, State
 from optdock.executor.planning import Job, Outcome
-from optdock.executor.situation import LONGEST_HIDDEN, NO_ROOM
+from optdock.executor.situation import AT_A_STAND, LONGEST_HIDDEN, NO_ROOM
 from optdock.geometry.pose import Pose2, displacement, normalize_angle
 from optdock.lifecycle import LifecycleState, PluginContext
 from optdock.segments import TurnSegment
@@ -407,9 +407,7 @@ class Drive:
         stop = min(now.s + 0.5 * speed * situation.braking_time_from(speed), trajectory.path.length)
         here = situation.to_dock() if self._is_approach else self.motion.problem
         start = Pose2.from_sequence(trajectory.path.poses_at(np.array([stop]))[0])
-        problem = dataclasses.replace(
-            here, start=start, start_speed=0.0, start_acceleration=0.0, start_curvature=None, costmap=self._costmap
-        )
+        problem = dataclasses.replace(here, start=start, costmap=self._costmap, **AT_A_STAND)
         self._report("plan asked for", "from rest: something that was in the way has gone")
         self._asked_from_rest_at, self._is_from_rest = situation.now, True
         self._requests.submit(Job(0, situation.now, problem, _FROM_REST_BUDGET))

@@ -20,8 +20,7 @@ __all__ = [
 ]
 
 # Names of interruptions that are answered in ways of their own.
-HELD, TOO_FAR_OFF, NOT_DOCKED = "held", "too far off to correct", "not docked"
-SHORTER_WAY = "shorter way"
+HELD, TOO_FAR_OFF, NOT_DOCKED, SHORTER_WAY = "held", "too far off to correct", "not docked", "shorter way"
 
 
 class Cancelled(Exception):

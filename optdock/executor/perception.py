@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from optdock.estimation import DeadReckoning, OdometryErrors, PoseFilter
+from optdock.estimation import AHEAD, DeadReckoning, OdometryErrors, PoseFilter
 from optdock.geometry.pose import Pose2, normalize_angle
 
 if TYPE_CHECKING:
@@ -27,8 +27,9 @@ if TYPE_CHECKING:
 __all__ = ["Perception", "Sigma"]
 
 _VAGUE = 1.0  # [m], [rad]: a detection that is no surer says nothing, and must not pass for one
-# [s]: stamps that are ahead of the clock by less are so by rounding; by more, nothing is known of when it was.
-_AHEAD, _CLOCKS_APART = 0.01, 0.25
+# [s]: a detection that is stamped farther ahead of the clock is not used; one that is less far counts as of now, and up
+# to `AHEAD`, which is rounding, as it is stamped.
+_CLOCKS_APART = 0.25
 _STALE = 1.0  # [s]: a detection that took longer says where the dock was
 _MISSED = 0.5  # [s] without a measurement that is said in the log
 _LEAST_SIGMA = 2e-4, 2e-4  # [m], [rad]: no detector is better, and none may make the covariance singular
@@ -224,7 +225,7 @@ class Perception:
         self.measurements, self.stamp = measurements, stamp
         odometry = measurements.odometry
         if self.has_twist and (odometry is None or odometry.stamp != self._odometry_stamp):
-            self._twist_at = stamp  # a pose that is handed in again is none, whatever the twist beside it
+            self._twist_at = stamp  # the same odometry message once more is no news, whatever twist comes with it
         self._odometry_stamp = None if odometry is None else odometry.stamp
         if self._costmap_at is None or measurements.costmap is not None:
             self._costmap_at = stamp
@@ -316,7 +317,7 @@ class Perception:
     def _by_our_clock(self, detection: Detection) -> Detection:
         """A detection as of this moment, where the clock that stamped it is ahead; its true delay is learned."""
         ahead = detection.stamp - self.stamp
-        if not _AHEAD < ahead <= _CLOCKS_APART:
+        if not AHEAD < ahead <= _CLOCKS_APART:
             return detection
         if not self._ahead_was_said:
             self._ahead_was_said = True

@@ -579,17 +579,17 @@ class Procedure:
         Raises:
             TaskFailed: The robot does not get there.
         """
-        places = self.situation.staging_poses
-        if is_blocked:
-            found = yield from self._staging_pose_on_a_way()
-            if found is None:
-                self._report("no way from a staging pose", "the next attempt begins here")
-                return
-            places = lambda: (found,)  # noqa: E731 - as a method of the situation
-        yield from self._drive_to(places, State.RETURNING, EndingKind.FAILED_TO_CONTROL)
+        if not is_blocked:
+            yield from self._drive_to(self.situation.staging_poses, State.RETURNING, EndingKind.FAILED_TO_CONTROL)
+            return
+        found = yield from self._staging_pose_on_a_way()
+        if found is None:
+            self._report("no way from a staging pose", "the next attempt begins here")
+        else:
+            yield from self._drive_to(lambda: (found,), State.RETURNING, EndingKind.FAILED_TO_CONTROL)
 
     def _staging_pose_on_a_way(self) -> Generator[Wish, None, Pose2 | None]:
-        """The first staging pose that can be reached and from which the dock can be; None where there is none."""
+        """The first staging pose to which there is a plan, and from there one into the dock; None if there is none."""
         situation = self.situation
         for place in situation.staging_poses():
             if (yield from self._planned(situation.to(place))).motion is None:

@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from optdock.geometry.footprint import Footprint
     from optdock.problem import DockingProblem
 
-__all__ = ["LONGEST_HIDDEN", "NO_ROOM", "Situation"]
+__all__ = ["AT_A_STAND", "LONGEST_HIDDEN", "NO_ROOM", "Situation"]
 
 _AT_REST = 0.01, 0.02  # [m/s], [rad/s] by odometry: a robot that stands, its encoders not quite
 # [m], [s] for which odometry takes the robot among the obstacles of the map while the dock is in view: by wheels of 1 %
@@ -55,7 +55,7 @@ NO_ROOM = 0.03  # [m] before the dock nothing can be corrected any more
 _LAST_LOOK = 0.2  # [m] before the dock: as near it drives without being sure, for a detection may come on the way
 _ARRIVED = 0.05, 0.05  # [m], [rad] from the staging pose: Nav2's undock_linear_tolerance and undock_angular_tolerance
 _DOCKED_BY = {Contact.SIGNAL: EndingKind.DOCKED_BY_SIGNAL, Contact.STALL: EndingKind.DOCKED_BY_STALL}
-_AT_A_STAND: dict[str, Any] = {"start_speed": 0.0, "start_acceleration": 0.0, "start_curvature": None}
+AT_A_STAND: dict[str, Any] = {"start_speed": 0.0, "start_acceleration": 0.0, "start_curvature": None}
 
 
 class Situation:
@@ -371,7 +371,7 @@ class Situation:
             start=self.perception.robot,
             dock=self.dock,
             costmap=self.costmap,
-            **_AT_A_STAND,
+            **AT_A_STAND,
         )
 
     def to(self, place: Pose2) -> DockingProblem:
@@ -387,7 +387,7 @@ class Situation:
             obstacles=self.problem.obstacles + self.station,
             clearance=ClearanceRule(kept, kept, 0.0),
             costmap=self.costmap,
-            **_AT_A_STAND,
+            **AT_A_STAND,
         )
 
     def near(self, robot: Pose2, reach: float, *, with_station: bool = True) -> ObstacleSet:

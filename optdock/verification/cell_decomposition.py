@@ -162,7 +162,7 @@ _SAMPLES, _FEWEST_SAMPLES = 160, 4  # of the outline that discs must cover, and 
 
 @functools.lru_cache(maxsize=16)
 def _bodies(footprint: Footprint) -> list[_Body]:  # noqa: ARG001 - the key
-    """Where the body of a footprint is kept once it is made; empty before."""
+    """A cache cell per footprint: a list with its discs; empty until they are made, also after an interruption."""
     return []
 
 

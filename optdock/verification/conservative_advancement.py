@@ -152,8 +152,8 @@ def prove_clearance(  # noqa: PLR0913 - what is proven, and which part of it is 
     found = near.run() if len(near.near) else None
     if found is not None and (found.proven <= _CROP or len(near.near) == len(obstacles)):
         return found
-    # What was left out is at least `far` away, so it cannot break the rule. The nearest obstacle may be among it, but
-    # no farther than the clearance at the end of the path: what is beyond that needs no look.
+    # Obstacles that were left out are at least `far` away, so they cannot break the rule. The nearest one may be among
+    # them, but it is no farther than the clearance at the end of the path: obstacles beyond that are not needed.
     if sharp and not is_late():
         sharper = _Subdivision(motion, world, at_end, at_end, is_late).run()
         if sharper.holds or not (found is None or found.holds):

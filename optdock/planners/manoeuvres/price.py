@@ -10,7 +10,7 @@ from optdock.dock import DockDirection
 from optdock.segments import TurnSegment
 
 if TYPE_CHECKING:
-    from optdock.geometry.arrays import FloatArray
+    from optdock.geometry.arrays import FloatArray, IntArray
     from optdock.limits import MotionLimits, TurnLimits
     from optdock.path import Path
     from optdock.problem import DockingProblem
@@ -56,15 +56,24 @@ def least_prices(lengths: FloatArray, problem: DockingProblem) -> FloatArray:
     Returns:
         Shape (n,) [s].
     """
-    rows = np.arange(len(lengths))
-    gears, gear, now = np.zeros(lengths.shape), np.zeros(len(lengths), dtype=np.int64), np.zeros(len(lengths))
+    gears, changes = _merged(lengths)
+    found: FloatArray = _durations(gears, problem).sum(axis=1) + CUSP_PRICE * changes
+    return found
+
+
+def _merged(lengths: FloatArray) -> tuple[FloatArray, IntArray]:
+    """Signed lengths, Shape (n, k), with neighbours of one gear added up, and how often the gear changes, Shape (n,).
+
+    What is shorter than a motion is left out, and 0 fills up the rows.
+    """
+    rows, gear = np.arange(len(lengths)), np.zeros(len(lengths), dtype=np.int64)
+    gears, now = np.zeros(lengths.shape), np.zeros(len(lengths))
     for length in lengths.T:
         sign = np.where(np.abs(length) > _TURNS_GEAR, np.sign(length), 0.0)
         gear += sign * now < 0.0
         now = np.where(sign != 0.0, sign, now)
         gears[rows, gear] += np.where(sign != 0.0, length, 0.0)
-    found: FloatArray = _durations(gears, problem).sum(axis=1) + CUSP_PRICE * gear
-    return found
+    return gears, gear
 
 
 def _durations(gears: FloatArray, problem: DockingProblem) -> FloatArray:
@@ -186,13 +195,6 @@ def _ending(top: float, problem: DockingProblem) -> float:
     return zone.distance * (1.0 / last - 1.0 / top) + ((top - last) ** 2 / top + last) / (2.0 * down)
 
 
-def gear_changes(lengths: FloatArray) -> FloatArray:
-    """How often the gear changes along signed lengths, zero ones left out; Shape (..., k) to (...)."""
-    gear = np.where(np.abs(lengths) > _TURNS_GEAR, np.sign(lengths), 0.0)
-    changes: FloatArray = np.zeros(gear.shape[:-1])
-    now = gear[..., 0]
-    for k in range(1, gear.shape[-1]):
-        following = gear[..., k]
-        changes += now * following < 0.0
-        now = np.where(following != 0.0, following, now)
-    return changes
+def gear_changes(lengths: FloatArray) -> IntArray:
+    """How often the gear changes along signed lengths, zero ones left out; Shape (n, k) to (n,)."""
+    return _merged(lengths)[1]

@@ -102,12 +102,12 @@ class Stages:
         return FreeSpace(self.problem, self._poll)
 
     def _straight_on(self) -> float:
-        """The least price of a straight line to the dock in the faster gear, were any heading right [s]."""
+        """The least price of a straight line to the dock in the faster gear, headings ignored [s]."""
         distance = self.problem.start.distance_to(self.problem.goal)
         return float(least_prices(np.array([[distance], [-distance]]), self.problem).min())
 
     def _cheapest_word(self) -> float:
-        """The least price of a word to the final straight, whatever stands in its way [s]."""
+        """The least price of a word to the final straight, obstacles ignored [s]."""
         straights = -self.problem.dock.final_straight * np.array(self._gears)
         ends = [self.problem.goal @ Pose2(straight, 0.0, 0.0) for straight in straights.tolist()]
         starts = np.tile(self.problem.start.as_array(), (len(ends), 1))
