@@ -43,6 +43,9 @@ BESIDE_THE_ROBOT = 1.0
 # A robot that starts closer to an obstacle than required must leave it at least at this slope, from its start on or,
 # under the weaker rule, from `DockingProblem.start_run` on.
 START_RELIEF_SLOPE = 0.5
+# [m]: by how much nearer than its start the robot may come under the weaker rule, to turn away from a wall, and at most
+# by half of what it has. With it a robot of 0.9 m leaves a wall that is 1 cm away without a cusp.
+START_SLACK = 0.005
 # [m/s], [m/s^2]: what rounding leaves of rest, or of the end of a braking, where a state is evaluated from a time law
 # over kilometres and hours; far less than the 1e-6 that the certificate accepts.
 _ROUNDING = 1e-10
@@ -55,15 +58,21 @@ class ClearanceRule:
     Args:
         required: Away from the goal [m].
         at_dock: At the goal [m].
-        taper: Distance from the goal over which it grows linearly from `at_dock` to `required` [m].
+        taper: Distance over which it grows linearly from `at_dock` to `required` [m].
+        dock_run: Distance from the goal within which `at_dock` is enough; from there it grows [m]. For docks beside
+            something: a robot that stands along a wall cannot turn away from it without its tail or nose coming nearer.
+        at_start: As `at_dock`, for a start that is itself closer to something than required, as one in a dock is: from
+            there it grows likewise. Without it such a robot may come nearer by `START_SLACK` and no more [m].
 
     Raises:
-        InvalidValue: A value is negative or not finite, or at_dock exceeds required.
+        InvalidValue: A value is negative or not finite, or at_dock or at_start exceeds required.
     """
 
     required: float = 0.05
     at_dock: float = 0.0
     taper: float = 0.5
+    dock_run: float = 0.0
+    at_start: float | None = None
 
     @classmethod
     def of(cls, value: float | ClearanceRule, name: str = "clearance") -> ClearanceRule:
@@ -80,13 +89,14 @@ class ClearanceRule:
         return cls(same, same)
 
     def __post_init__(self) -> None:
-        for name in ("required", "at_dock", "taper"):
+        for name in ("required", "at_dock", "taper", "dock_run", *(("at_start",) if self.at_start is not None else ())):
             value = number(getattr(self, name), f"clearance.{name}")
             object.__setattr__(self, name, value)
             if not (math.isfinite(value) and value >= 0.0):
                 raise InvalidValue(f"clearance.{name}: must be finite and >= 0 m, got {value}")
-        if self.at_dock > self.required:
-            raise InvalidValue(f"clearance.at_dock: must be <= required = {self.required} m, got {self.at_dock}")
+        for name, least in (("at_dock", self.at_dock), ("at_start", self.at_start)):
+            if least is not None and least > self.required:
+                raise InvalidValue(f"clearance.{name}: must be <= required = {self.required} m, got {least}")
 
     def required_at(
         self, from_goal: FloatArray, from_start: FloatArray, start_clearance: float, start_relief: float = 0.0
@@ -97,21 +107,56 @@ class ClearanceRule:
             from_goal: Distances of the poses from the goal position, Shape (n,) [m].
             from_start: Distances from the start position, Shape (n,) [m].
             start_clearance: Clearance of the start pose itself [m].
-            start_relief: Distance from the start within which the robot may keep no more than that, because it stands
-                along a wall, say [m]; 0 is the strict rule.
+            start_relief: 0 is the strict rule; else the distance from the start within which the weaker rule asks for
+                hardly more than there, because the robot stands along a wall, say [m].
         """
         return np.minimum(self.near_goal(from_goal), self.near_start(from_start, start_clearance, start_relief))
 
     def near_goal(self, from_goal: FloatArray) -> FloatArray:
         """What is asked for at distances from the goal, wherever the start is, Shape (n,) [m]."""
-        share = np.minimum(1.0, from_goal / self.taper) if self.taper > 0.0 else np.where(from_goal > 0.0, 1.0, 0.0)
-        wanted: FloatArray = self.at_dock + (self.required - self.at_dock) * share
-        return wanted
+        return self._tapered(from_goal, self.at_dock)
+
+    def near_start(self, from_start: FloatArray, start_clearance: float, start_relief: float = 0.0) -> FloatArray:
+        """What a start that is too close asks for at distances from it, Shape (n,) [m]; arguments as `required_at`."""
+        leaving = self.leaving(from_start, start_clearance, start_relief)
+        return np.minimum(leaving, self.undocking(from_start)) if start_relief > 0.0 else leaving
 
     @staticmethod
-    def near_start(from_start: FloatArray, start_clearance: float, start_relief: float = 0.0) -> FloatArray:
-        """What a start that is too close asks for at distances from it, Shape (n,) [m]; arguments as `required_at`."""
-        return max(0.0, start_clearance) + START_RELIEF_SLOPE * np.maximum(0.0, from_start - start_relief)
+    def leaving(from_start: FloatArray, start_clearance: float, start_relief: float = 0.0) -> FloatArray:
+        """The growth from what the start has: at once, or beyond `start_relief` from a little less than that."""
+        kept = max(0.0, start_clearance)
+        least = kept if start_relief == 0.0 else max(kept - START_SLACK, 0.5 * kept)
+        return least + START_RELIEF_SLOPE * np.maximum(0.0, from_start - start_relief)
+
+    def undocking(self, from_start: FloatArray) -> FloatArray:
+        """What `at_start` asks for at distances from the start, Shape (n,); infinite where it is not given [m]."""
+        return np.full_like(from_start, np.inf) if self.at_start is None else self._tapered(from_start, self.at_start)
+
+    def _tapered(self, distance: FloatArray, least: float) -> FloatArray:
+        beyond = np.maximum(distance - self.dock_run, 0.0)
+        share = np.minimum(beyond, self.taper) / self.taper if self.taper > 0.0 else np.where(beyond > 0.0, 1.0, 0.0)
+        wanted: FloatArray = least + (self.required - least) * share
+        return wanted
+
+    def raised(self, more: float) -> ClearanceRule:
+        """The rule that asks for `more` everywhere [m], of a robot that starts with `raised_start`.
+
+        Raises:
+            InvalidValue: Less than nothing would be asked for.
+        """
+        least = None if self.at_start is None else self.at_start + more
+        return dataclasses.replace(self, required=self.required + more, at_dock=self.at_dock + more, at_start=least)
+
+    @staticmethod
+    def raised_start(more: float, start_clearance: float, start_relief: float = 0.0) -> float:
+        """The clearance of a start of which `leaving` asks for at least `more` than of `start_clearance` [m]."""
+        return max(0.0, start_clearance) + (more if start_relief == 0.0 else 2.0 * more)
+
+    @property
+    def parts(self) -> tuple[float, ...]:
+        """The numbers that a digest speaks of; rules that were possible before `dock_run` have the same ones."""
+        least = () if self.at_start is None else (self.at_start,)
+        return self.required, self.at_dock, self.taper, *((self.dock_run, *least) if self.dock_run or least else ())
 
 
 @dataclass(frozen=True, eq=False, init=False, repr=False)
@@ -379,9 +424,7 @@ class DockingProblem(FrozenArrays):
         taper = dataclasses.replace(self.clearance, at_dock=0.0, required=1.0)
         at_start = float(view.margins(self.start.as_array()[None]).smallest[0])
         moved = tube.cross + 2.0 * math.sin(0.5 * tube.yaw) * to_marker
-        margin: FloatArray = np.minimum(
-            taper.near_goal(from_goal) * moved, ClearanceRule.near_start(from_start, at_start)
-        )
+        margin: FloatArray = np.minimum(taper.near_goal(from_goal) * moved, taper.near_start(from_start, at_start))
         return margin
 
     @property
@@ -391,13 +434,14 @@ class DockingProblem(FrozenArrays):
 
     @property
     def start_run(self) -> float:
-        """The start relief of the weaker rule [m]: the robot's length.
+        """The start relief of the weaker rule [m]: twice the robot's length.
 
         A robot that stands along a wall closer than required cannot gain clearance at once: its tail swings towards the
-        wall as its nose leaves it. Over its own length it may keep what it has.
+        wall as its nose leaves it, so it may keep about what it has over this run. Over its length alone one of 0.9 m
+        cannot leave a wall that is 1 cm away without a cusp.
         """
         footprint = self.robot.footprint
-        return min(footprint.length, 2.0 * footprint.circumscribed_radius)
+        return 2.0 * min(footprint.length, 2.0 * footprint.circumscribed_radius)
 
     def among(self, costmap: Costmap) -> DockingProblem:
         """The same problem with a costmap's cells among its obstacles, beside whatever it knows already."""
@@ -427,7 +471,7 @@ class DockingProblem(FrozenArrays):
         return ProblemFingerprint(
             *self.robot.fingerprint,
             obstacles=self.all_obstacles.digest,
-            clearance=digest(dataclasses.astuple(rule)),
+            clearance=digest(rule.parts),
             dock=digest(
                 dock.pose.as_array(),
                 station,

@@ -149,7 +149,7 @@ def problem_spec(problem: DockingProblem) -> Case:
         "start_speed": problem.start_speed,
         "start_curvature": problem.start_curvature,
         "start_acceleration": problem.start_acceleration,
-        "clearance": [problem.clearance.required, problem.clearance.at_dock, problem.clearance.taper],
+        "clearance": list(problem.clearance.parts),
         "limits": {spec.name: getattr(limits, spec.name) for spec in fields(limits)},
         "drive": problem.robot.drive.value,
         "turns_in_place": problem.robot.turns_in_place,

@@ -443,6 +443,19 @@ class ClearanceDocument(_Part):
         least=0,
         finite=True,
     )
+    dock_run: Distance = _key(
+        "distance from the dock within which at_dock is enough; from there it grows [m]",
+        _CLEARANCE.dock_run,
+        least=0,
+        finite=True,
+    )
+    at_start: Distance | None = _key(
+        "as at_dock, for a start that is itself nearer to something than required, as one in a dock is [m]",
+        None,
+        least=0,
+        finite=True,
+        absent="the robot may come 5 mm nearer than it starts, at most half as near",
+    )
 
     @model_validator(mode="after")
     def _grows(self) -> ClearanceDocument:
@@ -451,7 +464,7 @@ class ClearanceDocument(_Part):
 
     def value(self) -> ClearanceRule:
         """The rule."""
-        return ClearanceRule(self.required, self.at_dock, self.taper)
+        return ClearanceRule(self.required, self.at_dock, self.taper, self.dock_run, self.at_start)
 
 
 def _clearance(value: object) -> object:

@@ -111,7 +111,7 @@ def dense_check(path: Path, problem: DockingProblem, step: float = 0.002) -> Den
     margin, relief = clearance - _required(poses, float(clearance[0]), problem, 0.0), 0.0
     if margin.min() < -_CLEARANCE_TOLERANCE:
         run = float(np.ptp(problem.robot.footprint.vertices[:, 0]))
-        run = min(run, 2.0 * float(np.hypot(*problem.robot.footprint.vertices.T).max()))
+        run = 2.0 * min(run, 2.0 * float(np.hypot(*problem.robot.footprint.vertices.T).max()))
         weaker = clearance - _required(poses, float(clearance[0]), problem, run)
         margin, relief = (weaker, run) if weaker.min() >= -_CLEARANCE_TOLERANCE else (margin, relief)
     curvature = [_curvature(g) for g in gears]
@@ -265,20 +265,32 @@ def _straight_faults(path: Path, problem: DockingProblem, step: float) -> tuple[
 
 
 def _required(poses: FloatArray, start_clearance: float, problem: DockingProblem, run: float) -> FloatArray:
-    """`at_dock + (required - at_dock) min(1, d / taper)`, relieved near a start that is itself too close.
+    """`at_dock + (required - at_dock) min(1, (d - dock_run) / taper)`, relieved near a start that is itself too close.
 
     Required is what the problem says, and by how much the robot's tube moves the outline.
 
-    Strictly it grows from there at once (`run` 0), else beyond so many metres from the start.
+    Strictly it grows there from the start's clearance at once (`run` 0). Else it grows beyond so many metres, from 5 mm
+    less, or half; and where `at_start` is given it grows as it does from the goal.
     """
     rule, goal, start = problem.clearance, problem.dock.pose, problem.start
     from_goal = np.hypot(poses[:, 0] - goal.x, poses[:, 1] - goal.y)
     from_start = np.hypot(poses[:, 0] - start.x, poses[:, 1] - start.y)
-    grown = from_goal / rule.taper if rule.taper > 0.0 else np.where(from_goal > 0.0, 1.0, 0.0)
     tube, corners = problem.robot.tracking, problem.robot.footprint.vertices
     moved = tube.cross + math.sqrt(2.0 - 2.0 * math.cos(tube.yaw)) * float(np.hypot(*corners.T).max())
-    wanted = rule.at_dock + (rule.required + moved - rule.at_dock) * np.clip(grown, 0.0, 1.0)
-    required: FloatArray = np.minimum(wanted, max(start_clearance, 0.0) + 0.5 * np.clip(from_start - run, 0.0, None))
+    has = max(start_clearance, 0.0)
+    asked = (
+        [has + 0.5 * from_start]
+        if run == 0.0
+        else [max(0.5 * has, has - 0.005) + 0.5 * np.clip(from_start - run, 0.0, None)]
+    )
+    for distance, least in (
+        (from_goal, rule.at_dock),
+        *([(from_start, rule.at_start)] if run > 0.0 and rule.at_start is not None else []),
+    ):
+        beyond = np.maximum(distance - rule.dock_run, 0.0)
+        grown = np.clip(beyond / rule.taper, 0.0, 1.0) if rule.taper > 0.0 else (beyond > 0.0).astype(np.float64)
+        asked.append(least + (rule.required + moved - least) * grown)
+    required: FloatArray = np.min(asked, axis=0)
     return required
 
 

@@ -265,8 +265,8 @@ def least_required(
 ) -> FloatArray:
     """The least clearance that any certificate requires of a robot whose origin is within `reach` of a place [m].
 
-    The rule grows with the distance from the goal and from the start. A certificate may grant that a robot gains
-    clearance only beyond its own length from the start.
+    The rule grows with the distance from the goal and from the start. Where that is too close to something a
+    certificate may go by the weaker rule.
 
     Args:
         problem: Its rule.
@@ -275,12 +275,13 @@ def least_required(
         reach: How far around each [m].
         start_clearance: Clearance of the start pose [m].
     """
-    relief = 2.0 * problem.robot.footprint.circumscribed_radius
     from_goal, from_start = (
-        np.maximum(np.hypot(x - end.x, y - end.y) - (reach + SLACK + near), 0.0)
-        for end, near in ((problem.goal, 0.0), (problem.start, relief))
+        np.maximum(np.hypot(x - end.x, y - end.y) - (reach + SLACK), 0.0) for end in (problem.goal, problem.start)
     )
-    return problem.path_clearance.required_at(from_goal, from_start, start_clearance)
+    # A start with enough clearance has no relief, but for what the certificate's own distances round.
+    rule, is_too_close = problem.path_clearance, start_clearance < problem.path_clearance.required + SLACK
+    relief = 4.0 * problem.robot.footprint.circumscribed_radius if is_too_close else 0.0
+    return rule.required_at(from_goal, from_start, start_clearance, relief)
 
 
 class ImpossibilityVerdict(NamedTuple):

@@ -301,14 +301,16 @@ def _not_clear_by(
     more: float, path: Path, problem: DockingProblem, begun: Begun, relief: float, *, spares_station: bool
 ) -> str:
     """Likewise of `more` than `problem.clearance` [m]; of a station that is spared, what the path must keep."""
-    rule, dock, robot = problem.clearance, problem.dock, replace(problem.robot, tracking=TrackingTube())
+    dock, robot = problem.dock, replace(problem.robot, tracking=TrackingTube())
     raised = replace(
         problem,
         robot=robot,
         dock=replace(dock, footprint=None) if spares_station else dock,
-        clearance=ClearanceRule(rule.required + more, rule.at_dock + more, rule.taper),
+        clearance=problem.clearance.raised(more),
     )
-    blocked = _not_clear(path, raised, begun._replace(clearance=max(0.0, begun.clearance) + more), relief)
+    blocked = _not_clear(
+        path, raised, begun._replace(clearance=ClearanceRule.raised_start(more, begun.clearance)), relief
+    )
     if blocked or not spares_station or dock.footprint is None:
         return blocked and f"{blocked} with the {more:.4f} m that the robot is off with its outline"
     alone = replace(problem, robot=robot, obstacles=ObstacleSet.empty(), costmap=None)
@@ -351,7 +353,7 @@ def unchanged_way(motion: ProvenMotion, begin: float, end: float, problem: Docki
     reach = problem.robot.footprint.circumscribed_radius + problem.path_clearance.required
     for dock in (before.dock, problem.dock):
         station = 0.0 if dock.footprint is None else dock.footprint.circumscribed_radius
-        far = max(reach + station, problem.path_clearance.taper) + end - begin
+        far = max(reach + station, problem.clearance.dock_run + problem.clearance.taper) + end - begin
         if path.pose_at(begin).distance_to(dock.pose) <= far:
             return None
     stretch = path.piece(begin, end)

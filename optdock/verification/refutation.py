@@ -42,7 +42,6 @@ import numpy as np
 
 from optdock.limits import LIMITS
 from optdock.path import ClothoidSegment, PolylineSegment, TurnSegment
-from optdock.problem import ClearanceRule
 from optdock.verification.certificate import TOLERANCE, Violation
 from optdock.verification.conservative_advancement import prove_clearance
 from optdock.verification.proximity import end_clearances
@@ -341,12 +340,9 @@ def _covers(path: Path, problem: DockingProblem, offset: tuple[float, float]) ->
     So it is enough that the path keeps that much more than required, everywhere. The start may be closer than required
     and has nothing to spare then.
     """
-    more = offset[0] + problem.robot.footprint.circumscribed_radius * offset[1]
-    rule = problem.clearance
-    raised = replace(problem, clearance=ClearanceRule(rule.required + more, rule.at_dock + more, rule.taper))
-    proof = prove_clearance(path, raised)
-    proven = len(proof.violations) + len(proof.unproven) == 0
-    return proven and end_clearances(problem).start >= raised.path_clearance.required
+    more, at_start = offset[0] + problem.robot.footprint.circumscribed_radius * offset[1], end_clearances(problem).start
+    raised = replace(problem, clearance=problem.clearance.raised(more))
+    return prove_clearance(path, raised).holds and at_start >= raised.path_clearance.required
 
 
 def _unproven(judged: _Judged, limits: MotionLimits) -> dict[str, float]:

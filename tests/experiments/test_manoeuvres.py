@@ -133,8 +133,8 @@ def test_the_check_knows_both_rules_near_a_start_along_a_wall():
         return checked(plan, walled, start_relief=run).faults
 
     assert "clearance" in faults(0.0)[0]
-    assert faults(outline.length) == ()
-    assert faults(2.0) == ("start relief of 2.0000 m, 0.9000 m are allowed",)
+    assert faults(2.0 * outline.length) == ()
+    assert faults(2.0) == ("start relief of 2.0000 m, 1.8000 m are allowed",)
 
 
 def with_limits(problem, **limits):

@@ -230,7 +230,8 @@ def test_a_station_is_touched_by_a_robot_that_counts_as_docked():
 
 
 def test_what_is_driven_relative_to_the_dock_is_judged_where_that_leads():
-    plan = straight_plan(BESIDE, ClearanceRule(0.03, 0.03, 0.0), tolerances=DockTolerances(0.1, 0.1, 0.1))
+    ahead = [[[1.6, 0.3], [3.0, 0.3], [3.0, 0.4], [1.6, 0.4]]]  # not beside the robot yet, which has no relief
+    plan = straight_plan(ahead, ClearanceRule(0.03, 0.03, 0.0), tolerances=DockTolerances(0.1, 0.1, 0.1))
     for aside, kept in ((0.019, True), (0.021, False)):
         by = Pose2(0.0, aside, 0.0)
         found = asked(plan, 1.0, None, by @ plan.problem.goal, moved=by)

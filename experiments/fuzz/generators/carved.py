@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING, TypeAlias
 import numpy as np
 import shapely
 
-from experiments.fuzz.generators.shapes import footprint, log_uniform
+from experiments.fuzz.generators.shapes import end_rules, footprint, log_uniform
+from experiments.fuzz.oracle.sweep import required_at
 from optdock.geometry.polygon import convex_cover
 
 if TYPE_CHECKING:
@@ -21,7 +22,6 @@ Rng: TypeAlias = np.random.Generator
 Floats: TypeAlias = "np.ndarray[tuple[int, ...], np.dtype[np.float64]]"
 
 _TURN = 0.02  # [rad] per step: the hull of both outlines misses the arc between by 0.00005 of the robot's reach
-_RELIEF = 0.5  # slope of the relief near the start
 
 
 def carved_scene(rng: Rng) -> Case:
@@ -44,7 +44,7 @@ def _drawn(rng: Rng) -> Case | None:
     poses = _motion(rng, outline)
     rule = _rule(rng)
     margin = 0.0 if (exact := rng.uniform() < 0.15) else log_uniform(rng, 1e-4, 0.1)
-    at_start = float(rng.choice([0.0, 0.01, rule[0]]))
+    at_start = float(rng.choice([0.0, 0.01, rule[0] or 0.0]))
     pieces = [shapely.Polygon(piece) for piece in convex_cover(body)]
     hulls = _hulls(pieces, poses)
     needed = _required(rule, poses, at_start, outline)
@@ -81,10 +81,11 @@ def _box(rng: Rng) -> list[list[float]]:
     return [[front, half], [-rear, half], [-rear, -half], [front, -half]]
 
 
-def _rule(rng: Rng) -> list[float]:
-    """Required, at the dock, taper."""
+def _rule(rng: Rng) -> list[float | None]:
+    """Required, at the dock, taper; now and then the run at the dock, and what is enough at the start."""
     required = float(rng.choice([0.0, 1e-6, 1e-5, 0.02, 0.05, 0.2]))
-    return [required, float(rng.choice([0.0, required])), float(rng.choice([0.0, 0.3, 1.0]))]
+    rule = [required, float(rng.choice([0.0, required])), float(rng.choice([0.0, 0.3, 1.0]))]
+    return [*rule, *end_rules(rng.spawn(1)[0], required)]
 
 
 def _motion(rng: Rng, outline: list[list[float]]) -> Floats:
@@ -122,14 +123,12 @@ def _hulls(pieces: list[shapely.Geometry], poses: Floats) -> list[shapely.Geomet
     return found
 
 
-def _required(rule: list[float], poses: Floats, start_clearance: float, outline: list[list[float]]) -> Floats:
+def _required(rule: list[float | None], poses: Floats, start_clearance: float, outline: list[list[float]]) -> Floats:
     """The most that is required in each step; with the weaker relief, as the stronger one asks for more."""
-    required, at_dock, taper = rule
-    from_goal, from_start = (np.hypot(*(poses[:, :2] - poses[k, :2]).T) for k in (-1, 0))
-    length = 2.0 * float(np.hypot(*np.array(outline).T).max())
-    share = np.minimum(1.0, from_goal / taper) if taper > 0.0 else (from_goal > 0.0).astype(float)
-    relief = max(start_clearance, 0.0) + _RELIEF * np.maximum(from_start - length, 0.0)
-    needed = np.minimum(at_dock + (required - at_dock) * share, relief)
+    ends = {"dock": {"pose": poses[-1].tolist()}, "start": poses[0].tolist()}
+    case: Case = {"clearance": rule, "footprint": {"polygon": outline}, **ends}
+    run = 4.0 * float(np.hypot(*np.array(outline).T).max())
+    needed = required_at(case, poses, start_clearance, run)
     found: Floats = np.maximum(needed[:-1], needed[1:])
     return found
 

@@ -9,7 +9,15 @@ import numpy as np
 import shapely
 
 from experiments.fuzz.generators.routes import route
-from experiments.fuzz.generators.shapes import footprint, log_uniform, obstacle, rectangle, shallow_wall, turned
+from experiments.fuzz.generators.shapes import (
+    end_rules,
+    footprint,
+    log_uniform,
+    obstacle,
+    rectangle,
+    shallow_wall,
+    turned,
+)
 from experiments.fuzz.generators.traps import trap
 from experiments.fuzz.oracle.motion import motion_of
 from experiments.fuzz.oracle.sweep import start_run, sweep, tube
@@ -50,7 +58,7 @@ def path_problem(rng: Rng) -> Case:
 
 
 def _frame(rng: Rng, gears: list[Case], motion: Motion) -> Case:
-    return {
+    case: Case = {
         "kind": "paths",
         "path": gears,
         "footprint": footprint(rng),
@@ -66,6 +74,8 @@ def _frame(rng: Rng, gears: list[Case], motion: Motion) -> Case:
         **_turning(rng, motion),
         **_tracking(rng.spawn(1)[0]),
     }
+    case["clearance"] += end_rules(rng.spawn(1)[0], case["clearance"][0])
+    return case
 
 
 def _tracking(rng: Rng) -> Case:

@@ -13,7 +13,7 @@ if TYPE_CHECKING:
 
     from experiments.fuzz.case import Case
 
-__all__ = ["Points", "footprint", "obstacle", "turned"]
+__all__ = ["Points", "end_rules", "footprint", "log_uniform", "obstacle", "turned"]
 
 Points: TypeAlias = "list[list[float]]"
 Rng: TypeAlias = np.random.Generator
@@ -22,6 +22,13 @@ Rng: TypeAlias = np.random.Generator
 def log_uniform(rng: Rng, low: float, high: float) -> float:
     """A number whose logarithm is uniform."""
     return float(10.0 ** rng.uniform(math.log10(low), math.log10(high)))
+
+
+def end_rules(rng: Rng, required: float) -> list[float | None]:
+    """What a clearance rule seldom says: the run at the dock, and what is enough at the start; mostly nothing [m]."""
+    if rng.uniform() < 0.8:
+        return []
+    return [float(rng.choice([0.0, 0.1, 1.0])), float(required * rng.uniform()) if rng.uniform() < 0.5 else None]
 
 
 def turned(points: Points, yaw: float, x: float = 0.0, y: float = 0.0) -> Points:

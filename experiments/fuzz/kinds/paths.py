@@ -11,7 +11,7 @@ from experiments.fuzz.doors import path_of, problem_of
 from experiments.fuzz.generators.problems import path_problem
 from experiments.fuzz.oracle.motion import motion_of
 from experiments.fuzz.oracle.rules import findings
-from experiments.fuzz.oracle.sweep import jumps_at_goal, required_at, start_clearance, start_run, sweep
+from experiments.fuzz.oracle.sweep import jumps_at_goal, required_at, start_clearance, start_run, sweep, tube
 from experiments.fuzz.oracle.world import World
 from experiments.fuzz.truth import says_yes
 from optdock.errors import OptdockError
@@ -110,11 +110,13 @@ def _has_room(case: Case, motion: Motion, certificate: Certificate) -> bool:
     if jumps_at_goal(case):
         return False
     world = World.of(case)
-    spare, run = _SPARE + _ROUND * world.radius, start_run(case)
+    spare, kept = _SPARE + _ROUND * world.radius, start_clearance(case, world)
+    # A start that has what is required, or all but, may be judged by the strict rule alone.
+    run = start_run(case) if kept < case["clearance"][0] + tube(case) - _SPARE else 0.0
     shown = [violation.where["pose"] for violation in certificate.violations if "pose" in violation.where]
     if shown and not world.is_empty:
         poses = np.array(shown, dtype=float)
-        spared = world.clearances(poses) - required_at(case, poses, start_clearance(case, world), run)
+        spared = world.clearances(poses) - required_at(case, poses, kept, run)
         if float(spared.min()) <= spare:
             return False
     if float(sweep(case, motion, world, refine=False, relief=run).margin.min()) <= spare:

@@ -12,10 +12,22 @@ if TYPE_CHECKING:
     from experiments.fuzz.oracle.motion import Floats, Ints, Motion
     from experiments.fuzz.oracle.world import World
 
-__all__ = ["AROUND", "Sweep", "jumps_at_goal", "required_at", "start_clearance", "start_run", "sweep", "tube"]
+__all__ = [
+    "AROUND",
+    "Sweep",
+    "clearance_rule",
+    "jumps_at_goal",
+    "required_at",
+    "start_clearance",
+    "start_run",
+    "sweep",
+    "taper_share",
+    "tube",
+]
 
 _STEP, _TURN = 0.04, 0.08  # [m], [rad] between first samples
 _MOST = 1500  # first samples
+_SURELY = 1e-9  # [m]: distances of others may differ by less
 _PARTS = 6  # of a refined interval
 _ROUNDS = 7
 _KEPT = 14  # intervals refined per round
@@ -39,12 +51,12 @@ class Sweep:
 
 
 def start_run(case: Case) -> float:
-    """How far a robot along a wall may keep no more clearance than at its start, under the weaker rule [m]."""
+    """How far the weaker rule asks a robot along a wall for no more than at its start [m]."""
     footprint = case["footprint"]
     if "radius" in footprint:
-        return 2.0 * float(footprint["radius"])
+        return 4.0 * float(footprint["radius"])
     outline = np.array(footprint["polygon"], dtype=float)
-    return min(float(np.ptp(outline[:, 0])), 2.0 * float(np.hypot(outline[:, 0], outline[:, 1]).max()))
+    return 2.0 * min(float(np.ptp(outline[:, 0])), 2.0 * float(np.hypot(outline[:, 0], outline[:, 1]).max()))
 
 
 def tube(case: Case) -> float:
@@ -57,26 +69,45 @@ def tube(case: Case) -> float:
     return float(off) + float(np.hypot(way[:, 0], way[:, 1]).max())
 
 
+def clearance_rule(case: Case) -> tuple[float, float, float, float, float | None]:
+    """Required, at the dock, taper, run at the dock [m], and at a start that is too close, if that is said."""
+    required, at_dock, taper, *more = case["clearance"]
+    dock_run, at_start = (*more, *(0.0, None)[len(more) :])
+    return required, at_dock, taper, dock_run, at_start
+
+
+def taper_share(case: Case, distance: Floats) -> Floats:
+    """0 at the dock to 1 where the whole clearance is required, Shape as `distance`, from the dock [m]."""
+    _, _, taper, run, _ = clearance_rule(case)
+    return np.clip((distance - run) / taper, 0.0, 1.0) if taper > 0.0 else (distance > run).astype(float)
+
+
 def required_at(case: Case, poses: Floats, start_clearance: float, relief: float = 0.0) -> Floats:
     """What the rule asks: a taper to the goal; near a start that is too close, growth from there. Shape (n,) [m].
 
-    The growth begins `relief` [m] from the start: 0 is the strict rule, `start_run` the weaker one.
+    The growth begins `relief` [m] from the start: 0 is the strict rule, `start_run` the weaker one, by which a little
+    less than the start has is enough there, and where `at_start` is given it grows as from the dock. A start that has
+    what is required has no relief.
     """
-    required, at_dock, taper = case["clearance"]
+    required, at_dock, _, _, at_start = clearance_rule(case)
     required += tube(case)
     goal, start = case["dock"]["pose"], case["start"]
     from_goal = np.hypot(poses[:, 0] - goal[0], poses[:, 1] - goal[1])
     from_start = np.hypot(poses[:, 0] - start[0], poses[:, 1] - start[1])
-    share = np.clip(from_goal / taper, 0.0, 1.0) if taper > 0.0 else (from_goal > 0.0).astype(float)
-    near_start = max(start_clearance, 0.0) + 0.5 * np.clip(from_start - relief, 0.0, None)
-    required_there: Floats = np.minimum(at_dock + (required - at_dock) * share, near_start)
+    has = max(start_clearance, 0.0)
+    enough = has if relief == 0.0 or has > required + _SURELY else max(0.5 * has, has - 0.005)
+    asked = [at_dock + (required - at_dock) * taper_share(case, from_goal)]
+    asked.append(enough + 0.5 * np.clip(from_start - (relief if enough < has else 0.0), 0.0, None))
+    if enough < has and at_start is not None:
+        asked.append(at_start + (required - at_start) * taper_share(case, from_start))
+    required_there: Floats = np.min(asked, axis=0)
     return required_there
 
 
 def jumps_at_goal(case: Case) -> bool:
     """Whether the rule asks for less at the goal itself than ever so near to it, which no sample shows."""
-    required, at_dock, taper = case["clearance"]
-    return bool(taper == 0.0 and required + tube(case) > at_dock)
+    required, at_dock, taper, run, _ = clearance_rule(case)
+    return bool(taper == 0.0 and run == 0.0 and required + tube(case) > at_dock)
 
 
 def start_clearance(case: Case, world: World) -> float:
@@ -181,7 +212,7 @@ class _Search:
         return hopeful[np.argsort(least[hopeful], kind="stable")[:_KEPT]]
 
     def _slope(self) -> float:
-        required, at_dock, taper = self.case["clearance"]
+        required, at_dock, taper, _, _ = clearance_rule(self.case)
         return (required - at_dock) / taper if taper > 0.0 else 0.0
 
     def _refined(self, rows: tuple[Floats, ...]) -> tuple[tuple[Floats, ...], Sweep]:

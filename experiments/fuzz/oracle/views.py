@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from experiments.fuzz.oracle.sweep import taper_share
+
 if TYPE_CHECKING:
     from experiments.fuzz.case import Case
     from experiments.fuzz.oracle.motion import Floats, Ints, Motion
@@ -80,12 +82,13 @@ def _marker(case: Case) -> tuple[float, float]:
 def _required(case: Case, motion: Motion, poses: Floats, marker: tuple[float, float], inside: Floats) -> Floats:
     """What a pose off by the tube may lose: tapered at the dock, and never more than the start has and half the way."""
     off, turn = case["tracking"]
-    goal, start, taper = case["dock"]["pose"], case["start"], case["clearance"][2]
+    goal, start = case["dock"]["pose"], case["start"]
     to_goal, to_start, to_marker = (np.hypot(poses[:, 0] - at[0], poses[:, 1] - at[1]) for at in (goal, start, marker))
-    share = np.clip(to_goal / taper, 0.0, 1.0) if taper > 0.0 else (to_goal > 0.0).astype(float)
     untubed = {key: value for key, value in case.items() if key != "tracking"}
     begun = looked_at(untubed, motion, np.zeros(1, dtype=np.int64), np.zeros(1)).inside[0] if inside.size else 0.0
-    lost: Floats = np.minimum(share * (off + 2.0 * math.sin(0.5 * turn) * to_marker), max(begun, 0.0) + 0.5 * to_start)
+    lost: Floats = np.minimum(
+        taper_share(case, to_goal) * (off + 2.0 * math.sin(0.5 * turn) * to_marker), max(begun, 0.0) + 0.5 * to_start
+    )
     return lost
 
 

@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from optdock.planners.manoeuvres.tree import ArcTree
     from optdock.planners.manoeuvres.wavefront import Wavefront
 
-__all__ = ["PoseGrid", "hybrid_a_star"]
+__all__ = ["FULL_LOCK", "PoseGrid", "hybrid_a_star"]
 
 _EXPANDED = 24  # nodes in one go
 _WORDS_PER_NODE = 4
@@ -37,6 +37,7 @@ _YAWS_PER_CELL = 6
 # Distances to obstacles, in reaches of the distance field, from which cells are so many times as large.
 _ROOM, _COARSER, _COARSEST_YAW = readonly(np.array([0.3, 0.5])), readonly(np.array([1.0, 4.0, 10.0])), 4.0
 _GREED = 2.5  # weight of what is still to drive
+FULL_LOCK = (1.0, -1.0)
 _STATIONS = readonly(np.array([0.25, 0.5, 1.0, 2.0]))  # where a node is left on an arc, in turning radii
 
 
@@ -70,13 +71,16 @@ class PoseGrid:
         return new
 
 
-def hybrid_a_star(
+def hybrid_a_star(  # noqa: PLR0913 - two ends, a space, and how to search
     exits: Nodes,
     entries: Nodes,
     space: FreeSpace,
     effort: Effort,
     wavefront: Wavefront,
     worthwhile: Callable[[], float],
+    *,
+    from_start: bool = False,
+    bends: tuple[float, ...] = FULL_LOCK,
 ) -> Iterator[Arcs]:
     """Free manoeuvres as they are found, whole from start to goal.
 
@@ -88,55 +92,58 @@ def hybrid_a_star(
         entries: Nodes of the goal's tree from which the search goes on; its tree grows.
         space: What is free.
         effort: How sharply, how closely and for how long.
-        wavefront: Lengths of the shortest ways from the start for a disc.
+        wavefront: Lengths of the shortest ways for a disc from the other end than the one where the search begins.
         worthwhile: The price from which on a way is of no use; infinite while there is no plan.
+        from_start: The start's tree grows instead, and from its nodes the entries are shot at.
+        bends: Curvatures that are driven beside the straight line, in those of the smallest radius.
     """
-    tree, limits = entries.tree, space.problem.robot.limits
-    radius = effort.radius
+    growing, aims = (exits, entries) if from_start else (entries, exits)
+    tree, limits, radius = growing.tree, space.problem.robot.limits, effort.radius
     speed = max(limits.max_speed, limits.max_reverse_speed)
     grid = PoseGrid(space, effort.fineness)
     grid.enter(tree.poses)
-    moves = Moves.of((1.0, -1.0), (0.0, 1.0 / radius, -1.0 / radius))
+    moves = Moves.of((1.0, -1.0), (0.0, *(bend / radius for bend in bends)))
     opened: list[tuple[float, int]] = []
     shots: list[Connections] = []
-    fresh, nodes = entries.rows, 0
+    fresh, nodes = growing.rows, 0
     while fresh.size and math.isinf(worthwhile()):
-        words = connections(*_pairs(exits, Nodes(tree, fresh)), radius, space, _WORDS_PER_NODE)
-        worth = promising(_long_enough(words, tree, wavefront), exits.tree, space)
+        aimed, shooting = _pairs(aims, Nodes(tree, fresh))
+        pairs = (shooting, aimed) if from_start else (aimed, shooting)
+        words = connections(*pairs, radius, space, _WORDS_PER_NODE)
+        shooters, aimed_at = (words.exits, words.entries) if from_start else (words.entries, words.exits)
+        # What stands between the aim and the end that the wave comes from: a staging pose is before the dock.
+        beyond = aims.tree.prices[aimed_at] * speed if from_start else np.where(aimed_at == 0, 0.0, np.inf)
+        least = wavefront.lengths(tree.poses[shooters, :2]) - beyond
+        long_enough = words.rows(np.flatnonzero(np.abs(words.lengths).sum(axis=1) >= least))
+        worth = promising(long_enough, exits.tree, space)
         shots = [Connections.merged([*shots, worth])]
-        for bound, row in zip(_bounds(tree, fresh, words, speed, wavefront).tolist(), fresh.tolist(), strict=True):
+        cheapest = np.full(len(tree), np.inf)
+        np.minimum.at(cheapest, shooters, words.prices)
+        for bound, row in zip(_bounds(tree, fresh, cheapest, speed, wavefront).tolist(), fresh.tolist(), strict=True):
             heapq.heappush(opened, (bound, row))
         looked, shots = shots[0].rows(slice(_SHOTS)), [shots[0].rows(slice(_SHOTS, None))]
-        yield from free_manoeuvres(looked, exits.tree, tree, space, effort, worthwhile)
+        yield from free_manoeuvres(looked, exits.tree, entries.tree, space, effort, worthwhile)
         fresh = fresh[:0]
         while fresh.size == 0 and opened and nodes < effort.nodes:
             rows = np.array([heapq.heappop(opened)[1] for _ in range(min(_EXPANDED, len(opened)))])
             fresh = tree.grow(rows, moves, radius * _STATIONS, space, effort, grid.enter)
             nodes += fresh.size
     for rest in shots:
-        yield from free_manoeuvres(rest, exits.tree, tree, space, effort, worthwhile)
+        yield from free_manoeuvres(rest, exits.tree, entries.tree, space, effort, worthwhile)
 
 
-def _pairs(exits: Nodes, fresh: Nodes) -> tuple[Nodes, Nodes]:
-    """The start and every node, and every node and one of the other exits."""
-    root, others = exits.rows[:1], exits.rows[1:]
-    leaving, arriving = np.repeat(root, fresh.rows.size), fresh.rows
+def _pairs(aims: Nodes, fresh: Nodes) -> tuple[Nodes, Nodes]:
+    """The first aim and every node, and every node and one of the other aims."""
+    first, others = aims.rows[:1], aims.rows[1:]
+    aimed, shooting = np.repeat(first, fresh.rows.size), fresh.rows
     if others.size:
-        leaving = np.concatenate((leaving, others[fresh.rows % others.size]))
-        arriving = np.concatenate((arriving, arriving))
-    return Nodes(exits.tree, leaving), Nodes(fresh.tree, arriving)
+        aimed = np.concatenate((aimed, others[fresh.rows % others.size]))
+        shooting = np.concatenate((shooting, shooting))
+    return Nodes(aims.tree, aimed), Nodes(fresh.tree, shooting)
 
 
-def _long_enough(words: Connections, tree: ArcTree, wavefront: Wavefront) -> Connections:
-    """Words that are not shorter than the shortest way among the obstacles: the others collide."""
-    least = np.where(words.exits == 0, wavefront.lengths(tree.poses[words.entries, :2]), 0.0)
-    return words.rows(np.flatnonzero(np.abs(words.lengths).sum(axis=1) >= least))
-
-
-def _bounds(tree: ArcTree, rows: IntArray, words: Connections, speed: float, wavefront: Wavefront) -> FloatArray:
+def _bounds(tree: ArcTree, rows: IntArray, cheapest: FloatArray, speed: float, wavefront: Wavefront) -> FloatArray:
     """Estimated prices of the whole manoeuvres through nodes. Shape (n,)."""
-    cheapest = np.full(len(tree), np.inf)
-    np.minimum.at(cheapest, words.entries, words.prices)
     driven = tree.prices[rows]
     left = np.maximum(cheapest[rows] - driven, wavefront.lengths(tree.poses[rows, :2]) / speed)
     found: FloatArray = driven + _GREED * left

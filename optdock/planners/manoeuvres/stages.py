@@ -6,7 +6,7 @@ import functools
 import heapq
 import itertools
 import math
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -16,11 +16,12 @@ from optdock.geometry.pose import Pose2
 from optdock.outcomes import Guess
 from optdock.planners.manoeuvres.connections import Nodes, all_pairs, connections, free_manoeuvres, promising
 from optdock.planners.manoeuvres.free_space import Effort, FreeSpace
-from optdock.planners.manoeuvres.hybrid_a_star import PoseGrid, hybrid_a_star
+from optdock.planners.manoeuvres.hybrid_a_star import FULL_LOCK, PoseGrid, hybrid_a_star
 from optdock.planners.manoeuvres.price import ends_cost, least_price, least_prices
 from optdock.planners.manoeuvres.reeds_shepp import reeds_shepp_words
 from optdock.planners.manoeuvres.tree import ArcTree, Moves
 from optdock.planners.manoeuvres.turns import routes, turning_places, turns_and_drives
+from optdock.verification import end_clearances
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -35,6 +36,8 @@ __all__ = ["Stages"]
 # Straight runs beyond the shortest one, in turning radii.
 _RUNS = readonly(np.array([0.0, 0.25, 0.5, 1.0, 1.5, 2.0, 3.0]))
 _EXIT_TURN = 1.0  # [rad] of arcs out of the start; straight lines are as long
+# A robot a few millimetres beside a wall cannot turn away from it at full lock: its tail would meet the wall.
+_GENTLE = (*FULL_LOCK, 0.1, -0.1, 0.015, -0.015)
 _FREE_EXITS, _MOST_EXITS = 4, 60  # of six; nodes of the start's tree after which it grows no more
 # Straight runs out of the start before a turn, in circumscribed radii: what stands beside the robot is left behind.
 _TURN_EXITS = readonly(np.array([0.5, 1.0, 1.5, 2.0, 3.0]))
@@ -43,6 +46,14 @@ _TURN_TRIES = 4  # ways of turns and straight lines that are offered at most
 _TRIES = 4  # different ways that one stage offers at most
 _WORDS_PER_PAIR = 12  # words from the start to a staging pose that are looked at
 _SAMPLING = 40.0  # poses of a path per turning radius
+
+
+class _Exits(NamedTuple):
+    """Ways out of the start by some curvatures, and whether hardly any of the first arcs is free for all its length."""
+
+    nodes: Nodes
+    bends: tuple[float, ...]
+    is_boxed_in: bool
 
 
 class Stages:
@@ -67,11 +78,13 @@ class Stages:
         margin = 0.02 * footprint.width
         eased, sharp = slack * self.radius, self.radius
         # The weaker rule of a start along a wall comes last, as the certificate tries the strict one first.
+        is_too_close = end_clearances(problem).start < problem.path_clearance.required
+        relief = problem.start_run if is_too_close else 0.0
         self._efforts = (
             Effort(eased, margin, 12, 4000),
             Effort(sharp, margin, 12, 4000),
-            Effort(eased, 0.0, 24, 4000, problem.start_run),
-            Effort(sharp, 0.0, 80, 8000, problem.start_run),
+            Effort(eased, 0.0, 24, 4000, relief),
+            Effort(sharp, 0.0, 80, 8000, relief),
         )
         self._known: list[FloatArray] = []
 
@@ -177,22 +190,25 @@ class Stages:
         rows = rows[np.abs(tree.lengths[rows]) >= straight]
         return Nodes(tree, rows if straight > 0.0 else np.concatenate(([0], rows)))
 
-    def _exits(self, effort: Effort) -> Nodes:
+    def _exits(self, effort: Effort, bends: tuple[float, ...] = FULL_LOCK) -> _Exits:
         """The start, and the ends of arcs and lines out of it, one after another where it is boxed in."""
         tree = ArcTree(self.problem.start.as_array(), self.problem.robot.limits, 1)
-        speed, kappa = self.problem.start_speed, 1.0 / effort.radius
-        moves = Moves.of((1.0, -1.0) if speed == 0.0 else (math.copysign(1.0, speed),), (0.0, kappa, -kappa))
+        speed = self.problem.start_speed
+        moves = Moves.of(
+            (1.0, -1.0) if speed == 0.0 else (math.copysign(1.0, speed),),
+            (0.0, *(bend / effort.radius for bend in bends)),
+        )
         root = np.zeros(1, dtype=np.int64)
         station, grid = np.array([effort.radius * _EXIT_TURN]), PoseGrid(self.space, effort.fineness)
         rows = fresh = tree.grow(root, moves, station, self.space, effort)
         # Where hardly anything is free for all of its length, the way out takes several arcs.
-        is_boxed_in = np.sum(np.abs(tree.lengths[rows]) >= station) < _FREE_EXITS
-        onwards = Moves.of((1.0, -1.0), (0.0, kappa, -kappa))
+        is_boxed_in = bool(np.sum(np.abs(tree.lengths[rows]) >= station) < _FREE_EXITS)
+        onwards = Moves.of((1.0, -1.0), (0.0, *(bend / effort.radius for bend in bends)))
         while is_boxed_in and fresh.size and rows.size < _MOST_EXITS:
             fresh = tree.grow(fresh, onwards, station, self.space, effort, grid.enter)
             rows = np.concatenate((rows, fresh))
         # Where nothing new is left to grow from, nothing leads out.
-        return Nodes(tree, np.concatenate((root, rows)) if fresh.size else root)
+        return _Exits(Nodes(tree, np.concatenate((root, rows)) if fresh.size else root), bends, is_boxed_in)
 
     @functools.cached_property
     def _staging_with_margin(self) -> Nodes:
@@ -217,15 +233,28 @@ class Stages:
 
     def _hybrid_a_star(self) -> Iterator[Guess | None]:
         """As far afield as it takes, until there is a plan; with a pause where an effort was in vain."""
-        wavefront = self.space.wavefront(self.problem.start.as_array()[:2])
-        if math.isinf(wavefront.lengths(self.problem.goal.as_array()[None, :2])[0]):
+        ends = self.problem.start.as_array()[:2], self.problem.goal.as_array()[:2]
+        from_ends = [self.space.wavefront(end) for end in ends]
+        if math.isinf(from_ends[0].lengths(ends[1][None])[0]):
             yield None
             return
         for effort in self._efforts:
             exits, entries = self._exits(effort), self._staging(effort)
-            if exits.rows.size < 2 or entries.rows.size == 0:
+            if exits.nodes.rows.size < 2 and effort.start_relief > 0.0:
+                exits = self._exits(effort, _GENTLE)  # along a wall
+            if exits.nodes.rows.size < 2 or entries.rows.size == 0:
                 continue  # no arc leads away from the start, or no straight run out of the dock
-            ways = hybrid_a_star(exits, entries, self.space, effort, wavefront, self._worthwhile)
+            # The search begins where space is tight: words reach the other end.
+            ways = hybrid_a_star(
+                exits.nodes,
+                entries,
+                self.space,
+                effort,
+                from_ends[exits.is_boxed_in],
+                self._worthwhile,
+                from_start=exits.is_boxed_in,
+                bends=exits.bends,
+            )
             yield from self._offered("hybrid A*", ways)
             if math.isfinite(self._better_than()):
                 return

@@ -22,7 +22,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from optdock.geometry.arrays import readonly
-from smoothers.scp.collision.scene import Points
+from smoothers.scp.collision.scene import LEAVING, Points
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -108,15 +108,15 @@ def _both_ends(points: Points, column: IntArray) -> Points:
 def _node_requirements(required: Requirement, left: IntArray, count: int) -> FloatArray:
     """Requirement of every hull vertex, such that the chord between the two nodes is nowhere below the requirement.
 
-    Every rule is at most linear in distance and the smallest one counts, so where another takes over within an interval
+    Every rule is convex in distance and the smallest one counts, so where another takes over within an interval
     the larger of its ends is safe. Next to the start only the right end may be raised: the left one is given.
     """
     first, last = required.value[left], required.value[left + 1]
     changes = required.rule[left] != required.rule[left + 1]
-    from_start = changes & (required.rule[left] == 2)
+    from_start = changes & (required.rule[left] == LEAVING)
     larger = np.maximum(first, last)
     first = np.where(changes & ~from_start, larger, first)
-    last = np.where(from_start, required.relieved[left + 1], np.where(changes, larger, last))
+    last = np.where(from_start, required.leaving[left + 1], np.where(changes, larger, last))
     return np.repeat(np.stack((first, last)), count, axis=0)
 
 

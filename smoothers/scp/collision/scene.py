@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from optdock.obstacles import ObstacleSet
     from optdock.problem import ClearanceRule, DockingProblem
 
-__all__ = ["Body", "BodyAtNodes", "Points", "Requirement", "Scene", "body_at_nodes", "scene_around"]
+__all__ = ["LEAVING", "Body", "BodyAtNodes", "Points", "Requirement", "Scene", "body_at_nodes", "scene_around"]
 
 
 class Points(NamedTuple):
@@ -62,20 +62,24 @@ class Body(NamedTuple):
     width: float
 
 
+# Which part of the rule decides.
+DOCKING, FULL, LEAVING, UNDOCKING = range(4)
+
+
 class Requirement(NamedTuple):
     """Required clearance at positions.
 
     Attributes:
         value: Shape (n,) [m].
         gradient: By position, Shape (n, 2).
-        rule: Which one decides, Shape (n,): 0 dock, 1 full, 2 start.
-        relieved: What the start rule alone would ask for, Shape (n,) [m].
+        rule: Which one decides, Shape (n,): `DOCKING`, `FULL`, `LEAVING`, or `UNDOCKING`.
+        leaving: What the growth from the start alone would ask for, Shape (n,) [m].
     """
 
     value: FloatArray
     gradient: FloatArray
     rule: IntArray
-    relieved: FloatArray
+    leaving: FloatArray
 
 
 @dataclass(frozen=True, eq=False)
@@ -123,15 +127,25 @@ class Scene:
         """What is required at robot positions, Shape (n, 2) [m]."""
         to_goal, to_start = positions - self.goal, positions - self.start
         from_goal, from_start = np.hypot(to_goal[:, 0], to_goal[:, 1]), np.hypot(to_start[:, 0], to_start[:, 1])
-        relieved = self.rule.near_start(from_start, self.start_clearance, self.start_relief)
-        value = np.minimum(self.rule.near_goal(from_goal), relieved)
-        eased, near = value == relieved, from_goal < self.rule.taper
-        slope = (self.rule.required - self.rule.at_dock) / self.rule.taper if self.rule.taper > 0.0 else 0.0
-        toward = np.where(near, slope / np.maximum(from_goal, 1e-9), 0.0)[:, None] * to_goal
+        docking = self.rule.near_goal(from_goal)
+        leaving = self.rule.leaving(from_start, self.start_clearance, self.start_relief)
+        value, near = np.minimum(docking, leaving), from_goal < self.rule.dock_run + self.rule.taper
+        rule = np.where(leaving <= docking, LEAVING, np.where(near, DOCKING, FULL))
         rising = np.where(from_start > self.start_relief, START_RELIEF_SLOPE, 0.0)
+        if self.start_relief > 0.0 and self.rule.at_start is not None:
+            undocking = self.rule.undocking(from_start)
+            is_undocking = undocking < value
+            value, rule = np.where(is_undocking, undocking, value), np.where(is_undocking, UNDOCKING, rule)
+            rising = np.where(is_undocking, self._taper_slope(from_start, self.rule.at_start or 0.0), rising)
+        toward = (self._taper_slope(from_goal, self.rule.at_dock) / np.maximum(from_goal, 1e-9))[:, None] * to_goal
         away = (rising / np.maximum(from_start, 1e-9))[:, None] * to_start
-        gradient, rule = np.where(eased[:, None], away, toward), np.where(eased, 2, np.where(near, 0, 1))
-        return Requirement(value, gradient, rule, relieved)
+        return Requirement(value, np.where((rule >= LEAVING)[:, None], away, toward), rule, leaving)
+
+    def _taper_slope(self, distance: FloatArray, least: float) -> FloatArray:
+        """How fast what is required grows with the distance from an end at which `least` is enough, Shape (n,)."""
+        rule = self.rule
+        rises = (rule.dock_run <= distance) & (distance < rule.dock_run + rule.taper)
+        return np.where(rises, (rule.required - least) / rule.taper if rule.taper > 0.0 else 0.0, 0.0)
 
 
 @lru_cache(maxsize=16)

@@ -83,7 +83,7 @@ def test_a_start_that_is_too_close_may_leave():
     leaving = Path((ClothoidSegment(ClothoidSpline(START, np.array([0.0, 4.0]), np.zeros(2))),))
     behind = problem_with(box(-1.0, -0.5, -0.51, 0.5))
     assert dense_check(leaving, behind).ok
-    along = problem_with(box(-1.0, 0.31, 1.0, 0.5))
+    along = problem_with(box(-1.0, 0.31, 3.0, 0.5))  # farther than twice its length
     assert dense_check(leaving, along).broken == ("clearance",)
 
 
