@@ -408,9 +408,9 @@ def _touching(kind: str, gap: float, rng: np.random.Generator) -> list[FloatArra
 def bays(per_kind: int = 6, seed: int = SEED) -> list[Case]:
     """A small car (`CAR`) and bays between cars of its own size, off an aisle of 1.8 to 2.2 m.
 
-    Tags: `perpendicular`, into bays of 1.3 or 1.5 car widths; `parallel` with the bay's length in car lengths; and
-    `out of 1.2`, from such a bay to a dock along the aisle. Into bays the last gear is forward, backward or either, in
-    turn, and there is no straight at the end.
+    Tags: `perpendicular`, into bays of 1.3 or 1.5 car widths; `parallel` with the bay's length in car lengths, and
+    `at a wall` where that is 5 cm beside the parked car, not 15; and `out of 1.2`, from such a bay to a dock along the
+    aisle. Into bays the last gear is forward, backward or either, in turn, and there is no straight at the end.
 
     Args:
         per_kind: How many with each tag.
@@ -425,6 +425,9 @@ def bays(per_kind: int = 6, seed: int = SEED) -> list[Case]:
         scenes |= {f"parallel {share:g}": _parallel(share, direction, rng) for share in PARALLEL}
         scenes[f"out of {PARALLEL[0]:g}"] = _out_of_bay(rng)
         cases += [scene.case("bays", tag, number, random_frame(rng)) for tag, scene in scenes.items()]
+        rng = _rng(seed, 6, number, 1)
+        scene = _parallel(PARALLEL[1], direction, rng, 0.05)
+        cases.append(scene.case("bays", f"parallel {PARALLEL[1]:g}, at a wall", number, random_frame(rng)))
     return sorted(cases, key=lambda case: case.tag)
 
 
@@ -454,12 +457,12 @@ def _perpendicular(direction: DockDirection, rng: np.random.Generator) -> Scene:
     return Scene(_in_aisle(aisle, rng), Dock(goal, None, direction), parked, robot=CAR, clearance=CAR_RULE)
 
 
-def _parallel(share: float, direction: DockDirection, rng: np.random.Generator) -> Scene:
+def _parallel(share: float, direction: DockDirection, rng: np.random.Generator, curb: float = CURB) -> Scene:
     """Past the bay or before it, the car starts as it is to stand."""
     length, wide, aisle = CAR.footprint.length, CAR.footprint.width, rng.uniform(1.8, 2.2)
     start, goal = _in_aisle(aisle, rng), Pose2(0.2 - 0.5 * length, -0.5 * wide, 0.0)
     aligned = Pose2(start.x, start.y, rng.uniform(-0.1, 0.1))
-    parked = _parked(share * length, (length, wide), aisle, CURB)
+    parked = _parked(share * length, (length, wide), aisle, curb)
     return Scene(aligned, Dock(goal, None, direction), parked, robot=CAR, clearance=CAR_RULE)
 
 
