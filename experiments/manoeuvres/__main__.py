@@ -1,4 +1,4 @@
-"""The manoeuvre benchmark: `plan_dock` on the cases of `cases`, one process and one thread, settings fixed in `run`.
+"""The manoeuvre benchmark: `plan_dock` on the cases of `cases` and `hard_cases`, one thread, fixed settings.
 
     python -m experiments.manoeuvres                                   # every family
     python -m experiments.manoeuvres --family obca --family "dock starts" --every 20
@@ -27,12 +27,16 @@ if TYPE_CHECKING:
 
 THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 STEPS = (0.05, 0.1, 0.25, 0.5, 1.0)  # [s], of the experiment with budgets
-FAMILIES = ("tpcap", "obca", "dock starts", "open hall", "near dock", "blocked")
+FAMILIES = (
+    *("tpcap", "obca", "dock starts", "open hall", "near dock", "blocked"),
+    *("rack halls", "maze", "wrong way", "along a wall", "contact", "bays", "buildings", "forklifts"),
+    *("blocked straight", "open straight", "barely open"),
+)
 
 
 def families(seed: int) -> dict[str, Callable[[], list[Case]]]:
     """How to make each family."""
-    from experiments.manoeuvres import cases
+    from experiments.manoeuvres import cases, hard_cases
 
     return {
         "tpcap": cases.tpcap,
@@ -41,6 +45,17 @@ def families(seed: int) -> dict[str, Callable[[], list[Case]]]:
         "open hall": lambda: [case for length in cases.LENGTHS for case in cases.open_hall(length, seed=seed)],
         "near dock": cases.near_dock,
         "blocked": lambda: cases.blocked(seed=seed),
+        "rack halls": lambda: hard_cases.rack_halls(seed=seed),
+        "maze": lambda: hard_cases.maze(seed=seed),
+        "wrong way": lambda: hard_cases.wrong_way(seed=seed),
+        "along a wall": lambda: hard_cases.along_a_wall(seed=seed),
+        "contact": lambda: hard_cases.contact(seed=seed),
+        "bays": lambda: hard_cases.bays(seed=seed),
+        "buildings": lambda: hard_cases.buildings(seed=seed),
+        "forklifts": lambda: hard_cases.forklifts(seed=seed),
+        "blocked straight": lambda: hard_cases.blocked_straight(seed=seed),
+        "open straight": lambda: hard_cases.open_straight(seed=seed),
+        "barely open": lambda: hard_cases.barely_open(seed=seed),
     }
 
 

@@ -16,6 +16,7 @@ project; every other family needs none.
 
 from __future__ import annotations
 
+import dataclasses
 import functools
 import math
 import os
@@ -35,19 +36,28 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
 
     from optdock.geometry.arrays import FloatArray
+    from optdock.robot import Robot
 
 __all__ = [
     "Case",
+    "Scene",
     "Truth",
     "blocked",
     "data_folder",
+    "dock_at",
     "dock_starts",
     "free_starts",
+    "is_too_wide",
+    "missing_tag",
     "near_dock",
     "obca",
     "open_hall",
+    "random_frame",
+    "rectangle",
     "side_of",
     "tpcap",
+    "wall_with_gap",
+    "walls",
 ]
 
 SEED = 11
@@ -68,12 +78,15 @@ RULE = ClearanceRule(required=0.05, at_dock=0.0, taper=0.5)
 _NEEDED = ROBOT.footprint.width + 2.0 * RULE.required  # [m] of a gap; the robot's least width is across
 
 
+ORIGIN = Pose2(0.0, 0.0, 0.0)
+
+
 class Truth(NamedTuple):
-    """Why a blocked scene is blocked.
+    """Why a blocked scene is blocked, or how little room an open one has.
 
     Args:
         missing: By how much its narrowest place is narrower than the robot and the required clearance on both sides;
-            infinite where there is no gap at all [m].
+            infinite where there is no gap at all, negative where there is a way with so much to spare [m].
         place: The middle of that place, x and y [m]; None where no single place is the narrowest.
         heading: Along which the robot would have to pass, or the opposite [rad].
         is_body: Whether the body alone does not fit (else it does, and the required clearance does not); None where it
@@ -94,7 +107,7 @@ class Case(NamedTuple):
         family: As in the table above.
         problem: The question.
         tag: The row of the summary that it counts in.
-        truth: Of a blocked scene.
+        truth: Of a blocked scene, and of one that is barely open.
         bounds: Least and largest x, least and largest y, that the source has for the robot's origin. They are no walls:
             leaving them is only counted.
     """
@@ -105,6 +118,37 @@ class Case(NamedTuple):
     tag: str = ""
     truth: Truth | None = None
     bounds: tuple[float, float, float, float] | None = None
+
+
+class Scene(NamedTuple):
+    """A scene drawn around an origin of its own.
+
+    Args:
+        start: Where the robot is.
+        dock: Where it must end.
+        obstacles: Simple polygons, Shape (n, 2) [m] each.
+        truth: Of a blocked scene, and of one that is barely open.
+        robot: What drives.
+        clearance: How far it must stay away.
+    """
+
+    start: Pose2
+    dock: Dock
+    obstacles: list[FloatArray]
+    truth: Truth | None = None
+    robot: Robot = ROBOT
+    clearance: ClearanceRule = RULE
+
+    def case(self, family: str, tag: str, number: int, frame: Pose2 = ORIGIN) -> Case:
+        """The scene put into `frame`; the number makes its name unique within the tag."""
+        placed = [transform_points(frame.as_array()[None], polygon)[0] for polygon in self.obstacles]
+        dock = dataclasses.replace(self.dock, pose=frame @ self.dock.pose)
+        problem = DockingProblem(frame @ self.start, dock, self.robot, placed, self.clearance)
+        truth = self.truth
+        if truth is not None and truth.place is not None:
+            at = frame @ Pose2(*truth.place, truth.heading or 0.0)
+            truth = truth._replace(place=(at.x, at.y), heading=at.yaw)
+        return Case(f"{tag} {number}", family, problem, tag, truth)
 
 
 def data_folder() -> Path:
@@ -199,8 +243,8 @@ def _hall(length: float, side: float, number: int, rng: np.random.Generator) -> 
     staging = goal @ Pose2(-1.5, 0.0, 0.0)
     keep_out = np.array([[start.x, start.y, AROUND_START], [staging.x, staging.y, AROUND_DOCK]])
     pillars = _pillars(side, keep_out, rng)
-    dock = _dock(goal)
-    problem = DockingProblem(start, dock, ROBOT, [*_walls(0.0, 0.0, side, side), *pillars], RULE)
+    dock = dock_at(goal)
+    problem = DockingProblem(start, dock, ROBOT, [*walls(0.0, 0.0, side, side), *pillars], RULE)
     return Case(f"{length:g} m {number}", "open hall", problem, f"{length:g} m")
 
 
@@ -234,40 +278,49 @@ def _pillars(side: float, keep_out: FloatArray, rng: np.random.Generator) -> lis
         reach = 0.5 * math.hypot(*size)
         apart = np.hypot(*(discs[:, :2] - middle).T) - discs[:, 2] - reach
         if np.all(apart >= np.where(np.arange(len(discs)) < len(keep_out), 0.0, BETWEEN)):
-            found.append(_rectangle(*middle, *size, rng.uniform(0.0, math.pi)))
+            found.append(rectangle(*middle, *size, rng.uniform(0.0, math.pi)))
             discs = np.vstack((discs, [*middle, reach]))
     return found
 
 
-def _rectangle(x: float, y: float, length: float, width: float, yaw: float = 0.0) -> FloatArray:
+def rectangle(x: float, y: float, length: float, width: float, yaw: float = 0.0) -> FloatArray:
     """Corners around a middle."""
     corners = 0.5 * np.array([[-length, -width], [length, -width], [length, width], [-length, width]])
     return transform_points(np.array([[x, y, yaw]]), corners)[0]
 
 
-def _walls(x0: float, y0: float, x1: float, y1: float, thickness: float = 0.2) -> list[FloatArray]:
+def walls(x0: float, y0: float, x1: float, y1: float, thickness: float = 0.2) -> list[FloatArray]:
     """Four walls around a room."""
     width, height, middle = x1 - x0 + 2 * thickness, y1 - y0 + 2 * thickness, (0.5 * (x0 + x1), 0.5 * (y0 + y1))
     out = 0.5 * thickness
     return [
-        _rectangle(middle[0], y0 - out, width, thickness),
-        _rectangle(middle[0], y1 + out, width, thickness),
-        _rectangle(x0 - out, middle[1], thickness, height),
-        _rectangle(x1 + out, middle[1], thickness, height),
+        rectangle(middle[0], y0 - out, width, thickness),
+        rectangle(middle[0], y1 + out, width, thickness),
+        rectangle(x0 - out, middle[1], thickness, height),
+        rectangle(x1 + out, middle[1], thickness, height),
     ]
 
 
-def _dock(goal: Pose2, *, backward: bool = False, charger: bool = True) -> Dock:
+def wall_with_gap(x: float, ends: tuple[float, float, float, float], thick: float) -> list[FloatArray]:
+    """A wall across at x, between the outer of four y, open between the inner ones."""
+    bottom, low, high, top = ends
+    return [
+        rectangle(x, 0.5 * (top + high), thick, top - high),
+        rectangle(x, 0.5 * (bottom + low), thick, low - bottom),
+    ]
+
+
+def dock_at(goal: Pose2, *, backward: bool = False, charger: bool = True, final_straight: float = 0.3) -> Dock:
     """A dock as those of `real_maps`."""
     outline = (REAR_CHARGER if backward else FRONT_CHARGER) if charger else None
     direction = DockDirection.BACKWARD if backward else DockDirection.FORWARD
-    return Dock(goal, outline, direction, final_straight=0.3, approach_speed=0.1, approach_distance=0.3)
+    return Dock(goal, outline, direction, final_straight, approach_speed=0.1, approach_distance=0.3)
 
 
 def near_dock() -> list[Case]:
     """A grid of starts close before a charger at a wall, parallel to the docked robot; tags name the offset."""
-    wall = _rectangle(0.7, 0.0, 0.2, 20.0)
-    problem = DockingProblem(Pose2(-1.0, 0.0, 0.0), _dock(Pose2(0.0, 0.0, 0.0)), ROBOT, [wall], RULE)
+    wall = rectangle(0.7, 0.0, 0.2, 20.0)
+    problem = DockingProblem(Pose2(-1.0, 0.0, 0.0), dock_at(Pose2(0.0, 0.0, 0.0)), ROBOT, [wall], RULE)
     grid = [(aside, -0.05 * n) for aside in (0.0, 0.03, 0.05, 0.1, 0.3) for n in range(6, 31)]
     return [
         Case(
@@ -300,34 +353,18 @@ def blocked(draws: int = 10, seed: int = SEED) -> list[Case]:
     return cases
 
 
-def _is_body(room: float, size: float) -> bool | None:
+def is_too_wide(room: float, size: float) -> bool | None:
     """Whether a body of this size does not fit into the room [m]; None for an exact fit."""
     return None if abs(room - size) < 1e-6 else room < size
 
 
-def _tag(kind: str, missing: float) -> str:
+def missing_tag(kind: str, missing: float) -> str:
+    """The tag of a blocked scene: what is blocked, and by how much."""
     return f"{kind}, closed" if math.isinf(missing) else f"{kind}, {100 * missing:g} cm missing"
 
 
-def _turned_case(
-    kind: str, number: int, ends: tuple[Pose2, Dock], polygons: list[FloatArray], truth: Truth, frame: Pose2
-) -> Case:
-    """A scene drawn around the origin, put into `frame`; `ends`: start and dock there."""
-    start, dock = ends
-    placed = [transform_points(frame.as_array()[None], polygon)[0] for polygon in polygons]
-    station = Dock(
-        frame @ dock.pose, dock.footprint, dock.direction, dock.final_straight, dock.approach_speed,
-        dock.approach_distance,
-    )  # fmt: skip
-    problem = DockingProblem(frame @ start, station, ROBOT, placed, RULE)
-    if truth.place is not None:
-        at = frame @ Pose2(*truth.place, truth.heading or 0.0)
-        truth = truth._replace(place=(at.x, at.y), heading=at.yaw)
-    tag = _tag(kind, truth.missing)
-    return Case(f"{tag} {number}", "blocked", problem, tag, truth)
-
-
-def _frame(rng: np.random.Generator) -> Pose2:
+def random_frame(rng: np.random.Generator) -> Pose2:
+    """Where a scene is put, turned by any angle."""
     return Pose2(*rng.uniform(-5.0, 5.0, 2), rng.uniform(-math.pi, math.pi))
 
 
@@ -337,15 +374,14 @@ def _gap(missing: float, number: int, rng: np.random.Generator) -> Case:
     at, wide, x = rng.uniform(-0.8, 0.8), _NEEDED - missing, rng.uniform(-0.4, 0.4)
     top, bottom = 0.5 * height, -0.5 * height
     high, low = at + 0.5 * wide, at - 0.5 * wide
-    across = [
-        _rectangle(x, 0.5 * (top + high), thick, top - high),
-        _rectangle(x, 0.5 * (bottom + low), thick, low - bottom),
-    ]
+    across = wall_with_gap(x, (bottom, low, high, top), thick)
     start = Pose2(x - 1.7, rng.uniform(-1.0, 1.0), rng.uniform(-math.pi, math.pi))
-    dock = _dock(Pose2(0.5 * width - 0.6, rng.uniform(-1.0, 1.0), 0.0))
-    walls = _walls(-0.5 * width, bottom, 0.5 * width, top)
-    truth = Truth(missing, (x, at), 0.0, _is_body(wide, ROBOT.footprint.width))
-    return _turned_case("gap", number, (start, dock), [*walls, *across], truth, _frame(rng))
+    dock = dock_at(Pose2(0.5 * width - 0.6, rng.uniform(-1.0, 1.0), 0.0))
+    room = walls(-0.5 * width, bottom, 0.5 * width, top)
+    truth = Truth(missing, (x, at), 0.0, is_too_wide(wide, ROBOT.footprint.width))
+    return Scene(start, dock, [*room, *across], truth).case(
+        "blocked", missing_tag("gap", missing), number, random_frame(rng)
+    )
 
 
 def _bay(missing: float, number: int, rng: np.random.Generator) -> Case:
@@ -358,12 +394,14 @@ def _bay(missing: float, number: int, rng: np.random.Generator) -> Case:
     length, depth, aisle = ROBOT.footprint.length + 2.0 * RULE.required - missing, 1.6, 2.5
     bottom = -0.5 * ROBOT.footprint.width - RULE.required
     mouth = bottom + depth
-    beside = [_rectangle(side * (0.5 * length + 1.0), bottom + 0.5 * depth, 2.0, depth) for side in (-1.0, 1.0)]
-    walls = _walls(-0.5 * length - 2.0, bottom, 0.5 * length + 2.0, mouth + aisle)
+    beside = [rectangle(side * (0.5 * length + 1.0), bottom + 0.5 * depth, 2.0, depth) for side in (-1.0, 1.0)]
+    room = walls(-0.5 * length - 2.0, bottom, 0.5 * length + 2.0, mouth + aisle)
     start = Pose2(rng.uniform(-1.5, 1.5), mouth + 0.5 * aisle, rng.uniform(-0.5, 0.5))
-    truth = Truth(missing, is_body=_is_body(length, ROBOT.footprint.length))
+    truth = Truth(missing, is_body=is_too_wide(length, ROBOT.footprint.length))
     dock = Dock(Pose2(0.0, 0.0, 0.0))
-    return _turned_case("bay", number, (start, dock), [*walls, *beside], truth, _frame(rng))
+    return Scene(start, dock, [*room, *beside], truth).case(
+        "blocked", missing_tag("bay", missing), number, random_frame(rng)
+    )
 
 
 def _ring(missing: float, number: int, rng: np.random.Generator) -> Case:
@@ -378,15 +416,17 @@ def _ring(missing: float, number: int, rng: np.random.Generator) -> Case:
     pieces = list(np.stack((corners[0], corners[1], after[1], after[0]), axis=1))
     if math.isfinite(missing):  # the last piece faces along x; a gap splits it
         half, reach = 0.5 * (_NEEDED - missing), float(corners[1][0, 1])
-        middle = _rectangle(inner + 0.5 * thick, 0.5 * (half + reach), thick, reach - half)
+        middle = rectangle(inner + 0.5 * thick, 0.5 * (half + reach), thick, reach - half)
         pieces[-1:] = [middle, middle * [1.0, -1.0]]
     goal = Pose2(*rng.uniform(-0.3, 0.3, 2), rng.uniform(-math.pi, math.pi))
     bearing = rng.uniform(-math.pi, math.pi)
     start = Pose2(4.5 * math.cos(bearing), 4.5 * math.sin(bearing), rng.uniform(-math.pi, math.pi))
     wide = _NEEDED - missing
     place = (inner + 0.5 * thick, 0.0) if math.isfinite(missing) else None
-    truth = Truth(missing, place, 0.0 if place else None, _is_body(wide, ROBOT.footprint.width))
-    return _turned_case("ring", number, (start, _dock(goal)), pieces, truth, _frame(rng))
+    truth = Truth(missing, place, 0.0 if place else None, is_too_wide(wide, ROBOT.footprint.width))
+    return Scene(start, dock_at(goal), pieces, truth).case(
+        "blocked", missing_tag("ring", missing), number, random_frame(rng)
+    )
 
 
 @functools.cache
@@ -405,13 +445,13 @@ def _door(missing: float, number: int, rng: np.random.Generator) -> Case:
         opening = _NEEDED - missing
         at = rng.uniform(middle - 0.5 * (wide - opening) + 0.1, middle + 0.5 * (wide - opening) - 0.1)
         leaves, place = [(left, at - 0.5 * opening), (at + 0.5 * opening, right)], (at, y)
-    doors = [_rectangle(0.5 * (a + b), y, b - a, 0.06) for a, b in leaves]
+    doors = [rectangle(0.5 * (a + b), y, b - a, 0.06) for a, b in leaves]
     problem = _corridor()
     start = Pose2(rng.uniform(6.0, 9.0), rng.uniform(2.9, 3.4), rng.uniform(-0.4, 0.4))
     shut = DockingProblem(
         start, problem.dock, ROBOT, doors, problem.clearance, costmap=problem.costmap, frame=problem.frame
     )
-    tag = _tag("door", missing)
-    is_body = _is_body(_NEEDED - missing, ROBOT.footprint.width)
+    tag = missing_tag("door", missing)
+    is_body = is_too_wide(_NEEDED - missing, ROBOT.footprint.width)
     truth = Truth(missing, place, 0.5 * math.pi if place else None, is_body)
     return Case(f"{tag} {number}", "blocked", shut, tag, truth)

@@ -24,7 +24,7 @@ from optdock.plan import PartialPlan
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Sequence
 
-    from experiments.manoeuvres.cases import Case
+    from experiments.manoeuvres.cases import Case, Truth
     from optdock.plan import DockPlan
 
 __all__ = ["BUDGETS", "CERTIFIED", "IMPOSSIBLE", "NOT_FOUND", "Record", "ask", "ask_all", "csv_text", "versions"]
@@ -32,6 +32,8 @@ __all__ = ["BUDGETS", "CERTIFIED", "IMPOSSIBLE", "NOT_FOUND", "Record", "ask", "
 # [s] of wall clock, fixed before any run: what a user of each family would wait for. Nothing else is set: every case is
 # `plan_dock(problem, time_budget=...)` with its defaults.
 BUDGETS = {"tpcap": 5.0, "obca": 1.0, "dock starts": 1.0, "open hall": 0.3, "near dock": 1.0, "blocked": 1.0}
+_HARD = ("rack halls", "maze", "wrong way", "along a wall", "contact", "bays", "buildings", "forklifts")
+BUDGETS |= dict.fromkeys((*_HARD, "blocked straight", "open straight", "barely open"), 1.0)
 
 CERTIFIED, IMPOSSIBLE, NOT_FOUND = "certified", "impossible (proven)", "not found"
 
@@ -50,7 +52,8 @@ class Record(NamedTuple):
         start_relief: The run near the start that the certificate needs; 0 is the strict rule.
         price: What plans are chosen by: the duration, and a price per cusp.
         first: Wall clock until the first certified plan, where the plan says so; else an upper bound of it.
-        faults: What the independent check of a plan or of a proof found; empty: nothing.
+        faults: What the independent check of a plan or of a proof found, and what the known truth of the scene denies;
+            empty: nothing.
         seen_clearance: Least clearance that it saw.
         outside: How far the robot's origin leaves `Case.bounds`.
         bottleneck_error: From the place that a proof names to the true one, of blocked scenes.
@@ -88,6 +91,19 @@ class Record(NamedTuple):
 def ask(case: Case, budget: float | None = None, figure: Path | None = None) -> Record:
     """Plan a case with `budget` [s], that of its family by default; check what comes back, and draw it."""
     budget = BUDGETS[case.family] if budget is None else budget
+    return _held_against(_asked(case, budget, figure), case.truth)
+
+
+def _held_against(record: Record, truth: Truth | None) -> Record:
+    """A plan for a blocked scene is a fault, and so is a proof that an open one has no way."""
+    denied = IMPOSSIBLE if truth is not None and truth.missing < 0.0 else CERTIFIED
+    if truth is None or record.outcome != denied:
+        return record
+    told = f"{record.outcome}, but {1e3 * truth.missing:g} mm are missing"
+    return record._replace(faults="; ".join(filter(None, (record.faults, told))))
+
+
+def _asked(case: Case, budget: float, figure: Path | None) -> Record:
     timer = Timer()
     try:
         plan = plan_dock(case.problem, time_budget=budget)

@@ -31,7 +31,8 @@ def report(records: Sequence[Record]) -> Iterator[str]:
     """Every table that has rows, and a line for each plan or proof that the independent check refuted."""
     families = {one.family for one in records}
     yield str(summary(records))
-    for family, table in (("tpcap", reference_table), ("near dock", grid_table), ("blocked", proof_table)):
+    own = {"tpcap": reference_table, "near dock": grid_table, "blocked": proof_table, "blocked straight": proof_table}
+    for family, table in own.items():
         if family in families:
             yield str(table([one for one in records if one.family == family]))
     yield str(refusal_table(records))
