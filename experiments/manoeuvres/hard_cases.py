@@ -15,15 +15,14 @@
 | barely open | walls around the sweep of a driven motion, 1 to 20 mm farther away than required |
 
 A driver with the robot's limits solves every scene but the blocked ones: places to turn are sized from turning radius
-and outline. Whether the clearance rule lets it is another question: of a wall beside the robot it forbids what swings
-tail or nose to the wall, which is how a car leaves one. `along a wall` and `contact` hold scenes of either sort, and
-tags tell them apart.
+and outline.
 
 Nav2's maps are looked for as in `cases`; every other family needs no file.
 """
 
 from __future__ import annotations
 
+import dataclasses
 import functools
 import math
 from typing import TYPE_CHECKING, NamedTuple
@@ -86,6 +85,7 @@ RACK, CROSS_AISLE = 1.0, 3.0  # [m]: depth of a row of racks; width of an aisle 
 DOORS = (0.9, 1.1, 1.4)  # [m]
 BESIDE = (0.002, 0.03)  # [m] from a wall: start or dock
 PARALLEL = (1.2, 1.3, 1.5)  # lengths of the car: bays along the aisle
+ALONG_RULE = dataclasses.replace(RULE, dock_run=2.0)
 CURB = 0.15  # [m] beside a parked car: what its tail swings out to as it turns its nose out of the bay
 ROUTE = (10.0, 40.0)  # [m] of free way through a building
 SPARE = (0.001, 0.002, 0.005, 0.01, 0.02)  # [m]
@@ -291,11 +291,9 @@ def along_a_wall(draws: int = 8, seed: int = SEED) -> list[Case]:
     """A long wall 2 to 30 mm beside the robot, parallel to it, where it starts, where it docks or at both.
 
     A docked robot stands as at a conveyor that is loaded from the side, and comes along the wall by a straight of
-    0.3 m. Tags say which. In those with `wall ends`, half as many, the wall ends where the robot must begin to keep
-    more distance than it has, so that straight on is a way. In the others a car cannot keep `ClearanceRule`. Let y be
-    how far its middle has moved away from the wall, s the way driven: a corner 0.45 m from the middle comes nearer by
-    0.45 y' - y. A start of clearance g must keep g, so y' <= y / 0.45 and y stays 0. A dock of g asks for s / 10 at s
-    before it, so y' <= (y + g - s / 10) / 0.45, and y grows for g > 45 mm only.
+    0.3 m; its clearance rule has a `dock_run` of 2 m. Tags say which. In those with `wall ends`, half as many, the wall
+    ends where the robot must begin to keep more distance than it has, so that straight on is a way. `dock, tapered` has
+    no `dock_run`, and is blocked: at 0.3 m before the dock 3 cm are required.
 
     Args:
         draws: How many with each tag that has no ending wall.
@@ -307,6 +305,7 @@ def along_a_wall(draws: int = 8, seed: int = SEED) -> list[Case]:
         "both": (_both_along, draws),
         "start, wall ends": (_start_at_end, draws // 2),
         "dock, wall ends": (_dock_at_end, draws // 2),
+        "dock, tapered": (_dock_tapered, draws // 2),
     }
     cases = []
     for place, (tag, (make, count)) in enumerate(makers.items()):
@@ -348,13 +347,17 @@ def _start_along(rng: np.random.Generator) -> Scene:
 
 def _dock_along(rng: np.random.Generator) -> Scene:
     goal = _beside(_gap_beside(rng), rng)
-    return Scene(_away(rng), dock_at(goal, charger=False), [_wall_below(-15.0, 15.0)])
+    return Scene(_away(rng), dock_at(goal, charger=False), [_wall_below(-15.0, 15.0)], clearance=ALONG_RULE)
+
+
+def _dock_tapered(rng: np.random.Generator) -> Scene:
+    return _dock_along(rng)._replace(clearance=RULE, truth=Truth(math.inf))
 
 
 def _both_along(rng: np.random.Generator) -> Scene:
     goal, start = _beside(_gap_beside(rng), rng), _beside(_gap_beside(rng), rng)
     moved = Pose2(_sign(rng) * rng.uniform(3.0, 6.0), start.y, start.yaw)
-    return Scene(moved, dock_at(goal, charger=False), [_wall_below(-15.0, 15.0)])
+    return Scene(moved, dock_at(goal, charger=False), [_wall_below(-15.0, 15.0)], clearance=ALONG_RULE)
 
 
 def _start_at_end(rng: np.random.Generator) -> Scene:
@@ -375,8 +378,8 @@ def contact(per_kind: int = 6, seed: int = SEED) -> list[Case]:
     """Starts that touch, or have up to 1 mm (every other one), in a field that is open otherwise.
 
     Tags say what: a wall at the `nose`, a `post` at the side, a wall `flush` along the side, or both walls, `corner`.
-    The dock stands free, 2.5 to 5 m away on the open side. As in `along a wall` the rule for starts cannot be kept by a
-    car from the last two, but straight on beyond the wall's end.
+    The dock stands free, 2.5 to 5 m away on the open side. A car that touches a wall with its side cannot turn away
+    from it: it drives on beyond the wall's end, as out of a dock (`at_start` 0, `dock_run` 3 m).
 
     Args:
         per_kind: How many of each kind.
@@ -391,7 +394,8 @@ def contact(per_kind: int = 6, seed: int = SEED) -> list[Case]:
             gap = 0.0 if number % 2 == 0 else rng.uniform(0.0, 0.001)
             distance, bearing = rng.uniform(2.5, 5.0), middle + rng.uniform(-spread, spread)
             goal = Pose2(distance * math.cos(bearing), distance * math.sin(bearing), rng.uniform(-math.pi, math.pi))
-            scene = Scene(Pose2(0.0, 0.0, 0.0), dock_at(goal), _touching(kind, gap, rng))
+            rule = dataclasses.replace(RULE, at_start=0.0, dock_run=3.0) if kind in ("flush", "corner") else RULE
+            scene = Scene(Pose2(0.0, 0.0, 0.0), dock_at(goal), _touching(kind, gap, rng), clearance=rule)
             cases.append(scene.case("contact", kind, number, random_frame(rng)))
     return cases
 

@@ -44,6 +44,7 @@ __all__ = ["ViewProof", "prove_view"]
 
 _MAX_STEP = 0.1  # [m], first cells: some twenty on the last two metres
 _MOST_FIRST = 100_000  # of them; on longer stretches they are longer
+_ROUNDING = 1e-9  # [m] of arc lengths that are added up in another order
 _MAX_LEVELS = 24  # of bisection: cells of 6 nanometres
 _MAX_POSES = 60_000  # added by bisection
 
@@ -108,7 +109,8 @@ def _clipped(motion: PathMotion, stretch: tuple[float, float]) -> Cells:
     cells = motion.cells(max(_MAX_STEP, path.length / _MOST_FIRST))
     first, last = cells.first.copy(), cells.last.copy()
     for i, (segment, start) in enumerate(zip(path.segments, path.segment_starts[:-1].tolist(), strict=True)):
-        low, high = begin - start, end - start
+        # Steps that only turn stand at one arc length; what rounding loses of it must not lose them.
+        low, high = begin - start - _ROUNDING, end - start + _ROUNDING
         if isinstance(segment, PolylineSegment):  # counted in poses; steps that only turn belong to the stretch
             low, high = _pose_number(segment, low, "left"), _pose_number(segment, high, "right")
         own = cells.segment == i

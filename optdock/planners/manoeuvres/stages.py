@@ -49,11 +49,11 @@ _SAMPLING = 40.0  # poses of a path per turning radius
 
 
 class _Exits(NamedTuple):
-    """Ways out of the start by some curvatures, and whether hardly any of the first arcs is free for all its length."""
+    """Ways out of the start by some curvatures, and the mean length of the first arcs that is free [m]."""
 
     nodes: Nodes
     bends: tuple[float, ...]
-    is_boxed_in: bool
+    room: float
 
 
 class Stages:
@@ -203,12 +203,20 @@ class Stages:
         rows = fresh = tree.grow(root, moves, station, self.space, effort)
         # Where hardly anything is free for all of its length, the way out takes several arcs.
         is_boxed_in = bool(np.sum(np.abs(tree.lengths[rows]) >= station) < _FREE_EXITS)
+        room = _mean_length(tree, moves)
         onwards = Moves.of((1.0, -1.0), (0.0, *(bend / effort.radius for bend in bends)))
         while is_boxed_in and fresh.size and rows.size < _MOST_EXITS:
             fresh = tree.grow(fresh, onwards, station, self.space, effort, grid.enter)
             rows = np.concatenate((rows, fresh))
         # Where nothing new is left to grow from, nothing leads out.
-        return _Exits(Nodes(tree, np.concatenate((root, rows)) if fresh.size else root), bends, is_boxed_in)
+        return _Exits(Nodes(tree, np.concatenate((root, rows)) if fresh.size else root), bends, room)
+
+    def _room_before_dock(self, effort: Effort) -> float:
+        """The mean length of the last arcs that is free [m], as that of the first ones of `_exits`."""
+        tree = ArcTree(self.problem.goal.as_array(), self.problem.robot.limits, -1)
+        moves = Moves.of(tuple(-gear for gear in self._gears), (0.0, 1.0 / effort.radius, -1.0 / effort.radius))
+        tree.grow(np.zeros(1, dtype=np.int64), moves, np.array([effort.radius * _EXIT_TURN]), self.space, effort)
+        return _mean_length(tree, moves)
 
     @functools.cached_property
     def _staging_with_margin(self) -> Nodes:
@@ -245,14 +253,15 @@ class Stages:
             if exits.nodes.rows.size < 2 or entries.rows.size == 0:
                 continue  # no arc leads away from the start, or no straight run out of the dock
             # The search begins where space is tight: words reach the other end.
+            from_start = exits.room < self._room_before_dock(effort)
             ways = hybrid_a_star(
                 exits.nodes,
                 entries,
                 self.space,
                 effort,
-                from_ends[exits.is_boxed_in],
+                from_ends[from_start],
                 self._worthwhile,
-                from_start=exits.is_boxed_in,
+                from_start=from_start,
                 bends=exits.bends,
             )
             yield from self._offered("hybrid A*", ways)
@@ -284,6 +293,11 @@ class Stages:
             return False
         self._known.append(places)
         return True
+
+
+def _mean_length(tree: ArcTree, moves: Moves) -> float:
+    """Of the arcs by `moves` out of the root of a tree that has grown once, with one station [m]."""
+    return float(np.abs(tree.lengths).sum()) / moves.signs.size
 
 
 def turning_radius(problem: DockingProblem) -> float:

@@ -79,6 +79,22 @@ def test_driving_past_a_marker_loses_it_where_the_tangent_says(gear, beside):
     assert not prove_view(gone, asked(gone, camera, (2.0, beside)))
 
 
+def test_steps_that_turn_at_the_end_of_a_polyline_are_seen_whatever_rounding_makes_of_its_length():
+    """The last poses stand at one arc length, which added up over the segments is a little less than within the last."""
+    lost = 0
+    for seed in range(200):
+        steps = np.random.default_rng(seed).uniform(0.01, 0.3, 30)
+        way = np.concatenate(([0.0], np.cumsum(steps)))[:, None]
+        poses = way * [math.cos(0.3), math.sin(0.3), 0.0] + [0.0, 0.0, 0.3]
+        last = np.concatenate((poses[20:], poses[-1] + np.arange(1, 11)[:, None] * [0.0, 0.0, 0.3]))
+        path = Path(tuple(PolylineSegment(some, 1) for some in (poses[:11], poses[10:21], last)))
+        if path.before_end(0.0) - path.segment_starts[2] < path.segments[2].knots[-1]:
+            lost += 1
+            seen = asked(path, Camera(CENTRE, 1.0), (9.0 * math.cos(0.3), 9.0 * math.sin(0.3)), visible=0.05)
+            assert [violation.kind for violation in prove_view(path, seen).violations] == ["view"]
+    assert lost > 0
+
+
 def test_a_turn_in_place_loses_the_marker_at_the_angle_of_the_cone():
     camera = Camera(CENTRE, 1.0)
     for turn, holds in ((0.4999, True), (0.5001, False), (-0.4999, True), (-0.5001, False)):
