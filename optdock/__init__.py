@@ -71,6 +71,7 @@ if TYPE_CHECKING:
     from optdock.timing.near_optimal import NearOptimal
     from optdock.trajectory import Trajectory
     from optdock.verification import (
+        BlockedStraight,
         Certificate,
         ImpossibilityProof,
         certify_path,
@@ -130,6 +131,7 @@ _MODULES = {
     "optdock.segments": ("TurnSegment",),
     "optdock.trajectory": ("Trajectory",),
     "optdock.verification": (
+        "BlockedStraight",
         "Certificate",
         "ImpossibilityProof",
         "certify_path",
@@ -144,6 +146,7 @@ _PLUGINS = ("AxisGoalChecker", "CasadiSmoother", "DockPlanner", "ManoeuvrePlanne
 __all__ = [
     "AtDock",
     "AxisGoalChecker",
+    "BlockedStraight",
     "Camera",
     "Cancelled",
     "CasadiSmoother",

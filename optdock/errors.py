@@ -174,10 +174,10 @@ class NoValidPathCouldBeFound(PlannerException):
 
 
 class NoMotionExists(NoValidPathCouldBeFound):
-    """No motion of any kind joins start and goal, and that is proven.
+    """No motion of any kind joins start and goal, or none can end in the dock as it asks, and that is proven.
 
     Attributes:
-        proof: The `ImpossibilityProof`.
+        proof: The `ImpossibilityProof`, or the `BlockedStraight`.
     """
 
     def __init__(self, message: str, *, proof: object, where: Mapping[str, object] | None = None) -> None:

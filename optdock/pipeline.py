@@ -57,6 +57,7 @@ from optdock.refinement import Cancellation, Refinement, Stopwatch, at_work, pla
 from optdock.robot import Robot
 from optdock.verification import (
     TOLERANCE,
+    BlockedStraight,
     ImpossibilityProof,
     ImpossibilitySearch,
     check_impossibility,
@@ -64,6 +65,7 @@ from optdock.verification import (
     pose_clearances,
     prepare_footprint,
     prove_impossible,
+    prove_straight_blocked,
 )
 
 if TYPE_CHECKING:
@@ -354,6 +356,9 @@ class _Portfolio:
         """The best plan; `so_far` holds what exists of the guess that came furthest when there is none."""
         with self.watch.timed("plan"):
             check_ends(self.problem)
+            blocked = prove_straight_blocked(self.problem)
+        if blocked is not None:
+            raise NoMotionExists(blocked.message, proof=blocked, where=blocked.where)
         with contextlib.closing(self._guesses()) as guesses:
             for guess, is_last in guesses:
                 self._try(guess, is_last=is_last)
@@ -446,7 +451,7 @@ class _Portfolio:
             raise PlannerTimedOut(late, where=error.where) from error
         except NoMotionExists as error:
             proof = error.proof
-            if type(proof) is ImpossibilityProof and check_impossibility(proof, self.problem):
+            if isinstance(proof, ImpossibilityProof | BlockedStraight) and check_impossibility(proof, self.problem):
                 raise
             raise PluginError(_UNPROVEN.format(type(planner).__name__)) from error
         if self.deadline.passed():

@@ -27,6 +27,7 @@ from optdock.trajectory import Trajectory
 from optdock.verification import (
     SHARPNESS,
     TOLERANCE,
+    BlockedStraight,
     are_rounded_phases,
     certify_motion,
     certify_path,
@@ -45,7 +46,7 @@ if TYPE_CHECKING:
     from optdock.trajectory import TimeLaw
     from optdock.verification import (
         Certificate,
-        ImpossibilityProof,
+        NoMotionProof,
         SampledMotionVerdict,
         TrajectoryCertificate,
         Violation,
@@ -139,15 +140,21 @@ def _refused(plan: PlanFile, fault: str) -> PlanFileVerdict:
     return PlanFileVerdict("refuted", tuple(rows), (fault,))
 
 
-def _judged_impossible(plan: PlanFile, proof: ImpossibilityProof, problem: DockingProblem) -> PlanFileVerdict:
+def _judged_impossible(plan: PlanFile, proof: NoMotionProof, problem: DockingProblem) -> PlanFileVerdict:
     """Whether the proof that no motion exists holds, and what it says of the bottleneck."""
     verdict = check_impossibility(proof, problem)
     faults = [] if verdict.proven else [f"the proof that no motion exists does not hold: {verdict.reason}"]
     others = ", ".join(proof.problem.differences(problem.fingerprint))
     bottleneck = proof.bottleneck
+    of_straight = f"{verdict.cells} poses on the final straight judged again"
     rows = [
         ("verdict", "impossible, proven" if verdict.proven else "not certified"),
-        ("proof", f"{verdict.cells} cells of poses around the {proof.end} judged again"),
+        (
+            "proof",
+            of_straight
+            if isinstance(proof, BlockedStraight)
+            else f"{verdict.cells} cells of poses around the {proof.end} judged again",
+        ),
         *((("bottleneck", f"{bottleneck} (as the file says, not proven)"),) if bottleneck is not None else ()),
         *((("file proven for", f"another problem: {others} differ; judged here for this one"),) if others else ()),
         *_not_judged(plan, ("bottleneck",) if bottleneck is not None else ()),

@@ -22,7 +22,7 @@ from optdock.io.guarded_file import MostBytes, parse_json, read_text
 from optdock.io.path_columns import Number, PathColumns, check_sampled_curvature, path_columns, path_from_columns
 from optdock.io.quoting import shortened, shown
 from optdock.trajectory import TimeLaw
-from optdock.verification import ImpossibilityProof, SampledMotion
+from optdock.verification import NoMotionProof, SampledMotion, impossibility_from_dict
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -120,7 +120,7 @@ class PlanFile:
     certificate: Mapping[str, object] | None = None
     timing_ms: Mapping[str, float] = field(default_factory=dict)
     error: PlanError | None = None
-    impossibility: ImpossibilityProof | None = None
+    impossibility: NoMotionProof | None = None
     tried: Sequence[Mapping[str, object]] = ()
     unjudged: tuple[str, ...] = ()
 
@@ -348,7 +348,7 @@ def parse_plan(text: str, source: str) -> PlanFile:
         unknown = (*unknown, "raw_path.curvature (of samples)")
     trajectory = _built(lambda: _trajectory(document.trajectory), faults)
     time_law = _built(lambda: _time_law(document.trajectory), faults)
-    proof = _built(lambda: _impossibility(document.impossibility), faults)
+    proof = _built(lambda: _Impossibility.of(document.impossibility), faults)
     if faults:
         raise InvalidFile("\n".join(f"{source}: {fault}" for fault in faults))
     return PlanFile(
@@ -362,7 +362,7 @@ def parse_plan(text: str, source: str) -> PlanFile:
         certificate=None if document.certificate is None else _as_written(document.certificate),
         timing_ms={key: value for key, value in document.timing_ms.items() if value is not None},
         error=None if document.error is None else PlanError(*document.error.model_dump().values()),
-        impossibility=proof,
+        impossibility=None if proof is None else proof.proof,
         tried=tuple(map(_as_written, document.tried)),
         unjudged=unknown,
     )
@@ -377,8 +377,12 @@ def _built(build: Callable[[], T | None], faults: list[str]) -> T | None:
         return None
 
 
-def _impossibility(values: Mapping[str, object] | None) -> ImpossibilityProof | None:
-    return None if values is None else ImpossibilityProof.from_dict(values)
+class _Impossibility(NamedTuple):
+    proof: NoMotionProof
+
+    @classmethod
+    def of(cls, values: Mapping[str, object] | None) -> _Impossibility | None:
+        return None if values is None else cls(impossibility_from_dict(values))
 
 
 def _path(columns: PathColumns | None, name: str) -> tuple[Path, bool] | None:

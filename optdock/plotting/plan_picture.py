@@ -29,7 +29,7 @@ from optdock.plotting.scene import (
     view_of,
 )
 from optdock.plotting.view_drawing import draw_cone, draw_view
-from optdock.verification import ImpossibilityProof
+from optdock.verification import BlockedStraight, ImpossibilityProof
 
 if TYPE_CHECKING:
     from pathlib import Path as FilePath
@@ -40,7 +40,7 @@ if TYPE_CHECKING:
     from optdock.geometry.arrays import FloatArray
     from optdock.path import Path
     from optdock.problem import DockingProblem
-    from optdock.verification import Certificate
+    from optdock.verification import Certificate, NoMotionProof
 
 __all__ = ["save_plan_picture"]
 
@@ -99,8 +99,9 @@ def save_plan_picture(  # noqa: PLR0913 - one parameter for each thing that is d
     size = 0.6 * problem.robot.footprint.circumscribed_radius
     draw_arrow(axes, problem.start, size, COLOURS["start"], "start")
     draw_arrow(axes, problem.goal, size, COLOURS["goal"], "goal")
-    if isinstance(refusal, NoMotionExists) and isinstance(refusal.proof, ImpossibilityProof):
-        _draw_impossibility(axes, problem, refusal.proof)
+    proof = refusal.proof if isinstance(refusal, NoMotionExists) else None
+    if isinstance(proof, ImpossibilityProof | BlockedStraight):
+        _draw_impossibility(axes, problem, proof)
     elif refusal is not None:
         _draw_refusal(axes, problem, refusal, place)
     elif path is not None and certificate is not None:
@@ -153,8 +154,16 @@ def _draw_refusal(axes: Axes, problem: DockingProblem, refusal: OptdockError, pl
         draw_shapes(axes, [obstacles.vertices[row] for row in named], OutlineStyle(edge=COLOURS["hot"], order=5.5))
 
 
-def _draw_impossibility(axes: Axes, problem: DockingProblem, proof: ImpossibilityProof) -> None:
-    """Where the middle of the robot can get from one end, and the outline where the widest way out is too narrow."""
+def _draw_impossibility(axes: Axes, problem: DockingProblem, proof: NoMotionProof) -> None:
+    """Where the middle of the robot can get from one end, and the outline where the widest way out is too narrow.
+
+    Of a blocked straight the outline where it is blocked.
+    """
+    if isinstance(proof, BlockedStraight):
+        for blocked in proof.poses:
+            pose = np.array([[blocked.x, blocked.y, blocked.yaw]])
+            _mark(axes, problem, pose, f"blocked by {in_words(blocked.obstacle)}")
+        return
     style = OutlineStyle(
         face=COLOURS["start" if proof.end == "start" else "goal"],
         alpha=0.3,

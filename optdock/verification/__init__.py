@@ -40,6 +40,7 @@ chapters, in the order in which a proof uses them:
     time_of_impact          the same advance at a constant body velocity: how long a command is safe
 """
 
+from optdock.verification.blocked_straight import BlockedPose, BlockedStraight, prove_straight_blocked
 from optdock.verification.cell_decomposition import ImpossibilitySearch, prepare_footprint, prove_impossible
 from optdock.verification.certificate import (
     SHARPNESS,
@@ -54,8 +55,8 @@ from optdock.verification.impossibility import (
     Bottleneck,
     ImpossibilityProof,
     ImpossibilityVerdict,
-    check_impossibility,
 )
+from optdock.verification.no_motion import NoMotionProof, check_impossibility, impossibility_from_dict
 from optdock.verification.proven_motion import (
     ProvenMotion,
     ProvenWay,
@@ -78,12 +79,15 @@ from optdock.verification.sampled_motion import SampledMotion
 __all__ = [
     "SHARPNESS",
     "TOLERANCE",
+    "BlockedPose",
+    "BlockedStraight",
     "Bottleneck",
     "Certificate",
     "EndClearances",
     "ImpossibilityProof",
     "ImpossibilitySearch",
     "ImpossibilityVerdict",
+    "NoMotionProof",
     "ProvenMotion",
     "ProvenWay",
     "SampledMotion",
@@ -99,11 +103,13 @@ __all__ = [
     "check_sampled_motion",
     "check_samples_of",
     "end_clearances",
+    "impossibility_from_dict",
     "pose_clearance",
     "pose_clearances",
     "prepare_footprint",
     "prove_impossible",
     "prove_motion",
+    "prove_straight_blocked",
     "prove_way",
     "proven_for",
     "proven_way",

@@ -1,6 +1,6 @@
 """A proof that no motion exists: a set of poses around the goal, or the start, whose whole rim is blocked.
 
-**Theorem.** Let `check_impossibility(proof, problem)` be proven. Then no continuous motion of the robot from the start
+**Theorem.** Let `check_cells(proof, problem)` be proven. Then no continuous motion of the robot from the start
 to the goal keeps the clearance that the problem requires: not along any path, with or without reversing or turning in
 place, however curved. It is one-sided: no proof does not mean that there is a motion.
 
@@ -55,7 +55,7 @@ __all__ = [
     "Bottleneck",
     "ImpossibilityProof",
     "ImpossibilityVerdict",
-    "check_impossibility",
+    "check_cells",
     "least_required",
 ]
 
@@ -298,7 +298,7 @@ class ImpossibilityVerdict(NamedTuple):
         return self.proven
 
 
-def check_impossibility(proof: ImpossibilityProof, problem: DockingProblem) -> ImpossibilityVerdict:
+def check_cells(proof: ImpossibilityProof, problem: DockingProblem) -> ImpossibilityVerdict:
     """Judge a proof, by whomever, for `problem`: nothing of it is believed but what is computed again.
 
     Args:

@@ -17,11 +17,22 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
 
     from optdock.geometry.arrays import BoolArray, FloatArray, IntArray
+    from optdock.limits import MotionLimits
     from optdock.planners.manoeuvres.free_space import Effort, FreeSpace
     from optdock.planners.manoeuvres.tree import ArcTree
     from optdock.problem import DockingProblem
 
-__all__ = ["Connections", "Nodes", "all_pairs", "connections", "free_manoeuvres", "promising"]
+__all__ = [
+    "Connections",
+    "Nodes",
+    "PairWords",
+    "all_pairs",
+    "cheapest_words",
+    "connections",
+    "free_manoeuvres",
+    "is_wholly_free",
+    "promising",
+]
 
 _PAIRS = 128  # whose words are found in one go, about a millisecond
 _GLANCE = readonly(np.arange(1, 9) / 9.0)  # shares of a word at which it is looked at before it is looked at whole
@@ -90,25 +101,49 @@ def all_pairs(exits: Nodes, entries: Nodes) -> tuple[Nodes, Nodes]:
     return Nodes(exits.tree, i), Nodes(entries.tree, j)
 
 
-def _cheapest(exits: Nodes, entries: Nodes, radius: float, problem: DockingProblem, per_pair: int) -> Connections:
-    """The cheapest words of as many pairs."""
-    limits = problem.robot.limits
-    (leaving, i), (arriving, j) = exits, entries
-    words = reeds_shepp_words(leaving.poses[i], arriving.poses[j], radius).lengths
+class PairWords(NamedTuple):
+    """Words of pairs of poses: which pair, time at full speed [s], Shape (m,); lengths and curvatures Shape (m, 5)."""
+
+    pair: IntArray
+    driven: FloatArray
+    lengths: FloatArray
+    curvatures: FloatArray
+
+
+def cheapest_words(
+    starts: FloatArray, ends: FloatArray, radius: float, limits: MotionLimits, per_pair: int
+) -> PairWords:
+    """The words that take least time at full speed, a few of every pair of poses, Shape (n, 3) each.
+
+    Args:
+        starts: Where they begin.
+        ends: Where they end.
+        radius: Of all arcs [m].
+        limits: Of the speeds.
+        per_pair: How many at most.
+    """
+    words = reeds_shepp_words(starts, ends, radius).lengths
     with np.errstate(invalid="ignore"):
         driven = driving_times(words, limits).sum(axis=2)
     driven = np.where(np.isnan(driven), np.inf, driven)
     few = np.argpartition(driven, per_pair, axis=0)[:per_pair]
-    pair = np.broadcast_to(np.arange(i.size), few.shape)[np.isfinite(driven[few, np.arange(i.size)])]
-    form = few[np.isfinite(driven[few, np.arange(i.size)])]
-    lengths = words[form, pair]
+    is_one = np.isfinite(driven[few, np.arange(len(starts))])
+    pair, form = np.broadcast_to(np.arange(len(starts)), few.shape)[is_one], few[is_one]
+    return PairWords(pair, driven[form, pair], words[form, pair], TURNS[form] / radius)
+
+
+def _cheapest(exits: Nodes, entries: Nodes, radius: float, problem: DockingProblem, per_pair: int) -> Connections:
+    """The cheapest words of as many pairs."""
+    limits = problem.robot.limits
+    (leaving, i), (arriving, j) = exits, entries
+    pair, driven, lengths, curvatures = cheapest_words(leaving.poses[i], arriving.poses[j], radius, limits, per_pair)
     # With the gears in which the nodes are left and reached, cusps at the joints count as well.
     gears = np.column_stack((leaving.signs[i[pair]], lengths, -arriving.signs[j[pair]]))
-    prices = driven[form, pair] + leaving.prices[i[pair]] + arriving.prices[j[pair]]
+    prices = driven + leaving.prices[i[pair]] + arriving.prices[j[pair]]
     prices += stopping_cost(limits) * gear_changes(gears)
     kept = np.flatnonzero(_in_allowed_gears(gears, problem))
-    pair, form = pair[kept], form[kept]
-    return Connections(prices[kept], i[pair], j[pair], lengths[kept], TURNS[form] / radius)
+    pair = pair[kept]
+    return Connections(prices[kept], i[pair], j[pair], lengths[kept], curvatures[kept])
 
 
 def _in_allowed_gears(gears: FloatArray, problem: DockingProblem) -> BoolArray:
@@ -171,6 +206,12 @@ def free_manoeuvres(
                 entries.way(int(found.entries[r])),
             )
             whole = joined(space.problem.start.as_array(), *parts)
-            # All of it, closely, without the margin: what a search glances over must not reach anybody.
-            if space.is_free(whole.poses_every(space.width / _CLOSE_POSES_PER_WIDTH), 0.0, effort.start_relief).all():
+            if is_wholly_free(whole, space, effort):
                 yield whole
+
+
+def is_wholly_free(whole: Arcs, space: FreeSpace, effort: Effort) -> bool:
+    """A close look at one way alone, without the margin: what a search glances over must not reach anybody."""
+    space.poll()
+    poses = whole.poses_every(space.width / _CLOSE_POSES_PER_WIDTH)
+    return bool(space.is_free(poses, 0.0, effort.start_relief).all())

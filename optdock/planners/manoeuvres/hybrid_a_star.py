@@ -9,7 +9,6 @@ what is still to drive is the cheaper of all words, and the length of the shorte
 from __future__ import annotations
 
 import heapq
-import math
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -84,8 +83,8 @@ def hybrid_a_star(  # noqa: PLR0913 - two ends, a space, and how to search
 ) -> Iterator[Arcs]:
     """Free manoeuvres as they are found, whole from start to goal.
 
-    The first way found is seldom the best one: once there is a plan the tree grows no more, but it is shot at while
-    that may pay.
+    The first way found is seldom the best one: once there is a plan, or a better one, the tree grows no more, but it is
+    shot at while that may pay.
 
     Args:
         exits: The start, from which every node is shot at, and other nodes of its tree, which take turns.
@@ -106,7 +105,8 @@ def hybrid_a_star(  # noqa: PLR0913 - two ends, a space, and how to search
     opened: list[tuple[float, int]] = []
     shots: list[Connections] = []
     fresh, nodes = growing.rows, 0
-    while fresh.size and math.isinf(worthwhile()):
+    most = worthwhile()
+    while fresh.size and worthwhile() >= most:
         aimed, shooting = _pairs(aims, Nodes(tree, fresh))
         pairs = (shooting, aimed) if from_start else (aimed, shooting)
         words = connections(*pairs, radius, space, _WORDS_PER_NODE)
@@ -120,7 +120,8 @@ def hybrid_a_star(  # noqa: PLR0913 - two ends, a space, and how to search
         cheapest = np.full(len(tree), np.inf)
         np.minimum.at(cheapest, shooters, words.prices)
         for bound, row in zip(_bounds(tree, fresh, cheapest, speed, wavefront).tolist(), fresh.tolist(), strict=True):
-            heapq.heappush(opened, (bound, row))
+            if from_start or row > 0:  # what leads into the dock in a gear that it allows is among the entries already
+                heapq.heappush(opened, (bound, row))
         looked, shots = shots[0].rows(slice(_SHOTS)), [shots[0].rows(slice(_SHOTS, None))]
         yield from free_manoeuvres(looked, exits.tree, entries.tree, space, effort, worthwhile)
         fresh = fresh[:0]

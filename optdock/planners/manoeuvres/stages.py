@@ -19,6 +19,7 @@ from optdock.planners.manoeuvres.free_space import Effort, FreeSpace
 from optdock.planners.manoeuvres.hybrid_a_star import FULL_LOCK, PoseGrid, hybrid_a_star
 from optdock.planners.manoeuvres.price import ends_cost, least_price, least_prices
 from optdock.planners.manoeuvres.reeds_shepp import reeds_shepp_words
+from optdock.planners.manoeuvres.roadmap import elastic_band, roadmap_ways
 from optdock.planners.manoeuvres.tree import ArcTree, Moves
 from optdock.planners.manoeuvres.turns import routes, turning_places, turns_and_drives
 from optdock.verification import end_clearances
@@ -26,9 +27,10 @@ from optdock.verification import end_clearances
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
-    from optdock.geometry.arrays import FloatArray
+    from optdock.geometry.arrays import FloatArray, IntArray
     from optdock.planners.manoeuvres.arcs import Arcs
     from optdock.planners.manoeuvres.turns import TurnSearch
+    from optdock.planners.manoeuvres.wavefront import Wavefront
     from optdock.problem import DockingProblem
 
 __all__ = ["Stages"]
@@ -38,6 +40,12 @@ _RUNS = readonly(np.array([0.0, 0.25, 0.5, 1.0, 1.5, 2.0, 3.0]))
 _EXIT_TURN = 1.0  # [rad] of arcs out of the start; straight lines are as long
 # A robot a few millimetres beside a wall cannot turn away from it at full lock: its tail would meet the wall.
 _GENTLE = (*FULL_LOCK, 0.1, -0.1, 0.015, -0.015)
+_BOTH = 1.0, -1.0  # gears
+# The dock is tight where less than this share of the last arcs is free.
+_TIGHT = 0.5
+# A plan is dear at this multiple of the price of the cheapest word without obstacles, and of the way around these at full
+# speed: then a better one is looked for, with so many nodes.
+_DEAR, _NODES_FOR_A_BETTER_ONE = 1.3, 1000
 _FREE_EXITS, _MOST_EXITS = 4, 60  # of six; nodes of the start's tree after which it grows no more
 # Straight runs out of the start before a turn, in circumscribed radii: what stands beside the robot is left behind.
 _TURN_EXITS = readonly(np.array([0.5, 1.0, 1.5, 2.0, 3.0]))
@@ -93,15 +101,20 @@ class Stages:
         stands = self.problem.start_speed == 0.0 and self.problem.start_acceleration == 0.0
         turns = self.problem.robot.turns_in_place and stands
         most = self._better_than()
-        if self._straight_on() >= most or (not turns and self._cheapest_word() >= most):
+        if self._straight_on() >= most or (not turns and self._cheapest_word >= most):
             return  # what there is cannot be beaten, were there no obstacle at all
         words = self._words(self._efforts[0])
         yield from self._cheaper_first(self._turn_and_drive(turns_and_drives), words) if turns else words
         yield from self._words(self._efforts[1])  # hybrid A* shoots those without a margin
         if turns and math.isinf(self._better_than()):
             yield from self._turn_and_drive(routes)
-        if math.isinf(self._better_than()):
-            yield from self._hybrid_a_star()
+        # Where the dock itself is tight, the way to it is not what is hard to find.
+        is_tight = self._room_before_dock(self._efforts[0]) < _TIGHT * _EXIT_TURN * self._efforts[0].radius
+        for search in (
+            (self._hybrid_a_star, self._along_routes) if is_tight else (self._along_routes, self._hybrid_a_star)
+        ):
+            if self._is_worth_a_search():
+                yield from search()
 
     def _cheaper_first(self, *stages: Iterator[Guess]) -> Iterator[Guess]:
         """The guesses of several stages, merged by price."""
@@ -119,6 +132,7 @@ class Stages:
         distance = self.problem.start.distance_to(self.problem.goal)
         return float(least_prices(np.array([[distance], [-distance]]), self.problem).min())
 
+    @functools.cached_property
     def _cheapest_word(self) -> float:
         """The least price of a word to the final straight, obstacles ignored [s]."""
         straights = -self.problem.dock.final_straight * np.array(self._gears)
@@ -192,31 +206,52 @@ class Stages:
 
     def _exits(self, effort: Effort, bends: tuple[float, ...] = FULL_LOCK) -> _Exits:
         """The start, and the ends of arcs and lines out of it, one after another where it is boxed in."""
-        tree = ArcTree(self.problem.start.as_array(), self.problem.robot.limits, 1)
+        tree, root = ArcTree(self.problem.start.as_array(), self.problem.robot.limits, 1), np.zeros(1, dtype=np.int64)
         speed = self.problem.start_speed
-        moves = Moves.of(
-            (1.0, -1.0) if speed == 0.0 else (math.copysign(1.0, speed),),
-            (0.0, *(bend / effort.radius for bend in bends)),
-        )
-        root = np.zeros(1, dtype=np.int64)
+        gears = (1.0, -1.0) if speed == 0.0 else (math.copysign(1.0, speed),)
+        rows, room = self._grown(Nodes(tree, root), gears, effort, bends)
+        return _Exits(Nodes(tree, np.concatenate((root, rows))), bends, room)
+
+    def _entries(self, effort: Effort) -> Nodes:
+        """The staging poses, and without a final straight the ends of arcs that lead into the dock as it allows."""
+        tree, rows = self._staging(effort)
+        if self.problem.dock.final_straight > 0.0:
+            return Nodes(tree, rows)
+        arcs = Moves.of(tuple(-gear for gear in self._gears), (1.0 / effort.radius, -1.0 / effort.radius))
+        stations = self.radius * _RUNS[1:]
+        return Nodes(tree, np.append(rows, tree.grow(np.zeros(1, dtype=np.int64), arcs, stations, self.space, effort)))
+
+    def _grown(
+        self, end: Nodes, gears: tuple[float, ...], effort: Effort, bends: tuple[float, ...] = FULL_LOCK
+    ) -> tuple[IntArray, float]:
+        """Arcs and lines out of the nodes of an end, more of them one after another where hardly any is free.
+
+        Args:
+            end: Where they begin.
+            gears: Signs of the first lengths.
+            effort: How closely to look.
+            bends: Curvatures of arcs in those of the smallest radius.
+
+        Returns:
+            The rows of the new nodes, none where nothing leads out, and the mean free length of the first arcs [m].
+        """
+        tree, first = end
         station, grid = np.array([effort.radius * _EXIT_TURN]), PoseGrid(self.space, effort.fineness)
-        rows = fresh = tree.grow(root, moves, station, self.space, effort)
-        # Where hardly anything is free for all of its length, the way out takes several arcs.
-        is_boxed_in = bool(np.sum(np.abs(tree.lengths[rows]) >= station) < _FREE_EXITS)
-        room = _mean_length(tree, moves)
-        onwards = Moves.of((1.0, -1.0), (0.0, *(bend / effort.radius for bend in bends)))
+        moves, onwards = (Moves.of(signs, (0.0, *(bend / effort.radius for bend in bends))) for signs in (gears, _BOTH))
+        rows = fresh = tree.grow(first, moves, station, self.space, effort)
+        lengths = np.abs(tree.lengths[rows])
+        is_boxed_in = np.sum(lengths >= station) < _FREE_EXITS * first.size
         while is_boxed_in and fresh.size and rows.size < _MOST_EXITS:
             fresh = tree.grow(fresh, onwards, station, self.space, effort, grid.enter)
             rows = np.concatenate((rows, fresh))
-        # Where nothing new is left to grow from, nothing leads out.
-        return _Exits(Nodes(tree, np.concatenate((root, rows)) if fresh.size else root), bends, room)
+        return rows if fresh.size else fresh, float(lengths.sum()) / (moves.signs.size * first.size)
 
     def _room_before_dock(self, effort: Effort) -> float:
         """The mean length of the last arcs that is free [m], as that of the first ones of `_exits`."""
         tree = ArcTree(self.problem.goal.as_array(), self.problem.robot.limits, -1)
         moves = Moves.of(tuple(-gear for gear in self._gears), (0.0, 1.0 / effort.radius, -1.0 / effort.radius))
         tree.grow(np.zeros(1, dtype=np.int64), moves, np.array([effort.radius * _EXIT_TURN]), self.space, effort)
-        return _mean_length(tree, moves)
+        return float(np.abs(tree.lengths).sum()) / moves.signs.size
 
     @functools.cached_property
     def _staging_with_margin(self) -> Nodes:
@@ -239,21 +274,57 @@ class Stages:
             free_manoeuvres(found, self._start.tree, staging.tree, self.space, effort, self._better_than),
         )
 
+    def _is_worth_a_search(self) -> bool:
+        """Whether there is no plan, or one that is much dearer than the way around the obstacles would be."""
+        best = self._better_than()
+        if math.isinf(best):
+            return True
+        limits, goal = self.problem.robot.limits, self.problem.goal.as_array()[None, :2]
+        around = float(self._wave_from_start.lengths(goal)[0]) / max(limits.max_speed, limits.max_reverse_speed)
+        return best > _DEAR * max(around + ends_cost(self.problem), self._cheapest_word)
+
+    @functools.cached_property
+    def _wave_from_start(self) -> Wavefront:
+        return self.space.wavefront(self.problem.start.as_array()[:2])
+
+    def _along_routes(self) -> Iterator[Guess]:
+        """Words from pose to pose along the way of a disc around the obstacles."""
+        start, radius = self.problem.start.as_array(), 0.5 * self.space.footprint.width
+        radius += self.problem.path_clearance.required
+        for effort in self._efforts[:2]:
+            exits, entries = self._exits(effort).nodes, self._staging(effort)
+            entries = Nodes(entries.tree, entries.rows[entries.rows > 0])
+            if entries.rows.size == 0:
+                return
+            way = self.space.wavefront(start[:2], radius).way(entries.tree.poses[entries.rows[0], :2])
+            if way is None:
+                return
+            s = np.concatenate(([0.0], np.cumsum(np.hypot(*np.diff(way, axis=0).T))))
+            at = np.linspace(0.0, s[-1], max(3, round(s[-1] / self.space.width) + 1))
+            route = np.column_stack([np.interp(at, s, way[:, i]) for i in (0, 1)])
+            route[0], route[-1] = start[:2], entries.tree.poses[entries.rows[0], :2]
+            route = elastic_band(route, self.space, effort.radius + radius)
+            ways = roadmap_ways(exits, entries, self.space, effort, route, self._worthwhile)
+            yield from self._offered("roadmap", ways)
+
     def _hybrid_a_star(self) -> Iterator[Guess | None]:
         """As far afield as it takes, until there is a plan; with a pause where an effort was in vain."""
-        ends = self.problem.start.as_array()[:2], self.problem.goal.as_array()[:2]
-        from_ends = [self.space.wavefront(end) for end in ends]
-        if math.isinf(from_ends[0].lengths(ends[1][None])[0]):
+        goal, has_plan = self.problem.goal.as_array()[:2], math.isfinite(self._better_than())
+        from_ends = self._wave_from_start, self.space.wavefront(goal)
+        if math.isinf(self._wave_from_start.lengths(goal[None])[0]):
             yield None
             return
-        for effort in self._efforts:
-            exits, entries = self._exits(effort), self._staging(effort)
+        for effort in (self._efforts[0]._replace(nodes=_NODES_FOR_A_BETTER_ONE),) if has_plan else self._efforts:
+            exits, entries = self._exits(effort), self._entries(effort)
             if exits.nodes.rows.size < 2 and effort.start_relief > 0.0:
                 exits = self._exits(effort, _GENTLE)  # along a wall
             if exits.nodes.rows.size < 2 or entries.rows.size == 0:
                 continue  # no arc leads away from the start, or no straight run out of the dock
             # The search begins where space is tight: words reach the other end.
             from_start = exits.room < self._room_before_dock(effort)
+            if from_start:
+                more, _ = self._grown(entries, _BOTH, effort)
+                entries = Nodes(entries.tree, np.append(entries.rows, more))
             ways = hybrid_a_star(
                 exits.nodes,
                 entries,
@@ -293,11 +364,6 @@ class Stages:
             return False
         self._known.append(places)
         return True
-
-
-def _mean_length(tree: ArcTree, moves: Moves) -> float:
-    """Of the arcs by `moves` out of the root of a tree that has grown once, with one station [m]."""
-    return float(np.abs(tree.lengths).sum()) / moves.signs.size
 
 
 def turning_radius(problem: DockingProblem) -> float:

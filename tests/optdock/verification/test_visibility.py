@@ -80,7 +80,7 @@ def test_driving_past_a_marker_loses_it_where_the_tangent_says(gear, beside):
 
 
 def test_steps_that_turn_at_the_end_of_a_polyline_are_seen_whatever_rounding_makes_of_its_length():
-    """The last poses stand at one arc length, which added up over the segments is a little less than within the last."""
+    """The last poses stand at one arc length, which added up over the segments is less by rounding."""
     lost = 0
     for seed in range(200):
         steps = np.random.default_rng(seed).uniform(0.01, 0.3, 30)

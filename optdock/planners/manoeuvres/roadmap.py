@@ -1,0 +1,239 @@
+"""A lazy roadmap along a route: Reeds-Shepp words from pose to pose on the way around the obstacles.
+
+Hybrid A* finds its way through a building metre by metre. A shortest way of a disc through it is known at once, and
+what is left to find out is where the robot turns round, and in which gear it drives. So poses stand along that way,
+looking along it and back; words join neighbours; and the cheapest sequence of words is searched for, of which a word is
+looked at only when the search gets there ([Bohlin2000], whose roadmap has random vertices).
+
+The way of the disc leads past corners as closely as it can. An elastic band ([Quinlan1993]) pulls it into the middle of
+what room there is, up to the radius in which the robot can turn.
+"""
+
+from __future__ import annotations
+
+import heapq
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+from optdock.planners.manoeuvres.arcs import Arcs
+from optdock.planners.manoeuvres.connections import cheapest_words, is_wholly_free
+from optdock.planners.manoeuvres.price import gear_changes, stopping_cost
+from optdock.planners.manoeuvres.tree import joined
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator
+
+    from optdock.geometry.arrays import FloatArray, IntArray
+    from optdock.planners.manoeuvres.connections import Nodes
+    from optdock.planners.manoeuvres.free_space import Effort, FreeSpace
+
+__all__ = ["elastic_band", "roadmap_ways"]
+
+_SPACING, _MOST_STATIONS = 0.75, 120  # between stations in turning radii; on longer routes they are farther apart
+_AHEAD = 3  # stations that a word may lead on
+_NEAR_ENDS = 6  # stations that words out of the start may lead to, and from which they may lead into the dock
+_MOST_ENDS = 8  # nodes of each end's tree
+_PAIRS, _WORDS_PER_PAIR = 128, 3
+_BATCH = 16  # words looked at in one go
+_MOST_LOOKS, _MORE_LOOKS = 3000, 200  # words, after which nothing is expected, or after a way nothing else
+_NOTHING = 1e-6  # [m]: shorter arcs are no motion
+_PULLS, _STIFFNESS = 60, 0.5  # of the elastic band: how often, and how far towards the middle of the neighbours
+
+
+class _Edges(NamedTuple):
+    """Words between vertices in the order of their sources, Shape (m,); the gears in which they begin and end.
+
+    Lengths and curvatures: Shape (m, 5).
+    """
+
+    sources: IntArray
+    targets: IntArray
+    prices: FloatArray
+    begins: FloatArray
+    ends: FloatArray
+    lengths: FloatArray
+    curvatures: FloatArray
+
+
+class _Label(NamedTuple):
+    """The cheapest way known to a vertex: its price, the gear at its end, and the edge that it ends with."""
+
+    price: float
+    gear: float
+    edge: int
+
+
+def roadmap_ways(
+    exits: Nodes,
+    entries: Nodes,
+    space: FreeSpace,
+    effort: Effort,
+    route: FloatArray,
+    worthwhile: Callable[[], float],
+) -> Iterator[Arcs]:
+    """Free manoeuvres along a route as they are found, about the cheapest first.
+
+    Args:
+        exits: The start, and other nodes of its tree.
+        entries: Nodes of the goal's tree, its root left out.
+        space: What is free.
+        effort: How sharply to turn, and how closely to look.
+        route: Points from the start to the goal, Shape (n, 2) [m].
+        worthwhile: The price from which on a way is of no use.
+    """
+    search = _LazySearch(exits, entries, space, effort, route)
+    for price, way in search.ways():
+        if price >= worthwhile():
+            return
+        if is_wholly_free(way, space, effort):
+            yield way
+
+
+class _LazySearch:
+    """Best-first search over words that are looked at when their turn comes; arguments as of `roadmap_ways`.
+
+    Vertices are the exits, then poses along the route, then the entries.
+    """
+
+    def __init__(self, exits: Nodes, entries: Nodes, space: FreeSpace, effort: Effort, route: FloatArray) -> None:
+        self._exits, self._entries = exits.tree, entries.tree
+        self._out, self._into = exits.rows[:_MOST_ENDS], entries.rows[:_MOST_ENDS]
+        self._space, self._effort = space, effort
+        limits = space.problem.robot.limits
+        self._stop, self._speed = stopping_cost(limits), max(limits.max_speed, limits.max_reverse_speed)
+        along, self._spacing = _stations(route, effort.radius)
+        self._count = len(along)
+        poses = np.concatenate((along, along + np.array([0.0, 0.0, np.pi])))
+        free = np.flatnonzero(space.is_free(poses, effort.margin, effort.start_relief))
+        self._poses = np.concatenate((exits.tree.poses[self._out], poses[free], entries.tree.poses[self._into]))
+        first, last = np.zeros(self._out.size, dtype=np.int64), np.full(self._into.size, self._count)
+        self._station = np.concatenate((first, free % self._count, last))
+        self._begin, self._end = self._out.size, self._out.size + free.size
+        self._edges = self._words()
+        self._of = np.searchsorted(self._edges.sources, np.arange(len(self._poses) + 1))
+
+    def _words(self) -> _Edges:
+        """Words between vertices that are near each other along the route, in gears that the ends allow."""
+        station, vertex = self._station, np.arange(len(self._poses))
+        i, j = (grid.ravel() for grid in np.meshgrid(vertex[: self._end], vertex[self._begin :], indexing="ij"))
+        on, leaves, arrives = station[j] - station[i], i < self._begin, j >= self._end
+        wanted = np.where(leaves, station[j] < _NEAR_ENDS, station[i] >= self._count - _NEAR_ENDS)
+        wanted = np.where(leaves | arrives, wanted & (leaves != arrives), (on >= 0) & (on <= _AHEAD) & (i != j))
+        i, j = i[wanted], j[wanted]
+        limits, blocks = self._space.problem.robot.limits, []
+        for k in range(0, i.size, _PAIRS):
+            self._space.poll()
+            ends = self._poses[i[k : k + _PAIRS]], self._poses[j[k : k + _PAIRS]]
+            block = cheapest_words(*ends, self._effort.radius, limits, _WORDS_PER_PAIR)
+            blocks.append(block._replace(pair=block.pair + k))
+        pair, driven, lengths, curvatures = (np.concatenate(column) for column in zip(*blocks, strict=True))
+        signs = np.where(np.abs(lengths) > _NOTHING, np.sign(lengths), 0.0)
+        rows, moves = np.arange(len(signs)), signs != 0.0
+        begins, ends_in = signs[rows, moves.argmax(axis=1)], signs[rows, -1 - moves[:, ::-1].argmax(axis=1)]
+        prices = driven + self._stop * gear_changes(lengths)
+        speed = self._space.problem.start_speed
+        kept = moves.any(axis=1) & ((i[pair] > 0) | (begins * speed >= 0.0))
+        kept = np.flatnonzero(kept)[np.argsort(i[pair[kept]], kind="stable")]
+        pair = pair[kept]
+        return _Edges(i[pair], j[pair], prices[kept], begins[kept], ends_in[kept], lengths[kept], curvatures[kept])
+
+    def ways(self) -> Iterator[tuple[float, Arcs]]:
+        """Whole ways with their prices as they are found, every word of them free."""
+        labels: dict[int, _Label] = {}
+        opened: list[tuple[float, float, int]] = []
+        for vertex, row in enumerate(self._out.tolist()):
+            labels[vertex] = _Label(float(self._exits.prices[row]), float(self._exits.signs[row]), -1)
+            self._push(vertex, labels[vertex], opened)
+        looks, most = 0, _MOST_LOOKS
+        while opened and looks < most:
+            some = self._next(opened, labels)
+            looks += len(some)
+            for (price, edge), is_free in zip(some, self._are_free([edge for _, edge in some]), strict=True):
+                target = int(self._edges.targets[edge])
+                if not is_free or (target in labels and labels[target].price <= price):
+                    continue
+                labels[target] = _Label(price, float(self._edges.ends[edge]), edge)
+                if target < self._end:
+                    self._push(target, labels[target], opened)
+                    continue
+                most = min(most, looks + _MORE_LOOKS)
+                row = int(self._into[target - self._end])
+                turns = labels[target].gear * -float(self._entries.signs[row]) < 0.0
+                yield price + float(self._entries.prices[row]) + self._stop * turns, self._way(target, labels)
+
+    def _push(self, vertex: int, label: _Label, opened: list[tuple[float, float, int]]) -> None:
+        """All words out of a vertex, by the price of the way with them and of what is left of the route."""
+        some = slice(self._of[vertex], self._of[vertex + 1])
+        changes = self._edges.begins[some] * label.gear < 0.0
+        prices = label.price + self._edges.prices[some] + self._stop * changes
+        left = (self._count - self._station[self._edges.targets[some]]) * self._spacing / self._speed
+        edges = range(some.start, some.stop)
+        for bound, price, edge in zip((prices + left).tolist(), prices.tolist(), edges, strict=True):
+            heapq.heappush(opened, (bound, price, edge))
+
+    def _next(self, opened: list[tuple[float, float, int]], labels: dict[int, _Label]) -> list[tuple[float, int]]:
+        """The next words that are worth a look, with the prices of the ways to their ends."""
+        some: list[tuple[float, int]] = []
+        while opened and len(some) < _BATCH:
+            _, price, edge = heapq.heappop(opened)
+            target = int(self._edges.targets[edge])
+            if target not in labels or labels[target].price > price:
+                some.append((price, edge))
+        return some
+
+    def _are_free(self, edges: list[int]) -> list[bool]:
+        """Whether words are free."""
+        if not edges:
+            return []
+        self._space.poll()
+        sources, spacing = self._poses[self._edges.sources[edges]], self._space.spacing(self._effort)
+        words = Arcs(sources, self._edges.lengths[edges], self._edges.curvatures[edges])
+        blocks = [words.rows(slice(k, k + 1)).poses_every(spacing) for k in range(words.size)]
+        asked = self._effort.margin, self._effort.start_relief
+        free = self._space.is_free(np.concatenate(blocks), *asked)
+        begins = np.cumsum([0, *(len(block) for block in blocks[:-1])])
+        found: list[bool] = np.logical_and.reduceat(free, begins).tolist()
+        return found
+
+    def _way(self, vertex: int, labels: dict[int, _Label]) -> Arcs:
+        """The whole way over an entry."""
+        parts = [self._entries.way(int(self._into[vertex - self._end]))]
+        while (edge := labels[vertex].edge) >= 0:
+            parts.append((self._edges.lengths[edge], self._edges.curvatures[edge]))
+            vertex = int(self._edges.sources[edge])
+        parts.append(self._exits.way(int(self._out[vertex])))
+        return joined(self._space.problem.start.as_array(), *reversed(parts))
+
+
+def _stations(route: FloatArray, radius: float) -> tuple[FloatArray, float]:
+    """Poses along a route, and how far they are apart [m]. Shape (n, 3)."""
+    s = np.concatenate(([0.0], np.cumsum(np.hypot(*np.diff(route, axis=0).T))))
+    spacing = max(_SPACING * radius, s[-1] / _MOST_STATIONS)
+    at, near = np.arange(0.5 * spacing, s[-1], spacing), 0.5 * spacing
+    x, y = (np.interp(at, s, route[:, i]) for i in (0, 1))
+    dx, dy = (np.interp(at + near, s, route[:, i]) - np.interp(at - near, s, route[:, i]) for i in (0, 1))
+    poses: FloatArray = np.column_stack((x, y, np.arctan2(dy, dx)))
+    return poses, spacing
+
+
+def elastic_band(route: FloatArray, space: FreeSpace, room: float) -> FloatArray:
+    """A route that keeps its ends, is pulled straight, and pushed away from what is nearer than `room`.
+
+    Args:
+        route: Points about as far apart as the robot is wide, Shape (n, 2) [m].
+        space: Where obstacles are.
+        room: How much is wanted on both sides [m].
+    """
+    points: FloatArray = route.copy()
+    step = 2.0 * space.field.spacing
+    around = step * np.array([(1.0, 0.0), (-1.0, 0.0), (0.0, 1.0), (0.0, -1.0)])
+    for _ in range(_PULLS):
+        inner = points[1:-1]
+        lower, upper = space.field.bounds(np.concatenate((inner[None], inner + around[:, None])))
+        distance = 0.5 * (lower + upper)
+        slope = np.column_stack((distance[1] - distance[2], distance[3] - distance[4])) / (2.0 * step)
+        pushed = 0.5 * np.maximum(room - distance[0], 0.0)[:, None] * slope
+        pulled = _STIFFNESS * (0.5 * (points[:-2] + points[2:]) - inner)
+        points[1:-1] += pulled + pushed
+    return points
