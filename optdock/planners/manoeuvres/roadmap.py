@@ -228,12 +228,13 @@ def elastic_band(route: FloatArray, space: FreeSpace, room: float) -> FloatArray
     points: FloatArray = route.copy()
     step = 2.0 * space.field.spacing
     around = step * np.array([(1.0, 0.0), (-1.0, 0.0), (0.0, 1.0), (0.0, -1.0)])
-    for _ in range(_PULLS):
+    # Between two walls each push leads past the middle, so pushes get weaker.
+    for weight in np.linspace(0.5, 0.0, _PULLS, endpoint=False):
         inner = points[1:-1]
         lower, upper = space.field.bounds(np.concatenate((inner[None], inner + around[:, None])))
         distance = 0.5 * (lower + upper)
         slope = np.column_stack((distance[1] - distance[2], distance[3] - distance[4])) / (2.0 * step)
-        pushed = 0.5 * np.maximum(room - distance[0], 0.0)[:, None] * slope
+        pushed = weight * np.maximum(room - distance[0], 0.0)[:, None] * slope
         pulled = _STIFFNESS * (0.5 * (points[:-2] + points[2:]) - inner)
         points[1:-1] += pulled + pushed
     return points

@@ -43,9 +43,10 @@ _GENTLE = (*FULL_LOCK, 0.1, -0.1, 0.015, -0.015)
 _BOTH = 1.0, -1.0  # gears
 # The dock is tight where less than this share of the last arcs is free.
 _TIGHT = 0.5
-# A plan is dear at this multiple of the price of the cheapest word without obstacles, and of the way around these at full
-# speed: then a better one is looked for, with so many nodes.
-_DEAR, _NODES_FOR_A_BETTER_ONE = 1.3, 1000
+# A plan is dear at this multiple of the price of the cheapest word without obstacles, and of the way around these at
+# full speed: then a better one is looked for, with so many nodes. On 352 cases a multiple of 1.6 makes plans 0.4 %
+# dearer on average and one 41 %, at the same CPU time; three times as many nodes make one plan 2 % cheaper.
+_DEAR, _NODES_FOR_A_BETTER_ONE = 1.3, 300
 _FREE_EXITS, _MOST_EXITS = 4, 60  # of six; nodes of the start's tree after which it grows no more
 # Straight runs out of the start before a turn, in circumscribed radii: what stands beside the robot is left behind.
 _TURN_EXITS = readonly(np.array([0.5, 1.0, 1.5, 2.0, 3.0]))
