@@ -38,7 +38,8 @@ _PAIRS, _WORDS_PER_PAIR = 128, 3
 _BATCH = 16  # words looked at in one go
 _MOST_LOOKS, _MORE_LOOKS = 3000, 200  # words, after which nothing is expected, or after a way nothing else
 _NOTHING = 1e-6  # [m]: shorter arcs are no motion
-_PULLS, _STIFFNESS = 60, 0.5  # of the elastic band: how often, and how far towards the middle of the neighbours
+# Of the elastic band: how often it is pulled and pushed, by which share at first, and how much less at last.
+_PULLS, _STIFFNESS, _DAMPED = 80, 0.5, 0.1
 
 
 class _Edges(NamedTuple):
@@ -228,13 +229,12 @@ def elastic_band(route: FloatArray, space: FreeSpace, room: float) -> FloatArray
     points: FloatArray = route.copy()
     step = 2.0 * space.field.spacing
     around = step * np.array([(1.0, 0.0), (-1.0, 0.0), (0.0, 1.0), (0.0, -1.0)])
-    # Between two walls each push leads past the middle, so pushes get weaker.
-    for weight in np.linspace(0.5, 0.0, _PULLS, endpoint=False):
+    for damped in np.geomspace(1.0, _DAMPED, _PULLS):  # between two walls each push leads past the middle
         inner = points[1:-1]
         lower, upper = space.field.bounds(np.concatenate((inner[None], inner + around[:, None])))
         distance = 0.5 * (lower + upper)
         slope = np.column_stack((distance[1] - distance[2], distance[3] - distance[4])) / (2.0 * step)
-        pushed = weight * np.maximum(room - distance[0], 0.0)[:, None] * slope
+        pushed = _STIFFNESS * np.maximum(room - distance[0], 0.0)[:, None] * slope
         pulled = _STIFFNESS * (0.5 * (points[:-2] + points[2:]) - inner)
-        points[1:-1] += pulled + pushed
+        points[1:-1] += damped * (pulled + pushed)
     return points
