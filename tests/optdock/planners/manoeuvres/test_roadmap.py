@@ -93,4 +93,4 @@ def test_the_band_finds_the_middle_of_a_corridor_and_keeps_its_ends(width):
 def test_in_the_open_the_band_is_pulled_straight():
     problem = DockingProblem(Pose2(0.0, 0.0, 0.0), Dock(Pose2(3.0, 0.0, 0.0)), ROBOT, [box(0.0, 9.0, 1.0, 9.1)], RULE)
     route = np.column_stack((np.linspace(0.0, 3.0, 7), [0.0, 0.3, 0.5, 0.6, 0.5, 0.3, 0.0]))
-    assert np.abs(elastic_band(route, FreeSpace(problem, lambda: None), 0.5)[:, 1]).max() < 0.05
+    assert np.abs(elastic_band(route, FreeSpace(problem, lambda: None), 0.5)[:, 1]).max() < 0.1
