@@ -129,7 +129,8 @@ class _LazySearch:
             block = cheapest_words(*ends, self._effort.radius, limits, _WORDS_PER_PAIR)
             blocks.append(block._replace(pair=block.pair + k))
         if not blocks:  # a route without a station
-            return _Edges(i, j, *(np.zeros(0) for _ in range(3)), np.zeros((0, 5)), np.zeros((0, 5)))
+            none = np.zeros(0)
+            return _Edges(i, j, none, none, none, np.zeros((0, 5)), np.zeros((0, 5)))
         pair, driven, lengths, curvatures = (np.concatenate(column) for column in zip(*blocks, strict=True))
         signs = np.where(np.abs(lengths) > _NOTHING, np.sign(lengths), 0.0)
         rows, moves = np.arange(len(signs)), signs != 0.0

@@ -1,0 +1,80 @@
+"""Paths with a gear less: what a search over arcs offers often has gears of centimetres that nobody needs.
+
+Every change of gear costs a stop. Where a gear lies between two in the other direction, these can be driven as one: the
+stretch that the short one drives twice is left out, and the gap, which is as wide as that one turns, is left to a
+smoother. The first gear can go where the next may begin at the start.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from optdock.path import Path
+from optdock.segments import PolylineSegment, TurnSegment
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from optdock.geometry.arrays import FloatArray
+    from optdock.problem import DockingProblem
+    from optdock.segments import Segment
+
+__all__ = ["fewer_cusps"]
+
+_SPACING = 0.02  # [m] between the poses of gears that are joined
+_LONGEST = 0.5  # of the robot's length: longer gears do what shorter ones cannot
+
+
+def fewer_cusps(path: Path, problem: DockingProblem) -> Iterator[Path]:
+    """Guesses with one gear less each, the shortest one left out first; turns in place stay where they are.
+
+    Args:
+        path: With cusps or without.
+        problem: Whose start must be kept, and which robot drives.
+    """
+    segments = path.segments
+    longest = _LONGEST * problem.robot.footprint.length
+    rows = [k for k, one in enumerate(segments[:-1]) if not isinstance(one, TurnSegment) and one.length <= longest]
+    for k in sorted(rows, key=lambda row: float(segments[row].length)):
+        following = segments[k + 1]
+        if isinstance(following, TurnSegment):
+            continue
+        if k == 0:
+            if problem.start_speed * following.direction >= 0.0:
+                poses = _beyond(following, segments[0].length)
+                first = np.concatenate((problem.start.as_array()[None], poses))
+                yield _joined(path, [], first, following, segments[2:])
+        elif segments[k - 1].direction == following.direction:
+            before, after = _until(segments[k - 1], segments[k].length), _beyond(following, segments[k].length)
+            if len(before) and len(after):
+                yield _joined(path, segments[: k - 1], np.concatenate((before, after)), following, segments[k + 2 :])
+
+
+def _until(segment: Segment, left_out: float) -> FloatArray:
+    """Poses of a segment without so much of its end [m]. Shape (n, 3)."""
+    return _poses(segment, 0.0, segment.length - left_out)
+
+
+def _beyond(segment: Segment, left_out: float) -> FloatArray:
+    """Poses of a segment without so much of its beginning [m]. Shape (n, 3)."""
+    return _poses(segment, left_out, segment.length)
+
+
+def _poses(segment: Segment, begin: float, end: float) -> FloatArray:
+    if end <= begin:
+        return np.zeros((0, 3))
+    return segment.poses_at(np.linspace(begin, end, 2 + int((end - begin) / _SPACING)))
+
+
+def _joined(
+    path: Path,
+    before: tuple[Segment, ...] | list[Segment],
+    poses: FloatArray,
+    gear: Segment,
+    after: tuple[Segment, ...],
+) -> Path:
+    """Segments, a polyline in the direction of another one, and segments; headings go on without a whole turn."""
+    poses = np.column_stack((poses[:, :2], np.unwrap(poses[:, 2])))
+    return Path((*before, PolylineSegment(poses, gear.direction), *after), path.frame)
