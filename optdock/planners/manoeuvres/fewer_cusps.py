@@ -42,10 +42,10 @@ def fewer_cusps(path: Path, problem: DockingProblem) -> Iterator[Path]:
         if isinstance(following, TurnSegment):
             continue
         if k == 0:
-            if problem.start_speed * following.direction >= 0.0:
-                poses = _beyond(following, segments[0].length)
-                first = np.concatenate((problem.start.as_array()[None], poses))
-                yield _joined(path, [], first, following, segments[2:])
+            after = _beyond(following, segments[0].length)
+            if problem.start_speed * following.direction >= 0.0 and len(after):
+                first = np.concatenate((problem.start.as_array()[None], after))
+                yield _joined(path, (), first, following, segments[2:])
         elif segments[k - 1].direction == following.direction:
             before, after = _until(segments[k - 1], segments[k].length), _beyond(following, segments[k].length)
             if len(before) and len(after):
