@@ -21,7 +21,7 @@ from pydantic import BaseModel, ConfigDict, Field
 from optdock.dock import DockDirection
 from optdock.errors import InvalidFile
 from optdock.fingerprint import ProblemFingerprint
-from optdock.geometry.pose import Pose2, transform_points
+from optdock.geometry.pose import transform_points
 from optdock.obstacles import in_words
 from optdock.verification.impossibility import SLACK, ImpossibilityVerdict, least_required
 from optdock.verification.path_rules import STRAIGHT_TOLERANCE
@@ -30,6 +30,7 @@ from optdock.verification.proximity import end_clearances, pose_clearances
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
+    from optdock.geometry.arrays import FloatArray
     from optdock.problem import DockingProblem
 
 __all__ = ["BlockedPose", "BlockedStraight", "check_blocked_straight", "prove_straight_blocked"]
@@ -154,7 +155,7 @@ def prove_straight_blocked(problem: DockingProblem) -> BlockedStraight | None:
     before = np.linspace(0.0, straight, math.ceil(straight / _SPACING) + 1)
     found = []
     for gear in _GEARS[problem.dock.direction]:
-        poses = np.stack([_pose(gear, distance, problem).as_array() for distance in before.tolist()])
+        poses = _poses(gear, before, problem)
         required = least_required(problem, poses[:, 0], poses[:, 1], slack, end_clearances(problem).start)
         footprint, obstacles = problem.robot.footprint, problem.all_obstacles
         clearance, row = pose_clearances(poses, footprint, obstacles, float(required.max()) + slack)
@@ -191,9 +192,9 @@ def check_blocked_straight(proof: BlockedStraight, problem: DockingProblem) -> I
     slack, start_clearance = _slack(problem), end_clearances(problem).start
     tree = shapely.STRtree(shapely.polygons(problem.all_obstacles.vertices))
     for blocked in proof.poses:
-        pose = _pose(blocked.gear, blocked.before, problem)
-        required = least_required(problem, np.array([pose.x]), np.array([pose.y]), slack, start_clearance)[0]
-        outline = shapely.Polygon(transform_points(pose.as_array()[None], problem.robot.footprint.vertices)[0])
+        pose = _poses(blocked.gear, np.array([blocked.before]), problem)
+        required = least_required(problem, pose[:, 0], pose[:, 1], slack, start_clearance)[0]
+        outline = shapely.Polygon(transform_points(pose, problem.robot.footprint.vertices)[0])
         # Grown by what is required, or shrunk where that is less than what is tolerated.
         within = float(required) - slack
         body = outline if within > 0.0 else outline.buffer(within, join_style="mitre")
@@ -204,8 +205,12 @@ def check_blocked_straight(proof: BlockedStraight, problem: DockingProblem) -> I
     return ImpossibilityVerdict(proven=True, reason="", cells=len(proof.poses))
 
 
-def _pose(gear: int, before: float, problem: DockingProblem) -> Pose2:
-    return problem.goal @ Pose2(-gear * before, 0.0, 0.0)
+def _poses(gear: int, before: FloatArray, problem: DockingProblem) -> FloatArray:
+    """Poses so far before the dock, Shape (n,) [m] to (n, 3)."""
+    goal, back = problem.goal, -gear * before
+    x, y = goal.x + back * math.cos(goal.yaw), goal.y + back * math.sin(goal.yaw)
+    poses: FloatArray = np.column_stack((x, y, np.full(before.size, goal.yaw)))
+    return poses
 
 
 def _slack(problem: DockingProblem) -> float:
