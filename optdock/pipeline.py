@@ -96,8 +96,8 @@ DEFAULT_SMOOTHER, DEFAULT_TIMING = "CasadiSmoother", "NearOptimal"
 # anywhere gets half of it.
 _SMOOTHING_SHARE, _SMOOTHING_LEAST = 0.4, 0.06
 # A guess that overlaps obstacles at more than this share of its poses is put off until nothing else is left to be
-# tried: of 13 such guesses of the dock planner none could be smoothed, of 71 others 44.
-_PUT_OFF, _LOOKS = 0.67, 24
+# tried: of 85 such guesses of the dock planner 3 could be smoothed, which takes 50 to 190 ms; of 197 others 83.
+_PUT_OFF, _LOOKS = 0.2, 24
 # Shares of what is left that a proof of impossibility may take: when a planner pauses before it searches far afield,
 # and what the last planner must leave for it.
 _EARLY_PROOF, _LAST_PROOF = 0.1, 0.2
@@ -108,6 +108,8 @@ _DISC_PROOF = 0.25
 # costs 0.2 % more than the least price of its path. Of 352 cases, against the longer search before: with 0.95, 25 plans
 # were dearer by more than 0.5 % and 2 cheaper; with 0.98, 2 and 9, in a tenth more time. 0.97 lies between.
 _WORTH_A_TRY = 0.97
+# Share of the budget from which on a guess that lies in no obstacle and was cut short is gone on with.
+_GOING_ON = 0.5
 _MOST_LEFT_OUT = 6  # gears of the best plan
 _WARM_UP = 3.0  # [s], budget of the plan that warms up; a planner that uses all it gets takes that long, once
 
@@ -313,6 +315,14 @@ class _Failure(NamedTuple):
     stage: int
 
 
+class _CutShort(NamedTuple):
+    """A guess that had too little time, how far the smoother came with it, and its share of poses in obstacles."""
+
+    guess: Guess
+    begun: Path | None
+    overlapping: float
+
+
 # How far a guess came that ended in such an error: the further, the more its reason tells.
 _STAGES: tuple[tuple[type[OptdockError], int], ...] = (
     (FailedToTimePath, 3),
@@ -339,7 +349,7 @@ class _Portfolio:
     best: DockPlan | None = None
     tried: list[Attempt] = field(default_factory=list)
     failures: list[_Failure] = field(default_factory=list)
-    cut_short: list[Guess] = field(default_factory=list)
+    cut_short: list[_CutShort] = field(default_factory=list)
     is_cut_off: bool = False  # by the clock, with guesses that nobody has made, or tried, yet
 
     def __post_init__(self) -> None:
@@ -365,16 +375,16 @@ class _Portfolio:
         with contextlib.closing(self._guesses()) as guesses:
             for guess, is_last in guesses:
                 self._try(guess, is_last=is_last)
-                if self._is_late():
+                if self._is_late() or self._must_go_on():
                     self.is_cut_off |= not is_last
                     break
-        again, self.cut_short = self.cut_short, []
-        for guess in again:  # nothing else is left to be tried
+        again, self.cut_short = sorted(self.cut_short, key=lambda one: one.overlapping), []
+        for guess, begun, _ in again:  # nothing else is left to be tried
             if self.best is None and self._is_late():
                 self.is_cut_off = True
             elif self.best is None:
                 self.failures = [failure for failure in self.failures if failure.left.raw_path is not guess.path]
-                self._try(guess, is_last=True)
+                self._try(guess, begun, is_last=True)
         if self.best is None:
             raise self._refusal()
         self._leave_out_gears()
@@ -479,12 +489,17 @@ class _Portfolio:
     def _worth_a_try(self) -> float:
         return _WORTH_A_TRY * self._lowest_price()
 
+    def _must_go_on(self) -> bool:
+        """Whether the time left is better spent on a free guess that was cut short than on others."""
+        is_one = any(one.begun is not None and one.overlapping == 0.0 for one in self.cut_short)
+        return is_one and self.best is None and self.deadline.left < _GOING_ON * self.budget
+
     def _is_late(self) -> bool:
         """Whether no time is left for another guess."""
         return self.deadline.left <= self.refinement.reserve
 
-    def _try(self, guess: Guess, *, is_last: bool) -> None:
-        """Make a plan of a guess; it becomes the best one, or a failure."""
+    def _try(self, guess: Guess, begun: Path | None = None, *, is_last: bool) -> None:
+        """Make a plan of a guess, going on where it was cut short; it becomes the best one, or a failure."""
         unhurried = is_last or self.best is not None
         overlapping = 0.0 if unhurried else self._overlapping(guess.path)
         if overlapping > 0.0:
@@ -492,13 +507,13 @@ class _Portfolio:
         if overlapping > _PUT_OFF:
             reason = f"put off: {100.0 * overlapping:.0f} % of its poses lie in obstacles"
             self.tried.append(Attempt(guess.stage, guess.path, reason=reason))
-            self.cut_short.append(guess)
+            self.cut_short.append(_CutShort(guess, None, overlapping))
             return
         share = _SMOOTHING_SHARE * (0.5 if overlapping > 0.0 else 1.0)
         most = math.inf if unhurried else max(share * self.deadline.left, _SMOOTHING_LEAST)
         left, began = PartialPlan(timing_ms=self.so_far.timing_ms), self.deadline.elapsed
         try:
-            plan = self.refinement.refined(guess.path, left, most, is_given=guess.stage == "given")
+            plan = self.refinement.refined(guess.path, left, most, is_given=guess.stage == "given", begun=begun)
         except NoMotionExists as error:  # of the smoother or the time parameterizer, which look for no proof
             names = " or ".join(type(plugin).__name__ for plugin in self.plugins[1:])
             raise PluginError(_UNPROVEN.format(names)) from error
@@ -508,7 +523,7 @@ class _Portfolio:
                 self._leave(left)
                 raise
             if isinstance(error, SmootherTimedOut) and not unhurried:
-                self.cut_short.append(guess)
+                self.cut_short.append(_CutShort(guess, PartialPlan.left_by(error).path, overlapping))
             self._fail(_Failure(error, left, stage or 0), guess.stage, guess.path, self.deadline.elapsed - began)
             return
         self.tried.append(Attempt(guess.stage, guess.path, self.deadline.elapsed - began, plan.price))

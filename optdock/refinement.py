@@ -131,7 +131,9 @@ class Refinement:
     def __post_init__(self) -> None:
         self.reserve = min(max(_RESERVED_SHARE * self.budget, _RESERVED_LEAST), _RESERVED_MOST)
 
-    def refined(self, raw: Path, so_far: PartialPlan, most: float, *, is_given: bool = False) -> DockPlan:
+    def refined(
+        self, raw: Path, so_far: PartialPlan, most: float, *, is_given: bool = False, begun: Path | None = None
+    ) -> DockPlan:
         """The certified plan near a guess; `so_far` holds what exists of it when a stage raises.
 
         Args:
@@ -139,13 +141,15 @@ class Refinement:
             so_far: Filled in on the way.
             most: Seconds that smoothing may take.
             is_given: Whether the guess is the caller's, so that a wrong one is no plugin's fault.
+            begun: How far the smoother came with it before it was cut short.
 
         Raises:
-            OptdockError: As `plan_dock`, but for what planners raise.
+            OptdockError: As `plan_dock`, but for what planners raise. Where the smoother was cut short `partial` holds
+                how far it came, if it says so.
         """
         so_far.raw_path = raw
         with self.watch.timed("smooth"):
-            result = self._smoothed(raw, most, so_far, is_given=is_given)
+            result = self._smoothed(raw, most, so_far, begun, is_given=is_given)
             path = plain(result.path, self.smoother, self.problem.frame)
         plan = self.proven(raw, path, so_far)
         return replace(plan, completed=result.completed, smoothing_report=result.report)
@@ -172,7 +176,9 @@ class Refinement:
         """Whether the caller or the clock wants an end."""
         return self.cancelled() or self.deadline.passed()
 
-    def _smoothed(self, raw: Path, most: float, so_far: PartialPlan, *, is_given: bool) -> SmoothingResult:
+    def _smoothed(
+        self, raw: Path, most: float, so_far: PartialPlan, begun: Path | None, *, is_given: bool
+    ) -> SmoothingResult:
         smoother, left = self.smoother, self.deadline.left
         if left <= self.reserve:
             raise SmootherTimedOut(ran_out_of_time("smoothing", self.budget))
@@ -183,7 +189,7 @@ class Refinement:
                         raw,
                         min(left - self.reserve, most),
                         problem=self.problem,
-                        warm_start=self.warm_start,
+                        warm_start=self.warm_start if begun is None else begun,
                         cancel_checker=self.cancelled,
                     )
                 except InvalidPath as error:
@@ -192,7 +198,9 @@ class Refinement:
                     raise
         except SmootherTimedOut as error:
             message = ran_out_of_time(type(smoother).__name__, self.budget)
-            raise SmootherTimedOut(message, where=error.where) from error
+            late = SmootherTimedOut(message, where=error.where)
+            late.partial = error.partial
+            raise late from error
         except SmootherException as error:
             so_far.path = PartialPlan.left_by(error).path
             raise

@@ -126,7 +126,8 @@ class CasadiSmoother(Smoother):
                 `direction`, `turn`, `approach_blocked`, `goal_unreachable`, `clearance`; `s` [m], `pose`, `amount` and
                 `obstacle` say where and by how much, with `clearance` what is measured there and what is `required`.
                 The best path that a search found, which breaks that bound, is the `path` of `partial`.
-            SmootherTimedOut: No certified path within `max_time`.
+            SmootherTimedOut: No certified path within `max_time`. The path of the last iterate, which breaks bounds, is
+                the `path` of `partial`: as a `warm_start` it lets a later call go on from there.
             SmootherCancelled: `cancel_checker` returned True.
         """
         deadline = Deadline(checked_seconds(max_time, "max_time"), self.context.clock)

@@ -576,7 +576,7 @@ class _Places(_Graph):
         if tile.margin is None:
             labels, cost = np.full((1, 1, 1), first), [-_ROOM]
         else:
-            best = tile.margin.max(axis=0) + (math.sqrt(2.0) + math.sqrt(0.5)) * self.grid.half(tile.level)
+            best = tile.margin.max(axis=0) + math.sqrt(2.0) * self.grid.half(tile.level)
             labels, cost = np.arange(first, first + best.size).reshape(1, *best.shape), (-best).ravel().tolist()
         self.cost += cost
         self.tile_of += [key] * len(cost)
@@ -825,8 +825,10 @@ class _Search:
         middle = halo + 1 + 2 * np.arange(CELLS)
         at = (middle[:, None] * nodes + middle).ravel()
         x, y, radius = body.discs.T
-        # Of a disc's place: within the cell, and to the nearest node.
-        moved = math.sqrt(2.0) * half + 2.0 * np.hypot(x, y) * math.sin(0.5 * turn) + math.sqrt(0.5) * half + SLACK
+        # Of a disc's place: within the cell, and to the nearest node; the middles of cells are nodes.
+        off = np.hypot(x, y)
+        to_node = np.where(off > 0.0, math.sqrt(0.5) * half, 0.0)
+        moved = math.sqrt(2.0) * half + 2.0 * off * math.sin(0.5 * turn) + to_node + SLACK
         yaw = turn * (2.0 * np.arange(count) + 1.0)
         c, s = np.cos(yaw)[:, None], np.sin(yaw)[:, None]
         shift = (np.rint((s * x + c * y) / half) * nodes + np.rint((c * x - s * y) / half)).astype(np.int64)
@@ -917,6 +919,8 @@ class _Search:
         reach = footprint.circumscribed_radius + 2.0 * self.problem.path_clearance.required + self.grid.cell
         at = np.array([pose.x, pose.y])
         rows = obstacles.rows_in_box(at - reach, at + reach)
+        if rows.size == 0:  # of a first guess, in a cell that is larger than the robot
+            return ()
         found = [
             separation(body, np.tile(pose.as_array(), (rows.size, 1)), obstacles.pieces(rows))
             for body in footprint.bodies

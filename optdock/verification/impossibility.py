@@ -100,10 +100,13 @@ class Bottleneck:
     def __str__(self) -> str:
         what = "the robot with its clearance" if self.body_fits else "the robot"
         missing = self.missing_width if self.body_fits else self.missing_without_clearance
-        between = " and ".join(in_words(name) for name in self.between)
+        names = [in_words(name) for name in dict.fromkeys(self.between)]
+        between = f", between {' and '.join(names)}" if len(names) > 1 else ""
+        kept = -0.5 * self.missing_without_clearance
+        spare = f"; up to {kept:.3f} m of clearance can be kept there" if self.body_fits else ""
         return (
             f"{what} is {max(missing, 0.001):.2g} m too wide for the gap at ({self.x:.2f}, {self.y:.2f}), heading "
-            f"{math.degrees(self.yaw):.0f} degrees{f', between {between}' if len(self.between) > 1 else ''}"
+            f"{math.degrees(self.yaw):.0f} degrees{between}{spare}"
         )
 
 

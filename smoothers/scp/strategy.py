@@ -16,10 +16,11 @@ from optdock.errors import SmootherCancelled, SmootherTimedOut
 from optdock.geometry.clothoid import ClothoidSpline
 from optdock.interfaces import SmoothingStatus
 from optdock.path import ClothoidSegment, Path
+from optdock.plan import PartialPlan
 from optdock.verification import certify_path, end_clearances
 from smoothers.scp.collision.narrow_phase import most_sag
 from smoothers.scp.collision.scene import scene_around
-from smoothers.scp.goal_projection import exact_path
+from smoothers.scp.goal_projection import driven_path, exact_path
 from smoothers.scp.initial_guess import InitialGuesses, rest_of_earlier_result
 from smoothers.scp.loop import search
 from smoothers.scp.problem import formulate, with_intervals
@@ -389,14 +390,20 @@ class Solver:
 
     def _look_at_the_clock(self) -> None:
         if self.deadline.passed():
-            message = f"no certified path within {1e3 * self.deadline.seconds:.1f} ms"
-            raise SmootherTimedOut(message, where={"iterations": self.outcome.iterations})
+            raise self._timed_out()
+
+    def _timed_out(self) -> SmootherTimedOut:
+        """With the path of the last iterate, from which a later call may go on."""
+        message = f"no certified path within {1e3 * self.deadline.seconds:.1f} ms"
+        error, last = SmootherTimedOut(message, where={"iterations": self.outcome.iterations}), self.outcome.last
+        if last is not None:
+            error.partial = PartialPlan(path=driven_path(self._nlp, last.variables).with_frame(self.call.problem.frame))
+        return error
 
     def _failure(self) -> SmootherException:
         outcome, closest = self.outcome, self._closest
         if not outcome.converged or closest is None:
-            message = f"no certified path within {1e3 * self.deadline.seconds:.1f} ms"
-            return SmootherTimedOut(message, where={"iterations": outcome.iterations})
+            return self._timed_out()
         if outcome.refused is not None and closest.feasible:
             path, certificate = outcome.refused
             return refuse_certificate(certificate, path).error()
