@@ -206,9 +206,9 @@ def exact_path(nlp: NonlinearProgram, variables: Variables, final_straight: floa
     return Path(tuple(ClothoidSegment(spline) for spline in splines))
 
 
-def driven_path(nlp: NonlinearProgram, variables: Variables) -> Path:
-    """The clothoid splines of all gears as they stand, wherever they end, without the final straight."""
-    splines = _chained(nlp.basis, variables, nlp.ends, 0.0)
+def driven_path(nlp: NonlinearProgram, variables: Variables, final_straight: float = 0.0) -> Path:
+    """The clothoid splines of all gears as they stand, wherever they end, and a straight of some length [m]."""
+    splines = _chained(nlp.basis, variables, nlp.ends, final_straight)
     return Path(tuple(ClothoidSegment(spline) for spline in splines))
 
 

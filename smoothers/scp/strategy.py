@@ -397,7 +397,9 @@ class Solver:
         message = f"no certified path within {1e3 * self.deadline.seconds:.1f} ms"
         error, last = SmootherTimedOut(message, where={"iterations": self.outcome.iterations}), self.outcome.last
         if last is not None:
-            error.partial = PartialPlan(path=driven_path(self._nlp, last.variables).with_frame(self.call.problem.frame))
+            problem = self.call.problem
+            path = driven_path(self._nlp, last.variables, problem.dock.final_straight)
+            error.partial = PartialPlan(path=path.with_frame(problem.frame))
         return error
 
     def _failure(self) -> SmootherException:

@@ -22,6 +22,7 @@ from optdock.errors import (
     OptdockError,
     PlannerCancelled,
     PluginError,
+    SmootherTimedOut,
     TimedOut,
 )
 from optdock.geometry.footprint import Footprint
@@ -31,7 +32,7 @@ from optdock.limits import MotionLimits
 from optdock.outcomes import Guess
 from optdock.path import Path
 from optdock.pipeline import plan_dock, warm_up
-from optdock.plan import DockPlan
+from optdock.plan import DockPlan, PartialPlan
 from optdock.planners.dock_planner import DockPlanner
 from optdock.planners.manoeuvres.price import CUSP_PRICE
 from optdock.problem import DockingProblem
@@ -373,10 +374,11 @@ class Recording(Smoother):
 
     def __init__(self, *errors):
         super().__init__()
-        self.errors, self.given, self.times = list(errors), [], []
+        self.errors, self.given, self.times, self.begun = list(errors), [], [], []
 
     def smooth(self, path, max_time, *, problem=None, warm_start=None, cancel_checker=None):
         self.given.append(path)
+        self.begun.append(warm_start)
         self.times.append(max_time)
         error = self.errors.pop(0)
         if error is not None:
@@ -412,6 +414,44 @@ def test_a_guess_through_obstacles_is_put_off_and_tried_at_the_end(clock):
     reasons = [attempt.reason for attempt in caught.value.partial.tried]
     assert reasons[0].startswith("put off: ")
     assert "% of its poses lie in obstacles" in reasons[0]
+
+
+def late(path):
+    """A smoother ran out of time, and left a path."""
+    error = SmootherTimedOut("no certified path in time")
+    error.partial = PartialPlan(path=path)
+    return error
+
+
+def test_a_guess_that_was_cut_short_goes_on_where_it_was(clock, monkeypatch):
+    """After the others; and those that lie in no obstacle come first."""
+    monkeypatch.setattr("optdock.pipeline._PUT_OFF", 1.0)
+    block = [[[0.9, 0.9], [1.1, 0.9], [1.1, 2.5], [0.9, 2.5]]]
+    task = problem((0.2, 0.3, 0.3), obstacles=block)
+    grazing, free = (Path.from_poses([task.start, Pose2(1.0, y, 0.2), Pose2(2.0, 0.6, 0.2), GOAL]) for y in (0.7, 0.0))
+    left = [bent(0.1), bent(0.2)]
+    smoother = Recording(*map(late, left), FailedToSmoothPath("no"), FailedToSmoothPath("no"))
+    with pytest.raises(FailedToSmoothPath):
+        plan_dock(task, time_budget=BUDGET, planner=Several(grazing, free), smoother=smoother)
+    assert [path.segments for path in smoother.given] == [one.segments for one in (grazing, free, free, grazing)]
+    assert smoother.begun == [None, None, left[1], left[0]]
+
+
+def test_late_in_the_budget_a_free_guess_that_was_cut_short_comes_before_new_ones(clock):
+    class Slow(Recording):
+        def smooth(self, path, max_time, **what):
+            clock.now += 0.6 * BUDGET
+            return super().smooth(path, max_time, **what)
+
+    left = bent(0.1)
+    smoother = Slow(late(left), FailedToSmoothPath("no"), FailedToSmoothPath("no"))
+    with pytest.raises(FailedToSmoothPath):
+        plan_dock(problem(), time_budget=4.0 * BUDGET, planner=Several(bent(0.0), bent(0.5)), smoother=smoother)
+    assert smoother.begun == [None, None, left]
+    smoother = Slow(late(left), FailedToSmoothPath("no"))
+    with pytest.raises(TimedOut):
+        plan_dock(problem(), time_budget=BUDGET, planner=Several(bent(0.0), bent(0.5)), smoother=smoother)
+    assert smoother.begun == [None, left]
 
 
 @pytest.mark.parametrize("errors", [(FailedToSmoothPath("no"), None), (None, FailedToSmoothPath("no"))])

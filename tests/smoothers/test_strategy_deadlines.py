@@ -88,3 +88,19 @@ def test_no_time_at_all_is_a_timeout():
     case = instance("parallel", 0)
     with pytest.raises(SmootherTimedOut):
         with_clock(ticking(0.001)).smooth(case.raw_path, 0.002, problem=case.problem)
+
+
+def test_a_time_out_leaves_where_it_was_and_a_later_call_goes_on_from_there():
+    """Two calls that are too short each, one after the other, do what a long one does."""
+    case, half = instance("corridor", 1), None
+    budgets = [0.002 * 1.15**k for k in range(24)]
+    for budget in budgets:
+        try:
+            with_clock(ticking(0.0005)).smooth(case.raw_path, budget, problem=case.problem)
+            break
+        except SmootherTimedOut as error:
+            half = error.partial
+    assert half is not None
+    assert budget > budgets[0]
+    result = with_clock(ticking(0.0005)).smooth(case.raw_path, 0.9 * budget, problem=case.problem, warm_start=half.path)
+    assert certify_path(result.path, case.problem).certified
