@@ -40,7 +40,9 @@ _RUNS = readonly(np.array([0.0, 0.25, 0.5, 1.0, 1.5, 2.0, 3.0]))
 _EXIT_TURN = 1.0  # [rad] of arcs out of the start; straight lines are as long
 # A robot a few millimetres beside a wall cannot turn away from it at full lock: its tail would meet the wall.
 _GENTLE = (*FULL_LOCK, 0.1, -0.1, 0.015, -0.015)
-_BOTH = 1.0, -1.0  # gears
+_BOTH = 1.0, -1.0  # gears, or sides
+# A slot leaves less than this share of the first arcs; how many at full lock lead out of it; [rad] that each must turn.
+_SLOT, _MOST_STROKES, _LEAST_TURN = 0.15, 30, 0.01
 # The dock is tight where less than this share of the last arcs is free.
 _TIGHT = 0.5
 # A plan is dear at this multiple of the price of the cheapest word without obstacles, and of the way around these at
@@ -96,6 +98,7 @@ class Stages:
             Effort(sharp, 0.0, 80, 8000, relief),
         )
         self._known: list[FloatArray] = []
+        self._exits_by_effort: dict[tuple[Effort, tuple[float, ...]], _Exits] = {}
 
     def guesses(self) -> Iterator[Guess | None]:
         """The guesses of all stages, the first of them in a few milliseconds."""
@@ -109,13 +112,14 @@ class Stages:
         yield from self._words(self._efforts[1])  # hybrid A* shoots those without a margin
         if turns and math.isinf(self._better_than()):
             yield from self._turn_and_drive(routes)
+        if not self._is_worth_a_search():
+            return
         # Where the dock itself is tight, the way to it is not what is hard to find.
         is_tight = self._room_before_dock(self._efforts[0]) < _TIGHT * _EXIT_TURN * self._efforts[0].radius
-        for search in (
-            (self._hybrid_a_star, self._along_routes) if is_tight else (self._along_routes, self._hybrid_a_star)
-        ):
-            if self._is_worth_a_search():
-                yield from search()
+        first, second = (self._along_routes, self._hybrid_a_star)[:: -1 if is_tight else 1]
+        yield from first()
+        if self._is_worth_a_search():
+            yield from second()
 
     def _cheaper_first(self, *stages: Iterator[Guess]) -> Iterator[Guess]:
         """The guesses of several stages, merged by price."""
@@ -206,12 +210,17 @@ class Stages:
         return Nodes(tree, rows if straight > 0.0 else np.concatenate(([0], rows)))
 
     def _exits(self, effort: Effort, bends: tuple[float, ...] = FULL_LOCK) -> _Exits:
-        """The start, and the ends of arcs and lines out of it, one after another where it is boxed in."""
+        """The start, and the ends of arcs and lines out of it, one after another where it is boxed in; made once."""
+        known = self._exits_by_effort.get((effort, bends))
+        if known is not None:
+            return known
         tree, root = ArcTree(self.problem.start.as_array(), self.problem.robot.limits, 1), np.zeros(1, dtype=np.int64)
         speed = self.problem.start_speed
         gears = (1.0, -1.0) if speed == 0.0 else (math.copysign(1.0, speed),)
         rows, room = self._grown(Nodes(tree, root), gears, effort, bends)
-        return _Exits(Nodes(tree, np.concatenate((root, rows))), bends, room)
+        found = _Exits(Nodes(tree, np.concatenate((root, rows))), bends, room)
+        self._exits_by_effort[effort, bends] = found
+        return found
 
     def _entries(self, effort: Effort) -> Nodes:
         """The staging poses, and without a final straight the ends of arcs that lead into the dock as it allows."""
@@ -241,11 +250,37 @@ class Stages:
         moves, onwards = (Moves.of(signs, (0.0, *(bend / effort.radius for bend in bends))) for signs in (gears, _BOTH))
         rows = fresh = tree.grow(first, moves, station, self.space, effort)
         lengths = np.abs(tree.lengths[rows])
+        room = float(lengths.sum()) / (moves.signs.size * first.size)
+        if first.size == 1 and room < _SLOT * station[0] and effort.margin > 0.0:
+            return self._strokes(tree, gears, effort), room
         is_boxed_in = np.sum(lengths >= station) < _FREE_EXITS * first.size
         while is_boxed_in and fresh.size and rows.size < _MOST_EXITS:
             fresh = tree.grow(fresh, onwards, station, self.space, effort, grid.enter)
             rows = np.concatenate((rows, fresh))
-        return rows if fresh.size else fresh, float(lengths.sum()) / (moves.signs.size * first.size)
+        if first.size == 1 and room < _SLOT * station[0]:
+            rows = np.concatenate((self._strokes(tree, gears, effort), rows))
+        return rows if fresh.size else fresh, room
+
+    def _strokes(self, tree: ArcTree, gears: tuple[float, ...], effort: Effort) -> IntArray:
+        """The ends of arcs at full lock that turn the robot the same way in either gear, each as far as it is free.
+
+        So a car leaves a slot that is little longer than itself. They begin at the root; the last ones come first, and
+        none where they do not lead out.
+        """
+        station, found = np.array([effort.radius * _EXIT_TURN]), []
+        for side in _BOTH:
+            for gear in gears:
+                sign, bend, way = gear, side / effort.radius, [0]
+                while len(way) <= _MOST_STROKES and way[-1:] and abs(tree.lengths[way[-1]]) < station[0]:
+                    fresh = tree.grow(np.array(way[-1:]), Moves.of((sign,), (bend,)), station, self.space, effort)
+                    if fresh.size == 0 or abs(tree.lengths[fresh[-1]] * bend) < _LEAST_TURN:
+                        break
+                    way.append(int(fresh[-1]))
+                    sign, bend = -sign, -bend
+                if abs(tree.lengths[way[-1]]) >= station[0]:
+                    found += way[1:]
+                    break
+        return np.array(found[::-1], dtype=np.int64)
 
     def _room_before_dock(self, effort: Effort) -> float:
         """The mean length of the last arcs that is free [m], as that of the first ones of `_exits`."""
@@ -280,9 +315,11 @@ class Stages:
         best = self._better_than()
         if math.isinf(best):
             return True
+        if best <= _DEAR * self._cheapest_word:
+            return False
         limits, goal = self.problem.robot.limits, self.problem.goal.as_array()[None, :2]
         around = float(self._wave_from_start.lengths(goal)[0]) / max(limits.max_speed, limits.max_reverse_speed)
-        return best > _DEAR * max(around + ends_cost(self.problem), self._cheapest_word)
+        return best > _DEAR * (around + ends_cost(self.problem))
 
     @functools.cached_property
     def _wave_from_start(self) -> Wavefront:
