@@ -16,6 +16,7 @@ ALL = (
     "timings",
     "limits",
     "plans",
+    "prices",
     "replans",
     "measured",
     "decisions",
