@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from optdock.geometry.pose import unwrap_yaw
+from optdock.trajectory import border_states, braking_phases
 from smoothers.scp.basis import basis_for
 from smoothers.scp.cost import CostModel, Reference
 
@@ -38,6 +39,7 @@ if TYPE_CHECKING:
 __all__ = ["Bounds", "Ends", "Formulation", "NonlinearProgram", "TracedInput", "formulate", "free_lengths"]
 
 # Least share that the curvature rate counts: splines want to stay smooth where the robot stands, too.
+_BRAKING_ROOM = 1.02  # times the braking distance: a timing needs a little to spare
 _EASED_MOST = 0.0025
 # [1/m]: robots of at least this largest curvature keep to their input as the weight of tracking says, lateral distances
 # being measured in metres; for others they are measured in turning radii.
@@ -311,6 +313,16 @@ def _scaled(weights: Weights, curvature: float) -> Weights:
     return weights._replace(tracking=weights.tracking * min(1.0, (curvature / _TRACKED) ** 2))
 
 
+def _braking_distance(problem: DockingProblem) -> float:
+    """How far the robot drives until it stops, as hard as it can brake from its start state [m]."""
+    (speed, acceleration), limits = problem.start_state(1), problem.robot.limits
+    if speed == 0.0:
+        return 0.0
+    phases = braking_phases(speed, acceleration, limits.max_deceleration, limits.max_jerk)
+    durations, jerks = (np.array(column) for column in zip(*phases, strict=True))
+    return float(border_states(durations, jerks, (0.0, speed, acceleration))[0, -1])
+
+
 def _variable_bounds(
     basis: Basis, problem: DockingProblem, lengths: FloatArray, settings: BoundSettings
 ) -> tuple[Bounds, Bounds]:
@@ -318,6 +330,9 @@ def _variable_bounds(
     found, limits = [], problem.robot.limits
     shortest = np.minimum(settings.shortest_gear, 0.5 * lengths)
     longest = settings.longest_gear[0] * lengths + settings.longest_gear[1]
+    # A robot in motion needs its first gear to stop in, of which the final straight may be a part.
+    straight = problem.dock.final_straight if basis.num_gears == 1 else 0.0
+    shortest[0] = max(shortest[0], min(_BRAKING_ROOM * _braking_distance(problem) - straight, longest[0]))
     for inside, rate_inside in ((1.0, 1.0), (settings.curvature_inside, settings.rate_inside)):
         limit = np.full(basis.num_knots, inside * _curvature_bound(limits, settings))
         lower, upper = np.concatenate((-limit, shortest)), np.concatenate((limit, longest))
