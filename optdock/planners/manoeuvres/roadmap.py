@@ -224,12 +224,16 @@ def _stations(route: FloatArray, radius: float) -> tuple[FloatArray, float]:
 def elastic_band(route: FloatArray, space: FreeSpace, room: float) -> FloatArray:
     """A route that keeps its ends, is pulled straight, and pushed away from what is nearer than `room`.
 
+    Its points lie about as far apart as the robot is wide.
+
     Args:
-        route: Points about as far apart as the robot is wide, Shape (n, 2) [m].
+        route: Points, Shape (n, 2) [m].
         space: Where obstacles are.
         room: How much is wanted on both sides [m].
     """
-    points: FloatArray = route.copy()
+    s = np.concatenate(([0.0], np.cumsum(np.hypot(*np.diff(route, axis=0).T))))
+    at = np.linspace(0.0, s[-1], max(3, round(s[-1] / space.width) + 1))
+    points: FloatArray = np.column_stack([np.interp(at, s, route[:, i]) for i in (0, 1)])
     step = 2.0 * space.field.spacing
     around = step * np.array([(1.0, 0.0), (-1.0, 0.0), (0.0, 1.0), (0.0, -1.0)])
     for damped in np.geomspace(1.0, _DAMPED, _PULLS):  # between two walls each push leads past the middle

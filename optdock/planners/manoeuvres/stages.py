@@ -91,7 +91,7 @@ class Stages:
         # The weaker rule of a start along a wall comes last, as the certificate tries the strict one first.
         is_too_close = end_clearances(problem).start < problem.path_clearance.required
         relief = problem.start_run if is_too_close else 0.0
-        self._efforts = (
+        self._efforts: tuple[Effort, ...] = (
             Effort(eased, margin, 12, 4000),
             Effort(sharp, margin, 12, 4000),
             Effort(eased, 0.0, 24, 4000, relief),
@@ -271,8 +271,8 @@ class Stages:
         for side in _BOTH:
             for gear in gears:
                 sign, bend, way = gear, side / effort.radius, [0]
-                while len(way) <= _MOST_STROKES and way[-1:] and abs(tree.lengths[way[-1]]) < station[0]:
-                    fresh = tree.grow(np.array(way[-1:]), Moves.of((sign,), (bend,)), station, self.space, effort)
+                while len(way) <= _MOST_STROKES and abs(tree.lengths[way[-1]]) < station[0]:
+                    fresh = tree.grow(np.array([way[-1]]), Moves.of((sign,), (bend,)), station, self.space, effort)
                     if fresh.size == 0 or abs(tree.lengths[fresh[-1]] * bend) < _LEAST_TURN:
                         break
                     way.append(int(fresh[-1]))
@@ -329,30 +329,30 @@ class Stages:
         """Words from pose to pose along the way of a disc around the obstacles."""
         start, radius = self.problem.start.as_array(), 0.5 * self.space.footprint.width
         radius += self.problem.path_clearance.required
+        wave = self.space.wavefront(start[:2], radius)
         for effort in self._efforts[:2]:
-            exits, entries = self._exits(effort).nodes, self._staging(effort)
-            entries = Nodes(entries.tree, entries.rows[entries.rows > 0])
+            exits, (tree, rows) = self._exits(effort).nodes, self._staging(effort)
+            entries = Nodes(tree, rows[rows > 0])
             if entries.rows.size == 0:
                 return
-            way = self.space.wavefront(start[:2], radius).way(entries.tree.poses[entries.rows[0], :2])
+            target = tree.poses[entries.rows[0], :2]
+            way = wave.way(target)
             if way is None:
                 return
-            s = np.concatenate(([0.0], np.cumsum(np.hypot(*np.diff(way, axis=0).T))))
-            at = np.linspace(0.0, s[-1], max(3, round(s[-1] / self.space.width) + 1))
-            route = np.column_stack([np.interp(at, s, way[:, i]) for i in (0, 1)])
-            route[0], route[-1] = start[:2], entries.tree.poses[entries.rows[0], :2]
-            route = elastic_band(route, self.space, effort.radius + radius)
+            route = elastic_band(np.stack((start[:2], *way[1:-1], target)), self.space, effort.radius + radius)
             ways = roadmap_ways(exits, entries, self.space, effort, route, self._worthwhile)
             yield from self._offered("roadmap", ways)
 
     def _hybrid_a_star(self) -> Iterator[Guess | None]:
         """As far afield as it takes, until there is a plan; with a pause where an effort was in vain."""
-        goal, has_plan = self.problem.goal.as_array()[:2], math.isfinite(self._better_than())
+        goal, efforts = self.problem.goal.as_array()[:2], self._efforts
+        if math.isfinite(self._better_than()):
+            efforts = (self._efforts[0]._replace(nodes=_NODES_FOR_A_BETTER_ONE),)
         from_ends = self._wave_from_start, self.space.wavefront(goal)
         if math.isinf(self._wave_from_start.lengths(goal[None])[0]):
             yield None
             return
-        for effort in (self._efforts[0]._replace(nodes=_NODES_FOR_A_BETTER_ONE),) if has_plan else self._efforts:
+        for effort in efforts:
             exits, entries = self._exits(effort), self._entries(effort)
             if exits.nodes.rows.size < 2 and effort.start_relief > 0.0:
                 exits = self._exits(effort, _GENTLE)  # along a wall
