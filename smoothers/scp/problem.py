@@ -330,9 +330,8 @@ def _variable_bounds(
     found, limits = [], problem.robot.limits
     shortest = np.minimum(settings.shortest_gear, 0.5 * lengths)
     longest = settings.longest_gear[0] * lengths + settings.longest_gear[1]
-    # A robot in motion needs its first gear to stop in, of which the final straight may be a part.
-    straight = problem.dock.final_straight if basis.num_gears == 1 else 0.0
-    shortest[0] = max(shortest[0], min(_BRAKING_ROOM * _braking_distance(problem) - straight, longest[0]))
+    if basis.num_gears > 1:  # a robot in motion needs its first gear to stop in
+        shortest[0] = max(shortest[0], min(_BRAKING_ROOM * _braking_distance(problem), longest[0]))
     for inside, rate_inside in ((1.0, 1.0), (settings.curvature_inside, settings.rate_inside)):
         limit = np.full(basis.num_knots, inside * _curvature_bound(limits, settings))
         lower, upper = np.concatenate((-limit, shortest)), np.concatenate((limit, longest))
