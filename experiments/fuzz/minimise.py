@@ -107,6 +107,8 @@ def _shorter_paths(case: Case) -> Iterator[Case]:
     if len(path) > 1:
         yield _ending(case, path[:-1])
     last = path[-1]
+    if last["type"] == "turn":
+        return
     columns = ("poses",) if last["type"] == "polyline" else ("knots", "curvature")
     count = len(last[columns[0]])
     for keep in sorted({max(2, count // 2), max(2, count - 1)}):

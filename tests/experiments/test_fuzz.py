@@ -340,3 +340,11 @@ SEEDS = {
     "view_of_one_edge": 1,
     "view_tolerance_x5": 9,
 }
+
+
+def test_a_path_that_ends_with_a_turn_is_made_smaller_too():
+    """A case of a run that stopped there: its last gear has neither poses nor knots."""
+    case = KINDS["paths"].draw(rng_of("paths", 991, 14515))
+    assert case["path"][-1]["type"] == "turn"
+    smaller = minimised(case, Verdict("false refusal"), lambda one: Verdict("false refusal"))
+    assert len(smaller["path"]) == 1
