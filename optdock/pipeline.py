@@ -59,9 +59,8 @@ from optdock.refinement import Cancellation, Refinement, Stopwatch, at_work, pla
 from optdock.robot import Robot
 from optdock.verification import (
     TOLERANCE,
-    BlockedStraight,
-    ImpossibilityProof,
     ImpossibilitySearch,
+    NoMotionProof,
     check_impossibility,
     end_clearances,
     pose_clearances,
@@ -476,7 +475,7 @@ class _Portfolio:
             raise PlannerTimedOut(late, where=error.where) from error
         except NoMotionExists as error:
             proof = error.proof
-            if isinstance(proof, ImpossibilityProof | BlockedStraight) and check_impossibility(proof, self.problem):
+            if isinstance(proof, NoMotionProof) and check_impossibility(proof, self.problem):
                 raise
             raise PluginError(_UNPROVEN.format(type(planner).__name__)) from error
         if self.deadline.passed():

@@ -146,15 +146,13 @@ def _judged_impossible(plan: PlanFile, proof: NoMotionProof, problem: DockingPro
     faults = [] if verdict.proven else [f"the proof that no motion exists does not hold: {verdict.reason}"]
     others = ", ".join(proof.problem.differences(problem.fingerprint))
     bottleneck = proof.bottleneck
-    of_straight = f"{verdict.cells} poses on the final straight judged again"
+    if isinstance(proof, BlockedStraight):
+        judged = "poses on the final straight"
+    else:
+        judged = f"cells of poses around the {proof.end}"
     rows = [
         ("verdict", "impossible, proven" if verdict.proven else "not certified"),
-        (
-            "proof",
-            of_straight
-            if isinstance(proof, BlockedStraight)
-            else f"{verdict.cells} cells of poses around the {proof.end} judged again",
-        ),
+        ("proof", f"{verdict.cells} {judged} judged again"),
         *((("bottleneck", f"{bottleneck} (as the file says, not proven)"),) if bottleneck is not None else ()),
         *((("file proven for", f"another problem: {others} differ; judged here for this one"),) if others else ()),
         *_not_judged(plan, ("bottleneck",) if bottleneck is not None else ()),

@@ -125,7 +125,7 @@ class ClearanceRule:
     def leaving(from_start: FloatArray, start_clearance: float, start_relief: float = 0.0) -> FloatArray:
         """The growth from what the start has: at once, or beyond `start_relief` from a little less than that."""
         kept = max(0.0, start_clearance)
-        least = kept if start_relief == 0.0 else max(kept - START_SLACK, 0.5 * kept)
+        least = kept if start_relief == 0.0 else _relieved(kept)
         return least + START_RELIEF_SLOPE * np.maximum(0.0, from_start - start_relief)
 
     def undocking(self, from_start: FloatArray) -> FloatArray:
@@ -149,14 +149,23 @@ class ClearanceRule:
 
     @staticmethod
     def raised_start(more: float, start_clearance: float, start_relief: float = 0.0) -> float:
-        """The clearance of a start of which `leaving` asks for at least `more` than of `start_clearance` [m]."""
-        return max(0.0, start_clearance) + (more if start_relief == 0.0 else 2.0 * more)
+        """The clearance of a start of which `leaving` asks for `more` than of `start_clearance` [m]."""
+        kept = max(0.0, start_clearance)
+        if start_relief == 0.0:
+            return kept + more
+        least = _relieved(kept) + more
+        return min(least + START_SLACK, 2.0 * least)  # the inverse of `_relieved`
 
     @property
     def parts(self) -> tuple[float, ...]:
         """The numbers that a digest speaks of; rules that were possible before `dock_run` have the same ones."""
         least = () if self.at_start is None else (self.at_start,)
         return self.required, self.at_dock, self.taper, *((self.dock_run, *least) if self.dock_run or least else ())
+
+
+def _relieved(kept: float) -> float:
+    """What the weaker rule asks for beside a start with this clearance [m]."""
+    return max(kept - START_SLACK, 0.5 * kept)
 
 
 @dataclass(frozen=True, eq=False, init=False, repr=False)
@@ -408,7 +417,7 @@ class DockingProblem(FrozenArrays):
 
         A pose that is off by e and turned by w moves a point at distance r of the robot by at most e + 2 r sin(w / 2)
         in the camera's frame. The tube tapers at the dock as the clearance does. A start that has less is left at the
-        slope that `ClearanceRule.near_start` has.
+        slope that `ClearanceRule.leaving` has.
 
         Args:
             from_goal: Distances of the poses from the goal position, Shape (n,) [m].
@@ -424,7 +433,7 @@ class DockingProblem(FrozenArrays):
         taper = dataclasses.replace(self.clearance, at_dock=0.0, required=1.0)
         at_start = float(view.margins(self.start.as_array()[None]).smallest[0])
         moved = tube.cross + 2.0 * math.sin(0.5 * tube.yaw) * to_marker
-        margin: FloatArray = np.minimum(taper.near_goal(from_goal) * moved, taper.near_start(from_start, at_start))
+        margin: FloatArray = np.minimum(taper.near_goal(from_goal) * moved, taper.leaving(from_start, at_start))
         return margin
 
     @property

@@ -13,7 +13,7 @@ from optdock.io.run_file import RUN_FORMAT
 from optdock.limits import LIMIT_UNITS, STEERING_UNITS
 from optdock.obstacles import in_words
 from optdock.plan import PartialPlan
-from optdock.verification import BlockedStraight, ImpossibilityProof
+from optdock.verification import NoMotionProof
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterable, Sequence
@@ -63,7 +63,7 @@ def failed_plan_file(error: OptdockError, frame: str) -> PlanFile:
         timing_ms=so_far.timing_ms,
         tried=tuple(attempt.as_dict() for attempt in so_far.tried),
         error=PlanError.from_exception(error),
-        impossibility=proof if isinstance(proof, ImpossibilityProof | BlockedStraight) else None,
+        impossibility=proof if isinstance(proof, NoMotionProof) else None,
     )
 
 

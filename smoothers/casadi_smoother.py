@@ -292,7 +292,7 @@ def kept_clearance(path: Path, problem: DockingProblem, least: float, most: floa
     )
     # What the path keeps near the goal the rule may fall to there; near the start it asks for little by itself.
     at_goal = max(0.0, float(kept[from_goal < _TAPER].min()))
-    counts = (kept < ClearanceRule().near_start(from_start, float(kept[0]))) & (from_goal > _SAME_POSE)
+    counts = (kept < ClearanceRule.leaving(from_start, float(kept[0]))) & (from_goal > _SAME_POSE)
     share = np.minimum(1.0, from_goal[counts] / _TAPER)
     required = max(least, float(np.min(at_goal + (kept[counts] - at_goal) / share, initial=most)))
     return ClearanceRule(required, min(at_goal, required), _TAPER)

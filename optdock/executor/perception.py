@@ -225,7 +225,7 @@ class Perception:
         self.measurements, self.stamp = measurements, stamp
         odometry = measurements.odometry
         if self.has_twist and (odometry is None or odometry.stamp != self._odometry_stamp):
-            self._twist_at = stamp  # the same odometry message once more is no news, whatever twist comes with it
+            self._twist_at = stamp  # a repeated odometry message gives no new information, nor does its twist
         self._odometry_stamp = None if odometry is None else odometry.stamp
         if self._costmap_at is None or measurements.costmap is not None:
             self._costmap_at = stamp

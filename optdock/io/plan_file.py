@@ -348,7 +348,7 @@ def parse_plan(text: str, source: str) -> PlanFile:
         unknown = (*unknown, "raw_path.curvature (of samples)")
     trajectory = _built(lambda: _trajectory(document.trajectory), faults)
     time_law = _built(lambda: _time_law(document.trajectory), faults)
-    proof = _built(lambda: _Impossibility.of(document.impossibility), faults)
+    proof = _built(lambda: _impossibility(document.impossibility), faults)
     if faults:
         raise InvalidFile("\n".join(f"{source}: {fault}" for fault in faults))
     return PlanFile(
@@ -362,13 +362,13 @@ def parse_plan(text: str, source: str) -> PlanFile:
         certificate=None if document.certificate is None else _as_written(document.certificate),
         timing_ms={key: value for key, value in document.timing_ms.items() if value is not None},
         error=None if document.error is None else PlanError(*document.error.model_dump().values()),
-        impossibility=None if proof is None else proof.proof,
+        impossibility=proof,
         tried=tuple(map(_as_written, document.tried)),
         unjudged=unknown,
     )
 
 
-def _built(build: Callable[[], T | None], faults: list[str]) -> T | None:
+def _built(build: Callable[[], T], faults: list[str]) -> T | None:
     """What `build` makes; a fault in the file is noted, so that the next part can be tried."""
     try:
         return build()
@@ -377,12 +377,8 @@ def _built(build: Callable[[], T | None], faults: list[str]) -> T | None:
         return None
 
 
-class _Impossibility(NamedTuple):
-    proof: NoMotionProof
-
-    @classmethod
-    def of(cls, values: Mapping[str, object] | None) -> _Impossibility | None:
-        return None if values is None else cls(impossibility_from_dict(values))
+def _impossibility(values: Mapping[str, object] | None) -> NoMotionProof | None:
+    return None if values is None else impossibility_from_dict(values)
 
 
 def _path(columns: PathColumns | None, name: str) -> tuple[Path, bool] | None:

@@ -29,7 +29,7 @@ from optdock.plotting.scene import (
     view_of,
 )
 from optdock.plotting.view_drawing import draw_cone, draw_view
-from optdock.verification import BlockedStraight, ImpossibilityProof
+from optdock.verification import BlockedStraight, NoMotionProof
 
 if TYPE_CHECKING:
     from pathlib import Path as FilePath
@@ -40,7 +40,7 @@ if TYPE_CHECKING:
     from optdock.geometry.arrays import FloatArray
     from optdock.path import Path
     from optdock.problem import DockingProblem
-    from optdock.verification import Certificate, NoMotionProof
+    from optdock.verification import Certificate
 
 __all__ = ["save_plan_picture"]
 
@@ -100,7 +100,7 @@ def save_plan_picture(  # noqa: PLR0913 - one parameter for each thing that is d
     draw_arrow(axes, problem.start, size, COLOURS["start"], "start")
     draw_arrow(axes, problem.goal, size, COLOURS["goal"], "goal")
     proof = refusal.proof if isinstance(refusal, NoMotionExists) else None
-    if isinstance(proof, ImpossibilityProof | BlockedStraight):
+    if isinstance(proof, NoMotionProof):
         _draw_impossibility(axes, problem, proof)
     elif refusal is not None:
         _draw_refusal(axes, problem, refusal, place)

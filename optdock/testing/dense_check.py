@@ -109,7 +109,8 @@ def dense_check(path: Path, problem: DockingProblem, step: float = 0.002) -> Den
     s, poses = np.concatenate([g.s for g in gears]), np.vstack([g.poses for g in gears])
     clearance = _clearances(poses, problem)
     margin, relief = clearance - _required(poses, float(clearance[0]), problem, 0.0), 0.0
-    if margin.min() < -_CLEARANCE_TOLERANCE:
+    is_too_close = float(clearance[0]) < problem.path_clearance.required
+    if is_too_close and margin.min() < -_CLEARANCE_TOLERANCE:
         run = float(np.ptp(problem.robot.footprint.vertices[:, 0]))
         run = 2.0 * min(run, 2.0 * float(np.hypot(*problem.robot.footprint.vertices.T).max()))
         weaker = clearance - _required(poses, float(clearance[0]), problem, run)
@@ -278,15 +279,11 @@ def _required(poses: FloatArray, start_clearance: float, problem: DockingProblem
     tube, corners = problem.robot.tracking, problem.robot.footprint.vertices
     moved = tube.cross + math.sqrt(2.0 - 2.0 * math.cos(tube.yaw)) * float(np.hypot(*corners.T).max())
     has = max(start_clearance, 0.0)
-    asked = (
-        [has + 0.5 * from_start]
-        if run == 0.0
-        else [max(0.5 * has, has - 0.005) + 0.5 * np.clip(from_start - run, 0.0, None)]
-    )
-    for distance, least in (
-        (from_goal, rule.at_dock),
-        *([(from_start, rule.at_start)] if run > 0.0 and rule.at_start is not None else []),
-    ):
+    enough = has if run == 0.0 else max(0.5 * has, has - 0.005)
+    asked, ends = [enough + 0.5 * np.clip(from_start - run, 0.0, None)], [(from_goal, rule.at_dock)]
+    if run > 0.0 and rule.at_start is not None:
+        ends.append((from_start, rule.at_start))
+    for distance, least in ends:
         beyond = np.maximum(distance - rule.dock_run, 0.0)
         grown = np.clip(beyond / rule.taper, 0.0, 1.0) if rule.taper > 0.0 else (beyond > 0.0).astype(np.float64)
         asked.append(least + (rule.required + moved - least) * grown)

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
 __all__ = ["NoMotionProof", "check_impossibility", "impossibility_from_dict"]
 
-NoMotionProof: TypeAlias = "ImpossibilityProof | BlockedStraight"
+NoMotionProof: TypeAlias = ImpossibilityProof | BlockedStraight
 
 
 def check_impossibility(proof: NoMotionProof, problem: DockingProblem) -> ImpossibilityVerdict:

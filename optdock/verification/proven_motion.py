@@ -308,9 +308,8 @@ def _not_clear_by(
         dock=replace(dock, footprint=None) if spares_station else dock,
         clearance=problem.clearance.raised(more),
     )
-    blocked = _not_clear(
-        path, raised, begun._replace(clearance=ClearanceRule.raised_start(more, begun.clearance)), relief
-    )
+    kept = ClearanceRule.raised_start(more, begun.clearance, relief)
+    blocked = _not_clear(path, raised, begun._replace(clearance=kept), relief)
     if blocked or not spares_station or dock.footprint is None:
         return blocked and f"{blocked} with the {more:.4f} m that the robot is off with its outline"
     alone = replace(problem, robot=robot, obstacles=ObstacleSet.empty(), costmap=None)

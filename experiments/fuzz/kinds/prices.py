@@ -7,14 +7,13 @@ that it costs at most 3 % more.
 from __future__ import annotations
 
 import copy
-import functools
 from typing import TYPE_CHECKING
 
 from experiments.fuzz.case import Verdict
 from experiments.fuzz.doors import problem_of
 from experiments.fuzz.generators.docking import docking_problem
 from optdock.errors import OptdockError
-from optdock.pipeline import plan_dock, warm_up
+from optdock.pipeline import plan_dock
 
 if TYPE_CHECKING:
     import numpy as np
@@ -49,14 +48,8 @@ def easier(case: Case) -> Case:
     return made
 
 
-@functools.cache
-def _warm() -> None:
-    warm_up()
-
-
 def judge(case: Case) -> Verdict:
     """Plan both."""
-    _warm()
     try:
         asked, relaxed = problem_of(case), problem_of(easier(case))
     except OptdockError as error:

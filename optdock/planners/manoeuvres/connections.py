@@ -29,6 +29,7 @@ __all__ = [
     "all_pairs",
     "cheapest_words",
     "connections",
+    "end_gears",
     "free_manoeuvres",
     "is_wholly_free",
     "promising",
@@ -148,15 +149,21 @@ def _cheapest(exits: Nodes, entries: Nodes, radius: float, problem: DockingProbl
 
 def _in_allowed_gears(gears: FloatArray, problem: DockingProblem) -> BoolArray:
     """Whether a robot in motion keeps its gear at first, and the last gear is the one that the dock asks for."""
-    gears = np.where(np.abs(gears) > _NOTHING, gears, 0.0)
-    rows, is_moving = np.arange(len(gears)), gears != 0.0
-    allowed: BoolArray = is_moving.any(axis=1)
+    first, last = end_gears(gears)
+    allowed: BoolArray = first != 0.0
     wanted = {DockDirection.FORWARD: 1.0, DockDirection.BACKWARD: -1.0}.get(problem.dock.direction)
     if wanted is not None:
-        allowed &= gears[rows, -1 - np.argmax(is_moving[:, ::-1], axis=1)] * wanted > 0.0
+        allowed &= last * wanted > 0.0
     if problem.start_speed != 0.0:
-        allowed &= gears[rows, np.argmax(is_moving, axis=1)] * problem.start_speed > 0.0
+        allowed &= first * problem.start_speed > 0.0
     return allowed
+
+
+def end_gears(lengths: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Signs of the first and of the last of signed lengths that are motions, Shape (n, k) to (n,); 0 where none is."""
+    signs = np.where(np.abs(lengths) > _NOTHING, np.sign(lengths), 0.0)
+    rows, is_moving = np.arange(len(signs)), signs != 0.0
+    return signs[rows, is_moving.argmax(axis=1)], signs[rows, -1 - is_moving[:, ::-1].argmax(axis=1)]
 
 
 def promising(found: Connections, exits: ArcTree, space: FreeSpace) -> Connections:

@@ -1,4 +1,4 @@
-"""Paths with a gear less: what a search over arcs offers often has gears of centimetres that nobody needs.
+"""Paths with a gear less: a search over arcs often offers short gears that can be left out.
 
 Every change of gear costs a stop. Where a gear lies between two in the other direction, these can be driven as one: the
 stretch that the short one drives twice is left out, and the gap, which is as wide as that one turns, is left to a
@@ -42,27 +42,22 @@ def fewer_cusps(path: Path, problem: DockingProblem) -> Iterator[Path]:
         if isinstance(following, TurnSegment):
             continue
         if k == 0:
-            after = _beyond(following, segments[0].length)
+            after = _poses(following, segments[0].length, following.length)
             if problem.start_speed * following.direction >= 0.0 and len(after):
                 first = np.concatenate((problem.start.as_array()[None], after))
                 yield _joined(path, (), first, following, segments[2:])
         elif segments[k - 1].direction == following.direction:
-            before, after = _until(segments[k - 1], segments[k].length), _beyond(following, segments[k].length)
+            left_out, previous = segments[k].length, segments[k - 1]
+            before, after = (
+                _poses(previous, 0.0, previous.length - left_out),
+                _poses(following, left_out, following.length),
+            )
             if len(before) and len(after):
                 yield _joined(path, segments[: k - 1], np.concatenate((before, after)), following, segments[k + 2 :])
 
 
-def _until(segment: Segment, left_out: float) -> FloatArray:
-    """Poses of a segment without so much of its end [m]. Shape (n, 3)."""
-    return _poses(segment, 0.0, segment.length - left_out)
-
-
-def _beyond(segment: Segment, left_out: float) -> FloatArray:
-    """Poses of a segment without so much of its beginning [m]. Shape (n, 3)."""
-    return _poses(segment, left_out, segment.length)
-
-
 def _poses(segment: Segment, begin: float, end: float) -> FloatArray:
+    """Poses of a segment between two arc lengths [m], none where nothing is left. Shape (n, 3)."""
     if end <= begin:
         return np.zeros((0, 3))
     return segment.poses_at(np.linspace(begin, end, 2 + int((end - begin) / _SPACING)))
@@ -70,7 +65,7 @@ def _poses(segment: Segment, begin: float, end: float) -> FloatArray:
 
 def _joined(
     path: Path,
-    before: tuple[Segment, ...] | list[Segment],
+    before: tuple[Segment, ...],
     poses: FloatArray,
     gear: Segment,
     after: tuple[Segment, ...],

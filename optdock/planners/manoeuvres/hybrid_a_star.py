@@ -1,9 +1,10 @@
-"""Hybrid A* from the goal back to the start, many nodes at a time, with Reeds-Shepp words as shots.
+"""Hybrid A* from one end to the other, many nodes at a time, with Reeds-Shepp words as shots.
 
 [Dolgov2010] search over poses that are not rounded to a grid, keep one node per cell of a pose grid, and try from nodes
-whether the rest can be driven without regard to obstacles. Here the search begins at the goal, where space is tight:
-every node knows its way into the dock, and each new one is shot at from the start by the cheapest words. The bound of
-what is still to drive is the cheaper of all words, and the length of the shortest way among the obstacles for a disc.
+whether the rest can be driven without regard to obstacles. Here the search begins at the end where space is tight,
+mostly the goal: every node knows its way there, and each new one is joined to the other end by the cheapest words. The
+bound of what is still to drive is the cheaper of all words, and the length of the shortest way among the obstacles for
+a disc.
 """
 
 from __future__ import annotations
@@ -36,7 +37,7 @@ _YAWS_PER_CELL = 6
 # Distances to obstacles, in reaches of the distance field, from which cells are so many times as large.
 _ROOM, _COARSER, _COARSEST_YAW = readonly(np.array([0.3, 0.5])), readonly(np.array([1.0, 4.0, 10.0])), 4.0
 _GREED = 2.5  # weight of what is still to drive
-FULL_LOCK = (1.0, -1.0)
+FULL_LOCK = 1.0, -1.0  # left and right, in curvatures of the smallest radius
 _STATIONS = readonly(np.array([0.25, 0.5, 1.0, 2.0]))  # where a node is left on an arc, in turning radii
 
 

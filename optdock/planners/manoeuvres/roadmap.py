@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from optdock.planners.manoeuvres.arcs import Arcs
-from optdock.planners.manoeuvres.connections import cheapest_words, is_wholly_free
+from optdock.planners.manoeuvres.connections import cheapest_words, end_gears, is_wholly_free
 from optdock.planners.manoeuvres.price import gear_changes, stopping_cost
 from optdock.planners.manoeuvres.tree import joined
 
@@ -37,7 +37,6 @@ _MOST_ENDS = 8  # nodes of each end's tree
 _PAIRS, _WORDS_PER_PAIR = 128, 3
 _BATCH = 16  # words looked at in one go
 _MOST_LOOKS, _MORE_LOOKS = 3000, 200  # words, after which nothing is expected, or after a way nothing else
-_NOTHING = 1e-6  # [m]: shorter arcs are no motion
 # Of the elastic band: how often it is pulled and pushed, by which share at first, and how much less at last.
 _PULLS, _STIFFNESS, _DAMPED = 80, 0.5, 0.1
 
@@ -132,12 +131,10 @@ class _LazySearch:
             none = np.zeros(0)
             return _Edges(i, j, none, none, none, np.zeros((0, 5)), np.zeros((0, 5)))
         pair, driven, lengths, curvatures = (np.concatenate(column) for column in zip(*blocks, strict=True))
-        signs = np.where(np.abs(lengths) > _NOTHING, np.sign(lengths), 0.0)
-        rows, moves = np.arange(len(signs)), signs != 0.0
-        begins, ends_in = signs[rows, moves.argmax(axis=1)], signs[rows, -1 - moves[:, ::-1].argmax(axis=1)]
+        begins, ends_in = end_gears(lengths)
         prices = driven + self._stop * gear_changes(lengths)
         speed = self._space.problem.start_speed
-        kept = moves.any(axis=1) & ((i[pair] > 0) | (begins * speed >= 0.0))
+        kept = (begins != 0.0) & ((i[pair] > 0) | (begins * speed >= 0.0))
         kept = np.flatnonzero(kept)[np.argsort(i[pair[kept]], kind="stable")]
         pair = pair[kept]
         return _Edges(i[pair], j[pair], prices[kept], begins[kept], ends_in[kept], lengths[kept], curvatures[kept])
@@ -212,13 +209,18 @@ class _LazySearch:
 
 def _stations(route: FloatArray, radius: float) -> tuple[FloatArray, float]:
     """Poses along a route, and how far they are apart [m]. Shape (n, 3)."""
-    s = np.concatenate(([0.0], np.cumsum(np.hypot(*np.diff(route, axis=0).T))))
+    s = _arc_lengths(route)
     spacing = max(_SPACING * radius, s[-1] / _MOST_STATIONS)
     at, near = np.arange(0.5 * spacing, s[-1], spacing), 0.5 * spacing
     x, y = (np.interp(at, s, route[:, i]) for i in (0, 1))
     dx, dy = (np.interp(at + near, s, route[:, i]) - np.interp(at - near, s, route[:, i]) for i in (0, 1))
     poses: FloatArray = np.column_stack((x, y, np.arctan2(dy, dx)))
     return poses, spacing
+
+
+def _arc_lengths(route: FloatArray) -> FloatArray:
+    """From the first point of a route to each, Shape (n,) [m]."""
+    return np.append(0.0, np.cumsum(np.hypot(*np.diff(route, axis=0).T)))
 
 
 def elastic_band(route: FloatArray, space: FreeSpace, room: float) -> FloatArray:
@@ -231,7 +233,7 @@ def elastic_band(route: FloatArray, space: FreeSpace, room: float) -> FloatArray
         space: Where obstacles are.
         room: How much is wanted on both sides [m].
     """
-    s = np.concatenate(([0.0], np.cumsum(np.hypot(*np.diff(route, axis=0).T))))
+    s = _arc_lengths(route)
     at = np.linspace(0.0, s[-1], max(3, round(s[-1] / space.width) + 1))
     points: FloatArray = np.column_stack([np.interp(at, s, route[:, i]) for i in (0, 1)])
     step = 2.0 * space.field.spacing

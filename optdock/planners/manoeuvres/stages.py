@@ -211,15 +211,15 @@ class Stages:
 
     def _exits(self, effort: Effort, bends: tuple[float, ...] = FULL_LOCK) -> _Exits:
         """The start, and the ends of arcs and lines out of it, one after another where it is boxed in; made once."""
-        known = self._exits_by_effort.get((effort, bends))
-        if known is not None:
-            return known
+        key = effort._replace(nodes=0), bends
+        if key in self._exits_by_effort:
+            return self._exits_by_effort[key]
         tree, root = ArcTree(self.problem.start.as_array(), self.problem.robot.limits, 1), np.zeros(1, dtype=np.int64)
         speed = self.problem.start_speed
         gears = (1.0, -1.0) if speed == 0.0 else (math.copysign(1.0, speed),)
         rows, room = self._grown(Nodes(tree, root), gears, effort, bends)
         found = _Exits(Nodes(tree, np.concatenate((root, rows))), bends, room)
-        self._exits_by_effort[effort, bends] = found
+        self._exits_by_effort[key] = found
         return found
 
     def _entries(self, effort: Effort) -> Nodes:

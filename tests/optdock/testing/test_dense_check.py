@@ -219,3 +219,12 @@ def test_the_marker_must_be_in_view_where_it_is_asked_for(camera, broken):
     assert dense_check(path, task).ok
     assert dense_check(path, seen).broken == broken
     assert certify_path(path, seen).certified == (not broken)
+
+
+@pytest.mark.parametrize(("gap", "ok"), [(0.049, True), (0.0505, False)])
+def test_a_start_that_has_what_is_required_has_no_relief(gap, ok):
+    """A post 4.6 cm beside the way: near enough to a start that is itself too close, and to no other."""
+    leaving = Path((ClothoidSegment(ClothoidSpline(START, np.array([0.0, 4.0]), np.zeros(2))),))
+    beside = box(-0.6, 0.3 + gap, -0.2, 0.5), box(0.6, -0.5, 0.62, -0.346)
+    assert dense_check(leaving, problem_with(*beside)).ok is ok
+    assert certify_path(leaving, problem_with(*beside)).certified is ok

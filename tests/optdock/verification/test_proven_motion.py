@@ -36,6 +36,7 @@ from optdock.verification import (
     unchanged_way,
 )
 from optdock.verification.conservative_advancement import Begun
+from optdock.verification.proven_motion import _not_clear_by
 
 OUTLINE = Footprint.rectangle(0.4, 0.4, 0.5)
 ROBOT = Robot(OUTLINE, MotionLimits(max_curvature=1.5, max_curvature_rate=6.0))
@@ -264,6 +265,14 @@ def test_a_robot_beside_a_start_that_is_too_close_needs_as_much_more_there():
     assert prove_way(straight(), task, start, **rest)
     assert prove_way(straight(), task, Pose2(0.0, 0.0049, 0.0), **rest)  # half of a centimetre is enough
     assert not prove_way(straight(), task, Pose2(0.0, 0.0051, 0.0), **rest)
+
+
+@pytest.mark.parametrize(("gap", "holds"), [(0.0069, False), (0.0071, True)])
+def test_beside_a_start_of_millimetres_the_way_keeps_as_much_more_as_the_robot_is_off(gap, holds):
+    """It began 4 mm from something, half of which is enough; 5 mm off its way, the way must keep 7 mm."""
+    begun = Begun(Pose2(0.0, 0.0, 0.0), 0.004)
+    blocked = _not_clear_by(0.005, straight(), problem([wall(gap)], 0.05), begun, 5.0, spares_station=False)
+    assert (blocked == "") is holds
 
 
 @pytest.mark.parametrize(("begin", "dock"), [(0.2, Pose2(0.6, 0.0, 0.0)), (1.5, Pose2(9.0, 9.0, 0.0))])
