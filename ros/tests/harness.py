@@ -22,9 +22,9 @@ import rclpy
 import yaml
 from lifecycle_msgs.msg import State, Transition
 from lifecycle_msgs.srv import ChangeState, GetState
+from optdock_ros.server import leave, spin
 from rclpy.action.client import ActionClient
-from rclpy.exceptions import InvalidHandle
-from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
+from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.signals import SignalHandlerOptions
@@ -239,13 +239,14 @@ class Client(Node):
         self._clients_by_name: dict[str, Any] = {}
         self._own_executor = SingleThreadedExecutor(context=self.context)
         self._own_executor.add_node(self)
-        self._own_thread = threading.Thread(target=_spin, args=(self._own_executor,), name=name)
+        self._own_thread = threading.Thread(target=spin, args=(self._own_executor,), name=name)
         self._own_thread.start()
 
     def end(self) -> None:
         """Join the thread, then the node goes: the other way round aborts the interpreter."""
-        self._own_executor.shutdown()
+        self._own_executor.create_task(leave)
         self._own_thread.join()
+        self._own_executor.shutdown()
         self.destroy_node()
 
     def wait(self, future: Any, timeout: float = PATIENCE) -> Any:
@@ -366,23 +367,13 @@ def spinning(*nodes: Node, executor: Any = None) -> Iterator[None]:
     executor = executor or SingleThreadedExecutor()
     for node in nodes:
         executor.add_node(node)
-    thread = threading.Thread(target=_spin, args=(executor,), name="spinning")
+    thread = threading.Thread(target=spin, args=(executor,), name="spinning")
     thread.start()
     try:
         yield
     finally:
-        executor.shutdown()
+        executor.create_task(leave)
         thread.join()
+        executor.shutdown()
         for node in nodes:
             node.destroy_node()
-
-
-def _spin(executor: Any) -> None:
-    while True:
-        try:
-            executor.spin()
-        except InvalidHandle:  # something was destroyed while it was about to be waited for
-            continue
-        except ExternalShutdownException:
-            pass
-        return

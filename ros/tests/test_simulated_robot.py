@@ -141,8 +141,9 @@ def test_the_costmap_shows_the_dock_and_goes_on_by_updates(robot: Client) -> Non
     whole = robot.heard(Costmap, "local_costmap/costmap_raw", LATCHED)
     updates = robot.heard(CostmapUpdate, "local_costmap/costmap_raw_updates")
     transforms = robot.heard(TFMessage, "/tf", 100)
-    reset(robot, start=[2.2, 1.0, 0.0], dock_offset=[0.0, 0.0, 0.0])
+    robot.until(lambda: whole)  # the latched one
     before = len(whole)
+    reset(robot, start=[2.2, 1.0, 0.0], dock_offset=[0.0, 0.0, 0.0])
     robot.until(lambda: len(whole) > before)
     updates.clear()
     robot.until(lambda: len(updates) >= 2)
