@@ -13,11 +13,12 @@ from experiments.fuzz.__main__ import main
 from experiments.fuzz.campaign import judge_once
 from experiments.fuzz.case import Verdict, load_case, rng_of, save_case
 from experiments.fuzz.doors import path_of
+from experiments.fuzz.generators.carved import required_between
 from experiments.fuzz.kinds import KINDS
 from experiments.fuzz.minimise import minimised
 from experiments.fuzz.oracle.motion import cut, motion_of
 from experiments.fuzz.oracle.rules import findings
-from experiments.fuzz.oracle.sweep import sweep
+from experiments.fuzz.oracle.sweep import required_at, sweep
 from experiments.fuzz.oracle.timing import judged
 from experiments.fuzz.oracle.views import views
 from experiments.fuzz.oracle.world import World
@@ -348,3 +349,17 @@ def test_a_path_that_ends_with_a_turn_is_made_smaller_too():
     assert case["path"][-1]["type"] == "turn"
     smaller = minimised(case, Verdict("false refusal"), lambda one: Verdict("false refusal"))
     assert len(smaller["path"]) == 1
+
+
+@pytest.mark.parametrize("rule", [[0.2, 0.0, 0.0], [0.05, 0.0, 0.3], [0.2, 0.05, 0.3, 0.4, 0.1]])
+def test_a_witness_keeps_within_its_steps_what_is_required_there(rule):
+    # A step that begins where little is asked for because of the start, and ends where little is because of the goal.
+    poses = np.array([[0.0, 0.0, 0.0], [2.0, 0.0, 0.0], [2.6, 0.0, 0.0], [2.8, 0.0, 0.0]])
+    enough = required_between(rule, poses, 0.005, SQUARE)
+    case = {"clearance": rule, "footprint": {"polygon": SQUARE}, "start": [0.0] * 3, "dock": {"pose": [2.8, 0.0, 0.0]}}
+    for step in range(3):
+        share = np.random.default_rng(step).uniform(size=(1000, 1))
+        within = poses[step] + share * (poses[step + 1] - poses[step])
+        asked = required_at(case, within, 0.005, 4.0 * math.hypot(0.4, 0.3))
+        assert (asked <= enough[step]).all()
+        assert enough[step] < asked.max() + 0.02

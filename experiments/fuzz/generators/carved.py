@@ -10,17 +10,19 @@ import numpy as np
 import shapely
 
 from experiments.fuzz.generators.shapes import end_rules, footprint, log_uniform
-from experiments.fuzz.oracle.sweep import required_at
+from experiments.fuzz.oracle.sweep import clearance_rule, required_at
 from optdock.geometry.polygon import convex_cover
 
 if TYPE_CHECKING:
     from experiments.fuzz.case import Case
 
-__all__ = ["carved_scene"]
+__all__ = ["carved_scene", "required_between"]
 
 Rng: TypeAlias = np.random.Generator
 Floats: TypeAlias = "np.ndarray[tuple[int, ...], np.dtype[np.float64]]"
 
+# Of a step, at which the rule is asked; the outer ones are as good as its ends.
+_SHARES = np.concatenate(([0.0, 1e-6], np.linspace(0.0, 1.0, 65)[1:-1], [1.0 - 1e-6, 1.0]))
 _TURN = 0.02  # [rad] per step: the hull of both outlines misses the arc between by 0.00005 of the robot's reach
 
 
@@ -47,7 +49,7 @@ def _drawn(rng: Rng) -> Case | None:
     at_start = float(rng.choice([0.0, 0.01, rule[0] or 0.0]))
     pieces = [shapely.Polygon(piece) for piece in convex_cover(body)]
     hulls = _hulls(pieces, poses)
-    needed = _required(rule, poses, at_start, outline)
+    needed = required_between(rule, poses, at_start, outline)
     room = shapely.union_all(
         [
             hull.buffer((need + margin) / math.cos(math.pi / 64.0), quad_segs=16) if need + margin > 0.0 else hull
@@ -61,7 +63,7 @@ def _drawn(rng: Rng) -> Case | None:
         return None
     obstacles = shapely.union_all([shapely.Polygon(polygon) for polygon in polygons])
     clearance = min(float(obstacles.distance(_at(body, poses[0]))), 10.0)
-    true = _required(rule, poses, clearance, outline)
+    true = required_between(rule, poses, clearance, outline)
     if any(float(obstacles.distance(hull)) < need for hull, need in zip(hulls, true, strict=True)):
         return None
     return {
@@ -123,13 +125,23 @@ def _hulls(pieces: list[shapely.Geometry], poses: Floats) -> list[shapely.Geomet
     return found
 
 
-def _required(rule: list[float | None], poses: Floats, start_clearance: float, outline: list[list[float]]) -> Floats:
-    """The most that is required in each step; with the weaker relief, as the stronger one asks for more."""
+def required_between(
+    rule: list[float | None], poses: Floats, start_clearance: float, outline: list[list[float]]
+) -> Floats:
+    """The most that is required in each step; with the weaker relief, as the stronger one asks for more.
+
+    Within a step more may be asked for than at its ends: where it falls towards the goal and grows from the start, and
+    just before a goal at which it jumps.
+    """
     ends = {"dock": {"pose": poses[-1].tolist()}, "start": poses[0].tolist()}
     case: Case = {"clearance": rule, "footprint": {"polygon": outline}, **ends}
     run = 4.0 * float(np.hypot(*np.array(outline).T).max())
-    needed = required_at(case, poses, start_clearance, run)
-    found: Floats = np.maximum(needed[:-1], needed[1:])
+    steps = np.diff(poses, axis=0)
+    along = poses[:-1, None] + _SHARES[:, None] * steps[:, None]
+    needed = required_at(case, along.reshape(-1, 3), start_clearance, run).reshape(along.shape[:2]).max(axis=1)
+    required, at_dock, taper, _, at_start = clearance_rule(case)
+    steepest = max([0.5, *((required - least) / taper for least in (at_dock, at_start or 0.0) if taper > 0.0)])
+    found: Floats = needed + steepest * np.hypot(*steps[:, :2].T) * np.diff(_SHARES).max()
     return found
 
 
