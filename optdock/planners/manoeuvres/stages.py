@@ -20,6 +20,7 @@ from optdock.planners.manoeuvres.hybrid_a_star import FULL_LOCK, PoseGrid, hybri
 from optdock.planners.manoeuvres.price import ends_cost, least_price, least_prices
 from optdock.planners.manoeuvres.reeds_shepp import reeds_shepp_words
 from optdock.planners.manoeuvres.roadmap import elastic_band, roadmap_ways
+from optdock.planners.manoeuvres.sharpest_arcs import sharpest_arcs
 from optdock.planners.manoeuvres.tree import ArcTree, Moves
 from optdock.planners.manoeuvres.turns import routes, turning_places, turns_and_drives
 from optdock.verification import end_clearances
@@ -54,6 +55,7 @@ _FREE_EXITS, _MOST_EXITS = 4, 60  # of six; nodes of the start's tree after whic
 _TURN_EXITS = readonly(np.array([0.5, 1.0, 1.5, 2.0, 3.0]))
 _NO_MORE = readonly(np.zeros(0))
 _TURN_TRIES = 4  # ways of turns and straight lines that are offered at most
+_STAGED = 4  # straight runs out of a dock along a wall that arcs lead away from
 _TRIES = 4  # different ways that one stage offers at most
 _WORDS_PER_PAIR = 12  # words from the start to a staging pose that are looked at
 _SAMPLING = 40.0  # poses of a path per turning radius
@@ -114,6 +116,8 @@ class Stages:
             yield from self._turn_and_drive(routes)
         if not self._is_worth_a_search():
             return
+        if math.isinf(self._better_than()):
+            yield from self._along_walls()
         # Where the dock itself is tight, the way to it is not what is hard to find.
         is_tight = self._room_before_dock(self._efforts[0]) < _TIGHT * _EXIT_TURN * self._efforts[0].radius
         first, second = (self._along_routes, self._hybrid_a_star)[:: -1 if is_tight else 1]
@@ -342,6 +346,25 @@ class Stages:
             route = elastic_band(np.stack((start[:2], *way[1:-1], target)), self.space, effort.radius + radius)
             ways = roadmap_ways(exits, entries, self.space, effort, route, self._worthwhile)
             yield from self._offered("roadmap", ways)
+
+    def _along_walls(self) -> Iterator[Guess]:
+        """Words between arcs that lead away from a wall beside the start and from one beside the dock."""
+        limits, effort = self.problem.robot.limits, self._efforts[2]
+        gears = np.array(_BOTH if self.problem.start_speed == 0.0 else [math.copysign(1.0, self.problem.start_speed)])
+        exits, root = ArcTree(self.problem.start.as_array(), limits, 1), np.zeros(gears.size, dtype=np.int64)
+        away = sharpest_arcs(exits, root, gears, self.space, effort)
+        if away.size == 0:
+            return
+        entries, rows = self._staging(effort)
+        before, rows = len(entries), rows[rows > 0][:_STAGED]
+        there = sharpest_arcs(entries, rows, entries.signs[rows], self.space, effort)
+        if len(exits) - 1 == away.size and len(entries) - before == there.size:
+            return  # full lock is free at once
+        pairs = all_pairs(Nodes(exits, np.append(0, away)), Nodes(entries, np.concatenate((rows, there))))
+        found = promising(connections(*pairs, effort.radius, self.space, _WORDS_PER_PAIR), exits, self.space)
+        yield from self._offered(
+            "sharpest arcs", free_manoeuvres(found, exits, entries, self.space, effort, self._worthwhile)
+        )
 
     def _hybrid_a_star(self) -> Iterator[Guess | None]:
         """As far afield as it takes, until there is a plan; with a pause where an effort was in vain."""

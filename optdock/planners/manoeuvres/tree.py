@@ -108,7 +108,7 @@ class ArcTree:
         last = np.where(reached.max(axis=1) < free - 0.1 * space.spacing(effort), free, 0.0)
         lengths = np.column_stack((reached, last))
         arc, station = np.nonzero(lengths > 0.0)
-        return self._added(node[arc], sign[arc] * lengths[arc, station], curvature[arc], is_new)
+        return self.add(node[arc], sign[arc] * lengths[arc, station], curvature[arc], is_new)
 
     @staticmethod
     def _free_lengths(starts: _Starts, longest: float, space: FreeSpace, effort: Effort) -> FloatArray:
@@ -137,13 +137,14 @@ class ArcTree:
             blocked[ended] = np.where(good, blocked[ended], middle)
         return free
 
-    def _added(
+    def add(
         self,
         parent: IntArray,
         length: FloatArray,
         curvature: FloatArray,
-        is_new: Callable[[FloatArray], BoolArray] | None,
+        is_new: Callable[[FloatArray], BoolArray] | None = None,
     ) -> IntArray:
+        """The rows of new nodes at the ends of free arcs, Shape (n,) each; `is_new` as of `grow`."""
         sign = np.sign(length)
         driven = driving_times(self.gear * length, self._limits)
         price = self.prices[parent] + driven + self._stop * (self.signs[parent] * sign < 0.0)

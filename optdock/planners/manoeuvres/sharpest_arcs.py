@@ -1,0 +1,71 @@
+"""Ways away from a wall beside the robot: arcs of which each is the sharpest that is free.
+
+A robot along a wall cannot turn away from it at full lock: its tail swings out and meets the wall. Where the tail may
+come some millimetres closer, it can do so at once and then slide along the wall: with the lever b from the tail to the
+reference point, the heading is the distance gained over b, so distance, heading and curvature grow as exp(s / b).
+Short arcs, each as sharp as the wall allows, follow that to within a few per cent.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from optdock.geometry.arrays import readonly
+from optdock.planners.manoeuvres.arcs import advance
+
+if TYPE_CHECKING:
+    from optdock.geometry.arrays import FloatArray, IntArray
+    from optdock.planners.manoeuvres.free_space import Effort, FreeSpace
+    from optdock.planners.manoeuvres.tree import ArcTree
+
+__all__ = ["sharpest_arcs"]
+
+_LENGTH, _MOST = 0.25, 24  # of an arc, in circumscribed radii; arcs of a chain
+# In curvatures of the smallest radius: those tried first, and what the sharpest that is free is then multiplied by.
+_COARSE = readonly(2.0 ** -np.arange(0.0, 12.0))
+_FINE = readonly(2.0 ** (-np.arange(-7.0, 5.0) / 8.0))
+# Poses of an arc at a first look; of a length as the robot is wide, at a close one.
+_GLANCE, _CLOSE = 4, 60.0
+_MARGIN = 1e-5  # [m]: so much closer an arc at full lock may come between two of these
+
+
+def sharpest_arcs(tree: ArcTree, rows: IntArray, gears: FloatArray, space: FreeSpace, effort: Effort) -> IntArray:
+    """Drive chains of arcs to either side until full lock is free; the rows of the nodes where these chains end.
+
+    Args:
+        tree: Where they are added.
+        rows: Nodes where chains begin, Shape (n,).
+        gears: Signs of their lengths, Shape (n,).
+        space: What is free.
+        effort: How sharply and how closely.
+    """
+    node, sign, side = np.repeat(rows, 2), np.repeat(gears, 2), np.tile([1.0, -1.0], rows.size)
+    length, full = _LENGTH * space.footprint.circumscribed_radius, 1.0 / effort.radius
+    glance, close = (length * np.arange(1, n + 1) / n for n in (_GLANCE, int(np.ceil(length * _CLOSE / space.width))))
+
+    def sharpest(curvatures: FloatArray, stations: FloatArray, margin: float) -> IntArray:
+        """The first column of curvatures, Shape (k, m), at which an arc is free, m where none is. Shape (k,)."""
+        space.poll()
+        bends = side[:, None, None] * curvatures[..., None]
+        poses = advance(tree.poses[node][:, None, None], sign[:, None, None] * stations, bends)
+        free = space.is_free(poses.reshape(-1, 3), margin, effort.start_relief).reshape(poses.shape[:3])
+        found: IntArray = np.column_stack((free.all(axis=2), np.ones(node.size, dtype=np.bool_))).argmax(axis=1)
+        return found
+
+    ends = [rows[:0]]
+    for _ in range(_MOST):
+        first = sharpest(np.tile(full * _COARSE, (node.size, 1)), glance, 0.0)
+        finer = np.minimum(full * np.append(_COARSE, 0.0)[first, None] * _FINE, full)
+        best = sharpest(finer, close, _MARGIN)
+        kept = (first < _COARSE.size) & (best < _FINE.size)
+        if not kept.any():
+            break
+        fresh = tree.add(node[kept], sign[kept] * length, side[kept] * finer[kept, best[kept]])
+        is_full = np.abs(tree.curvatures[fresh]) == full
+        ends.append(fresh[is_full])
+        is_out = is_full & (np.abs(tree.curvatures[tree.parents[tree.parents[fresh]]]) == full)
+        node = fresh[~is_out]
+        sign, side = tree.signs[node], np.sign(tree.curvatures[node])
+    return np.concatenate(ends)
