@@ -4,9 +4,12 @@ from __future__ import annotations
 
 import contextlib
 import logging
+import math
 import time
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any, TypeVar
+
+import numpy as np
 
 from optdock.errors import (
     Cancelled,
@@ -24,6 +27,8 @@ from optdock.errors import (
     TimingCancelled,
     TimingTimedOut,
 )
+from optdock.geometry.clothoid import ClothoidSpline
+from optdock.geometry.pose import Pose2
 from optdock.interfaces import (
     LifecycleState,
     PluginContext,
@@ -38,8 +43,16 @@ from optdock.interfaces import (
 from optdock.path import Path
 from optdock.plan import DockPlan, PartialPlan
 from optdock.plugins import create_plugin
+from optdock.segments import ClothoidSegment, TurnSegment
 from optdock.trajectory import Trajectory
-from optdock.verification import certify_motion, certify_path, prove_motion, where_broken
+from optdock.verification import (
+    certify_motion,
+    certify_path,
+    end_clearances,
+    pose_clearances,
+    prove_motion,
+    where_broken,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -56,6 +69,8 @@ logger = logging.getLogger(__name__)
 PLAIN_TIMING = "Windowed"  # needs no repair
 # Share of the budget, its least and most [s], kept back from the smoother for timing the path and proving the motion.
 _RESERVED_SHARE, _RESERVED_LEAST, _RESERVED_MOST = 0.3, 0.004, 0.03
+# A robot that has no more clearance touches; spacing of the looks at it on the way; what is still straight [m, m, rad].
+_CONTACT, _CONTACT_SPACING, _STRAIGHT = 1e-3, 0.02, 1e-6
 _PROOF = 0.001  # [s], kept back from the time parameterizer for the proof of its motion
 
 _T = TypeVar("_T")
@@ -101,6 +116,46 @@ class Stopwatch:
             took = self.deadline.elapsed - began
             self.longest_wait = max(self.longest_wait, took - (time.thread_time() - worked))
             self.timing_ms[stage] = self.timing_ms.get(stage, 0.0) + 1e3 * took
+
+
+def straight_along_contact(path: Path, problem: DockingProblem) -> float:
+    """How far a path leads straight on until a robot that touches something at the start is clear of it [m].
+
+    Along a wall that it touches, a robot can only go straight. Smoothers, which search among curves, do not end up at
+    just that line; so it is kept as it is.
+
+    Args:
+        path: From the start.
+        problem: Where the robot stands, and among what.
+
+    Returns:
+        0 where the robot does not touch anything, moves, has its wheels turned, or the path begins otherwise.
+    """
+    first, start = path.segments[0], problem.start.as_array()
+    stands = problem.start_speed == 0.0 and problem.start_acceleration == 0.0 and not problem.start_curvature
+    if not stands or isinstance(first, TurnSegment) or end_clearances(problem).start > _CONTACT:
+        return 0.0
+    stations = np.arange(0.0, first.length, _CONTACT_SPACING)
+    poses = path.poses_at(stations)
+    along = np.array([math.cos(start[2]), math.sin(start[2])]) * stations[:, None] * int(first.direction)
+    is_straight = np.abs(poses - start - np.column_stack((along, np.zeros(len(poses))))).max(axis=1) < _STRAIGHT
+    poses = poses[: len(poses) if is_straight.all() else int(is_straight.argmin())]
+    clearances, _ = pose_clearances(poses, problem.robot.footprint, problem.all_obstacles, 2.0 * _CONTACT)
+    is_clear = clearances > _CONTACT
+    return float(stations[is_clear.argmax()]) if is_clear.any() else 0.0
+
+
+def begun_straight(start: Pose2, length: float, path: Path) -> Path:
+    """A path with a straight line of some length [m] before it, in the gear in which it begins."""
+    first = path.segments[0]
+    if isinstance(first, ClothoidSegment):
+        spline = first.spline
+        knots = np.concatenate(([0.0, length], length + spline.knots[1:]))
+        curvature = np.concatenate(([0.0], spline.curvature))
+        whole = ClothoidSegment(ClothoidSpline(start, knots, curvature, spline.sign))
+        return Path((whole, *path.segments[1:]), path.frame)
+    line = ClothoidSpline(start, np.array([0.0, length]), np.zeros(2), int(first.direction))
+    return Path((ClothoidSegment(line), *path.segments), path.frame)
 
 
 @dataclass(eq=False)
@@ -149,8 +204,10 @@ class Refinement:
         """
         so_far.raw_path = raw
         with self.watch.timed("smooth"):
-            result = self._smoothed(raw, most, so_far, begun, is_given=is_given)
+            kept = straight_along_contact(raw, self.problem)
+            result = self._smoothed(raw, kept, most, so_far, begun, is_given=is_given)
             path = plain(result.path, self.smoother, self.problem.frame)
+            path = begun_straight(self.problem.start, kept, path) if kept > 0.0 else path
         plan = self.proven(raw, path, so_far)
         return replace(plan, completed=result.completed, smoothing_report=result.report)
 
@@ -177,19 +234,24 @@ class Refinement:
         return self.cancelled() or self.deadline.passed()
 
     def _smoothed(
-        self, raw: Path, most: float, so_far: PartialPlan, begun: Path | None, *, is_given: bool
+        self, raw: Path, kept: float, most: float, so_far: PartialPlan, begun: Path | None, *, is_given: bool
     ) -> SmoothingResult:
-        smoother, left = self.smoother, self.deadline.left
+        """What the smoother makes of a guess, but for the straight line at its begin that is `kept` [m]."""
+        smoother, left, problem, earlier = self.smoother, self.deadline.left, self.problem, self.warm_start
         if left <= self.reserve:
             raise SmootherTimedOut(ran_out_of_time("smoothing", self.budget))
+        if kept > 0.0:
+            gear = int(raw.segments[0].direction)
+            problem = problem.starting_at(problem.start @ Pose2(gear * kept, 0.0, 0.0), curvature=0.0)
+            raw, earlier = raw.piece(kept), None
         try:
             with at_work(smoother, self.problem, self.cancelled):
                 try:
                     result = smoother.smooth(
                         raw,
                         min(left - self.reserve, most),
-                        problem=self.problem,
-                        warm_start=self.warm_start if begun is None else begun,
+                        problem=problem,
+                        warm_start=earlier if begun is None else begun,
                         cancel_checker=self.cancelled,
                     )
                 except InvalidPath as error:

@@ -28,7 +28,7 @@ _COARSE = readonly(2.0 ** -np.arange(0.0, 12.0))
 _FINE = readonly(2.0 ** (-np.arange(-7.0, 5.0) / 8.0))
 # Poses of an arc at a first look; of a length as the robot is wide, at a close one.
 _GLANCE, _CLOSE = 4, 60.0
-_MARGIN = 1e-5  # [m]: so much closer an arc at full lock may come between two of these
+_MARGIN = 1e-4  # [m]: so much a smoother needs, and more than an arc comes closer between two of these
 
 
 def sharpest_arcs(tree: ArcTree, rows: IntArray, gears: FloatArray, space: FreeSpace, effort: Effort) -> IntArray:

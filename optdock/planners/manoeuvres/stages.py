@@ -362,9 +362,8 @@ class Stages:
             return  # full lock is free at once
         pairs = all_pairs(Nodes(exits, np.append(0, away)), Nodes(entries, np.concatenate((rows, there))))
         found = promising(connections(*pairs, effort.radius, self.space, _WORDS_PER_PAIR), exits, self.space)
-        yield from self._offered(
-            "sharpest arcs", free_manoeuvres(found, exits, entries, self.space, effort, self._worthwhile)
-        )
+        ways = free_manoeuvres(found, exits, entries, self.space, effort, self._worthwhile)
+        yield from itertools.islice(self._offered("sharpest arcs", ways), 1)  # they share the arcs beside the walls
 
     def _hybrid_a_star(self) -> Iterator[Guess | None]:
         """As far afield as it takes, until there is a plan; with a pause where an effort was in vain."""
