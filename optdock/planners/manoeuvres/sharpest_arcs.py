@@ -32,7 +32,7 @@ _MARGIN = 1e-4  # [m]: so much a smoother needs, and more than an arc comes clos
 
 
 def sharpest_arcs(tree: ArcTree, rows: IntArray, gears: FloatArray, space: FreeSpace, effort: Effort) -> IntArray:
-    """Drive chains of arcs to either side until full lock is free; the rows of the nodes where these chains end.
+    """Drive chains of arcs to either side until full lock is free; the rows of the nodes after arcs at full lock.
 
     Args:
         tree: Where they are added.
@@ -65,7 +65,7 @@ def sharpest_arcs(tree: ArcTree, rows: IntArray, gears: FloatArray, space: FreeS
         fresh = tree.add(node[kept], sign[kept] * length, side[kept] * finer[kept, best[kept]])
         is_full = np.abs(tree.curvatures[fresh]) == full
         ends.append(fresh[is_full])
-        is_out = is_full & (np.abs(tree.curvatures[tree.parents[tree.parents[fresh]]]) == full)
-        node = fresh[~is_out]
+        before = tree.parents[tree.parents[fresh]]  # two more arcs at full lock, where they are free
+        node = fresh[~is_full | (before < 0) | (np.abs(tree.curvatures[before]) < full)]
         sign, side = tree.signs[node], np.sign(tree.curvatures[node])
     return np.concatenate(ends)
