@@ -62,7 +62,17 @@ if TYPE_CHECKING:
     from optdock.problem import DockingProblem
     from optdock.verification import Certificate, ProvenMotion, TrajectoryCertificate
 
-__all__ = ["Cancellation", "Refinement", "Stopwatch", "at_work", "plain", "ran_out_of_time", "returned"]
+__all__ = [
+    "Cancellation",
+    "Refinement",
+    "Stopwatch",
+    "at_work",
+    "begun_straight",
+    "plain",
+    "ran_out_of_time",
+    "returned",
+    "straight_along_contact",
+]
 
 logger = logging.getLogger(__name__)
 

@@ -1,9 +1,8 @@
 """Ways away from a wall beside the robot: arcs of which each is the sharpest that is free.
 
 A robot along a wall cannot turn away from it at full lock: its tail swings out and meets the wall. Where the tail may
-come some millimetres closer, it can do so at once and then slide along the wall: with the lever b from the tail to the
-reference point, the heading is the distance gained over b, so distance, heading and curvature grow as exp(s / b).
-Short arcs, each as sharp as the wall allows, follow that to within a few per cent.
+come some millimetres closer, it can slide along the wall while heading and curvature grow exponentially, equation (R9)
+of `docs/theory/search.md`. Short arcs, each as sharp as the wall allows, follow that.
 """
 
 from __future__ import annotations
