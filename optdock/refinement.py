@@ -139,7 +139,8 @@ def straight_along_contact(path: Path, problem: DockingProblem) -> float:
         problem: Where the robot stands, and among what.
 
     Returns:
-        0 where the robot does not touch anything, moves, has its wheels turned, or the path begins otherwise.
+        0 where the robot does not touch anything, moves or has its wheels turned, and where the path begins elsewhere or
+        does not lead out of the contact straight on.
     """
     first, start = path.segments[0], problem.start.as_array()
     stands = problem.start_speed == 0.0 and problem.start_acceleration == 0.0 and not problem.start_curvature
@@ -149,23 +150,30 @@ def straight_along_contact(path: Path, problem: DockingProblem) -> float:
     poses = path.poses_at(stations)
     along = np.array([math.cos(start[2]), math.sin(start[2])]) * stations[:, None] * int(first.direction)
     is_straight = np.abs(poses - start - np.column_stack((along, np.zeros(len(poses))))).max(axis=1) < _STRAIGHT
+    if not is_straight[0]:  # a guess may begin elsewhere
+        return 0.0
     poses = poses[: len(poses) if is_straight.all() else int(is_straight.argmin())]
     clearances, _ = pose_clearances(poses, problem.robot.footprint, problem.all_obstacles, 2.0 * _CONTACT)
     is_clear = clearances > _CONTACT
     return float(stations[is_clear.argmax()]) if is_clear.any() else 0.0
 
 
-def begun_straight(start: Pose2, length: float, path: Path) -> Path:
-    """A path with a straight line of some length [m] before it, in the gear in which it begins."""
-    first = path.segments[0]
-    if isinstance(first, ClothoidSegment):
-        spline = first.spline
-        knots = np.concatenate(([0.0, length], length + spline.knots[1:]))
-        curvature = np.concatenate(([0.0], spline.curvature))
-        whole = ClothoidSegment(ClothoidSpline(start, knots, curvature, spline.sign))
-        return Path((whole, *path.segments[1:]), path.frame)
-    line = ClothoidSpline(start, np.array([0.0, length]), np.zeros(2), int(first.direction))
-    return Path((ClothoidSegment(line), *path.segments), path.frame)
+def begun_straight(start: Pose2, gear: int, length: float, path: Path) -> Path:
+    """A path with a straight line before it, which ends where the path begins.
+
+    Args:
+        start: Where the line begins.
+        gear: In which it is driven, 1 or -1.
+        length: Of the line [m].
+        path: Of any kind; a clothoid spline in the same gear goes on with the line.
+    """
+    first, segments = path.segments[0], path.segments
+    knots, curvature = np.array([0.0, length]), np.zeros(2)
+    if isinstance(first, ClothoidSegment) and first.spline.sign == gear:
+        knots = np.concatenate((knots, length + first.spline.knots[1:]))
+        curvature = np.concatenate((curvature[:1], first.spline.curvature))
+        segments = segments[1:]
+    return Path((ClothoidSegment(ClothoidSpline(start, knots, curvature, gear)), *segments), path.frame)
 
 
 @dataclass(eq=False)
@@ -217,7 +225,8 @@ class Refinement:
             kept = straight_along_contact(raw, self.problem)
             result = self._smoothed(raw, kept, most, so_far, begun, is_given=is_given)
             path = plain(result.path, self.smoother, self.problem.frame)
-            path = begun_straight(self.problem.start, kept, path) if kept > 0.0 else path
+            if kept > 0.0:
+                path = begun_straight(self.problem.start, int(raw.segments[0].direction), kept, path)
         plan = self.proven(raw, path, so_far)
         return replace(plan, completed=result.completed, smoothing_report=result.report)
 

@@ -60,6 +60,7 @@ def test_no_straight_line_is_kept_where_there_is_no_contact_or_the_path_turns_in
     assert straight_along_contact(path, flush(start_speed=0.1)) == 0.0
     assert straight_along_contact(path, flush(start_curvature=0.2)) == 0.0
     assert straight_along_contact(path, flush(start_curvature=0.0)) > 0.0
+    assert straight_along_contact(path.moved(Pose2(0.1, 0.0, 0.0)), flush()) == 0.0
 
 
 @pytest.mark.parametrize("gear", [1, -1])
@@ -70,7 +71,7 @@ def test_a_line_before_a_path_moves_its_start_and_nothing_else(gear):
     wanted = Path((ClothoidSegment(whole),), "map").poses_at(stations)
     curve = Path((ClothoidSegment(rest),), "map")
     for path in (curve, Path.from_poses(curve.sample(0.005).poses, "map")):
-        found = begun_straight(FRAME, 1.2, path)
+        found = begun_straight(FRAME, gear, 1.2, path)
         assert found.start == FRAME
         assert np.abs(found.poses_at(stations * found.length / 3.0) - wanted).max() < 1e-4
-    assert len(begun_straight(FRAME, 1.2, curve).segments) == 1
+    assert len(begun_straight(FRAME, gear, 1.2, curve).segments) == 1
