@@ -139,8 +139,8 @@ def straight_along_contact(path: Path, problem: DockingProblem) -> float:
         problem: Where the robot stands, and among what.
 
     Returns:
-        0 where the robot does not touch anything, moves or has its wheels turned, and where the path begins elsewhere or
-        does not lead out of the contact straight on.
+        0 where the robot does not touch anything, moves or has its wheels turned, and where the path begins elsewhere
+        or does not lead out of the contact straight on.
     """
     first, start = path.segments[0], problem.start.as_array()
     stands = problem.start_speed == 0.0 and problem.start_acceleration == 0.0 and not problem.start_curvature
