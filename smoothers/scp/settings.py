@@ -126,6 +126,7 @@ class CollisionSettings:
     surely_kept: float = 0.01  # [m] beyond the required clearance: such pairs might be too close
     grouped_intervals: int = 6  # neighbours whose common box is looked at first: cheapest among 100 to 1000 obstacles
     # Narrow phase
+    facing_edges: int = 12  # of a body with more, those most along the best other axis: 8 miss millimetres
     lowest_vertices: int = 8  # that can carry the lower side of a hull; more make quadratically many chords
     lowest_slope: float = 0.35  # how they are chosen among more
     # Active pairs

@@ -1,5 +1,7 @@
 """Separating planes, their rows and covering discs against shapely and finite differences."""
 
+import dataclasses
+
 import numpy as np
 import pytest
 import shapely
@@ -240,3 +242,20 @@ def test_a_disc_inside_an_obstacle_is_pushed_through_its_nearest_side():
         assert min(outline.exterior.distance(shapely.Point(point)) for point in exits) < 1e-9
     deepest = inside[np.argmin(rows.gap[inside])]
     assert rows.gradient[deepest] == pytest.approx([0.0, -1.0], abs=1e-12)
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_of_many_edges_those_that_face_the_obstacle_separate_as_far_as_all_do(cases, seed):
+    oval = np.linspace(0.0, 2.0 * np.pi, 49)[:-1]
+    footprint = Footprint(np.column_stack((0.5 * np.cos(oval), 0.3 * np.sin(oval))))
+    every = dataclasses.replace(COLLISION, facing_edges=len(oval))
+    basis, variables, problem, _, signs = random_case(cases, seed, footprint)
+    rollout = roll_out(basis, variables, problem.start.as_array(), signs)
+    few, all_of_them = (
+        clearance(scene_around(problem, rollout.poses[:, :2], 1.0, chosen), basis, rollout, signs, 0.5).margin
+        for chosen in (COLLISION, every)
+    )
+    apart = all_of_them > 0.0
+    assert apart.any()
+    assert np.all(few[apart] >= all_of_them[apart] - 1e-4)
+    assert np.all(few[~apart] >= all_of_them[~apart] - 0.05)  # nothing separates what overlaps

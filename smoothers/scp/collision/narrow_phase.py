@@ -175,13 +175,21 @@ def best_separating_axes(
         settings: How many vertices may carry the lower side of a hull.
     """
     closest, chord = _vertex_axes(hull, outline, normals)
-    axes = Points(
-        np.concatenate((normals.x, inward.x, closest.x, chord.x, -chord.x)),
-        np.concatenate((normals.y, inward.y, closest.y, chord.y, -chord.y)),
-    )
-    gaps = _gaps(axes, hull, outline)
+    vertex = Points(np.concatenate((closest.x, chord.x, -chord.x)), np.concatenate((closest.y, chord.y, -chord.y)))
+    of_outline, of_vertices = _gaps(normals, hull, outline), _gaps(vertex, hull, outline)
+    if inward.x.shape[0] > settings.facing_edges:
+        axes, gaps = _stacked(normals, vertex), np.concatenate((of_outline, of_vertices))
+        along = inward.along(axes.at(np.argmax(gaps, axis=0)))
+        most = np.argpartition(-along, settings.facing_edges, axis=0)[: settings.facing_edges]
+        inward = Points(np.take_along_axis(inward.x, most, axis=0), np.take_along_axis(inward.y, most, axis=0))
+    axes = _stacked(normals, inward, vertex)
+    gaps = np.concatenate((of_outline, _gaps(inward, hull, outline), of_vertices))
     best = np.argmax(gaps, axis=0)
     return _refined(axes.at(best), gaps[best, np.arange(best.size)], hull, outline, settings)
+
+
+def _stacked(*points: Points) -> Points:
+    return Points(*(np.concatenate(values) for values in zip(*points, strict=True)))
 
 
 def _gaps(axes: Points, hull: Points, outline: Points) -> FloatArray:
