@@ -25,8 +25,9 @@ _LENGTH, _MOST = 0.25, 24  # of an arc, in circumscribed radii; arcs of a chain
 # In curvatures of the smallest radius: those tried first, and what the sharpest that is free is then multiplied by.
 _COARSE = readonly(2.0 ** -np.arange(0.0, 12.0))
 _FINE = readonly(2.0 ** (-np.arange(-7.0, 5.0) / 8.0))
-# Poses of an arc at a first look; of a length as the robot is wide, at a close one.
-_GLANCE, _CLOSE = 4, 60.0
+# Poses of an arc at a first look; of a length as the robot is wide, at a close one, and of any arc at most.
+_GLANCE, _CLOSE, _MOST_POSES = 4, 60.0, 40
+_AT_ONCE = 2000  # poses looked at in one go, a millisecond or two
 _MARGIN = 1e-4  # [m]: so much a smoother needs, and more than an arc comes closer between two of these
 
 
@@ -42,15 +43,20 @@ def sharpest_arcs(tree: ArcTree, rows: IntArray, gears: FloatArray, space: FreeS
     """
     node, sign, side = np.repeat(rows, 2), np.repeat(gears, 2), np.tile([1.0, -1.0], rows.size)
     length, full = _LENGTH * space.footprint.circumscribed_radius, 1.0 / effort.radius
-    glance, close = (length * np.arange(1, n + 1) / n for n in (_GLANCE, int(np.ceil(length * _CLOSE / space.width))))
+    many = min(int(np.ceil(length * _CLOSE / space.width)), _MOST_POSES)
+    glance, close = (length * np.arange(1, n + 1) / n for n in (_GLANCE, many))
 
     def sharpest(curvatures: FloatArray, stations: FloatArray, margin: float) -> IntArray:
         """The first column of curvatures, Shape (k, m), at which an arc is free, m where none is. Shape (k,)."""
-        space.poll()
-        bends = side[:, None, None] * curvatures[..., None]
-        poses = advance(tree.poses[node][:, None, None], sign[:, None, None] * stations, bends)
-        free = space.is_free(poses.reshape(-1, 3), margin, effort.start_relief).reshape(poses.shape[:3])
-        found: IntArray = np.column_stack((free.all(axis=2), np.ones(node.size, dtype=np.bool_))).argmax(axis=1)
+        found = np.empty(node.size, dtype=np.int64)
+        step = max(1, _AT_ONCE // (curvatures.shape[1] * stations.size))
+        for some in (slice(k, k + step) for k in range(0, node.size, step)):
+            space.poll()
+            bends = side[some, None, None] * curvatures[some, :, None]
+            poses = advance(tree.poses[node[some], None, None], sign[some, None, None] * stations, bends)
+            free = space.is_free(poses.reshape(-1, 3), margin, effort.start_relief).reshape(poses.shape[:3])
+            is_free = np.column_stack((free.all(axis=2), np.ones(len(free), dtype=np.bool_)))
+            found[some] = is_free.argmax(axis=1)
         return found
 
     ends = [rows[:0]]
