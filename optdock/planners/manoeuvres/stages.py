@@ -176,6 +176,12 @@ class Stages:
         return Nodes(tree, np.arange(len(tree)))
 
     @property
+    def _start_gears(self) -> tuple[float, ...]:
+        """Signs of the lengths of the first motion."""
+        speed = self.problem.start_speed
+        return _BOTH if speed == 0.0 else (math.copysign(1.0, speed),)
+
+    @property
     def _gears(self) -> tuple[float, ...]:
         """Signs of the lengths of the last motion."""
         wanted = self.problem.dock.direction
@@ -219,9 +225,7 @@ class Stages:
         if key in self._exits_by_effort:
             return self._exits_by_effort[key]
         tree, root = ArcTree(self.problem.start.as_array(), self.problem.robot.limits, 1), np.zeros(1, dtype=np.int64)
-        speed = self.problem.start_speed
-        gears = (1.0, -1.0) if speed == 0.0 else (math.copysign(1.0, speed),)
-        rows, room = self._grown(Nodes(tree, root), gears, effort, bends)
+        rows, room = self._grown(Nodes(tree, root), self._start_gears, effort, bends)
         found = _Exits(Nodes(tree, np.concatenate((root, rows))), bends, room)
         self._exits_by_effort[key] = found
         return found
@@ -350,7 +354,7 @@ class Stages:
     def _along_walls(self) -> Iterator[Guess]:
         """Words between arcs that lead away from a wall beside the start and from one beside the dock."""
         limits, effort = self.problem.robot.limits, self._efforts[2]
-        gears = np.array(_BOTH if self.problem.start_speed == 0.0 else [math.copysign(1.0, self.problem.start_speed)])
+        gears = np.array(self._start_gears)
         exits, root = ArcTree(self.problem.start.as_array(), limits, 1), np.zeros(gears.size, dtype=np.int64)
         away = sharpest_arcs(exits, root, gears, self.space, effort)
         if away.size == 0:

@@ -172,10 +172,10 @@ def best_separating_axes(
         outline: Obstacle vertices, Shape (k, p).
         normals: Outward obstacle edge normals, Shape (k, p).
         inward: Inward body edge normals at the left node, Shape (v, p).
-        settings: How many vertices may carry the lower side of a hull.
+        settings: How many edges of the body are candidates, and how many vertices may carry the lower side of a hull.
     """
     closest, chord = _vertex_axes(hull, outline, normals)
-    vertex = Points(np.concatenate((closest.x, chord.x, -chord.x)), np.concatenate((closest.y, chord.y, -chord.y)))
+    vertex = _stacked(closest, chord, Points(-chord.x, -chord.y))
     of_outline, of_vertices = _gaps(normals, hull, outline), _gaps(vertex, hull, outline)
     if inward.x.shape[0] > settings.facing_edges:
         axes, gaps = _stacked(normals, vertex), np.concatenate((of_outline, of_vertices))
@@ -189,6 +189,7 @@ def best_separating_axes(
 
 
 def _stacked(*points: Points) -> Points:
+    """All of several, one above the other."""
     return Points(*(np.concatenate(values) for values in zip(*points, strict=True)))
 
 
