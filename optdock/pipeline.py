@@ -55,7 +55,16 @@ from optdock.planners.manoeuvres.fewer_cusps import fewer_cusps
 from optdock.planners.manoeuvres.price import least_price
 from optdock.plugins import PluginChoice, plugin_from
 from optdock.problem import ClearanceRule, DockingProblem
-from optdock.refinement import Cancellation, Refinement, Stopwatch, at_work, plain, ran_out_of_time, returned
+from optdock.refinement import (
+    Cancellation,
+    Refinement,
+    Stopwatch,
+    at_work,
+    plain,
+    ran_out_of_time,
+    returned,
+    stopping_at_bends,
+)
 from optdock.robot import Robot
 from optdock.verification import (
     TOLERANCE,
@@ -346,6 +355,7 @@ class _Portfolio:
     watch: Stopwatch = field(init=False)
     refinement: Refinement = field(init=False)
     best: DockPlan | None = None
+    last_resort: DockPlan | None = None  # along a guess as it is, with a stop at every bend
     tried: list[Attempt] = field(default_factory=list)
     failures: list[_Failure] = field(default_factory=list)
     cut_short: list[_CutShort] = field(default_factory=list)
@@ -384,12 +394,18 @@ class _Portfolio:
             elif self.best is None:
                 self.failures = [failure for failure in self.failures if failure.left.raw_path is not guess.path]
                 self._try(guess, begun, is_last=True)
-        if self.best is None:
+        plans = [plan for plan in (self.best, self.last_resort) if plan is not None]
+        if not plans:
             raise self._refusal()
+        self.best = min(plans, key=lambda plan: plan.price)
         self._leave_out_gears()
         timing = {**self.so_far.timing_ms, "total": 1e3 * self.deadline.elapsed}
-        completed = self.best.completed and not self.deadline.passed()
-        return replace(self.best, completed=completed, timing_ms=timing, tried=tuple(self.tried))
+        return replace(self.best, completed=self._is_complete(self.best), timing_ms=timing, tried=tuple(self.tried))
+
+    def _is_complete(self, plan: DockPlan) -> bool:
+        """Whether more time would not change anything."""
+        is_cut_short = self.is_cut_off or any(isinstance(failure.error, TimedOut) for failure in self.failures)
+        return plan.completed and not self.deadline.passed() and not (plan is self.last_resort and is_cut_short)
 
     def _leave_out_gears(self) -> None:
         """Try the best plan without one of its shorter gears, as long as that helps."""
@@ -524,11 +540,27 @@ class _Portfolio:
             if isinstance(error, SmootherTimedOut) and not unhurried:
                 self.cut_short.append(_CutShort(guess, PartialPlan.left_by(error).path, overlapping))
             self._fail(_Failure(error, left, stage or 0), guess.stage, guess.path, self.deadline.elapsed - began)
+            self._stop_at_bends(guess)
             return
         self.tried.append(Attempt(guess.stage, guess.path, self.deadline.elapsed - began, plan.price))
         self.so_far.timing_ms.setdefault("first", 1e3 * self.deadline.elapsed)
         if plan.price < self._lowest_price():
             self.best = plan
+
+    def _stop_at_bends(self, guess: Guess) -> None:
+        """Keep a plan along a guess that failed, as it is, in case that nothing better is found."""
+        known = self.last_resort.price if self.last_resort is not None else math.inf
+        path = stopping_at_bends(guess.path) if guess.stage != "given" and self.best is None else None
+        if path is None or least_price(path, self.problem) >= known:
+            return
+        began = self.deadline.elapsed
+        with contextlib.suppress(OptdockError):  # what is said of the guess is why it could not be smoothed
+            plan = self.refinement.proven(guess.path, path, PartialPlan())
+            if plan.price < known:
+                self.last_resort = plan
+                stage, seconds = f"{guess.stage}, stopping at bends", self.deadline.elapsed - began
+                self.tried.append(Attempt(stage, guess.path, seconds, plan.price))
+                self.so_far.timing_ms.setdefault("first", 1e3 * self.deadline.elapsed)
 
     def _overlapping(self, path: Path) -> float:
         """Share of the poses of a guess that lie in obstacles."""
@@ -553,7 +585,7 @@ class _Portfolio:
             NoMotionExists: That is proven.
             PlannerCancelled: The caller wants an end.
         """
-        if self.best is not None or self.deadline.left <= 0.0:
+        if self.best is not None or self.last_resort is not None or self.deadline.left <= 0.0:
             return
         with self.watch.timed("prove"):
             if self.impossibility.ended:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import itertools
 import logging
 import math
 import time
@@ -43,7 +44,7 @@ from optdock.interfaces import (
 from optdock.path import Path
 from optdock.plan import DockPlan, PartialPlan
 from optdock.plugins import create_plugin
-from optdock.segments import ClothoidSegment, TurnSegment
+from optdock.segments import ClothoidSegment, PolylineSegment, TurnSegment
 from optdock.trajectory import Trajectory
 from optdock.verification import (
     certify_motion,
@@ -60,6 +61,7 @@ if TYPE_CHECKING:
     from optdock.deadline import Deadline
     from optdock.lifecycle import Plugin
     from optdock.problem import DockingProblem
+    from optdock.segments import Segment
     from optdock.verification import Certificate, ProvenMotion, TrajectoryCertificate
 
 __all__ = [
@@ -71,6 +73,7 @@ __all__ = [
     "plain",
     "ran_out_of_time",
     "returned",
+    "stopping_at_bends",
     "straight_along_contact",
 ]
 
@@ -81,6 +84,9 @@ PLAIN_TIMING = "Windowed"  # needs no repair
 _RESERVED_SHARE, _RESERVED_LEAST, _RESERVED_MOST = 0.3, 0.004, 0.03
 # A robot that has no more clearance touches; spacing of the looks at it on the way; what is still straight [m, m, rad].
 _CONTACT, _CONTACT_SPACING, _STRAIGHT = 1e-3, 0.02, 1e-6
+# The steps of a sampled arc have the same curvature but for rounding [1/m]; what bends at more than this share of its
+# poses is no sequence of arcs.
+_SAME_BEND, _MOST_BENDS = 1e-5, 0.5
 _PROOF = 0.001  # [s], kept back from the time parameterizer for the proof of its motion
 
 _T = TypeVar("_T")
@@ -174,6 +180,36 @@ def begun_straight(start: Pose2, gear: int, length: float, path: Path) -> Path:
         curvature = np.concatenate((curvature[:1], first.spline.curvature))
         segments = segments[1:]
     return Path((ClothoidSegment(ClothoidSpline(start, knots, curvature, gear)), *segments), path.frame)
+
+
+def stopping_at_bends(path: Path) -> Path | None:
+    """The same way as clothoid segments of constant curvature, with a stop wherever the curvature jumps.
+
+    A robot that stands may turn its wheels, so a sequence of arcs needs no smoothing to be driven: where room is too
+    short for a transition between two curvatures, it can be the only way.
+
+    Args:
+        path: Sampled arcs and straight lines, and turns in place.
+
+    Returns:
+        None where the path is no such sequence.
+    """
+    found: list[Segment] = []
+    for segment in path.segments:
+        if not isinstance(segment, PolylineSegment):
+            found.append(segment)
+            continue
+        curvature = segment.step_curvature
+        bends = np.flatnonzero(~(np.abs(np.diff(curvature)) <= _SAME_BEND)) + 1
+        if bends.size > _MOST_BENDS * curvature.size:
+            return None
+        for begin, end in itertools.pairwise((0, *bends.tolist(), curvature.size)):
+            length = segment.knots[end] - segment.knots[begin]
+            bend = (segment.poses[end, 2] - segment.poses[begin, 2]) / length
+            pose, gear = Pose2.from_sequence(segment.poses[begin]), int(segment.direction)
+            spline = ClothoidSpline(pose, np.array([0.0, length]), np.array([bend, bend]), gear)
+            found.append(ClothoidSegment(spline))
+    return Path(tuple(found), path.frame)
 
 
 @dataclass(eq=False)

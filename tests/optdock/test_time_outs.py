@@ -32,13 +32,18 @@ from optdock.robot import Robot
 
 START, GOAL = Pose2(0.0, 0.0, 0.0), Pose2(2.0, 0.0, 0.0)
 ROBOT = Robot(Footprint.rectangle(0.3, 0.3, 0.4), MotionLimits(max_curvature=2.0, max_curvature_rate=8.0))
-AHEAD = Path((PolylineSegment([(0.0, 0.0, 0.0), (2.0, 0.0, 0.0)]),))
-AROUND = Path(
-    (
-        PolylineSegment([(0.0, 0.0, 0.0), (3.0, 0.0, 0.0)]),
-        PolylineSegment([(3.0, 0.0, 0.0), (2.0, 0.0, 0.0)], Direction.REVERSE),
+
+
+def swaying(begin, end, gear=Direction.FORWARD):
+    """A line whose heading sways at every pose: without a smoother nothing follows it."""
+    return PolylineSegment(
+        [(begin + (end - begin) * k / 4, 0.0, 0.01 * (k % 2)) for k in range(5)],
+        gear,
     )
-)
+
+
+AHEAD = Path((swaying(0.0, 2.0),))
+AROUND = Path((swaying(0.0, 3.0), swaying(3.0, 2.0, Direction.REVERSE)))
 BUDGET = 37.0  # [s]: far more than any of this takes, so that no clock decides
 
 
