@@ -549,8 +549,10 @@ class _Portfolio:
 
     def _stop_at_bends(self, guess: Guess) -> None:
         """Keep a plan along a guess that failed, as it is, in case that nothing better is found."""
+        if guess.stage == "given" or self.best is not None or self._is_late():
+            return
         known = self.last_resort.price if self.last_resort is not None else math.inf
-        path = stopping_at_bends(guess.path) if guess.stage != "given" and self.best is None else None
+        path = stopping_at_bends(guess.path)
         if path is None or least_price(path, self.problem) >= known:
             return
         began = self.deadline.elapsed

@@ -84,9 +84,9 @@ PLAIN_TIMING = "Windowed"  # needs no repair
 _RESERVED_SHARE, _RESERVED_LEAST, _RESERVED_MOST = 0.3, 0.004, 0.03
 # A robot that has no more clearance touches; spacing of the looks at it on the way; what is still straight [m, m, rad].
 _CONTACT, _CONTACT_SPACING, _STRAIGHT = 1e-3, 0.02, 1e-6
-# The steps of a sampled arc have the same curvature but for rounding [1/m]; what bends at more than this share of its
-# poses is no sequence of arcs.
-_SAME_BEND, _MOST_BENDS = 1e-5, 0.5
+# The steps of a sampled arc have the same curvature but for rounding [1/m]. A path with more bends than this within its
+# gears is a curve, or would stop too often to be of use.
+_SAME_BEND, _MOST_BENDS = 1e-5, 12
 _PROOF = 0.001  # [s], kept back from the time parameterizer for the proof of its motion
 
 _T = TypeVar("_T")
@@ -192,16 +192,18 @@ def stopping_at_bends(path: Path) -> Path | None:
         path: Sampled arcs and straight lines, and turns in place.
 
     Returns:
-        None where the path is no such sequence.
+        None where the path is no such sequence, or a long one.
     """
     found: list[Segment] = []
+    room = _MOST_BENDS
     for segment in path.segments:
         if not isinstance(segment, PolylineSegment):
             found.append(segment)
             continue
         curvature = segment.step_curvature
         bends = np.flatnonzero(~(np.abs(np.diff(curvature)) <= _SAME_BEND)) + 1
-        if bends.size > _MOST_BENDS * curvature.size:
+        room -= bends.size
+        if room < 0:
             return None
         for begin, end in itertools.pairwise((0, *bends.tolist(), curvature.size)):
             length = segment.knots[end] - segment.knots[begin]

@@ -36,10 +36,7 @@ ROBOT = Robot(Footprint.rectangle(0.3, 0.3, 0.4), MotionLimits(max_curvature=2.0
 
 def swaying(begin, end, gear=Direction.FORWARD):
     """A line whose heading sways at every pose: without a smoother nothing follows it."""
-    return PolylineSegment(
-        [(begin + (end - begin) * k / 4, 0.0, 0.01 * (k % 2)) for k in range(5)],
-        gear,
-    )
+    return PolylineSegment([(begin + (end - begin) * k / 20, 0.0, 0.01 * (k % 2)) for k in range(21)], gear)
 
 
 AHEAD = Path((swaying(0.0, 2.0),))

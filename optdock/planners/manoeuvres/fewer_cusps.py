@@ -1,12 +1,14 @@
-"""Paths with a gear less: a search over arcs often offers short gears that can be left out.
+"""Paths with a stop less: a search over arcs often offers short gears that can be left out.
 
-Every change of gear costs a stop. Where a gear lies between two in the other direction, these can be driven as one: the
+Every change of gear costs a stop, and so does every jump of the curvature within a gear. Such a jump is left to a
+smoother. Where a gear lies between two in the other direction, these can be driven as one: the
 stretch that the short one drives twice is left out, and the gap, which is as wide as that one turns, is left to a
 smoother. The first gear can go where the next may begin at the start.
 """
 
 from __future__ import annotations
 
+import itertools
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -28,18 +30,19 @@ _LONGEST = 0.5  # of the robot's length: longer gears do what shorter ones canno
 
 
 def fewer_cusps(path: Path, problem: DockingProblem) -> Iterator[Path]:
-    """Guesses with one gear less each, the shortest one left out first; turns in place stay where they are.
+    """Guesses with one stop less each, the shortest gear left out first; turns in place stay where they are.
 
     Args:
         path: With cusps or without.
         problem: Whose start must be kept, and which robot drives.
     """
     segments = path.segments
+    yield from _without_stops_within_gears(path)
     longest = _LONGEST * problem.robot.footprint.length
     rows = [k for k, one in enumerate(segments[:-1]) if not isinstance(one, TurnSegment) and one.length <= longest]
     for k in sorted(rows, key=lambda row: float(segments[row].length)):
         following = segments[k + 1]
-        if isinstance(following, TurnSegment):
+        if following.direction != -segments[k].direction:
             continue
         if k == 0:
             after = _poses(following, segments[0].length, following.length)
@@ -54,6 +57,14 @@ def fewer_cusps(path: Path, problem: DockingProblem) -> Iterator[Path]:
             )
             if len(before) and len(after):
                 yield _joined(path, segments[: k - 1], np.concatenate((before, after)), following, segments[k + 2 :])
+
+
+def _without_stops_within_gears(path: Path) -> Iterator[Path]:
+    """Two segments in the same gear as one."""
+    for k, (one, following) in enumerate(itertools.pairwise(path.segments)):
+        if one.direction == following.direction and not isinstance(one, TurnSegment):
+            poses = np.concatenate((_poses(one, 0.0, one.length)[:-1], _poses(following, 0.0, following.length)))
+            yield _joined(path, path.segments[:k], poses, following, path.segments[k + 2 :])
 
 
 def _poses(segment: Segment, begin: float, end: float) -> FloatArray:

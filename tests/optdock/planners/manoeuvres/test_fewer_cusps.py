@@ -101,3 +101,26 @@ def test_a_plan_has_no_gear_of_centimetres_that_nobody_needs():
     assert simpler.stage == "fewer cusps"
     assert not plan.path.cusps
     assert plan.price == simpler.price < offered.price - 2.0
+
+
+def test_a_stop_within_a_gear_is_left_out_before_a_gear_is():
+    path = driven((1.0, 0.8), (0.8, -0.8), (-0.4, 0.3), (0.0, 0.5), (1.5, 0.0), (0.5, 1.0))
+    first, second, *rest = fewer_cusps(path, asked(path))
+    assert [int(one.direction) for one in first.segments] == [1, -1, 0, 1, 1]
+    assert [int(one.direction) for one in second.segments] == [1, 1, -1, 0, 1]
+    for simpler in (first, second):
+        assert simpler.start == path.start
+        assert simpler.end == path.end
+        assert simpler.length == pytest.approx(path.length, abs=1e-3)
+        stations = np.linspace(0.0, path.length, 200)
+        assert np.abs(simpler.poses_at(stations * simpler.length / path.length) - path.poses_at(stations)).max() < 2e-3
+    assert all(len(simpler.segments) == 5 for simpler in rest)
+
+
+def test_a_stop_that_a_smoother_can_do_without_is_left_out():
+    """Both curvatures fit into one gear where there is room."""
+    path = driven((1.5, 0.6), (1.5, -0.6))
+    simpler = next(iter(fewer_cusps(path, asked(path))))
+    assert len(simpler.segments) == 1
+    plan = plan_dock(asked(path), guesses=[simpler], time_budget=10.0)
+    assert len(plan.path.segments) == 1
