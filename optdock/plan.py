@@ -20,7 +20,7 @@ from optdock.io.plan_file import (
 from optdock.obstacles import in_words
 from optdock.outcomes import SmoothingReport, TimingReport
 from optdock.path import Path
-from optdock.planners.manoeuvres.price import CUSP_PRICE, stops
+from optdock.planners.manoeuvres.price import price_of
 from optdock.problem import DockingProblem
 from optdock.trajectory import Trajectory
 from optdock.verification import ProvenMotion, prove_motion
@@ -134,8 +134,8 @@ class DockPlan:
 
     @property
     def price(self) -> float:
-        """What plans are chosen by: the duration of the motion and `CUSP_PRICE` for every stop on its way [s]."""
-        return self.trajectory.duration + CUSP_PRICE * stops(self.path)
+        """What plans are chosen by [s], see `price_of`."""
+        return price_of(self.path, self.trajectory.duration, self.motion.problem.robot)
 
     @property
     def stage(self) -> str:

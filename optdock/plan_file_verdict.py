@@ -21,7 +21,7 @@ from optdock.io.numbers import is_number
 from optdock.io.plan_file import CERTIFIED, UNKNOWN
 from optdock.io.quoting import shown
 from optdock.path import may_be_one_frame
-from optdock.planners.manoeuvres.price import CUSP_PRICE, stops
+from optdock.planners.manoeuvres.price import price_of
 from optdock.report import certificate_rows
 from optdock.trajectory import Trajectory
 from optdock.verification import (
@@ -430,9 +430,9 @@ class _Claims:
         """The plan is the best of the guesses that were tried, and was made of the planner's path."""
         law, guess = self._plan.time_law, self._plan.raw_path
         priced = [one for one in self._plan.tried if is_number(one.get("price"))]
-        if not priced or law is None or self._motion.proof is None:
+        if not priced or law is None or self._motion.proof is None or self._others:
             return
-        price = law.duration + CUSP_PRICE * stops(self._path)
+        price = price_of(self._path, law.duration, self._problem.robot)
         best = min(priced, key=lambda one: one["price"])  # type: ignore[arg-type,return-value]  # numbers, see above
         if not _same(best["price"], price):  # type: ignore[arg-type]
             yield f"tried: the lowest price is {best['price']:.6g} s, that of the plan {price:.6g} s"

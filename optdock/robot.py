@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, NamedTuple
 from optdock.camera import Camera
 from optdock.errors import InvalidValue
 from optdock.fingerprint import digest
-from optdock.geometry.checked import exactly, instance, member, number
+from optdock.geometry.checked import exactly, finite_number, instance, member, number
 from optdock.geometry.footprint import Footprint
 from optdock.geometry.pose import Twist2, displacement
 from optdock.limits import STEERING_UNITS, MotionLimits
@@ -19,7 +19,7 @@ from optdock.limits import STEERING_UNITS, MotionLimits
 if TYPE_CHECKING:
     from optdock.geometry.arrays import FloatArray
 
-__all__ = ["Drive", "Robot", "RobotFingerprint", "TrackingTube", "admissible", "check_drive"]
+__all__ = ["Drive", "Robot", "RobotFingerprint", "TrackingTube", "admissible", "check_drive", "check_price"]
 
 _DIGESTED = 15  # fields of `MotionLimits` that digests have counted from the beginning; later ones where they are set
 
@@ -76,10 +76,11 @@ class Robot:
             for it.
         tracking: How far it may be off its path.
         camera: What it detects the dock's marker with, or None; see `Dock.visible_distance`.
+        reverse_price: What a metre in reverse is worth beside its time when plans are compared [s/m].
 
     Raises:
-        InvalidValue: The drive is none, a part is of another class, a differential drive has a steering angle or rate,
-            or a robot turns in place that cannot or whose turns nothing limits.
+        InvalidValue: The drive is none, a part is of another class, the price is negative or not finite, a differential
+            drive has a steering angle or rate, or a robot turns in place that cannot or whose turns nothing limits.
     """
 
     footprint: Footprint
@@ -88,6 +89,7 @@ class Robot:
     turns_in_place: bool = False
     tracking: TrackingTube = TrackingTube()
     camera: Camera | None = None
+    reverse_price: float = 0.0
 
     def __post_init__(self) -> None:
         exactly(Footprint, self.footprint, "robot.footprint")
@@ -98,10 +100,11 @@ class Robot:
         if self.camera is not None:
             exactly(Camera, self.camera, "robot.camera")
         check_drive(self.drive, self.limits, turns_in_place=self.turns_in_place)
+        object.__setattr__(self, "reverse_price", check_price(self.reverse_price))
 
     @functools.cached_property
     def fingerprint(self) -> RobotFingerprint:
-        """Digests of its outline, and of its limits, drive and camera."""
+        """Digests of its outline, and of its limits, drive, camera and price of reversing."""
         # What a robot does not use is no part of its digest: certificates outlive the limits that came after them.
         steering = {"wheelbase", *STEERING_UNITS} if self.limits.wheelbase == 0.0 else set()
         values = {spec.name: getattr(self.limits, spec.name) for spec in fields(self.limits)}
@@ -111,13 +114,26 @@ class Robot:
         turns = ("turns in place",) if self.turns_in_place else ()
         others = [(name, values[name]) for name in later if values[name] != defaults[name]]
         seen = () if self.camera is None else _camera_parts(self.camera)
-        parts = (limits, self.drive.value, *turns, *(part for pair in others for part in pair), *seen)
+        reversing = ("reverse price", (self.reverse_price,)) if self.reverse_price > 0.0 else ()
+        parts = (limits, self.drive.value, *turns, *(part for pair in others for part in pair), *seen, *reversing)
         return RobotFingerprint(digest(self.footprint.vertices), digest(*parts))
 
 
 def _camera_parts(camera: Camera) -> tuple[str | FloatArray | tuple[float, ...], ...]:
     """What a digest counts of a camera."""
     return "camera", camera.mount.as_array(), (camera.field_of_view, camera.min_range, camera.max_range)
+
+
+def check_price(price: float) -> float:
+    """The price of a metre in reverse as a float [s/m].
+
+    Raises:
+        InvalidValue: It is no number, negative or not finite.
+    """
+    found = finite_number(price, "robot.reverse_price")
+    if found < 0.0:
+        raise InvalidValue(f"robot.reverse_price: must be >= 0 s/m, got {found}")
+    return found
 
 
 def check_drive(drive: Drive, limits: MotionLimits, *, turns_in_place: bool) -> None:
@@ -139,7 +155,7 @@ def check_drive(drive: Drive, limits: MotionLimits, *, turns_in_place: bool) -> 
 
 
 class RobotFingerprint(NamedTuple):
-    """Digests of a robot's outline, and of its limits, drive and camera; see `ProblemFingerprint`."""
+    """Digests of a robot's outline, and of its limits, drive, camera and reverse price; see `ProblemFingerprint`."""
 
     footprint: str
     limits: str

@@ -40,7 +40,7 @@ from optdock.io.quoting import shown
 from optdock.limits import DIMENSIONS, LIMITS, MotionLimits
 from optdock.pipeline import DEFAULT_PLANNERS, DEFAULT_TIME_BUDGET
 from optdock.problem import ClearanceRule
-from optdock.robot import Drive, Robot, TrackingTube, check_drive
+from optdock.robot import Drive, Robot, TrackingTube, check_drive, check_price
 
 __all__ = ["SECTIONS", "ScenarioDocument", "known_keys", "synonym"]
 
@@ -314,6 +314,9 @@ class RobotDocument(_Part):
     camera: CameraDocument | None = _key(
         "what it detects the dock's marker with, a cone; see dock.visible_distance", None, absent="none"
     )
+    reverse_price: Number = _key(
+        "what a metre in reverse is worth beside its time when plans are compared [s/m]", 0.0, least=0, finite=True
+    )
     limits: LimitsDocument = _key("bounds on the motion", LimitsDocument(), absent="each limit's own default")
 
     @field_validator("radius")
@@ -322,6 +325,11 @@ class RobotDocument(_Part):
         if value is not None:
             check_outline(Footprint.from_radius(value))
         return value
+
+    @field_validator("reverse_price")
+    @classmethod
+    def _no_reward(cls, value: float) -> float:
+        return check_price(value)
 
     @model_validator(mode="after")
     def _one_outline(self) -> RobotDocument:
@@ -338,7 +346,8 @@ class RobotDocument(_Part):
         """The robot."""
         outline = self.footprint if self.footprint is not None else Footprint.from_radius(self.radius or math.nan)
         camera = None if self.camera is None else self.camera.value()
-        return Robot(outline, self.limits.value(), self.drive, self.turns_in_place, self.tracking.value(), camera)
+        drive, tracking = self.drive, self.tracking.value()
+        return Robot(outline, self.limits.value(), drive, self.turns_in_place, tracking, camera, self.reverse_price)
 
 
 class DockDocument(_Part):

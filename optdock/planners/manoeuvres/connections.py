@@ -9,7 +9,7 @@ import numpy as np
 from optdock.dock import DockDirection
 from optdock.geometry.arrays import readonly
 from optdock.planners.manoeuvres.arcs import Arcs
-from optdock.planners.manoeuvres.price import driving_times, gear_changes, stopping_cost
+from optdock.planners.manoeuvres.price import driving_prices, gear_changes, stopping_cost
 from optdock.planners.manoeuvres.reeds_shepp import TURNS, reeds_shepp_words
 from optdock.planners.manoeuvres.tree import joined
 
@@ -17,10 +17,10 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
 
     from optdock.geometry.arrays import BoolArray, FloatArray, IntArray
-    from optdock.limits import MotionLimits
     from optdock.planners.manoeuvres.free_space import Effort, FreeSpace
     from optdock.planners.manoeuvres.tree import ArcTree
     from optdock.problem import DockingProblem
+    from optdock.robot import Robot
 
 __all__ = [
     "Connections",
@@ -103,7 +103,7 @@ def all_pairs(exits: Nodes, entries: Nodes) -> tuple[Nodes, Nodes]:
 
 
 class PairWords(NamedTuple):
-    """Words of pairs of poses: which pair, time at full speed [s], Shape (m,); lengths and curvatures Shape (m, 5)."""
+    """Words of pairs of poses: which pair, price at full speed [s], Shape (m,); lengths and curvatures Shape (m, 5)."""
 
     pair: IntArray
     driven: FloatArray
@@ -111,21 +111,19 @@ class PairWords(NamedTuple):
     curvatures: FloatArray
 
 
-def cheapest_words(
-    starts: FloatArray, ends: FloatArray, radius: float, limits: MotionLimits, per_pair: int
-) -> PairWords:
-    """The words that take least time at full speed, a few of every pair of poses, Shape (n, 3) each.
+def cheapest_words(starts: FloatArray, ends: FloatArray, radius: float, robot: Robot, per_pair: int) -> PairWords:
+    """The words that are cheapest at full speed, a few of every pair of poses, Shape (n, 3) each.
 
     Args:
         starts: Where they begin.
         ends: Where they end.
         radius: Of all arcs [m].
-        limits: Of the speeds.
+        robot: Whose speeds and price of reversing count.
         per_pair: How many at most.
     """
     words = reeds_shepp_words(starts, ends, radius).lengths
     with np.errstate(invalid="ignore"):
-        driven = driving_times(words, limits).sum(axis=2)
+        driven = driving_prices(words, robot).sum(axis=2)
     driven = np.where(np.isnan(driven), np.inf, driven)
     few = np.argpartition(driven, per_pair, axis=0)[:per_pair]
     is_one = np.isfinite(driven[few, np.arange(len(starts))])
@@ -135,13 +133,13 @@ def cheapest_words(
 
 def _cheapest(exits: Nodes, entries: Nodes, radius: float, problem: DockingProblem, per_pair: int) -> Connections:
     """The cheapest words of as many pairs."""
-    limits = problem.robot.limits
+    robot = problem.robot
     (leaving, i), (arriving, j) = exits, entries
-    pair, driven, lengths, curvatures = cheapest_words(leaving.poses[i], arriving.poses[j], radius, limits, per_pair)
+    pair, driven, lengths, curvatures = cheapest_words(leaving.poses[i], arriving.poses[j], radius, robot, per_pair)
     # With the gears in which the nodes are left and reached, cusps at the joints count as well.
     gears = np.column_stack((leaving.signs[i[pair]], lengths, -arriving.signs[j[pair]]))
     prices = driven + leaving.prices[i[pair]] + arriving.prices[j[pair]]
-    prices += stopping_cost(limits) * gear_changes(gears)
+    prices += stopping_cost(robot.limits) * gear_changes(gears)
     kept = np.flatnonzero(_in_allowed_gears(gears, problem))
     pair = pair[kept]
     return Connections(prices[kept], i[pair], j[pair], lengths[kept], curvatures[kept])

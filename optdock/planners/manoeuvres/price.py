@@ -1,4 +1,4 @@
-"""What a manoeuvre costs: its time-optimal duration plus a price per cusp, and quick estimates of that."""
+"""What a manoeuvre costs: its duration, a price per cusp and one per metre in reverse, and quick estimates of that."""
 
 from __future__ import annotations
 
@@ -14,14 +14,16 @@ if TYPE_CHECKING:
     from optdock.limits import MotionLimits, TurnLimits
     from optdock.path import Path
     from optdock.problem import DockingProblem
+    from optdock.robot import Robot
 
 __all__ = [
     "CUSP_PRICE",
-    "driving_times",
+    "driving_prices",
     "ends_cost",
     "gear_changes",
     "least_price",
     "least_prices",
+    "price_of",
     "stopping_cost",
     "stops",
     "turning_times",
@@ -34,6 +36,18 @@ _TURNS_GEAR = 1e-6  # [m]: shorter arcs are no motion
 _STEPS, _EXCESS = 20, 1e-6  # most iterations; tolerance of the length [m]
 
 
+def price_of(path: Path, duration: float, robot: Robot) -> float:
+    """What plans are chosen by [s]: the duration, `CUSP_PRICE` for every stop on the way, and the metres in reverse.
+
+    Args:
+        path: Of any kind.
+        duration: Of the motion along it [s].
+        robot: Whose `reverse_price` counts.
+    """
+    gears = np.array([one.direction * one.length for one in path.segments if not isinstance(one, TurnSegment)])
+    return duration + CUSP_PRICE * stops(path) + float(_reversing(gears, robot).sum())
+
+
 def least_price(path: Path, problem: DockingProblem) -> float:
     """The price of the fastest motion along `path` that speed, acceleration, jerk and the dock's slow zone bound [s].
 
@@ -42,7 +56,7 @@ def least_price(path: Path, problem: DockingProblem) -> float:
     gears = np.array([[0.0 if isinstance(one, TurnSegment) else one.direction * one.length for one in path.segments]])
     turns = np.array([abs(one.turn) for one in path.segments if isinstance(one, TurnSegment)])
     turned = float(turning_times(turns, problem.robot.limits.turning).sum()) if turns.size else 0.0
-    return turned + float(_durations(gears, problem)[0].sum()) + CUSP_PRICE * stops(path)
+    return price_of(path, turned + float(_durations(gears, problem)[0].sum()), problem.robot)
 
 
 def least_prices(lengths: FloatArray, problem: DockingProblem) -> FloatArray:
@@ -58,6 +72,7 @@ def least_prices(lengths: FloatArray, problem: DockingProblem) -> FloatArray:
     """
     gears, changes = _merged(lengths)
     found: FloatArray = _durations(gears, problem).sum(axis=1) + CUSP_PRICE * changes
+    found += _reversing(gears, problem.robot).sum(axis=1)
     return found
 
 
@@ -113,10 +128,17 @@ def stops(path: Path) -> int:
     return max(driven - 1, 0)
 
 
-def driving_times(lengths: FloatArray, limits: MotionLimits) -> FloatArray:
-    """Times at full speed of signed lengths, negative in reverse, of any shape [s]."""
+def _reversing(lengths: FloatArray, robot: Robot) -> FloatArray:
+    """What signed lengths cost beside their time, of any shape [s]."""
+    prices: FloatArray = robot.reverse_price * np.maximum(-lengths, 0.0)
+    return prices
+
+
+def driving_prices(lengths: FloatArray, robot: Robot) -> FloatArray:
+    """Prices of signed lengths at full speed, negative in reverse, of any shape [s]."""
+    limits = robot.limits
     times: FloatArray = np.where(lengths > 0.0, lengths / limits.max_speed, -lengths / limits.max_reverse_speed)
-    return times
+    return times + _reversing(lengths, robot)
 
 
 def turning_times(turns: FloatArray, limits: TurnLimits) -> FloatArray:

@@ -121,11 +121,11 @@ class _LazySearch:
         wanted = np.where(leaves, station[j] < _NEAR_ENDS, station[i] >= self._count - _NEAR_ENDS)
         wanted = np.where(leaves | arrives, wanted & (leaves != arrives), (on >= 0) & (on <= _AHEAD) & (i != j))
         i, j = i[wanted], j[wanted]
-        limits, blocks = self._space.problem.robot.limits, []
+        robot, blocks = self._space.problem.robot, []
         for k in range(0, i.size, _PAIRS):
             self._space.poll()
             ends = self._poses[i[k : k + _PAIRS]], self._poses[j[k : k + _PAIRS]]
-            block = cheapest_words(*ends, self._effort.radius, limits, _WORDS_PER_PAIR)
+            block = cheapest_words(*ends, self._effort.radius, robot, _WORDS_PER_PAIR)
             blocks.append(block._replace(pair=block.pair + k))
         if not blocks:  # a route without a station
             none = np.zeros(0)

@@ -170,7 +170,7 @@ class Stages:
 
     def _straight_exits(self, effort: Effort, more: FloatArray) -> Nodes:
         """The start, and straight runs out of it; `more` as of `_staging`."""
-        tree, root = ArcTree(self.problem.start.as_array(), self.problem.robot.limits, 1), np.zeros(1, dtype=np.int64)
+        tree, root = ArcTree(self.problem.start.as_array(), self.problem.robot, 1), np.zeros(1, dtype=np.int64)
         stations = np.unique(np.concatenate((self.space.footprint.circumscribed_radius * _TURN_EXITS, more)))
         tree.grow(root, Moves.of((1.0, -1.0), (0.0,)), stations, self.space, effort)
         return Nodes(tree, np.arange(len(tree)))
@@ -189,7 +189,7 @@ class Stages:
 
     def straight_runs(self) -> dict[str, float]:
         """How far the dock can be left straight on so that it could be entered in each gear, up to some lengths [m]."""
-        tree = ArcTree(self.problem.goal.as_array(), self.problem.robot.limits, -1)
+        tree = ArcTree(self.problem.goal.as_array(), self.problem.robot, -1)
         longest = np.array([self.problem.dock.final_straight + 2.0 * self.radius])
         root = np.zeros(1, dtype=np.int64)
         tree.grow(root, Moves.of((-1.0, 1.0), (0.0,)), longest, self.space, self._efforts[-1])
@@ -200,7 +200,7 @@ class Stages:
 
     @functools.cached_property
     def _start(self) -> Nodes:
-        return Nodes(ArcTree(self.problem.start.as_array(), self.problem.robot.limits, 1), np.zeros(1, dtype=np.int64))
+        return Nodes(ArcTree(self.problem.start.as_array(), self.problem.robot, 1), np.zeros(1, dtype=np.int64))
 
     def _staging(self, effort: Effort, more: FloatArray = _NO_MORE) -> Nodes:
         """Straight runs out of the dock, as far as they are free, and where the final straight may begin.
@@ -209,7 +209,7 @@ class Stages:
             effort: How closely to look.
             more: Lengths at which runs may end too [m].
         """
-        tree = ArcTree(self.problem.goal.as_array(), self.problem.robot.limits, -1)
+        tree = ArcTree(self.problem.goal.as_array(), self.problem.robot, -1)
         moves = Moves.of(tuple(-gear for gear in self._gears), (0.0,))
         straight = self.problem.dock.final_straight
         stations = np.unique(np.concatenate((straight + self._wind_up + self.radius * _RUNS, more[more > straight])))
@@ -224,7 +224,7 @@ class Stages:
         key = effort._replace(nodes=0), bends
         if key in self._exits_by_effort:
             return self._exits_by_effort[key]
-        tree, root = ArcTree(self.problem.start.as_array(), self.problem.robot.limits, 1), np.zeros(1, dtype=np.int64)
+        tree, root = ArcTree(self.problem.start.as_array(), self.problem.robot, 1), np.zeros(1, dtype=np.int64)
         rows, room = self._grown(Nodes(tree, root), self._start_gears, effort, bends)
         found = _Exits(Nodes(tree, np.concatenate((root, rows))), bends, room)
         self._exits_by_effort[key] = found
@@ -292,7 +292,7 @@ class Stages:
 
     def _room_before_dock(self, effort: Effort) -> float:
         """The mean length of the last arcs that is free [m], as that of the first ones of `_exits`."""
-        tree = ArcTree(self.problem.goal.as_array(), self.problem.robot.limits, -1)
+        tree = ArcTree(self.problem.goal.as_array(), self.problem.robot, -1)
         moves = Moves.of(tuple(-gear for gear in self._gears), (0.0, 1.0 / effort.radius, -1.0 / effort.radius))
         tree.grow(np.zeros(1, dtype=np.int64), moves, np.array([effort.radius * _EXIT_TURN]), self.space, effort)
         return float(np.abs(tree.lengths).sum()) / moves.signs.size
@@ -353,9 +353,9 @@ class Stages:
 
     def _along_walls(self) -> Iterator[Guess]:
         """Words between arcs that lead away from a wall beside the start and from one beside the dock."""
-        limits, effort = self.problem.robot.limits, self._efforts[2]
+        robot, effort = self.problem.robot, self._efforts[2]
         gears = np.array(self._start_gears)
-        exits, root = ArcTree(self.problem.start.as_array(), limits, 1), np.zeros(gears.size, dtype=np.int64)
+        exits, root = ArcTree(self.problem.start.as_array(), robot, 1), np.zeros(gears.size, dtype=np.int64)
         away = sharpest_arcs(exits, root, gears, self.space, effort)
         if away.size == 0:
             return

@@ -11,14 +11,14 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from optdock.planners.manoeuvres.arcs import Arcs, advance
-from optdock.planners.manoeuvres.price import driving_times, stopping_cost
+from optdock.planners.manoeuvres.price import driving_prices, stopping_cost
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
     from optdock.geometry.arrays import BoolArray, FloatArray, IntArray
-    from optdock.limits import MotionLimits
     from optdock.planners.manoeuvres.free_space import Effort, FreeSpace
+    from optdock.robot import Robot
 
 __all__ = ["ArcTree", "Moves", "joined"]
 
@@ -61,7 +61,7 @@ class ArcTree:
 
     Args:
         root: The pose where it begins, Shape (3,).
-        limits: For the prices of its nodes.
+        robot: For the prices of its nodes.
         gear: The sign that a positive length has when it is driven: 1 from the start, -1 from the goal, where growing
             is driving back in time.
 
@@ -71,12 +71,12 @@ class ArcTree:
         signs: Sign of the length of the last arc, 0 at the root. Shape (n,).
     """
 
-    def __init__(self, root: FloatArray, limits: MotionLimits, gear: int) -> None:
-        self.gear, self._limits = gear, limits
+    def __init__(self, root: FloatArray, robot: Robot, gear: int) -> None:
+        self.gear, self._robot = gear, robot
         self.poses, self.prices, self.signs = root[None].copy(), np.zeros(1), np.zeros(1)
         self.parents = np.full(1, -1)
         self.lengths, self.curvatures = np.zeros(1), np.zeros(1)
-        self._stop = stopping_cost(limits)
+        self._stop = stopping_cost(robot.limits)
 
     def __len__(self) -> int:
         return len(self.poses)
@@ -146,7 +146,7 @@ class ArcTree:
     ) -> IntArray:
         """The rows of new nodes at the ends of free arcs, Shape (n,) each; `is_new` as of `grow`."""
         sign = np.sign(length)
-        driven = driving_times(self.gear * length, self._limits)
+        driven = driving_prices(self.gear * length, self._robot)
         price = self.prices[parent] + driven + self._stop * (self.signs[parent] * sign < 0.0)
         poses = advance(self.poses[parent], length, curvature)
         order = np.argsort(price, kind="stable")

@@ -20,7 +20,7 @@ from optdock.geometry.pose import Pose2
 from optdock.path import Path
 from optdock.planners.manoeuvres.arcs import advance
 from optdock.planners.manoeuvres.connections import Nodes
-from optdock.planners.manoeuvres.price import driving_times, stopping_cost, turning_times
+from optdock.planners.manoeuvres.price import driving_prices, stopping_cost, turning_times
 from optdock.segments import Direction, PolylineSegment, TurnSegment
 
 if TYPE_CHECKING:
@@ -251,7 +251,8 @@ def _lines(exits: Nodes, entries: Nodes, space: FreeSpace, effort: Effort) -> _L
     turns -= 2.0 * np.pi * np.where(turns >= 0.0, 1.0, -1.0) * (np.column_stack((first, second)) < 0.0)
     turns[np.abs(turns) <= _NOTHING] = 0.0
     rows = exits.rows[i], entries.rows[j]
-    prices = exits.tree.prices[rows[0]] + entries.tree.prices[rows[1]] + driving_times(gear * length, limits)
+    prices = driving_prices(gear * length, space.problem.robot)
+    prices += exits.tree.prices[rows[0]] + entries.tree.prices[rows[1]]
     prices += turning_times(np.abs(turns), limits.turning).sum(axis=1)
     out, into = exits.tree.signs[rows[0]], -entries.tree.signs[rows[1]]
     stops = drives & (out != 0.0) & ((turns[:, 0] != 0.0) | (out * gear < 0.0))
@@ -332,7 +333,7 @@ def _price(whole: TurnsAndDrives, space: FreeSpace) -> float:
     rounds = whole.rounds()
     stops = max(int(np.count_nonzero(np.abs(lengths) > _NOTHING)) - 1, 0) - int(np.count_nonzero(rounds))
     turning = turning_times(np.where(rounds, 0.0, np.abs(whole.turns)), limits.turning)
-    return float(driving_times(lengths, limits).sum() + turning.sum()) + stopping_cost(limits) * stops
+    return float(driving_prices(lengths, space.problem.robot).sum() + turning.sum()) + stopping_cost(limits) * stops
 
 
 def _is_free(whole: TurnsAndDrives, space: FreeSpace, effort: Effort) -> bool:

@@ -8,8 +8,8 @@ whole block at once.
 from __future__ import annotations
 
 import array
+import dataclasses
 from collections.abc import Mapping
-from dataclasses import dataclass
 from enum import Enum
 from typing import TYPE_CHECKING, Any, TypeVar
 
@@ -278,7 +278,7 @@ def _validated(model: type[BaseModel], block: object, owner: str) -> Any:
         raise InvalidValue("\n".join(f"{'.'.join(map(str, key))}: {message}" for key, message in faults)) from error
 
 
-@dataclass(frozen=True)
+@dataclasses.dataclass(frozen=True)
 class RobotParameters:
     """The block `robot`: the names of the scenario format, all of them optional.
 
@@ -296,8 +296,7 @@ class RobotParameters:
         Raises:
             InvalidValue: As `Robot`.
         """
-        said = self.document
-        return Robot(footprint, said.limits.value(), said.drive, said.turns_in_place, said.tracking.value())
+        return dataclasses.replace(self.document.value(), footprint=footprint)
 
 
 def robot_parameters(block: object, owner: str = "robot") -> RobotParameters:

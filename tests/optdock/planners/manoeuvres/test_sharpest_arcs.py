@@ -30,7 +30,7 @@ def beside(gap, side=1.0, wall=True):
 def chains(problem):
     """The tree, the ends of the chains, and how closely they were looked at."""
     stages = Stages(problem, 1.25, lambda: None, lambda: math.inf)
-    tree = ArcTree(problem.start.as_array(), CAR.limits, 1)
+    tree = ArcTree(problem.start.as_array(), CAR, 1)
     effort = stages._efforts[2]
     ends = sharpest_arcs(tree, np.zeros(2, dtype=np.int64), np.array([1.0, -1.0]), stages.space, effort)
     return tree, ends, stages.space, effort
