@@ -115,8 +115,9 @@ class ObstacleSet(FrozenArrays):
         return cls.from_polygons(obstacles, name)
 
     @classmethod
+    @functools.cache
     def empty(cls) -> ObstacleSet:
-        """No obstacle at all."""
+        """No obstacle at all; always the same object."""
         return cls(np.zeros((0, 3, 2)), (), np.zeros(0, dtype=np.int64))
 
     @classmethod

@@ -549,15 +549,15 @@ class _Portfolio:
 
     def _stop_at_bends(self, guess: Guess) -> None:
         """Keep a plan along a guess that failed, as it is, in case that nothing better is found."""
-        if guess.stage == "given" or self.best is not None or self._is_late():
-            return
+        if guess.stage == "given" or self.best is not None or self.deadline.left <= 2.0 * self.refinement.reserve:
+            return  # where time is left for a timing alone, the certificate before it would end too late
         known = self.last_resort.price if self.last_resort is not None else math.inf
         path = stopping_at_bends(guess.path)
         if path is None or least_price(path, self.problem) >= known:
             return
         began = self.deadline.elapsed
         with contextlib.suppress(OptdockError):  # what is said of the guess is why it could not be smoothed
-            plan = self.refinement.proven(guess.path, path, PartialPlan())
+            plan = self.refinement.proven(guess.path, path, PartialPlan(), is_late=self._is_late)
             if plan.price < known:
                 self.last_resort = plan
                 stage, seconds = f"{guess.stage}, stopping at bends", self.deadline.elapsed - began

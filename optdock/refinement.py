@@ -268,20 +268,21 @@ class Refinement:
         plan = self.proven(raw, path, so_far)
         return replace(plan, completed=result.completed, smoothing_report=result.report)
 
-    def proven(self, raw: Path, path: Path, so_far: PartialPlan) -> DockPlan:
+    def proven(self, raw: Path, path: Path, so_far: PartialPlan, is_late: Callable[[], bool] | None = None) -> DockPlan:
         """The certified plan along a path that needs no smoothing; `so_far` as of `refined`.
 
         Args:
             raw: What the path was made of.
             path: In the problem's frame.
             so_far: Filled in on the way.
+            is_late: Asked within the certificate of the path; `asked_to_stop` by default.
 
         Raises:
             OptdockError: As `refined`.
         """
         so_far.raw_path, so_far.path = raw, path
         with self.watch.timed("certify"):
-            certificate = so_far.certificate = certify_path(path, self.problem, is_late=self.asked_to_stop)
+            certificate = so_far.certificate = certify_path(path, self.problem, is_late=is_late or self.asked_to_stop)
             self._require(certificate, "smoothed path", SmootherCancelled, SmootherTimedOut)
         motion, report = self._certified_motion(path)
         return DockPlan(motion, raw, timing_report=report)

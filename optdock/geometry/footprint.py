@@ -11,7 +11,7 @@ import numpy as np
 from optdock.errors import InvalidValue
 from optdock.geometry.arrays import FrozenArrays, readonly
 from optdock.geometry.checked import finite_number, number
-from optdock.geometry.polygon import convex_pieces, edge_planes, simple_polygon
+from optdock.geometry.polygon import convex_cover, convex_pieces, edge_planes, simple_polygon
 from optdock.geometry.pose import displacement, normalize_angle
 from optdock.geometry.separation import ConvexBody
 
@@ -21,10 +21,12 @@ if TYPE_CHECKING:
     from optdock.geometry.arrays import FloatArray
     from optdock.geometry.pose import Pose2
 
-__all__ = ["Footprint", "convex_body"]
+__all__ = ["CORE_DEPTH", "Footprint", "convex_body"]
 
 _NUMBER = r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?"
 _POINT = re.compile(rf"\[\s*({_NUMBER})[\s,]+({_NUMBER})\s*\]")
+CORE_DEPTH = 2e-6  # [m]: how deep within the outline the core begins
+_CORE_ARC = 4  # segments of a quarter circle in the outline of a core
 _RADIUS_SIDES = 32  # of the polygon around a circle: it sticks out by at most 0.5 % of the radius
 
 
@@ -37,6 +39,9 @@ class Footprint(FrozenArrays):
 
     Attributes:
         bodies: The convex pieces that cover exactly the polygon; one when it is convex.
+        core: Convex pieces of what lies at least `CORE_DEPTH` inside a polygon that is not convex, which is not seen
+            piece by piece (`optdock.verification.contact_tolerance`); none when it is convex. Arcs of its outline are
+            chords inside the removed rim, so a core is never too small, but for one hundredth of `CORE_DEPTH`.
 
     Raises:
         InvalidValue: Fewer than three distinct vertices, no area, crossing edges, NaN.
@@ -44,11 +49,13 @@ class Footprint(FrozenArrays):
 
     vertices: FloatArray
     bodies: tuple[ConvexBody, ...] = field(init=False, repr=False)
+    core: tuple[ConvexBody, ...] = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
         vertices = simple_polygon(self.vertices, "footprint")
         object.__setattr__(self, "vertices", vertices)
         object.__setattr__(self, "bodies", tuple(convex_body(piece) for piece in convex_pieces(vertices)))
+        object.__setattr__(self, "core", _core(vertices) if len(self.bodies) > 1 else ())
 
     def __repr__(self) -> str:
         return f"<Footprint {self.length:.4g} m x {self.width:.4g} m, {len(self.vertices)} corners>"
@@ -129,6 +136,13 @@ class Footprint(FrozenArrays):
         along = np.clip(-np.sum(start * edge, axis=1) / np.sum(edge**2, axis=1), 0.0, 1.0)
         nearest = start + along[:, None] * edge
         return float(np.min(np.hypot(nearest[:, 0], nearest[:, 1])))
+
+
+def _core(vertices: FloatArray) -> tuple[ConvexBody, ...]:
+    import shapely
+
+    core = shapely.Polygon(vertices).buffer(-CORE_DEPTH, quad_segs=_CORE_ARC)
+    return tuple(convex_body(piece) for piece in convex_cover(core))
 
 
 def convex_body(piece: ArrayLike) -> ConvexBody:

@@ -34,6 +34,8 @@ if TYPE_CHECKING:
 
 __all__ = ["Window", "Windowed", "reachable_speed", "s_curve_length", "windowed_plans"]
 
+_LOOK_EVERY = 500  # nodes of a path, half a millisecond, between two looks at the clock
+
 
 class WindowedParameters(PluginParameters):
     """Parameters of `Windowed`."""
@@ -140,7 +142,7 @@ def _windows(limits: PathLimits, settings: WindowedSettings, deadline: Deadline)
     """The windows, each with the worst of all limits in it."""
     bend = np.maximum(np.abs(limits.curvature[:-1]), np.abs(limits.curvature[1:]))
     slowness = limits.maximum_velocity_curve(settings.yaw_share)
-    cuts = _cuts(limits, slowness, settings)
+    cuts = _cuts(limits, slowness, settings, deadline)
     deadline.look()
     slowness, bend, rate = (np.maximum.reduceat(column, cuts[:-1]) for column in (slowness, bend, limits.steepest))
     drive, used = limits.drive, 1.0 - settings.margin
@@ -156,12 +158,14 @@ def _windows(limits: PathLimits, settings: WindowedSettings, deadline: Deadline)
     ]
 
 
-def _cuts(limits: PathLimits, slowness: FloatArray, settings: WindowedSettings) -> list[int]:
+def _cuts(limits: PathLimits, slowness: FloatArray, settings: WindowedSettings, deadline: Deadline) -> list[int]:
     """Indices of the nodes between windows: where the cap leaves its band, the length runs out, the zone begins."""
     zone = int(np.searchsorted(limits.s, limits.zone_start - 1e-12)) if limits.has_zone else -1
     cuts, low, high, begin = [0], math.inf, 0.0, 0.0
     longest = settings.max_window * (1.0 + 1e-9)  # rounding of arc lengths must not shift the borders
     for i, (value, s) in enumerate(zip(slowness.tolist(), limits.s[1:].tolist(), strict=True)):
+        if i % _LOOK_EVERY == 0:
+            deadline.look()
         low, high = min(low, value), max(high, value)
         if i > cuts[-1] and (high > settings.cap_ratio * low or s - begin > longest or i == zone):
             cuts.append(i)

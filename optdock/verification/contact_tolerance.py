@@ -21,16 +21,14 @@ removed rim, so a core is never too small, but for the precision of the offset c
 
 from __future__ import annotations
 
-import functools
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from optdock.geometry.footprint import convex_body
+from optdock.geometry.footprint import CORE_DEPTH
 from optdock.geometry.polygon import convex_cover
 from optdock.geometry.separation import separation
 from optdock.obstacles import ObstacleSet
-from optdock.verification.certificate import TOLERANCE
 
 if TYPE_CHECKING:
     from shapely.geometry.base import BaseGeometry
@@ -41,7 +39,7 @@ if TYPE_CHECKING:
 
 __all__ = ["DEPTH", "deep_pairs", "deepest"]
 
-DEPTH = 2.0 * TOLERANCE  # [m]: forgiven contact stays clear of the core by half of it
+DEPTH = CORE_DEPTH  # [m], twice the `TOLERANCE` of certificates: forgiven contact stays clear of the core by half of it
 _CRACK = 1e-7  # [m]: half the width of gaps between obstacles that count as none
 _MARGIN = 0.1  # [m] around the box of interest: its own edges must not count as outline within
 _ARC = 4  # segments of a quarter circle
@@ -56,7 +54,7 @@ def deep_pairs(
     obstacles, where some touch each other.
     """
     pairs = (
-        (_footprint_core(footprint), obstacles),
+        (footprint.core, obstacles),
         (footprint.bodies, _obstacle_core(obstacles, lower, upper)),
     )
     return tuple((bodies, rocks) for bodies, rocks in pairs if bodies and len(rocks))
@@ -75,16 +73,6 @@ def deepest(footprint: Footprint, pose: FloatArray, obstacles: ObstacleSet) -> f
     ]
     smallest = min(found, default=0.0)
     return smallest - DEPTH if smallest < 0.0 else 0.0
-
-
-@functools.lru_cache(maxsize=64)
-def _footprint_core(footprint: Footprint) -> tuple[ConvexBody, ...]:
-    if len(footprint.bodies) == 1:
-        return ()
-    import shapely
-
-    core = shapely.Polygon(footprint.vertices).buffer(-DEPTH, quad_segs=_ARC)
-    return tuple(convex_body(piece) for piece in convex_cover(core))
 
 
 def _obstacle_core(obstacles: ObstacleSet, lower: FloatArray, upper: FloatArray) -> ObstacleSet:

@@ -62,7 +62,7 @@ class InitialGuesses:
         nlp: The program.
         earlier: What is left of an earlier result, or None.
         pool: Convex programs, for tracking.
-        is_late: Asked within tracking.
+        is_late: Asked before and within tracking: whether there is no time for another iteration.
     """
 
     nlp: NonlinearProgram
@@ -147,10 +147,12 @@ class InitialGuesses:
     def _first(self) -> Variables:
         """The fit or the drive; the tracked one where they lead off the input into obstacles or past the goal."""
         nlp, first = self.nlp, self._untracked
-        if first is self.fitted and strayed(nlp, self._fit_driven) < nlp.settings.guess.off_the_input:
+        is_near = first is self.fitted and strayed(nlp, self._fit_driven) < nlp.settings.guess.off_the_input
+        if is_near or self.is_late():
             return first
         begun, _ = evaluated(nlp, first)
-        if begun.on_goal and begun.shortfall < nlp.scene.settings.deep * nlp.scene.body.width:
+        is_free = begun.shortfall < nlp.scene.settings.deep * nlp.scene.body.width
+        if (begun.on_goal and is_free) or self.is_late():
             return first
         loop = nlp.settings.loop
         penalties = Penalties(loop.clearance_penalty, loop.goal_penalty)

@@ -219,7 +219,8 @@ class AnytimeSettings:
     """
 
     certificate_seconds: tuple[float, float, float] = (0.0025, 1.2e-5, 8e-7)
-    iteration_seconds: tuple[float, float, float] = (0.0015, 2e-5, 0.0)
+    iteration_seconds: tuple[float, float, float] = (0.0013, 2e-5, 0.0)
+    iteration_per_corner: float = 4e-5  # [s] for every corner of the footprint, in nine of ten iterations at most
     certificate_per_iteration: float = 1.2  # until a certificate was measured, how fast this machine is was
     longest_fades: float = 0.8  # of the longest iteration so far is expected again
     iteration_reserve: float = 1.1

@@ -308,6 +308,25 @@ class Solver:
 
     def _try(self, row: Search) -> bool:
         """Search, where it is worth it; whether that is the end: something is certified, or the time is over."""
+        if not self._prepare_for(row):
+            return False
+        failed = self.outcome.last
+        if row.after_the_goal and not (failed is not None and failed.on_goal):
+            return False
+        guess = row.guess(self._guesses)
+        if guess is None:
+            return False
+        if self._no_more_iterations():
+            raise self._timed_out()
+        self._search_and_repair(self._nlp, guess)
+        failed, closest = self.outcome.last, self._closest
+        if self.outcome.incumbent is not None or not self.outcome.converged or failed is None:
+            return True
+        self._closest = failed if closest is None or failed.missing < closest.missing else closest
+        return False
+
+    def _prepare_for(self, row: Search) -> bool:
+        """Make the program of a row; whether it differs from those before it."""
         if row.thoroughly and not self._is_thorough:
             if len(self._nlp.scene.obstacles) <= self.settings.resolution.many_obstacles:
                 return False
@@ -319,19 +338,7 @@ class Solver:
             scene = replace(self._nlp.scene, start_relief=self.call.problem.start_run)
             self._nlp = replace(self._nlp, scene=scene)
             self._guesses, self._closest = replace(self._guesses, nlp=self._nlp), None
-        failed = self.outcome.last
-        if row.after_the_goal and not (failed is not None and failed.on_goal):
-            return False
-        guess = row.guess(self._guesses)
-        if guess is None:
-            return False
-        self._look_at_the_clock()
-        self._search_and_repair(self._nlp, guess)
-        failed, closest = self.outcome.last, self._closest
-        if self.outcome.incumbent is not None or not self.outcome.converged or failed is None:
-            return True
-        self._closest = failed if closest is None or failed.missing < closest.missing else closest
-        return False
+        return True
 
     def prepared(self, call: Call) -> tuple[NonlinearProgram, InitialGuesses]:
         """The program of a call, with fewer nodes among many obstacles, and its guesses.
@@ -372,9 +379,9 @@ class Solver:
         nlp = formulate(call.path, call.problem, scene, chosen, lengths, self.settings)
         nlp = self._seeing(nlp, call)
         expected, pace = self.settings.anytime, self.pool.pace
-        self._iteration = pace * _expected(nlp, expected.iteration_seconds)
+        self._iteration = pace * _expected_iteration(nlp, expected)
         self._certificate = self._certificate or pace * _expected(nlp, expected.certificate_seconds)
-        return nlp, InitialGuesses(nlp, earlier, self.pool, self.deadline.passed)
+        return nlp, InitialGuesses(nlp, earlier, self.pool, self._no_more_iterations)
 
     def _seeing(self, nlp: NonlinearProgram, call: Call) -> NonlinearProgram:
         """The program with the view of the dock, where the problem asks for it."""
@@ -391,6 +398,10 @@ class Solver:
     def _look_at_the_clock(self) -> None:
         if self.deadline.passed():
             raise self._timed_out()
+
+    def _no_more_iterations(self) -> bool:
+        """Whether there is less time than an iteration is expected to take."""
+        return not self.deadline.fits(self._iteration)
 
     def _timed_out(self) -> SmootherTimedOut:
         """With the path of the last iterate, from which a later call may go on."""
@@ -439,7 +450,7 @@ class Solver:
 
     def _search(self, nlp: NonlinearProgram, guess: Guess) -> None:
         self.outcome.converged = False
-        expected = _expected(nlp, self.settings.anytime.iteration_seconds)
+        expected = _expected_iteration(nlp, self.settings.anytime)
         before = self.deadline.elapsed
         for progress in search(nlp, guess, self.pool, self.call.max_iterations, self._must_settle):
             if self.cancelled():
@@ -529,6 +540,12 @@ class Solver:
         chosen = self.settings.anytime
         lost = most_sag(last.rollout, nlp.scene.body.radius)
         return last.on_goal and last.shortfall < max(chosen.nearly, chosen.nearly_in_sags * lost)
+
+
+def _expected_iteration(nlp: NonlinearProgram, settings: AnytimeSettings) -> float:
+    """Seconds that an iteration takes on the machine of the benchmarks."""
+    corners = math.prod(nlp.scene.body.vertices.shape[:2])
+    return _expected(nlp, settings.iteration_seconds) + corners * settings.iteration_per_corner
 
 
 def _expected(nlp: NonlinearProgram, share: tuple[float, float, float]) -> float:

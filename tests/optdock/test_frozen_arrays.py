@@ -37,7 +37,7 @@ from optdock.simulation.run import Run
 from optdock.simulation.world import Record
 from optdock.trajectory import TimeLaw, Trajectory
 from optdock.tube import Tube
-from optdock.verification import cell_decomposition, contact_tolerance, prove_impossible, proximity
+from optdock.verification import cell_decomposition, prove_impossible, proximity
 from smoothers.scp.basis import basis_for
 from smoothers.scp.collision import narrow_phase, scene
 
@@ -281,7 +281,6 @@ SHARED = {
     "mapped_obstacles": lambda: mapped_obstacles(problem().costmap),
     "_bodies": lambda: cell_decomposition._body(problem().robot.footprint, lambda: None),
     "_beside": lambda: cell_decomposition._beside(((0, 0, 0, 16, 8, 0), (0, 1, 0, 16, 8, -1)), 0),
-    "_footprint_core": lambda: contact_tolerance._footprint_core(problem().robot.footprint),
     "bounded_footprint": lambda: proximity.bounded_footprint(problem().robot.footprint),
     "basis_for": lambda: basis_for(((8, 2),)),
     "_all_pairs": lambda: narrow_phase._all_pairs(3),
