@@ -416,6 +416,17 @@ def test_a_guess_through_obstacles_is_put_off_and_tried_at_the_end(clock):
     assert "% of its poses lie in obstacles" in reasons[0]
 
 
+def test_a_guess_through_a_small_obstacle_is_smoothed_briefly_and_goes_on_at_the_end(clock):
+    """Along less than 2.5 robot lengths: 45 ms first, and all that is left once there are no others."""
+    task = problem((0.2, 0.3, 0.3), obstacles=[[[1.9, 0.2], [2.1, 0.2], [2.1, 1.0], [1.9, 1.0]]])
+    through, round_ = (Path.from_poses([task.start, Pose2(2.0, middle, 0.2), GOAL]) for middle in (0.6, 4.5))
+    smoother = Recording(late(bent(0.1)), FailedToSmoothPath("no"), FailedToSmoothPath("no"))
+    with pytest.raises(FailedToSmoothPath):
+        plan_dock(task, time_budget=BUDGET, planner=Several(through, round_), smoother=smoother)
+    assert [path.segments for path in smoother.given] == [one.segments for one in (through, round_, through)]
+    assert smoother.times == pytest.approx([0.045, 0.4 * BUDGET, BUDGET - 0.03], rel=1e-2)
+
+
 def late(path):
     """A smoother ran out of time, and left a path."""
     error = SmootherTimedOut("no certified path in time")
